@@ -1,0 +1,234 @@
+//! Joining a session, and making ports in it.
+
+use std::fs;
+use std::os::fd::AsFd;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use iceoryx2::prelude::AllocationStrategy;
+use iceoryx2::service::attribute::AttributeVerifier;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+use iceoryx2::port::publisher::PublisherCreateError;
+use rustix::fs::FallocateFlags;
+
+use crate::layout::Message;
+use crate::messages::Command;
+use crate::ports::{Publisher, Subscriber};
+use crate::services::{self, Service};
+use crate::session::{
+    Announcement, ByteService, ICEORYX2_VERSION, Reader, Session, SessionError, create_node, file_error, session_id,
+    shared_memory_prefix, transported,
+};
+use crate::wake::{Waiter, WakeFlags, Waker};
+
+/// How long a client waits for a session to be announced, or for a service to be there.
+const JOIN_TIME: Duration = Duration::from_secs(10);
+const RETRY_TIME: Duration = Duration::from_millis(5);
+
+impl Session {
+    /// Joins the session in a folder; waits up to ten seconds for its announcement.
+    ///
+    /// # Errors
+    /// [`SessionError::NoSession`], [`SessionError::Transport`], or a transport failure.
+    pub fn join(folder: &Path) -> Result<Session, SessionError> {
+        let announcement = read_announcement(folder)?;
+        if announcement.iceoryx2 != ICEORYX2_VERSION {
+            return Err(SessionError::Transport { path: folder.to_owned(), theirs: announcement.iceoryx2 });
+        }
+        let node = create_node(folder, &session_id(folder))?;
+        let flags_path = folder.join("wake.flags");
+        let flags = WakeFlags::open(&flags_path, false).map_err(file_error(&flags_path))?;
+        Ok(Session { folder: folder.to_owned(), announcement, node, flags })
+    }
+
+    /// The session's folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// What the host announced.
+    pub fn announcement(&self) -> &Announcement {
+        &self.announcement
+    }
+
+    /// Index of a controller in the scene.
+    ///
+    /// # Errors
+    /// [`SessionError::UnknownController`].
+    pub fn controller_index(&self, name: &str) -> Result<usize, SessionError> {
+        let controllers = &self.announcement.controllers;
+        controllers.iter().position(|known| known == name).ok_or_else(|| SessionError::UnknownController {
+            name: name.to_owned(),
+            known: if controllers.is_empty() { "none".to_owned() } else { controllers.join(", ") },
+        })
+    }
+
+    /// A publisher of a service; its whole shared memory is reserved.
+    ///
+    /// # Errors
+    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], or a transport failure.
+    pub fn publisher<M: Message>(&self, service: &Service) -> Result<Publisher<M>, SessionError> {
+        self.named_publisher(service.name, service)
+    }
+
+    /// The publisher of a controller's commands: one at a time.
+    ///
+    /// # Errors
+    /// [`SessionError::ControllerTaken`], and those of [`Session::publisher`].
+    pub fn command_publisher(&self, controller: &str) -> Result<Publisher<Command>, SessionError> {
+        self.controller_index(controller)?;
+        // A controller that was killed still holds its place until somebody cleans up behind it.
+        self.node.try_cleanup_dead_nodes();
+        self.named_publisher(&services::command_name(controller), &services::COMMAND)
+    }
+
+    /// A subscriber of a service.
+    ///
+    /// # Errors
+    /// [`SessionError::Layout`] or a transport failure.
+    pub fn subscriber<M: Message>(&self, service: &Service) -> Result<Subscriber<M>, SessionError> {
+        self.named_subscriber(service.name, service)
+    }
+
+    /// The subscriber of a controller's commands.
+    ///
+    /// # Errors
+    /// [`SessionError::UnknownController`], and those of [`Session::subscriber`].
+    pub fn command_subscriber(&self, controller: &str) -> Result<Subscriber<Command>, SessionError> {
+        self.controller_index(controller)?;
+        self.named_subscriber(&services::command_name(controller), &services::COMMAND)
+    }
+
+    /// Lets this process sleep until somebody wakes it.
+    ///
+    /// # Errors
+    /// A transport failure.
+    pub fn waiter(&self, reader: Reader) -> Result<Waiter, SessionError> {
+        let name = reader.event_name();
+        let service_name = name.as_str().try_into().map_err(transported(&name, "naming"))?;
+        let service = self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
+        let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
+        Ok(Waiter { listener, flags: self.flags.clone(), reader: reader.slot() })
+    }
+
+    /// Wakes another process.
+    ///
+    /// # Errors
+    /// A transport failure.
+    pub fn waker(&self, reader: Reader) -> Result<Waker, SessionError> {
+        let name = reader.event_name();
+        let service_name = name.as_str().try_into().map_err(transported(&name, "naming"))?;
+        let service = self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
+        let notifier = service.notifier_builder().create().map_err(transported(&name, "notifying"))?;
+        Ok(Waker { notifier, flags: self.flags.clone(), reader: reader.slot() })
+    }
+
+    /// Frees what processes that were killed have left in this session.
+    pub fn clean_up_dead_nodes(&self) {
+        self.node.try_cleanup_dead_nodes();
+    }
+
+    fn open<M: Message>(&self, name: &str) -> Result<ByteService, SessionError> {
+        let ours = M::DESCRIPTION.layout_hash();
+        let theirs = self.announcement.layouts.get(name).cloned().unwrap_or_default();
+        let layout = |theirs: String| SessionError::Layout {
+            service: name.to_owned(),
+            message: M::DESCRIPTION.name,
+            theirs,
+            ours: ours.clone(),
+        };
+        if theirs != ours {
+            return Err(layout(if theirs.is_empty() { "no such service".to_owned() } else { theirs }));
+        }
+        let service_name = name.try_into().map_err(transported(name, "naming"))?;
+        let key = "layout".try_into().map_err(transported(name, "describing"))?;
+        let value = ours.as_str().try_into().map_err(transported(name, "describing"))?;
+        let attributes = AttributeVerifier::new().require(&key, &value).map_err(transported(name, "describing"))?;
+        let builder = || self.node.service_builder(&service_name).publish_subscribe::<[u8]>();
+        let opened = builder().payload_alignment(crate::session::PAYLOAD_ALIGNMENT).open_with_attributes(&attributes);
+        opened.map_err(|cause| match cause {
+            PublishSubscribeOpenError::IncompatibleAttributes => layout("another layout".to_owned()),
+            other => transported(name, "opening")(other),
+        })
+    }
+
+    fn named_publisher<M: Message>(&self, name: &str, service: &Service) -> Result<Publisher<M>, SessionError> {
+        let max_bytes = match service.name {
+            announced if announced == services::VOLUME.name => self.announcement.volume_bytes,
+            announced if announced == services::FRAME.name => self.announcement.frame_bytes,
+            _ => service.max_bytes,
+        };
+        let mut builder = self.open::<M>(name)?;
+        let raw = publisher_of(&mut builder, max_bytes, service).map_err(|cause| match cause {
+            PublisherCreateError::ExceedsMaxSupportedPublishers if service.name == services::COMMAND.name => {
+                let controller = name.rsplit('/').next().unwrap_or(name);
+                SessionError::ControllerTaken { name: controller.to_owned() }
+            }
+            other => transported(name, "publishing")(other),
+        })?;
+        self.reserve_shared_memory(name)?;
+        Ok(Publisher::new(raw, name.to_owned()))
+    }
+
+    fn named_subscriber<M: Message>(&self, name: &str, service: &Service) -> Result<Subscriber<M>, SessionError> {
+        let raw = self
+            .open::<M>(name)?
+            .subscriber_builder()
+            .buffer_size(service.queue_length)
+            .create()
+            .map_err(transported(name, "subscribing"))?;
+        Ok(Subscriber::new(raw, name.to_owned()))
+    }
+
+    /// Gives every data segment of this session its memory now, so that a full /dev/shm is an error here and not a
+    /// SIGBUS in the first write.
+    fn reserve_shared_memory(&self, service: &str) -> Result<(), SessionError> {
+        let prefix = shared_memory_prefix(&session_id(&self.folder));
+        for entry in fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if !(name.starts_with(&prefix) && name.ends_with(".data")) {
+                continue;
+            }
+            // A segment of a process that has ended meanwhile needs no memory any more.
+            let Ok(file) = fs::OpenOptions::new().write(true).open(entry.path()) else { continue };
+            let bytes = file.metadata().map(|meta| meta.len()).unwrap_or(0);
+            if bytes > 0 {
+                rustix::fs::fallocate(file.as_fd(), FallocateFlags::empty(), 0, bytes).map_err(|cause| {
+                    SessionError::SharedMemory { service: service.to_owned(), bytes, cause: cause.into() }
+                })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+type RawPublisher = iceoryx2::port::publisher::Publisher<iceoryx2::prelude::ipc::Service, [u8], ()>;
+
+fn publisher_of(factory: &mut ByteService, max_bytes: usize, service: &Service) -> Result<RawPublisher, PublisherCreateError> {
+    let builder = factory
+        .publisher_builder()
+        .initial_max_slice_len(max_bytes)
+        .allocation_strategy(AllocationStrategy::Static)
+        .max_loaned_samples(1);
+    if service.name == services::VOLUME.name {
+        // Published once: room for one volume, not for one per subscriber's queue entry.
+        builder.override_sample_preallocation(|_| 1).create()
+    } else {
+        builder.create()
+    }
+}
+
+fn read_announcement(folder: &Path) -> Result<Announcement, SessionError> {
+    let path = folder.join("session.json");
+    let end = Instant::now() + JOIN_TIME;
+    loop {
+        match fs::read_to_string(&path) {
+            Ok(text) => {
+                return serde_json::from_str(&text)
+                    .map_err(|cause| SessionError::File { path, cause: std::io::Error::other(cause) });
+            }
+            Err(_) if folder.is_dir() && Instant::now() < end => std::thread::sleep(RETRY_TIME),
+            Err(_) => return Err(SessionError::NoSession { path: PathBuf::from(folder) }),
+        }
+    }
+}

@@ -1,0 +1,10 @@
+//! Messages, service names, ports, tick protocol and scene files: what every process of the hub shares.
+
+mod client;
+pub mod layout;
+pub mod messages;
+pub mod ports;
+pub mod scene;
+pub mod services;
+pub mod session;
+pub mod wake;

@@ -1,0 +1,50 @@
+use super::MAX_CONTROLLERS;
+use crate::message;
+
+message! {
+    /// Wall-clock facts of one tick. Written to the timing lane only, so that the state lane stays deterministic.
+    pub struct TickTiming = "trabecula_msgs/msg/TickTiming" {
+        /// k: the tick that these facts are about.
+        tick: u64,
+        /// Monotonic clock when the tick began.
+        start_ns: u64,
+        /// How long after its deadline the tick began (real time); 0 in lockstep.
+        wake_lateness_ns: i64,
+        /// Time spent latching: waiting for commands in lockstep, collecting them in real time.
+        latch_ns: u64,
+        /// Time of the physics step alone.
+        step_ns: u64,
+        /// Time of hashing and publishing.
+        publish_ns: u64,
+        /// Time in which the kernel had this thread wait for a core since the last tick.
+        run_queue_wait_ns: u64,
+        /// From the publication of the state to the arrival of the command that answers it, per controller; 0 if none came.
+        round_trip_ns: [u64; MAX_CONTROLLERS],
+        /// Page faults of the physics process since the last tick.
+        page_faults: u32,
+        /// 1 if this tick began more than one period late.
+        missed: u32,
+    }
+}
+
+message! {
+    /// Wall-clock facts of one DRR frame. Written to the timing lane only.
+    pub struct FrameTiming = "trabecula_msgs/msg/FrameTiming" {
+        /// `Frame.sequence`.
+        frame_sequence: u64,
+        /// Tick shown.
+        tick: u64,
+        /// Monotonic clock when rendering began.
+        start_ns: u64,
+        /// Time of rendering.
+        render_ns: u64,
+        /// Rays traced through the volume.
+        rays: u64,
+        /// Ticks that the physics had gone on when the frame was out.
+        age_ticks: u64,
+        /// 1 if the whole image was traced, 0 if only what had changed.
+        full: u32,
+        /// Always 0.
+        reserved: u32,
+    }
+}

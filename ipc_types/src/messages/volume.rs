@@ -1,0 +1,37 @@
+use crate::message;
+
+message! {
+    /// The voxels that one tick removed; published only for ticks that removed some.
+    pub struct Removed = "trabecula_msgs/msg/Removed" {
+        /// `State.tick` of the state in which they are gone.
+        tick: u64,
+        /// Counts these messages, from 1, rising by one.
+        sequence: u64,
+        /// Voxels removed since the start, these included.
+        removed_total: u64,
+        /// Always 0.
+        reserved: u32,
+        /// Number of entries of `voxel_index`.
+        voxel_index_length: u32,
+    }
+    tail voxel_index: [u32] = "uint32"
+}
+
+message! {
+    /// The CT volume: geometry, then Hounsfield units, x fastest. Published once; late joiners receive it.
+    pub struct Volume = "trabecula_msgs/msg/Volume" {
+        /// SHA-256 of geometry and voxels.
+        sha256: [u8; 32],
+        /// World position of the centre of voxel (0, 0, 0).
+        origin_m: [f64; 3],
+        /// Distance between voxel centres along i, j, k.
+        spacing_m: [f64; 3],
+        /// Unit axes of i, j, k in the world, one after the other.
+        direction: [f64; 9],
+        /// Number of voxels along i, j, k.
+        dimensions: [u32; 3],
+        /// Number of voxels.
+        hu_length: u32,
+    }
+    tail hu: [i16] = "int16"
+}

@@ -1,0 +1,194 @@
+//! Publishers and subscribers of messages: bytes in shared memory, checked against their layout at both ends.
+
+use core::marker::PhantomData;
+use core::mem::MaybeUninit;
+
+use iceoryx2::port::publisher::Publisher as RawPublisher;
+use iceoryx2::port::subscriber::Subscriber as RawSubscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::ipc;
+use iceoryx2::sample::Sample;
+use thiserror::Error;
+
+use crate::layout::Message;
+
+/// Why a message could not be sent or taken.
+#[derive(Debug, Error)]
+pub enum PortError {
+    /// The publisher could not get a free sample.
+    #[error("service `{service}`: no sample to write {bytes} bytes into ({cause}); a message may have at most {limit} bytes")]
+    Loan {
+        /// Service name.
+        service: String,
+        /// Bytes asked for.
+        bytes: usize,
+        /// Most bytes of a message of this publisher.
+        limit: usize,
+        /// iceoryx2's reason.
+        cause: String,
+    },
+    /// The sample could not be delivered.
+    #[error("service `{service}`: sending failed ({cause})")]
+    Send {
+        /// Service name.
+        service: String,
+        /// iceoryx2's reason.
+        cause: String,
+    },
+    /// A connection to a publisher could not be read.
+    #[error("service `{service}`: receiving failed ({cause})")]
+    Receive {
+        /// Service name.
+        service: String,
+        /// iceoryx2's reason.
+        cause: String,
+    },
+    /// A message has not the length that its type and its own count say.
+    #[error("service `{service}`: a message of {bytes} bytes arrived, expected {expected}")]
+    Length {
+        /// Service name.
+        service: String,
+        /// Bytes that came.
+        bytes: usize,
+        /// What was expected.
+        expected: String,
+    },
+}
+
+/// Sends messages of one type.
+#[derive(Debug)]
+pub struct Publisher<M> {
+    raw: RawPublisher<ipc::Service, [u8], ()>,
+    name: String,
+    message: PhantomData<M>,
+}
+
+impl<M: Message> Publisher<M> {
+    pub(crate) fn new(raw: RawPublisher<ipc::Service, [u8], ()>, name: String) -> Self {
+        Publisher { raw, name, message: PhantomData }
+    }
+
+    /// Sends a message of fixed length.
+    pub fn send(&self, message: &M) -> Result<(), PortError> {
+        self.send_parts(&[message.as_bytes()])
+    }
+
+    /// Sends a message and the elements behind it; the message's last field must be their count.
+    pub fn send_with_tail(&self, message: &M, tail: &[u8]) -> Result<(), PortError> {
+        self.send_parts(&[message.as_bytes(), tail])
+    }
+
+    /// Sends the concatenation of some byte strings as one message.
+    pub fn send_parts(&self, parts: &[&[u8]]) -> Result<(), PortError> {
+        let bytes = parts.iter().map(|part| part.len()).sum();
+        let mut sample = self.raw.loan_slice_uninit(bytes).map_err(|cause| PortError::Loan {
+            service: self.name.clone(),
+            bytes,
+            limit: self.raw.initial_max_slice_len(),
+            cause: format!("{cause:?}"),
+        })?;
+        let mut rest: &mut [MaybeUninit<u8>] = sample.payload_mut();
+        for part in parts {
+            let (head, tail) = rest.split_at_mut(part.len());
+            for (target, byte) in head.iter_mut().zip(*part) {
+                target.write(*byte);
+            }
+            rest = tail;
+        }
+        // SAFETY: the sample has exactly as many bytes as the parts together, and the loop wrote each part.
+        let sample = unsafe { sample.assume_init() };
+        sample
+            .send()
+            .map_err(|cause| PortError::Send { service: self.name.clone(), cause: format!("{cause:?}") })?;
+        Ok(())
+    }
+
+    /// Delivers the history to subscribers that joined since the last call or message.
+    pub fn deliver_history(&self) -> Result<(), PortError> {
+        self.raw
+            .update_connections()
+            .map_err(|cause| PortError::Send { service: self.name.clone(), cause: format!("{cause:?}") })
+    }
+}
+
+/// Receives messages of one type.
+#[derive(Debug)]
+pub struct Subscriber<M> {
+    raw: RawSubscriber<ipc::Service, [u8], ()>,
+    name: String,
+    message: PhantomData<M>,
+}
+
+impl<M: Message> Subscriber<M> {
+    pub(crate) fn new(raw: RawSubscriber<ipc::Service, [u8], ()>, name: String) -> Self {
+        Subscriber { raw, name, message: PhantomData }
+    }
+
+    /// The oldest message that waits, if any. Its bytes stay in shared memory until the return value is dropped.
+    ///
+    /// A message of a wrong length is taken off the queue and reported.
+    pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
+        let sample = self
+            .raw
+            .receive()
+            .map_err(|cause| PortError::Receive { service: self.name.clone(), cause: format!("{cause:?}") })?;
+        sample.map(|sample| Received::new(sample, &self.name)).transpose()
+    }
+
+    /// The newest message that waits, if any; older ones are dropped.
+    pub fn receive_newest(&self) -> Result<Option<Received<M>>, PortError> {
+        let mut newest = None;
+        while let Some(received) = self.receive()? {
+            newest = Some(received);
+        }
+        Ok(newest)
+    }
+
+    /// Whether a message waits.
+    pub fn has_message(&self) -> bool {
+        self.raw.has_samples().unwrap_or(true)
+    }
+}
+
+/// A message in shared memory.
+#[derive(Debug)]
+pub struct Received<M> {
+    sample: Sample<ipc::Service, [u8], ()>,
+    message: M,
+}
+
+impl<M: Message> Received<M> {
+    fn new(sample: Sample<ipc::Service, [u8], ()>, service: &str) -> Result<Self, PortError> {
+        let bytes = sample.payload();
+        let size = M::DESCRIPTION.size;
+        let wrong = |expected: String| PortError::Length { service: service.to_owned(), bytes: bytes.len(), expected };
+        let Ok((message, rest)) = M::read_from_prefix(bytes) else {
+            return Err(wrong(format!("at least {size} ({})", M::DESCRIPTION.name)));
+        };
+        if let Some(tail) = M::DESCRIPTION.tail {
+            let count = u32::from_le_bytes([bytes[size - 4], bytes[size - 3], bytes[size - 2], bytes[size - 1]]);
+            let expected = count as usize * tail.element_size;
+            if rest.len() != expected {
+                return Err(wrong(format!("{} for {count} elements of `{}`", size + expected, tail.name)));
+            }
+        } else if !rest.is_empty() && M::DESCRIPTION.short_name() != "Frame" {
+            return Err(wrong(format!("{size} ({})", M::DESCRIPTION.name)));
+        }
+        Ok(Received { sample, message })
+    }
+
+    /// The message without what follows it.
+    pub fn message(&self) -> &M {
+        &self.message
+    }
+
+    /// What follows the message: its tail, or a frame's image. Not a copy.
+    pub fn tail(&self) -> &[u8] {
+        &self.sample.payload()[M::DESCRIPTION.size..]
+    }
+
+    /// All bytes, as they lie in shared memory.
+    pub fn bytes(&self) -> &[u8] {
+        self.sample.payload()
+    }
+}

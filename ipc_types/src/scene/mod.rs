@@ -1,0 +1,73 @@
+//! Scenes: one TOML file says everything that a run needs.
+//!
+//! Keys carry their unit (`_mm`, `_deg`, `_rpm`); what a scene does not name is not simulated: no `[volume]`, no bone;
+//! no `[drr]`, no X-ray process. Reading checks every key and every range and names file, key, value and allowed range.
+
+mod check;
+mod model;
+
+pub use check::SceneError;
+pub use model::*;
+
+use std::path::Path;
+
+impl Scene {
+    /// Reads and checks a scene file.
+    ///
+    /// # Errors
+    /// [`SceneError`]: the file cannot be read, a key is unknown or missing, or a value is out of its range.
+    pub fn load(path: &Path) -> Result<Scene, SceneError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|cause| SceneError::Unreadable { file: path.to_owned(), cause: cause.to_string() })?;
+        Scene::parse(&text, path)
+    }
+
+    /// Reads and checks a scene's text; `path` names it in errors, and relative paths in it start there.
+    ///
+    /// # Errors
+    /// As [`Scene::load`].
+    pub fn parse(text: &str, path: &Path) -> Result<Scene, SceneError> {
+        let mut scene: Scene = toml::from_str(text).map_err(|cause| SceneError::Malformed {
+            file: path.to_owned(),
+            line: cause.span().map_or(0, |span| text[..span.start.min(text.len())].matches('\n').count() + 1),
+            cause: cause.message().to_owned(),
+        })?;
+        scene.resolve_paths(path.parent().unwrap_or(Path::new(".")));
+        check::check(&scene, path)?;
+        Ok(scene)
+    }
+
+    fn resolve_paths(&mut self, folder: &Path) {
+        if let Some(volume) = &mut self.volume
+            && let Some(path) = &mut volume.path
+        {
+            *path = folder.join(&*path);
+        }
+    }
+
+    /// Time step in seconds.
+    pub fn dt_s(&self) -> f64 {
+        self.run.dt_ms * 1e-3
+    }
+
+    /// Time step in nanoseconds.
+    pub fn dt_ns(&self) -> u64 {
+        (self.run.dt_ms * 1e6 + 0.5) as u64
+    }
+
+    /// Number of ticks of the whole run.
+    pub fn tick_count(&self) -> u64 {
+        (self.run.duration_s / self.dt_s() + 0.5) as u64
+    }
+
+    /// The controllers' names in order.
+    pub fn controller_names(&self) -> Vec<String> {
+        self.controller.iter().map(|controller| controller.name.clone()).collect()
+    }
+
+    /// Ticks between two scheduled frames; `None` without DRR or with frames only on request.
+    pub fn frame_period_ticks(&self) -> Option<u64> {
+        let rate_hz = self.drr.as_ref()?.rate_hz;
+        (rate_hz > 0.0).then(|| ((1.0 / (rate_hz * self.dt_s())) + 0.5).max(1.0) as u64)
+    }
+}

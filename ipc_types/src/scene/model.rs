@@ -1,0 +1,402 @@
+//! What a scene file may say.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+/// A scene file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Name: letters, digits, `_` and `-`; names the output folder.
+    pub name: String,
+    /// What the scene shows.
+    #[serde(default)]
+    pub description: String,
+    /// How it runs.
+    pub run: Run,
+    /// The bone; absent: free space.
+    pub volume: Option<Volume>,
+    /// Holes that are there before the run.
+    #[serde(default)]
+    pub predrill: Vec<Predrill>,
+    /// Where the tool starts.
+    pub tool: Tool,
+    /// The manipulator, where it differs from the standard one.
+    #[serde(default)]
+    pub manipulator: Manipulator,
+    /// Contact of the tool with bone.
+    #[serde(default)]
+    pub contact: Contact,
+    /// Strength of bone and the burr's cutting.
+    #[serde(default)]
+    pub drilling: Drilling,
+    /// Limits of the arm's motion.
+    #[serde(default)]
+    pub arm: Arm,
+    /// X-ray frames; absent: none.
+    pub drr: Option<Drr>,
+    /// Who drives the tool.
+    #[serde(default)]
+    pub controller: Vec<Controller>,
+    /// What is recorded.
+    #[serde(default)]
+    pub recording: Recording,
+}
+
+/// How time passes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// As fast as the parts allow; every tick waits for every controller.
+    Lockstep,
+    /// Ticks follow the wall clock; late commands are held.
+    Realtime,
+}
+
+/// How the scene runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Run {
+    /// Lockstep or real time.
+    pub mode: Mode,
+    /// Simulated time of the whole run, 0.001 to 3600 s.
+    pub duration_s: f64,
+    /// Time step, 0.1 to 10 ms.
+    #[serde(default = "Run::default_dt_ms")]
+    pub dt_ms: f64,
+    /// Real time: ticks for which a late controller's last command is held before the safe command applies, 0 to 100000.
+    #[serde(default = "Run::default_hold_ticks")]
+    pub hold_ticks: u64,
+    /// Lockstep: wall-clock time that a controller may take for one tick, 10 to 600000 ms.
+    #[serde(default = "Run::default_controller_limit_ms")]
+    pub controller_limit_ms: f64,
+    /// Seed of everything random (the noise of frames).
+    #[serde(default)]
+    pub seed: u64,
+}
+
+impl Run {
+    fn default_dt_ms() -> f64 {
+        1.0
+    }
+    fn default_hold_ticks() -> u64 {
+        50
+    }
+    fn default_controller_limit_ms() -> f64 {
+        5000.0
+    }
+}
+
+/// A built-in synthetic volume.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phantom {
+    /// A right proximal femur.
+    Femur,
+    /// A block whose two halves have different densities.
+    Block,
+}
+
+/// The bone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Volume {
+    /// A synthetic volume; either this or `path`.
+    pub phantom: Option<Phantom>,
+    /// A volume file or DICOM folder, from the scene file's folder; either this or `phantom`.
+    pub path: Option<PathBuf>,
+    /// True if the file is a 0/1 mask of bone, to be filled with synthetic Hounsfield units.
+    #[serde(default)]
+    pub mask: bool,
+    /// Voxel size of the phantom, 0.25 to 2 mm.
+    #[serde(default = "Volume::default_spacing_mm")]
+    pub spacing_mm: f64,
+    /// Voxels at or above this are bone, −1000 to 3000 HU.
+    #[serde(default = "Volume::default_bone_threshold_hu")]
+    pub bone_threshold_hu: i16,
+    /// Density of the block's far half over that of the near one, 0.1 to 20.
+    #[serde(default = "Volume::default_block_density_ratio")]
+    pub block_density_ratio: f64,
+}
+
+impl Volume {
+    fn default_spacing_mm() -> f64 {
+        0.5
+    }
+    fn default_bone_threshold_hu() -> i16 {
+        150
+    }
+    fn default_block_density_ratio() -> f64 {
+        1.0
+    }
+}
+
+/// A round-ended hole that is there before the run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Predrill {
+    /// One end, patient frame.
+    pub from_mm: [f64; 3],
+    /// Other end, patient frame.
+    pub to_mm: [f64; 3],
+    /// Diameter, 0.5 to 50 mm.
+    pub diameter_mm: f64,
+}
+
+/// Where the tool starts and which way it looks, in the patient frame (LPS).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tool {
+    /// Burr centre of the straight tool at the start.
+    pub burr_start_mm: [f64; 3],
+    /// Insertion direction, any length.
+    pub direction: [f64; 3],
+    /// Side to which tendon 0 bends the tool; its part across the direction counts.
+    pub bend_toward: [f64; 3],
+}
+
+/// The manipulator, where it differs from the notched nitinol tube of 27 flexures.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Manipulator {
+    /// Friction coefficient of tendons in their channels, 0 to 1.
+    pub tendon_friction: Option<f64>,
+    /// Damping ratio of the first bending mode, 0.001 to 10.
+    pub damping_ratio: Option<f64>,
+    /// All flexure stiffnesses times this, 0.001 to 1000.
+    pub stiffness_scale: Option<f64>,
+    /// All masses times this, 0.001 to 1000.
+    pub mass_scale: Option<f64>,
+    /// Stiffness of the mount between arm and tool, 1e3 to 1e7 N/m.
+    pub mount_stiffness_n_per_m: Option<f64>,
+    /// Diameter of the burr, 1 to 20 mm.
+    pub burr_diameter_mm: Option<f64>,
+    /// Second-order integration in free motion.
+    pub integrator: Option<Integrator>,
+}
+
+/// Integrators of the manipulator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// First order, never unstable.
+    LinearlyImplicitEuler,
+    /// Second order in free motion, linearly implicit Euler otherwise.
+    Hybrid,
+}
+
+/// Contact of the tool with bone, where it differs from the standard.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Contact {
+    /// Friction coefficient between tool and bone, 0 to 2.
+    pub friction: Option<f64>,
+    /// Stiffness of a contact, 1e3 to 1e9 N/m.
+    pub stiffness_n_per_m: Option<f64>,
+}
+
+/// Strength of bone and the burr's cutting, where it differs from the standard.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Drilling {
+    /// Energy to remove a volume of cortical bone of 1.9 g/cm³, 0.0001 to 10 J/mm³.
+    pub specific_energy_j_per_mm3: Option<f64>,
+    /// Exponent of the density in that energy, 0 to 4.
+    pub density_exponent: Option<f64>,
+    /// Cutting force over normal force, 0.01 to 2.
+    pub cutting_coefficient: Option<f64>,
+}
+
+/// Limits of the arm's motion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Arm {
+    /// Fastest straight motion of the tool, 0.01 to 1000 mm/s.
+    pub max_speed_mm_per_s: f64,
+    /// Largest acceleration of it, 0.1 to 10000 mm/s².
+    pub max_acceleration_mm_per_s2: f64,
+    /// Largest jerk of it, 1 to 1e6 mm/s³.
+    pub max_jerk_mm_per_s3: f64,
+}
+
+impl Default for Arm {
+    fn default() -> Self {
+        Arm { max_speed_mm_per_s: 50.0, max_acceleration_mm_per_s2: 200.0, max_jerk_mm_per_s3: 2000.0 }
+    }
+}
+
+/// How a frame's intensities are shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Display {
+    /// What the detector sees: bone and metal dark.
+    BoneDark,
+    /// Inverted: bone and metal bright.
+    BoneBright,
+}
+
+/// Line integral through the volume.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Projector {
+    /// Exact for constant voxels; slow.
+    Siddon,
+    /// Bilinear; fast.
+    Joseph,
+}
+
+/// X-ray frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drr {
+    /// Scheduled frames per simulated second, 0 (only on request) to 100.
+    pub rate_hz: f64,
+    /// Point about which the C-arm turns, patient frame.
+    pub isocentre_mm: [f64; 3],
+    /// DICOM (0018,1510): 0 is detector in front of the chest, +90 at the patient's left; −180 to 180.
+    #[serde(default)]
+    pub primary_angle_deg: f64,
+    /// DICOM (0018,1511): positive is cranial; −90 to 90.
+    #[serde(default)]
+    pub secondary_angle_deg: f64,
+    /// Source to isocentre, 100 to 2000 mm.
+    #[serde(default = "Drr::default_source_isocentre_mm")]
+    pub source_isocentre_mm: f64,
+    /// Source to detector, 200 to 3000 mm, more than source to isocentre.
+    #[serde(default = "Drr::default_source_detector_mm")]
+    pub source_detector_mm: f64,
+    /// Pixel columns, 16 to 4096.
+    pub columns: u32,
+    /// Pixel rows, 16 to 4096.
+    pub rows: u32,
+    /// Distance of pixel centres on the detector, 0.05 to 5 mm.
+    pub pixel_pitch_mm: f64,
+    /// Photon energy, 30 to 120 keV.
+    #[serde(default = "Drr::default_energy_kev")]
+    pub energy_kev: f64,
+    /// Photons per unattenuated pixel; 0 is without noise, to 1e8.
+    #[serde(default)]
+    pub photons_per_pixel: f64,
+    /// Detector blur (standard deviation), 0 to 5 pixels.
+    #[serde(default)]
+    pub blur_pixels: f64,
+    /// Bone dark or bright.
+    #[serde(default = "Drr::default_display")]
+    pub display: Display,
+    /// Line integral.
+    #[serde(default = "Drr::default_projector")]
+    pub projector: Projector,
+    /// Threads that render, 1 to 64.
+    #[serde(default = "Drr::default_threads")]
+    pub threads: usize,
+}
+
+impl Drr {
+    fn default_source_isocentre_mm() -> f64 {
+        700.0
+    }
+    fn default_source_detector_mm() -> f64 {
+        1000.0
+    }
+    fn default_energy_kev() -> f64 {
+        60.0
+    }
+    fn default_display() -> Display {
+        Display::BoneDark
+    }
+    fn default_projector() -> Projector {
+        Projector::Joseph
+    }
+    fn default_threads() -> usize {
+        2
+    }
+}
+
+/// A part of the tool that a controller drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Drives {
+    /// The tendons.
+    Tendon,
+    /// The arm.
+    Arm,
+    /// The burr.
+    Burr,
+}
+
+/// Who drives the tool. Exactly one of `curved_drilling`, `hold`, `command` and `external` says what it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Controller {
+    /// Name within the session: letters, digits, `_`.
+    pub name: String,
+    /// What it drives; no part has two drivers.
+    pub drives: Vec<Drives>,
+    /// The built-in image-guided curved drilling.
+    pub curved_drilling: Option<CurvedDrilling>,
+    /// The built-in controller that holds a tension.
+    pub hold: Option<Hold>,
+    /// A program to start, with its arguments; it finds the session in `TRABECULA_SESSION`.
+    pub command: Option<Vec<String>>,
+    /// True if somebody else starts it.
+    #[serde(default)]
+    pub external: bool,
+}
+
+/// Image-guided curved drilling: wait for a frame, advance with the burr on, pull the tendon along a ramp, and correct
+/// the tension by the tip seen in later frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CurvedDrilling {
+    /// Feed of the tool base, 0.01 to 20 mm/s.
+    pub feed_mm_per_s: f64,
+    /// Length of the feed, 0 to 200 mm.
+    pub insertion_mm: f64,
+    /// Tension at the end of the ramp, 0 to 60 N.
+    pub tension_n: f64,
+    /// Inserted length at which the ramp begins, 0 to 200 mm.
+    #[serde(default)]
+    pub ramp_start_mm: f64,
+    /// Inserted length at which the ramp ends, more than its begin, to 200 mm.
+    pub ramp_end_mm: f64,
+    /// Burr speed, 0 to 60000 rpm.
+    pub burr_speed_rpm: f64,
+    /// Where the burr is to end, patient frame; the image guidance corrects the tension toward it.
+    pub target_mm: Option<[f64; 3]>,
+    /// Tension per millimetre of sideways error seen in a frame, 0 to 10 N/mm.
+    #[serde(default)]
+    pub guidance_gain_n_per_mm: f64,
+}
+
+/// Holds a tension, an arm and a burr speed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Hold {
+    /// Tension of tendon 0, 0 to 60 N.
+    pub tension_n: f64,
+}
+
+/// Which frames are recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Images {
+    /// All, whole.
+    Full,
+    /// Only their geometry and hash: they can be rendered again.
+    HashOnly,
+}
+
+/// What is recorded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Recording {
+    /// Frames: `full` or `hash_only`.
+    pub images: Images,
+}
+
+impl Default for Recording {
+    fn default() -> Self {
+        Recording { images: Images::Full }
+    }
+}

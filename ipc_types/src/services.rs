@@ -1,0 +1,121 @@
+//! The services of a session: name, message, lane, and the limits of each queue.
+//!
+//! All services are publish-subscribe over byte slices; the layout hash of the message travels as an attribute. Every
+//! queue is bounded and overwrites its oldest entry, so nothing ever blocks the physics; each message carries a
+//! sequence number or tick, so a loss is seen by whoever suffered it.
+
+use crate::layout::{Description, Message};
+use crate::messages::{
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Latched, Progress, Removed, RunControl,
+    RunControlReply, RunStatus, State, TickTiming, Volume,
+};
+
+/// Which log a service is recorded to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lane {
+    /// `run.mcap`: a function of the scene and the latched commands alone.
+    Run,
+    /// `timing.mcap`: wall-clock facts and everything that depends on them.
+    Timing,
+    /// Not recorded as messages (the volume: its hash is in the log's metadata).
+    None,
+}
+
+/// One service and its limits.
+#[derive(Debug, Clone, Copy)]
+pub struct Service {
+    /// Name within the session; a command service adds `/<controller>`.
+    pub name: &'static str,
+    /// Its message.
+    pub description: &'static Description,
+    /// Where it is recorded.
+    pub lane: Lane,
+    /// Entries that a slow subscriber may lag behind before its oldest are overwritten.
+    pub queue_length: usize,
+    /// Newest messages that a late joiner receives.
+    pub history: usize,
+    /// Most publishers at a time.
+    pub max_publishers: usize,
+    /// Most subscribers at a time.
+    pub max_subscribers: usize,
+    /// Most bytes of one message, where that does not depend on the scene; longer ones are split or refused by the
+    /// sender.
+    pub max_bytes: usize,
+}
+
+/// Voxels that one tick may remove: the physics carries the rest over to the next tick.
+pub const MAX_REMOVED_PER_TICK: usize = 4096;
+/// Bytes of an event's text with its NUL.
+pub const MAX_EVENT_TEXT: usize = 1024;
+
+const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) -> Service {
+    Service {
+        name,
+        description: M::DESCRIPTION,
+        lane,
+        queue_length,
+        history: 1,
+        max_publishers: 1,
+        max_subscribers: 8,
+        max_bytes: M::DESCRIPTION.size,
+    }
+}
+
+/// `State`, once a tick. Half a second of queue at 1 kHz.
+pub const STATE: Service = fixed::<State>("state", Lane::Run, 512);
+/// `Latched`, once a tick, before the state that it leads to.
+pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, 512);
+/// `Removed`, for ticks that removed voxels.
+pub const REMOVED: Service = Service {
+    history: 0,
+    max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4,
+    ..fixed::<Removed>("removed", Lane::Run, 512)
+};
+/// `Command`, one service a controller: the writer is known by the service.
+pub const COMMAND: Service = Service { history: 0, ..fixed::<Command>("command", Lane::Timing, 64) };
+/// `Volume`, once; `max_bytes` is that of the scene's volume.
+pub const VOLUME: Service = Service { max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, 1) };
+/// `Frame` with its image; `max_bytes` is that of the scene's detector.
+pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, 8) };
+/// `DrrRequest`.
+pub const DRR_REQUEST: Service =
+    Service { history: 0, max_publishers: 8, ..fixed::<DrrRequest>("drr_request", Lane::Timing, 64) };
+/// `DrrReply`.
+pub const DRR_REPLY: Service = Service { history: 0, ..fixed::<DrrReply>("drr_reply", Lane::Run, 64) };
+/// `RunControl`.
+pub const RUN_CONTROL: Service =
+    Service { history: 0, max_publishers: 8, ..fixed::<RunControl>("run_control", Lane::Timing, 16) };
+/// `RunControlReply`.
+pub const RUN_CONTROL_REPLY: Service =
+    Service { history: 0, ..fixed::<RunControlReply>("run_control_reply", Lane::Timing, 16) };
+/// `RunStatus`.
+pub const RUN_STATUS: Service = fixed::<RunStatus>("run_status", Lane::Timing, 16);
+/// `Event`.
+pub const EVENT: Service = Service {
+    history: 0,
+    max_publishers: 16,
+    max_bytes: Event::DESCRIPTION.size + MAX_EVENT_TEXT,
+    ..fixed::<Event>("event", Lane::Timing, 256)
+};
+/// `Progress` of the consumers of lossless streams.
+pub const PROGRESS: Service = Service { max_publishers: 4, ..fixed::<Progress>("progress", Lane::None, 16) };
+/// `TickTiming`.
+pub const TICK_TIMING: Service = Service { history: 0, ..fixed::<TickTiming>("tick_timing", Lane::Timing, 512) };
+/// `FrameTiming`.
+pub const FRAME_TIMING: Service = Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, 64) };
+
+/// Every service but the commands, of which there is one a controller.
+pub const ALL: &[Service] = &[
+    STATE, LATCHED, REMOVED, VOLUME, FRAME, DRR_REQUEST, DRR_REPLY, RUN_CONTROL, RUN_CONTROL_REPLY, RUN_STATUS, EVENT,
+    PROGRESS, TICK_TIMING, FRAME_TIMING,
+];
+
+/// Name of a controller's command service.
+pub fn command_name(controller: &str) -> String {
+    format!("{}/{controller}", COMMAND.name)
+}
+
+/// Bytes of a frame message: [`Frame`], [`ImagePrefix`], pixels.
+pub fn frame_bytes(columns: u32, rows: u32) -> usize {
+    Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size + columns as usize * rows as usize * 2
+}
