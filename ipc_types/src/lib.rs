@@ -1,9 +1,11 @@
 //! Messages, service names, ports, tick protocol and scene files: what every process of the hub shares.
 
 mod client;
+pub mod command_check;
 pub mod layout;
 pub mod messages;
 pub mod ports;
+pub mod process;
 pub mod scene;
 pub mod services;
 pub mod session;

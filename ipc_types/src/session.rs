@@ -131,6 +131,8 @@ pub struct Announcement {
     pub volume_bytes: usize,
     /// Bytes of a frame message; 0 without DRR.
     pub frame_bytes: usize,
+    /// Whether a recorder takes part; the physics then waits for it.
+    pub recorder: bool,
 }
 
 /// A session seen by one process: its node and the way to its services.
@@ -275,6 +277,8 @@ pub struct SessionPlan {
     pub volume_bytes: usize,
     /// Bytes of a frame message; 0 without DRR.
     pub frame_bytes: usize,
+    /// Whether a recorder takes part; the physics then waits for it.
+    pub recorder: bool,
 }
 
 impl SessionHost {
@@ -306,6 +310,7 @@ impl SessionHost {
             controllers: plan.controllers.clone(),
             volume_bytes: plan.volume_bytes,
             frame_bytes: plan.frame_bytes,
+            recorder: plan.recorder,
         };
         let session = Session { folder, announcement, node, flags };
         Ok(SessionHost { session, _byte_services: byte_services, _event_services: event_services, _cleanup: cleanup })

@@ -8,7 +8,7 @@ use ipc_types::session::{Reader, Session, SessionError, SessionHost, SessionPlan
 
 fn plan(controllers: &[&str]) -> SessionPlan {
     let controllers = controllers.iter().map(|name| (*name).to_owned()).collect();
-    SessionPlan { controllers, volume_bytes: 4096, frame_bytes: 1024 }
+    SessionPlan { controllers, volume_bytes: 4096, frame_bytes: 1024, recorder: true }
 }
 
 fn shared_memory_of(session: &Session) -> usize {

@@ -13,11 +13,11 @@ message! {
         source_m: [f64; 3],
         /// Centre of the detector, world.
         detector_centre_m: [f64; 3],
-        /// Unit vector along increasing column, world.
-        column_axis: [f64; 3],
-        /// Unit vector along increasing row, world.
+        /// Unit vector along a row, towards growing column numbers, world.
         row_axis: [f64; 3],
-        /// Distance between pixel centres along columns and rows.
+        /// Unit vector along a column, towards growing row numbers (down in the picture), world.
+        column_axis: [f64; 3],
+        /// Distance between pixel centres along a row and along a column.
         pixel_pitch_m: [f64; 2],
         /// Number of pixel columns.
         columns: u32,
@@ -84,8 +84,8 @@ message! {
         pixel_hash: [u64; 2],
         /// Seed of the quantum noise.
         noise_seed: u64,
-        /// Tip of the tool in this state.
-        t_world_tip: Pose,
+        /// Burr centre in this state, axes of the last link.
+        t_world_burr: Pose,
         /// C-arm of the frame.
         geometry: CArmGeometry,
     }

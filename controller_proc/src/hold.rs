@@ -1,0 +1,33 @@
+use ipc_types::messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF};
+use ipc_types::scene::Drives;
+
+use crate::Controller;
+
+/// Holds a tension, the arm, and the burr at rest; of these, what it drives.
+#[derive(Debug, Clone)]
+pub struct HoldController {
+    tension_n: f64,
+    drives: Vec<Drives>,
+}
+
+impl HoldController {
+    /// Holds `tension_n` on tendon 0.
+    pub fn new(tension_n: f64, drives: &[Drives]) -> HoldController {
+        HoldController { tension_n, drives: drives.to_vec() }
+    }
+}
+
+impl Controller for HoldController {
+    fn step(&mut self, _state: &State, command: &mut Command) {
+        for part in &self.drives {
+            match part {
+                Drives::Tendon => {
+                    command.tendon_mode = TENDON_SERVO_JF;
+                    command.tendon_force_n[0] = self.tension_n;
+                }
+                Drives::Arm => command.arm_mode = ARM_HOLD,
+                Drives::Burr => command.burr_mode = BURR_SPEED,
+            }
+        }
+    }
+}

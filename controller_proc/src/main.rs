@@ -1,0 +1,31 @@
+//! A built-in controller as a program of its own.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Parser;
+use ipc_types::process::{EXIT_FAILED, end_with_parent};
+
+/// Drives the tool in a running session.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Arguments {
+    /// Folder of the session; `trabecula run` prints it.
+    #[arg(long, env = "TRABECULA_SESSION")]
+    session: PathBuf,
+    /// Name of the controller in the scene.
+    #[arg(long)]
+    name: String,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    end_with_parent();
+    match controller_proc::process::run(&arguments.session, &arguments.name) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("controller_proc: {error}");
+            ExitCode::from(EXIT_FAILED)
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! The process of a built-in controller, and the loop that any Rust controller can run in.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{
+    Command, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, Frame, ImagePrefix, PHASE_ENDED, RunStatus, SENDER_CONTROLLER,
+    SEVERITY_WARNING, State,
+};
+use ipc_types::layout::Message;
+use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
+use ipc_types::process::{EndRequest, EventSender, session_scene};
+use ipc_types::scene::{Mode, Scene, SceneError};
+use ipc_types::services;
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::{Waiter, Waker};
+use thiserror::Error;
+
+use crate::{Controller, CurvedDrillingController, HoldController};
+
+/// Longest wait for a frame that is due, in lockstep.
+const FRAME_LIMIT: Duration = Duration::from_secs(120);
+const LOOK_TIME: Duration = Duration::from_millis(100);
+
+/// Why a controller process ends early.
+#[derive(Debug, Error)]
+pub enum ControllerError {
+    /// The session cannot be joined.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The session's scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A message cannot be sent or taken.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// The scene's controller of this name is not a built-in one.
+    #[error("controller `{name}` is not a built-in one; expected `curved_drilling` or `hold` in the scene")]
+    NotBuiltIn {
+        /// Its name.
+        name: String,
+    },
+    /// A frame that was due did not come.
+    #[error("the frame of tick {tick} did not come within {} s; is the DRR process running?", FRAME_LIMIT.as_secs())]
+    NoFrame {
+        /// Tick of the frame.
+        tick: u64,
+    },
+    /// Signals cannot be handled.
+    #[error("signals cannot be handled: {0}")]
+    Signals(std::io::Error),
+}
+
+/// Runs the scene's built-in controller of this name until the run ends.
+///
+/// # Errors
+/// Any [`ControllerError`].
+pub fn run(session_folder: &Path, name: &str) -> Result<(), ControllerError> {
+    let scene = session_scene(session_folder)?;
+    let entry = scene.controller.iter().find(|entry| entry.name == name);
+    let not_built_in = || ControllerError::NotBuiltIn { name: name.to_owned() };
+    let entry = entry.ok_or_else(not_built_in)?;
+    if let Some(plan) = &entry.curved_drilling {
+        run_controller(session_folder, name, &mut CurvedDrillingController::new(plan, &scene))
+    } else if let Some(hold) = &entry.hold {
+        run_controller(session_folder, name, &mut HoldController::new(hold.tension_n, &entry.drives))
+    } else {
+        Err(not_built_in())
+    }
+}
+
+/// Runs any controller under a name of the scene until the run ends.
+///
+/// # Errors
+/// Any [`ControllerError`].
+pub fn run_controller(session_folder: &Path, name: &str, controller: &mut dyn Controller) -> Result<(), ControllerError> {
+    let end = EndRequest::install().map_err(ControllerError::Signals)?;
+    let mut ports = Ports::open(session_folder, name)?;
+    let mut sequence = 0;
+    let mut newest_tick = 0;
+    while !end.is_set() && !ports.run_has_ended()? {
+        ports.waiter.wait_until(Instant::now() + LOOK_TIME, || ports.states.has_message());
+        let Some(state) = ports.states.receive_newest()? else { continue };
+        let state = state.message();
+        ports.frames_for(state.tick, controller)?;
+        sequence += 1;
+        let mut command = Command { sequence, state_tick: state.tick, ..Command::zeroed() };
+        controller.step(state, &mut command);
+        ports.commands.send(&command)?;
+        ports.physics.wake();
+        if let Some(remark) = controller.remark() {
+            ports.events.inform(state.tick, EVENT_CONTROLLER, &remark)?;
+        }
+        newest_tick = ports.report_gap(newest_tick, state.tick)?;
+    }
+    Ok(())
+}
+
+struct Ports {
+    states: Subscriber<State>,
+    status: Subscriber<RunStatus>,
+    frames: Option<Frames>,
+    commands: Publisher<Command>,
+    events: EventSender,
+    physics: Waker,
+    waiter: Waiter,
+    lockstep: bool,
+}
+
+impl Ports {
+    fn open(session_folder: &Path, name: &str) -> Result<Ports, ControllerError> {
+        let session = Session::join(session_folder)?;
+        let scene = session_scene(session_folder)?;
+        let index = session.controller_index(name)?;
+        let frames = match scene.drr {
+            Some(_) => Some(Frames::new(session.subscriber(&services::FRAME)?, &scene)),
+            None => None,
+        };
+        Ok(Ports {
+            waiter: session.waiter(Reader::Controller(index))?,
+            states: session.subscriber(&services::STATE)?,
+            status: session.subscriber(&services::RUN_STATUS)?,
+            frames,
+            events: EventSender::new(&session, SENDER_CONTROLLER + index as u32)?,
+            physics: session.waker(Reader::Physics)?,
+            commands: session.command_publisher(name)?,
+            lockstep: scene.run.mode == Mode::Lockstep,
+        })
+    }
+
+    fn run_has_ended(&self) -> Result<bool, PortError> {
+        let status = self.status.receive_newest()?;
+        Ok(status.is_some_and(|status| status.message().phase == PHASE_ENDED))
+    }
+
+    fn frames_for(&mut self, tick: u64, controller: &mut dyn Controller) -> Result<(), ControllerError> {
+        match &mut self.frames {
+            Some(frames) if self.lockstep => frames.due(tick, controller),
+            Some(frames) => frames.arrived(controller),
+            None => Ok(()),
+        }
+    }
+
+    /// Says so when states were overwritten before this controller took them (real time).
+    fn report_gap(&mut self, last: u64, tick: u64) -> Result<u64, PortError> {
+        let missed = tick.saturating_sub(last + 1);
+        if last > 0 && missed > services::STATE.queue_length as u64 {
+            let text = format!("{missed} states passed while this controller was busy");
+            self.events.send(tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
+        }
+        Ok(tick)
+    }
+}
+
+/// The frames a controller sees. In real time it sees what has arrived; in lockstep each scheduled frame is seen half a
+/// period after its tick, however long it took to render, so that the run is repeatable.
+struct Frames {
+    subscriber: Subscriber<Frame>,
+    period_ticks: Option<u64>,
+    pixels: Vec<u16>,
+}
+
+impl Frames {
+    fn new(subscriber: Subscriber<Frame>, scene: &Scene) -> Frames {
+        Frames { subscriber, period_ticks: scene.frame_period_ticks(), pixels: Vec::new() }
+    }
+
+    fn arrived(&mut self, controller: &mut dyn Controller) -> Result<(), ControllerError> {
+        while let Some(frame) = self.subscriber.receive()? {
+            self.show(&frame, controller);
+        }
+        Ok(())
+    }
+
+    fn due(&mut self, tick: u64, controller: &mut dyn Controller) -> Result<(), ControllerError> {
+        let Some(period) = self.period_ticks else { return Ok(()) };
+        let delay = (period / 2).max(1);
+        if tick < delay || !(tick - delay).is_multiple_of(period) {
+            return Ok(());
+        }
+        let wanted = tick - delay;
+        let limit = Instant::now() + FRAME_LIMIT;
+        while Instant::now() < limit {
+            match self.subscriber.receive()? {
+                Some(frame) if frame.message().tick == wanted && frame.message().request_id == 0 => {
+                    self.show(&frame, controller);
+                    return Ok(());
+                }
+                Some(_) => {}
+                None => std::thread::sleep(Duration::from_micros(500)),
+            }
+        }
+        Err(ControllerError::NoFrame { tick: wanted })
+    }
+
+    fn show(&mut self, frame: &Received<Frame>, controller: &mut dyn Controller) {
+        let data = frame.tail().get(ImagePrefix::DESCRIPTION.size..).unwrap_or_default();
+        self.pixels.clear();
+        self.pixels.extend(data.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])));
+        controller.frame(frame.message(), &self.pixels);
+    }
+}

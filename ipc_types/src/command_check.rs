@@ -1,0 +1,163 @@
+//! What a command must be before it may reach the model.
+
+use thiserror::Error;
+
+use crate::messages::{
+    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_SERVO_CP, ARM_SERVO_JP, BURR_NONE, BURR_SPEED, Command,
+    TENDON_MOVE_JP, TENDON_NONE, TENDON_SERVO_JF, TENDON_SERVO_JP,
+};
+use crate::scene::Drives;
+
+/// Largest tension that may be asked for.
+pub const MAX_TENSION_N: f64 = 60.0;
+/// Largest tendon displacement that may be asked for, either way.
+pub const MAX_DISPLACEMENT_M: f64 = 0.02;
+/// Largest burr speed that may be asked for: 60 000 rpm.
+pub const MAX_BURR_SPEED_RAD_PER_S: f64 = 6283.2;
+/// Farthest tool base position that may be asked for, each coordinate.
+pub const MAX_POSITION_M: f64 = 10.0;
+/// Largest speed that may be asked for.
+pub const MAX_SPEED_M_PER_S: f64 = 1.0;
+const MAX_JOINT_RAD: f64 = 6.283_2;
+/// Quaternions are stored rounded; this is far above rounding and far below any wrong use.
+const QUATERNION_TOLERANCE: f64 = 1e-6;
+
+/// Why a command is refused. It then changes nothing.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum CommandRefusal {
+    /// A number is not finite or outside its range.
+    #[error("`{field}` is {value}, allowed is {lowest} to {highest}")]
+    OutOfRange {
+        /// Field with its index.
+        field: String,
+        /// Value given.
+        value: f64,
+        /// Lowest allowed.
+        lowest: f64,
+        /// Highest allowed.
+        highest: f64,
+    },
+    /// A mode is not one.
+    #[error("`{field}` is {value}, expected {expected}")]
+    UnknownMode {
+        /// Field.
+        field: &'static str,
+        /// Value given.
+        value: u32,
+        /// The modes there are.
+        expected: &'static str,
+    },
+    /// The orientation is not a unit quaternion.
+    #[error("`t_world_base.orientation_xyzw` has length {length}, expected 1")]
+    NotAUnitQuaternion {
+        /// Its length.
+        length: f64,
+    },
+    /// The scene gives this part to another controller, or to none.
+    #[error("`{field}` drives the {part}, which the scene does not give to this controller; add it to its `drives`")]
+    NotItsPart {
+        /// Field.
+        field: &'static str,
+        /// Part of the tool.
+        part: &'static str,
+    },
+    /// The sequence number does not rise.
+    #[error("`sequence` is {sequence}, expected more than {last}")]
+    OldSequence {
+        /// Number given.
+        sequence: u64,
+        /// Newest accepted.
+        last: u64,
+    },
+    /// The command answers a state that there has not been.
+    #[error("`state_tick` is {state_tick}, but the newest state is {newest}")]
+    FutureState {
+        /// Tick given.
+        state_tick: u64,
+        /// Newest tick.
+        newest: u64,
+    },
+}
+
+fn range(field: impl Fn() -> String, value: f64, lowest: f64, highest: f64) -> Result<(), CommandRefusal> {
+    // A NaN is in no range.
+    if value >= lowest && value <= highest {
+        return Ok(());
+    }
+    Err(CommandRefusal::OutOfRange { field: field(), value, lowest, highest })
+}
+
+fn ranges(name: &str, values: &[f64], lowest: f64, highest: f64) -> Result<(), CommandRefusal> {
+    values.iter().enumerate().try_for_each(|(i, value)| range(|| format!("{name}[{i}]"), *value, lowest, highest))
+}
+
+impl Command {
+    /// Checks ranges, modes, order and authority. `last_sequence` is that of the newest accepted command (0 before the
+    /// first), `newest_tick` that of the newest state.
+    ///
+    /// # Errors
+    /// The first [`CommandRefusal`] that is found.
+    pub fn check(&self, drives: &[Drives], last_sequence: u64, newest_tick: u64) -> Result<(), CommandRefusal> {
+        if self.sequence <= last_sequence {
+            return Err(CommandRefusal::OldSequence { sequence: self.sequence, last: last_sequence });
+        }
+        if self.state_tick > newest_tick {
+            return Err(CommandRefusal::FutureState { state_tick: self.state_tick, newest: newest_tick });
+        }
+        self.check_modes()?;
+        self.check_authority(drives)?;
+        self.check_values()
+    }
+
+    fn check_modes(&self) -> Result<(), CommandRefusal> {
+        let mode = |field, value: u32, highest: u32, expected| {
+            if value <= highest { Ok(()) } else { Err(CommandRefusal::UnknownMode { field, value, expected }) }
+        };
+        mode("tendon_mode", self.tendon_mode, TENDON_MOVE_JP, "0 none, 1 servo_jf, 2 servo_jp or 3 move_jp")?;
+        mode("arm_mode", self.arm_mode, ARM_HOLD, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp or 5 hold")?;
+        mode("burr_mode", self.burr_mode, BURR_SPEED, "0 none or 1 speed")?;
+        mode("reserved", self.reserved, 0, "0")
+    }
+
+    fn check_authority(&self, drives: &[Drives]) -> Result<(), CommandRefusal> {
+        let authority = |drives_it: bool, part: Drives, field, name| {
+            let allowed = !drives_it || drives.contains(&part);
+            if allowed { Ok(()) } else { Err(CommandRefusal::NotItsPart { field, part: name }) }
+        };
+        authority(self.tendon_mode != TENDON_NONE, Drives::Tendon, "tendon_mode", "tendons")?;
+        authority(self.arm_mode != ARM_NONE, Drives::Arm, "arm_mode", "arm")?;
+        authority(self.burr_mode != BURR_NONE, Drives::Burr, "burr_mode", "burr")
+    }
+
+    fn check_values(&self) -> Result<(), CommandRefusal> {
+        match self.tendon_mode {
+            TENDON_SERVO_JF => ranges("tendon_force_n", &self.tendon_force_n, 0.0, MAX_TENSION_N)?,
+            TENDON_SERVO_JP | TENDON_MOVE_JP => {
+                let limit = MAX_DISPLACEMENT_M;
+                ranges("tendon_displacement_m", &self.tendon_displacement_m, -limit, limit)?;
+            }
+            _ => {}
+        }
+        match self.arm_mode {
+            ARM_SERVO_JP | ARM_MOVE_JP => {
+                ranges("arm_joint_position_rad", &self.arm_joint_position_rad, -MAX_JOINT_RAD, MAX_JOINT_RAD)?;
+            }
+            ARM_SERVO_CP | ARM_MOVE_CP => self.check_pose()?,
+            _ => {}
+        }
+        range(|| "arm_speed_m_per_s".to_owned(), self.arm_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
+        let field = || "burr_speed_rad_per_s".to_owned();
+        range(field, self.burr_speed_rad_per_s, 0.0, MAX_BURR_SPEED_RAD_PER_S)
+    }
+
+    fn check_pose(&self) -> Result<(), CommandRefusal> {
+        let pose = &self.t_world_base;
+        ranges("t_world_base.position_m", &pose.position_m, -MAX_POSITION_M, MAX_POSITION_M)?;
+        ranges("t_world_base.orientation_xyzw", &pose.orientation_xyzw, -1.1, 1.1)?;
+        let length = pose.orientation_xyzw.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+            return Err(CommandRefusal::NotAUnitQuaternion { length });
+        }
+        Ok(())
+    }
+}
