@@ -70,14 +70,6 @@ impl Latch {
         self.slots[controller].latched_sequence = 0;
     }
 
-    /// Forgets all commands: the run starts again at tick 0.
-    pub fn reset(&mut self) {
-        for slot in &mut self.slots {
-            slot.newest = None;
-            slot.source = SOURCE_NONE;
-        }
-    }
-
     /// What [`Latch::latch`] last decided for a controller: one of the `SOURCE_` constants.
     pub fn source(&self, controller: usize) -> u32 {
         self.slots[controller].source

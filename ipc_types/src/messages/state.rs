@@ -54,7 +54,7 @@ message! {
 message! {
     /// The whole simulated state after a tick. Published once a tick; `tick` 0 is the initial state.
     pub struct State = "trabecula_msgs/msg/State" {
-        /// Number of ticks made since the run (or its last reset) began.
+        /// Number of ticks made since the run began; a reset does not set it back.
         tick: u64,
         /// Simulated time.
         sim_time_s: f64,
@@ -92,7 +92,7 @@ message! {
         tendon_displacement_m: [f64; MAX_TENDONS],
         /// Tool base (start of the rigid shaft); +z along the straight tool, +x toward tendon 0.
         t_world_base: Pose,
-        /// Tip of the last link.
+        /// Front of the burr: its centre plus its radius along the last link's +z.
         t_world_tip: Pose,
         /// Burr centre, axes of the last link.
         t_world_burr: Pose,

@@ -1,7 +1,8 @@
 use crate::message;
 
 message! {
-    /// The voxels that one tick removed; published only for ticks that removed some.
+    /// Voxels that are gone from this tick on, published before the state of the tick. Tick 0 has the holes that the
+    /// scene predrills. Published only for ticks that removed some; one message holds at most 4096 voxels.
     pub struct Removed = "trabecula_msgs/msg/Removed" {
         /// `State.tick` of the state in which they are gone.
         tick: u64,
@@ -9,8 +10,8 @@ message! {
         sequence: u64,
         /// Voxels removed since the start, these included.
         removed_total: u64,
-        /// Always 0.
-        reserved: u32,
+        /// 1 if all voxels are put back before these are removed (a reset).
+        restore_first: u32,
         /// Number of entries of `voxel_index`.
         voxel_index_length: u32,
     }

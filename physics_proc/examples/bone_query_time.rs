@@ -1,0 +1,82 @@
+//! Time of the contact query: 34 spheres of 3 mm in 0.5 mm voxels, in a tunnel, buried and in air.
+//!
+//! `cargo run --release -p physics_proc --example bone_query_time`
+
+use std::time::Instant;
+
+use nalgebra::Vector3;
+use physics_proc::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, GridGeometry};
+
+const SPHERES: usize = 34;
+const RADIUS_M: f64 = 3.0e-3;
+const REPEATS: usize = 2000;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let dims = [256, 256, 256];
+    let geometry = GridGeometry::axis_aligned(dims, [0.5e-3; 3], Vector3::zeros());
+    let mut hu = vec![1000i16; geometry.voxel_count()];
+    for value in hu.iter_mut().take(dims[0] * dims[1] * 40) {
+        *value = -1000;
+    }
+    let mut field = BoneField::new(geometry, &hu, BoneParameters::default())?;
+    let from = Vector3::new(64.0e-3, 64.0e-3, 0.0);
+    // A tunnel along x, one askew, both of the burr's radius plus its reach.
+    field.predrill_capsule(&Vector3::new(0.0, 40.0e-3, 40.0e-3), &Vector3::new(127e-3, 40.0e-3, 40.0e-3), 3.35e-3);
+    field.predrill_capsule(&Vector3::new(10e-3, 70e-3, 40e-3), &Vector3::new(100e-3, 110e-3, 80e-3), 3.35e-3);
+
+    let along = |start: Vector3<f64>, step: Vector3<f64>| -> Vec<Vector3<f64>> {
+        (0..SPHERES).map(|n| start + step * n as f64).collect()
+    };
+    let askew = Vector3::new(90e-3, 40e-3, 40e-3).normalize();
+    let scenes = [
+        ("air", along(from - Vector3::z() * 0.0 + Vector3::z() * 10e-3, Vector3::x() * 1.3e-3)),
+        ("tunnel, centred", along(Vector3::new(30e-3, 40e-3, 40e-3), Vector3::x() * 1.31e-3)),
+        ("tunnel, resting", along(Vector3::new(30e-3, 40e-3, 39.65e-3), Vector3::x() * 1.31e-3)),
+        ("askew tunnel", along(Vector3::new(10e-3, 70e-3, 40e-3) + askew * 20e-3, askew * 1.31e-3)),
+        ("flat wall", along(Vector3::new(30e-3, 64e-3, 22.5e-3), Vector3::x() * 1.31e-3)),
+        ("buried 20 mm", along(Vector3::new(30e-3, 64e-3, 100e-3), Vector3::x() * 1.31e-3)),
+    ];
+    let mut buffer = ContactBuffer::with_capacity(4 * SPHERES);
+    for margin_m in [0.2e-3, 0.5e-3] {
+        for (name, centres) in &scenes {
+            let mut times_us = Vec::with_capacity(REPEATS);
+            for _ in 0..REPEATS {
+                let start = Instant::now();
+                buffer.clear();
+                for (sphere, centre) in centres.iter().enumerate() {
+                    field.contact_planes(sphere, centre, RADIUS_M, margin_m, &mut buffer);
+                }
+                times_us.push(start.elapsed().as_secs_f64() * 1e6);
+            }
+            times_us.sort_by(f64::total_cmp);
+            println!(
+                "{name:>16}, margin {:.1} mm: {:7.2} us median, {:7.2} us p99 for {SPHERES} spheres, {} planes",
+                margin_m * 1e3,
+                times_us[REPEATS / 2],
+                times_us[REPEATS * 99 / 100],
+                buffer.planes().len()
+            );
+        }
+    }
+    time_grind(&mut field, &hu)
+}
+
+/// A burr that is held still at the bone's face: the cost of one tick of drilling.
+fn time_grind(field: &mut BoneField, hu: &[i16]) -> Result<(), Box<dyn std::error::Error>> {
+    let burr = BurrState {
+        centre_m: Vector3::new(90e-3, 90e-3, 20e-3),
+        radius_m: 3.25e-3,
+        speed_rad_s: 235.0,
+        normal_force_n: 0.01,
+    };
+    let mut times_us = Vec::with_capacity(REPEATS);
+    let mut cut = 0;
+    for _ in 0..REPEATS {
+        let start = Instant::now();
+        cut = field.grind(hu, &burr, 1.0e-3)?.cut_count;
+        times_us.push(start.elapsed().as_secs_f64() * 1e6);
+    }
+    times_us.sort_by(f64::total_cmp);
+    println!("grind, 3.25 mm burr half in bone: {:.2} us median, {cut} voxels cut", times_us[REPEATS / 2]);
+    Ok(())
+}

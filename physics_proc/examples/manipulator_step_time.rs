@@ -1,0 +1,90 @@
+//! Prints the time of one manipulator step in free motion and with contacts.
+//!
+//! `cargo run --release -p physics_proc --example manipulator_step_time`
+//!
+//! The 27-flexure tool under a tendon that changes every 200 ms between 6 and 8 N swings freely, is pressed on a winding
+//! wall, or lies in a winding tunnel.
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use nalgebra::{Isometry3, Unit, Vector3};
+use physics_proc::manipulator::{
+    BaseMotion, ContactPlane, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, StepInput,
+    TendonCommand, Wrench,
+};
+
+const STEPS: usize = 4000;
+
+/// A tunnel of `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wave length of 12 mm: each of
+/// the `spheres` nearest the tip is offered the walls on `sides`.
+fn tunnel(m: &Manipulator, spheres: usize, sides: &[f64], clearance_m: f64, out: &mut Vec<ContactPlane>) {
+    let wave = 2.0 * std::f64::consts::PI / 12.0e-3;
+    for (sphere_index, sphere) in m.proxy_spheres().iter().enumerate().rev().take(spheres) {
+        let phase = wave * (sphere.centre_m.z - 36.0e-3);
+        let (centre, slope) = (0.3e-3 * libm::sin(phase), 0.3e-3 * wave * libm::cos(phase));
+        let across = Unit::new_normalize(Vector3::new(1.0, 0.0, -slope));
+        for &side in sides {
+            let gap_m = side * (sphere.centre_m.x - centre) * across.x + clearance_m;
+            let normal = Unit::new_unchecked(across.into_inner() * side);
+            let point_m = sphere.centre_m - normal.into_inner() * (gap_m + sphere.radius_m);
+            out.push(ContactPlane { sphere_index, point_m, normal, gap_m });
+        }
+    }
+}
+
+fn run(
+    name: &str,
+    integrator: Integrator,
+    planes: impl Fn(&Manipulator, &mut Vec<ContactPlane>),
+) -> Result<(), ManipulatorError> {
+    let base = BaseMotion::at_rest(Isometry3::identity());
+    let parameters = ManipulatorParameters { integrator, ..ManipulatorParameters::jhu_27() };
+    let mut manipulator = Manipulator::new(parameters, &base)?;
+    let mut contacts = Vec::with_capacity(96);
+    let mut micros = Vec::with_capacity(STEPS);
+    let (mut sweeps, mut active, mut second_order, mut residual) = (0, 0, 0, 0.0f64);
+    for k in 0..STEPS {
+        contacts.clear();
+        planes(&manipulator, &mut contacts);
+        let tension = 8.0 - if (k / 200).is_multiple_of(2) { 2.0 } else { 0.0 };
+        let input = StepInput {
+            base,
+            tendon: TendonCommand::Force([tension, 0.0]),
+            tip_wrench: Wrench::zero(),
+            contacts: &contacts,
+        };
+        let start = Instant::now();
+        let report = black_box(manipulator.step(1e-3, black_box(&input))?);
+        micros.push(start.elapsed().as_secs_f64() * 1e6);
+        sweeps += report.iterations;
+        active += report.active_contact_count;
+        residual = residual.max(if k % 200 >= 100 { report.residual_m_per_s } else { 0.0 });
+        second_order += usize::from(report.integrator == Integrator::Hybrid);
+    }
+    micros.sort_by(f64::total_cmp);
+    println!(
+        "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} sweeps, late residual {:7.1e} m/s, {:5.1} % ROS2",
+        contacts.len(),
+        active as f64 / STEPS as f64,
+        micros[STEPS / 2],
+        micros[STEPS * 99 / 100],
+        sweeps as f64 / STEPS as f64,
+        residual,
+        100.0 * second_order as f64 / STEPS as f64,
+    );
+    Ok(())
+}
+
+fn main() -> Result<(), ManipulatorError> {
+    let euler = Integrator::LinearlyImplicitEuler;
+    run("free, linearly implicit Euler", euler, |_, _| ())?;
+    run("free, hybrid", Integrator::Hybrid, |_, _| ())?;
+    for spheres in [5, 10, 15, 28] {
+        run("winding wall", euler, |m, out| tunnel(m, spheres, &[-1.0], 0.0, out))?;
+    }
+    for spheres in [5, 15, 28] {
+        run("winding tunnel", euler, |m, out| tunnel(m, spheres, &[1.0, -1.0], 20e-6, out))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,259 @@
+//! Analytic inverse kinematics of the Universal Robots arms: up to eight branches.
+//!
+//! The geometry is that of Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013):
+//! the shoulder is left or right (2), the wrist up or down (2), the elbow up or down (2).
+
+use super::kinematics::{Joints, UrGeometry};
+use nalgebra::{Isometry3, Vector3};
+use std::f64::consts::{FRAC_PI_2, TAU};
+use thiserror::Error;
+
+/// Below this `|sin q5|` wrist 3 is undefined: its angle would be decided by rounding.
+const WRIST_SINGULAR_SIN: f64 = 1e-7;
+
+/// A cosine may exceed 1 by this much, from rounding, before a pose counts as out of reach (2e-10 rad² of joint angle).
+const COSINE_SLACK: f64 = 1e-10;
+
+/// Why a flange pose has no joint angles.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum KinematicsError {
+    /// A number of the pose is NaN or infinite, or its quaternion is not of length one.
+    #[error(
+        "the pose has a number that is not finite or a quaternion that is not of length 1; send a valid pose"
+    )]
+    InvalidPose,
+    /// The wrist would be inside the cylinder around the base's axis that the arm cannot reach.
+    #[error(
+        "the wrist would be {distance_m} m from the base's axis, the arm needs at least {minimum_m} m; \
+         move the goal away from the base's axis or place the base elsewhere"
+    )]
+    TooCloseToBase {
+        /// Distance of wrist 2 from the base's axis.
+        distance_m: f64,
+        /// The smallest possible distance (d4).
+        minimum_m: f64,
+    },
+    /// The wrist would be too far from the shoulder, or too near to it.
+    #[error(
+        "the wrist would be {distance_m} m from the shoulder, the arm reaches {minimum_m} m to {maximum_m} m; \
+         move the goal or place the base elsewhere"
+    )]
+    OutOfReach {
+        /// Distance of wrist 1 from the shoulder in the arm's plane; the closest miss of all branches.
+        distance_m: f64,
+        /// Folded arm, `||a2| - |a3||`.
+        minimum_m: f64,
+        /// Stretched arm, `|a2| + |a3|`.
+        maximum_m: f64,
+    },
+    /// Wrists 1 and 3 turn about the same line: infinitely many solutions.
+    #[error(
+        "wrist singularity: |sin q5| = {sin_q5}, at least {minimum} is needed to tell wrist 1 from wrist 3; \
+         tilt the goal or use a joint command"
+    )]
+    WristSingular {
+        /// |sin q5| at the goal.
+        sin_q5: f64,
+        /// The smallest accepted value.
+        minimum: f64,
+    },
+    /// Every branch breaks a joint limit.
+    #[error(
+        "all {branches} solutions of the pose lie outside the joint limits; move the goal or place the base elsewhere"
+    )]
+    OutsideJointLimits {
+        /// Number of solutions that were tried.
+        branches: usize,
+    },
+}
+
+/// The solutions of one pose, each joint in (-2 pi, 2 pi).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InverseSolutions {
+    q_rad: [Joints; 8],
+    count: usize,
+    /// Shoulder angle and |sin q5| of a shoulder branch that has no solution because its wrist is singular.
+    wrist_singular: Option<(f64, f64)>,
+}
+
+impl InverseSolutions {
+    /// The solutions, in the fixed order of the branches (shoulder, wrist, elbow).
+    pub fn as_slice(&self) -> &[Joints] {
+        &self.q_rad[..self.count]
+    }
+}
+
+impl UrGeometry {
+    /// All solutions (2 to 8) for the flange at `t_base_flange`, analytically. A shoulder branch in which the wrist is
+    /// singular is left out.
+    pub fn inverse(&self, t_base_flange: &Isometry3<f64>) -> Result<InverseSolutions, KinematicsError> {
+        check_pose(t_base_flange)?;
+        let flange = FlangeAxes::new(t_base_flange, self.d6_m);
+        let radius_m = libm::hypot(flange.wrist_m.x, flange.wrist_m.y);
+        if radius_m < self.d4_m {
+            return Err(KinematicsError::TooCloseToBase { distance_m: radius_m, minimum_m: self.d4_m });
+        }
+        // The wrist's offset d4 along the shoulder's axis (sin q1, -cos q1, 0) fixes q1.
+        let direction = libm::atan2(flange.wrist_m.y, flange.wrist_m.x) + FRAC_PI_2;
+        let half_angle = libm::acos(self.d4_m / radius_m);
+        let mut found = InverseSolutions { q_rad: [[0.0; 6]; 8], count: 0, wrist_singular: None };
+        let mut reach = ClosestMiss::default();
+        for q1 in [direction + half_angle, direction - half_angle] {
+            self.solve_wrist(&flange, q1, &mut found, &mut reach);
+        }
+        match (found.count, found.wrist_singular) {
+            (0, Some((_, sin_q5))) => {
+                Err(KinematicsError::WristSingular { sin_q5, minimum: WRIST_SINGULAR_SIN })
+            }
+            (0, None) => Err(reach.into_error(self)),
+            _ => Ok(found),
+        }
+    }
+
+    /// The solution nearest to `q_reference_rad` (least sum of squared joint differences, in radians) within the limits;
+    /// every joint is unwrapped by whole turns towards the reference. Refused as singular where the wrist is singular in
+    /// the shoulder branch that is nearer to the reference: the other shoulder's solutions would be a flip of the arm.
+    pub fn inverse_nearest(
+        &self,
+        t_base_flange: &Isometry3<f64>,
+        q_reference_rad: &Joints,
+        lower_rad: &Joints,
+        upper_rad: &Joints,
+    ) -> Result<Joints, KinematicsError> {
+        let solutions = self.inverse(t_base_flange)?;
+        let mut best: Option<(f64, Joints)> = None;
+        for solution in solutions.as_slice() {
+            let Some(q) = unwrap_towards(solution, q_reference_rad, lower_rad, upper_rad) else { continue };
+            let distance: f64 =
+                (0..6).map(|i| (q[i] - q_reference_rad[i]) * (q[i] - q_reference_rad[i])).sum();
+            if best.is_none_or(|(least, _)| distance < least) {
+                best = Some((distance, q));
+            }
+        }
+        let (_, q) = best.ok_or(KinematicsError::OutsideJointLimits { branches: solutions.count })?;
+        let turn_to = |q1: f64| libm::remainder(q1 - q_reference_rad[0], TAU).abs();
+        match solutions.wrist_singular {
+            Some((q1, sin_q5)) if turn_to(q1) < turn_to(q[0]) => {
+                Err(KinematicsError::WristSingular { sin_q5, minimum: WRIST_SINGULAR_SIN })
+            }
+            _ => Ok(q),
+        }
+    }
+
+    /// The two wrist branches of one shoulder branch.
+    fn solve_wrist(
+        &self,
+        flange: &FlangeAxes,
+        q1: f64,
+        found: &mut InverseSolutions,
+        miss: &mut ClosestMiss,
+    ) {
+        let (sin1, cos1) = libm::sincos(q1);
+        // The shoulder's axis seen from the flange is (sin q5 cos q6, -sin q5 sin q6, cos q5).
+        let shoulder_axis = Vector3::new(sin1, -cos1, 0.0);
+        let (along_x, along_y, along_z) =
+            (shoulder_axis.dot(&flange.x), shoulder_axis.dot(&flange.y), shoulder_axis.dot(&flange.z));
+        let sin5 = libm::hypot(along_x, along_y);
+        if sin5 < WRIST_SINGULAR_SIN {
+            found.wrist_singular = Some((q1, sin5));
+            return;
+        }
+        for sign in [1.0, -1.0] {
+            let q5 = libm::atan2(sign * sin5, along_z);
+            let q6 = libm::atan2(-sign * along_y, sign * along_x);
+            let (sin6, cos6) = libm::sincos(q6);
+            // Axis of wrist 2: it lies in the arm's plane.
+            let wrist2_axis = -(flange.x * sin6 + flange.y * cos6);
+            let elbow_target = flange.wrist_m - wrist2_axis * self.d5_m;
+            let plane_x = Vector3::new(cos1, sin1, 0.0);
+            let plane = [elbow_target.dot(&plane_x), elbow_target.z - self.d1_m];
+            let q234 = libm::atan2(wrist2_axis.dot(&plane_x), -wrist2_axis.z);
+            self.solve_elbow(plane, q234, [q1, q5, q6], found, miss);
+        }
+    }
+
+    /// The two elbow branches of one wrist branch: the planar two-link arm to `plane` (m, shoulder at the origin).
+    fn solve_elbow(
+        &self,
+        plane: [f64; 2],
+        q234: f64,
+        [q1, q5, q6]: [f64; 3],
+        found: &mut InverseSolutions,
+        miss: &mut ClosestMiss,
+    ) {
+        let (a2, a3) = (self.a2_m, self.a3_m);
+        let distance_squared = plane[0] * plane[0] + plane[1] * plane[1];
+        let cos3 = (distance_squared - a2 * a2 - a3 * a3) / (2.0 * a2 * a3);
+        if cos3.abs() > 1.0 + COSINE_SLACK {
+            miss.record(cos3.abs(), distance_squared.sqrt());
+            return;
+        }
+        let elbow = libm::acos(cos3.clamp(-1.0, 1.0));
+        for q3 in [elbow, -elbow] {
+            let (sin3, cos3) = libm::sincos(q3);
+            let q2 = libm::atan2(plane[1], plane[0]) - libm::atan2(a3 * sin3, a2 + a3 * cos3);
+            let q = [q1, q2, q3, q234 - q2 - q3, q5, q6];
+            found.q_rad[found.count] = q.map(|angle| libm::remainder(angle, TAU));
+            found.count += 1;
+        }
+    }
+}
+
+/// The flange's axes and the centre of wrist 2-3, in the base frame.
+struct FlangeAxes {
+    x: Vector3<f64>,
+    y: Vector3<f64>,
+    z: Vector3<f64>,
+    wrist_m: Vector3<f64>,
+}
+
+impl FlangeAxes {
+    fn new(t_base_flange: &Isometry3<f64>, d6_m: f64) -> Self {
+        let rotation = t_base_flange.rotation.to_rotation_matrix();
+        let axis = |i| rotation.matrix().column(i).into_owned();
+        let z: Vector3<f64> = axis(2);
+        Self { x: axis(0), y: axis(1), z, wrist_m: t_base_flange.translation.vector - z * d6_m }
+    }
+}
+
+/// |cos q3| and distance (m) of the branch that misses the goal by least.
+#[derive(Default)]
+struct ClosestMiss(Option<(f64, f64)>);
+
+impl ClosestMiss {
+    fn record(&mut self, cosine: f64, distance_m: f64) {
+        if self.0.is_none_or(|(least, _)| cosine < least) {
+            self.0 = Some((cosine, distance_m));
+        }
+    }
+
+    fn into_error(self, geometry: &UrGeometry) -> KinematicsError {
+        let (upper, fore) = (geometry.a2_m.abs(), geometry.a3_m.abs());
+        KinematicsError::OutOfReach {
+            distance_m: self.0.map_or(f64::NAN, |(_, distance)| distance),
+            minimum_m: (upper - fore).abs(),
+            maximum_m: upper + fore,
+        }
+    }
+}
+
+/// Refuses a pose with a number that is not finite or a quaternion whose length is off by more than 1e-6.
+pub(super) fn check_pose(pose: &Isometry3<f64>) -> Result<(), KinematicsError> {
+    let finite = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite());
+    if finite && (pose.rotation.coords.norm() - 1.0).abs() < 1e-6 {
+        Ok(())
+    } else {
+        Err(KinematicsError::InvalidPose)
+    }
+}
+
+/// `q` plus whole turns, each joint as near to the reference as its limits allow; `None` if a joint has no such angle.
+fn unwrap_towards(q: &Joints, reference: &Joints, lower: &Joints, upper: &Joints) -> Option<Joints> {
+    let mut unwrapped = *q;
+    for i in 0..6 {
+        let turns = libm::rint((reference[i] - q[i]) / TAU);
+        let nearest = [turns, turns - 1.0, turns + 1.0].map(|n| q[i] + n * TAU);
+        unwrapped[i] = nearest.into_iter().find(|angle| (lower[i]..=upper[i]).contains(angle))?;
+    }
+    Some(unwrapped)
+}

@@ -1,0 +1,232 @@
+//! Jerk-limited point-to-point motion of N axes: the official Ruckig library behind a small, waypoint-free wall.
+//!
+//! Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021)
+//! is used offline: a [`Segment`] is planned once, then sampled at any time. The plan is a pure function of the segment,
+//! so a segment and a time are all that a snapshot needs.
+//!
+//! **No waypoints, ever.** The crate is compiled with a cloud client that would send intermediate positions to a remote
+//! host. This file is the only one that touches Ruckig; it builds every object without room for waypoints (Ruckig then
+//! refuses them itself) and checks before each calculation that there are none.
+//!
+//! Ruckig allocates: about eleven small C++ vectors in a plan, and three Rust and three C++ vectors in a sample.
+//! Ruckig takes `cbrt`, `acos`, `atan`, `sin` and `cos` from the platform's C library: plans are bit-identical on one
+//! machine and build, and between machines with the same C library only.
+
+use ruckig::{ControlInterface, InputParameter, Ruckig, Synchronization, Trajectory};
+use thiserror::Error;
+
+/// Position, velocity and acceleration of N axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisState<const N: usize> {
+    /// Position, in the axis' unit.
+    pub position: [f64; N],
+    /// First derivative by time in seconds.
+    pub velocity: [f64; N],
+    /// Second derivative.
+    pub acceleration: [f64; N],
+}
+
+impl<const N: usize> AxisState<N> {
+    /// At rest at `position`.
+    pub fn at_rest(position: [f64; N]) -> Self {
+        Self { position, velocity: [0.0; N], acceleration: [0.0; N] }
+    }
+}
+
+/// Where a segment ends: always at rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal<const N: usize> {
+    /// At rest at this position, every axis as early as it can. An axis that can stop within its range does so.
+    Independent([f64; N]),
+    /// At rest at this position, all axes in proportion: a straight line. Only from rest.
+    StraightLine([f64; N]),
+    /// At rest anywhere, as soon as possible.
+    Standstill,
+}
+
+/// Symmetric limits of N axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisLimits<const N: usize> {
+    /// Greatest absolute velocity.
+    pub velocity: [f64; N],
+    /// Greatest absolute acceleration.
+    pub acceleration: [f64; N],
+    /// Greatest absolute jerk.
+    pub jerk: [f64; N],
+}
+
+/// One jerk-limited motion from a state to rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Segment<const N: usize> {
+    /// State at time zero; beyond the limits it is first brought back into them.
+    pub start: AxisState<N>,
+    /// The end.
+    pub goal: Goal<N>,
+    /// Limits on the way.
+    pub limits: AxisLimits<N>,
+}
+
+/// Why a segment has no trajectory.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum TrajectoryError {
+    /// Ruckig refused the input or found no profile.
+    #[error("Ruckig found no trajectory (result {code}: {meaning}); change the goal or the limits")]
+    NoTrajectory {
+        /// Ruckig's own result code.
+        code: i32,
+        /// Its meaning.
+        meaning: &'static str,
+    },
+    /// The guard against Ruckig's cloud client.
+    #[error(
+        "{count} intermediate positions were set: Ruckig would send them to a remote host; plan point to point"
+    )]
+    WaypointsRefused {
+        /// Number of intermediate positions.
+        count: usize,
+    },
+}
+
+/// Plans and samples segments of N axes. Holds the active trajectory and a candidate, so that a refused plan leaves the
+/// active one as it was.
+pub struct Planner<const N: usize> {
+    ruckig: Ruckig,
+    input: InputParameter,
+    active: Trajectory,
+    candidate: Trajectory,
+}
+
+impl<const N: usize> Planner<N> {
+    /// A planner that has no active trajectory yet.
+    pub fn new() -> Self {
+        Self {
+            ruckig: Ruckig::new_direct_and_offline(N),
+            input: InputParameter::new(N),
+            active: Trajectory::new_direct(N),
+            candidate: Trajectory::new_direct(N),
+        }
+    }
+
+    /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory stays.
+    pub fn plan(&mut self, segment: &Segment<N>) -> Result<f64, TrajectoryError> {
+        let input = &mut self.input;
+        let (interface, synchronization, target) = match segment.goal {
+            Goal::Independent(target) => (ControlInterface::Position, Synchronization::None, target),
+            Goal::StraightLine(target) => (ControlInterface::Position, Synchronization::Phase, target),
+            Goal::Standstill => (ControlInterface::Velocity, Synchronization::None, segment.start.position),
+        };
+        input.control_interface = interface;
+        input.synchronization = synchronization;
+        input.current_position.copy_from_slice(&segment.start.position);
+        input.current_velocity.copy_from_slice(&segment.start.velocity);
+        input.current_acceleration.copy_from_slice(&segment.start.acceleration);
+        input.target_position.copy_from_slice(&target);
+        input.max_velocity.copy_from_slice(&segment.limits.velocity);
+        input.max_acceleration.copy_from_slice(&segment.limits.acceleration);
+        input.max_jerk.copy_from_slice(&segment.limits.jerk);
+        self.calculate()
+    }
+
+    /// Makes the candidate of the last successful [`Self::plan`] the active trajectory.
+    pub fn commit(&mut self) {
+        std::mem::swap(&mut self.active, &mut self.candidate);
+    }
+
+    /// State of the active trajectory `time_s` after its start; the end state (at rest) from its duration on.
+    pub fn sample(&self, time_s: f64) -> AxisState<N> {
+        sample(&self.active, time_s)
+    }
+
+    /// Like [`Self::sample`], of the candidate.
+    pub fn sample_candidate(&self, time_s: f64) -> AxisState<N> {
+        sample(&self.candidate, time_s)
+    }
+
+    /// Calls Ruckig. The guard stands directly before the call: whatever set the input, no waypoint passes.
+    fn calculate(&mut self) -> Result<f64, TrajectoryError> {
+        let count = self.input.intermediate_positions.len();
+        if count != 0 {
+            return Err(TrajectoryError::WaypointsRefused { count });
+        }
+        match self.ruckig.calculate(&mut self.input, &mut self.candidate) {
+            ruckig::Result::Working | ruckig::Result::Finished => Ok(self.candidate.get_duration()),
+            refused => {
+                Err(TrajectoryError::NoTrajectory { meaning: meaning(&refused), code: refused as i32 })
+            }
+        }
+    }
+}
+
+impl<const N: usize> Default for Planner<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn sample<const N: usize>(trajectory: &Trajectory, time_s: f64) -> AxisState<N> {
+    let time_s = time_s.min(trajectory.get_duration());
+    let (position, velocity, acceleration) = trajectory.at_time(time_s);
+    let mut state = AxisState::at_rest([0.0; N]);
+    state.position.copy_from_slice(&position);
+    state.velocity.copy_from_slice(&velocity);
+    state.acceleration.copy_from_slice(&acceleration);
+    state
+}
+
+fn meaning(result: &ruckig::Result) -> &'static str {
+    match result {
+        ruckig::Result::Working | ruckig::Result::Finished => "no error",
+        ruckig::Result::Error => "unspecified error",
+        ruckig::Result::ErrorInvalidInput => "the state or a limit is not a valid number",
+        ruckig::Result::ErrorTrajectoryDuration => "the motion would take longer than 7600 s",
+        ruckig::Result::ErrorPositionalLimits => "the motion leaves the positional limits",
+        ruckig::Result::ErrorZeroLimits => "a limit is zero",
+        ruckig::Result::ErrorExecutionTimeCalculation => "no profile for one axis",
+        ruckig::Result::ErrorSynchronizationCalculation => "the axes cannot be synchronised",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Even if someone sets a waypoint on the input, the call is refused before Ruckig sees it.
+    #[test]
+    fn waypoints_are_refused_before_ruckig_is_called() {
+        let mut planner = Planner::<1>::new();
+        let segment = Segment {
+            start: AxisState::at_rest([0.0]),
+            goal: Goal::Independent([1.0]),
+            limits: AxisLimits { velocity: [1.0], acceleration: [1.0], jerk: [1.0] },
+        };
+        assert!(planner.plan(&segment).is_ok());
+        planner.input.intermediate_positions.push(vec![0.5]);
+        assert_eq!(planner.plan(&segment), Err(TrajectoryError::WaypointsRefused { count: 1 }));
+    }
+
+    /// Ruckig is named in this file only, waypoints in its guard only, and no object is built with room for them.
+    #[test]
+    fn no_other_file_reaches_ruckig_or_a_waypoint() {
+        let folder = [
+            include_str!("mod.rs"),
+            include_str!("line.rs"),
+            include_str!("motion.rs"),
+            include_str!("kinematics.rs"),
+            include_str!("inverse.rs"),
+            include_str!("parameters.rs"),
+            include_str!("planning.rs"),
+        ];
+        for source in folder {
+            assert!(
+                !source.contains("ruckig::") && !source.contains("intermediate_"),
+                "Ruckig belongs in trajectory.rs"
+            );
+        }
+        let (code, _) =
+            include_str!("trajectory.rs").split_once("#[cfg(test)]").expect("the tests follow the code");
+        assert_eq!(code.matches("intermediate_positions").count(), 1, "the guard alone names waypoints");
+        for with_room in ["Ruckig::new(", "new_offline(", "Trajectory::new(", "OutputParameter"] {
+            assert!(!code.contains(with_room), "{with_room} makes room for waypoints");
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Where the voxels of a CT lie: dimensions, spacing, direction and origin, in the patient frame.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::BoneError;
+
+/// Largest deviation of `direction^T direction` from the identity that is still taken as rounding (DICOM writes direction
+/// cosines with about six digits).
+const ORTHONORMAL_TOLERANCE: f64 = 1e-5;
+
+/// A uniform voxel grid in the world (patient frame, LPS, metres). Voxel (i, j, k) is the box of size `spacing_m` about
+/// its centre `origin + direction * (i dx, j dy, k dz)`; x runs fastest in memory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GridGeometry {
+    /// Number of voxels along x, y, z.
+    pub dims: [usize; 3],
+    /// Voxel size along x, y, z in metres.
+    pub spacing_m: [f64; 3],
+    /// Direction cosines: column a is the world direction of grid axis a. Orthonormal; a mirrored grid is allowed.
+    pub direction_world_grid: Matrix3<f64>,
+    /// World position of the centre of voxel (0, 0, 0) in metres.
+    pub origin_world_m: Vector3<f64>,
+}
+
+impl GridGeometry {
+    /// An unrotated grid.
+    pub fn axis_aligned(dims: [usize; 3], spacing_m: [f64; 3], origin_world_m: Vector3<f64>) -> Self {
+        Self { dims, spacing_m, direction_world_grid: Matrix3::identity(), origin_world_m }
+    }
+
+    /// Number of voxels.
+    pub fn voxel_count(&self) -> usize {
+        self.dims[0] * self.dims[1] * self.dims[2]
+    }
+
+    /// Volume of one voxel in cubic metres.
+    pub fn voxel_volume_m3(&self) -> f64 {
+        self.spacing_m[0] * self.spacing_m[1] * self.spacing_m[2]
+    }
+
+    /// Linear index of a voxel, x fastest.
+    pub fn linear_index(&self, i: usize, j: usize, k: usize) -> usize {
+        (k * self.dims[1] + j) * self.dims[0] + i
+    }
+
+    /// World position of a voxel's centre in metres.
+    pub fn voxel_centre_world_m(&self, i: usize, j: usize, k: usize) -> Vector3<f64> {
+        let [dx, dy, dz] = self.spacing_m;
+        self.point_to_world(&Vector3::new(i as f64 * dx, j as f64 * dy, k as f64 * dz))
+    }
+
+    /// A world point in the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid, metres.
+    pub fn point_to_grid(&self, point_world_m: &Vector3<f64>) -> Vector3<f64> {
+        self.direction_world_grid.tr_mul(&(point_world_m - self.origin_world_m))
+    }
+
+    /// The inverse of [`Self::point_to_grid`].
+    pub fn point_to_world(&self, point_grid_m: &Vector3<f64>) -> Vector3<f64> {
+        self.origin_world_m + self.direction_world_grid * point_grid_m
+    }
+
+    /// Checks sizes and spacing and replaces the direction by the orthonormal one (Gram-Schmidt, x first).
+    pub(super) fn validated(mut self) -> Result<Self, BoneError> {
+        let [nx, ny, nz] = self.dims;
+        let count = nx.checked_mul(ny).and_then(|n| n.checked_mul(nz)).unwrap_or(usize::MAX);
+        if count == 0 || count >= u32::MAX as usize {
+            return Err(BoneError::Dimensions { dims: self.dims });
+        }
+        if self.spacing_m.iter().any(|h| !h.is_finite() || *h <= 0.0) {
+            return Err(BoneError::Spacing { spacing_m: self.spacing_m });
+        }
+        if self.origin_world_m.iter().any(|x| !x.is_finite()) {
+            return Err(BoneError::Origin { origin_m: self.origin_world_m.into() });
+        }
+        let gram = self.direction_world_grid.tr_mul(&self.direction_world_grid);
+        let error = (gram - Matrix3::identity()).abs().max();
+        if error.is_nan() || error > ORTHONORMAL_TOLERANCE {
+            return Err(BoneError::Direction { deviation: error });
+        }
+        let x = self.direction_world_grid.column(0).normalize();
+        let y = self.direction_world_grid.column(1).into_owned();
+        let y = (y - x * x.dot(&y)).normalize();
+        let z = self.direction_world_grid.column(2).into_owned();
+        let z = (z - x * x.dot(&z) - y * y.dot(&z)).normalize();
+        self.direction_world_grid = Matrix3::from_columns(&[x, y, z]);
+        Ok(self)
+    }
+}
+
+/// Largest integer not above `x`, saturating; `f64::floor` is a library call without SSE4.1.
+#[inline]
+pub(super) fn floor_to_i64(x: f64) -> i64 {
+    let truncated = x as i64;
+    if (truncated as f64) > x { truncated - 1 } else { truncated }
+}

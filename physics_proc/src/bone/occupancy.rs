@@ -1,0 +1,161 @@
+//! Which voxels are bone: one bit a voxel in rows along x, with a coarse count that makes empty space cost nothing.
+
+use super::grid::floor_to_i64;
+
+/// Edge of a coarse cell in voxels along y and z (along x it is one 64-bit word).
+const CELL_SHIFT: usize = 3;
+/// Zero bytes before each row.
+const ROW_PADDING: usize = 8;
+
+/// Voxels that a window shows: 64 less the 7 that a start within a byte can cost.
+pub(super) const WINDOW_VOXELS: i64 = 57;
+
+/// Bit rows along x, as bytes, so that a window is one unaligned load. Eight zero bytes lie before every row and behind the
+/// last, so that a window may run past either end of a row.
+#[derive(Debug, Clone)]
+pub(super) struct Occupancy {
+    dims: [usize; 3],
+    row_stride: usize,
+    bytes: Vec<u8>,
+    cell_dims: [usize; 3],
+    cell_counts: Vec<u16>,
+    solid_count: usize,
+}
+
+/// An inclusive box of voxel indices inside the grid.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct VoxelBox {
+    pub low: [i64; 3],
+    pub high: [i64; 3],
+}
+
+/// Where a window lies within every row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct WindowPlace {
+    byte: usize,
+    shift: u32,
+}
+
+impl Occupancy {
+    /// Bone is every voxel of at least `threshold_hu`. `hu` has `dims[0] * dims[1] * dims[2]` values, x fastest.
+    pub fn from_threshold(dims: [usize; 3], hu: &[i16], threshold_hu: i16) -> Self {
+        let words_per_row = dims[0].div_ceil(64);
+        let row_stride = (words_per_row + 1) * ROW_PADDING;
+        let cell_dims = [words_per_row, (dims[1] >> CELL_SHIFT) + 1, (dims[2] >> CELL_SHIFT) + 1];
+        let mut occupancy = Self {
+            dims,
+            row_stride,
+            bytes: vec![0; row_stride * dims[1] * dims[2] + 2 * ROW_PADDING],
+            cell_dims,
+            cell_counts: vec![0; cell_dims[0] * cell_dims[1] * cell_dims[2]],
+            solid_count: 0,
+        };
+        for (row, values) in hu.chunks_exact(dims[0]).enumerate() {
+            let (j, k) = (row % dims[1], row / dims[1]);
+            for (word_index, chunk) in values.chunks(64).enumerate() {
+                let mut word = 0u64;
+                for (bit, value) in chunk.iter().enumerate() {
+                    word |= u64::from(*value >= threshold_hu) << bit;
+                }
+                let cell = occupancy.cell_index(word_index, j, k);
+                let byte = row * row_stride + (1 + word_index) * ROW_PADDING;
+                occupancy.bytes[byte..byte + ROW_PADDING].copy_from_slice(&word.to_le_bytes());
+                occupancy.cell_counts[cell] += word.count_ones() as u16;
+                occupancy.solid_count += word.count_ones() as usize;
+            }
+        }
+        occupancy
+    }
+
+    fn cell_index(&self, word: usize, j: usize, k: usize) -> usize {
+        ((k >> CELL_SHIFT) * self.cell_dims[1] + (j >> CELL_SHIFT)) * self.cell_dims[0] + word
+    }
+
+    fn byte_and_bit(&self, i: usize, j: usize, k: usize) -> (usize, u8) {
+        ((k * self.dims[1] + j) * self.row_stride + ROW_PADDING + (i >> 3), 1u8 << (i & 7))
+    }
+
+    /// Number of voxels that are bone.
+    pub fn solid_count(&self) -> usize {
+        self.solid_count
+    }
+
+    /// Whether the voxel is bone.
+    #[inline]
+    pub fn is_solid(&self, i: usize, j: usize, k: usize) -> bool {
+        let (byte, bit) = self.byte_and_bit(i, j, k);
+        self.bytes[byte] & bit != 0
+    }
+
+    /// Whether the voxel is bone; outside the grid is not.
+    #[inline]
+    pub fn is_solid_at(&self, index: [i64; 3]) -> bool {
+        let inside = (0..3).all(|a| index[a] >= 0 && index[a] < self.dims[a] as i64);
+        inside && self.is_solid(index[0] as usize, index[1] as usize, index[2] as usize)
+    }
+
+    /// Sets one voxel's bit and keeps the counts.
+    pub fn set(&mut self, i: usize, j: usize, k: usize, solid: bool) {
+        let (byte, bit) = self.byte_and_bit(i, j, k);
+        if (self.bytes[byte] & bit != 0) == solid {
+            return;
+        }
+        let cell = self.cell_index(i >> 6, j, k);
+        self.bytes[byte] ^= bit;
+        if solid {
+            self.cell_counts[cell] += 1;
+            self.solid_count += 1;
+        } else {
+            self.cell_counts[cell] -= 1;
+            self.solid_count -= 1;
+        }
+    }
+
+    /// Where the window of [`WINDOW_VOXELS`] voxels from `start` on lies in a row, the same for all rows. A start farther
+    /// than 64 voxels outside is brought to where the window is as empty.
+    #[inline]
+    pub fn window_place(&self, start: i64) -> WindowPlace {
+        let start = start.clamp(-64, self.dims[0] as i64) + 64;
+        WindowPlace { byte: (start >> 3) as usize, shift: (start & 7) as u32 }
+    }
+
+    /// The window of row (j, k), both inside the grid, as bits; voxels outside the grid are 0. Bits from
+    /// [`WINDOW_VOXELS`] on mean nothing.
+    #[inline]
+    pub fn window(&self, place: WindowPlace, j: usize, k: usize) -> u64 {
+        let byte = (k * self.dims[1] + j) * self.row_stride + place.byte;
+        match self.bytes.get(byte..).and_then(|bytes| bytes.first_chunk()) {
+            Some(bytes) => u64::from_le_bytes(*bytes) >> place.shift,
+            None => 0,
+        }
+    }
+
+    /// Whether any coarse cell that meets the box holds bone.
+    pub fn any_in(&self, voxels: &VoxelBox) -> bool {
+        let cells = |axis: usize, shift: usize| {
+            (voxels.low[axis] as usize >> shift)..=(voxels.high[axis] as usize >> shift)
+        };
+        cells(2, CELL_SHIFT).any(|ck| {
+            cells(1, CELL_SHIFT).any(|cj| {
+                let row = (ck * self.cell_dims[1] + cj) * self.cell_dims[0];
+                cells(0, 6).any(|word| self.cell_counts[row + word] != 0)
+            })
+        })
+    }
+
+    /// The voxels whose boxes meet the axis-aligned cube of half edge `reach_m` about a point of the grid's metric
+    /// frame; `None` if there are none.
+    pub fn voxels_around(&self, centre: [f64; 3], reach_m: f64, spacing_m: [f64; 3]) -> Option<VoxelBox> {
+        let (mut low, mut high) = ([0; 3], [0; 3]);
+        for axis in 0..3 {
+            let inverse = 1.0 / spacing_m[axis];
+            low[axis] = floor_to_i64((centre[axis] - reach_m) * inverse + 0.5).max(0);
+            high[axis] =
+                floor_to_i64((centre[axis] + reach_m) * inverse + 0.5).min(self.dims[axis] as i64 - 1);
+            if low[axis] > high[axis] {
+                return None;
+            }
+        }
+        Some(VoxelBox { low, high })
+    }
+}

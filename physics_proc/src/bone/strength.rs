@@ -1,0 +1,171 @@
+//! How much of each voxel's cutting energy is spent: sparse blocks of 8 x 8 x 8 voxels from a pool reserved at the start.
+
+/// Edge of a block is `1 << BLOCK_SHIFT` voxels.
+const BLOCK_SHIFT: usize = 3;
+const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
+/// Voxels in a block.
+pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
+/// Table entry of a block that nothing has touched.
+const UNTOUCHED: u32 = u32::MAX;
+
+/// The spent fraction of every touched voxel: 0 whole, 1 gone.
+#[derive(Debug, Clone)]
+pub(super) struct SpentPool {
+    dims: [usize; 3],
+    block_dims: [usize; 3],
+    /// Slot of each block of the grid, or `UNTOUCHED`.
+    table: Vec<u32>,
+    /// Block of each slot in use, in the order of first touch.
+    owners: Vec<u32>,
+    /// `BLOCK_VOXELS` fractions a slot.
+    spent: Vec<f64>,
+    /// One byte a row of 8 voxels: which of them may have a spent fraction above 0.
+    partial: Vec<u8>,
+    capacity: usize,
+}
+
+impl SpentPool {
+    /// A pool of `capacity` blocks for a grid of `dims` voxels; all memory is reserved here.
+    pub fn new(dims: [usize; 3], capacity: usize) -> Self {
+        let block_dims = dims.map(|n| n.div_ceil(BLOCK_EDGE));
+        let blocks = block_dims[0] * block_dims[1] * block_dims[2];
+        // More slots than blocks could never be used.
+        let capacity = capacity.min(blocks);
+        Self {
+            dims,
+            block_dims,
+            table: vec![UNTOUCHED; blocks],
+            owners: Vec::with_capacity(capacity),
+            spent: vec![0.0; capacity * BLOCK_VOXELS],
+            partial: vec![0; capacity * BLOCK_VOXELS / BLOCK_EDGE],
+            capacity,
+        }
+    }
+
+    /// Blocks in use.
+    pub fn used(&self) -> usize {
+        self.owners.len()
+    }
+
+    /// Blocks there are.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    #[inline]
+    fn locate(&self, i: usize, j: usize, k: usize) -> (usize, usize) {
+        let block = ((k >> BLOCK_SHIFT) * self.block_dims[1] + (j >> BLOCK_SHIFT)) * self.block_dims[0]
+            + (i >> BLOCK_SHIFT);
+        let mask = BLOCK_EDGE - 1;
+        (block, (((k & mask) << BLOCK_SHIFT) + (j & mask)) * BLOCK_EDGE + (i & mask))
+    }
+
+    /// Spent fraction of a voxel in [0, 1].
+    #[inline]
+    pub fn spent(&self, i: usize, j: usize, k: usize) -> f64 {
+        let (block, offset) = self.locate(i, j, k);
+        match self.table[block] {
+            UNTOUCHED => 0.0,
+            slot => self.spent[slot as usize * BLOCK_VOXELS + offset],
+        }
+    }
+
+    /// Where the voxel's fraction is kept, taking a block if needed; `None` if the pool is full.
+    pub fn claim(&mut self, i: usize, j: usize, k: usize) -> Option<usize> {
+        let (block, offset) = self.locate(i, j, k);
+        if self.table[block] == UNTOUCHED {
+            if self.owners.len() == self.capacity {
+                return None;
+            }
+            self.table[block] = self.owners.len() as u32;
+            self.owners.push(block as u32);
+        }
+        Some(self.table[block] as usize * BLOCK_VOXELS + offset)
+    }
+
+    /// The fraction at a place that [`Self::claim`] returned.
+    pub fn at(&self, place: usize) -> f64 {
+        self.spent[place]
+    }
+
+    /// Sets the fraction at a place that [`Self::claim`] returned.
+    pub fn set(&mut self, place: usize, spent: f64) {
+        self.spent[place] = spent;
+        self.partial[place / BLOCK_EDGE] |= u8::from(spent > 0.0) << (place % BLOCK_EDGE);
+    }
+
+    /// Bit b: voxel `start + b` of row (j, k), which lies in the grid, may have a spent fraction above 0.
+    #[inline]
+    pub fn partial_window(&self, start: i64, j: usize, k: usize) -> u8 {
+        if self.owners.is_empty() {
+            return 0;
+        }
+        let row_of_blocks =
+            ((k >> BLOCK_SHIFT) * self.block_dims[1] + (j >> BLOCK_SHIFT)) * self.block_dims[0];
+        let row_in_block = ((k & (BLOCK_EDGE - 1)) << BLOCK_SHIFT) + (j & (BLOCK_EDGE - 1));
+        let bits = |block: i64| {
+            if block < 0 || block >= self.block_dims[0] as i64 {
+                return 0;
+            }
+            match self.table[row_of_blocks + block as usize] {
+                UNTOUCHED => 0,
+                slot => u16::from(self.partial[slot as usize * BLOCK_EDGE * BLOCK_EDGE + row_in_block]),
+            }
+        };
+        let first = start >> BLOCK_SHIFT;
+        ((bits(first) | bits(first + 1) << 8) >> (start & 7)) as u8
+    }
+
+    /// Forgets what a voxel absorbed, if anything.
+    pub fn forget(&mut self, i: usize, j: usize, k: usize) {
+        let (block, offset) = self.locate(i, j, k);
+        if self.table[block] != UNTOUCHED {
+            self.spent[self.table[block] as usize * BLOCK_VOXELS + offset] = 0.0;
+        }
+    }
+
+    /// The block numbers in use, in order of first touch, and their fractions, `BLOCK_VOXELS` each.
+    pub fn contents(&self) -> (&[u32], &[f64]) {
+        (&self.owners, &self.spent[..self.owners.len() * BLOCK_VOXELS])
+    }
+
+    /// Voxel `offset` of slot `slot`, or `None` if that part of the block lies outside the grid.
+    pub fn voxel_of(&self, slot: usize, offset: usize) -> Option<[usize; 3]> {
+        let block = self.owners[slot] as usize;
+        let [bx, by, _] = self.block_dims;
+        let corner = [block % bx, (block / bx) % by, block / (bx * by)];
+        let mask = BLOCK_EDGE - 1;
+        let inner = [offset & mask, (offset >> BLOCK_SHIFT) & mask, offset >> (2 * BLOCK_SHIFT)];
+        let voxel = [0, 1, 2].map(|a| corner[a] * BLOCK_EDGE + inner[a]);
+        (0..3).all(|a| voxel[a] < self.dims[a]).then_some(voxel)
+    }
+
+    /// Makes every voxel whole again.
+    pub fn clear(&mut self) {
+        let used = self.owners.len() * BLOCK_VOXELS;
+        self.spent[..used].fill(0.0);
+        self.partial[..used / BLOCK_EDGE].fill(0);
+        for block in &self.owners {
+            self.table[*block as usize] = UNTOUCHED;
+        }
+        self.owners.clear();
+    }
+
+    /// Replaces the contents by those of another pool's [`Self::contents`]; false if they do not fit.
+    pub fn load(&mut self, owners: &[u32], spent: &[f64]) -> bool {
+        let fits = owners.len() <= self.capacity
+            && spent.len() == owners.len() * BLOCK_VOXELS
+            && owners.iter().all(|block| (*block as usize) < self.table.len());
+        if fits {
+            self.clear();
+            self.owners.extend_from_slice(owners);
+            for (slot, block) in owners.iter().enumerate() {
+                self.table[*block as usize] = slot as u32;
+            }
+            for (place, spent) in spent.iter().enumerate() {
+                self.set(place, *spent);
+            }
+        }
+        fits
+    }
+}

@@ -1,0 +1,227 @@
+//! O(n) factorisation of the chain's implicit operator.
+//!
+//! `H = M(q) + diag` is factored by the articulated-body recursion (Featherstone 2008, ch. 7), in the bending plane
+//! and with every spatial quantity referred to the base origin, so that no transform stands between two links. A
+//! planar motion is (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z). The mobility of a link to a
+//! force on itself follows from base to tip (the operational-space recursion of Kreutz-Delgado, Jain and Rodriguez
+//! 1992), and to a force on an earlier link by going on outward.
+
+use super::MAX_JOINTS;
+use super::geometry::{Configuration, Layout, Planar};
+
+/// Planar spatial motion (omega, v_x, v_z) or force (m, f_x, f_z) at the base origin.
+pub(super) type Spatial = [f64; 3];
+
+/// Symmetric 3 x 3: entries 00 01 02 11 12 22.
+type Symmetric = [f64; 6];
+
+pub(super) fn dot(a: &Spatial, b: &Spatial) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn times(m: &Symmetric, v: &Spatial) -> Spatial {
+    [
+        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
+        m[1] * v[0] + m[3] * v[1] + m[4] * v[2],
+        m[2] * v[0] + m[4] * v[1] + m[5] * v[2],
+    ]
+}
+
+/// m += scale a b' for symmetric a b' (a parallel to b, or used in pairs).
+fn add_outer(m: &mut Symmetric, scale: f64, a: &Spatial) {
+    m[0] += scale * a[0] * a[0];
+    m[1] += scale * a[0] * a[1];
+    m[2] += scale * a[0] * a[2];
+    m[3] += scale * a[1] * a[1];
+    m[4] += scale * a[1] * a[2];
+    m[5] += scale * a[2] * a[2];
+}
+
+/// Velocity at the base origin of a unit rotation about a flexure at `p`.
+pub(super) fn joint_axis(p: &Planar) -> Spatial {
+    [1.0, -p[1], p[0]]
+}
+
+/// The force (at a point `p`) and moment, moved to the base origin.
+pub(super) fn force_at(p: &Planar, moment: f64, force: &Planar) -> Spatial {
+    [moment + p[1] * force[0] - p[0] * force[1], force[0], force[1]]
+}
+
+/// The velocity of a point `p` of a body with planar motion `v`.
+pub(super) fn velocity_at(p: &Planar, v: &Spatial) -> Planar {
+    [v[1] + v[0] * p[1], v[2] - v[0] * p[0]]
+}
+
+/// A vector of generalised velocities or impulses: the flexures, and the mount along base x, y, z.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Generalised {
+    pub joint: [f64; MAX_JOINTS],
+    pub mount: [f64; 3],
+}
+
+impl Generalised {
+    pub const ZERO: Self = Self { joint: [0.0; MAX_JOINTS], mount: [0.0; 3] };
+
+    /// self + scale other.
+    pub fn plus(&self, scale: f64, other: &Self) -> Self {
+        let mut sum = *self;
+        for (s, o) in sum.joint.iter_mut().zip(&other.joint) {
+            *s += scale * o;
+        }
+        for (s, o) in sum.mount.iter_mut().zip(&other.mount) {
+            *s += scale * o;
+        }
+        sum
+    }
+}
+
+/// The factored operator.
+#[derive(Debug, Clone)]
+pub(super) struct Articulated {
+    joints: usize,
+    /// Joint axes.
+    pub axis: [Spatial; MAX_JOINTS],
+    /// Articulated inertia times axis.
+    pub bias: [Spatial; MAX_JOINTS],
+    /// 1 / (axis . bias + diagonal).
+    pub inverse: [f64; MAX_JOINTS],
+    /// Inverse of the root's 2 x 2 (x, z): entries xx, xz, zz.
+    root: [f64; 3],
+    /// Inverse of the out-of-plane operator.
+    pub lateral: f64,
+    /// Mobility of each link to a force on itself.
+    mobility: [Symmetric; MAX_JOINTS + 1],
+}
+
+impl Articulated {
+    pub fn new(joints: usize) -> Self {
+        Self {
+            joints,
+            axis: [[0.0; 3]; MAX_JOINTS],
+            bias: [[0.0; 3]; MAX_JOINTS],
+            inverse: [0.0; MAX_JOINTS],
+            root: [0.0; 3],
+            lateral: 0.0,
+            mobility: [[0.0; 6]; MAX_JOINTS + 1],
+        }
+    }
+
+    /// Factors M(configuration) + diag(`diagonal`).
+    pub fn factor(&mut self, layout: &Layout, configuration: &Configuration, diagonal: &Generalised) {
+        let mut inertia: Symmetric = [0.0; 6];
+        for i in (0..self.joints).rev() {
+            add_body(&mut inertia, layout, configuration, i + 1);
+            let axis = joint_axis(&configuration.origin[i + 1]);
+            let bias = times(&inertia, &axis);
+            let inverse = 1.0 / (dot(&axis, &bias) + diagonal.joint[i]);
+            add_outer(&mut inertia, -inverse, &bias);
+            self.axis[i] = axis;
+            self.bias[i] = bias;
+            self.inverse[i] = inverse;
+        }
+        add_body(&mut inertia, layout, configuration, 0);
+        let (xx, xz, zz) = (inertia[3] + diagonal.mount[0], inertia[4], inertia[5] + diagonal.mount[2]);
+        let inverse = 1.0 / (xx * zz - xz * xz);
+        self.root = [zz * inverse, -xz * inverse, xx * inverse];
+        self.lateral = 1.0 / (layout.total_mass_kg + diagonal.mount[1]);
+    }
+
+    /// Solves H x = `generalised` + sum over links of `force` (planar, at the origin; index 0 is the shaft).
+    pub fn solve(&self, force: &[Spatial; MAX_JOINTS + 1], generalised: &Generalised) -> Generalised {
+        let mut torque = [0.0; MAX_JOINTS];
+        let mut sum: Spatial = [0.0; 3];
+        for i in (0..self.joints).rev() {
+            for k in 0..3 {
+                sum[k] += force[i + 1][k];
+            }
+            let t = (generalised.joint[i] + dot(&self.axis[i], &sum)) * self.inverse[i];
+            for k in 0..3 {
+                sum[k] -= self.bias[i][k] * t;
+            }
+            torque[i] = t;
+        }
+        let rhs = [generalised.mount[0] + sum[1] + force[0][1], generalised.mount[2] + sum[2] + force[0][2]];
+        let mut out = Generalised::ZERO;
+        out.mount[0] = self.root[0] * rhs[0] + self.root[1] * rhs[1];
+        out.mount[1] = self.lateral * generalised.mount[1];
+        out.mount[2] = self.root[1] * rhs[0] + self.root[2] * rhs[1];
+        let mut v: Spatial = [0.0, out.mount[0], out.mount[2]];
+        for i in 0..self.joints {
+            out.joint[i] = torque[i] - dot(&self.bias[i], &v) * self.inverse[i];
+            for k in 0..3 {
+                v[k] += self.axis[i][k] * out.joint[i];
+            }
+        }
+        out
+    }
+
+    /// Mobility of every link to a force on itself; needed before [`Self::link_response`] and [`Self::joint_response`].
+    pub fn update_mobility(&mut self) {
+        self.mobility[0] = [0.0, 0.0, 0.0, self.root[0], self.root[1], self.root[2]];
+        for i in 0..self.joints {
+            // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W u.
+            let inverse = self.inverse[i];
+            let w = times(&self.mobility[i], &self.bias[i]);
+            let s = self.axis[i];
+            let scale = (dot(&self.bias[i], &w) * inverse + 1.0) * inverse;
+            let mut m = self.mobility[i];
+            add_outer(&mut m, scale, &s);
+            m[0] -= inverse * 2.0 * w[0] * s[0];
+            m[1] -= inverse * (w[0] * s[1] + w[1] * s[0]);
+            m[2] -= inverse * (w[0] * s[2] + w[2] * s[0]);
+            m[3] -= inverse * 2.0 * w[1] * s[1];
+            m[4] -= inverse * (w[1] * s[2] + w[2] * s[1]);
+            m[5] -= inverse * 2.0 * w[2] * s[2];
+            self.mobility[i + 1] = m;
+        }
+    }
+
+    /// Motion of `link` under a force on itself.
+    pub fn link_response(&self, link: usize, force: &Spatial) -> Spatial {
+        times(&self.mobility[link], force)
+    }
+
+    /// Joint velocity and motion of the link behind `joint` under a unit torque in that joint.
+    pub fn joint_response(&self, joint: usize) -> (f64, Spatial) {
+        let inverse = self.inverse[joint];
+        let mut v = times(&self.mobility[joint], &self.bias[joint]).map(|x| -x * inverse);
+        let rate = (1.0 - dot(&self.bias[joint], &v)) * inverse;
+        for k in 0..3 {
+            v[k] += self.axis[joint][k] * rate;
+        }
+        (rate, v)
+    }
+
+    /// Carries a motion caused inward of `joint` across it: the joint's velocity; `v` becomes the next link's motion.
+    pub fn carry_outward(&self, joint: usize, v: &mut Spatial) -> f64 {
+        let rate = -dot(&self.bias[joint], v) * self.inverse[joint];
+        for k in 0..3 {
+            v[k] += self.axis[joint][k] * rate;
+        }
+        rate
+    }
+
+    /// Motions of all links for generalised velocities `x`.
+    pub fn link_motions(&self, x: &Generalised, out: &mut [Spatial; MAX_JOINTS + 1]) {
+        let mut v: Spatial = [0.0, x.mount[0], x.mount[2]];
+        out[0] = v;
+        for i in 0..self.joints {
+            for k in 0..3 {
+                v[k] += self.axis[i][k] * x.joint[i];
+            }
+            out[i + 1] = v;
+        }
+    }
+}
+
+/// Adds the rigid-body inertia of `link` about the base origin.
+fn add_body(inertia: &mut Symmetric, layout: &Layout, configuration: &Configuration, link: usize) {
+    let body = &layout.body[link];
+    let c = configuration.point(link, body.centre_m);
+    let m = body.mass_kg;
+    inertia[0] += body.inertia_kg_m2 + m * (c[0] * c[0] + c[1] * c[1]);
+    inertia[1] += m * c[1];
+    inertia[2] -= m * c[0];
+    inertia[3] += m;
+    inertia[5] += m;
+}

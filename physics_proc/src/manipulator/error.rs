@@ -1,0 +1,69 @@
+//! What construction and a step refuse.
+
+/// Why [`super::Manipulator::new`] or [`super::Manipulator::step`] refused its input. A refused step changes nothing.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum ManipulatorError {
+    /// A scalar lies outside the range that the model accepts.
+    #[error("manipulator `{field}` is {value}, expected {allowed}; correct it where the value is set")]
+    OutOfRange {
+        /// Name of the field.
+        field: &'static str,
+        /// The value that was given.
+        value: f64,
+        /// The range that is accepted, in words.
+        allowed: &'static str,
+    },
+    /// An entry of a per-joint list lies outside the range that the model accepts.
+    #[error(
+        "manipulator `{field}[{index}]` is {value}, expected {allowed}; correct it where the list is set"
+    )]
+    EntryOutOfRange {
+        /// Name of the list.
+        field: &'static str,
+        /// Index of the offending entry.
+        index: usize,
+        /// The value that was given.
+        value: f64,
+        /// The range that is accepted, in words.
+        allowed: &'static str,
+    },
+    /// A per-joint list has another length than the list of joints, or there are too few or too many joints.
+    #[error("manipulator `{field}` has {given} entries, expected {expected}; give one entry per flexure")]
+    Length {
+        /// Name of the list.
+        field: &'static str,
+        /// How many entries were given.
+        given: usize,
+        /// How many are accepted, in words.
+        expected: &'static str,
+    },
+}
+
+/// `Ok` if `value` is finite and `accept` holds for it.
+pub(super) fn check(
+    field: &'static str,
+    value: f64,
+    allowed: &'static str,
+    accept: impl Fn(f64) -> bool,
+) -> Result<(), ManipulatorError> {
+    if value.is_finite() && accept(value) {
+        Ok(())
+    } else {
+        Err(ManipulatorError::OutOfRange { field, value, allowed })
+    }
+}
+
+/// `Ok` if every entry of `values` is finite and `accept` holds for it.
+pub(super) fn check_all(
+    field: &'static str,
+    values: &[f64],
+    allowed: &'static str,
+    accept: impl Fn(f64) -> bool,
+) -> Result<(), ManipulatorError> {
+    for (index, &value) in values.iter().enumerate() {
+        if !(value.is_finite() && accept(value)) {
+            return Err(ManipulatorError::EntryOutOfRange { field, index, value, allowed });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,171 @@
+//! Fixed layout of the chain (bodies, spheres) and its planar configuration.
+
+use super::parameters::ManipulatorParameters;
+use super::{MAX_JOINTS, MAX_SPHERES};
+
+/// A point or vector in the bending plane, base axes: (x, z).
+pub(super) type Planar = [f64; 2];
+
+/// What a proxy sphere stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SphereKind {
+    /// On the rigid shaft before the first flexure.
+    Shaft,
+    /// In the middle of the segment behind this flexure.
+    Segment(usize),
+    /// The burr at the tip.
+    Burr,
+}
+
+/// A sphere fixed to a link. Link 0 is the shaft, link i + 1 follows flexure i.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SphereLayout {
+    pub kind: SphereKind,
+    pub radius_m: f64,
+    pub link: usize,
+    /// Distance along the link's axis: from the base origin for the shaft, else from the link's flexure.
+    pub along_m: f64,
+}
+
+/// Mass properties of a link, along its own axis.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct LinkBody {
+    pub mass_kg: f64,
+    /// From the link's flexure (or the base origin) to the centre of mass.
+    pub centre_m: f64,
+    /// About the centre of mass, axis y.
+    pub inertia_kg_m2: f64,
+}
+
+/// What never changes after construction.
+#[derive(Debug, Clone)]
+pub(super) struct Layout {
+    pub joints: usize,
+    pub first_joint_m: f64,
+    /// Length of the link behind each flexure (the last ends at the burr centre).
+    pub length_m: [f64; MAX_JOINTS],
+    /// Bodies: the shaft, then one a flexure.
+    pub body: [LinkBody; MAX_JOINTS + 1],
+    pub spheres: Vec<SphereLayout>,
+    pub total_mass_kg: f64,
+}
+
+impl Layout {
+    /// Links, masses and spheres of validated parameters.
+    pub fn new(p: &ManipulatorParameters) -> Self {
+        let n = p.joint_positions_m.len();
+        let mut length_m = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            length_m[i] =
+                if i + 1 < n { p.joint_positions_m[i + 1] - p.joint_positions_m[i] } else { p.tip_offset_m };
+        }
+        let mut body = [LinkBody::default(); MAX_JOINTS + 1];
+        body[0] = LinkBody { mass_kg: p.shaft_mass_kg, centre_m: p.shaft_centre_m, inertia_kg_m2: 0.0 };
+        let transverse =
+            0.25 * (p.tube_radii_m[0] * p.tube_radii_m[0] + p.tube_radii_m[1] * p.tube_radii_m[1]);
+        for i in 0..n {
+            let mass = p.linear_density_kg_per_m * length_m[i];
+            let inertia = mass * (length_m[i] * length_m[i] / 12.0 + transverse);
+            body[i + 1] = LinkBody { mass_kg: mass, centre_m: 0.5 * length_m[i], inertia_kg_m2: inertia };
+        }
+        body[n] = with_burr(body[n], p);
+        let total_mass_kg = body[..=n].iter().map(|b| b.mass_kg).sum();
+        let first_joint_m = p.joint_positions_m[0];
+        Self { joints: n, first_joint_m, length_m, body, spheres: spheres(p, &length_m), total_mass_kg }
+    }
+}
+
+/// The last link's tube joined with the burr, a solid sphere at the tip.
+fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
+    let mass = tube.mass_kg + p.burr_mass_kg;
+    let centre = (tube.mass_kg * tube.centre_m + p.burr_mass_kg * p.tip_offset_m) / mass;
+    let own = 0.4 * p.burr_mass_kg * p.burr_radius_m * p.burr_radius_m;
+    let (dt, db) = (tube.centre_m - centre, p.tip_offset_m - centre);
+    let inertia = tube.inertia_kg_m2 + own + tube.mass_kg * dt * dt + p.burr_mass_kg * db * db;
+    LinkBody { mass_kg: mass, centre_m: centre, inertia_kg_m2: inertia }
+}
+
+/// Shaft spheres at equal spacing, one sphere a segment, the burr: link indices never decrease.
+fn spheres(p: &ManipulatorParameters, length_m: &[f64; MAX_JOINTS]) -> Vec<SphereLayout> {
+    let n = p.joint_positions_m.len();
+    let mut list = Vec::with_capacity(MAX_SPHERES);
+    for i in 0..p.shaft_sphere_count {
+        let fraction =
+            if p.shaft_sphere_count > 1 { i as f64 / (p.shaft_sphere_count - 1) as f64 } else { 0.0 };
+        let [first, last] = p.shaft_sphere_span_m;
+        list.push(SphereLayout {
+            kind: SphereKind::Shaft,
+            radius_m: p.shaft_sphere_radius_m,
+            link: 0,
+            along_m: first + fraction * (last - first),
+        });
+    }
+    for i in 0..n {
+        // The last segment is as long as the one before it; the rest of the last link is the burr's shank.
+        let segment = if i + 1 == n && n > 1 { length_m[i - 1].min(length_m[i]) } else { length_m[i] };
+        list.push(SphereLayout {
+            kind: SphereKind::Segment(i),
+            radius_m: p.segment_sphere_radius_m,
+            link: i + 1,
+            along_m: 0.5 * segment,
+        });
+    }
+    list.push(SphereLayout {
+        kind: SphereKind::Burr,
+        radius_m: p.burr_radius_m,
+        link: n,
+        along_m: length_m[n - 1],
+    });
+    list
+}
+
+/// Where the links are, in base axes, for one set of joint angles and one mount displacement.
+#[derive(Debug, Clone)]
+pub(super) struct Configuration {
+    /// sin and cos of half of each joint angle.
+    pub half_sin: [f64; MAX_JOINTS],
+    /// See `half_sin`.
+    pub half_cos: [f64; MAX_JOINTS],
+    /// Origin of each link: the displaced base origin, then the flexure centres.
+    pub origin: [Planar; MAX_JOINTS + 1],
+    /// Axis of each link, (sin, cos) of its angle to base z.
+    pub axis: [Planar; MAX_JOINTS + 1],
+}
+
+impl Configuration {
+    /// The straight tool.
+    pub fn new() -> Self {
+        Self {
+            half_sin: [0.0; MAX_JOINTS],
+            half_cos: [1.0; MAX_JOINTS],
+            origin: [[0.0; 2]; MAX_JOINTS + 1],
+            axis: [[0.0, 1.0]; MAX_JOINTS + 1],
+        }
+    }
+
+    /// Sets every link for joint angles `q` (rad) and mount displacement `mount` (base axes x, y, z, m).
+    pub fn update(&mut self, layout: &Layout, q: &[f64; MAX_JOINTS], mount: &[f64; 3]) {
+        self.origin[0] = [mount[0], mount[2]];
+        let mut origin = [mount[0], mount[2] + layout.first_joint_m];
+        let (mut sin, mut cos) = (0.0, 1.0);
+        for i in 0..layout.joints {
+            let (half_sin, half_cos) = libm::sincos(0.5 * q[i]);
+            self.half_sin[i] = half_sin;
+            self.half_cos[i] = half_cos;
+            let (joint_sin, joint_cos) =
+                (2.0 * half_sin * half_cos, (half_cos - half_sin) * (half_cos + half_sin));
+            (sin, cos) = (sin * joint_cos + cos * joint_sin, cos * joint_cos - sin * joint_sin);
+            self.origin[i + 1] = origin;
+            self.axis[i + 1] = [sin, cos];
+            origin = [origin[0] + layout.length_m[i] * sin, origin[1] + layout.length_m[i] * cos];
+        }
+    }
+
+    /// The point at `along_m` on the axis of `link`.
+    pub fn point(&self, link: usize, along_m: f64) -> Planar {
+        [
+            self.origin[link][0] + along_m * self.axis[link][0],
+            self.origin[link][1] + along_m * self.axis[link][1],
+        ]
+    }
+}

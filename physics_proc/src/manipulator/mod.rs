@@ -1,0 +1,304 @@
+//! The planar rung of the manipulator ladder: a chain of flexures in reduced coordinates, stepped implicitly, with
+//! tendons, contact and joint stops inside the same velocity solve.
+//!
+//! # Frames
+//!
+//! World is the patient frame (LPS, metres). The base frame sits at the flange: +z is the insertion axis along the
+//! straight tool, +x the bending direction toward tendon 0, and every flexure turns about +y, so that positive angles
+//! bend toward +x. The tool hangs on the base by a translational mount (three springs along the base axes), which
+//! carries axial and out-of-plane loads; the chain itself bends only in the x-z plane. Link 0 is the rigid shaft, link
+//! i + 1 follows flexure i; the tip frame is that of the last link, with its origin at the burr centre.
+//!
+//! # Method
+//!
+//! Flexures are hinges at the flexure centres, so that the chain's error against the continuum is O(1/n^2). The
+//! operator `M + dt D + dt^2 K` is factored in O(n) (`articulated`); tendons act along their channels (`tendon`);
+//! contact is solved by Gauss-Seidel on accumulated impulses on the mobility of that very operator (`delassus`,
+//! `contact`). Nothing is allocated after [`Manipulator::new`].
+
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over joints and vector components index several arrays at once"
+)]
+
+mod articulated;
+mod contact;
+mod coupling;
+mod delassus;
+mod error;
+mod geometry;
+mod loads;
+mod modal;
+mod parameters;
+mod row;
+mod state;
+mod step;
+mod tendon;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use articulated::Articulated;
+use contact::ContactSolver;
+use coupling::Coupling;
+use geometry::{Configuration, Layout};
+use loads::Loads;
+use tendon::TendonLoad;
+
+pub use error::ManipulatorError;
+pub use geometry::SphereKind;
+pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, TendonParameters};
+pub use state::{
+    BaseMotion, ContactPlane, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport,
+    TendonCommand, Wrench,
+};
+
+/// Most flexures of a chain.
+pub const MAX_JOINTS: usize = 32;
+/// Most proxy spheres on the shaft.
+pub const MAX_SHAFT_SPHERES: usize = 8;
+/// Most contacts of a step; further ones are refused and counted.
+pub const MAX_CONTACTS: usize = 96;
+/// Shaft, one a segment, burr.
+const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
+/// Rows of the contact solver: three a sphere, one a stop.
+const MAX_ROWS: usize = 3 * MAX_SPHERES + MAX_JOINTS;
+
+/// A continuum manipulator.
+#[derive(Debug, Clone)]
+pub struct Manipulator {
+    parameters: ManipulatorParameters,
+    layout: Layout,
+    stiffness: [f64; MAX_JOINTS],
+    damping: [f64; MAX_JOINTS],
+    mount_damping: [f64; 3],
+    first_frequency_rad_per_s: f64,
+    state: ManipulatorState,
+    /// Follows from `state`.
+    configuration: Configuration,
+    /// Follows from `state`.
+    spheres: Vec<ProxySphere>,
+    /// Workspace from here on.
+    trial: Configuration,
+    articulated: Articulated,
+    tendon: TendonLoad,
+    coupling: Coupling,
+    loads: Loads,
+    contact: ContactSolver,
+}
+
+impl Manipulator {
+    /// A straight tool at rest on `base`, with slack tendons.
+    pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
+        parameters.validate()?;
+        step::validate_base(base)?;
+        let layout = Layout::new(&parameters);
+        let n = layout.joints;
+        let mut stiffness = [0.0; MAX_JOINTS];
+        stiffness[..n].copy_from_slice(&parameters.joint_stiffness_nm_per_rad);
+        let first = modal::first_frequency_rad_per_s(&layout, &stiffness);
+        let damping = stiffness.map(|k| 2.0 * parameters.damping_ratio / first * k);
+        let mount_damping = parameters
+            .mount_stiffness_n_per_m
+            .map(|k| 2.0 * parameters.mount_damping_ratio * libm::sqrt(k * layout.total_mass_kg));
+        let blank = |s: &geometry::SphereLayout| ProxySphere {
+            centre_m: Vector3::zeros(),
+            velocity_m_per_s: Vector3::zeros(),
+            radius_m: s.radius_m,
+            kind: s.kind,
+        };
+        let mut manipulator = Self {
+            spheres: layout.spheres.iter().map(blank).collect(),
+            stiffness,
+            damping,
+            mount_damping,
+            first_frequency_rad_per_s: first,
+            state: ManipulatorState::new(base),
+            configuration: Configuration::new(),
+            trial: Configuration::new(),
+            articulated: Articulated::new(n),
+            tendon: TendonLoad::new(),
+            coupling: Coupling::new(),
+            loads: Loads::new(),
+            contact: ContactSolver::new(),
+            layout,
+            parameters,
+        };
+        manipulator.update_configuration();
+        Ok(manipulator)
+    }
+
+    /// Links and spheres for the present state.
+    fn update_configuration(&mut self) {
+        let state = &self.state;
+        self.configuration.update(&self.layout, &state.joint_position_rad, &state.mount_displacement_m);
+        let (pose, y, mount) =
+            (&state.base.t_world_base, state.mount_displacement_m[1], &state.mount_velocity_m_per_s);
+        let rotation = pose.rotation.to_rotation_matrix();
+        // Rate and origin velocity (x, z) of the link the sphere sits on; spheres come by ascending link.
+        let (mut link, mut omega, mut v) = (0, 0.0, [mount[0], mount[2]]);
+        for (sphere, fixed) in self.spheres.iter_mut().zip(&self.layout.spheres) {
+            while link < fixed.link {
+                let length =
+                    if link == 0 { self.layout.first_joint_m } else { self.layout.length_m[link - 1] };
+                let e = &self.configuration.axis[link];
+                v = [v[0] + omega * length * e[1], v[1] - omega * length * e[0]];
+                omega += state.joint_velocity_rad_per_s[link];
+                link += 1;
+            }
+            let e = &self.configuration.axis[link];
+            let c = self.configuration.point(link, fixed.along_m);
+            let arm = omega * fixed.along_m;
+            let relative = rotation * Vector3::new(v[0] + arm * e[1], mount[1], v[1] - arm * e[0]);
+            let centre = rotation * Vector3::new(c[0], y, c[1]);
+            sphere.centre_m = pose.translation.vector + centre;
+            sphere.velocity_m_per_s = state.base.linear_velocity_m_per_s
+                + state.base.angular_velocity_rad_per_s.cross(&centre)
+                + relative;
+        }
+    }
+
+    /// Number of flexures.
+    pub fn joint_count(&self) -> usize {
+        self.layout.joints
+    }
+
+    /// The parameters the tool was built from.
+    pub fn parameters(&self) -> &ManipulatorParameters {
+        &self.parameters
+    }
+
+    /// First bending mode of the straight tool on a rigid mount, Hz.
+    pub fn first_natural_frequency_hz(&self) -> f64 {
+        self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
+    }
+
+    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    pub fn proxy_spheres(&self) -> &[ProxySphere] {
+        &self.spheres
+    }
+
+    /// Flexure angles, base to tip, rad.
+    pub fn joint_positions_rad(&self) -> &[f64] {
+        &self.state.joint_position_rad[..self.layout.joints]
+    }
+
+    /// Flexure rates, base to tip, rad/s.
+    pub fn joint_velocities_rad_per_s(&self) -> &[f64] {
+        &self.state.joint_velocity_rad_per_s[..self.layout.joints]
+    }
+
+    /// Sum of the flexure angles, rad.
+    pub fn bend_rad(&self) -> f64 {
+        self.joint_positions_rad().iter().sum()
+    }
+
+    /// Pose of link `link` (0 is the shaft at the base origin, i + 1 sits at flexure i), z along the link. A link past
+    /// the last is the last.
+    pub fn t_world_link(&self, link: usize) -> Isometry3<f64> {
+        let link = link.min(self.layout.joints);
+        self.t_world_point(link, 0.0)
+    }
+
+    /// Poses of all links, the shaft first.
+    pub fn link_poses(&self) -> impl Iterator<Item = Isometry3<f64>> + '_ {
+        (0..=self.layout.joints).map(|link| self.t_world_point(link, 0.0))
+    }
+
+    /// Pose of the tip frame: origin at the burr centre, z along the last link.
+    pub fn t_world_tip(&self) -> Isometry3<f64> {
+        let n = self.layout.joints;
+        self.t_world_point(n, self.layout.length_m[n - 1])
+    }
+
+    fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64> {
+        let angle: f64 = self.state.joint_position_rad[..link].iter().sum();
+        let point = self.configuration.point(link, along_m);
+        let translation = Translation3::new(point[0], self.state.mount_displacement_m[1], point[1]);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle);
+        self.state.base.t_world_base * Isometry3::from_parts(translation, rotation)
+    }
+
+    /// Base motion at the end of the last step.
+    pub fn base(&self) -> &BaseMotion {
+        &self.state.base
+    }
+
+    /// Puts the tool elsewhere at once, shape and relative motion kept: for scene set-up, not for motion.
+    pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
+        step::validate_base(base)?;
+        self.state.base = *base;
+        self.update_configuration();
+        Ok(())
+    }
+
+    /// Tension of each tendon at its base end after the last step, N.
+    pub fn tendon_tensions_n(&self) -> [f64; 2] {
+        self.state.report.tendon_tension_n
+    }
+
+    /// Pulled length of each tendon after the last step, its stretch included, m.
+    pub fn tendon_displacements_m(&self) -> [f64; 2] {
+        self.state.report.tendon_displacement_m
+    }
+
+    /// What the tool exerted on the flange in the last step: world axes, torque about the base origin.
+    pub fn flange_wrench(&self) -> Wrench {
+        self.state.report.flange_wrench
+    }
+
+    /// Contacts of the last step, ordered by sphere.
+    pub fn contact_results(&self) -> &[ContactResult] {
+        &self.state.results[..self.state.result_count]
+    }
+
+    /// Summary of the last step.
+    pub fn last_report(&self) -> &StepReport {
+        &self.state.report
+    }
+
+    /// Kinetic energy relative to the base plus elastic energy of flexures and mount, J.
+    pub fn energy_j(&self) -> f64 {
+        let mut energy = 0.0;
+        for i in 0..self.layout.joints {
+            let q = self.state.joint_position_rad[i];
+            energy += 0.5 * self.stiffness[i] * q * q;
+        }
+        for k in 0..3 {
+            let u = self.state.mount_displacement_m[k];
+            energy += 0.5 * self.parameters.mount_stiffness_n_per_m[k] * u * u;
+        }
+        energy + self.kinetic_energy_j()
+    }
+
+    /// Kinetic energy relative to the base, J.
+    pub fn kinetic_energy_j(&self) -> f64 {
+        let state = &self.state;
+        let mount = &state.mount_velocity_m_per_s;
+        let (mut omega, mut v, mut energy) = (0.0, [mount[0], mount[2]], 0.0);
+        for link in 0..=self.layout.joints {
+            let body = &self.layout.body[link];
+            let e = &self.configuration.axis[link];
+            if link > 0 {
+                omega += state.joint_velocity_rad_per_s[link - 1];
+            }
+            let arm = omega * body.centre_m;
+            let (x, z) = (v[0] + arm * e[1], v[1] - arm * e[0]);
+            let squared = x * x + z * z + mount[1] * mount[1];
+            energy += 0.5 * (body.mass_kg * squared + body.inertia_kg_m2 * omega * omega);
+            let length = if link == 0 { self.layout.first_joint_m } else { self.layout.length_m[link - 1] };
+            v = [v[0] + omega * length * e[1], v[1] - omega * length * e[0]];
+        }
+        energy
+    }
+
+    /// A copy of the whole dynamic state.
+    pub fn snapshot(&self) -> ManipulatorState {
+        self.state.clone()
+    }
+
+    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    pub fn restore(&mut self, state: &ManipulatorState) {
+        self.state.clone_from(state);
+        self.update_configuration();
+    }
+}

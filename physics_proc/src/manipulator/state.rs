@@ -1,0 +1,216 @@
+//! What goes into a step, what comes out, and the state between steps.
+
+use nalgebra::{Isometry3, Unit, Vector3};
+
+use super::geometry::SphereKind;
+use super::parameters::Integrator;
+use super::tendon::TendonMemory;
+use super::{MAX_CONTACTS, MAX_JOINTS};
+
+/// Prescribed motion of the flange.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BaseMotion {
+    /// Pose of the base frame.
+    pub t_world_base: Isometry3<f64>,
+    /// Velocity of the base origin, world axes, m/s.
+    pub linear_velocity_m_per_s: Vector3<f64>,
+    /// Angular velocity, world axes, rad/s.
+    pub angular_velocity_rad_per_s: Vector3<f64>,
+}
+
+impl BaseMotion {
+    /// A base at rest.
+    pub fn at_rest(t_world_base: Isometry3<f64>) -> Self {
+        Self {
+            t_world_base,
+            linear_velocity_m_per_s: Vector3::zeros(),
+            angular_velocity_rad_per_s: Vector3::zeros(),
+        }
+    }
+}
+
+/// How the two tendons are driven.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TendonCommand {
+    /// Tension at the base end, N (`servo_jf`). A negative tension counts as 0.
+    Force([f64; 2]),
+    /// Length pulled out at the base from the straight tool's slackless length, m (`servo_jp`). The tension follows
+    /// from the tendon's stiffness; a slack tendon does not push.
+    Displacement([f64; 2]),
+}
+
+/// A plane that a proxy sphere must not cross, in the configuration before the step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactPlane {
+    /// Index into [`super::Manipulator::proxy_spheres`].
+    pub sphere_index: usize,
+    /// Point on the obstacle's surface, world, m. The step itself needs only `normal` and `gap_m`.
+    pub point_m: Vector3<f64>,
+    /// World, from the obstacle to the sphere.
+    pub normal: Unit<Vector3<f64>>,
+    /// Distance between the sphere and the plane, negative when they overlap, m.
+    pub gap_m: f64,
+}
+
+/// Force and torque, world axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wrench {
+    /// Force, N.
+    pub force_n: Vector3<f64>,
+    /// Torque about the point named where the wrench is used, N m.
+    pub torque_nm: Vector3<f64>,
+}
+
+impl Wrench {
+    /// No load.
+    pub fn zero() -> Self {
+        Self { force_n: Vector3::zeros(), torque_nm: Vector3::zeros() }
+    }
+}
+
+/// Everything that drives one step.
+#[derive(Debug, Clone, Copy)]
+pub struct StepInput<'a> {
+    /// Base motion at the end of the step. Contact sees the mean velocity between the last pose and this one; inertia
+    /// sees the change of the stated velocities.
+    pub base: BaseMotion,
+    /// Held through the step.
+    pub tendon: TendonCommand,
+    /// External load on the burr centre (dead load), held through the step.
+    pub tip_wrench: Wrench,
+    /// Contact candidates in the configuration before the step; those past [`super::MAX_CONTACTS`] are refused.
+    pub contacts: &'a [ContactPlane],
+}
+
+/// A sphere that stands for the tool's surface in contact queries.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProxySphere {
+    /// World, m.
+    pub centre_m: Vector3<f64>,
+    /// World, m/s.
+    pub velocity_m_per_s: Vector3<f64>,
+    /// m.
+    pub radius_m: f64,
+    /// What the sphere stands for.
+    pub kind: SphereKind,
+}
+
+/// Outcome of one contact in the last step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactResult {
+    /// Index into [`StepInput::contacts`].
+    pub contact_index: usize,
+    /// Sphere the plane belongs to.
+    pub sphere_index: usize,
+    /// World, from the obstacle to the sphere.
+    pub normal: Vector3<f64>,
+    /// Mean normal force on the tool over the step, N, never negative. Times dt it is the impulse.
+    pub normal_force_n: f64,
+    /// Mean friction force on the tool over the step, world axes, N.
+    pub friction_force_n: Vector3<f64>,
+}
+
+impl ContactResult {
+    /// Filler for unused places.
+    pub(super) fn none() -> Self {
+        Self {
+            contact_index: 0,
+            sphere_index: 0,
+            normal: Vector3::zeros(),
+            normal_force_n: 0.0,
+            friction_force_n: Vector3::zeros(),
+        }
+    }
+}
+
+/// Summary of one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepReport {
+    /// The method that took the step.
+    pub integrator: Integrator,
+    /// Error estimate of a Rosenbrock step, largest joint, rad; 0 if none was tried.
+    pub error_estimate_rad: f64,
+    /// Contacts that entered the solver.
+    pub contact_count: usize,
+    /// Contacts that carried force.
+    pub active_contact_count: usize,
+    /// Contacts refused: unknown sphere, not finite, or past the limit.
+    pub refused_contact_count: usize,
+    /// Flexures that pressed on their stop.
+    pub stopped_joint_count: usize,
+    /// Sweeps of the impulse solver.
+    pub iterations: usize,
+    /// Largest velocity change of a row in the last sweep, m/s (rad/s for stops).
+    pub residual_m_per_s: f64,
+    /// Deepest overlap among the contacts that entered, m.
+    pub max_overlap_m: f64,
+    /// Sum of the normal forces on the burr, world axes, N.
+    pub burr_normal_force_n: Vector3<f64>,
+    /// What the tool exerts on the flange: force, and torque about the base origin.
+    pub flange_wrench: Wrench,
+    /// Tension of each tendon at the base end, at the end of the step, N.
+    pub tendon_tension_n: [f64; 2],
+    /// Pulled length of each tendon at the end of the step, its stretch included, m.
+    pub tendon_displacement_m: [f64; 2],
+}
+
+impl StepReport {
+    /// A report before any step.
+    pub(super) fn none() -> Self {
+        Self {
+            integrator: Integrator::LinearlyImplicitEuler,
+            error_estimate_rad: 0.0,
+            contact_count: 0,
+            active_contact_count: 0,
+            refused_contact_count: 0,
+            stopped_joint_count: 0,
+            iterations: 0,
+            residual_m_per_s: 0.0,
+            max_overlap_m: 0.0,
+            burr_normal_force_n: Vector3::zeros(),
+            flange_wrench: Wrench::zero(),
+            tendon_tension_n: [0.0; 2],
+            tendon_displacement_m: [0.0; 2],
+        }
+    }
+}
+
+/// The whole dynamic state, bit for bit: [`super::Manipulator::restore`] continues as if nothing had happened.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ManipulatorState {
+    /// Joint angles, rad; entries past the number of joints stay 0.
+    pub joint_position_rad: [f64; MAX_JOINTS],
+    /// Joint velocities, rad/s.
+    pub joint_velocity_rad_per_s: [f64; MAX_JOINTS],
+    /// Displacement of the tool on its mount, base axes, m.
+    pub mount_displacement_m: [f64; 3],
+    /// Velocity of the tool on its mount, base axes, m/s.
+    pub mount_velocity_m_per_s: [f64; 3],
+    /// Base motion at the end of the last step.
+    pub base: BaseMotion,
+    pub(super) tendon: [TendonMemory; 2],
+    /// Torque of each joint stop in the last step, positive toward positive angles, N m: the warm start.
+    pub(super) stop_torque_nm: [f64; MAX_JOINTS],
+    pub(super) result_count: usize,
+    /// Results of the last step, ordered by sphere: output and warm start.
+    pub(super) results: [ContactResult; MAX_CONTACTS],
+    pub(super) report: StepReport,
+}
+
+impl ManipulatorState {
+    /// The straight tool at rest on `base`.
+    pub(super) fn new(base: &BaseMotion) -> Self {
+        Self {
+            joint_position_rad: [0.0; MAX_JOINTS],
+            joint_velocity_rad_per_s: [0.0; MAX_JOINTS],
+            mount_displacement_m: [0.0; 3],
+            mount_velocity_m_per_s: [0.0; 3],
+            base: *base,
+            tendon: [TendonMemory::default(); 2],
+            stop_torque_nm: [0.0; MAX_JOINTS],
+            result_count: 0,
+            results: [ContactResult::none(); MAX_CONTACTS],
+            report: StepReport::none(),
+        }
+    }
+}

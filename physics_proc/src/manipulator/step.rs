@@ -1,0 +1,373 @@
+//! One step of the chain.
+//!
+//! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, with the contact impulses P found inside
+//! this velocity solve, then `q += dt v`. A state at rest under contact is an exact equilibrium. ROS2 (see
+//! [`Integrator::Hybrid`]) solves the same operator twice with dt replaced by gamma dt.
+
+use nalgebra::{Point3, Vector3};
+
+use super::articulated::{Generalised, Spatial};
+use super::contact::{BaseDrive, Outcome};
+use super::error::{ManipulatorError, check, check_all};
+use super::geometry::SphereKind;
+use super::loads::{Frame, Loads};
+use super::parameters::Integrator;
+use super::state::{BaseMotion, ProxySphere, StepInput, StepReport, TendonCommand, Wrench};
+use super::{MAX_JOINTS, Manipulator, tendon};
+
+/// 1 - 1/sqrt 2: the L-stable choice of ROS2.
+const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
+/// A Rosenbrock step needs every flexure within this share of its stop.
+const FREE_SHARE: f64 = 0.9;
+/// A Rosenbrock step needs every contact candidate to stay farther than this at the present velocity, m.
+const CLEARANCE_M: f64 = 50.0e-6;
+
+/// Diagonals of the operator: elastic stiffness and damping of flexures and mount.
+#[derive(Debug, Clone)]
+struct Diagonals {
+    stiffness: Generalised,
+    damping: Generalised,
+}
+
+impl Manipulator {
+    /// Advances by `dt_s` (1e-7 to 0.1 s). Refused input is an error and changes nothing; single unusable contacts are
+    /// left out and counted in the report.
+    pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+        validate(dt_s, input)?;
+        let (drive, frame) = self.base_motion(dt_s, input)?;
+        let before = self.velocities();
+        let rosenbrock = self.rosenbrock(dt_s, input, &frame);
+        let mut report = StepReport::none();
+        let after = match rosenbrock {
+            Ok((after, error)) => {
+                report.integrator = Integrator::Hybrid;
+                report.error_estimate_rad = error;
+                self.state.result_count = 0;
+                self.state.stop_torque_nm = [0.0; MAX_JOINTS];
+                after
+            }
+            Err(error) => {
+                report.error_estimate_rad = error;
+                self.linearly_implicit_euler(dt_s, input, (&drive, &frame), &mut report)
+            }
+        };
+        self.finish(dt_s, input, (&before, &after), &mut report);
+        Ok(report)
+    }
+
+    /// Mean base velocity over the step, and the frame's acceleration from the stated velocities.
+    fn base_motion(&self, dt: f64, input: &StepInput) -> Result<(BaseDrive, Frame), ManipulatorError> {
+        let (old, new) = (&self.state.base, &input.base);
+        let rotation = old.t_world_base.rotation;
+        let to_base = |v: Vector3<f64>| rotation.inverse_transform_vector(&v);
+        let moved = (new.t_world_base.translation.vector - old.t_world_base.translation.vector) / dt;
+        let turned = (new.t_world_base.rotation * rotation.inverse()).scaled_axis() / dt;
+        let allowed = "a pose that the base reaches within the step at no more than 100 m/s and 1000 rad/s";
+        check("base.t_world_base speed", libm::sqrt(moved.norm_squared()), allowed, |v| v <= 100.0)?;
+        check("base.t_world_base turn", libm::sqrt(turned.norm_squared()), allowed, |v| v <= 1000.0)?;
+        let acceleration = (new.linear_velocity_m_per_s - old.linear_velocity_m_per_s) / dt;
+        let turn = (new.angular_velocity_rad_per_s - old.angular_velocity_rad_per_s) / dt;
+        let drive = BaseDrive { rotation, linear: to_base(moved), angular: to_base(turned) };
+        let frame = Frame {
+            gravity: to_base(self.parameters.gravity_m_per_s2 - acceleration),
+            angular_velocity: to_base(new.angular_velocity_rad_per_s),
+            angular_acceleration: to_base(turn),
+            tip_wrench: Wrench {
+                force_n: to_base(input.tip_wrench.force_n),
+                torque_nm: to_base(input.tip_wrench.torque_nm),
+            },
+        };
+        Ok((drive, frame))
+    }
+
+    fn velocities(&self) -> Generalised {
+        Generalised { joint: self.state.joint_velocity_rad_per_s, mount: self.state.mount_velocity_m_per_s }
+    }
+
+    fn positions(&self) -> Generalised {
+        Generalised { joint: self.state.joint_position_rad, mount: self.state.mount_displacement_m }
+    }
+
+    /// Stiffness with the tendons' own part (never below zero) and damping.
+    fn diagonals(&self) -> Diagonals {
+        let mut stiffness =
+            Generalised { joint: self.stiffness, mount: self.parameters.mount_stiffness_n_per_m };
+        for (k, tendon) in stiffness.joint.iter_mut().zip(&self.tendon.stiffness) {
+            *k = (*k + tendon).max(0.0);
+        }
+        let damping = Generalised { joint: self.damping, mount: self.mount_damping };
+        Diagonals { stiffness, damping }
+    }
+
+    /// Generalised forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
+    fn elastic_forces(
+        &self,
+        q: &Generalised,
+        v: &Generalised,
+        y: &Generalised,
+        d: &Diagonals,
+    ) -> Generalised {
+        let mut f = Generalised::ZERO;
+        for i in 0..self.layout.joints {
+            f.joint[i] = self.tendon.torque[i]
+                - self.stiffness[i] * q.joint[i]
+                - self.damping[i] * v.joint[i]
+                - d.stiffness.joint[i] * y.joint[i];
+        }
+        for k in 0..3 {
+            let stiffness = self.parameters.mount_stiffness_n_per_m[k];
+            f.mount[k] = -stiffness * (q.mount[k] + y.mount[k]) - self.mount_damping[k] * v.mount[k];
+        }
+        self.coupling.subtract_stiffness(&y.joint, 1.0, &mut f.joint);
+        f
+    }
+
+    /// Factors M + h D + h^2 K with its coupling in the start (`trial` false) or trial configuration.
+    fn factor(&mut self, h: f64, d: &Diagonals, trial: bool) {
+        let diagonal = Generalised::ZERO.plus(h, &d.damping).plus(h * h, &d.stiffness);
+        let configuration = if trial { &self.trial } else { &self.configuration };
+        self.articulated.factor(&self.layout, configuration, &diagonal);
+        self.coupling.update(&self.articulated, &self.tendon, h * h);
+    }
+
+    /// A^-1 (f + loads).
+    fn solve_loads(&self, f: &Generalised) -> Generalised {
+        let mut rhs = *f;
+        rhs.mount[1] += self.loads.lateral;
+        self.coupling.correct(self.articulated.solve(&self.loads.force, &rhs))
+    }
+
+    fn linearly_implicit_euler(
+        &mut self,
+        dt: f64,
+        input: &StepInput,
+        (drive, frame): (&BaseDrive, &Frame),
+        report: &mut StepReport,
+    ) -> Generalised {
+        let (q, v) = (self.positions(), self.velocities());
+        let d = self.stage((&q, &v), dt, input, frame, false);
+        let f = self.elastic_forces(&q, &v, &Generalised::ZERO.plus(dt, &v), &d);
+        let free = v.plus(dt, &self.solve_loads(&f));
+        let after = self.with_contacts(dt, input, drive, free, report);
+        let next = q.plus(dt, &after);
+        self.state.joint_position_rad = next.joint;
+        self.state.mount_displacement_m = next.mount;
+        after
+    }
+
+    /// Adds the contact and stop impulses to the free velocities, and the contact moments to the loads.
+    fn with_contacts(
+        &mut self,
+        dt: f64,
+        input: &StepInput,
+        drive: &BaseDrive,
+        free: Generalised,
+        report: &mut StepReport,
+    ) -> Generalised {
+        let solver = &mut self.contact;
+        solver.collect(&self.layout, &self.configuration, input.contacts);
+        solver.collect_stops(&self.parameters, dt, &self.state, &free);
+        report.refused_contact_count = solver.refused;
+        report.contact_count = solver.row_count;
+        report.max_overlap_m = solver.max_overlap_m;
+        if solver.is_empty() {
+            self.state.result_count = 0;
+            self.state.stop_torque_nm = [0.0; MAX_JOINTS];
+            return free;
+        }
+        solver.delassus.assemble(&mut self.articulated, &self.coupling, self.layout.joints);
+        let settings = (dt, drive, self.articulated.lateral);
+        solver.prepare(&self.parameters, &self.layout, settings, input.contacts, &self.state);
+        let limits = (self.parameters.contact.max_iterations, self.parameters.contact.tolerance_m_per_s);
+        let Outcome { iterations, residual } = solver.solve(&self.articulated, &free, limits);
+        report.iterations = iterations;
+        report.residual_m_per_s = residual;
+        let mut force: [Spatial; MAX_JOINTS + 1] = [[0.0; 3]; MAX_JOINTS + 1];
+        let mut impulse = Generalised::ZERO;
+        solver.impulses(&mut force, &mut impulse.joint);
+        impulse.mount[1] = solver.lateral_impulse;
+        report.stopped_joint_count = solver.stop_torques(dt, &mut self.state.stop_torque_nm);
+        self.store_results(dt, drive, report);
+        free.plus(1.0, &self.coupling.correct(self.articulated.solve(&force, &impulse)))
+    }
+
+    fn store_results(&mut self, dt: f64, drive: &BaseDrive, report: &mut StepReport) {
+        self.state.result_count = self.contact.row_count;
+        let lateral_m = self.state.mount_displacement_m[1];
+        for k in 0..self.contact.row_count {
+            let (result, point) = self.contact.result(&self.layout, k, dt, &drive.rotation, lateral_m);
+            let normal_force = result.normal * result.normal_force_n;
+            let force = drive.rotation.inverse_transform_vector(&(normal_force + result.friction_force_n));
+            self.loads.moment += point.cross(&force);
+            report.active_contact_count += usize::from(result.normal_force_n > 0.0);
+            if self.layout.spheres[result.sphere_index].kind == SphereKind::Burr {
+                report.burr_normal_force_n += normal_force;
+            }
+            self.state.results[k] = result;
+        }
+    }
+
+    /// A ROS2 step in free motion; its error estimate. `Err` leaves the state alone: not wanted (estimate 0), not free,
+    /// or the estimate is above the tolerance.
+    fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame) -> Result<(Generalised, f64), f64> {
+        let wanted = self.parameters.integrator == Integrator::Hybrid && self.contacts_far(dt, input);
+        let (q, v) = (self.positions(), self.velocities());
+        if !wanted || self.near_stop(&q) {
+            return Err(0.0);
+        }
+        let h = GAMMA * dt;
+        let d = self.stage((&q, &v), h, input, frame, false);
+        let kv1 = self.solve_loads(&self.elastic_forces(&q, &v, &Generalised::ZERO.plus(h, &v), &d));
+        let kq1 = v.plus(h, &kv1);
+
+        let (q2, v2) = (q.plus(dt, &kq1), v.plus(dt, &kv1));
+        self.trial.update(&self.layout, &q2.joint, &q2.mount);
+        let d = self.stage((&q2, &v2), h, input, frame, true);
+        // With x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the right side.
+        let y = Generalised::ZERO.plus(h, &v2.plus(-2.0, &kq1)).plus(-2.0 * h * h, &kv1);
+        let mut f = self.elastic_forces(&q2, &v2, &y, &d);
+        for i in 0..self.layout.joints {
+            f.joint[i] += 2.0 * h * d.damping.joint[i] * kv1.joint[i];
+        }
+        for k in 0..3 {
+            f.mount[k] += 2.0 * h * d.damping.mount[k] * kv1.mount[k];
+        }
+        let kv2 = self.solve_loads(&f).plus(-2.0, &kv1);
+        let kq2 = v2.plus(-2.0, &kq1).plus(h, &kv2);
+
+        let next = q.plus(1.5 * dt, &kq1).plus(0.5 * dt, &kq2);
+        let error = largest(&Generalised::ZERO.plus(0.5 * dt, &kq1).plus(0.5 * dt, &kq2).joint);
+        let accurate = error <= self.parameters.hybrid_tolerance_rad;
+        if !accurate || self.near_stop(&next) || !self.contacts_clear(&next, input) {
+            return Err(if error.is_finite() { error } else { f64::MAX });
+        }
+        self.state.joint_position_rad = next.joint;
+        self.state.mount_displacement_m = next.mount;
+        Ok((v.plus(1.5 * dt, &kv1).plus(0.5 * dt, &kv2), error))
+    }
+
+    /// Tendons, factored operator and loads of one stage at `q`, `v` in the start or trial configuration.
+    fn stage(
+        &mut self,
+        (q, v): (&Generalised, &Generalised),
+        h: f64,
+        input: &StepInput,
+        frame: &Frame,
+        trial: bool,
+    ) -> Diagonals {
+        let configuration = if trial { &self.trial } else { &self.configuration };
+        self.tendon.evaluate(
+            &self.parameters.tendon,
+            &self.layout,
+            (configuration, &q.joint, &v.joint),
+            &input.tendon,
+            &self.state.tendon,
+        );
+        let d = self.diagonals();
+        self.factor(h, &d, trial);
+        let configuration = if trial { &self.trial } else { &self.configuration };
+        self.loads.evaluate(&self.layout, configuration, &v.joint, (&q.mount, &v.mount), frame);
+        d
+    }
+
+    fn near_stop(&self, q: &Generalised) -> bool {
+        let reach = FREE_SHARE * self.parameters.joint_limit_rad;
+        q.joint.iter().any(|q| q.abs() > reach)
+    }
+
+    /// Whether no sphere reaches its plane within the step at its present velocity. A contact that is not usable counts
+    /// as near, so that the Euler step refuses and counts it.
+    fn contacts_far(&self, dt: f64, input: &StepInput) -> bool {
+        input.contacts.iter().all(|c| {
+            let sphere = self.spheres.get(c.sphere_index);
+            let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
+            c.gap_m > CLEARANCE_M && sphere.is_some_and(far)
+        })
+    }
+
+    /// Whether every sphere is still clear of its plane in configuration `next`. Leaves it in the trial configuration.
+    fn contacts_clear(&mut self, next: &Generalised, input: &StepInput) -> bool {
+        if input.contacts.is_empty() {
+            return true;
+        }
+        self.trial.update(&self.layout, &next.joint, &next.mount);
+        input.contacts.iter().all(|c| {
+            let fixed = &self.layout.spheres[c.sphere_index];
+            let point = self.trial.point(fixed.link, fixed.along_m);
+            let local = Point3::new(point[0], next.mount[1], point[1]);
+            let moved = (input.base.t_world_base * local).coords - self.spheres[c.sphere_index].centre_m;
+            c.gap_m + moved.dot(&c.normal) > 0.0
+        })
+    }
+
+    /// Reaction at the flange, then everything that follows from the new state.
+    fn finish(
+        &mut self,
+        dt: f64,
+        input: &StepInput,
+        (before, after): (&Generalised, &Generalised),
+        report: &mut StepReport,
+    ) {
+        let change = after.plus(-1.0, before);
+        let second_stage = report.integrator == Integrator::Hybrid;
+        let configuration = if second_stage { &self.trial } else { &self.configuration };
+        let mut motions: [Spatial; MAX_JOINTS + 1] = [[0.0; 3]; MAX_JOINTS + 1];
+        self.articulated.link_motions(&change, &mut motions);
+        let lateral = (self.state.mount_displacement_m[1], change.mount[1]);
+        let momentum = Loads::momentum_moment(&self.layout, configuration, &motions, lateral);
+        let moment = self.loads.moment - momentum / dt;
+        self.state.joint_velocity_rad_per_s = after.joint;
+        self.state.mount_velocity_m_per_s = after.mount;
+        let mount = |k: usize| {
+            self.parameters.mount_stiffness_n_per_m[k] * self.state.mount_displacement_m[k]
+                + self.mount_damping[k] * self.state.mount_velocity_m_per_s[k]
+        };
+        let force = Vector3::new(mount(0), mount(1), mount(2));
+        let rotation = input.base.t_world_base.rotation;
+        report.flange_wrench = Wrench { force_n: rotation * force, torque_nm: rotation * moment };
+        self.state.base = input.base;
+        self.update_configuration();
+        (report.tendon_tension_n, report.tendon_displacement_m) = tendon::advance(
+            &self.parameters.tendon,
+            &self.layout,
+            &self.configuration,
+            &input.tendon,
+            &mut self.state.tendon,
+        );
+        self.state.report = *report;
+    }
+}
+
+fn largest(values: &[f64; MAX_JOINTS]) -> f64 {
+    // A NaN must win: it marks a step that failed.
+    values.iter().fold(0.0, |m, x| if x.abs() > m || x.is_nan() { x.abs() } else { m })
+}
+
+/// Refuses input that is not finite or absurd.
+fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
+    check("dt_s", dt, "1e-7 to 0.1 s", |x| (1e-7..=0.1).contains(&x))?;
+    validate_base(&input.base)?;
+    match &input.tendon {
+        TendonCommand::Force(tension) => {
+            check_all("tendon force", tension, "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
+        }
+        TendonCommand::Displacement(pull) => {
+            check_all("tendon displacement", pull, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+        }
+    }
+    let wrench = &input.tip_wrench;
+    check_all("tip_wrench.force_n", wrench.force_n.as_slice(), "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
+    check_all("tip_wrench.torque_nm", wrench.torque_nm.as_slice(), "-1e5 to 1e5 N m", |x| x.abs() <= 1e5)
+}
+
+/// Refuses a base motion that is not finite, not a rotation, or absurd.
+pub(super) fn validate_base(base: &BaseMotion) -> Result<(), ManipulatorError> {
+    let pose = &base.t_world_base;
+    check_all("base translation", pose.translation.vector.as_slice(), "-1000 to 1000 m", |x| x.abs() <= 1e3)?;
+    let norm = pose.rotation.coords.norm_squared();
+    check("base rotation, squared norm", norm, "1 within 1e-6", |x| (x - 1.0).abs() <= 1e-6)?;
+    let linear = base.linear_velocity_m_per_s.as_slice();
+    check_all("base.linear_velocity_m_per_s", linear, "-100 to 100 m/s", |x| x.abs() <= 100.0)?;
+    let angular = base.angular_velocity_rad_per_s.as_slice();
+    check_all("base.angular_velocity_rad_per_s", angular, "-1000 to 1000 rad/s", |x| x.abs() <= 1000.0)
+}

@@ -1,0 +1,176 @@
+//! The antagonist pair of tendons, routed hole to hole, as joint torques.
+//!
+//! Tendon t (side +1 for tendon 0, -1 for tendon 1) at offset d with a free gap g spans a flexure bent by q with the
+//! chord `g cos(q/2) - 2 side d sin(q/2)`. The tool takes up `l = sum (g - chord)` of tendon, so that a tension T
+//! exerts the joint torque `T dl/dq = T (side d cos(q/2) + g/2 sin(q/2))`.
+//!
+//! Capstan friction lets the tension fall along the channel, `T_i = T_0 exp(-mu s phi_i)` with the wrap angle `phi_i =
+//! sum_{j<i} |q_j| + |q_i| / 2`: the tendon turns by half the joint angle at each of the two holes beside a flexure, so
+//! that the discrete law is second order against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play operator on the take-up: it moves by dl / presliding
+//! and saturates at +1 (tendon pulled in) and -1 (tendon let out), which gives the hysteresis loop.
+
+use super::MAX_JOINTS;
+use super::geometry::{Configuration, Layout};
+use super::parameters::TendonParameters;
+use super::state::TendonCommand;
+
+const SIDE: [f64; 2] = [1.0, -1.0];
+
+/// What a tendon remembers between ticks.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct TendonMemory {
+    /// Take-up at the last tick, m.
+    pub take_up_m: f64,
+    /// Sliding state, -1 to 1.
+    pub sliding: f64,
+}
+
+impl TendonMemory {
+    /// Sliding state after the take-up has changed to `take_up_m`.
+    fn sliding_at(&self, take_up_m: f64, parameters: &TendonParameters) -> f64 {
+        (self.sliding + (take_up_m - self.take_up_m) / parameters.presliding_m).clamp(-1.0, 1.0)
+    }
+}
+
+/// Torques of both tendons in one configuration, and how they change.
+#[derive(Debug, Clone)]
+pub(super) struct TendonLoad {
+    /// Torque on each joint, N m.
+    pub torque: [f64; MAX_JOINTS],
+    /// -d torque_i / d q_i at constant tension, N m/rad.
+    pub stiffness: [f64; MAX_JOINTS],
+    /// d take-up / d q_i of each tendon, m/rad.
+    pub slope: [[f64; MAX_JOINTS]; 2],
+    /// -d torque_i / d take-up of each tendon, N m/m.
+    pub gradient: [[f64; MAX_JOINTS]; 2],
+    /// Whether the gradient of each tendon is not zero.
+    pub coupled: [bool; 2],
+    /// Tension at the base end, N.
+    pub tension_n: [f64; 2],
+}
+
+impl TendonLoad {
+    pub fn new() -> Self {
+        Self {
+            torque: [0.0; MAX_JOINTS],
+            stiffness: [0.0; MAX_JOINTS],
+            slope: [[0.0; MAX_JOINTS]; 2],
+            gradient: [[0.0; MAX_JOINTS]; 2],
+            coupled: [false; 2],
+            tension_n: [0.0; 2],
+        }
+    }
+
+    /// Evaluates both tendons. `rate` is the joint velocity, which tells a saturated sliding state whether it is
+    /// about to turn.
+    pub fn evaluate(
+        &mut self,
+        parameters: &TendonParameters,
+        layout: &Layout,
+        (configuration, q, rate): (&Configuration, &[f64; MAX_JOINTS], &[f64; MAX_JOINTS]),
+        command: &TendonCommand,
+        memory: &[TendonMemory; 2],
+    ) {
+        let n = layout.joints;
+        self.torque[..n].fill(0.0);
+        self.stiffness[..n].fill(0.0);
+        for t in 0..2 {
+            let slope_rate = self.update_slope(t, parameters, n, configuration, rate);
+            let take_up = take_up(parameters, n, configuration, t);
+            let tension = base_tension(parameters, command, t, take_up);
+            self.tension_n[t] = tension;
+            let sliding = memory[t].sliding_at(take_up, parameters);
+            let saturated = sliding.abs() >= 1.0 && sliding * slope_rate >= 0.0;
+            let elastic = match command {
+                TendonCommand::Displacement(_) if tension > 0.0 => parameters.stiffness_n_per_m,
+                _ => 0.0,
+            };
+            let frictional = parameters.friction_coefficient > 0.0 && tension > 0.0;
+            self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
+            let mut wrap = 0.0;
+            for i in 0..n {
+                wrap += 0.5 * q[i].abs();
+                let share = if frictional {
+                    libm::exp(-parameters.friction_coefficient * sliding * wrap)
+                } else {
+                    1.0
+                };
+                let local = tension * share;
+                let slope = self.slope[t][i];
+                self.torque[i] += local * slope;
+                let curvature = 0.25 * parameters.gap_m * configuration.half_cos[i]
+                    - 0.5 * SIDE[t] * parameters.offset_m * configuration.half_sin[i];
+                self.stiffness[i] -= local * curvature;
+                let friction = if saturated {
+                    0.0
+                } else {
+                    local * parameters.friction_coefficient * wrap / parameters.presliding_m
+                };
+                self.gradient[t][i] = (elastic * share + friction) * slope;
+                wrap += 0.5 * q[i].abs();
+            }
+        }
+    }
+
+    /// Updates d take-up / dq of tendon `t`; returns the take-up's rate.
+    fn update_slope(
+        &mut self,
+        t: usize,
+        parameters: &TendonParameters,
+        n: usize,
+        configuration: &Configuration,
+        rate: &[f64; MAX_JOINTS],
+    ) -> f64 {
+        let mut slope_rate = 0.0;
+        for i in 0..n {
+            let slope = SIDE[t] * parameters.offset_m * configuration.half_cos[i]
+                + 0.5 * parameters.gap_m * configuration.half_sin[i];
+            self.slope[t][i] = slope;
+            slope_rate += slope * rate[i];
+        }
+        slope_rate
+    }
+}
+
+/// Length of tendon `t` that the bent tool has taken up, m.
+fn take_up(parameters: &TendonParameters, n: usize, configuration: &Configuration, t: usize) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..n {
+        sum += parameters.gap_m * (1.0 - configuration.half_cos[i])
+            + 2.0 * SIDE[t] * parameters.offset_m * configuration.half_sin[i];
+    }
+    sum
+}
+
+/// Tension at the base end: as commanded, or what the pull stretches; a slack tendon does not push.
+fn base_tension(parameters: &TendonParameters, command: &TendonCommand, t: usize, take_up_m: f64) -> f64 {
+    match command {
+        TendonCommand::Force(tension_n) => tension_n[t].max(0.0),
+        TendonCommand::Displacement(pull_m) => {
+            (parameters.stiffness_n_per_m * (pull_m[t] - take_up_m)).max(0.0)
+        }
+    }
+}
+
+/// Carries the memory over to a new configuration; returns tension (N) and displacement (m) of both tendons there.
+pub(super) fn advance(
+    parameters: &TendonParameters,
+    layout: &Layout,
+    configuration: &Configuration,
+    command: &TendonCommand,
+    memory: &mut [TendonMemory; 2],
+) -> ([f64; 2], [f64; 2]) {
+    let mut tension_n = [0.0; 2];
+    let mut displacement_m = [0.0; 2];
+    for t in 0..2 {
+        let take_up_m = take_up(parameters, layout.joints, configuration, t);
+        let sliding = memory[t].sliding_at(take_up_m, parameters);
+        memory[t] = TendonMemory { take_up_m, sliding };
+        tension_n[t] = base_tension(parameters, command, t, take_up_m);
+        displacement_m[t] = match command {
+            TendonCommand::Force(_) => take_up_m + tension_n[t] / parameters.stiffness_n_per_m,
+            TendonCommand::Displacement(pull_m) => pull_m[t],
+        };
+    }
+    (tension_n, displacement_m)
+}

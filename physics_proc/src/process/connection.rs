@@ -1,0 +1,54 @@
+//! Getting the volume.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::Volume;
+use ipc_types::ports::Received;
+use ipc_types::scene::Scene;
+use ipc_types::services;
+use ipc_types::session::Session;
+use nalgebra::{Matrix3, Vector3};
+use zerocopy::FromBytes;
+
+use super::PhysicsError;
+use crate::bone::GridGeometry;
+
+const VOLUME_LIMIT_S: u64 = 60;
+
+/// The volume in shared memory; it stays there as long as the return value lives.
+pub(super) fn receive_volume(session: &Session, scene: &Scene) -> Result<Option<Received<Volume>>, PhysicsError> {
+    if scene.volume.is_none() {
+        return Ok(None);
+    }
+    let subscriber = session.subscriber::<Volume>(&services::VOLUME)?;
+    let limit = Instant::now() + Duration::from_secs(VOLUME_LIMIT_S);
+    while Instant::now() < limit {
+        if let Some(volume) = subscriber.receive()? {
+            return Ok(Some(volume));
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Err(PhysicsError::NoVolume { limit_s: VOLUME_LIMIT_S })
+}
+
+/// The volume's voxels, in place.
+pub(super) fn hounsfield_units(volume: &Received<Volume>) -> Result<&[i16], PhysicsError> {
+    let message = volume.message();
+    let expected = message.dimensions.iter().map(|n| *n as u64).product::<u64>();
+    if expected != u64::from(message.hu_length) {
+        let problem = format!("{} voxels, but {:?} of them expected", message.hu_length, message.dimensions);
+        return Err(PhysicsError::BadVolume { problem });
+    }
+    <[i16]>::ref_from_bytes(volume.tail())
+        .map_err(|cause| PhysicsError::BadVolume { problem: format!("voxels do not lie aligned: {cause}") })
+}
+
+/// The grid that a volume message describes.
+pub fn ct_geometry(volume: &Volume) -> GridGeometry {
+    GridGeometry {
+        dims: volume.dimensions.map(|n| n as usize),
+        spacing_m: volume.spacing_m,
+        direction_world_grid: Matrix3::from_column_slice(&volume.direction),
+        origin_world_m: Vector3::from(volume.origin_m),
+    }
+}

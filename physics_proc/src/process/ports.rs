@@ -1,0 +1,162 @@
+//! Every port of the physics process.
+
+use ipc_types::messages::{
+    Command, Latched, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_DRR, SENDER_PHYSICS,
+    SENDER_RECORDER, State, TickTiming,
+};
+use ipc_types::ports::{PortError, Publisher, Subscriber};
+use ipc_types::process::EventSender;
+use ipc_types::scene::Scene;
+use ipc_types::services::{self, MAX_REMOVED_PER_TICK};
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::{Waiter, Waker};
+use zerocopy::IntoBytes;
+
+pub(super) struct Ports {
+    pub(super) state: Publisher<State>,
+    pub(super) latched: Publisher<Latched>,
+    pub(super) removed: Publisher<Removed>,
+    pub(super) status: Publisher<RunStatus>,
+    pub(super) timing: Publisher<TickTiming>,
+    pub(super) control: Subscriber<RunControl>,
+    pub(super) control_reply: Publisher<RunControlReply>,
+    pub(super) events: EventSender,
+    pub(super) waiter: Waiter,
+    pub(super) controllers: Vec<ControllerPort>,
+    pub(super) consumers: Consumers,
+    removed_messages: u64,
+}
+
+/// A controller's side.
+pub(super) struct ControllerPort {
+    pub(super) name: String,
+    pub(super) commands: Subscriber<Command>,
+    pub(super) waker: Waker,
+    /// Whether a command that answers the newest state has been timed.
+    pub(super) round_trip_ns: u64,
+}
+
+impl Ports {
+    pub(super) fn open(session: &Session, scene: &Scene) -> Result<Ports, SessionError> {
+        let controllers = scene.controller_names().into_iter().enumerate().map(|(index, name)| {
+            Ok(ControllerPort {
+                commands: session.command_subscriber(&name)?,
+                waker: session.waker(Reader::Controller(index))?,
+                name,
+                round_trip_ns: 0,
+            })
+        });
+        Ok(Ports {
+            state: session.publisher(&services::STATE)?,
+            latched: session.publisher(&services::LATCHED)?,
+            removed: session.publisher(&services::REMOVED)?,
+            status: session.publisher(&services::RUN_STATUS)?,
+            timing: session.publisher(&services::TICK_TIMING)?,
+            control: session.subscriber(&services::RUN_CONTROL)?,
+            control_reply: session.publisher(&services::RUN_CONTROL_REPLY)?,
+            events: EventSender::new(session, SENDER_PHYSICS)?,
+            waiter: session.waiter(Reader::Physics)?,
+            controllers: controllers.collect::<Result<_, SessionError>>()?,
+            consumers: Consumers::open(session)?,
+            removed_messages: 0,
+        })
+    }
+
+    /// Publishes the voxels that are gone from `tick` on, in as many messages as they need. `removed_total` counts
+    /// them all.
+    pub(super) fn publish_removed(
+        &mut self,
+        tick: u64,
+        voxels: &[u32],
+        removed_total: u64,
+        restore_first: bool,
+    ) -> Result<(), PortError> {
+        let mut left = voxels.len() as u64;
+        let mut restore = restore_first;
+        for chunk in voxels.chunks(MAX_REMOVED_PER_TICK) {
+            left -= chunk.len() as u64;
+            self.send_removed(tick, chunk, removed_total - left, restore)?;
+            restore = false;
+        }
+        if restore {
+            self.send_removed(tick, &[], removed_total, true)?;
+        }
+        Ok(())
+    }
+
+    fn send_removed(&mut self, tick: u64, voxels: &[u32], removed_total: u64, restore: bool) -> Result<(), PortError> {
+        self.removed_messages += 1;
+        let message = Removed {
+            tick,
+            sequence: self.removed_messages,
+            removed_total,
+            restore_first: u32::from(restore),
+            voxel_index_length: voxels.len() as u32,
+        };
+        self.removed.send_with_tail(&message, voxels.as_bytes())
+    }
+
+    pub(super) fn removed_messages(&self) -> u64 {
+        self.removed_messages
+    }
+}
+
+/// Who must take every state, and how far they are.
+pub(super) struct Consumers {
+    progress: Subscriber<Progress>,
+    list: Vec<Consumer>,
+}
+
+pub(super) struct Consumer {
+    pub(super) part: &'static str,
+    sender: u32,
+    pub(super) tick: Option<u64>,
+    waker: Waker,
+}
+
+impl Consumers {
+    fn open(session: &Session) -> Result<Consumers, SessionError> {
+        let announcement = session.announcement();
+        let mut list = Vec::new();
+        let mut add = |part, sender, reader| -> Result<(), SessionError> {
+            list.push(Consumer { part, sender, tick: None, waker: session.waker(reader)? });
+            Ok(())
+        };
+        if announcement.frame_bytes > 0 {
+            add("the DRR process", SENDER_DRR, Reader::Drr)?;
+        }
+        if announcement.recorder {
+            add("the recorder process", SENDER_RECORDER, Reader::Recorder)?;
+        }
+        Ok(Consumers { progress: session.subscriber(&services::PROGRESS)?, list })
+    }
+
+    /// Takes in what the consumers have reported.
+    pub(super) fn update(&mut self) -> Result<(), PortError> {
+        while let Some(report) = self.progress.receive()? {
+            let report = report.message();
+            for consumer in self.list.iter_mut().filter(|consumer| consumer.sender == report.consumer) {
+                consumer.tick = Some(report.tick);
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn has_report(&self) -> bool {
+        self.progress.has_message()
+    }
+
+    /// The first consumer that has not connected.
+    pub(super) fn missing(&self) -> Option<&Consumer> {
+        self.list.iter().find(|consumer| consumer.tick.is_none())
+    }
+
+    /// The first consumer that has not taken the state of `tick`.
+    pub(super) fn behind(&self, tick: u64) -> Option<&Consumer> {
+        self.list.iter().find(|consumer| consumer.tick.is_none_or(|taken| taken < tick))
+    }
+
+    pub(super) fn wake(&self) {
+        self.list.iter().for_each(|consumer| consumer.waker.wake());
+    }
+}

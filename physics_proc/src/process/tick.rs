@@ -1,0 +1,402 @@
+//! The loop.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{
+    CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
+    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_RUN, EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS, PHASE_CONNECTING,
+    PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING, RunControl, RunControlReply, RunStatus, SEVERITY_INFO, SEVERITY_WARNING,
+    SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TickTiming,
+};
+use ipc_types::ports::PortError;
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Mode, Scene};
+
+use super::PhysicsError;
+use super::clock::{ThreadCounters, elapsed_ns, now_ns, sleep_until};
+use super::pacing::{Schedule, Start};
+use super::ports::Ports;
+use crate::latch::Latch;
+use crate::simulation::Simulation;
+
+/// How long every part may take to connect: a DRR process reads the whole volume first.
+const CONNECT_LIMIT: Duration = Duration::from_secs(60);
+/// In lockstep the physics runs no further ahead of a consumer than this; half of the state's queue.
+const LEAD_TICKS: u64 = 256;
+/// How long a consumer may stand still in lockstep: a full frame of a large CT takes seconds.
+const CONSUMER_LIMIT: Duration = Duration::from_secs(120);
+const STATUS_PERIOD: Duration = Duration::from_millis(100);
+const PAUSE_LOOK: Duration = Duration::from_millis(20);
+
+pub(super) struct Runner<'v> {
+    simulation: Simulation<'v>,
+    ports: Ports,
+    end: EndRequest,
+    latch: Latch,
+    mode: Mode,
+    period_ns: u64,
+    tick_count: u64,
+    controller_limit: Duration,
+    tick: u64,
+    published: Instant,
+    paused: bool,
+    steps_left: u64,
+    reset_asked: bool,
+    stopped: bool,
+    refused_commands: u64,
+    missed_ticks: u64,
+    status_sent: Option<Instant>,
+    counters: ThreadCounters,
+    page_faults: u64,
+    sources: [u32; MAX_CONTROLLERS],
+}
+
+impl<'v> Runner<'v> {
+    pub(super) fn new(scene: &Scene, simulation: Simulation<'v>, ports: Ports, end: EndRequest) -> Runner<'v> {
+        Runner {
+            simulation,
+            ports,
+            end,
+            latch: Latch::new(scene),
+            mode: scene.run.mode,
+            period_ns: scene.dt_ns(),
+            tick_count: scene.tick_count(),
+            controller_limit: Duration::from_micros((scene.run.controller_limit_ms * 1e3) as u64),
+            tick: 0,
+            published: Instant::now(),
+            paused: false,
+            steps_left: 0,
+            reset_asked: false,
+            stopped: false,
+            refused_commands: 0,
+            missed_ticks: 0,
+            status_sent: None,
+            counters: ThreadCounters::new(),
+            page_faults: 0,
+            sources: [0; MAX_CONTROLLERS],
+        }
+    }
+
+    pub(super) fn run(mut self) -> Result<(), PhysicsError> {
+        self.connect()?;
+        self.lock_memory()?;
+        let mut schedule = Schedule::new(self.period_ns, now_ns());
+        while self.tick < self.tick_count && !self.ends() {
+            self.obey()?;
+            if self.paused && self.steps_left == 0 {
+                self.rest()?;
+                schedule = Schedule::new(self.period_ns, now_ns());
+                continue;
+            }
+            let start = self.await_start(&mut schedule)?;
+            if self.ends() {
+                break;
+            }
+            self.make_tick(start)?;
+            self.steps_left = self.steps_left.saturating_sub(1);
+            self.send_status(PHASE_RUNNING, false)?;
+        }
+        self.finish()
+    }
+
+    fn ends(&self) -> bool {
+        self.stopped || self.end.is_set()
+    }
+
+    /// Publishes the initial state until everybody has answered it.
+    fn connect(&mut self) -> Result<(), PhysicsError> {
+        let predrilled = self.simulation.predrilled().to_vec();
+        let limit = Instant::now() + CONNECT_LIMIT;
+        let mut shown = false;
+        loop {
+            self.ports.consumers.update()?;
+            let missing = self.ports.consumers.missing().map(|consumer| consumer.part.to_owned());
+            if missing.is_none() && !shown {
+                // Only now, so that no consumer misses the first messages.
+                self.ports.publish_removed(0, &predrilled, predrilled.len() as u64, false)?;
+                self.publish_state()?;
+                shown = true;
+            }
+            self.collect_commands()?;
+            let silent = (0..self.ports.controllers.len()).find(|index| !self.latch.has_command(*index));
+            let silent = silent.map(|index| format!("controller `{}`", self.ports.controllers[index].name));
+            let Some(part) = missing.or(silent) else { break };
+            if self.ends() {
+                break;
+            }
+            if Instant::now() >= limit {
+                return Err(PhysicsError::NotConnected { part, limit_s: CONNECT_LIMIT.as_secs() });
+            }
+            self.obey()?;
+            self.send_status(PHASE_CONNECTING, false)?;
+            self.ports.state.deliver_history()?;
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let text = "every part has connected";
+        self.ports.events.inform(self.tick, EVENT_RUN, text)?;
+        self.send_status(PHASE_RUNNING, true)?;
+        Ok(())
+    }
+
+    /// Keeps all memory of this process resident, where the system permits it.
+    fn lock_memory(&mut self) -> Result<(), PhysicsError> {
+        let flags = rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE;
+        if let Err(cause) = rustix::mm::mlockall(flags) {
+            let text = format!("memory is not locked ({cause}): page faults may delay ticks");
+            self.ports.events.inform(self.tick, EVENT_RUN, &text)?;
+        }
+        Ok(())
+    }
+
+    fn await_start(&mut self, schedule: &mut Schedule) -> Result<Start, PhysicsError> {
+        match self.mode {
+            Mode::Realtime => {
+                while now_ns() < schedule.deadline_ns() && !self.ends() {
+                    sleep_until(schedule.deadline_ns());
+                }
+                self.collect_commands()?;
+                let start = schedule.begin(now_ns());
+                self.missed_ticks = schedule.missed();
+                Ok(start)
+            }
+            Mode::Lockstep => {
+                self.await_consumers(self.tick.saturating_sub(LEAD_TICKS))?;
+                self.await_answers()?;
+                Ok(Start { lateness_ns: 0, missed: false })
+            }
+        }
+    }
+
+    fn await_answers(&mut self) -> Result<(), PhysicsError> {
+        let limit = Instant::now() + self.controller_limit;
+        loop {
+            self.collect_commands()?;
+            let Some(silent) = (0..self.ports.controllers.len()).find(|i| !self.latch.has_answer(*i, self.tick)) else {
+                return Ok(());
+            };
+            if self.end.is_set() {
+                self.stopped = true;
+                return Ok(());
+            }
+            let commands = &self.ports.controllers[silent].commands;
+            let slice = (Instant::now() + Duration::from_millis(200)).min(limit);
+            if !self.ports.waiter.wait_until(slice, || commands.has_message()) {
+                self.obey()?;
+                if self.stopped {
+                    return Ok(());
+                }
+                if Instant::now() >= limit {
+                    let name = self.ports.controllers[silent].name.clone();
+                    let limit_ms = self.controller_limit.as_secs_f64() * 1e3;
+                    return Err(PhysicsError::ControllerSilent { name, tick: self.tick, limit_ms });
+                }
+            }
+        }
+    }
+
+    /// Waits until every consumer has taken the state of `tick`.
+    fn await_consumers(&mut self, tick: u64) -> Result<(), PhysicsError> {
+        let limit = Instant::now() + CONSUMER_LIMIT;
+        loop {
+            if self.ports.consumers.behind(tick).is_none() {
+                return Ok(());
+            }
+            self.ports.consumers.update()?;
+            let Some(part) = self.ports.consumers.behind(tick).map(|consumer| consumer.part) else { return Ok(()) };
+            if self.end.is_set() {
+                self.stopped = true;
+                return Ok(());
+            }
+            if Instant::now() >= limit {
+                return Err(PhysicsError::ConsumerStuck { part, tick: self.tick, limit_s: CONSUMER_LIMIT.as_secs() });
+            }
+            self.ports.consumers.wake();
+            let slice = Instant::now() + Duration::from_millis(2);
+            self.ports.waiter.wait_until(slice, || self.ports.consumers.has_report());
+        }
+    }
+
+    /// Takes every command that has arrived; what is invalid is refused, said, and changes nothing.
+    fn collect_commands(&mut self) -> Result<(), PortError> {
+        for (index, port) in self.ports.controllers.iter_mut().enumerate() {
+            loop {
+                let refusal = match port.commands.receive() {
+                    Ok(None) => break,
+                    Ok(Some(command)) => {
+                        let command = command.message();
+                        if command.sequence == 1 {
+                            self.latch.reconnected(index);
+                        }
+                        if command.state_tick == self.tick && port.round_trip_ns == 0 {
+                            port.round_trip_ns = elapsed_ns(self.published).max(1);
+                        }
+                        let outcome = self.latch.offer(index, command, self.tick);
+                        outcome.err().map(|cause| format!("command {}: {cause}", command.sequence))
+                    }
+                    Err(PortError::Length { service, bytes, expected }) => {
+                        Some(format!("a message of {bytes} bytes on `{service}`, expected {expected}"))
+                    }
+                    Err(other) => return Err(other),
+                };
+                if let Some(reason) = refusal {
+                    self.refused_commands += 1;
+                    let text = format!("controller `{}`: {reason}; refused", port.name);
+                    self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_COMMAND_REFUSED, &text)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn make_tick(&mut self, start: Start) -> Result<(), PhysicsError> {
+        let start_ns = now_ns();
+        let began = Instant::now();
+        let reset = std::mem::take(&mut self.reset_asked);
+        let latched = self.latch.latch(self.tick, reset);
+        self.ports.latched.send(&latched)?;
+        let latch_ns = elapsed_ns(began);
+        let step_began = Instant::now();
+        self.simulation.step(&latched).map_err(|cause| PhysicsError::Simulation { tick: self.tick, cause })?;
+        let step_ns = elapsed_ns(step_began);
+        let publish_began = Instant::now();
+        self.tick += 1;
+        self.publish_tick(reset)?;
+        let mut timing = TickTiming {
+            tick: latched.tick,
+            start_ns,
+            wake_lateness_ns: start.lateness_ns,
+            latch_ns,
+            step_ns,
+            publish_ns: elapsed_ns(publish_began),
+            run_queue_wait_ns: self.counters.run_queue_wait_ns(),
+            page_faults: self.new_page_faults(),
+            missed: u32::from(start.missed),
+            ..TickTiming::zeroed()
+        };
+        for (slot, port) in timing.round_trip_ns.iter_mut().zip(&mut self.ports.controllers) {
+            *slot = std::mem::take(&mut port.round_trip_ns);
+        }
+        self.ports.timing.send(&timing)?;
+        self.report_sources(&latched)?;
+        self.report_refusals()
+    }
+
+    fn publish_tick(&mut self, reset: bool) -> Result<(), PortError> {
+        let removed_total = self.simulation.state().removed_total;
+        if reset {
+            let predrilled = self.simulation.predrilled().to_vec();
+            self.ports.publish_removed(self.tick, &predrilled, predrilled.len() as u64, true)?;
+        }
+        self.ports.publish_removed(self.tick, self.simulation.removed(), removed_total, false)?;
+        self.publish_state()
+    }
+
+    fn publish_state(&mut self) -> Result<(), PortError> {
+        self.ports.state.send(self.simulation.state())?;
+        self.published = Instant::now();
+        self.ports.controllers.iter().for_each(|port| port.waker.wake());
+        Ok(())
+    }
+
+    fn new_page_faults(&mut self) -> u32 {
+        let total = self.counters.page_faults();
+        let since = total.saturating_sub(self.page_faults);
+        self.page_faults = total;
+        since as u32
+    }
+
+    /// Says when a controller's command begins to be held, or is replaced by the safe one.
+    fn report_sources(&mut self, latched: &Latched) -> Result<(), PhysicsError> {
+        for (index, port) in self.ports.controllers.iter().enumerate() {
+            let (source, before) = (latched.commands[index].source, self.sources[index]);
+            self.sources[index] = source;
+            if source == SOURCE_SAFE && before != SOURCE_SAFE {
+                let text = format!("controller `{}` is late for longer than `run.hold_ticks`: burr off, arm stopped", port.name);
+                self.ports.events.send(latched.tick, SEVERITY_WARNING, EVENT_SAFE_COMMAND, &text)?;
+            } else if source == SOURCE_HELD && before == SOURCE_FRESH {
+                let text = format!("controller `{}` is late: its last command is held", port.name);
+                self.ports.events.send(latched.tick, SEVERITY_INFO, EVENT_COMMAND_HELD, &text)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn report_refusals(&mut self) -> Result<(), PhysicsError> {
+        for refusal in self.simulation.refusals() {
+            self.refused_commands += 1;
+            let name = &self.ports.controllers[refusal.controller_index as usize].name;
+            let text = format!("controller `{name}`: command {}: {}; refused", refusal.sequence, refusal.reason);
+            self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_COMMAND_REFUSED, &text)?;
+        }
+        Ok(())
+    }
+
+    /// Does what run control asks for.
+    fn obey(&mut self) -> Result<(), PortError> {
+        while let Some(request) = self.ports.control.receive()? {
+            let request = *request.message();
+            let status = if self.obey_one(&request) { CONTROL_DONE } else { CONTROL_REFUSED };
+            let reply =
+                RunControlReply { request_id: request.request_id, tick: self.tick, action: request.action, status };
+            self.ports.control_reply.send(&reply)?;
+            let phase = if self.paused { PHASE_PAUSED } else { PHASE_RUNNING };
+            self.send_status(phase, true)?;
+        }
+        Ok(())
+    }
+
+    fn obey_one(&mut self, request: &RunControl) -> bool {
+        match request.action {
+            CONTROL_PAUSE => self.paused = true,
+            CONTROL_RESUME => self.paused = false,
+            CONTROL_STEP if self.paused => self.steps_left += request.ticks,
+            CONTROL_RESET => self.reset_asked = true,
+            CONTROL_STOP => self.stopped = true,
+            _ => return false,
+        }
+        true
+    }
+
+    /// Paused: looks again after a while.
+    fn rest(&mut self) -> Result<(), PhysicsError> {
+        self.send_status(PHASE_PAUSED, false)?;
+        self.collect_commands()?;
+        self.ports.waiter.wait_until(Instant::now() + PAUSE_LOOK, || self.ports.control.has_message());
+        Ok(())
+    }
+
+    fn send_status(&mut self, phase: u32, now: bool) -> Result<(), PortError> {
+        if !now && self.status_sent.is_some_and(|sent| sent.elapsed() < STATUS_PERIOD) {
+            return Ok(());
+        }
+        self.status_sent = Some(Instant::now());
+        self.ports.status.send(&RunStatus {
+            tick: self.tick,
+            tick_count: self.tick_count,
+            missed_ticks: self.missed_ticks,
+            refused_commands: self.refused_commands,
+            removed_messages: self.ports.removed_messages(),
+            phase,
+            mode: u32::from(self.mode == Mode::Realtime),
+        })
+    }
+
+    /// Says that the run is over, and stays until the consumers have everything.
+    fn finish(mut self) -> Result<(), PhysicsError> {
+        let text = format!("the run ended at tick {} of {}", self.tick, self.tick_count);
+        self.ports.events.inform(self.tick, EVENT_RUN, &text)?;
+        self.send_status(PHASE_ENDED, true)?;
+        self.ports.controllers.iter().for_each(|port| port.waker.wake());
+        let limit = Instant::now() + CONSUMER_LIMIT;
+        loop {
+            self.ports.consumers.update()?;
+            let Some(part) = self.ports.consumers.behind(self.tick).map(|consumer| consumer.part) else { return Ok(()) };
+            if Instant::now() >= limit {
+                return Err(PhysicsError::ConsumerStuck { part, tick: self.tick, limit_s: CONSUMER_LIMIT.as_secs() });
+            }
+            self.ports.consumers.wake();
+            self.ports.status.deliver_history()?;
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}

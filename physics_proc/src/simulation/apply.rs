@@ -1,0 +1,86 @@
+//! What the latched commands do to the actuators.
+
+use ipc_types::messages::{
+    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_SERVO_CP, ARM_SERVO_JP, BURR_SPEED, Command, Latched, Pose,
+    SOURCE_FRESH, SOURCE_SAFE, TENDON_MOVE_JP, TENDON_SERVO_JF, TENDON_SERVO_JP,
+};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+
+use super::Simulation;
+use crate::arm::ArmCommand;
+
+/// A valid command that the model could not follow (an unreachable goal); nothing has changed by it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refusal {
+    /// Index of the controller in the scene.
+    pub controller_index: u32,
+    /// Sequence number of the command.
+    pub sequence: u64,
+    /// Why.
+    pub reason: String,
+}
+
+impl Simulation<'_> {
+    /// Applies the fresh commands and the safe ones; a held command acts on as it did.
+    pub(super) fn apply(&mut self, latched: &Latched) {
+        self.refusals.clear();
+        for entry in latched.commands.iter().take(latched.controller_count as usize) {
+            if entry.source != SOURCE_FRESH && entry.source != SOURCE_SAFE {
+                continue;
+            }
+            let outcome = self.apply_tendon(&entry.command).and_then(|()| self.apply_arm(&entry.command));
+            if entry.command.burr_mode == BURR_SPEED {
+                self.burr_speed_rad_per_s = entry.command.burr_speed_rad_per_s;
+            }
+            if let Err(reason) = outcome {
+                self.refusals.push(Refusal {
+                    controller_index: entry.controller_index,
+                    sequence: entry.command.sequence,
+                    reason,
+                });
+            }
+        }
+    }
+
+    fn apply_tendon(&mut self, command: &Command) -> Result<(), String> {
+        let pair = |all: &[f64]| [all[0], all[1]];
+        match command.tendon_mode {
+            TENDON_SERVO_JF => self.tendon.servo_force(pair(&command.tendon_force_n)),
+            TENDON_SERVO_JP => self.tendon.servo_displacement(pair(&command.tendon_displacement_m)),
+            TENDON_MOVE_JP => {
+                let now_m = self.manipulator.tendon_displacements_m();
+                let goal_m = pair(&command.tendon_displacement_m);
+                self.tendon.move_to(goal_m, now_m, self.dt_s).map_err(|cause| format!("tendon move_jp: {cause}"))?;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn apply_arm(&mut self, command: &Command) -> Result<(), String> {
+        let speed_m_per_s = (command.arm_speed_m_per_s > 0.0).then_some(command.arm_speed_m_per_s);
+        let wanted = match command.arm_mode {
+            ARM_NONE => return Ok(()),
+            ARM_SERVO_JP => ArmCommand::ServoJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 },
+            ARM_MOVE_JP => ArmCommand::MoveJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 },
+            ARM_SERVO_CP => {
+                ArmCommand::ServoCp { t_world_flange: isometry(&command.t_world_base), speed_fraction: 1.0 }
+            }
+            ARM_MOVE_CP => ArmCommand::MoveCp {
+                t_world_flange: isometry(&command.t_world_base),
+                max_speed_m_s: speed_m_per_s,
+                max_angular_speed_rad_s: None,
+            },
+            ARM_HOLD => ArmCommand::Hold,
+            other => return Err(format!("arm_mode is {other}")),
+        };
+        self.arm.command(wanted).map_err(|cause| format!("arm: {cause}"))
+    }
+}
+
+/// A message's pose as a transform; the quaternion is normalised once more, its rounding removed.
+fn isometry(pose: &Pose) -> Isometry3<f64> {
+    let [x, y, z, w] = pose.orientation_xyzw;
+    let [px, py, pz] = pose.position_m;
+    Isometry3::from_parts(Translation3::new(px, py, pz), UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)))
+}

@@ -1,0 +1,102 @@
+//! The state as a message.
+
+use ipc_types::messages::{
+    AppliedCommand, Contact, Latched, MAX_CONTACTS, PART_BURR, PART_SEGMENT, PART_SHAFT, Pose, Wrench,
+};
+use nalgebra::{Isometry3, Vector3};
+
+use super::{Simulation, numbers};
+use crate::manipulator::SphereKind;
+
+impl Simulation<'_> {
+    /// Writes the world into the message; the hash follows.
+    pub(super) fn update_state(&mut self, latched: &Latched, removed: usize) {
+        self.write_tool();
+        self.write_contacts();
+        self.write_arm();
+        let state = &mut self.state;
+        if self.initial.is_some() {
+            state.tick = latched.tick + 1;
+        }
+        state.sim_time_s = state.tick as f64 * self.dt_s;
+        state.removed_in_tick = removed as u32;
+        let drilled = self.bone.as_ref().map_or(0, |bone| bone.field.removed_total());
+        state.removed_total = drilled + self.predrilled.len() as u64;
+        state.burr_speed_rad_per_s = self.burr_speed_rad_per_s;
+        state.cutting_energy_j = self.cutting_energy_j;
+        state.controller_count = latched.controller_count;
+        for (applied, entry) in state.applied.iter_mut().zip(&latched.commands) {
+            *applied = AppliedCommand {
+                sequence: entry.command.sequence,
+                age_ticks: entry.age_ticks,
+                source: entry.source,
+                controller_index: entry.controller_index,
+            };
+        }
+    }
+
+    fn write_tool(&mut self) {
+        let (state, tool) = (&mut self.state, &self.manipulator);
+        let joints = tool.joint_count();
+        state.joint_count = joints as u32;
+        state.tendon_count = 2;
+        state.joint_position_rad[..joints].copy_from_slice(tool.joint_positions_rad());
+        state.joint_velocity_rad_per_s[..joints].copy_from_slice(tool.joint_velocities_rad_per_s());
+        state.bend_rad = tool.bend_rad();
+        state.tendon_tension_n[..2].copy_from_slice(&tool.tendon_tensions_n());
+        state.tendon_displacement_m[..2].copy_from_slice(&tool.tendon_displacements_m());
+        state.t_world_base = pose(&tool.t_world_link(0));
+        let burr = tool.t_world_tip();
+        state.t_world_burr = pose(&burr);
+        let front = burr * Isometry3::translation(0.0, 0.0, tool.parameters().burr_radius_m);
+        state.t_world_tip = pose(&front);
+        for (slot, link) in state.t_world_link.iter_mut().zip(tool.link_poses().skip(1)) {
+            *slot = pose(&link);
+        }
+        let wrench = tool.flange_wrench();
+        state.flange_wrench = Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
+        state.burr_force_n = tool.last_report().burr_normal_force_n.norm();
+    }
+
+    fn write_contacts(&mut self) {
+        let state = &mut self.state;
+        let results = self.manipulator.contact_results();
+        let spheres = self.manipulator.proxy_spheres();
+        state.contact_total = results.len() as u32;
+        state.contact_count = results.len().min(MAX_CONTACTS) as u32;
+        state.contacts.fill(Contact::zeroed());
+        for (slot, result) in state.contacts.iter_mut().zip(results) {
+            let plane = self.planes.get(result.contact_index);
+            *slot = Contact {
+                sphere_index: result.sphere_index as u32,
+                part: spheres.get(result.sphere_index).map_or(PART_BURR, |sphere| part(sphere.kind)),
+                point_m: plane.map_or([0.0; 3], |plane| numbers(&plane.point_m)),
+                normal: numbers(&result.normal),
+                gap_m: plane.map_or(0.0, |plane| plane.gap_m),
+                normal_force_n: result.normal_force_n,
+                friction_force_n: numbers(&result.friction_force_n),
+            };
+        }
+    }
+
+    fn write_arm(&mut self) {
+        let arm = self.arm.state();
+        self.state.arm_joint_position_rad = arm.q_rad;
+        self.state.arm_joint_velocity_rad_per_s = arm.qd_rad_s;
+        self.state.t_world_flange = pose(&arm.t_world_flange);
+    }
+}
+
+fn part(kind: SphereKind) -> u32 {
+    match kind {
+        SphereKind::Shaft => PART_SHAFT,
+        SphereKind::Segment(_) => PART_SEGMENT,
+        SphereKind::Burr => PART_BURR,
+    }
+}
+
+fn pose(transform: &Isometry3<f64>) -> Pose {
+    let rotation = transform.rotation.coords;
+    let position: &Vector3<f64> = &transform.translation.vector;
+    Pose { position_m: numbers(position), orientation_xyzw: [rotation.x, rotation.y, rotation.z, rotation.w] }
+}

@@ -1,0 +1,237 @@
+//! The whole simulated world: arm, manipulator, bone, burr.
+//!
+//! One tick:
+//!
+//! 1. apply the latched commands: arm goal, tendon target, burr speed;
+//! 2. the arm moves along its jerk-limited path; its flange is the manipulator's base;
+//! 3. the proxy spheres of the manipulator ask the bone for contact planes;
+//! 4. the manipulator steps with these planes and the tendon's tension, impulses inside its implicit solve;
+//! 5. the burr, pressed with the normal force of that solve, takes bone away;
+//! 6. the chained hash takes in commands, state and removed voxels.
+
+mod apply;
+mod message;
+mod setup;
+mod tendon_drive;
+
+use ipc_types::messages::{Latched, State};
+use ipc_types::scene::Scene;
+use nalgebra::Vector3;
+use thiserror::Error;
+use xxhash_rust::xxh3::Xxh3;
+use zerocopy::IntoBytes;
+
+use crate::arm::{Arm, ArmError, ArmSnapshot};
+use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry};
+use crate::manipulator::{BaseMotion, ContactPlane, Manipulator, ManipulatorError, ManipulatorState, StepInput, Wrench};
+use tendon_drive::{TendonDrive, TendonDriveState};
+
+pub use apply::Refusal;
+
+/// Gap within which a contact plane takes part in a tick, beyond what the sphere can travel in it.
+const CONTACT_MARGIN_M: f64 = 2.0e-4;
+
+/// The CT as a simulation sees it: geometry and Hounsfield units, x fastest, not copied.
+#[derive(Debug, Clone, Copy)]
+pub struct CtView<'v> {
+    /// Grid.
+    pub geometry: GridGeometry,
+    /// Hounsfield units.
+    pub hu: &'v [i16],
+}
+
+/// Why a simulation cannot be built, or a tick cannot be made.
+#[derive(Debug, Error)]
+pub enum SimulationError {
+    /// The scene has a volume that the simulation was not given.
+    #[error("the scene has a `[volume]`, but no volume was given")]
+    VolumeMissing,
+    /// The manipulator's parameters.
+    #[error("manipulator: {0}")]
+    Manipulator(#[from] ManipulatorError),
+    /// The bone's.
+    #[error("bone: {0}")]
+    Bone(#[from] BoneError),
+    /// The arm's.
+    #[error("arm: {0}")]
+    Arm(#[from] ArmError),
+}
+
+/// Everything that a tick changes, bit for bit: see [`Simulation::snapshot`].
+#[derive(Debug, Clone)]
+pub struct SimulationSnapshot {
+    arm: ArmSnapshot,
+    manipulator: ManipulatorState,
+    bone: Option<BoneSnapshot>,
+    tendon: TendonDriveState,
+    burr_speed_rad_per_s: f64,
+    cutting_energy_j: f64,
+    state: State,
+}
+
+/// The simulated world.
+pub struct Simulation<'v> {
+    dt_s: f64,
+    arm: Arm,
+    manipulator: Manipulator,
+    bone: Option<Bone<'v>>,
+    planes: Vec<ContactPlane>,
+    tendon: TendonDrive,
+    burr_speed_rad_per_s: f64,
+    cutting_energy_j: f64,
+    state: State,
+    predrilled: Vec<u32>,
+    refusals: Vec<Refusal>,
+    initial: Option<Box<SimulationSnapshot>>,
+}
+
+struct Bone<'v> {
+    hu: &'v [i16],
+    field: BoneField,
+    contacts: ContactBuffer,
+}
+
+impl<'v> Simulation<'v> {
+    /// The world of a scene at tick 0.
+    ///
+    /// # Errors
+    /// Parameters that its parts refuse, by name.
+    pub fn new(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
+        let mut simulation = setup::build(scene, ct)?;
+        simulation.update_state(&Latched::zeroed(), 0);
+        simulation.initial = Some(Box::new(simulation.snapshot()));
+        Ok(simulation)
+    }
+
+    /// The state after the last tick.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Voxels that the last tick removed, by linear index; after a reset, the predrilled ones.
+    pub fn removed(&self) -> &[u32] {
+        self.bone.as_ref().map_or(&[], |bone| bone.field.removed_this_tick())
+    }
+
+    /// Voxels that the scene predrills, by linear index, ascending: gone from tick 0 on.
+    pub fn predrilled(&self) -> &[u32] {
+        &self.predrilled
+    }
+
+    /// What the last tick refused of its commands, and why.
+    pub fn refusals(&self) -> &[Refusal] {
+        &self.refusals
+    }
+
+    /// Makes tick k, whose u_k is `latched`.
+    ///
+    /// # Errors
+    /// A part refuses its input; a state that a valid scene and valid commands do not reach.
+    pub fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
+        if latched.reset != 0 {
+            self.reset()?;
+        }
+        self.apply(latched);
+        let arm = self.arm.step();
+        let base = BaseMotion {
+            t_world_base: arm.t_world_flange,
+            linear_velocity_m_per_s: arm.linear_velocity_m_s,
+            angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
+        };
+        self.find_contacts();
+        let tendon = self.tendon.step(self.dt_s);
+        let tip_wrench = Wrench::zero();
+        let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
+        let report = self.manipulator.step(self.dt_s, &input)?;
+        let removed = self.grind(report.burr_normal_force_n.norm())?;
+        self.update_state(latched, removed);
+        self.update_hash(latched);
+        Ok(())
+    }
+
+    fn find_contacts(&mut self) {
+        self.planes.clear();
+        let Some(bone) = &mut self.bone else { return };
+        bone.contacts.clear();
+        for (index, sphere) in self.manipulator.proxy_spheres().iter().enumerate() {
+            let margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
+            bone.field.contact_planes(index, &sphere.centre_m, sphere.radius_m, margin_m, &mut bone.contacts);
+        }
+        self.planes.extend(bone.contacts.planes().iter().map(|plane| ContactPlane {
+            sphere_index: plane.sphere_index,
+            point_m: plane.point_m,
+            normal: plane.normal,
+            gap_m: plane.gap_m,
+        }));
+    }
+
+    fn grind(&mut self, normal_force_n: f64) -> Result<usize, SimulationError> {
+        let Some(bone) = &mut self.bone else { return Ok(0) };
+        let burr = BurrState {
+            centre_m: self.manipulator.t_world_tip().translation.vector,
+            radius_m: self.manipulator.parameters().burr_radius_m,
+            speed_rad_s: self.burr_speed_rad_per_s,
+            normal_force_n,
+        };
+        let report = bone.field.grind(bone.hu, &burr, self.dt_s)?;
+        self.cutting_energy_j += report.energy_used_j;
+        Ok(report.removed_count)
+    }
+
+    fn update_hash(&mut self, latched: &Latched) {
+        let mut hasher = Xxh3::new();
+        hasher.update(self.state.hash.as_bytes());
+        self.state.hash = [0; 2];
+        hasher.update(latched.as_bytes());
+        hasher.update(self.state.as_bytes());
+        hasher.update(self.removed().as_bytes());
+        let hash = hasher.digest128();
+        self.state.hash = [hash as u64, (hash >> 64) as u64];
+    }
+
+    /// Everything that a tick changes. Allocates; not for the loop.
+    pub fn snapshot(&self) -> SimulationSnapshot {
+        SimulationSnapshot {
+            arm: self.arm.snapshot(),
+            manipulator: self.manipulator.snapshot(),
+            bone: self.bone.as_ref().map(|bone| bone.field.snapshot()),
+            tendon: self.tendon.snapshot(),
+            burr_speed_rad_per_s: self.burr_speed_rad_per_s,
+            cutting_energy_j: self.cutting_energy_j,
+            state: self.state,
+        }
+    }
+
+    /// Goes to a snapshot of a simulation of the same scene and volume; continues bit for bit.
+    ///
+    /// # Errors
+    /// The snapshot is of another scene.
+    pub fn restore(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
+        self.arm.restore(&snapshot.arm)?;
+        self.manipulator.restore(&snapshot.manipulator);
+        if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
+            bone.field.restore(saved)?;
+        }
+        self.tendon.restore(&snapshot.tendon);
+        self.burr_speed_rad_per_s = snapshot.burr_speed_rad_per_s;
+        self.cutting_energy_j = snapshot.cutting_energy_j;
+        self.state = snapshot.state;
+        Ok(())
+    }
+
+    /// Back to the initial state; tick count and hash go on.
+    fn reset(&mut self) -> Result<(), SimulationError> {
+        let Some(initial) = self.initial.take() else { return Ok(()) };
+        let (tick, hash) = (self.state.tick, self.state.hash);
+        let restored = self.restore(&initial);
+        self.initial = Some(initial);
+        self.state.tick = tick;
+        self.state.hash = hash;
+        restored
+    }
+}
+
+/// A vector's three numbers.
+fn numbers(vector: &Vector3<f64>) -> [f64; 3] {
+    [vector.x, vector.y, vector.z]
+}

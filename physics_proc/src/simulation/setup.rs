@@ -1,0 +1,128 @@
+//! From a scene's units and keys to the parameters of the parts.
+
+use ipc_types::messages::State;
+use ipc_types::scene::{Integrator as SceneIntegrator, Scene, Tool};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::tendon_drive::TendonDrive;
+use super::{Bone, CtView, Simulation, SimulationError};
+use crate::arm::{Arm, ArmParameters, place_base_for};
+use crate::bone::{BoneField, BoneParameters, ContactBuffer};
+use crate::manipulator::{BaseMotion, Integrator, MAX_CONTACTS, Manipulator, ManipulatorParameters};
+
+pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
+    let parameters = manipulator_parameters(scene);
+    let t_world_base = tool_base(&scene.tool, &parameters);
+    let arm = arm(scene, &t_world_base)?;
+    // The arm's own forward kinematics, so that tick 1 does not begin with a jump of one rounding.
+    let base = BaseMotion::at_rest(arm.state().t_world_flange);
+    let max_burr_radius_m = parameters.burr_radius_m;
+    let manipulator = Manipulator::new(parameters, &base)?;
+    let (bone, predrilled) = match (&scene.volume, ct) {
+        (None, _) => (None, Vec::new()),
+        (Some(_), None) => return Err(SimulationError::VolumeMissing),
+        (Some(_), Some(ct)) => {
+            let (bone, predrilled) = bone(scene, ct, max_burr_radius_m)?;
+            (Some(bone), predrilled)
+        }
+    };
+    Ok(Simulation {
+        dt_s: scene.dt_s(),
+        arm,
+        manipulator,
+        bone,
+        planes: Vec::with_capacity(MAX_CONTACTS),
+        tendon: TendonDrive::new(),
+        burr_speed_rad_per_s: 0.0,
+        cutting_energy_j: 0.0,
+        state: State::zeroed(),
+        predrilled,
+        refusals: Vec::with_capacity(ipc_types::messages::MAX_CONTROLLERS),
+        initial: None,
+    })
+}
+
+/// The standard manipulator with the scene's overrides.
+pub fn manipulator_parameters(scene: &Scene) -> ManipulatorParameters {
+    let mut parameters = ManipulatorParameters::jhu_27();
+    let overrides = &scene.manipulator;
+    if let Some(friction) = overrides.tendon_friction {
+        parameters.tendon.friction_coefficient = friction;
+    }
+    if let Some(ratio) = overrides.damping_ratio {
+        parameters.damping_ratio = ratio;
+    }
+    if let Some(scale) = overrides.stiffness_scale {
+        parameters.joint_stiffness_nm_per_rad.iter_mut().for_each(|k| *k *= scale);
+    }
+    if let Some(scale) = overrides.mass_scale {
+        parameters.linear_density_kg_per_m *= scale;
+        parameters.burr_mass_kg *= scale;
+        parameters.shaft_mass_kg *= scale;
+    }
+    if let Some(stiffness) = overrides.mount_stiffness_n_per_m {
+        parameters.mount_stiffness_n_per_m = [stiffness; 3];
+    }
+    if let Some(diameter_mm) = overrides.burr_diameter_mm {
+        parameters.burr_radius_m = diameter_mm * 0.5e-3;
+    }
+    parameters.integrator = match overrides.integrator {
+        Some(SceneIntegrator::LinearlyImplicitEuler) => Integrator::LinearlyImplicitEuler,
+        Some(SceneIntegrator::Hybrid) | None => Integrator::Hybrid,
+    };
+    if let Some(friction) = scene.contact.friction {
+        parameters.contact.friction_coefficient = friction;
+    }
+    if let Some(stiffness) = scene.contact.stiffness_n_per_m {
+        parameters.contact.stiffness_n_per_m = stiffness;
+    }
+    parameters
+}
+
+/// Base of the straight tool whose burr stands at the scene's start.
+fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> {
+    let along = Vector3::from(tool.direction).normalize();
+    let toward = Vector3::from(tool.bend_toward);
+    let bend = (toward - along * toward.dot(&along)).normalize();
+    let across = along.cross(&bend);
+    let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[bend, across, along]));
+    let reach_m = parameters.joint_positions_m.last().copied().unwrap_or(0.0) + parameters.tip_offset_m;
+    let origin = Vector3::from(tool.burr_start_mm) * 1e-3 - along * reach_m;
+    Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&turn))
+}
+
+fn arm(scene: &Scene, t_world_flange: &Isometry3<f64>) -> Result<Arm, SimulationError> {
+    let mut parameters = ArmParameters::ur5(scene.dt_s());
+    let (t_world_arm_base, joints) = place_base_for(&parameters.geometry, t_world_flange);
+    parameters.t_world_arm_base = t_world_arm_base;
+    parameters.cartesian_limits.speed_m_s = scene.arm.max_speed_mm_per_s * 1e-3;
+    parameters.cartesian_limits.acceleration_m_s2 = scene.arm.max_acceleration_mm_per_s2 * 1e-3;
+    parameters.cartesian_limits.jerk_m_s3 = scene.arm.max_jerk_mm_per_s3 * 1e-3;
+    Ok(Arm::new(parameters, &joints)?)
+}
+
+fn bone<'v>(scene: &Scene, ct: CtView<'v>, max_burr_radius_m: f64) -> Result<(Bone<'v>, Vec<u32>), SimulationError> {
+    let mut parameters = BoneParameters { max_burr_radius_m, ..BoneParameters::default() };
+    if let Some(volume) = &scene.volume {
+        parameters.threshold_hu = volume.bone_threshold_hu;
+    }
+    let drilling = &scene.drilling;
+    if let Some(energy) = drilling.specific_energy_j_per_mm3 {
+        parameters.material.specific_energy_ref_j_m3 = energy * 1e9;
+    }
+    if let Some(exponent) = drilling.density_exponent {
+        parameters.material.exponent = exponent;
+    }
+    if let Some(coefficient) = drilling.cutting_coefficient {
+        parameters.cutting.cutting_friction = coefficient;
+    }
+    parameters.removed_per_tick = ipc_types::services::MAX_REMOVED_PER_TICK;
+    let mut field = BoneField::new(ct.geometry, ct.hu, parameters)?;
+    let mut predrilled = Vec::new();
+    for hole in &scene.predrill {
+        let [from, to] = [hole.from_mm, hole.to_mm].map(|end| Vector3::from(end) * 1e-3);
+        predrilled.extend(field.predrill_capsule(&from, &to, hole.diameter_mm * 0.5e-3));
+    }
+    predrilled.sort_unstable();
+    Ok((Bone { hu: ct.hu, field, contacts: ContactBuffer::with_capacity(MAX_CONTACTS) }, predrilled))
+}
