@@ -1,0 +1,111 @@
+//! Milliseconds and errors of the projectors on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x 384 pixels.
+//!
+//! `cargo run --release -p drr_proc --example render_time -- [threads] [picture.png]`
+
+mod common;
+
+use std::error::Error;
+use std::time::Instant;
+
+use drr_proc::ray::RayFan;
+use drr_proc::{
+    CArm, DetectorFormat, DrrParameters, DrrRenderer, FrameSeed, Grid, Material, PositionerAngles, Projector,
+    Tool, VolumeView, reference,
+};
+
+const SIDE: u32 = 384;
+const ROUNDS: usize = 7;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let threads = arguments.next().map_or(Ok(2), |a| a.parse())?;
+    let picture = arguments.next();
+    let grid = Grid::centred([240, 200, 320], [1e-3; 3])?;
+    let shapes = reference::thigh(1.0);
+    let hu = reference::voxelise(&grid, &shapes, 2);
+    let view = VolumeView::new(grid, &hu)?;
+    let mu_water = Material::Water.mu_per_m(60.0)?;
+    let (right, up) = ([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]);
+    let tool = common::snake(&common::backbone([-0.06, 0.0, 0.05], right, up, 0.04, 0.7));
+    for (name, primary, secondary) in [("ap", 0.0, 0.0), ("oblique", 37.0, 18.0), ("lateral", 90.0, 5.0)] {
+        let c_arm = pose(primary, secondary)?;
+        let fan = RayFan::new(&grid, &c_arm);
+        let pixel = |i: u32| fan.world_ray(i % SIDE, i / SIDE);
+        let truth: Vec<f64> =
+            (0..SIDE * SIDE).map(|i| reference::line_integral(&shapes, &pixel(i), mu_water)).collect();
+        let mut exact = Vec::new();
+        for projector in [Projector::Siddon, Projector::Joseph] {
+            let parameters = DrrParameters { projector, threads, ..DrrParameters::default() };
+            let started = Instant::now();
+            let mut renderer = DrrRenderer::new(&view, parameters)?;
+            let built_ms = ms(started);
+            let mut image = vec![0_u16; c_arm.pixels()];
+            renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image)?;
+            if exact.is_empty() {
+                exact = renderer.anatomy().to_vec();
+            }
+            println!(
+                "{name:8} {projector:?}: relative rms error {:.2e} (closed form), {:.2e} (Siddon)",
+                reference::relative_rms(renderer.anatomy(), &truth),
+                reference::relative_rms(renderer.anatomy(), &exact)
+            );
+            if let (Some(path), "ap", Projector::Joseph) = (&picture, name, projector) {
+                common::write_png(path, SIDE, SIDE, &image)?;
+            }
+            print!("         {threads} threads, least ms of {ROUNDS}: build {built_ms:.1}, ");
+            time_frames(&mut renderer, &view, &c_arm, &tool, &pose(primary + 1.0, secondary)?)?;
+        }
+    }
+    Ok(())
+}
+
+fn pose(primary_deg: f64, secondary_deg: f64) -> Result<CArm, drr_proc::DrrError> {
+    let format = DetectorFormat { columns: SIDE, rows: SIDE, pixel_pitch_m: [0.3 / f64::from(SIDE); 2] };
+    let angles = PositionerAngles::from_degrees(primary_deg, secondary_deg);
+    CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
+}
+
+fn ms(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}
+
+/// Least times of a full frame, one where nothing changed, one with the tool, and one after a millimetre of drilling.
+fn time_frames(
+    renderer: &mut DrrRenderer,
+    view: &VolumeView<'_>,
+    c_arm: &CArm,
+    tool: &Tool,
+    away: &CArm,
+) -> Result<(), Box<dyn Error>> {
+    let (none, seed) = (Tool::default(), FrameSeed::default());
+    let mut image = vec![0_u16; c_arm.pixels()];
+    let mut least = [f64::INFINITY; 4];
+    let (mut removed, mut rays) = (0, 0);
+    for round in 0..ROUNDS {
+        renderer.render(view, away, &none, seed, &mut image)?;
+        for (which, tool) in [(0, &none), (1, &none), (2, tool)] {
+            let started = Instant::now();
+            renderer.render(view, c_arm, tool, seed, &mut image)?;
+            least[which] = least[which].min(ms(started));
+        }
+        let batch = ball(view.grid(), [0.048 - 0.001 * round as f64, 0.0, 0.08]);
+        let started = Instant::now();
+        removed = renderer.remove(view, &batch)?;
+        rays = renderer.render(view, c_arm, tool, seed, &mut image)?.rays_traced;
+        least[3] = least[3].min(ms(started));
+    }
+    let [full, cached, tooled, drilled] = least;
+    println!(
+        "full {full:.1}, unchanged {cached:.2}, with tool {tooled:.2}, tool and {removed} voxels removed ({rays} rays) {drilled:.2}"
+    );
+    Ok(())
+}
+
+/// Linear indices of the voxels in a ball of 3.25 mm radius.
+fn ball(grid: &Grid, centre_m: [f64; 3]) -> Vec<u32> {
+    let inside = |&i: &u32| {
+        let p = grid.index_to_world(grid.voxel_of(i as usize).map(|v| v as f64));
+        (0..3).map(|a| (p[a] - centre_m[a]) * (p[a] - centre_m[a])).sum::<f64>() < 3.25e-3 * 3.25e-3
+    };
+    (0..grid.voxels() as u32).filter(inside).collect()
+}

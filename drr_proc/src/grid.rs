@@ -1,0 +1,170 @@
+//! The CT's grid in the world, and the borrowed voxels.
+
+use crate::error::{DrrError, check_orthonormal, check_range};
+use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
+
+/// Largest deviation from perpendicular unit axes that is taken as rounding of the file's direction cosines.
+const ORTHONORMAL_LIMIT: f64 = 1e-4;
+/// Most voxels along one axis; keeps the projector's 32.32 fixed-point arithmetic far from overflow.
+const MAX_AXIS: usize = 1 << 16;
+
+/// Where the voxels are: voxel (i, j, k) has its centre at `origin_m + i s_x d_0 + j s_y d_1 + k s_z d_2` (world LPS).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    dims: [usize; 3],
+    spacing_m: Vec3,
+    origin_m: Vec3,
+    /// World vector from a voxel to its neighbour along each index axis.
+    axis_steps_m: [Vec3; 3],
+    /// Rows of the inverse of the index-to-world matrix, 1/m.
+    world_to_index: [Vec3; 3],
+}
+
+impl Grid {
+    /// A grid of `dims` voxels, x fastest in memory. `direction` is row-major, `direction[row][axis]`: its columns are the
+    /// unit world vectors of the index axes. `origin_m` is the centre of voxel (0, 0, 0).
+    ///
+    /// # Errors
+    /// Sizes of 0 or above 65536, more than 2^32 - 1 voxels, spacings outside 1 um to 0.1 m, a sheared direction matrix.
+    pub fn new(
+        dims: [usize; 3],
+        spacing_m: [f64; 3],
+        origin_m: [f64; 3],
+        direction: [[f64; 3]; 3],
+    ) -> Result<Self, DrrError> {
+        for &n in &dims {
+            check_range("dims", n as f64, 1.0, MAX_AXIS as f64, "1 to 65536 voxels along each axis")?;
+        }
+        let voxels = dims.iter().map(|&n| n as u64).product::<u64>();
+        let limit = u64::from(u32::MAX);
+        check_range("number of voxels", voxels as f64, 1.0, limit as f64, "at most 2^32 - 1")?;
+        for &s in &spacing_m {
+            check_range("spacing_m", s, 1e-6, 0.1, "1e-6 to 0.1 m")?;
+        }
+        for &x in &origin_m {
+            check_range("origin_m", x, -100.0, 100.0, "-100 to 100 m")?;
+        }
+        let axes = [0, 1, 2].map(|a| [direction[0][a], direction[1][a], direction[2][a]]);
+        check_orthonormal("direction axes of the volume", &axes, ORTHONORMAL_LIMIT)?;
+        let axis_steps_m = [0, 1, 2].map(|a| scale(axes[a], spacing_m[a]));
+        Ok(Self { dims, spacing_m, origin_m, axis_steps_m, world_to_index: inverse_rows(axis_steps_m) })
+    }
+
+    /// A grid along the world axes.
+    ///
+    /// # Errors
+    /// As [`Grid::new`].
+    pub fn axis_aligned(dims: [usize; 3], spacing_m: [f64; 3], origin_m: [f64; 3]) -> Result<Self, DrrError> {
+        Self::new(dims, spacing_m, origin_m, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    }
+
+    /// A grid along the world axes, centred on the world's origin.
+    ///
+    /// # Errors
+    /// As [`Grid::new`].
+    pub fn centred(dims: [usize; 3], spacing_m: [f64; 3]) -> Result<Self, DrrError> {
+        let origin_m = [0, 1, 2].map(|a| -0.5 * (dims[a] as f64 - 1.0) * spacing_m[a]);
+        Self::axis_aligned(dims, spacing_m, origin_m)
+    }
+
+    /// Number of voxels along each index axis.
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// Distance between voxel centres along each index axis.
+    pub fn spacing_m(&self) -> [f64; 3] {
+        self.spacing_m
+    }
+
+    /// World position of the centre of voxel (0, 0, 0).
+    pub fn origin_m(&self) -> [f64; 3] {
+        self.origin_m
+    }
+
+    /// Number of voxels.
+    pub fn voxels(&self) -> usize {
+        self.dims[0] * self.dims[1] * self.dims[2]
+    }
+
+    /// Distance in memory between neighbours along each index axis, in elements.
+    pub fn strides(&self) -> [usize; 3] {
+        [1, self.dims[0], self.dims[0] * self.dims[1]]
+    }
+
+    /// World vector from a voxel to its neighbour along each index axis.
+    pub fn axis_steps_m(&self) -> [[f64; 3]; 3] {
+        self.axis_steps_m
+    }
+
+    /// Voxel coordinates (i, j, k) of a linear index `i + nx (j + ny k)`.
+    pub fn voxel_of(&self, linear: usize) -> [usize; 3] {
+        let [nx, ny, _] = self.dims;
+        [linear % nx, (linear / nx) % ny, linear / (nx * ny)]
+    }
+
+    /// Linear index of voxel (i, j, k), or `None` outside the volume.
+    pub fn linear_of(&self, voxel: [usize; 3]) -> Option<usize> {
+        let inside = voxel.iter().zip(&self.dims).all(|(v, n)| v < n);
+        inside.then(|| voxel[0] + self.dims[0] * (voxel[1] + self.dims[1] * voxel[2]))
+    }
+
+    /// World position of a point in index coordinates (voxel centres at integers).
+    pub fn index_to_world(&self, index: [f64; 3]) -> [f64; 3] {
+        let mut p = self.origin_m;
+        for a in 0..3 {
+            p = add_scaled(p, index[a], self.axis_steps_m[a]);
+        }
+        p
+    }
+
+    /// Index coordinates of a world position.
+    pub fn world_to_index(&self, p_m: [f64; 3]) -> [f64; 3] {
+        self.vector_to_index(sub(p_m, self.origin_m))
+    }
+
+    /// Index-space components of a world displacement.
+    pub fn vector_to_index(&self, d_m: [f64; 3]) -> [f64; 3] {
+        self.world_to_index.map(|row| dot(row, d_m))
+    }
+}
+
+/// Rows of the inverse of the matrix whose columns are `c`.
+fn inverse_rows(c: [Vec3; 3]) -> [Vec3; 3] {
+    let det = dot(c[0], cross(c[1], c[2]));
+    [
+        scale(cross(c[1], c[2]), 1.0 / det),
+        scale(cross(c[2], c[0]), 1.0 / det),
+        scale(cross(c[0], c[1]), 1.0 / det),
+    ]
+}
+
+/// The CT as it lies in shared memory: a grid and its Hounsfield units, x fastest.
+#[derive(Debug, Clone, Copy)]
+pub struct VolumeView<'a> {
+    grid: Grid,
+    hu: &'a [i16],
+}
+
+impl<'a> VolumeView<'a> {
+    /// Borrows `hu` as the voxels of `grid`.
+    ///
+    /// # Errors
+    /// A slice that is not one value a voxel.
+    pub fn new(grid: Grid, hu: &'a [i16]) -> Result<Self, DrrError> {
+        if hu.len() != grid.voxels() {
+            return Err(DrrError::Length { field: "hu", given: hu.len(), expected: grid.voxels() });
+        }
+        Ok(Self { grid, hu })
+    }
+
+    /// The grid.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The Hounsfield units, x fastest.
+    pub fn hu(&self) -> &'a [i16] {
+        self.hu
+    }
+}

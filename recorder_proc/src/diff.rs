@@ -1,0 +1,158 @@
+//! `diff` — do two logs hold the same run?
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+
+use ipc_types::layout::Message;
+use ipc_types::messages::{Frame, ImagePrefix, Latched};
+use zerocopy::IntoBytes;
+
+use crate::difference::{Divergence, compare, compare_removed};
+use crate::error::LogError;
+use crate::frames::{FrameRecord, frames};
+use crate::reader::{LogReader, ReadOptions, TickRecord};
+use crate::topics;
+use crate::verify::compare_state;
+
+/// What two logs have in common.
+#[derive(Debug, Default)]
+pub struct DiffReport {
+    /// Header entries that differ: name, first, second.
+    pub header: Vec<(String, String, String)>,
+    /// Complete ticks that are identical.
+    pub identical_ticks: u64,
+    /// Frames that are identical.
+    pub identical_frames: u64,
+    /// The first tick that differs.
+    pub ticks: Option<Divergence>,
+    /// The first frame that differs.
+    pub frames: Option<Divergence>,
+    /// What one log has and the other lacks, and how each ends if not both end alike.
+    pub remarks: Vec<String>,
+}
+
+impl DiffReport {
+    /// True if both hold the same ticks and the same frames. Header entries may differ (another build, another mode).
+    pub fn same_run(&self) -> bool {
+        self.ticks.is_none() && self.frames.is_none() && self.remarks.is_empty()
+    }
+
+    /// Writes the comparison for people.
+    pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
+        for (name, first, second) in &self.header {
+            writeln!(out, "header {name}: {first:?} against {second:?}")?;
+        }
+        writeln!(
+            out,
+            "{} identical ticks, {} identical frames",
+            self.identical_ticks, self.identical_frames
+        )?;
+        for divergence in self.ticks.iter().chain(&self.frames) {
+            writeln!(out, "{divergence}")?;
+        }
+        for remark in &self.remarks {
+            writeln!(out, "{remark}")?;
+        }
+        if self.same_run() {
+            writeln!(out, "identical")?;
+        }
+        Ok(())
+    }
+}
+
+/// Compares two `run.mcap`: headers, every tick, every frame. Two logs of one run may interleave frames and ticks
+/// differently; that is no difference.
+pub fn diff(first: &Path, second: &Path, options: ReadOptions) -> Result<DiffReport, LogError> {
+    let mut report = DiffReport::default();
+    compare_ticks(first, second, options, &mut report)?;
+    compare_frames(first, second, options, &mut report)?;
+    Ok(report)
+}
+
+fn compare_ticks(
+    first: &Path,
+    second: &Path,
+    options: ReadOptions,
+    out: &mut DiffReport,
+) -> Result<(), LogError> {
+    let mut a = LogReader::open_with(first, options)?;
+    let mut b = LogReader::open_with(second, options)?;
+    out.header = compare_headers(a.stream().metadata(), b.stream().metadata());
+    out.ticks = compare_state(0, a.initial(), b.initial());
+    while out.ticks.is_none() {
+        match (a.next().transpose()?, b.next().transpose()?) {
+            (Some(x), Some(y)) => {
+                out.ticks = compare_tick(&x, &y);
+                out.identical_ticks += u64::from(out.ticks.is_none());
+            }
+            (None, None) => {
+                if a.ending() != b.ending() {
+                    out.remarks.push(format!("{}: {}", first.display(), a.ending().describe()));
+                    out.remarks.push(format!("{}: {}", second.display(), b.ending().describe()));
+                }
+                break;
+            }
+            (more_in_first, _) => {
+                let (long, short, ending) = match more_in_first {
+                    Some(_) => (first, second, b.ending()),
+                    None => (second, first, a.ending()),
+                };
+                let (long, short, ending) = (long.display(), short.display(), ending.describe());
+                out.remarks.push(format!("{long} goes on, {short} ends: {ending}"));
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn compare_headers(
+    a: &BTreeMap<String, String>,
+    b: &BTreeMap<String, String>,
+) -> Vec<(String, String, String)> {
+    let names: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    let value = |map: &BTreeMap<String, String>, name: &String| map.get(name).cloned().unwrap_or_default();
+    let entries = names.into_iter().map(|name| (name.clone(), value(a, name), value(b, name)));
+    entries.filter(|(_, first, second)| first != second).collect()
+}
+
+/// Where two ticks differ: the command before its effect.
+fn compare_tick(a: &TickRecord, b: &TickRecord) -> Option<Divergence> {
+    let (tick, log_tick) = (a.state.tick, a.log_tick);
+    let (x, y) = (a.latched.as_bytes(), b.latched.as_bytes());
+    compare(topics::LATCHED, a.latched.tick, log_tick, Latched::DESCRIPTION, x, y)
+        .or_else(|| compare_state(log_tick, &a.state, &b.state))
+        .or_else(|| compare_removed(tick, log_tick, &a.removed, &b.removed))
+}
+
+fn compare_frames(
+    first: &Path,
+    second: &Path,
+    options: ReadOptions,
+    out: &mut DiffReport,
+) -> Result<(), LogError> {
+    let (mut a, mut b) = (frames(first, options)?, frames(second, options)?);
+    while out.frames.is_none() {
+        match (a.next().transpose()?, b.next().transpose()?) {
+            (Some(x), Some(y)) => {
+                out.frames = compare_frame(&x, &y);
+                out.identical_frames += u64::from(out.frames.is_none());
+            }
+            (None, None) => break,
+            (more_in_first, _) => {
+                let long = if more_in_first.is_some() { first } else { second };
+                out.remarks.push(format!("{} has more frames", long.display()));
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
+    let (tick, frame) = (a.frame.tick, Frame::DESCRIPTION);
+    let image = |record: &FrameRecord| [record.image.as_bytes(), &record.pixels].concat();
+    compare(topics::DRR_FRAME, tick, tick, frame, a.frame.as_bytes(), b.frame.as_bytes())
+        .or_else(|| compare(topics::DRR_IMAGE, tick, tick, ImagePrefix::DESCRIPTION, &image(a), &image(b)))
+}

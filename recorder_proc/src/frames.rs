@@ -1,0 +1,98 @@
+//! The frames of a log.
+
+use std::path::{Path, PathBuf};
+
+use ipc_types::messages::{Frame, ImagePrefix};
+use zerocopy::FromBytes;
+
+use crate::end::Ending;
+use crate::error::LogError;
+use crate::header::LogHeader;
+use crate::stream::{MessageStream, ReadOptions};
+use crate::topics;
+
+/// One frame with its pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameRecord {
+    /// What it shows.
+    pub frame: Frame,
+    /// Size and time of the image.
+    pub image: ImagePrefix,
+    /// `mono16` pixels, row by row, top left first, little-endian.
+    pub pixels: Vec<u8>,
+}
+
+/// The frames of a `run.mcap` in the order of their numbers. A missing one is an error and the last item.
+pub struct FrameReader {
+    stream: MessageStream,
+    expected: u64,
+    pending: Option<Frame>,
+    done: bool,
+}
+
+/// Opens a log for its frames.
+pub fn frames(path: &Path, options: ReadOptions) -> Result<FrameReader, LogError> {
+    Ok(FrameReader::from_stream(MessageStream::open(path, options)?))
+}
+
+impl FrameReader {
+    /// Reads the frames of a stream.
+    pub fn from_stream(stream: MessageStream) -> FrameReader {
+        FrameReader { stream, expected: 1, pending: None, done: false }
+    }
+
+    /// What the log is about.
+    pub fn header(&self) -> &LogHeader {
+        self.stream.header()
+    }
+
+    /// How the file ends. Known once the iteration has ended without an error.
+    pub fn ending(&self) -> &Ending {
+        self.stream.ending()
+    }
+
+    fn next_frame(&mut self) -> Result<Option<FrameRecord>, LogError> {
+        let path: PathBuf = self.stream.path().into();
+        let gap = |topic, tick, found: String| LogError::Gap { path: path.clone(), topic, tick, found };
+        while let Some(message) = self.stream.next_message()? {
+            match message.topic {
+                topics::DRR_FRAME => {
+                    let Ok(frame) = Frame::read_from_bytes(message.body) else { continue };
+                    if let Some(previous) = &self.pending {
+                        let found = format!("frame {} follows frame {}", frame.sequence, previous.sequence);
+                        return Err(gap(topics::DRR_IMAGE, previous.tick, found));
+                    }
+                    if frame.sequence != self.expected {
+                        let found = format!("frame {}, expected {}", frame.sequence, self.expected);
+                        return Err(gap(topics::DRR_FRAME, frame.tick, found));
+                    }
+                    self.expected += 1;
+                    self.pending = Some(frame);
+                }
+                topics::DRR_IMAGE => {
+                    let Ok((image, pixels)) = ImagePrefix::read_from_prefix(message.body) else { continue };
+                    let Some(frame) = self.pending.take() else {
+                        let tick = message.log_time_ns / self.stream.header().dt_ns.max(1);
+                        return Err(gap(topics::DRR_FRAME, tick, "an image without its frame".to_string()));
+                    };
+                    return Ok(Some(FrameRecord { frame, image, pixels: pixels.to_vec() }));
+                }
+                _ => (),
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl Iterator for FrameReader {
+    type Item = Result<FrameRecord, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.done {
+            return None;
+        }
+        let item = self.next_frame();
+        self.done = !matches!(item, Ok(Some(_)));
+        item.transpose()
+    }
+}

@@ -1,0 +1,49 @@
+//! MCAP logs: writing, reading, comparing and replaying them, and the recorder process.
+//!
+//! A run leaves two files. `run.mcap`, the deterministic lane, is a function of the scene and the latched commands:
+//! its bytes depend on nothing but the sequence of messages written to it. `timing.mcap` holds wall-clock facts and
+//! everything that depends on them.
+//!
+//! A record is the raw message behind [`CDR_LITTLE_ENDIAN`](ipc_types::layout::CDR_LITTLE_ENDIAN), so any reader of
+//! `cdr` with `ros2msg` schemas shows it. Chunks are closed every 100 ms of simulated time and checked by CRC when
+//! they are read; a log cut at any byte is read up to the last complete tick.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`run_log`], [`timing_log`] | the writers |
+//! | [`reader`], [`frames`], [`stream`] | ticks, frames, single messages of a log |
+//! | [`verify`](mod@verify) | re-execution of a log, compared tick by tick |
+//! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
+
+pub mod cat;
+pub mod diff;
+pub mod difference;
+pub mod end;
+pub mod error;
+pub mod fields;
+pub mod frames;
+pub mod header;
+pub mod info;
+mod order;
+pub mod reader;
+mod records;
+pub mod run_log;
+mod sink;
+pub mod stream;
+pub mod timing_log;
+pub mod topics;
+pub mod verify;
+
+pub use cat::{CatOptions, cat};
+pub use diff::{DiffReport, diff};
+pub use difference::{Divergence, FieldDifference};
+pub use end::{EndMarker, EndReason, Ending};
+pub use error::LogError;
+pub use frames::{FrameReader, FrameRecord, frames};
+pub use header::{BuildInfo, LogHeader, RunMode};
+pub use info::{LogInfo, info};
+pub use reader::{LogReader, ReadOptions, TickRecord};
+pub use run_log::RunLog;
+pub use stream::{LogMessage, MessageStream};
+pub use timing_log::TimingLog;
+pub use verify::{ReplayReport, Simulation, VerifyOptions, verify};

@@ -1,0 +1,165 @@
+//! One MCAP file being written: channels, counters, chunks.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use ipc_types::layout::{CDR_LITTLE_ENDIAN, Description};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
+
+use crate::end::{END_RECORD, EndMarker};
+use crate::error::LogError;
+use crate::header::{HEADER_RECORD, LogHeader, SCENE_ATTACHMENT};
+use crate::topics;
+
+/// A chunk is closed after this much simulated time, so that a killed recorder loses no more.
+const CHUNK_NS: u64 = 100_000_000;
+/// A chunk is also closed once it holds this many bytes.
+const CHUNK_BYTES: usize = 4 << 20;
+/// Longest message that is logged; readers refuse longer records, so that garbage cannot exhaust memory.
+pub(crate) const MAX_MESSAGE_BYTES: usize = 128 << 20;
+
+struct Channel {
+    topic: String,
+    id: u16,
+    count: u64,
+}
+
+/// An MCAP file being written. Its bytes are a function of the calls alone.
+pub(crate) struct Sink<W: Write> {
+    writer: Writer<NoSeek<W>>,
+    path: PathBuf,
+    channels: Vec<Channel>,
+    dt_ns: u64,
+    /// Ticks of a chunk.
+    chunk_ticks: u64,
+    /// Chunk number (tick / chunk_ticks) of the open chunk.
+    open_chunk: Option<u64>,
+    chunk_bytes: usize,
+    /// CDR header and message, contiguous.
+    scratch: Vec<u8>,
+}
+
+/// Creates a file for a log.
+pub(crate) fn create_file(path: &Path) -> Result<BufWriter<File>, LogError> {
+    let file = File::create(path).map_err(|source| LogError::Create { path: path.into(), source })?;
+    Ok(BufWriter::with_capacity(1 << 16, file))
+}
+
+impl<W: Write> Sink<W> {
+    /// Writes the header: the scene as an attachment, everything else as metadata.
+    pub fn create(w: W, path: &Path, header: &LogHeader, lane: &str) -> Result<Sink<W>, LogError> {
+        let fail = |error| encode_error(path, error);
+        let options = WriteOptions::new()
+            .library(concat!("trabecula ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Lz4))
+            .chunk_size(None)
+            .disable_seeking(true);
+        let mut writer = options.create(NoSeek::new(w)).map_err(fail)?;
+        let scene = Attachment {
+            log_time: 0,
+            create_time: 0,
+            name: SCENE_ATTACHMENT.to_string(),
+            media_type: "application/toml".to_string(),
+            data: header.scene_toml.as_bytes().into(),
+        };
+        writer.attach(&scene).map_err(fail)?;
+        let entries = header.to_metadata(lane);
+        writer
+            .write_metadata(&Metadata { name: HEADER_RECORD.to_string(), metadata: entries })
+            .map_err(fail)?;
+        let dt_ns = header.dt_ns.max(1);
+        Ok(Sink {
+            writer,
+            path: path.into(),
+            channels: Vec::new(),
+            dt_ns,
+            chunk_ticks: (CHUNK_NS / dt_ns).max(1),
+            open_chunk: None,
+            chunk_bytes: 0,
+            scratch: Vec::new(),
+        })
+    }
+
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The channel of a topic, declared on first use.
+    pub fn channel(&mut self, topic: &str, description: &Description) -> Result<usize, LogError> {
+        if let Some(index) = self.channels.iter().position(|channel| channel.topic == topic) {
+            return Ok(index);
+        }
+        let (name, text) = topics::schema_of(description);
+        let path = &self.path;
+        let fail = |error| encode_error(path, error);
+        let schema = self.writer.add_schema(name, "ros2msg", text.as_bytes()).map_err(fail)?;
+        let id = self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).map_err(fail)?;
+        self.channels.push(Channel { topic: topic.to_string(), id, count: 0 });
+        Ok(self.channels.len() - 1)
+    }
+
+    /// Writes a message, given in parts that follow each other, at a tick's time; closes the chunk before it if the
+    /// message belongs to a later one.
+    pub fn message(&mut self, channel: usize, log_tick: u64, parts: &[&[u8]]) -> Result<(), LogError> {
+        let chunk = log_tick / self.chunk_ticks;
+        if self.open_chunk.is_some_and(|open| open != chunk) || self.chunk_bytes >= CHUNK_BYTES {
+            self.close_chunk()?;
+        }
+        self.scratch.clear();
+        self.scratch.extend_from_slice(&CDR_LITTLE_ENDIAN);
+        parts.iter().for_each(|part| self.scratch.extend_from_slice(part));
+        let channel = &mut self.channels[channel];
+        if self.scratch.len() > MAX_MESSAGE_BYTES {
+            let given = format!("{} bytes", self.scratch.len());
+            let expected = format!("at most {MAX_MESSAGE_BYTES}");
+            let topic = channel.topic.clone();
+            return Err(LogError::Message { path: self.path.clone(), topic, given, expected });
+        }
+        let time = log_tick.saturating_mul(self.dt_ns);
+        let sequence = channel.count as u32;
+        let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
+        self.writer
+            .write_to_known_channel(&header, &self.scratch)
+            .map_err(|e| encode_error(&self.path, e))?;
+        channel.count += 1;
+        self.open_chunk = Some(chunk);
+        self.chunk_bytes += self.scratch.len();
+        Ok(())
+    }
+
+    /// Closes the open chunk and hands its bytes to the operating system.
+    pub fn close_chunk(&mut self) -> Result<(), LogError> {
+        self.open_chunk = None;
+        self.chunk_bytes = 0;
+        self.writer.flush().map_err(|error| encode_error(&self.path, error))
+    }
+
+    /// Messages written, by topic.
+    pub fn counts(&self) -> BTreeMap<String, u64> {
+        self.channels.iter().map(|channel| (channel.topic.clone(), channel.count)).collect()
+    }
+
+    /// Writes the end marker, the index and the footer.
+    pub fn finish(mut self, marker: &EndMarker) -> Result<W, LogError> {
+        self.close_chunk()?;
+        let fail = |error| encode_error(&self.path, error);
+        let metadata = Metadata { name: END_RECORD.to_string(), metadata: marker.to_metadata() };
+        self.writer.write_metadata(&metadata).map_err(fail)?;
+        self.writer.finish().map_err(fail)?;
+        let mut inner = self.writer.into_inner().into_inner();
+        inner.flush().map_err(|source| LogError::Write { path: self.path.clone(), source })?;
+        Ok(inner)
+    }
+}
+
+fn encode_error(path: &Path, error: McapError) -> LogError {
+    match error {
+        McapError::Io(source) => LogError::Write { path: path.into(), source },
+        source => LogError::Encode { path: path.into(), source },
+    }
+}

@@ -1,0 +1,316 @@
+//! The messages of a log, one after the other, checked.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::ops::Range;
+use std::path::Path;
+
+use ipc_types::layout::{CDR_LITTLE_ENDIAN, Description};
+use mcap::records::{Record, op};
+
+use crate::end::{END_RECORD, EndMarker, Ending};
+use crate::error::LogError;
+use crate::fields::message_size;
+use crate::header::{HEADER_RECORD, LogHeader, SCENE_ATTACHMENT, layout_hashes};
+use crate::records::{FileRecord, Records, chunk_record};
+use crate::topics;
+
+/// How strict a reader is.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ReadOptions {
+    /// Reads messages whose layout is not this build's as if it were. Their sizes are still checked.
+    pub allow_other_layouts: bool,
+}
+
+/// One message.
+#[derive(Debug, Clone, Copy)]
+pub struct LogMessage<'a> {
+    /// Its topic.
+    pub topic: &'a str,
+    /// Its layout.
+    pub description: &'static Description,
+    /// Low 32 bits of the number of earlier messages of this topic.
+    pub sequence: u32,
+    /// Simulated time.
+    pub log_time_ns: u64,
+    /// Struct and tail.
+    pub body: &'a [u8],
+}
+
+struct Channel {
+    topic: String,
+    description: Option<&'static Description>,
+    schema: String,
+    count: u64,
+    bytes: u64,
+}
+
+/// Messages and bytes of one topic so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TopicCount {
+    /// Messages read.
+    pub messages: u64,
+    /// Their bytes, without framing, before compression.
+    pub bytes: u64,
+}
+
+/// The messages of a log in the order in which they were written. Holds one chunk in memory.
+pub struct MessageStream {
+    records: Records,
+    header: LogHeader,
+    metadata: BTreeMap<String, String>,
+    schemas: BTreeMap<u16, String>,
+    channels: BTreeMap<u16, Channel>,
+    position: usize,
+    in_chunk: bool,
+    ending: Ending,
+    done: bool,
+}
+
+/// A message found in the chunk: channel, number, time, range of its body.
+struct Found {
+    channel: u16,
+    sequence: u32,
+    log_time_ns: u64,
+    body: Range<usize>,
+}
+
+impl MessageStream {
+    /// Opens a log and reads its header.
+    pub fn open(path: &Path, options: ReadOptions) -> Result<MessageStream, LogError> {
+        let file = File::open(path).map_err(|source| LogError::Open { path: path.into(), source })?;
+        MessageStream::from_reader(Box::new(BufReader::with_capacity(1 << 16, file)), path, options)
+    }
+
+    /// Reads the header of a log from any source; errors will name `path`.
+    pub fn from_reader(
+        source: Box<dyn Read + Send>,
+        path: &Path,
+        options: ReadOptions,
+    ) -> Result<MessageStream, LogError> {
+        let mut records = Records::new(source, path)?;
+        let mut scene = None;
+        let metadata = loop {
+            match records.next_record()? {
+                FileRecord::Attachment { name, data } if name == SCENE_ATTACHMENT => scene = Some(data),
+                FileRecord::Attachment { .. } => (),
+                FileRecord::Metadata { name, entries } if name == HEADER_RECORD => break entries,
+                FileRecord::Metadata { .. } => (),
+                FileRecord::Chunk | FileRecord::End | FileRecord::Cut(_) => {
+                    return Err(LogError::NoHeader { path: path.into(), offset: records.offset() });
+                }
+            }
+        };
+        let scene = String::from_utf8_lossy(&scene.unwrap_or_default()).into_owned();
+        let header = LogHeader::from_metadata(path, &metadata, scene)?;
+        if !options.allow_other_layouts {
+            check_layouts(path, &metadata, &header)?;
+        }
+        Ok(MessageStream {
+            records,
+            header,
+            metadata,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            position: 0,
+            in_chunk: false,
+            ending: Ending::default(),
+            done: false,
+        })
+    }
+
+    /// What the log is about.
+    pub fn header(&self) -> &LogHeader {
+        &self.header
+    }
+
+    /// The header's metadata record as it stands in the file.
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.metadata
+    }
+
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        self.records.path()
+    }
+
+    /// How the file ends. Known once [`next_message`](Self::next_message) has returned none.
+    pub fn ending(&self) -> &Ending {
+        &self.ending
+    }
+
+    /// Messages and bytes so far, by topic.
+    pub fn counts(&self) -> BTreeMap<String, TopicCount> {
+        let count = |channel: &Channel| TopicCount { messages: channel.count, bytes: channel.bytes };
+        self.channels.values().map(|channel| (channel.topic.clone(), count(channel))).collect()
+    }
+
+    /// Bytes of the file that have been read.
+    pub fn offset(&self) -> u64 {
+        self.records.offset()
+    }
+
+    /// The next message; none at the end, however the file ends. After an error there is no more.
+    pub fn next_message(&mut self) -> Result<Option<LogMessage<'_>>, LogError> {
+        let found = self.find().inspect_err(|_| self.done = true);
+        let Some(found) = found? else { return Ok(None) };
+        let missing =
+            || LogError::NoHeader { path: self.records.path().into(), offset: self.records.offset() };
+        let channel = self.channels.get(&found.channel).ok_or_else(missing)?;
+        let description = channel.description.ok_or_else(missing)?;
+        Ok(Some(LogMessage {
+            topic: &channel.topic,
+            description,
+            sequence: found.sequence,
+            log_time_ns: found.log_time_ns,
+            body: &self.records.chunk()[found.body],
+        }))
+    }
+
+    fn find(&mut self) -> Result<Option<Found>, LogError> {
+        loop {
+            if self.done {
+                return Ok(None);
+            }
+            if self.in_chunk {
+                match self.find_in_chunk()? {
+                    Some(found) => return Ok(Some(found)),
+                    None => self.in_chunk = false,
+                }
+            }
+            match self.records.next_record()? {
+                FileRecord::Chunk => (self.position, self.in_chunk) = (0, true),
+                FileRecord::Metadata { name, entries } if name == END_RECORD => self.end_marker(&entries)?,
+                FileRecord::Metadata { .. } | FileRecord::Attachment { .. } => (),
+                FileRecord::End => self.done = true,
+                FileRecord::Cut(cut) => {
+                    self.ending.cut = Some(cut);
+                    self.done = true;
+                }
+            }
+        }
+    }
+
+    fn end_marker(&mut self, entries: &BTreeMap<String, String>) -> Result<(), LogError> {
+        let marker = EndMarker::from_metadata(self.records.path(), entries)?;
+        for (topic, &written) in &marker.counts {
+            let read = self.channels.values().find(|channel| channel.topic == *topic).map_or(0, |c| c.count);
+            if read != written {
+                return Err(
+                    self.damaged(format!("{topic} has {read} messages, the end marker says {written}"))
+                );
+            }
+        }
+        self.ending.marker = Some(marker);
+        Ok(())
+    }
+
+    fn find_in_chunk(&mut self) -> Result<Option<Found>, LogError> {
+        loop {
+            let chunk = self.records.chunk();
+            if self.position == chunk.len() {
+                return Ok(None);
+            }
+            let Some((opcode, body, length)) = chunk_record(&chunk[self.position..]) else {
+                return Err(self.damaged("a record that reaches beyond its chunk".to_string()));
+            };
+            let end = self.position + length;
+            let start = end - body.len();
+            self.position = end;
+            if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+                continue;
+            }
+            match mcap::parse_record(opcode, body) {
+                Ok(Record::Schema { header, .. }) => {
+                    self.schemas.insert(header.id, header.name);
+                }
+                Ok(Record::Channel(channel)) => self.declare(channel)?,
+                Ok(Record::Message { header, data }) => {
+                    let body = end - data.len().min(end - start)..end;
+                    return self.message(&header, body).map(Some);
+                }
+                Ok(_) => (),
+                Err(error) => return Err(self.damaged(error.to_string())),
+            }
+        }
+    }
+
+    fn declare(&mut self, channel: mcap::records::Channel) -> Result<(), LogError> {
+        if self.channels.contains_key(&channel.id) {
+            return Ok(());
+        }
+        let schema = self.schemas.get(&channel.schema_id).cloned();
+        let Some(schema) = schema else {
+            return Err(self.damaged(format!("{} has no schema", channel.topic)));
+        };
+        let description = topics::description_of(&schema);
+        let entry = Channel { topic: channel.topic, description, schema, count: 0, bytes: 0 };
+        self.channels.insert(channel.id, entry);
+        Ok(())
+    }
+
+    fn message(
+        &mut self,
+        header: &mcap::records::MessageHeader,
+        data: Range<usize>,
+    ) -> Result<Found, LogError> {
+        let Some(channel) = self.channels.get(&header.channel_id) else {
+            return Err(self.damaged(format!("a message of the undeclared channel {}", header.channel_id)));
+        };
+        let Some(description) = channel.description else {
+            return Err(
+                self.damaged(format!("{} holds {}, unknown to this build", channel.topic, channel.schema))
+            );
+        };
+        if header.sequence != channel.count as u32 {
+            let cause = format!(
+                "message {} of {}, expected {}",
+                header.sequence, channel.topic, channel.count as u32
+            );
+            return Err(self.damaged(cause));
+        }
+        let bytes = &self.records.chunk()[data.clone()];
+        let Some(body) = bytes.strip_prefix(CDR_LITTLE_ENDIAN.as_slice()) else {
+            return Err(
+                self.damaged(format!("a message of {} without the CDR header 00 01 00 00", channel.topic))
+            );
+        };
+        let expected = message_size(description, body).filter(|_| body.len() >= description.size);
+        if expected != Some(body.len()) {
+            let expected = expected.unwrap_or(description.size);
+            let cause =
+                format!("a message of {} of {} bytes, expected {expected}", channel.topic, body.len());
+            return Err(self.damaged(cause));
+        }
+        let body = data.end - body.len()..data.end;
+        if let Some(channel) = self.channels.get_mut(&header.channel_id) {
+            channel.count += 1;
+            channel.bytes += body.len() as u64;
+        }
+        let (sequence, log_time_ns) = (header.sequence, header.log_time);
+        Ok(Found { channel: header.channel_id, sequence, log_time_ns, body })
+    }
+
+    fn damaged(&self, cause: String) -> LogError {
+        LogError::Damaged { path: self.records.path().into(), offset: self.records.offset(), cause }
+    }
+}
+
+fn check_layouts(
+    path: &Path,
+    metadata: &BTreeMap<String, String>,
+    header: &LogHeader,
+) -> Result<(), LogError> {
+    let build = layout_hashes();
+    for (message, log) in metadata.iter().filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)))
+    {
+        let ours = build.get(message).cloned().unwrap_or_default();
+        if ours != *log {
+            let (message, log) = (message.to_string(), log.clone());
+            let version = header.build.version.clone();
+            return Err(LogError::Layout { path: path.into(), message, log, build: ours, version });
+        }
+    }
+    Ok(())
+}

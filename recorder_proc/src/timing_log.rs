@@ -1,0 +1,79 @@
+//! The writer of `timing.mcap`, the wall-clock lane.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use ipc_types::layout::Description;
+
+use crate::end::{EndMarker, EndReason};
+use crate::error::LogError;
+use crate::fields::message_size;
+use crate::header::LogHeader;
+use crate::sink::{Sink, create_file};
+
+/// The wall-clock lane of a run, being written. Its times are simulated too, so that both files share an axis; its
+/// contents are not reproducible.
+pub struct TimingLog<W: Write> {
+    sink: Sink<W>,
+    last_tick: Option<u64>,
+}
+
+impl TimingLog<BufWriter<File>> {
+    /// Creates the file and writes the header.
+    pub fn create_file(path: &Path, header: &LogHeader) -> Result<TimingLog<BufWriter<File>>, LogError> {
+        TimingLog::create_named(create_file(path)?, path, header)
+    }
+}
+
+impl<W: Write> TimingLog<W> {
+    /// Writes the header to `w`.
+    pub fn create(w: W, header: &LogHeader) -> Result<TimingLog<W>, LogError> {
+        TimingLog::create_named(w, Path::new("timing.mcap"), header)
+    }
+
+    /// Writes the header to `w`; errors will name `path`.
+    pub fn create_named(w: W, path: &Path, header: &LogHeader) -> Result<TimingLog<W>, LogError> {
+        Ok(TimingLog { sink: Sink::create(w, path, header, "timing")?, last_tick: None })
+    }
+
+    /// Writes a message's bytes, struct and tail. `log_tick` is the number of ticks since the start of the log
+    /// ([`RunLog::base_tick`](crate::RunLog::base_tick) plus `State.tick`).
+    pub fn message(
+        &mut self,
+        topic: &str,
+        description: &'static Description,
+        log_tick: u64,
+        message: &[u8],
+    ) -> Result<(), LogError> {
+        let expected = message_size(description, message);
+        if expected != Some(message.len()) {
+            let expected =
+                expected.map_or(format!("at least {} bytes", description.size), |n| format!("{n} bytes"));
+            return Err(LogError::Message {
+                path: self.sink.path().into(),
+                topic: topic.to_string(),
+                given: format!("{} bytes", message.len()),
+                expected: format!("{expected} of {}", description.short_name()),
+            });
+        }
+        let channel = self.sink.channel(topic, description)?;
+        self.last_tick = self.last_tick.max(Some(log_tick));
+        self.sink.message(channel, log_tick, &[message])
+    }
+
+    /// Hands everything so far to the operating system. The owner calls it when no tick will come for a while (pause).
+    pub fn flush(&mut self) -> Result<(), LogError> {
+        self.sink.close_chunk()
+    }
+
+    /// Writes the end marker, the index and the footer. `lost` is what the owner counted.
+    pub fn finish(self, reason: EndReason, lost: &BTreeMap<String, u64>) -> Result<(EndMarker, W), LogError> {
+        let lost = lost.iter().filter(|(_, n)| **n > 0).map(|(topic, n)| (topic.clone(), *n)).collect();
+        let counts = self.sink.counts();
+        let marker = EndMarker { reason, last_tick: self.last_tick, hash: None, counts, lost };
+        let w = self.sink.finish(&marker)?;
+        Ok((marker, w))
+    }
+}

@@ -1,0 +1,206 @@
+//! A small deterministic simulation and the messages of a run made with it.
+#![allow(clippy::unwrap_used, missing_docs, dead_code, reason = "each test file uses a part of this")]
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use ipc_types::messages::*;
+use recorder_proc::*;
+use zerocopy::IntoBytes;
+
+pub fn header() -> LogHeader {
+    LogHeader {
+        scene_toml: "name = \"toy\"\n# µ-scene\n".to_string(),
+        scene_name: "toy".to_string(),
+        volume_sha256: Some([7; 32]),
+        volume_dimensions: [512, 400, 3],
+        dt_ns: 1_000_000,
+        mode: RunMode::RealTime,
+        controllers: vec!["a".to_string(), "b-2".to_string()],
+        build: BuildInfo::current(),
+    }
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014): a deterministic stream of test numbers.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn word(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.word() % n as u64) as usize
+    }
+}
+
+/// What a controller asks for at a tick: any function of the tick will do.
+pub fn latched(tick: u64) -> Latched {
+    let mut message = Latched::zeroed();
+    message.tick = tick;
+    message.controller_count = 2;
+    message.commands[0].source = SOURCE_FRESH;
+    message.commands[0].command.sequence = tick + 1;
+    message.commands[0].command.tendon_force_n = [tick as f64 * 0.1, 2.0, 0.0, 0.0];
+    message
+}
+
+/// A simulation with nothing in it but feedback from commands to state, so that one wrong bit changes everything after.
+pub struct Toy {
+    pub state: State,
+    pub removed: Vec<u32>,
+    /// Tick whose link pose is off by one unit in the last place.
+    pub fault_tick: Option<u64>,
+    /// Tick that forgets to remove a voxel.
+    pub forget_tick: Option<u64>,
+}
+
+impl Toy {
+    pub fn new() -> Toy {
+        let mut state = State::zeroed();
+        state.joint_count = 27;
+        state.hash = [11, 22];
+        state.t_world_tip = Pose::IDENTITY;
+        Toy { state, removed: Vec::new(), fault_tick: None, forget_tick: None }
+    }
+}
+
+impl Simulation for Toy {
+    fn state(&self) -> &State {
+        &self.state
+    }
+    fn step(&mut self, latched: &Latched) {
+        if latched.reset != 0 {
+            let (fault_tick, forget_tick) = (self.fault_tick, self.forget_tick);
+            *self = Toy { fault_tick, forget_tick, ..Toy::new() };
+        }
+        let s = &mut self.state;
+        s.tick += 1;
+        s.sim_time_s = s.tick as f64 * 1e-3;
+        let force = latched.commands[0].command.tendon_force_n[0];
+        for i in 0..27 {
+            s.joint_position_rad[i] = 0.99 * s.joint_position_rad[i] + 1e-3 * force * (i as f64 + 1.0);
+            s.t_world_link[i].position_m = [s.joint_position_rad[i], 0.25, -(i as f64)];
+        }
+        if self.fault_tick == Some(s.tick) {
+            let x = &mut s.t_world_link[7].position_m[2];
+            *x = f64::from_bits(x.to_bits() + 1);
+        }
+        self.removed.clear();
+        if s.tick % 7 == 3 {
+            let count = if self.forget_tick == Some(s.tick) { 4 } else { 5 };
+            self.removed.extend((0..count).map(|i| (s.tick * 100 + i) as u32));
+        }
+        s.removed_in_tick = self.removed.len() as u32;
+        s.removed_total += u64::from(s.removed_in_tick);
+        s.hash = [0; 2];
+        let mut h = self.state.hash[0] ^ 0xcbf2_9ce4_8422_2325;
+        for byte in latched.as_bytes().iter().chain(self.state.as_bytes()).chain(self.removed.as_bytes()) {
+            h = (h ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
+        }
+        self.state.hash = [h, h.rotate_left(17)];
+    }
+    fn removed(&self) -> &[u32] {
+        &self.removed
+    }
+}
+
+pub fn removed_bytes(tick: u64, sequence: u64, total: u64, voxels: &[u32]) -> Vec<u8> {
+    let mut message = Removed::zeroed();
+    message.tick = tick;
+    message.sequence = sequence;
+    message.removed_total = total;
+    message.voxel_index_length = voxels.len() as u32;
+    [message.as_bytes(), voxels.as_bytes()].concat()
+}
+
+pub fn frame_bytes(sequence: u64, tick: u64, columns: u32, rows: u32) -> Vec<u8> {
+    let mut frame = Frame::zeroed();
+    frame.sequence = sequence;
+    frame.tick = tick;
+    frame.sim_time_s = tick as f64 * 1e-3;
+    frame.geometry.columns = columns;
+    frame.geometry.rows = rows;
+    let mut random = Random(sequence);
+    let pixels: Vec<u8> = (0..columns * rows * 2).map(|_| random.word() as u8).collect();
+    let prefix = ImagePrefix::mono16(columns, rows, frame.sim_time_s);
+    [frame.as_bytes(), prefix.as_bytes(), &pixels].concat()
+}
+
+/// One message for the writer.
+#[derive(Clone)]
+pub enum Step {
+    Latched(Box<Latched>),
+    Removed(Vec<u8>),
+    State(Box<State>),
+    Reply(Box<DrrReply>),
+    Frame(Vec<u8>),
+}
+
+/// The messages of a run in the order of the physics: a frame every 40 ticks, a reset if asked for.
+pub fn run_messages(ticks: u64, reset_at: Option<u64>) -> Vec<Step> {
+    let mut toy = Toy::new();
+    let mut steps = vec![Step::State(Box::new(toy.state))];
+    let (mut sequence, mut frames, mut tick) = (0, 0, 0);
+    for k in 0..ticks {
+        let mut u = latched(tick);
+        if reset_at == Some(k) {
+            u = latched(0);
+            u.reset = 1;
+        }
+        toy.step(&u);
+        tick = toy.state.tick;
+        steps.push(Step::Latched(Box::new(u)));
+        if !toy.removed.is_empty() {
+            sequence += 1;
+            steps.push(Step::Removed(removed_bytes(tick, sequence, toy.state.removed_total, &toy.removed)));
+        }
+        steps.push(Step::State(Box::new(toy.state)));
+        if k % 40 == 20 {
+            frames += 1;
+            let mut reply = DrrReply::zeroed();
+            reply.frame_sequence = frames;
+            reply.tick = tick;
+            steps.push(Step::Reply(Box::new(reply)));
+            steps.push(Step::Frame(frame_bytes(frames, tick, 32, 20)));
+        }
+    }
+    steps
+}
+
+pub fn feed<W: std::io::Write>(log: &mut RunLog<W>, steps: &[Step]) -> Result<(), LogError> {
+    for step in steps {
+        match step {
+            Step::Latched(m) => log.latched(m)?,
+            Step::Removed(m) => log.removed(m)?,
+            Step::State(m) => log.state(m)?,
+            Step::Reply(m) => log.drr_reply(m)?,
+            Step::Frame(m) => log.frame(m)?,
+        }
+    }
+    Ok(())
+}
+
+pub fn write_log(steps: &[Step]) -> Vec<u8> {
+    let mut log = RunLog::create(Vec::new(), &header()).unwrap();
+    feed(&mut log, steps).unwrap();
+    log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
+}
+
+pub fn open_bytes(bytes: &[u8]) -> Result<LogReader, LogError> {
+    let source = Box::new(std::io::Cursor::new(bytes.to_vec()));
+    LogReader::from_stream(MessageStream::from_reader(
+        source,
+        Path::new("test.mcap"),
+        ReadOptions::default(),
+    )?)
+}
+
+pub fn save(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).unwrap();
+    path
+}

@@ -1,0 +1,295 @@
+//! A structural check of a DICOM file before a parser that allocates what a length field promises gets to see it.
+//!
+//! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10 section 7 (file meta group).
+
+use crate::error::VolumeError;
+use std::path::Path;
+
+/// Deepest nesting of sequences that is followed; real files stay below ten.
+const MAX_DEPTH: usize = 16;
+const UNDEFINED: u32 = 0xffff_ffff;
+const ITEM: (u16, u16) = (0xfffe, 0xe000);
+const ITEM_END: (u16, u16) = (0xfffe, 0xe00d);
+const SEQUENCE_END: (u16, u16) = (0xfffe, 0xe0dd);
+const PIXEL_DATA: (u16, u16) = (0x7fe0, 0x0010);
+
+/// How the voxels of a readable file are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum PixelCodec {
+    Native,
+    Rle,
+    Jpeg,
+}
+
+/// The encoding of a readable file.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Transfer {
+    explicit_vr: bool,
+    big_endian: bool,
+    pub codec: PixelCodec,
+    pub name: &'static str,
+}
+
+/// True for a DICOM Part 10 file: `DICM` after a preamble of 128 bytes.
+pub(crate) fn is_part10(head: &[u8]) -> bool {
+    head.get(128..132) == Some(b"DICM".as_slice())
+}
+
+/// The transfer syntaxes that are read, and names for those that are not.
+fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
+    let readable =
+        |explicit_vr, big_endian, codec, name| Ok(Transfer { explicit_vr, big_endian, codec, name });
+    let refused = match uid {
+        "1.2.840.10008.1.2" => {
+            return readable(false, false, PixelCodec::Native, "implicit VR little-endian");
+        }
+        "1.2.840.10008.1.2.1" => {
+            return readable(true, false, PixelCodec::Native, "explicit VR little-endian");
+        }
+        "1.2.840.10008.1.2.2" => return readable(true, true, PixelCodec::Native, "explicit VR big-endian"),
+        "1.2.840.10008.1.2.5" => return readable(true, false, PixelCodec::Rle, "RLE lossless"),
+        "1.2.840.10008.1.2.4.50" => return readable(true, false, PixelCodec::Jpeg, "JPEG baseline"),
+        "1.2.840.10008.1.2.4.51" => return readable(true, false, PixelCodec::Jpeg, "JPEG extended"),
+        "1.2.840.10008.1.2.4.57" | "1.2.840.10008.1.2.4.70" => {
+            return readable(true, false, PixelCodec::Jpeg, "JPEG lossless");
+        }
+        "1.2.840.10008.1.2.1.99" => "deflated",
+        "1.2.840.10008.1.2.4.80" | "1.2.840.10008.1.2.4.81" => "JPEG-LS",
+        "1.2.840.10008.1.2.4.90" | "1.2.840.10008.1.2.4.91" => "JPEG 2000",
+        "1.2.840.10008.1.2.4.201" | "1.2.840.10008.1.2.4.202" | "1.2.840.10008.1.2.4.203" => {
+            "high-throughput JPEG 2000"
+        }
+        "1.2.840.10008.1.2.4.110" | "1.2.840.10008.1.2.4.111" | "1.2.840.10008.1.2.4.112" => "JPEG XL",
+        _ => "unknown",
+    };
+    Err(VolumeError::Unsupported {
+        path: path.into(),
+        field: "(0002,0010) TransferSyntaxUID".into(),
+        given: format!("{uid} ({refused})"),
+        expected:
+            "an uncompressed, RLE or JPEG file; convert it, for example with `gdcmconv --raw` or `dcmdjpls`"
+                .into(),
+    })
+}
+
+/// Checks every length in the file against the file, and returns its transfer syntax.
+///
+/// # Errors
+/// `NotAVolume` without the Part 10 prefix; `Truncated` where a length reaches beyond the file; `Header` for a malformed structure;
+/// `Unsupported` for a transfer syntax that is not read.
+pub(crate) fn scan(path: &Path, bytes: &[u8]) -> Result<Transfer, VolumeError> {
+    if !is_part10(bytes) {
+        let given = "no `DICM` after 128 bytes (not a DICOM Part 10 file)".to_string();
+        return Err(VolumeError::NotAVolume { path: path.into(), given });
+    }
+    let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false };
+    let mut at = 132;
+    let mut uid = None;
+    while meta.u16(at) == Some(0x0002) {
+        let element = meta.element(at)?;
+        let end = meta.value_end(&element, bytes.len())?;
+        if element.tag == (0x0002, 0x0010) {
+            let text = String::from_utf8_lossy(&bytes[element.value..end]);
+            uid = Some(text.trim_end_matches(['\0', ' ']).to_string());
+        }
+        at = end;
+    }
+    let uid = uid.ok_or_else(|| {
+        meta.malformed("(0002,0010) TransferSyntaxUID", "nothing".into(), "a transfer syntax")
+    })?;
+    let transfer = transfer(path, &uid)?;
+    let data_set =
+        Scanner { path, bytes, explicit_vr: transfer.explicit_vr, big_endian: transfer.big_endian };
+    data_set.elements(at, bytes.len(), false, 0)?;
+    Ok(transfer)
+}
+
+struct Scanner<'a> {
+    path: &'a Path,
+    bytes: &'a [u8],
+    explicit_vr: bool,
+    big_endian: bool,
+}
+
+struct Element {
+    tag: (u16, u16),
+    vr: [u8; 2],
+    /// Where the value starts.
+    value: usize,
+    length: u32,
+}
+
+impl Scanner<'_> {
+    fn u16(&self, at: usize) -> Option<u16> {
+        let word: [u8; 2] = self.bytes.get(at..at.checked_add(2)?)?.try_into().ok()?;
+        Some(if self.big_endian { u16::from_be_bytes(word) } else { u16::from_le_bytes(word) })
+    }
+
+    fn u32(&self, at: usize) -> Option<u32> {
+        let word: [u8; 4] = self.bytes.get(at..at.checked_add(4)?)?.try_into().ok()?;
+        Some(if self.big_endian { u32::from_be_bytes(word) } else { u32::from_le_bytes(word) })
+    }
+
+    fn malformed(&self, field: &str, given: String, expected: &str) -> VolumeError {
+        VolumeError::Header { path: self.path.into(), field: field.into(), given, expected: expected.into() }
+    }
+
+    fn truncated(&self, field: String, given_bytes: usize, expected_bytes: u64) -> VolumeError {
+        VolumeError::Truncated {
+            path: self.path.into(),
+            field,
+            given_bytes: given_bytes as u64,
+            expected_bytes,
+        }
+    }
+
+    /// The element header at `at`; item tags have no VR in any encoding.
+    fn element(&self, at: usize) -> Result<Element, VolumeError> {
+        let short = || self.truncated("data element header".into(), self.bytes.len().saturating_sub(at), 8);
+        let tag = (self.u16(at).ok_or_else(short)?, self.u16(at + 2).ok_or_else(short)?);
+        if tag.0 == 0xfffe || !self.explicit_vr {
+            let length = self.u32(at + 4).ok_or_else(short)?;
+            return Ok(Element { tag, vr: [0; 2], value: at + 8, length });
+        }
+        let vr: [u8; 2] = self.bytes.get(at + 4..at + 6).and_then(|v| v.try_into().ok()).ok_or_else(short)?;
+        match &vr {
+            b"OB" | b"OD" | b"OF" | b"OL" | b"OV" | b"OW" | b"SQ" | b"SV" | b"UC" | b"UN" | b"UR" | b"UT"
+            | b"UV" => {
+                let length = self.u32(at + 8).ok_or_else(short)?;
+                Ok(Element { tag, vr, value: at + 12, length })
+            }
+            b"AE" | b"AS" | b"AT" | b"CS" | b"DA" | b"DS" | b"DT" | b"FD" | b"FL" | b"IS" | b"LO" | b"LT"
+            | b"PN" | b"SH" | b"SL" | b"SS" | b"ST" | b"TM" | b"UI" | b"UL" | b"US" => {
+                let length = self.u16(at + 6).ok_or_else(short)?;
+                Ok(Element { tag, vr, value: at + 8, length: u32::from(length) })
+            }
+            _ => Err(self.malformed(
+                &tag_name(tag),
+                format!("VR {:?}", String::from_utf8_lossy(&vr)),
+                "a VR of DICOM PS3.5",
+            )),
+        }
+    }
+
+    /// The end of a value of defined length, which must lie within `limit`.
+    fn value_end(&self, element: &Element, limit: usize) -> Result<usize, VolumeError> {
+        let end = element.value as u64 + u64::from(element.length);
+        if end > limit as u64 || element.length == UNDEFINED {
+            let there = limit.saturating_sub(element.value);
+            return Err(self.truncated(tag_name(element.tag), there, u64::from(element.length)));
+        }
+        Ok(end as usize)
+    }
+
+    /// Follows elements from `at` to `limit`, or to an item delimiter if `delimited`; returns where they end.
+    fn elements(
+        &self,
+        mut at: usize,
+        limit: usize,
+        delimited: bool,
+        depth: usize,
+    ) -> Result<usize, VolumeError> {
+        if depth > MAX_DEPTH {
+            return Err(self.malformed(
+                "sequence",
+                format!("nested deeper than {MAX_DEPTH}"),
+                "a flatter structure",
+            ));
+        }
+        while at < limit {
+            let element = self.element(at)?;
+            if element.tag == ITEM_END && delimited {
+                return Ok(element.value);
+            }
+            if element.tag.0 == 0xfffe {
+                return Err(self.malformed(
+                    &tag_name(element.tag),
+                    "an item outside a sequence".into(),
+                    "a data element",
+                ));
+            }
+            at = self.element_end(&element, limit, depth)?;
+        }
+        if delimited {
+            return Err(self.truncated("sequence item".into(), limit, limit as u64 + 8));
+        }
+        Ok(at)
+    }
+
+    /// Follows one element, with the items inside it.
+    fn element_end(&self, element: &Element, limit: usize, depth: usize) -> Result<usize, VolumeError> {
+        if element.tag == PIXEL_DATA && element.length == UNDEFINED {
+            return self.fragments(element.value, limit);
+        }
+        if element.length == UNDEFINED {
+            // A UN of undefined length holds implicit-VR items (PS3.5 section 6.2.2).
+            let implicit = Scanner { explicit_vr: false, big_endian: false, ..*self };
+            let inner = if &element.vr == b"UN" { &implicit } else { self };
+            return inner.items(element.value, limit, true, depth);
+        }
+        let end = self.value_end(element, limit)?;
+        // In implicit VR a sequence shows only by its first item.
+        let looks_like_items = !self.explicit_vr
+            && element.tag != PIXEL_DATA
+            && element.length >= 8
+            && (self.u16(element.value), self.u16(element.value + 2)) == (Some(ITEM.0), Some(ITEM.1));
+        if &element.vr == b"SQ" || looks_like_items {
+            self.items(element.value, end, false, depth)?;
+        }
+        Ok(end)
+    }
+
+    fn items(
+        &self,
+        mut at: usize,
+        limit: usize,
+        delimited: bool,
+        depth: usize,
+    ) -> Result<usize, VolumeError> {
+        while at < limit {
+            let item = self.element(at)?;
+            if item.tag == SEQUENCE_END && delimited {
+                return Ok(item.value);
+            }
+            if item.tag != ITEM {
+                return Err(self.malformed(
+                    &tag_name(item.tag),
+                    "inside a sequence".into(),
+                    "a sequence item",
+                ));
+            }
+            at = if item.length == UNDEFINED {
+                self.elements(item.value, limit, true, depth + 1)?
+            } else {
+                let end = self.value_end(&item, limit)?;
+                self.elements(item.value, end, false, depth + 1)?
+            };
+        }
+        if delimited {
+            return Err(self.truncated("sequence".into(), limit, limit as u64 + 8));
+        }
+        Ok(at)
+    }
+
+    /// Encapsulated pixel data: items of defined length up to the sequence delimiter.
+    fn fragments(&self, mut at: usize, limit: usize) -> Result<usize, VolumeError> {
+        loop {
+            if at >= limit {
+                return Err(self.truncated("(7fe0,0010) PixelData".into(), limit, limit as u64 + 8));
+            }
+            let item = self.element(at)?;
+            match item.tag {
+                SEQUENCE_END => return Ok(item.value),
+                ITEM => at = self.value_end(&item, limit)?,
+                other => {
+                    return Err(self.malformed(&tag_name(other), "inside pixel data".into(), "a fragment"));
+                }
+            }
+        }
+    }
+}
+
+fn tag_name(tag: (u16, u16)) -> String {
+    let name = if tag == PIXEL_DATA { " PixelData" } else { "" };
+    format!("({:04x},{:04x}){name}", tag.0, tag.1)
+}

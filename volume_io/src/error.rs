@@ -1,0 +1,203 @@
+//! The one error type of this crate: each variant is one cause, and says which file and field, what was given,
+//! what was expected, and what to do.
+
+use std::path::PathBuf;
+
+/// Why a volume could not be read, written or built.
+#[derive(Debug, thiserror::Error)]
+pub enum VolumeError {
+    /// The operating system refused a file operation.
+    #[error("{path}: {action} failed: {source}")]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// What was attempted, for example `open`.
+        action: &'static str,
+        /// The system's own error.
+        source: std::io::Error,
+    },
+    /// The file is none of the formats this crate reads.
+    #[error(
+        "{path}: not a volume: {given}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series (a folder or one of its files)"
+    )]
+    NotAVolume {
+        /// File or folder.
+        path: PathBuf,
+        /// What was found there.
+        given: String,
+    },
+    /// A header field is missing, malformed or contradicts another.
+    #[error("{path}: header field `{field}`: given {given}; expected {expected}")]
+    Header {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The value found.
+        given: String,
+        /// What a valid file has there.
+        expected: String,
+    },
+    /// The format allows it, this crate does not read it.
+    #[error("{path}: field `{field}`: given {given}, which is not supported; expected {expected}")]
+    Unsupported {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The value found.
+        given: String,
+        /// What is supported, and how to convert.
+        expected: String,
+    },
+    /// The header promises more data than the file holds.
+    #[error(
+        "{path}: `{field}` is truncated: {given_bytes} bytes are there, {expected_bytes} are needed; copy or export the file again"
+    )]
+    Truncated {
+        /// File.
+        path: PathBuf,
+        /// What is too short.
+        field: String,
+        /// Bytes found.
+        given_bytes: u64,
+        /// Bytes the header asks for.
+        expected_bytes: u64,
+    },
+    /// A compressed stream does not decode.
+    #[error("{path}: the {codec} data does not decode: {reason}; copy or export the file again")]
+    Corrupt {
+        /// File.
+        path: PathBuf,
+        /// Codec name.
+        codec: &'static str,
+        /// The decoder's message.
+        reason: String,
+    },
+    /// More voxels than this crate accepts (or dimensions whose product overflows).
+    #[error(
+        "{path}: `{field}`: given {given}; expected at most {limit} voxels in all; crop or resample the volume"
+    )]
+    TooLarge {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The dimensions found.
+        given: String,
+        /// The limit, [`crate::MAX_VOXELS`].
+        limit: usize,
+    },
+    /// Not a three-dimensional image.
+    #[error(
+        "{path}: `{field}`: given {given}; expected one three-dimensional volume; extract one volume first"
+    )]
+    NotThreeDimensional {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The dimensions found.
+        given: String,
+    },
+    /// Colour, complex, vector or tensor voxels.
+    #[error(
+        "{path}: `{field}`: given {given}; expected one real number a voxel; convert to a scalar image first"
+    )]
+    NotScalar {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The voxel type found.
+        given: String,
+    },
+    /// A voxel distance that is zero, negative, infinite or not a number.
+    #[error("{path}: `{field}`: given {given}; expected three finite distances between 1e-7 m and 1 m")]
+    Spacing {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The value found.
+        given: String,
+    },
+    /// The axes do not span space, or are not numbers.
+    #[error("{path}: `{field}`: given {given}; expected three linearly independent, finite axis directions")]
+    SingularDirection {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The value found.
+        given: String,
+    },
+    /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry.
+    #[error(
+        "{path}: `{field}`: given {given}; expected axes at right angles within {tolerance}; a tilted gantry or sheared volume must be resampled to a rectangular grid first"
+    )]
+    Sheared {
+        /// File.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The angles or vectors found.
+        given: String,
+        /// The tolerance, a cosine.
+        tolerance: f64,
+    },
+    /// Slices at unequal distances.
+    #[error(
+        "{path}: `{field}`: given {given}; expected slices at equal distances within {tolerance_m} m; resample the series first"
+    )]
+    VariableSpacing {
+        /// Folder or file.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The distances found.
+        given: String,
+        /// Tolerance in metres.
+        tolerance_m: f64,
+    },
+    /// A gap in an otherwise regular series.
+    #[error("{path}: `{field}`: given {given}; expected every slice of the series; export it again")]
+    MissingSlices {
+        /// Folder or file.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// Where the gap is.
+        given: String,
+    },
+    /// Two slices at one position.
+    #[error("{path}: `{field}`: given {given}; expected one slice a position; remove the copies")]
+    DuplicateSlices {
+        /// Folder or file.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The two files.
+        given: String,
+    },
+    /// Slices that do not belong together.
+    #[error("{path}: `{field}`: given {given}; expected one value in all slices; put one series in a folder")]
+    MixedSeries {
+        /// Folder or file.
+        path: PathBuf,
+        /// The field that differs.
+        field: String,
+        /// The values found.
+        given: String,
+    },
+    /// A value given by the caller (not by a file) is unusable.
+    #[error("`{field}`: given {given}; expected {expected}")]
+    Argument {
+        /// Name of the argument.
+        field: &'static str,
+        /// The value given.
+        given: String,
+        /// What is expected.
+        expected: String,
+    },
+}

@@ -1,0 +1,156 @@
+//! Opening files and compressed streams without trusting what they promise.
+
+use crate::error::VolumeError;
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// A stream encoding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Codec {
+    Raw,
+    Gzip,
+    Zlib,
+    Bzip2,
+}
+
+impl Codec {
+    pub fn name(self) -> &'static str {
+        match self {
+            Codec::Raw => "raw",
+            Codec::Gzip => "gzip",
+            Codec::Zlib => "zlib",
+            Codec::Bzip2 => "bzip2",
+        }
+    }
+
+    /// Upper bound of what `compressed` bytes can decode to. Deflate cannot exceed 1032:1 (zlib technical notes); bzip2 has no useful
+    /// bound, so the voxel limit is the only one.
+    fn most_bytes(self, compressed: u64) -> u64 {
+        match self {
+            Codec::Raw => compressed,
+            Codec::Gzip | Codec::Zlib => compressed.saturating_mul(1032),
+            Codec::Bzip2 => u64::MAX,
+        }
+    }
+}
+
+/// An I/O error with the file and what was attempted.
+pub(crate) fn io_error(path: &Path, action: &'static str) -> impl FnOnce(std::io::Error) -> VolumeError {
+    move |source| VolumeError::Io { path: path.into(), action, source }
+}
+
+/// Opens a regular file; returns it with its length.
+pub(crate) fn open(path: &Path) -> Result<(File, u64), VolumeError> {
+    // The type is asked before opening: opening a pipe would wait for a writer.
+    let metadata = std::fs::metadata(path).map_err(io_error(path, "open"))?;
+    if !metadata.is_file() {
+        return Err(VolumeError::NotAVolume { path: path.into(), given: "not a regular file".into() });
+    }
+    let file = File::open(path).map_err(io_error(path, "open"))?;
+    Ok((file, metadata.len()))
+}
+
+/// A decoded stream of a file from byte `offset` on, and the most bytes it can hold.
+pub(crate) fn open_stream(
+    path: &Path,
+    offset: u64,
+    codec: Codec,
+) -> Result<(Box<dyn Read>, u64), VolumeError> {
+    let (mut file, length) = open(path)?;
+    if offset > length {
+        return Err(VolumeError::Truncated {
+            path: path.into(),
+            field: "file".into(),
+            given_bytes: length,
+            expected_bytes: offset,
+        });
+    }
+    file.seek(SeekFrom::Start(offset)).map_err(io_error(path, "seek"))?;
+    let reader = BufReader::with_capacity(1 << 16, file);
+    let stream: Box<dyn Read> = match codec {
+        Codec::Raw => Box::new(reader),
+        Codec::Gzip => Box::new(flate2::bufread::MultiGzDecoder::new(reader)),
+        Codec::Zlib => Box::new(flate2::bufread::ZlibDecoder::new(reader)),
+        Codec::Bzip2 => Box::new(bzip2::bufread::MultiBzDecoder::new(reader)),
+    };
+    Ok((stream, codec.most_bytes(length - offset)))
+}
+
+/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`.
+pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> Result<(), VolumeError> {
+    if most_bytes >= needed_bytes {
+        return Ok(());
+    }
+    Err(VolumeError::Truncated {
+        path: path.into(),
+        field: "voxel data".into(),
+        given_bytes: most_bytes,
+        expected_bytes: needed_bytes,
+    })
+}
+
+/// Fills `buffer` as far as the stream goes; returns the bytes read. A stream cut in the middle counts as ended there.
+pub(crate) fn read_full(
+    path: &Path,
+    codec: &'static str,
+    reader: &mut dyn Read,
+    buffer: &mut [u8],
+) -> Result<usize, VolumeError> {
+    let mut filled = 0;
+    while filled < buffer.len() {
+        match reader.read(&mut buffer[filled..]) {
+            Ok(0) => break,
+            Ok(n) => filled += n,
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(e) if e.kind() == ErrorKind::UnexpectedEof => break,
+            Err(e) if codec == Codec::Raw.name() => return Err(io_error(path, "read")(e)),
+            Err(e) => return Err(VolumeError::Corrupt { path: path.into(), codec, reason: e.to_string() }),
+        }
+    }
+    Ok(filled)
+}
+
+/// Reads and drops `count` bytes.
+pub(crate) fn skip(
+    path: &Path,
+    codec: &'static str,
+    reader: &mut dyn Read,
+    count: u64,
+) -> Result<(), VolumeError> {
+    let mut buffer = [0_u8; 8192];
+    let mut left = count;
+    while left > 0 {
+        let wanted = left.min(buffer.len() as u64) as usize;
+        let got = read_full(path, codec, reader, &mut buffer[..wanted])?;
+        if got == 0 {
+            return Err(VolumeError::Truncated {
+                path: path.into(),
+                field: "bytes before the voxel data".into(),
+                given_bytes: count - left,
+                expected_bytes: count,
+            });
+        }
+        left -= got as u64;
+    }
+    Ok(())
+}
+
+/// The first bytes of a stream, up to `count`.
+pub(crate) fn head(path: &Path, offset: u64, codec: Codec, count: usize) -> Result<Vec<u8>, VolumeError> {
+    let (mut reader, _) = open_stream(path, offset, codec)?;
+    let mut bytes = vec![0; count];
+    let got = read_full(path, codec.name(), reader.as_mut(), &mut bytes)?;
+    bytes.truncate(got);
+    Ok(bytes)
+}
+
+/// The path of a data file that a header names: relative names are relative to the header's folder.
+pub(crate) fn beside(header: &Path, name: &str) -> PathBuf {
+    header.parent().unwrap_or(Path::new("")).join(name)
+}
+
+/// Lower-case file name, for extensions of two parts.
+pub(crate) fn lower_name(path: &Path) -> String {
+    path.file_name().map(|n| n.to_string_lossy().to_lowercase()).unwrap_or_default()
+}

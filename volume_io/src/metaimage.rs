@@ -1,0 +1,269 @@
+//! MetaImage files: .mha, and .mhd with a data file; raw, zlib-compressed or text.
+//!
+//! Source: MetaIO documentation (itk.org/Wiki/MetaIO/Documentation) and ITK's `MetaImageIO`: world LPS, rows of `TransformMatrix` are
+//! the directions of the axes. No well-kept crate reads this format.
+
+use crate::error::VolumeError;
+use crate::input::{self, Codec};
+use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
+use crate::text_header::{MAX_HEADER_BYTES, numbers, read_ascii, sizes, unit_of_length, wrong};
+use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, voxel_count};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+struct Header<'a> {
+    path: &'a Path,
+    fields: BTreeMap<String, String>,
+    /// Bytes of the header; local data follow.
+    length: u64,
+}
+
+/// Reads the volume whose header is at `path`.
+pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let header = Header::read(path)?;
+    let dims = header.dimensions()?;
+    let count = voxel_count(path, "DimSize", dims)?;
+    let mut notes = Vec::new();
+    let (unit_m, unit_name) = header.unit()?;
+    let geometry = header.geometry(unit_m, &mut notes)?;
+    let scalar = header.scalar()?;
+    header.refuse_intensity_function()?;
+    let (data_path, start) = header.data_file()?;
+    let mut sink = HuSink::default();
+    let (encoding, stored_as) = if header.flag("BinaryData", true)? {
+        let endian = header.endian()?;
+        let layout = Layout { scalar, endian, scale: Scale::IDENTITY };
+        let codec = header.read_binary(&data_path, start, layout, count, &mut sink)?;
+        (codec.name(), scalar.describe(endian))
+    } else {
+        read_ascii(&data_path, start, count, &mut sink)?;
+        ("ascii", scalar.name().into())
+    };
+    let hu = sink.finish(&mut notes);
+    let volume = geometry.with_voxels(dims, hu);
+    let kind = if data_path == path { "local" } else { "detached" };
+    let format = format!("MetaImage ({encoding}, {kind})");
+    let info = VolumeInfo::new(&volume, format, stored_as, unit_name, notes);
+    Ok((volume, info))
+}
+
+impl<'a> Header<'a> {
+    fn read(path: &'a Path) -> Result<Self, VolumeError> {
+        let bytes = input::head(path, 0, Codec::Raw, MAX_HEADER_BYTES)?;
+        let mut fields = BTreeMap::new();
+        let mut at = 0;
+        // `ElementDataFile` is the last field by definition: what follows its line is data.
+        while at < bytes.len() && !fields.contains_key("ElementDataFile") {
+            let end = bytes[at..].iter().position(|b| *b == b'\n').map_or(bytes.len(), |n| at + n);
+            let line = bytes[at..end].strip_suffix(b"\r").unwrap_or(&bytes[at..end]);
+            at = (end + 1).min(bytes.len());
+            let text = std::str::from_utf8(line).map_err(|_| {
+                wrong(path, "header", &String::from_utf8_lossy(line), "lines of the form `name = value`")
+            })?;
+            if text.trim().is_empty() {
+                continue;
+            }
+            let Some((name, value)) = text.split_once('=') else {
+                return Err(wrong(path, "header", text, "lines of the form `name = value`"));
+            };
+            if fields.insert(name.trim().to_string(), value.trim().to_string()).is_some() {
+                return Err(wrong(path, name.trim(), value, "each field once"));
+            }
+        }
+        Ok(Self { path, fields, length: at as u64 })
+    }
+
+    fn get(&self, names: &[&'static str]) -> Option<(&'static str, &str)> {
+        names.iter().find_map(|name| self.fields.get(*name).map(|value| (*name, value.as_str())))
+    }
+
+    fn require(&self, names: &[&'static str], expected: &str) -> Result<(&'static str, &str), VolumeError> {
+        self.get(names).ok_or_else(|| wrong(self.path, names.first().copied().unwrap_or(""), "", expected))
+    }
+
+    fn unsupported(&self, field: &str, given: &str, expected: &str) -> VolumeError {
+        VolumeError::Unsupported {
+            path: self.path.into(),
+            field: field.into(),
+            given: format!("`{given}`"),
+            expected: expected.into(),
+        }
+    }
+
+    fn flag(&self, name: &'static str, default: bool) -> Result<bool, VolumeError> {
+        match self.get(&[name]) {
+            None => Ok(default),
+            Some((_, value)) => match value.to_lowercase().as_str() {
+                "true" | "1" => Ok(true),
+                "false" | "0" => Ok(false),
+                _ => Err(wrong(self.path, name, value, "True or False")),
+            },
+        }
+    }
+
+    fn dimensions(&self) -> Result<[usize; 3], VolumeError> {
+        if let Some((field, kind)) = self.get(&["ObjectType"]).filter(|(_, kind)| *kind != "Image") {
+            return Err(self.unsupported(field, kind, "Image"));
+        }
+        let (_, rank) = self.require(&["NDims"], "3")?;
+        let (_, given) = self.require(&["DimSize"], "three positive whole numbers")?;
+        if rank.parse::<u8>().is_err() {
+            return Err(wrong(self.path, "NDims", rank, "3"));
+        }
+        if rank != "3" {
+            return Err(VolumeError::NotThreeDimensional {
+                path: self.path.into(),
+                field: "NDims".into(),
+                given: format!("{rank} with DimSize {given}"),
+            });
+        }
+        if let Some((field, channels)) = self.get(&["ElementNumberOfChannels"]).filter(|(_, n)| *n != "1") {
+            return Err(VolumeError::NotScalar {
+                path: self.path.into(),
+                field: field.into(),
+                given: format!("{channels} channels"),
+            });
+        }
+        sizes(self.path, "DimSize", given)
+    }
+
+    fn scalar(&self) -> Result<Scalar, VolumeError> {
+        let (field, name) = self.require(&["ElementType"], "MET_SHORT or another scalar type")?;
+        Ok(match name {
+            "MET_CHAR" => Scalar::I8,
+            "MET_UCHAR" => Scalar::U8,
+            "MET_SHORT" => Scalar::I16,
+            "MET_USHORT" => Scalar::U16,
+            // MetaIO fixes long at four bytes (metaTypes.h), whatever the machine that wrote the file.
+            "MET_INT" | "MET_LONG" => Scalar::I32,
+            "MET_UINT" | "MET_ULONG" => Scalar::U32,
+            "MET_LONG_LONG" => Scalar::I64,
+            "MET_ULONG_LONG" => Scalar::U64,
+            "MET_FLOAT" => Scalar::F32,
+            "MET_DOUBLE" => Scalar::F64,
+            _ if name.ends_with("_ARRAY") => {
+                return Err(VolumeError::NotScalar {
+                    path: self.path.into(),
+                    field: field.into(),
+                    given: name.into(),
+                });
+            }
+            _ => {
+                return Err(self.unsupported(
+                    field,
+                    name,
+                    "an integer of 8 to 64 bits, MET_FLOAT or MET_DOUBLE",
+                ));
+            }
+        })
+    }
+
+    fn endian(&self) -> Result<Endian, VolumeError> {
+        let msb = self.flag("ElementByteOrderMSB", false)? || self.flag("BinaryDataByteOrderMSB", false)?;
+        Ok(if msb { Endian::Big } else { Endian::Little })
+    }
+
+    fn unit(&self) -> Result<(f64, String), VolumeError> {
+        match self.get(&["DistanceUnits"]) {
+            None | Some((_, "?")) => Ok((1e-3, "mm (assumed: the file states none)".into())),
+            Some((field, text)) => unit_of_length(text)
+                .map(|(unit_m, name)| (unit_m, name.to_string()))
+                .ok_or_else(|| self.unsupported(field, text, "m, cm, mm or um")),
+        }
+    }
+
+    fn geometry(&self, unit_m: f64, notes: &mut Vec<String>) -> Result<Geometry, VolumeError> {
+        let names =
+            GeometryFields { spacing: "ElementSpacing", direction: "TransformMatrix", origin: "Offset" };
+        let (field, text) = self.require(&["ElementSpacing", "ElementSize"], "three distances")?;
+        let spacing = numbers::<3>(self.path, field, text)?;
+        let origin = match self.get(&["Offset", "Origin", "Position"]) {
+            Some((field, text)) => numbers::<3>(self.path, field, text)?,
+            None => {
+                notes.push("no origin is given: (0, 0, 0) is assumed".into());
+                [0.0; 3]
+            }
+        };
+        let m = match self.get(&["TransformMatrix", "Rotation", "Orientation"]) {
+            Some((field, text)) => numbers::<9>(self.path, field, text)?,
+            None => {
+                notes.push("no directions are given: left, posterior, superior is assumed".into());
+                [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+            }
+        };
+        let axes = [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]];
+        Geometry::checked(self.path, names, spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m), axes)
+    }
+
+    /// The intensity function is applied by some readers and ignored by others (ITK ignores it): no value can be trusted.
+    fn refuse_intensity_function(&self) -> Result<(), VolumeError> {
+        for (name, neutral) in
+            [("ElementToIntensityFunctionSlope", 1.0), ("ElementToIntensityFunctionOffset", 0.0)]
+        {
+            if let Some((field, text)) = self.get(&[name])
+                && text.parse::<f64>().ok() != Some(neutral)
+            {
+                return Err(self.unsupported(
+                    field,
+                    text,
+                    &format!("{neutral}; store Hounsfield units directly"),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    fn data_file(&self) -> Result<(PathBuf, u64), VolumeError> {
+        let (field, name) = self.require(&["ElementDataFile"], "LOCAL or a file name")?;
+        match name {
+            "LOCAL" | "Local" | "local" => Ok((self.path.to_path_buf(), self.length)),
+            "" => Err(wrong(self.path, field, name, "LOCAL or a file name")),
+            _ if name.starts_with("LIST") || name.contains('%') => {
+                Err(self.unsupported(field, name, "LOCAL or one data file; join the slices first"))
+            }
+            _ => Ok((input::beside(self.path, name), 0)),
+        }
+    }
+
+    fn read_binary(
+        &self,
+        path: &Path,
+        start: u64,
+        layout: Layout,
+        count: usize,
+        sink: &mut HuSink,
+    ) -> Result<Codec, VolumeError> {
+        let needed = layout.byte_count(count);
+        let codec = if self.flag("CompressedData", false)? {
+            // MetaIO writes zlib streams and reads gzip as well.
+            let magic = input::head(path, start, Codec::Raw, 2)?;
+            if magic == [0x1f, 0x8b] { Codec::Gzip } else { Codec::Zlib }
+        } else {
+            Codec::Raw
+        };
+        let header_size = match self.get(&["HeaderSize"]) {
+            None => 0,
+            Some((field, text)) => text
+                .parse::<i64>()
+                .ok()
+                .filter(|n| *n >= -1)
+                .ok_or_else(|| wrong(self.path, field, text, "-1 or a number of bytes"))?,
+        };
+        if header_size != 0 && codec != Codec::Raw {
+            return Err(self.unsupported("HeaderSize", &header_size.to_string(), "0 for compressed data"));
+        }
+        let offset = match u64::try_from(header_size) {
+            Ok(skip) => start.saturating_add(skip),
+            // −1: the voxels are the last bytes of the file.
+            Err(_) => {
+                let (_, length) = input::open(path)?;
+                input::check_length(path, length, needed)?;
+                length - needed
+            }
+        };
+        let (mut reader, most_bytes) = input::open_stream(path, offset, codec)?;
+        input::check_length(path, most_bytes, needed)?;
+        layout.read(path, codec.name(), reader.as_mut(), count, sink)?;
+        Ok(codec)
+    }
+}

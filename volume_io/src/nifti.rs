@@ -1,0 +1,99 @@
+//! NIfTI-1 and NIfTI-2 files: .nii, .hdr/.img, each plain or gzip.
+
+use crate::error::VolumeError;
+use crate::input::{self, Codec};
+use crate::nifti_header::{NIFTI2_SIZE, parse};
+use crate::scalar::HuSink;
+use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, columns, norm, voxel_count};
+use std::path::{Path, PathBuf};
+
+/// Reads the volume whose header is at `path`.
+pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let codec = codec_of(path)?;
+    let bytes = input::head(path, 0, codec, NIFTI2_SIZE)?;
+    let header = parse(path, &bytes)?;
+    let count = voxel_count(path, "dim", header.dims)?;
+    let geometry = geometry(path, &header.affine, header.unit_m)?;
+
+    let (data_path, data_codec) = if header.single_file {
+        (path.to_path_buf(), codec)
+    } else {
+        let image = image_of(path)?;
+        let codec = codec_of(&image)?;
+        (image, codec)
+    };
+    let needed = header.layout.byte_count(count);
+    let (mut reader, most_bytes) = input::open_stream(&data_path, 0, data_codec)?;
+    input::check_length(&data_path, most_bytes, header.data_offset.saturating_add(needed))?;
+    input::skip(&data_path, data_codec.name(), reader.as_mut(), header.data_offset)?;
+    let mut sink = HuSink::default();
+    header.layout.read(&data_path, data_codec.name(), reader.as_mut(), count, &mut sink)?;
+
+    let mut notes = header.notes;
+    if header.layout.scale != crate::scalar::Scale::IDENTITY {
+        let scale = header.layout.scale;
+        notes.push(format!("values are {} x stored + {}", scale.slope, scale.intercept));
+    }
+    let hu = sink.finish(&mut notes);
+    let volume = geometry.with_voxels(header.dims, hu);
+    let pair = if header.single_file { "" } else { ", .hdr/.img" };
+    let format = format!("NIfTI-{} ({}{pair})", header.version, data_codec.name());
+    let stored_as = header.layout.scalar.describe(header.endian);
+    let info = VolumeInfo::new(&volume, format, stored_as, header.unit_name.into(), notes);
+    Ok((volume, info))
+}
+
+/// gzip or raw, by the first two bytes and not by the name.
+fn codec_of(path: &Path) -> Result<Codec, VolumeError> {
+    let magic = input::head(path, 0, Codec::Raw, 2)?;
+    Ok(if magic == [0x1f, 0x8b] { Codec::Gzip } else { Codec::Raw })
+}
+
+/// The RAS affine as LPS geometry in metres: x and y change sign.
+fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Geometry, VolumeError> {
+    let [x, y, z] = *affine;
+    let lps = [x.map(|v| -v), y.map(|v| -v), z];
+    let axes = columns(lps.map(|row| [row[0], row[1], row[2]]));
+    let names =
+        GeometryFields { spacing: "pixdim or srow", direction: "srow or quatern", origin: "srow or qoffset" };
+    // Of a zero column, the direction is the fault that matters: no voxel size can be told from it.
+    let singular = axes.iter().any(|axis| {
+        let length = norm(*axis);
+        !(length.is_finite() && length > 0.0)
+    });
+    if singular {
+        return Err(VolumeError::SingularDirection {
+            path: path.into(),
+            field: names.direction.into(),
+            given: format!("{affine:?}"),
+        });
+    }
+    let spacing_m = axes.map(|axis| norm(axis) * unit_m);
+    Geometry::checked(path, names, spacing_m, lps.map(|row| row[3] * unit_m), axes)
+}
+
+/// The .img file of a .hdr file (plain or gzip).
+fn image_of(header: &Path) -> Result<PathBuf, VolumeError> {
+    partner(header, ".hdr", ".img").ok_or_else(|| VolumeError::Header {
+        path: header.into(),
+        field: "magic".into(),
+        given: "ni1 or ni2: the voxels are in a separate file".into(),
+        expected: "an .img or .img.gz file beside a header named .hdr or .hdr.gz".into(),
+    })
+}
+
+/// The .hdr file of an .img file (plain or gzip), if there is one.
+pub(crate) fn header_of(image: &Path) -> Option<PathBuf> {
+    partner(image, ".img", ".hdr")
+}
+
+fn partner(path: &Path, from: &str, to: &str) -> Option<PathBuf> {
+    let name = path.file_name()?.to_str()?;
+    let bare = name.strip_suffix(".gz").unwrap_or(name);
+    let stem_length = bare.to_lowercase().strip_suffix(from)?.len();
+    let stem = bare.get(..stem_length)?;
+    [to.to_string(), format!("{to}.gz")]
+        .iter()
+        .map(|suffix| path.with_file_name(format!("{stem}{suffix}")))
+        .find(|candidate| candidate.is_file())
+}

@@ -1,0 +1,93 @@
+//! Fills a grid from a function of position, in parallel: each voxel is computed by itself, so the result cannot depend on the threads.
+
+use crate::error::VolumeError;
+use crate::volume::{IDENTITY_DIRECTION, Volume, voxel_count};
+use std::path::Path;
+
+/// Edge of the cubes in which a field may skip work, voxels.
+pub const BLOCK: usize = 8;
+
+/// A field of Hounsfield units over the world.
+pub trait Field: Sync {
+    /// What holds for all points within `radius_m` of `center_m`; computed once a block of voxels.
+    type Region: Copy;
+    /// Classifies a ball. The result must not change any voxel's value, only the work it takes.
+    fn region(&self, center_m: [f64; 3], radius_m: f64) -> Self::Region;
+    /// Hounsfield units at a point of a classified ball.
+    fn hu(&self, region: Self::Region, point_m: [f64; 3]) -> f64;
+}
+
+/// A grid along the world axes.
+#[derive(Clone, Copy)]
+pub struct Grid {
+    pub dims: [usize; 3],
+    pub spacing_m: [f64; 3],
+    pub origin_m: [f64; 3],
+}
+
+/// Samples `field` at the voxel centres of `grid` with `threads` threads (0: as many as the machine offers).
+pub fn fill<F: Field>(
+    name: &'static str,
+    grid: Grid,
+    field: &F,
+    threads: usize,
+) -> Result<Volume, VolumeError> {
+    let path = Path::new(name);
+    let count = voxel_count(path, "dims", grid.dims)?;
+    let mut hu = vec![0_i16; count];
+    let slab_voxels = grid.dims[0] * grid.dims[1] * BLOCK;
+    let threads = match threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        n => n,
+    };
+    let mut shares: Vec<Vec<(usize, &mut [i16])>> = (0..threads).map(|_| Vec::new()).collect();
+    for (slab, voxels) in hu.chunks_mut(slab_voxels).enumerate() {
+        shares[slab % threads].push((slab, voxels));
+    }
+    std::thread::scope(|scope| {
+        for share in shares {
+            scope.spawn(move || {
+                for (slab, voxels) in share {
+                    fill_slab(grid, field, slab, voxels);
+                }
+            });
+        }
+    });
+    let volume = Volume {
+        dims: grid.dims,
+        spacing_m: grid.spacing_m,
+        origin_m: grid.origin_m,
+        direction: IDENTITY_DIRECTION,
+        hu,
+    };
+    volume.check(path)?;
+    Ok(volume)
+}
+
+/// Fills the slices `slab * BLOCK ..` that `voxels` holds.
+fn fill_slab<F: Field>(grid: Grid, field: &F, slab: usize, voxels: &mut [i16]) {
+    let [ni, nj, _] = grid.dims;
+    let first_k = slab * BLOCK;
+    let slices = voxels.len() / (ni * nj);
+    let at = |axis: usize, index: f64| grid.origin_m[axis] + index * grid.spacing_m[axis];
+    let middle = (BLOCK as f64 - 1.0) / 2.0;
+    // Half the diagonal between the outermost voxel centres of a block.
+    let radius_m = crate::volume::norm(grid.spacing_m) * middle;
+    for j0 in (0..nj).step_by(BLOCK) {
+        for i0 in (0..ni).step_by(BLOCK) {
+            let center =
+                [at(0, i0 as f64 + middle), at(1, j0 as f64 + middle), at(2, first_k as f64 + middle)];
+            let region = field.region(center, radius_m);
+            for k in 0..slices {
+                let z = at(2, (first_k + k) as f64);
+                for j in j0..(j0 + BLOCK).min(nj) {
+                    let y = at(1, j as f64);
+                    for i in i0..(i0 + BLOCK).min(ni) {
+                        let value = field.hu(region, [at(0, i as f64), y, z]);
+                        voxels[i + ni * (j + nj * k)] = libm::round(value.clamp(-32768.0, 32767.0)) as i16;
+                    }
+                }
+            }
+        }
+    }
+}

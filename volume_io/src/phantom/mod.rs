@@ -1,0 +1,14 @@
+//! Synthetic volumes whose geometry is known exactly: a right proximal femur, a two-density block, a sphere.
+//!
+//! None of them is a patient. They are pure functions of their specification: the same bits on every machine and for every number of
+//! threads, and the same shape at every voxel spacing.
+
+mod anatomy;
+mod femur;
+mod fill;
+mod noise;
+mod shapes;
+mod solids;
+
+pub use femur::{FemurLandmarks, FemurSpec, femur, femur_landmarks};
+pub use solids::{BlockSpec, SphereSpec, block, sphere};

@@ -1,0 +1,151 @@
+//! Blocks and spheres of constant Hounsfield units, for tests whose answer is known in closed form.
+
+use super::fill::{Field, Grid, fill};
+use crate::error::VolumeError;
+use crate::volume::{Volume, dot, norm};
+
+/// A rectangular block of two materials that meet in a plane, with air around it: for skiving tests and for density steps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BlockSpec {
+    /// Voxels along x, y, z.
+    pub dims: [usize; 3],
+    /// Voxel spacing, metres.
+    pub spacing_m: [f64; 3],
+    /// Centre of voxel (0, 0, 0), world LPS, metres.
+    pub origin_m: [f64; 3],
+    /// Air between the edge of the volume and the block, metres; 0 fills the volume.
+    pub margin_m: f64,
+    /// A point of the plane between the two materials, world, metres.
+    pub plane_point_m: [f64; 3],
+    /// Normal of that plane (any length but zero); it points into the `hu_ahead` material.
+    pub plane_normal: [f64; 3],
+    /// Hounsfield units on the side the normal points away from.
+    pub hu_behind: i16,
+    /// Hounsfield units on the side the normal points to.
+    pub hu_ahead: i16,
+    /// Hounsfield units around the block.
+    pub hu_outside: i16,
+}
+
+impl Default for BlockSpec {
+    /// 40 x 30 x 30 mm at 0.5 mm, centred at the world origin; soft below and hard above the plane z = 0; 2.5 mm of air around.
+    fn default() -> Self {
+        Self {
+            dims: [80, 60, 60],
+            spacing_m: [0.5e-3; 3],
+            origin_m: [-0.01975, -0.01475, -0.01475],
+            margin_m: 2.5e-3,
+            plane_point_m: [0.0; 3],
+            plane_normal: [0.0, 0.0, 1.0],
+            hu_behind: 200,
+            hu_ahead: 1400,
+            hu_outside: -1000,
+        }
+    }
+}
+
+/// A ball of constant Hounsfield units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SphereSpec {
+    /// Voxels along x, y, z.
+    pub dims: [usize; 3],
+    /// Voxel spacing, metres.
+    pub spacing_m: [f64; 3],
+    /// Centre of voxel (0, 0, 0), world LPS, metres.
+    pub origin_m: [f64; 3],
+    /// Centre of the ball, world, metres.
+    pub center_m: [f64; 3],
+    /// Radius of the ball, metres.
+    pub radius_m: f64,
+    /// Hounsfield units inside.
+    pub hu_inside: i16,
+    /// Hounsfield units outside.
+    pub hu_outside: i16,
+}
+
+impl Default for SphereSpec {
+    /// A ball of 10 mm radius, 1000 HU, at the world origin in 64³ voxels of 0.5 mm.
+    fn default() -> Self {
+        Self {
+            dims: [64; 3],
+            spacing_m: [0.5e-3; 3],
+            origin_m: [-0.01575; 3],
+            center_m: [0.0; 3],
+            radius_m: 0.010,
+            hu_inside: 1000,
+            hu_outside: -1000,
+        }
+    }
+}
+
+/// Builds the block: a voxel has the material at its centre (a centre on the plane counts as ahead).
+///
+/// # Errors
+/// [`VolumeError::Argument`] for a zero or non-finite normal or a negative margin; otherwise as [`Volume::check`].
+pub fn block(spec: &BlockSpec) -> Result<Volume, VolumeError> {
+    let length = norm(spec.plane_normal);
+    if !(length.is_finite() && length > 0.0) {
+        return Err(VolumeError::Argument {
+            field: "plane_normal",
+            given: format!("{:?}", spec.plane_normal),
+            expected: "a finite vector that is not zero".into(),
+        });
+    }
+    if !(spec.margin_m.is_finite() && spec.margin_m >= 0.0) {
+        return Err(VolumeError::Argument {
+            field: "margin_m",
+            given: format!("{}", spec.margin_m),
+            expected: "zero or more metres".into(),
+        });
+    }
+    let grid = Grid { dims: spec.dims, spacing_m: spec.spacing_m, origin_m: spec.origin_m };
+    fill("block phantom", grid, spec, 1)
+}
+
+/// Builds the ball: a voxel is inside when its centre is (a centre on the surface counts as inside).
+///
+/// # Errors
+/// [`VolumeError::Argument`] for a radius that is not positive; otherwise as [`Volume::check`].
+pub fn sphere(spec: &SphereSpec) -> Result<Volume, VolumeError> {
+    if !(spec.radius_m.is_finite() && spec.radius_m > 0.0) {
+        return Err(VolumeError::Argument {
+            field: "radius_m",
+            given: format!("{}", spec.radius_m),
+            expected: "a positive radius in metres".into(),
+        });
+    }
+    let grid = Grid { dims: spec.dims, spacing_m: spec.spacing_m, origin_m: spec.origin_m };
+    fill("sphere phantom", grid, spec, 1)
+}
+
+impl Field for BlockSpec {
+    type Region = ();
+
+    fn region(&self, _center_m: [f64; 3], _radius_m: f64) {}
+
+    fn hu(&self, (): (), p: [f64; 3]) -> f64 {
+        let inside = (0..3).all(|axis| {
+            // The volume ends half a voxel beyond the outermost centres.
+            let low = self.origin_m[axis] - 0.5 * self.spacing_m[axis] + self.margin_m;
+            let high =
+                self.origin_m[axis] + (self.dims[axis] as f64 - 0.5) * self.spacing_m[axis] - self.margin_m;
+            (low..=high).contains(&p[axis])
+        });
+        if !inside {
+            return f64::from(self.hu_outside);
+        }
+        let offset = super::shapes::sub(p, self.plane_point_m);
+        f64::from(if dot(offset, self.plane_normal) >= 0.0 { self.hu_ahead } else { self.hu_behind })
+    }
+}
+
+impl Field for SphereSpec {
+    type Region = ();
+
+    fn region(&self, _center_m: [f64; 3], _radius_m: f64) {}
+
+    fn hu(&self, (): (), p: [f64; 3]) -> f64 {
+        let inside = super::shapes::sphere(p, self.center_m, self.radius_m) <= 0.0;
+        f64::from(if inside { self.hu_inside } else { self.hu_outside })
+    }
+}

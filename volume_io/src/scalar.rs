@@ -1,0 +1,203 @@
+//! From stored numbers to Hounsfield units: voxel types, byte orders, scaling, rounding, clamping.
+
+use crate::error::VolumeError;
+use crate::input::read_full;
+use std::io::Read;
+use std::path::Path;
+
+/// A stored voxel type.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    I64,
+    U64,
+    F32,
+    F64,
+}
+
+/// A stored byte order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Endian {
+    Little,
+    Big,
+}
+
+impl Endian {
+    pub fn name(self) -> &'static str {
+        match self {
+            Endian::Little => "little-endian",
+            Endian::Big => "big-endian",
+        }
+    }
+}
+
+impl Scalar {
+    /// Bytes a voxel.
+    pub fn size(self) -> usize {
+        match self {
+            Scalar::I8 | Scalar::U8 => 1,
+            Scalar::I16 | Scalar::U16 => 2,
+            Scalar::I32 | Scalar::U32 | Scalar::F32 => 4,
+            Scalar::I64 | Scalar::U64 | Scalar::F64 => 8,
+        }
+    }
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Scalar::I8 => "int8",
+            Scalar::U8 => "uint8",
+            Scalar::I16 => "int16",
+            Scalar::U16 => "uint16",
+            Scalar::I32 => "int32",
+            Scalar::U32 => "uint32",
+            Scalar::I64 => "int64",
+            Scalar::U64 => "uint64",
+            Scalar::F32 => "float32",
+            Scalar::F64 => "float64",
+        }
+    }
+
+    /// Name with byte order, where the order matters.
+    pub fn describe(self, endian: Endian) -> String {
+        if self.size() == 1 { self.name().into() } else { format!("{} {}", self.name(), endian.name()) }
+    }
+
+    /// The number stored in `bytes`, which holds exactly one voxel; 64-bit integers are rounded to f64.
+    fn value(self, bytes: &[u8], endian: Endian) -> f64 {
+        let mut word = [0_u8; 8];
+        let n = self.size().min(bytes.len());
+        for (i, byte) in bytes.iter().take(n).enumerate() {
+            word[if endian == Endian::Little { i } else { n - 1 - i }] = *byte;
+        }
+        let [a, b, c, d, ..] = word;
+        match self {
+            Scalar::I8 => f64::from(a as i8),
+            Scalar::U8 => f64::from(a),
+            Scalar::I16 => f64::from(i16::from_le_bytes([a, b])),
+            Scalar::U16 => f64::from(u16::from_le_bytes([a, b])),
+            Scalar::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+            Scalar::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+            Scalar::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+            Scalar::I64 => i64::from_le_bytes(word) as f64,
+            Scalar::U64 => u64::from_le_bytes(word) as f64,
+            Scalar::F64 => f64::from_le_bytes(word),
+        }
+    }
+}
+
+/// Value of HU = slope × stored + intercept.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Scale {
+    pub slope: f64,
+    pub intercept: f64,
+}
+
+impl Scale {
+    pub const IDENTITY: Self = Self { slope: 1.0, intercept: 0.0 };
+
+    /// Refuses a slope of zero and anything that is not a finite number.
+    pub fn checked(path: &Path, field: &str, slope: f64, intercept: f64) -> Result<Self, VolumeError> {
+        if slope.is_finite() && intercept.is_finite() && slope != 0.0 {
+            return Ok(Self { slope, intercept });
+        }
+        Err(VolumeError::Header {
+            path: path.into(),
+            field: field.into(),
+            given: format!("slope {slope}, intercept {intercept}"),
+            expected: "finite numbers and a slope that is not zero".into(),
+        })
+    }
+}
+
+/// Collects voxels as `i16`, and counts what could not be kept as it was.
+#[derive(Debug, Default)]
+pub(crate) struct HuSink {
+    pub hu: Vec<i16>,
+    clamped: u64,
+    rounded: u64,
+    not_a_number: u64,
+}
+
+impl HuSink {
+    /// Appends one stored number. Halves round away from zero; what is not a number becomes air.
+    pub fn push(&mut self, stored: f64, scale: Scale) {
+        let value = if scale == Scale::IDENTITY { stored } else { scale.slope * stored + scale.intercept };
+        if value.is_nan() {
+            self.not_a_number += 1;
+            self.hu.push(-1000);
+            return;
+        }
+        let whole = libm::round(value);
+        let kept = whole.clamp(f64::from(i16::MIN), f64::from(i16::MAX));
+        if kept != whole {
+            self.clamped += 1;
+        } else if whole != value {
+            self.rounded += 1;
+        }
+        self.hu.push(kept as i16);
+    }
+
+    /// The voxels, and a note for each kind of change that was made.
+    pub fn finish(self, notes: &mut Vec<String>) -> Vec<i16> {
+        let mut note = |count: u64, what: &str| {
+            if count > 0 {
+                notes.push(format!("{count} of {} voxels {what}", self.hu.len()));
+            }
+        };
+        note(self.clamped, "were outside -32768..32767 and were clamped");
+        note(self.rounded, "were rounded to whole HU");
+        note(self.not_a_number, "were not a number and were set to -1000 HU");
+        self.hu
+    }
+}
+
+/// How voxels are stored.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Layout {
+    pub scalar: Scalar,
+    pub endian: Endian,
+    pub scale: Scale,
+}
+
+impl Layout {
+    /// Bytes that `count` voxels take; `count` is at most [`crate::MAX_VOXELS`], so this cannot overflow.
+    pub fn byte_count(self, count: usize) -> u64 {
+        count as u64 * self.scalar.size() as u64
+    }
+
+    /// Reads `count` voxels from a stream into `sink`; memory grows with the data that arrives, not with what a header promises.
+    pub fn read(
+        self,
+        path: &Path,
+        codec: &'static str,
+        reader: &mut dyn Read,
+        count: usize,
+        sink: &mut HuSink,
+    ) -> Result<(), VolumeError> {
+        let size = self.scalar.size();
+        let mut buffer = vec![0_u8; 1 << 16];
+        let mut left = count;
+        while left > 0 {
+            let wanted = left.min(buffer.len() / size) * size;
+            let got = read_full(path, codec, reader, &mut buffer[..wanted])?;
+            if got < wanted {
+                return Err(VolumeError::Truncated {
+                    path: path.into(),
+                    field: "voxel data".into(),
+                    given_bytes: self.byte_count(count - left) + got as u64,
+                    expected_bytes: self.byte_count(count),
+                });
+            }
+            for bytes in buffer[..wanted].chunks_exact(size) {
+                sink.push(self.scalar.value(bytes, self.endian), self.scale);
+            }
+            left -= wanted / size;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,119 @@
+//! Helpers for the two formats with text headers (NRRD, MetaImage): number lists and their errors.
+
+use crate::error::VolumeError;
+use crate::input::{Codec, open_stream, read_full};
+use crate::scalar::{HuSink, Scale};
+use std::path::Path;
+
+/// Longest text header that is read, bytes.
+pub(crate) const MAX_HEADER_BYTES: usize = 1 << 20;
+
+/// A [`VolumeError::Header`] for a field of a text header.
+pub(crate) fn wrong(path: &Path, field: &str, given: &str, expected: &str) -> VolumeError {
+    VolumeError::Header {
+        path: path.into(),
+        field: field.into(),
+        given: format!("`{}`", shorten(given)),
+        expected: expected.into(),
+    }
+}
+
+/// At most 120 characters of a value, so that a hostile header cannot flood a terminal.
+fn shorten(text: &str) -> String {
+    if text.chars().count() <= 120 {
+        text.into()
+    } else {
+        text.chars().take(120).chain("...".chars()).collect()
+    }
+}
+
+/// Parses exactly `N` numbers separated by white space or commas.
+pub(crate) fn numbers<const N: usize>(path: &Path, field: &str, text: &str) -> Result<[f64; N], VolumeError> {
+    let mut out = [0.0; N];
+    let mut words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|w| !w.is_empty());
+    for slot in &mut out {
+        let word = words.next().and_then(|w| w.parse::<f64>().ok());
+        *slot = word.ok_or_else(|| wrong(path, field, text, &format!("{N} numbers")))?;
+    }
+    match words.next() {
+        None => Ok(out),
+        Some(_) => Err(wrong(path, field, text, &format!("{N} numbers"))),
+    }
+}
+
+/// Parses exactly three sizes.
+pub(crate) fn sizes(path: &Path, field: &str, text: &str) -> Result<[usize; 3], VolumeError> {
+    let mut out = [0; 3];
+    let mut words = text.split_whitespace();
+    for slot in &mut out {
+        let size = words.next().and_then(|w| w.parse::<usize>().ok()).filter(|n| *n > 0);
+        *slot = size.ok_or_else(|| wrong(path, field, text, "three positive whole numbers"))?;
+    }
+    Ok(out)
+}
+
+/// Metres a unit of length by its name or symbol.
+pub(crate) fn unit_of_length(name: &str) -> Option<(f64, &'static str)> {
+    match name.trim().to_lowercase().as_str() {
+        "m" | "meter" | "metre" | "meters" | "metres" => Some((1.0, "m")),
+        "cm" | "centimeter" | "centimetre" | "centimeters" => Some((1e-2, "cm")),
+        "mm" | "millimeter" | "millimetre" | "millimeters" | "millimetres" => Some((1e-3, "mm")),
+        "um" | "µm" | "μm" | "micron" | "microns" | "micrometer" | "micrometers" => Some((1e-6, "um")),
+        _ => None,
+    }
+}
+
+/// Reads `count` numbers written as text, from byte `offset` on.
+pub(crate) fn read_ascii(
+    path: &Path,
+    offset: u64,
+    count: usize,
+    sink: &mut HuSink,
+) -> Result<(), VolumeError> {
+    let (mut reader, length) = open_stream(path, offset, Codec::Raw)?;
+    // The shortest text of n numbers has n digits and n − 1 separators.
+    crate::input::check_length(path, length, 2 * count as u64 - 1)?;
+    let mut buffer = vec![0_u8; 1 << 16];
+    let mut word = Vec::new();
+    let mut found = 0_usize;
+    loop {
+        let got = read_full(path, Codec::Raw.name(), reader.as_mut(), &mut buffer)?;
+        // One separator after the end closes the last word.
+        let end: &[u8] = if got == 0 { b" " } else { &[] };
+        for &byte in buffer[..got].iter().chain(end) {
+            if !(byte.is_ascii_whitespace() || byte == b',') {
+                word.push(byte);
+                if word.len() > 64 {
+                    return Err(wrong(
+                        path,
+                        "voxel data",
+                        &String::from_utf8_lossy(&word),
+                        "numbers as text",
+                    ));
+                }
+            } else if !word.is_empty() && found < count {
+                let text = String::from_utf8_lossy(&word);
+                let value = text.parse::<f64>();
+                sink.push(
+                    value.map_err(|_| wrong(path, "voxel data", &text, "numbers as text"))?,
+                    Scale::IDENTITY,
+                );
+                found += 1;
+                word.clear();
+            } else {
+                word.clear();
+            }
+        }
+        if found == count {
+            return Ok(());
+        }
+        if got == 0 {
+            return Err(VolumeError::Header {
+                path: path.into(),
+                field: "voxel data".into(),
+                given: format!("{found} numbers"),
+                expected: format!("{count} numbers"),
+            });
+        }
+    }
+}

@@ -1,0 +1,317 @@
+//! The volume and its geometry: a rectangular, evenly spaced grid of Hounsfield units in world LPS coordinates.
+
+use crate::error::VolumeError;
+use std::fmt;
+use std::path::Path;
+
+/// Most voxels a volume may have (2^29, 1 GiB of `i16`): a bound that a hostile header cannot exceed.
+pub const MAX_VOXELS: usize = 1 << 29;
+
+/// Largest |cosine| between two axes that still counts as a right angle (0.006 degrees; a slice 500 mm away is then off by 0.05 mm).
+///
+/// NIfTI stores affines as f32 and DICOM directions as decimal text of a few digits: both stay well below this.
+pub const ORTHOGONALITY_TOLERANCE: f64 = 1.0e-4;
+
+/// Smallest voxel distance that is accepted, metres.
+pub const MIN_SPACING_M: f64 = 1.0e-7;
+/// Largest voxel distance that is accepted, metres.
+pub const MAX_SPACING_M: f64 = 1.0;
+
+/// A CT volume in Hounsfield units on a rectangular grid in the world frame (LPS, metres).
+///
+/// Voxel (i, j, k) is `hu[i + dims[0] * (j + dims[1] * k)]`, and its centre lies at
+/// `origin_m + direction * (i * spacing_m[0], j * spacing_m[1], k * spacing_m[2])`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Volume {
+    /// Voxels along i, j, k.
+    pub dims: [usize; 3],
+    /// Distance of neighbouring voxel centres along i, j, k, metres.
+    pub spacing_m: [f64; 3],
+    /// Centre of voxel (0, 0, 0), world LPS, metres.
+    pub origin_m: [f64; 3],
+    /// Row-major matrix whose columns are the unit vectors of i, j, k in LPS: `direction[row][axis]`.
+    ///
+    /// The columns have unit length to rounding and are at right angles within [`ORTHOGONALITY_TOLERANCE`]; the determinant may be
+    /// −1 (a left-handed grid), because voxels are never reordered.
+    pub direction: [[f64; 3]; 3],
+    /// Hounsfield units, i fastest.
+    pub hu: Vec<i16>,
+}
+
+/// The identity direction matrix: i to the patient's left, j to posterior, k to superior.
+pub const IDENTITY_DIRECTION: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+impl Volume {
+    /// Number of voxels.
+    pub fn voxel_count(&self) -> usize {
+        self.hu.len()
+    }
+
+    /// Position of voxel (i, j, k) in `hu`; `None` outside the volume.
+    pub fn index(&self, voxel: [usize; 3]) -> Option<usize> {
+        let [i, j, k] = voxel;
+        let [ni, nj, nk] = self.dims;
+        (i < ni && j < nj && k < nk).then(|| i + ni * (j + nj * k))
+    }
+
+    /// Hounsfield units of voxel (i, j, k); `None` outside the volume.
+    pub fn at(&self, voxel: [usize; 3]) -> Option<i16> {
+        self.index(voxel).and_then(|index| self.hu.get(index).copied())
+    }
+
+    /// World position (LPS, metres) of a continuous voxel coordinate; integers are voxel centres.
+    pub fn voxel_to_world_m(&self, voxel: [f64; 3]) -> [f64; 3] {
+        let step = [0, 1, 2].map(|axis| voxel[axis] * self.spacing_m[axis]);
+        [0, 1, 2].map(|row| {
+            let d = self.direction[row];
+            self.origin_m[row] + (d[0] * step[0] + d[1] * step[1] + d[2] * step[2])
+        })
+    }
+
+    /// Continuous voxel coordinate of a world position (LPS, metres): the inverse of [`Volume::voxel_to_world_m`].
+    ///
+    /// Exact for orthonormal directions; off by the square of [`ORTHOGONALITY_TOLERANCE`] times the distance otherwise.
+    pub fn world_to_voxel(&self, world_m: [f64; 3]) -> [f64; 3] {
+        let offset = [0, 1, 2].map(|row| world_m[row] - self.origin_m[row]);
+        [0, 1, 2].map(|axis| {
+            let along = offset[0] * self.direction[0][axis]
+                + offset[1] * self.direction[1][axis]
+                + offset[2] * self.direction[2][axis];
+            along / self.spacing_m[axis]
+        })
+    }
+
+    /// Smallest, largest and mean Hounsfield units.
+    pub fn statistics(&self) -> HuStatistics {
+        let mut min_hu = i16::MAX;
+        let mut max_hu = i16::MIN;
+        let mut sum = 0_i64;
+        for &value in &self.hu {
+            min_hu = min_hu.min(value);
+            max_hu = max_hu.max(value);
+            sum += i64::from(value);
+        }
+        HuStatistics { min_hu, max_hu, mean_hu: sum as f64 / self.hu.len().max(1) as f64 }
+    }
+
+    /// Checks everything a consumer relies on: sizes that agree, accepted spacing, finite origin, orthonormal directions.
+    ///
+    /// # Errors
+    /// The first rule that is broken, with the same variants as the readers use; `path` names the volume in the message.
+    pub fn check(&self, path: &Path) -> Result<(), VolumeError> {
+        let count = voxel_count(path, "dims", self.dims)?;
+        if self.hu.len() != count {
+            return Err(VolumeError::Header {
+                path: path.into(),
+                field: "hu".into(),
+                given: format!("{} voxels", self.hu.len()),
+                expected: format!("{count} voxels for dimensions {:?}", self.dims),
+            });
+        }
+        let names = GeometryFields { spacing: "spacing_m", direction: "direction", origin: "origin_m" };
+        Geometry::checked(path, names, self.spacing_m, self.origin_m, columns(self.direction)).map(|_| ())
+    }
+}
+
+/// Smallest, largest and mean Hounsfield units of a volume.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HuStatistics {
+    /// Smallest value.
+    pub min_hu: i16,
+    /// Largest value.
+    pub max_hu: i16,
+    /// Mean value.
+    pub mean_hu: f64,
+}
+
+/// What a person wants to know about a volume that was read; its `Display` is a short text of several lines.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeInfo {
+    /// File format, for example `NIfTI-1 (gzip)`.
+    pub format: String,
+    /// Stored voxel type, for example `int16 big-endian`.
+    pub stored_as: String,
+    /// The file's own unit of length, and whether it was stated or assumed.
+    pub units: String,
+    /// Voxels along i, j, k.
+    pub dims: [usize; 3],
+    /// Voxel spacing, metres.
+    pub spacing_m: [f64; 3],
+    /// Centre of voxel (0, 0, 0), LPS, metres.
+    pub origin_m: [f64; 3],
+    /// Axis directions, see [`Volume::direction`].
+    pub direction: [[f64; 3]; 3],
+    /// Range and mean.
+    pub hu: HuStatistics,
+    /// Anything a reader did that changes values or rests on an assumption.
+    pub notes: Vec<String>,
+}
+
+impl VolumeInfo {
+    /// Describes `volume` with what its reader knows about the file.
+    pub fn new(
+        volume: &Volume,
+        format: String,
+        stored_as: String,
+        units: String,
+        notes: Vec<String>,
+    ) -> Self {
+        Self {
+            format,
+            stored_as,
+            units,
+            dims: volume.dims,
+            spacing_m: volume.spacing_m,
+            origin_m: volume.origin_m,
+            direction: volume.direction,
+            hu: volume.statistics(),
+            notes,
+        }
+    }
+}
+
+impl fmt::Display for VolumeInfo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [ni, nj, nk] = self.dims;
+        let spacing_mm = self.spacing_m.map(|s| s * 1e3);
+        let size_mm = [0, 1, 2].map(|axis| self.dims[axis] as f64 * spacing_mm[axis]);
+        let origin_mm = self.origin_m.map(|o| o * 1e3);
+        writeln!(f, "format     {}, {}", self.format, self.stored_as)?;
+        writeln!(f, "units      {}", self.units)?;
+        writeln!(f, "voxels     {ni} x {nj} x {nk}")?;
+        writeln!(f, "spacing    {:.4} x {:.4} x {:.4} mm", spacing_mm[0], spacing_mm[1], spacing_mm[2])?;
+        writeln!(f, "size       {:.1} x {:.1} x {:.1} mm", size_mm[0], size_mm[1], size_mm[2])?;
+        writeln!(f, "origin     ({:.3}, {:.3}, {:.3}) mm LPS", origin_mm[0], origin_mm[1], origin_mm[2])?;
+        for (axis, name) in ["i", "j", "k"].iter().enumerate() {
+            let d = [0, 1, 2].map(|row| self.direction[row][axis]);
+            writeln!(f, "axis {name}     ({:+.5}, {:+.5}, {:+.5}) LPS", d[0], d[1], d[2])?;
+        }
+        let hu = self.hu;
+        write!(f, "HU         {} to {}, mean {:.1}", hu.min_hu, hu.max_hu, hu.mean_hu)?;
+        for note in &self.notes {
+            write!(f, "\nnote       {note}")?;
+        }
+        Ok(())
+    }
+}
+
+/// The field names a format uses for its geometry, for error messages.
+#[derive(Clone, Copy)]
+pub(crate) struct GeometryFields {
+    pub spacing: &'static str,
+    pub direction: &'static str,
+    pub origin: &'static str,
+}
+
+/// Checked geometry, ready to be put into a [`Volume`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Geometry {
+    pub spacing_m: [f64; 3],
+    pub origin_m: [f64; 3],
+    pub direction: [[f64; 3]; 3],
+}
+
+impl Geometry {
+    /// Checks spacing and axis directions; `axes` are the columns (any positive length, LPS).
+    pub fn checked(
+        path: &Path,
+        names: GeometryFields,
+        spacing_m: [f64; 3],
+        origin_m: [f64; 3],
+        axes: [[f64; 3]; 3],
+    ) -> Result<Self, VolumeError> {
+        if !spacing_m.iter().all(|s| (MIN_SPACING_M..=MAX_SPACING_M).contains(s)) {
+            return Err(VolumeError::Spacing {
+                path: path.into(),
+                field: names.spacing.into(),
+                given: format!("{spacing_m:?} m"),
+            });
+        }
+        // 1e4 m bounds what can be a patient position: beyond it an f64 hash is still exact, but the file is surely wrong.
+        if !origin_m.iter().all(|o| o.abs() <= 1.0e4) {
+            return Err(VolumeError::Header {
+                path: path.into(),
+                field: names.origin.into(),
+                given: format!("{origin_m:?} m"),
+                expected: "a finite position within 10 km".into(),
+            });
+        }
+        let singular = || VolumeError::SingularDirection {
+            path: path.into(),
+            field: names.direction.into(),
+            given: format!("{axes:?}"),
+        };
+        let mut unit = [[0.0; 3]; 3];
+        for (out, axis) in unit.iter_mut().zip(axes) {
+            let length = norm(axis);
+            if !(length.is_finite() && length > 1e-12) {
+                return Err(singular());
+            }
+            // Adding zero turns −0 into +0: two files that mean the same geometry then compare and print the same.
+            *out = axis.map(|c| c / length + 0.0);
+        }
+        // Linear dependence is told apart from shear: a volume of zero thickness cannot be resampled, a sheared one can.
+        let triple = dot(unit[0], cross(unit[1], unit[2]));
+        if !(triple.is_finite() && triple.abs() > 1e-6) {
+            return Err(singular());
+        }
+        let cosines = [dot(unit[0], unit[1]), dot(unit[0], unit[2]), dot(unit[1], unit[2])];
+        if cosines.iter().any(|c| c.abs() > ORTHOGONALITY_TOLERANCE) {
+            let angles = cosines.map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
+            return Err(VolumeError::Sheared {
+                path: path.into(),
+                field: names.direction.into(),
+                given: format!(
+                    "angles i-j {:.4}, i-k {:.4}, j-k {:.4} degrees",
+                    angles[0], angles[1], angles[2]
+                ),
+                tolerance: ORTHOGONALITY_TOLERANCE,
+            });
+        }
+        Ok(Self { spacing_m, origin_m: origin_m.map(|o| o + 0.0), direction: columns(unit) })
+    }
+
+    /// The volume with this geometry.
+    pub fn with_voxels(self, dims: [usize; 3], hu: Vec<i16>) -> Volume {
+        Volume { dims, spacing_m: self.spacing_m, origin_m: self.origin_m, direction: self.direction, hu }
+    }
+}
+
+/// The product of the dimensions, if every one is at least 1 and the product at most [`MAX_VOXELS`].
+pub(crate) fn voxel_count(path: &Path, field: &str, dims: [usize; 3]) -> Result<usize, VolumeError> {
+    if dims.contains(&0) {
+        return Err(VolumeError::Header {
+            path: path.into(),
+            field: field.into(),
+            given: format!("{dims:?}"),
+            expected: "at least one voxel along every axis".into(),
+        });
+    }
+    let product = dims[0].checked_mul(dims[1]).and_then(|p| p.checked_mul(dims[2]));
+    match product {
+        Some(count) if count <= MAX_VOXELS => Ok(count),
+        _ => Err(VolumeError::TooLarge {
+            path: path.into(),
+            field: field.into(),
+            given: format!("{} x {} x {}", dims[0], dims[1], dims[2]),
+            limit: MAX_VOXELS,
+        }),
+    }
+}
+
+/// Transposes: columns of a matrix as an array of vectors, or the reverse.
+pub(crate) fn columns(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    [0, 1, 2].map(|column| [0, 1, 2].map(|row| m[row][column]))
+}
+
+pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+pub(crate) fn norm(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
+}

@@ -1,0 +1,124 @@
+//! Small DICOM Part 10 files built byte by byte from PS3.5 and PS3.10.
+
+use std::path::Path;
+
+/// What a test wants in a DICOM slice: explicit VR little-endian, int16, slope 1, intercept −1024.
+#[derive(Clone)]
+pub struct DicomSlice {
+    pub series_uid: &'static str,
+    pub position_mm: [f64; 3],
+    pub orientation: &'static str,
+    pub pixel_spacing: &'static str,
+    pub samples_per_pixel: u16,
+    pub transfer_syntax: &'static str,
+    /// Stored value of every pixel.
+    pub stored: i16,
+    pub rows: u16,
+    pub columns: u16,
+    /// Encapsulated fragment instead of native pixels.
+    pub fragment: Option<Vec<u8>>,
+}
+
+impl Default for DicomSlice {
+    fn default() -> Self {
+        Self {
+            series_uid: "1.2.3",
+            position_mm: [0.0; 3],
+            orientation: "1\\0\\0\\0\\1\\0",
+            pixel_spacing: "2\\3",
+            samples_per_pixel: 1,
+            transfer_syntax: "1.2.840.10008.1.2.1",
+            stored: 1024,
+            rows: 4,
+            columns: 5,
+            fragment: None,
+        }
+    }
+}
+
+impl DicomSlice {
+    pub fn bytes(&self) -> Vec<u8> {
+        let mut meta = Vec::new();
+        text(&mut meta, (0x0002, 0x0002), b"UI", "1.2.840.10008.5.1.4.1.1.2");
+        text(&mut meta, (0x0002, 0x0003), b"UI", "1.2.3.4");
+        text(&mut meta, (0x0002, 0x0010), b"UI", self.transfer_syntax);
+        text(&mut meta, (0x0002, 0x0012), b"UI", "1.2.3.5");
+        let mut out = vec![0; 128];
+        out.extend(b"DICM");
+        element(&mut out, (0x0002, 0x0000), b"UL", &(meta.len() as u32).to_le_bytes());
+        out.extend(meta);
+        text(&mut out, (0x0008, 0x0060), b"CS", "CT");
+        text(&mut out, (0x0018, 0x0050), b"DS", "5");
+        text(&mut out, (0x0020, 0x000e), b"UI", self.series_uid);
+        let [x, y, z] = self.position_mm;
+        text(&mut out, (0x0020, 0x0032), b"DS", &format!("{x}\\{y}\\{z}"));
+        text(&mut out, (0x0020, 0x0037), b"DS", self.orientation);
+        element(&mut out, (0x0028, 0x0002), b"US", &self.samples_per_pixel.to_le_bytes());
+        text(
+            &mut out,
+            (0x0028, 0x0004),
+            b"CS",
+            if self.samples_per_pixel == 1 { "MONOCHROME2" } else { "RGB" },
+        );
+        element(&mut out, (0x0028, 0x0010), b"US", &self.rows.to_le_bytes());
+        element(&mut out, (0x0028, 0x0011), b"US", &self.columns.to_le_bytes());
+        text(&mut out, (0x0028, 0x0030), b"DS", self.pixel_spacing);
+        for (tag, value) in [(0x0100, 16_u16), (0x0101, 16), (0x0102, 15), (0x0103, 1)] {
+            element(&mut out, (0x0028, tag), b"US", &value.to_le_bytes());
+        }
+        text(&mut out, (0x0028, 0x1052), b"DS", "-1024");
+        text(&mut out, (0x0028, 0x1053), b"DS", "1");
+        match &self.fragment {
+            None => {
+                let count = usize::from(self.rows) * usize::from(self.columns);
+                let pixels: Vec<u8> =
+                    std::iter::repeat_n(self.stored.to_le_bytes(), count).flatten().collect();
+                element(&mut out, (0x7fe0, 0x0010), b"OW", &pixels);
+            }
+            Some(fragment) => {
+                tag(&mut out, (0x7fe0, 0x0010));
+                out.extend(b"OB\0\0\xff\xff\xff\xff");
+                tag(&mut out, (0xfffe, 0xe000));
+                out.extend(0_u32.to_le_bytes());
+                tag(&mut out, (0xfffe, 0xe000));
+                out.extend((fragment.len() as u32).to_le_bytes());
+                out.extend(fragment);
+                tag(&mut out, (0xfffe, 0xe0dd));
+                out.extend(0_u32.to_le_bytes());
+            }
+        }
+        out
+    }
+}
+
+/// Writes slices as 000.dcm, 001.dcm, … into a folder.
+pub fn write_series(folder: &Path, slices: &[DicomSlice]) {
+    for (i, slice) in slices.iter().enumerate() {
+        std::fs::write(folder.join(format!("{i:03}.dcm")), slice.bytes()).unwrap();
+    }
+}
+
+fn tag(out: &mut Vec<u8>, (group, element): (u16, u16)) {
+    out.extend(group.to_le_bytes());
+    out.extend(element.to_le_bytes());
+}
+
+fn text(out: &mut Vec<u8>, at: (u16, u16), vr: &[u8; 2], value: &str) {
+    let mut bytes = value.as_bytes().to_vec();
+    if bytes.len() % 2 == 1 {
+        bytes.push(if vr == b"UI" { 0 } else { b' ' });
+    }
+    element(out, at, vr, &bytes);
+}
+
+fn element(out: &mut Vec<u8>, at: (u16, u16), vr: &[u8; 2], value: &[u8]) {
+    tag(out, at);
+    out.extend(vr);
+    if vr == b"OW" {
+        out.extend([0, 0]);
+        out.extend((value.len() as u32).to_le_bytes());
+    } else {
+        out.extend((value.len() as u16).to_le_bytes());
+    }
+    out.extend(value);
+}
