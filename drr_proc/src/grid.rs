@@ -112,8 +112,8 @@ impl Grid {
     /// World position of a point in index coordinates (voxel centres at integers).
     pub fn index_to_world(&self, index: [f64; 3]) -> [f64; 3] {
         let mut p = self.origin_m;
-        for a in 0..3 {
-            p = add_scaled(p, index[a], self.axis_steps_m[a]);
+        for (coordinate, step) in index.into_iter().zip(self.axis_steps_m) {
+            p = add_scaled(p, coordinate, step);
         }
         p
     }

@@ -37,12 +37,14 @@ pub mod display;
 mod error;
 pub mod grid;
 pub mod joseph;
+pub mod process;
 pub mod ray;
 pub mod reference;
 pub mod removal;
 pub mod renderer;
 pub mod siddon;
 pub mod tool;
+mod tool_layer;
 mod vector;
 
 pub use attenuation::{HuLaw, Material};

@@ -3,14 +3,15 @@
 use rayon::prelude::*;
 
 use crate::attenuation::{ENERGY_RANGE_KEV, HuLaw, MuTable};
-use crate::carm::{CArm, PixelBox};
+use crate::carm::{CArm, Pinhole};
 use crate::detector::{DetectorParameters, FrameSeed, blur_column_into_row, blur_row, gaussian_weights};
 use crate::display::{DisplayMode, DisplayParameters, display_value, window_limits};
 use crate::error::{DrrError, check_range};
 use crate::grid::{Grid, VolumeView};
 use crate::ray::{IndexRay, RayFan};
 use crate::removal::{AttenuationField, BlockMap, RemovedVoxels};
-use crate::tool::{PreparedPart, Tool, join_intervals};
+use crate::tool::Tool;
+use crate::tool_layer::{PlacedPart, ToolLayer, place, row_span};
 use crate::vector::scale;
 use crate::{joseph, siddon};
 
@@ -227,7 +228,7 @@ impl DrrRenderer {
         if image.len() != c_arm.pixels() {
             return Err(DrrError::Length { field: "image", given: image.len(), expected: c_arm.pixels() });
         }
-        let parts = tool.prepare()?;
+        let placed = place(tool, c_arm, self.parameters.energy_kev)?;
         let mut standing = match self.standing.take() {
             Some(s) if s.c_arm == *c_arm => s,
             _ => Standing::new(&self.grid, c_arm),
@@ -236,7 +237,7 @@ impl DrrRenderer {
         if kind != RenderKind::Cached {
             standing.window = window_limits(self.parameters.display.window, &standing.anatomy);
         }
-        let tool_pixels = self.lay_tool(view, &mut standing, &parts)?;
+        let tool_pixels = self.lay_tool(view, &mut standing, &placed);
         self.pool.install(|| self.expose(&mut standing, seed, image, tool_pixels > 0));
         let window = standing.window;
         self.standing = Some(standing);
@@ -304,47 +305,24 @@ impl DrrRenderer {
     }
 
     /// Copies the anatomy and lays the tool over it; returns how many pixels it covers.
-    fn lay_tool(
-        &self,
-        view: &VolumeView<'_>,
-        standing: &mut Standing,
-        parts: &[PreparedPart],
-    ) -> Result<usize, DrrError> {
+    fn lay_tool(&self, view: &VolumeView<'_>, standing: &mut Standing, placed: &[PlacedPart]) -> usize {
         standing.total.clone_from(&standing.anatomy);
         standing.metal.fill(0.0);
-        let c_arm = standing.c_arm;
-        let pinhole = c_arm.pinhole();
-        let mut placed = Vec::with_capacity(parts.len());
-        for part in parts {
-            let mu_per_m = part.material().mu_per_m(self.parameters.energy_kev)?;
-            if let Some(bounds) = part.bounds(&pinhole, c_arm.columns, c_arm.rows) {
-                placed.push(PlacedPart { part: *part, mu_per_m, bounds });
-            }
-        }
-        let first = placed.iter().map(|p| p.bounds.rows.0).min().unwrap_or(0);
-        let end = placed.iter().map(|p| p.bounds.rows.1).max().unwrap_or(0);
-        let width = c_arm.columns as usize;
+        let (first, end) = row_span(placed);
+        let width = standing.c_arm.columns as usize;
         let span = first as usize * width..end as usize * width;
         let field = self.field(view);
-        let layer = ToolLayer { renderer: self, field: &field, fan: &standing.fan, placed: &placed };
+        let layer =
+            ToolLayer { projector: self.parameters.projector, field: &field, fan: &standing.fan, placed };
         let total = standing.total[span.clone()].par_chunks_mut(width);
         let metal = standing.metal[span].par_chunks_mut(width);
-        let covered = self.pool.install(|| {
+        self.pool.install(|| {
             total
                 .zip(metal)
                 .zip(first..end)
                 .map(|((total, metal), row)| layer.draw_row(row, total, metal))
                 .sum()
-        });
-        Ok(covered)
-    }
-
-    /// Anatomy between two parameters of a ray.
-    fn displaced(&self, field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> f64 {
-        match self.parameters.projector {
-            Projector::Joseph => joseph::interval_integral(field, ray, range),
-            Projector::Siddon => siddon::line_integral(field, ray, range),
-        }
+        })
     }
 
     /// Detector and display.
@@ -414,7 +392,7 @@ fn blur_image(image: &mut [f64], work: &mut [f64], width: usize, weights: &[f64]
 struct DirtyMarker<'a> {
     dirty: &'a mut [bool],
     list: &'a mut Vec<u32>,
-    pinhole: crate::carm::Pinhole,
+    pinhole: Pinhole,
     columns: u32,
     rows: u32,
     half_m: [[f64; 3]; 3],
@@ -449,57 +427,5 @@ impl<'a> DirtyMarker<'a> {
                 }
             }
         }
-    }
-}
-
-/// A part, its attenuation at the frame's energy, and the pixels that it can cover.
-struct PlacedPart {
-    part: PreparedPart,
-    mu_per_m: f64,
-    bounds: PixelBox,
-}
-
-/// What drawing a row of the tool needs.
-struct ToolLayer<'a> {
-    renderer: &'a DrrRenderer,
-    field: &'a AttenuationField<'a>,
-    fan: &'a RayFan,
-    placed: &'a [PlacedPart],
-}
-
-impl ToolLayer<'_> {
-    /// Corrects one row of the image; returns how many pixels the tool covers.
-    fn draw_row(&self, row: u32, total: &mut [f64], metal: &mut [f64]) -> usize {
-        let in_row: Vec<&PlacedPart> =
-            self.placed.iter().filter(|p| (p.bounds.rows.0..p.bounds.rows.1).contains(&row)).collect();
-        let first = in_row.iter().map(|p| p.bounds.columns.0).min().unwrap_or(0);
-        let end = in_row.iter().map(|p| p.bounds.columns.1).max().unwrap_or(0);
-        let mut envelopes = Vec::with_capacity(in_row.len());
-        let mut covered = 0;
-        for column in first..end {
-            let ray = self.fan.world_ray(column, row);
-            envelopes.clear();
-            let mut metal_integral = 0.0;
-            for p in in_row.iter().filter(|p| (p.bounds.columns.0..p.bounds.columns.1).contains(&column)) {
-                if let Some(crossing) = p.part.cross(&ray) {
-                    envelopes.push(crossing.envelope);
-                    metal_integral += p.mu_per_m * crossing.metal_m;
-                }
-            }
-            if envelopes.is_empty() {
-                continue;
-            }
-            covered += 1;
-            let joined = join_intervals(&mut envelopes);
-            let index_ray = self.fan.index_ray(column, row);
-            let mut anatomy = total[column as usize];
-            for &range in &envelopes[..joined] {
-                anatomy -= self.renderer.displaced(self.field, &index_ray, range);
-            }
-            // What is left of a fully displaced anatomy may be a rounding error below 0.
-            total[column as usize] = anatomy.max(0.0) + metal_integral;
-            metal[column as usize] = metal_integral;
-        }
-        covered
     }
 }

@@ -1,6 +1,8 @@
 //! What every process of the hub does alike: end when asked, end with its parent, send events.
 
+use std::os::unix::process::CommandExt;
 use std::path::Path;
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -45,6 +47,20 @@ impl EndRequest {
 pub fn end_with_parent() {
     // Where the kernel refuses, the process still ends when its session's state stops.
     let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
+}
+
+/// Has the kernel do the same to a program that is not ours, and keeps the terminal's Ctrl-C from it: the launcher
+/// ends its parts in order.
+pub fn bind_to_parent(command: &mut Command) -> &mut Command {
+    command.process_group(0);
+    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes one
+    // system call (prctl), allocates nothing and takes no lock.
+    unsafe {
+        command.pre_exec(|| {
+            end_with_parent();
+            Ok(())
+        })
+    }
 }
 
 /// The scene of a session, as the launcher laid it into the session's folder.

@@ -13,15 +13,19 @@ const REPEATS: usize = 2000;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let dims = [256, 256, 256];
+    // Air below z = 19.75 mm, bone above.
     let geometry = GridGeometry::axis_aligned(dims, [0.5e-3; 3], Vector3::zeros());
     let mut hu = vec![1000i16; geometry.voxel_count()];
     for value in hu.iter_mut().take(dims[0] * dims[1] * 40) {
         *value = -1000;
     }
     let mut field = BoneField::new(geometry, &hu, BoneParameters::default())?;
-    let from = Vector3::new(64.0e-3, 64.0e-3, 0.0);
     // A tunnel along x, one askew, both of the burr's radius plus its reach.
-    field.predrill_capsule(&Vector3::new(0.0, 40.0e-3, 40.0e-3), &Vector3::new(127e-3, 40.0e-3, 40.0e-3), 3.35e-3);
+    field.predrill_capsule(
+        &Vector3::new(0.0, 40.0e-3, 40.0e-3),
+        &Vector3::new(127e-3, 40.0e-3, 40.0e-3),
+        3.35e-3,
+    );
     field.predrill_capsule(&Vector3::new(10e-3, 70e-3, 40e-3), &Vector3::new(100e-3, 110e-3, 80e-3), 3.35e-3);
 
     let along = |start: Vector3<f64>, step: Vector3<f64>| -> Vec<Vector3<f64>> {
@@ -29,12 +33,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let askew = Vector3::new(90e-3, 40e-3, 40e-3).normalize();
     let scenes = [
-        ("air", along(from - Vector3::z() * 0.0 + Vector3::z() * 10e-3, Vector3::x() * 1.3e-3)),
+        ("air", along(Vector3::new(64e-3, 64e-3, 10e-3), Vector3::x() * 1.31e-3)),
         ("tunnel, centred", along(Vector3::new(30e-3, 40e-3, 40e-3), Vector3::x() * 1.31e-3)),
         ("tunnel, resting", along(Vector3::new(30e-3, 40e-3, 39.65e-3), Vector3::x() * 1.31e-3)),
         ("askew tunnel", along(Vector3::new(10e-3, 70e-3, 40e-3) + askew * 20e-3, askew * 1.31e-3)),
-        ("flat wall", along(Vector3::new(30e-3, 64e-3, 22.5e-3), Vector3::x() * 1.31e-3)),
-        ("buried 20 mm", along(Vector3::new(30e-3, 64e-3, 100e-3), Vector3::x() * 1.31e-3)),
+        ("flat wall", along(Vector3::new(30e-3, 64e-3, 16.75e-3), Vector3::x() * 1.31e-3)),
+        ("buried 5 mm", along(Vector3::new(30e-3, 64e-3, 24.75e-3), Vector3::x() * 1.31e-3)),
+        ("buried 30 mm", along(Vector3::new(30e-3, 64e-3, 100e-3), Vector3::x() * 1.31e-3)),
     ];
     let mut buffer = ContactBuffer::with_capacity(4 * SPHERES);
     for margin_m in [0.2e-3, 0.5e-3] {
@@ -61,7 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     time_grind(&mut field, &hu)
 }
 
-/// A burr that is held still at the bone's face: the cost of one tick of drilling.
+/// A burr that is held still half in the bone's face: the cost of one tick of drilling.
 fn time_grind(field: &mut BoneField, hu: &[i16]) -> Result<(), Box<dyn std::error::Error>> {
     let burr = BurrState {
         centre_m: Vector3::new(90e-3, 90e-3, 20e-3),

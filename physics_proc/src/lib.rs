@@ -5,6 +5,7 @@
 
 pub mod arm;
 pub mod bone;
+pub mod contact_plane;
 pub mod latch;
 pub mod manipulator;
 pub mod process;

@@ -19,7 +19,12 @@ struct Block {
     top_m: f64,
 }
 
-fn block(size_m: [f64; 3], voxel_m: f64, material: MaterialLaw, hu_at: impl Fn(f64) -> i16) -> Block {
+fn block(
+    size_m: [f64; 3],
+    voxel_m: f64,
+    material: MaterialLaw,
+    hu_at: impl Fn(f64) -> i16,
+) -> Result<Block, BoneError> {
     // One layer of air above, so that the face is inside the grid.
     let dims = size_m.map(|s| (s / voxel_m).round() as usize);
     let geometry = GridGeometry::axis_aligned(dims, [voxel_m; 3], Vector3::repeat(0.5 * voxel_m));
@@ -32,8 +37,8 @@ fn block(size_m: [f64; 3], voxel_m: f64, material: MaterialLaw, hu_at: impl Fn(f
         }
     }
     let parameters = BoneParameters { material, ..BoneParameters::default() };
-    let field = BoneField::new(geometry, &hu, parameters).unwrap();
-    Block { field, hu, top_m: (dims[2] - 1) as f64 * voxel_m }
+    let field = BoneField::new(geometry, &hu, parameters)?;
+    Ok(Block { field, hu, top_m: (dims[2] - 1) as f64 * voxel_m })
 }
 
 /// Moves the burr along `wish` as far as the contact planes allow: the nearest point of the half-spaces' intersection.
@@ -62,7 +67,13 @@ struct Run {
 }
 
 /// Presses the burr down with a constant force for `time_s`.
-fn drill(block: &mut Block, start: Vector3<f64>, force_n: f64, dt_s: f64, time_s: f64) -> Run {
+fn drill(
+    block: &mut Block,
+    start: Vector3<f64>,
+    force_n: f64,
+    dt_s: f64,
+    time_s: f64,
+) -> Result<Run, BoneError> {
     let mut position = start;
     let mut run = Run { depth_m: 0.0, drift_m: Vector3::zeros(), offered_j: 0.0, used_j: 0.0, shed_j: 0.0 };
     for _ in 0..(time_s / dt_s).round() as usize {
@@ -72,7 +83,7 @@ fn drill(block: &mut Block, start: Vector3<f64>, force_n: f64, dt_s: f64, time_s
             speed_rad_s: SPEED_RAD_S,
             normal_force_n: force_n,
         };
-        let report = block.field.grind(&block.hu, &burr, dt_s).unwrap();
+        let report = block.field.grind(&block.hu, &burr, dt_s)?;
         run.offered_j += report.energy_offered_j;
         run.used_j += report.energy_used_j;
         run.shed_j += report.energy_shed_j;
@@ -81,7 +92,7 @@ fn drill(block: &mut Block, start: Vector3<f64>, force_n: f64, dt_s: f64, time_s
     }
     run.depth_m = start.z - position.z;
     run.drift_m = position - start;
-    run
+    Ok(run)
 }
 
 /// Depth of a ball pressed into a flat face when the removed volume is known: the cap pi d^2 (3R - d)/3 to d = R, then a
@@ -109,10 +120,11 @@ fn depth_depends_neither_on_voxel_size_nor_on_time_step() {
     for voxel_m in [0.25e-3, 0.5e-3, 1.0e-3] {
         for dt_s in [0.5e-3, 1.0e-3, 2.0e-3] {
             let run_for = |time_s: f64| {
-                let mut block = block([9e-3, 9e-3, 14e-3], voxel_m, MaterialLaw::uniform(ENERGY_J_M3), |_| 1000);
+                let mut block =
+                    block([9e-3, 9e-3, 14e-3], voxel_m, MaterialLaw::uniform(ENERGY_J_M3), |_| 1000).unwrap();
                 // Off the grid's planes of symmetry.
                 let start = Vector3::new(4.53e-3, 4.41e-3, block.top_m + RADIUS_M);
-                drill(&mut block, start, force_n, dt_s, time_s)
+                drill(&mut block, start, force_n, dt_s, time_s).unwrap()
             };
             let (half, full) = (run_for(2.0), run_for(4.0));
             println!(
@@ -163,12 +175,12 @@ fn burr_skives_to_the_soft_side_only_at_a_boundary() {
     let middle = 6.0e-3;
     let skive = |left: i16, right: i16, off_grid_m: f64| {
         let hu_at = move |x: f64| if x < middle { left } else { right };
-        let mut block = block([12e-3, 12e-3, 11e-3], 0.3e-3, proportional(), hu_at);
+        let mut block = block([12e-3, 12e-3, 11e-3], 0.3e-3, proportional(), hu_at).unwrap();
         let start = Vector3::new(middle + off_grid_m, middle - 0.6 * off_grid_m, block.top_m + RADIUS_M);
-        let mut run = drill(&mut block, start, 5.0, 1.0e-3, 0.2);
+        let mut run = drill(&mut block, start, 5.0, 1.0e-3, 0.2).unwrap();
         let mut time_s = 0.2;
         while run.depth_m < 8.0e-3 && time_s < 40.0 {
-            let next = drill(&mut block, start + run.drift_m, 5.0, 1.0e-3, 0.2);
+            let next = drill(&mut block, start + run.drift_m, 5.0, 1.0e-3, 0.2).unwrap();
             run.depth_m += next.depth_m;
             run.drift_m += next.drift_m;
             time_s += 0.2;
@@ -193,9 +205,10 @@ fn burr_skives_to_the_soft_side_only_at_a_boundary() {
 /// What is booked in the voxels is what the burr gave and what fell off as slivers. Tolerance 1e-9: rounding of 1e5 sums.
 #[test]
 fn energy_is_conserved() {
-    let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |x| if x < 4e-3 { 300 } else { 1500 });
+    let mut block =
+        block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |x| if x < 4e-3 { 300 } else { 1500 }).unwrap();
     let start = Vector3::new(4.5e-3, 4.4e-3, block.top_m + RADIUS_M);
-    let run = drill(&mut block, start, 8.0, 1.0e-3, 3.0);
+    let run = drill(&mut block, start, 8.0, 1.0e-3, 3.0).unwrap();
     let booked = block.field.absorbed_energy_j(&block.hu).unwrap();
     let given = run.used_j + run.shed_j;
     println!("booked {booked:.12} J, given {given:.12} J, {} voxels removed", block.field.removed_total());
@@ -208,9 +221,9 @@ fn energy_is_conserved() {
 #[test]
 fn feed_limit_does_not_depend_on_the_time_step() {
     let feed = |dt_s: f64| {
-        let mut block = block([9e-3, 9e-3, 12e-3], 0.5e-3, MaterialLaw::uniform(1.0e3), |_| 1000);
+        let mut block = block([9e-3, 9e-3, 12e-3], 0.5e-3, MaterialLaw::uniform(1.0e3), |_| 1000).unwrap();
         let start = Vector3::new(4.5e-3, 4.5e-3, block.top_m + RADIUS_M);
-        drill(&mut block, start, 20.0, dt_s, 0.5).depth_m / 0.5
+        drill(&mut block, start, 20.0, dt_s, 0.5).unwrap().depth_m / 0.5
     };
     let limit = CuttingLaw::default().feed_per_revolution_max_m * SPEED_RAD_S / core::f64::consts::TAU;
     let feeds = [0.25e-3, 0.5e-3, 1.0e-3].map(feed);
@@ -235,35 +248,35 @@ fn fingerprint(field: &BoneField) -> Vec<u64> {
 /// Seed defect S6: a reset must bring back the strength as well as the voxels; the pilot hole is the scene's and stays.
 #[test]
 fn reset_restores_voxels_and_strength_and_a_second_run_is_the_same() {
-    let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400);
+    let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400).unwrap();
     let bottom = Vector3::new(4.5e-3, 4.5e-3, 0.0);
     let pilot = block.field.predrill_capsule(&bottom, &(bottom + Vector3::z() * 2e-3), 1.0e-3);
     assert!(!pilot.is_empty() && pilot.iter().all(|index| !block.field.is_solid_index(*index as usize)));
     let fresh = fingerprint(&block.field);
     let start = Vector3::new(4.5e-3, 4.4e-3, block.top_m + RADIUS_M);
-    drill(&mut block, start, 8.0, 1.0e-3, 2.0);
+    drill(&mut block, start, 8.0, 1.0e-3, 2.0).unwrap();
     let drilled = fingerprint(&block.field);
     assert!(drilled != fresh && block.field.removed_total() > 100);
     block.field.reset();
     assert!(fingerprint(&block.field) == fresh);
-    drill(&mut block, start, 8.0, 1.0e-3, 2.0);
+    drill(&mut block, start, 8.0, 1.0e-3, 2.0).unwrap();
     assert!(fingerprint(&block.field) == drilled);
 }
 
 #[test]
 fn snapshot_continues_bit_for_bit() {
-    let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400);
+    let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400).unwrap();
     let start = Vector3::new(4.5e-3, 4.4e-3, block.top_m + RADIUS_M);
-    let first = drill(&mut block, start, 8.0, 1.0e-3, 1.0);
+    let first = drill(&mut block, start, 8.0, 1.0e-3, 1.0).unwrap();
     let snapshot = block.field.snapshot();
     let here = start + first.drift_m;
-    drill(&mut block, here, 8.0, 1.0e-3, 1.0);
+    drill(&mut block, here, 8.0, 1.0e-3, 1.0).unwrap();
     let end = fingerprint(&block.field);
     block.field.restore(&snapshot).unwrap();
     assert!(block.field.snapshot() == snapshot);
-    drill(&mut block, here, 8.0, 1.0e-3, 1.0);
+    drill(&mut block, here, 8.0, 1.0e-3, 1.0).unwrap();
     assert!(fingerprint(&block.field) == end);
-    let mut other = self::block([9e-3, 9e-3, 8e-3], 0.5e-3, proportional(), |_| 400);
+    let mut other = self::block([9e-3, 9e-3, 8e-3], 0.5e-3, proportional(), |_| 400).unwrap();
     assert!(matches!(other.field.restore(&snapshot), Err(BoneError::Snapshot { .. })));
 }
 
@@ -317,8 +330,12 @@ fn limits_are_bounded_and_reported() {
         normal_force_n: 100.0,
     };
     // A list of 10 voxels a tick: the rest waits, none is lost or doubled.
-    let mut field =
-        BoneField::new(geometry, &hu, BoneParameters { removed_per_tick: 10, material, ..Default::default() }).unwrap();
+    let mut field = BoneField::new(
+        geometry,
+        &hu,
+        BoneParameters { removed_per_tick: 10, material, ..Default::default() },
+    )
+    .unwrap();
     let mut removed = Vec::new();
     let mut waited = 0;
     for tick in 0..200 {
@@ -336,7 +353,8 @@ fn limits_are_bounded_and_reported() {
 
     // One pool block: cutting goes on inside it, the rest is counted.
     let mut field =
-        BoneField::new(geometry, &hu, BoneParameters { pool_blocks: 1, material, ..Default::default() }).unwrap();
+        BoneField::new(geometry, &hu, BoneParameters { pool_blocks: 1, material, ..Default::default() })
+            .unwrap();
     let report = field.grind(&hu, &burr, 1.0e-3).unwrap();
     assert!(report.refused_count > 0 && report.cut_count > 0);
     assert_eq!(field.pool_usage(), (1, 1));
@@ -366,5 +384,8 @@ fn material_law_follows_its_formula() {
     assert_eq!(law.density_kg_m3(3000), 2100.0);
     let ratio: f64 = 1198.0 / 1900.0;
     assert!((law.specific_energy_j_m3(1000) - 5.0e7 * ratio * ratio).abs() < 1.0);
-    assert!((proportional().specific_energy_j_m3(2000) / proportional().specific_energy_j_m3(200) - 10.0).abs() < 1e-9);
+    assert!(
+        (proportional().specific_energy_j_m3(2000) / proportional().specific_energy_j_m3(200) - 10.0).abs()
+            < 1e-9
+    );
 }

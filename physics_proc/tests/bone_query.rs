@@ -1,7 +1,8 @@
 //! The contact query against closed forms (walls, corners, tunnels) and against a brute-force distance.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use physics_proc::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, ContactPlane, GridGeometry};
+use physics_proc::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, GridGeometry};
+use physics_proc::contact_plane::ContactPlane;
 use proptest::prelude::*;
 
 const RADIUS_M: f64 = 3.0e-3;
@@ -16,7 +17,10 @@ fn field(geometry: GridGeometry, solid: impl Fn(usize, usize, usize) -> bool) ->
             hu.extend((0..nx).map(|i| if solid(i, j, k) { 1000i16 } else { -1000 }));
         }
     }
-    BoneField::new(geometry, &hu, BoneParameters::default()).unwrap()
+    let Ok(field) = BoneField::new(geometry, &hu, BoneParameters::default()) else {
+        unreachable!("the tests' grids are valid");
+    };
+    field
 }
 
 fn planes(field: &BoneField, centre: Vector3<f64>, radius_m: f64) -> Vec<ContactPlane> {
@@ -56,7 +60,12 @@ fn flat_wall_is_exact_anisotropic_rotated_and_far_away() {
             let on_wall = geometry.point_to_grid(&found[0].point_m).z;
             assert!((on_wall - top).abs() < 1e-9);
         }
-        println!("flat wall at {:.0} m: gap error {:.1e} m, normal error {:.1e}", origin.norm(), worst.0, worst.1);
+        println!(
+            "flat wall at {:.0} m: gap error {:.1e} m, normal error {:.1e}",
+            origin.norm(),
+            worst.0,
+            worst.1
+        );
         assert!(worst.0 < 1e-9 && worst.1 < 1e-9);
     }
 }
@@ -117,7 +126,9 @@ fn tunnel_holds_from_opposite_sides() {
             steepest = steepest.max(plane.normal.dot(&axis).abs());
         }
     }
-    println!("tunnel: every plane has one opposed by at least {least:.2} (cosine), tilt along the axis <= {steepest:.2}");
+    println!(
+        "tunnel: every plane has one opposed by at least {least:.2} (cosine), tilt along the axis <= {steepest:.2}"
+    );
     assert!(least > 0.3, "a plane without one on the other side");
 }
 

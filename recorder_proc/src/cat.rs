@@ -22,9 +22,9 @@ pub struct CatOptions {
     pub topics: Vec<String>,
     /// Field paths, `t_world_link[7].position_m`; empty for whole messages. A topic that has none of them is left out.
     pub fields: Vec<String>,
-    /// First tick of the log.
+    /// First tick.
     pub first_tick: u64,
-    /// Last tick of the log, included.
+    /// Last tick, included.
     pub last_tick: Option<u64>,
     /// How strict the reader is.
     pub read: ReadOptions,
@@ -44,7 +44,7 @@ pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<End
         let Some(content) = content(&message, &options.fields) else { continue };
         let mut line = Map::new();
         line.insert("topic".to_string(), json!(message.topic));
-        line.insert("log_tick".to_string(), json!(tick));
+        line.insert("tick".to_string(), json!(tick));
         line.insert("log_time_ns".to_string(), json!(message.log_time_ns));
         line.insert("message".to_string(), content);
         writeln!(out, "{}", Value::Object(line))?;

@@ -79,7 +79,8 @@ fn compare_ticks(
     let mut a = LogReader::open_with(first, options)?;
     let mut b = LogReader::open_with(second, options)?;
     out.header = compare_headers(a.stream().metadata(), b.stream().metadata());
-    out.ticks = compare_state(0, a.initial(), b.initial());
+    out.ticks = compare_state(a.initial(), b.initial())
+        .or_else(|| compare_removed(0, a.predrilled(), b.predrilled()));
     while out.ticks.is_none() {
         match (a.next().transpose()?, b.next().transpose()?) {
             (Some(x), Some(y)) => {
@@ -119,11 +120,12 @@ fn compare_headers(
 
 /// Where two ticks differ: the command before its effect.
 fn compare_tick(a: &TickRecord, b: &TickRecord) -> Option<Divergence> {
-    let (tick, log_tick) = (a.state.tick, a.log_tick);
+    let restored = |tick: &TickRecord| tick.restored.clone().unwrap_or_default();
     let (x, y) = (a.latched.as_bytes(), b.latched.as_bytes());
-    compare(topics::LATCHED, a.latched.tick, log_tick, Latched::DESCRIPTION, x, y)
-        .or_else(|| compare_state(log_tick, &a.state, &b.state))
-        .or_else(|| compare_removed(tick, log_tick, &a.removed, &b.removed))
+    compare(topics::LATCHED, a.latched.tick, Latched::DESCRIPTION, x, y)
+        .or_else(|| compare_state(&a.state, &b.state))
+        .or_else(|| compare_removed(a.state.tick, &restored(a), &restored(b)))
+        .or_else(|| compare_removed(a.state.tick, &a.removed, &b.removed))
 }
 
 fn compare_frames(
@@ -153,6 +155,6 @@ fn compare_frames(
 fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
     let (tick, frame) = (a.frame.tick, Frame::DESCRIPTION);
     let image = |record: &FrameRecord| [record.image.as_bytes(), &record.pixels].concat();
-    compare(topics::DRR_FRAME, tick, tick, frame, a.frame.as_bytes(), b.frame.as_bytes())
-        .or_else(|| compare(topics::DRR_IMAGE, tick, tick, ImagePrefix::DESCRIPTION, &image(a), &image(b)))
+    compare(topics::DRR_FRAME, tick, frame, a.frame.as_bytes(), b.frame.as_bytes())
+        .or_else(|| compare(topics::DRR_IMAGE, tick, ImagePrefix::DESCRIPTION, &image(a), &image(b)))
 }

@@ -35,8 +35,6 @@ pub struct Divergence {
     pub topic: &'static str,
     /// `State.tick` of the tick.
     pub tick: u64,
-    /// Ticks since the start of the log; other than `tick` only after a reset.
-    pub log_tick: u64,
     /// Differing scalars in the order of the fields, the chained hash last; at most [`MAX_LISTED`].
     pub differences: Vec<FieldDifference>,
     /// Number of all differing scalars.
@@ -48,11 +46,7 @@ pub const MAX_LISTED: usize = 16;
 
 impl std::fmt::Display for Divergence {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "first divergence: tick {}", self.tick)?;
-        if self.log_tick != self.tick {
-            write!(f, " (tick {} of the log)", self.log_tick)?;
-        }
-        write!(f, ", {}, {} values differ", self.topic, self.total)?;
+        write!(f, "first divergence: tick {}, {}, {} values differ", self.tick, self.topic, self.total)?;
         self.differences.iter().try_for_each(|difference| write!(f, "\n  {difference}"))
     }
 }
@@ -61,7 +55,6 @@ impl std::fmt::Display for Divergence {
 pub fn compare(
     topic: &'static str,
     tick: u64,
-    log_tick: u64,
     description: &'static Description,
     recorded: &[u8],
     replayed: &[u8],
@@ -79,11 +72,11 @@ pub fn compare(
     // A chained hash differs from the first divergence on whatever the cause: the cause comes first.
     found.list.sort_by_key(|difference| difference.path.starts_with("hash["));
     found.list.truncate(MAX_LISTED);
-    Some(Divergence { topic, tick, log_tick, differences: found.list, total: found.total })
+    Some(Divergence { topic, tick, differences: found.list, total: found.total })
 }
 
 /// Compares two lists of voxel indices.
-pub fn compare_removed(tick: u64, log_tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<Divergence> {
+pub fn compare_removed(tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<Divergence> {
     if recorded == replayed {
         return None;
     }
@@ -96,7 +89,7 @@ pub fn compare_removed(tick: u64, log_tick: u64, recorded: &[u32], replayed: &[u
     found.elements("uint32", "voxel_index", 4, &bytes(recorded), &bytes(replayed));
     found.list.truncate(MAX_LISTED);
     let topic = crate::topics::REMOVED;
-    Some(Divergence { topic, tick, log_tick, differences: found.list, total: found.total })
+    Some(Divergence { topic, tick, differences: found.list, total: found.total })
 }
 
 #[derive(Default)]

@@ -21,6 +21,7 @@ pub mod difference;
 pub mod end;
 pub mod error;
 pub mod fields;
+pub mod frame_order;
 pub mod frames;
 pub mod header;
 pub mod info;

@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 
-use ipc_types::layout::Message;
 use ipc_types::messages::{Latched, Removed, State};
 use zerocopy::FromBytes;
 
@@ -18,12 +17,14 @@ pub(crate) enum Ordered {
 }
 
 /// Messages of each kind in order of arrival. Out come, tick by tick: `Latched` k, `Removed` k+1, `State` k+1, however
-/// the three queues were interleaved.
+/// the three queues were interleaved; first of all, `Removed` 0 and `State` 0.
 #[derive(Debug, Default)]
 pub(crate) struct TickOrder {
     latched: VecDeque<Box<Latched>>,
-    removed: VecDeque<Vec<u8>>,
+    removed: VecDeque<(Removed, Vec<u8>)>,
     states: VecDeque<Box<State>>,
+    /// `removed_total` of the last state handed out: the next one's differs by what its messages say.
+    removed_total: u64,
     begun: bool,
 }
 
@@ -33,7 +34,9 @@ impl TickOrder {
     }
 
     pub fn removed(&mut self, message: &[u8]) {
-        self.removed.push_back(message.to_vec());
+        if let Ok((removed, _)) = Removed::read_from_prefix(message) {
+            self.removed.push_back((removed, message.to_vec()));
+        }
     }
 
     pub fn state(&mut self, state: &State) {
@@ -43,68 +46,52 @@ impl TickOrder {
     /// The next messages in order; empty if the next tick's are not all there. With `last`, nothing more will come:
     /// what is there is handed out.
     pub fn next(&mut self, last: bool) -> Vec<Ordered> {
-        if !self.begun {
-            return self.begin(last);
-        }
         match (self.latched.front(), self.states.front()) {
-            (Some(latched), Some(state)) if latched.tick.wrapping_add(1) == state.tick => self.tick(last),
-            (Some(latched), Some(state)) if latched.tick.wrapping_add(1) < state.tick => self.lone_latched(),
-            (Some(_), Some(_)) => self.lone_state(last),
+            (_, Some(state)) if !self.begun && state.tick == 0 => self.tick(false, last),
+            (Some(latched), Some(state)) if latched.tick.checked_add(1) == Some(state.tick) => {
+                self.tick(true, last)
+            }
+            (Some(latched), Some(state)) if latched.tick >= state.tick => self.tick(false, last),
+            (Some(_), Some(_)) => self.lone_latched(),
             (Some(_), None) if last || self.latched.len() > MAX_WAITING => self.lone_latched(),
-            (None, Some(_)) if last || self.states.len() > MAX_WAITING => self.lone_state(last),
-            (None, None) if last => self.removed.pop_front().map(Ordered::Removed).into_iter().collect(),
+            (None, Some(_)) if last || self.states.len() > MAX_WAITING => self.tick(false, last),
+            (None, None) if last => {
+                self.removed.pop_front().map(|(_, bytes)| Ordered::Removed(bytes)).into_iter().collect()
+            }
             _ => Vec::new(),
         }
     }
 
-    /// The initial state comes before everything.
-    fn begin(&mut self, last: bool) -> Vec<Ordered> {
-        let waiting = self.latched.len().max(self.removed.len());
-        if self.states.is_empty() && !last && waiting <= MAX_WAITING {
-            return Vec::new();
+    /// The first waiting state with its removals, and behind the first waiting command if that is its own.
+    fn tick(&mut self, with_latched: bool, last: bool) -> Vec<Ordered> {
+        let reset = with_latched && self.latched.front().is_some_and(|latched| latched.reset != 0);
+        let Some(count) = self.removals_of_front_state(reset, last) else { return Vec::new() };
+        let latched = if with_latched { self.latched.pop_front() } else { None };
+        let mut out: Vec<Ordered> = latched.map(Ordered::Latched).into_iter().collect();
+        out.extend(self.removed.drain(..count).map(|(_, bytes)| Ordered::Removed(bytes)));
+        if let Some(state) = self.states.pop_front() {
+            self.removed_total = state.removed_total;
+            out.push(Ordered::State(state));
         }
         self.begun = true;
-        match self.states.front() {
-            Some(state) if state.tick == 0 => {
-                self.states.pop_front().map(Ordered::State).into_iter().collect()
-            }
-            _ => self.next(last),
-        }
-    }
-
-    fn tick(&mut self, last: bool) -> Vec<Ordered> {
-        let Some(removed) = self.removed_of_front_state(last) else { return Vec::new() };
-        let latched = self.latched.pop_front().map(Ordered::Latched);
-        let state = self.states.pop_front().map(Ordered::State);
-        latched.into_iter().chain(removed.map(Ordered::Removed)).chain(state).collect()
+        out
     }
 
     fn lone_latched(&mut self) -> Vec<Ordered> {
+        self.begun = true;
         self.latched.pop_front().map(Ordered::Latched).into_iter().collect()
     }
 
-    fn lone_state(&mut self, last: bool) -> Vec<Ordered> {
-        let Some(removed) = self.removed_of_front_state(last) else { return Vec::new() };
-        let state = self.states.pop_front().map(Ordered::State);
-        removed.map(Ordered::Removed).into_iter().chain(state).collect()
-    }
-
-    /// The removal of the first waiting state: `None` to wait for it, `Some(None)` if there is none (to come).
-    fn removed_of_front_state(&mut self, last: bool) -> Option<Option<Vec<u8>>> {
+    /// Number of waiting removals that belong before the first waiting state; none while more must come. Totals only
+    /// grow within a tick, but for the first message behind a reset, so reaching the state's total ends the tick.
+    fn removals_of_front_state(&self, reset: bool, last: bool) -> Option<usize> {
         let state = self.states.front()?;
-        if state.removed_in_tick == 0 {
-            return Some(None);
-        }
-        match self.removed.front() {
-            Some(message) if tick_of(message) == Some(state.tick) => Some(self.removed.pop_front()),
-            Some(_) => Some(None),
-            None if last || self.states.len() > MAX_WAITING => Some(None),
-            None => None,
-        }
+        let of_tick = self.removed.iter().take_while(|(removed, _)| removed.tick <= state.tick).count();
+        let messages = || self.removed.iter().take(of_tick).map(|(removed, _)| removed);
+        let total = messages().next_back().map_or(self.removed_total, |removed| removed.removed_total);
+        let restored = !reset || messages().any(|removed| removed.restore_first != 0);
+        let complete = total == state.removed_total && restored;
+        let hopeless = last || of_tick < self.removed.len() || self.states.len() > MAX_WAITING;
+        (complete || hopeless).then_some(of_tick)
     }
-}
-
-fn tick_of(message: &[u8]) -> Option<u64> {
-    debug_assert!(message.len() >= Removed::DESCRIPTION.size);
-    Removed::read_from_prefix(message).ok().map(|(removed, _)| removed.tick)
 }

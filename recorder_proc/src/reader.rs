@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use ipc_types::layout::Message;
 use ipc_types::messages::{Latched, Removed, State};
 use zerocopy::FromBytes;
 
@@ -16,15 +15,14 @@ use crate::topics;
 /// One complete tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TickRecord {
-    /// Ticks since the start of the log, the one that `state` ends included; other than `state.tick` only after a
-    /// reset.
-    pub log_tick: u64,
     /// u_k.
     pub latched: Latched,
     /// The state that it led to.
     pub state: State,
-    /// Linear indices of the voxels that it removed.
+    /// Linear indices of the voxels that this tick drilled away.
     pub removed: Vec<u32>,
+    /// After a reset: all voxels were put back and these removed again (the predrilled ones) before `removed`.
+    pub restored: Option<Vec<u32>>,
 }
 
 /// The ticks of a `run.mcap`, in order and without a gap, from a complete log or one cut at any byte.
@@ -33,17 +31,21 @@ pub struct TickRecord {
 pub struct LogReader {
     stream: MessageStream,
     initial: State,
+    predrilled: Vec<u32>,
     last: u64,
-    ticks: u64,
-    removed_sequence: u64,
     pending: Pending,
     done: bool,
 }
 
+/// Messages of the tick whose state has not come.
 #[derive(Default)]
 struct Pending {
     latched: Option<Latched>,
-    removed: Option<(u64, Vec<u32>)>,
+    removals: Vec<(Removed, Vec<u32>)>,
+    /// Number of removal messages so far.
+    removal_count: u64,
+    /// `removed_total` of the last state.
+    removed_total: u64,
 }
 
 impl LogReader {
@@ -60,29 +62,22 @@ impl LogReader {
     /// Reads the ticks of a stream from its start.
     pub fn from_stream(mut stream: MessageStream) -> Result<LogReader, LogError> {
         let path: PathBuf = stream.path().into();
+        let mut pending = Pending::default();
         let initial = loop {
             let Some(message) = stream.next_message()? else { return Err(LogError::NoInitialState { path }) };
-            match message.topic {
-                topics::STATE => match State::read_from_bytes(message.body) {
-                    Ok(state) if state.tick == 0 => break state,
-                    Ok(state) => {
-                        return Err(gap(
-                            &path,
-                            topics::STATE,
-                            0,
-                            &format!("state {} comes first", state.tick),
-                        ));
-                    }
-                    Err(_) => return Err(LogError::NoInitialState { path }),
-                },
-                topics::LATCHED | topics::REMOVED => {
-                    return Err(gap(&path, topics::STATE, 0, &format!("{} comes first", message.topic)));
+            if message.topic == topics::LATCHED {
+                return Err(gap(&path, topics::STATE, 0, "a command comes first"));
+            }
+            match pending.take(&path, &message, None)? {
+                Some(state) if state.tick == 0 => break state,
+                Some(state) => {
+                    return Err(gap(&path, topics::STATE, 0, &format!("state {} comes first", state.tick)));
                 }
-                _ => (),
+                None => (),
             }
         };
-        let pending = Pending::default();
-        Ok(LogReader { stream, initial, last: 0, ticks: 0, removed_sequence: 1, pending, done: false })
+        let (predrilled, _) = pending.removed_of(&path, &initial, false)?;
+        Ok(LogReader { stream, initial, predrilled, last: 0, pending, done: false })
     }
 
     /// What the log is about.
@@ -95,6 +90,11 @@ impl LogReader {
         &self.initial
     }
 
+    /// Linear indices of the voxels that are gone in the initial state.
+    pub fn predrilled(&self) -> &[u32] {
+        &self.predrilled
+    }
+
     /// The stream below, for its metadata and counts.
     pub fn stream(&self) -> &MessageStream {
         &self.stream
@@ -105,11 +105,6 @@ impl LogReader {
         self.last
     }
 
-    /// Complete ticks so far.
-    pub fn ticks(&self) -> u64 {
-        self.ticks
-    }
-
     /// How the file ends. Known once the iteration has ended without an error.
     pub fn ending(&self) -> &Ending {
         self.stream.ending()
@@ -118,38 +113,34 @@ impl LogReader {
     fn next_tick(&mut self) -> Result<Option<TickRecord>, LogError> {
         let path: PathBuf = self.stream.path().into();
         while let Some(message) = self.stream.next_message()? {
-            let state = self.pending.take(&path, &message, self.last, &mut self.removed_sequence)?;
-            let Some(state) = state else { continue };
+            let Some(state) = self.pending.take(&path, &message, Some(self.last))? else { continue };
             let tick = state.tick;
             let Some(latched) = self.pending.latched.take() else {
-                let found = format!("state {tick} follows without it");
-                return Err(gap(&path, topics::LATCHED, tick.saturating_sub(1), &found));
-            };
-            if latched.tick.checked_add(1) != Some(tick) {
                 return Err(gap(
                     &path,
-                    topics::STATE,
-                    latched.tick.saturating_add(1),
-                    &format!("state {tick}"),
+                    topics::LATCHED,
+                    self.last,
+                    &format!("state {tick} follows without it"),
                 ));
+            };
+            if self.last.checked_add(1) != Some(tick) {
+                return Err(gap(&path, topics::STATE, self.last.saturating_add(1), &format!("state {tick}")));
             }
-            let removed = self.pending.removed_of(&path, &state)?;
+            let (removed, restored) = self.pending.removed_of(&path, &state, latched.reset != 0)?;
             self.last = tick;
-            self.ticks += 1;
-            return Ok(Some(TickRecord { log_tick: self.ticks, latched, state, removed }));
+            return Ok(Some(TickRecord { latched, state, removed, restored }));
         }
         Ok(None)
     }
 }
 
 impl Pending {
-    /// Takes a message; returns the state if it is one.
+    /// Takes a message behind state `last`; returns the state if it is one.
     fn take(
         &mut self,
         path: &Path,
         message: &LogMessage<'_>,
-        last: u64,
-        removed_sequence: &mut u64,
+        last: Option<u64>,
     ) -> Result<Option<State>, LogError> {
         match message.topic {
             topics::LATCHED => {
@@ -158,29 +149,31 @@ impl Pending {
                     let found = format!("latched {} follows latched {}", latched.tick, previous.tick);
                     return Err(gap(path, topics::STATE, previous.tick.saturating_add(1), &found));
                 }
-                let expected = if latched.reset == 0 { last } else { 0 };
+                let expected = last.unwrap_or(0);
                 if latched.tick != expected {
                     return Err(gap(path, topics::LATCHED, expected, &format!("latched {}", latched.tick)));
-                }
-                if latched.reset != 0 {
-                    *removed_sequence = 0;
                 }
                 self.latched = Some(latched);
             }
             topics::REMOVED => {
                 let Ok((removed, tail)) = Removed::read_from_prefix(message.body) else { return Ok(None) };
-                // The numbers may begin again behind a reset.
-                if *removed_sequence != 0 && removed.sequence != *removed_sequence {
-                    let found = format!("message {}, expected {removed_sequence}", removed.sequence);
+                self.removal_count += 1;
+                if removed.sequence != self.removal_count {
+                    let found = format!("message {}, expected {}", removed.sequence, self.removal_count);
                     return Err(gap(path, topics::REMOVED, removed.tick, &found));
                 }
-                if let Some((tick, _)) = self.removed {
-                    return Err(gap(path, topics::STATE, tick, "another removal follows"));
+                let tick = last.map_or(0, |last| last.saturating_add(1));
+                if removed.tick != tick {
+                    return Err(gap(
+                        path,
+                        topics::STATE,
+                        tick,
+                        &format!("a removal of tick {}", removed.tick),
+                    ));
                 }
-                *removed_sequence = removed.sequence.saturating_add(1);
                 let voxels =
                     tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-                self.removed = Some((removed.tick, voxels));
+                self.removals.push((removed, voxels));
             }
             topics::STATE => return Ok(State::read_from_bytes(message.body).ok()),
             _ => (),
@@ -188,22 +181,42 @@ impl Pending {
         Ok(None)
     }
 
-    /// The voxels that a state says were removed.
-    fn removed_of(&mut self, path: &Path, state: &State) -> Result<Vec<u32>, LogError> {
-        let count = state.removed_in_tick as usize;
-        match self.removed.take() {
-            None if count == 0 => Ok(Vec::new()),
-            Some((tick, voxels)) if tick == state.tick && voxels.len() == count => Ok(voxels),
-            None => Err(gap(
-                path,
-                topics::REMOVED,
-                state.tick,
-                &format!("the state counts {count} removed voxels"),
-            )),
-            Some((tick, voxels)) => {
-                let found = format!("{} voxels of tick {tick}, the state counts {count}", voxels.len());
-                Err(gap(path, topics::REMOVED, state.tick, &found))
+    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all
+    /// are predrilled.
+    fn removed_of(
+        &mut self,
+        path: &Path,
+        state: &State,
+        reset: bool,
+    ) -> Result<(Vec<u32>, Option<Vec<u32>>), LogError> {
+        let missing = |found: String| gap(path, topics::REMOVED, state.tick, &found);
+        let removals = std::mem::take(&mut self.removals);
+        let total = removals.last().map_or(self.removed_total, |(removed, _)| removed.removed_total);
+        if total != state.removed_total {
+            return Err(missing(format!(
+                "messages up to {total} voxels, the state counts {}",
+                state.removed_total
+            )));
+        }
+        self.removed_total = total;
+        let restores = removals.iter().any(|(removed, _)| removed.restore_first != 0);
+        if restores != reset {
+            let word =
+                if restores { "voxels put back without a reset" } else { "a reset without voxels put back" };
+            return Err(missing(word.to_string()));
+        }
+        let mut voxels: Vec<u32> = removals.into_iter().flat_map(|(_, voxels)| voxels).collect();
+        if state.tick == 0 {
+            return Ok((voxels, None));
+        }
+        let drilled = state.removed_in_tick as usize;
+        match voxels.len().checked_sub(drilled) {
+            Some(before) if reset => {
+                let removed = voxels.split_off(before);
+                Ok((removed, Some(voxels)))
             }
+            Some(0) => Ok((voxels, None)),
+            _ => Err(missing(format!("{} voxels, the state counts {drilled} in this tick", voxels.len()))),
         }
     }
 }
@@ -220,9 +233,6 @@ impl Iterator for LogReader {
         item.transpose()
     }
 }
-
-/// Checked by the stream: a message of a topic has its description's size.
-const _: () = assert!(Removed::DESCRIPTION.size == 32 && State::DESCRIPTION.size % 8 == 0);
 
 fn gap(path: &Path, topic: &'static str, tick: u64, found: &str) -> LogError {
     LogError::Gap { path: path.into(), topic, tick, found: found.to_string() }

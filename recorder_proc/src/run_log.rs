@@ -11,6 +11,7 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use crate::end::{EndMarker, EndReason};
 use crate::error::LogError;
+use crate::frame_order::FrameOrder;
 use crate::header::LogHeader;
 use crate::order::{Ordered, TickOrder};
 use crate::sink::{Sink, create_file};
@@ -18,19 +19,19 @@ use crate::topics;
 
 /// The deterministic lane of a run, being written.
 ///
-/// `latched`, `removed` and `state` may be called in any interleaving, each in its own order: a tick is written once
-/// its three messages are there, as `Latched` k, `Removed` k+1, `State` k+1. Frames and replies are written when they
-/// come. The file's bytes are a function of that sequence alone.
+/// The methods may be called in any interleaving, each topic in its own order. Ticks are written as `Latched` k,
+/// `Removed` k+1, `State` k+1 once these are there. Frames and replies take as long as the renderer takes, so they are
+/// held and written a fixed number of ticks behind the tick that they show ([`frame_lag_ticks`]): two runs with the same
+/// messages leave the same bytes. Only a frame that is later than that is written when it comes.
 ///
-/// Time: `log_time` is tick × dt. When a run is reset, its ticks begin again and its log time goes on.
+/// `log_time` is tick × dt, for a frame the tick that it shows.
+///
+/// [`frame_lag_ticks`]: crate::frame_order::frame_lag_ticks
 pub struct RunLog<W: Write> {
     sink: Sink<W>,
-    order: TickOrder,
+    ticks: TickOrder,
+    frames: FrameOrder,
     channels: Channels,
-    /// Log tick of the current `State.tick` 0.
-    base_tick: u64,
-    /// Ticks made since then.
-    made: u64,
     last: Option<State>,
     expected: Expected,
     lost: BTreeMap<&'static str, u64>,
@@ -79,30 +80,27 @@ impl<W: Write> RunLog<W> {
             frame: channel(4)?,
             image: channel(5)?,
         };
-        let expected = Expected { removed_sequence: 1, frame_sequence: 1, ..Expected::default() };
-        let order = TickOrder::default();
         Ok(RunLog {
             sink,
-            order,
+            ticks: TickOrder::default(),
+            frames: FrameOrder::new(header),
             channels,
-            base_tick: 0,
-            made: 0,
             last: None,
-            expected,
+            expected: Expected { removed_sequence: 1, frame_sequence: 1, ..Expected::default() },
             lost: BTreeMap::new(),
         })
     }
 
     /// Takes u_k.
     pub fn latched(&mut self, latched: &Latched) -> Result<(), LogError> {
-        self.order.latched(latched);
-        self.drain(false)
+        self.ticks.latched(latched);
+        self.write_ticks(false)
     }
 
     /// Takes a state.
     pub fn state(&mut self, state: &State) -> Result<(), LogError> {
-        self.order.state(state);
-        self.drain(false)
+        self.ticks.state(state);
+        self.write_ticks(false)
     }
 
     /// Takes the bytes of a `Removed` message: struct and voxel indices.
@@ -116,17 +114,17 @@ impl<W: Write> RunLog<W> {
         if let Some(expected) = expected {
             return Err(self.wrong_size(topics::REMOVED, message.len(), expected));
         }
-        self.order.removed(message);
-        self.drain(false)
+        self.ticks.removed(message);
+        self.write_ticks(false)
     }
 
-    /// Writes a reply.
+    /// Takes a reply.
     pub fn drr_reply(&mut self, reply: &DrrReply) -> Result<(), LogError> {
-        self.sink.message(self.channels.reply, self.base_tick.saturating_add(reply.tick), &[reply.as_bytes()])
+        self.frames.reply(reply);
+        self.write_frames(false)
     }
 
-    /// Writes a frame, given as on the wire: `Frame`, `ImagePrefix`, pixels. The image lies in a chunk of its own, so
-    /// that whoever asks for states does not read pixels.
+    /// Takes a frame as on the wire: `Frame`, `ImagePrefix`, pixels.
     pub fn frame(&mut self, payload: &[u8]) -> Result<(), LogError> {
         let smallest = Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size;
         let Ok((frame, image)) = Frame::read_from_prefix(payload) else {
@@ -139,20 +137,8 @@ impl<W: Write> RunLog<W> {
             let expected = smallest + prefix.data_length as usize;
             return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), expected));
         }
-        let missed = frame.sequence.saturating_sub(self.expected.frame_sequence);
-        self.count_lost(topics::DRR_FRAME, missed);
-        self.expected.frame_sequence = frame.sequence.saturating_add(1);
-        let log_tick = self.base_tick.saturating_add(frame.tick);
-        self.sink.message(self.channels.frame, log_tick, &[frame.as_bytes()])?;
-        self.sink.close_chunk()?;
-        self.sink.message(self.channels.image, log_tick, &[image])?;
-        self.sink.close_chunk()
-    }
-
-    /// Ticks since the start of the log at which the current `State.tick` 0 lies: 0 until the run is reset. What is
-    /// written to the timing lane at tick k belongs to log tick `base_tick() + k`.
-    pub fn base_tick(&self) -> u64 {
-        self.base_tick
+        self.frames.frame(&frame, image);
+        self.write_frames(false)
     }
 
     /// The last state written.
@@ -165,13 +151,15 @@ impl<W: Write> RunLog<W> {
         &self.lost
     }
 
-    /// Writes what waits, the end marker, the index and the footer. `lost` adds what the owner counted itself.
+    /// Writes what waits, the end marker, the index and the footer. `lost` is what the owner counted itself; of two
+    /// counts of a topic the greater one stands.
     pub fn finish(
         mut self,
         reason: EndReason,
         lost: &BTreeMap<String, u64>,
     ) -> Result<(EndMarker, W), LogError> {
-        self.drain(true)?;
+        self.write_ticks(true)?;
+        self.write_frames(true)?;
         let mut all: BTreeMap<String, u64> = self.lost.iter().map(|(k, n)| (k.to_string(), *n)).collect();
         for (topic, &count) in lost.iter().filter(|(_, count)| **count > 0) {
             let entry = all.entry(topic.clone()).or_default();
@@ -184,9 +172,9 @@ impl<W: Write> RunLog<W> {
         Ok((marker, w))
     }
 
-    fn drain(&mut self, last: bool) -> Result<(), LogError> {
+    fn write_ticks(&mut self, last: bool) -> Result<(), LogError> {
         loop {
-            let messages = self.order.next(last);
+            let messages = self.ticks.next(last);
             if messages.is_empty() {
                 return Ok(());
             }
@@ -201,14 +189,10 @@ impl<W: Write> RunLog<W> {
     }
 
     fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
-        if latched.reset != 0 {
-            self.begin_again();
-        }
         let missed = latched.tick.saturating_sub(self.expected.latched_tick);
         self.count_lost(topics::LATCHED, missed);
         self.expected.latched_tick = latched.tick.saturating_add(1);
-        let log_tick = self.base_tick.saturating_add(latched.tick);
-        self.sink.message(self.channels.latched, log_tick, &[latched.as_bytes()])
+        self.sink.message(self.channels.latched, latched.tick, &[latched.as_bytes()])
     }
 
     fn write_removed(&mut self, message: &[u8]) -> Result<(), LogError> {
@@ -218,33 +202,37 @@ impl<W: Write> RunLog<W> {
         let missed = removed.sequence.saturating_sub(self.expected.removed_sequence);
         self.count_lost(topics::REMOVED, missed);
         self.expected.removed_sequence = removed.sequence.saturating_add(1);
-        let log_tick = self.base_tick.saturating_add(removed.tick);
-        self.sink.message(self.channels.removed, log_tick, &[message])
+        self.sink.message(self.channels.removed, removed.tick, &[message])
     }
 
     fn write_state(&mut self, state: &State) -> Result<(), LogError> {
-        // The reset of these ticks was lost if they begin again without one.
-        if state.tick < self.made {
-            self.begin_again();
-        }
         let missed = state.tick.saturating_sub(self.expected.state_tick);
         self.count_lost(topics::STATE, missed);
         self.expected.state_tick = state.tick.saturating_add(1);
-        let log_tick = self.base_tick.saturating_add(state.tick);
-        self.sink.message(self.channels.state, log_tick, &[state.as_bytes()])?;
+        self.sink.message(self.channels.state, state.tick, &[state.as_bytes()])?;
         let first = self.last.is_none();
-        self.made = state.tick;
         self.last = Some(*state);
+        self.frames.tick(state.tick);
+        self.write_frames(false)?;
         // Whoever opens the file of a paused run finds its initial state.
-        if first { self.sink.close_chunk() } else { Ok(()) }
+        if first { self.sink.close_chunk() } else { self.sink.end_tick(state.tick) }
     }
 
-    /// Ticks count from 0 again; the log's time goes on.
-    fn begin_again(&mut self) {
-        self.base_tick = self.base_tick.saturating_add(self.made);
-        self.made = 0;
-        self.expected.latched_tick = 0;
-        self.expected.state_tick = 1;
+    fn write_frames(&mut self, last: bool) -> Result<(), LogError> {
+        while let Some(reply) = self.frames.next_reply(last) {
+            self.sink.message(self.channels.reply, reply.tick, &[reply.as_bytes()])?;
+        }
+        while let Some((frame, image)) = self.frames.next_frame(last) {
+            let missed = frame.sequence.saturating_sub(self.expected.frame_sequence);
+            self.count_lost(topics::DRR_FRAME, missed);
+            self.expected.frame_sequence = frame.sequence.saturating_add(1);
+            self.sink.message(self.channels.frame, frame.tick, &[frame.as_bytes()])?;
+            // The image lies in a chunk of its own, so that whoever asks for states does not read pixels.
+            self.sink.close_chunk()?;
+            self.sink.message(self.channels.image, frame.tick, &[&image])?;
+            self.sink.close_chunk()?;
+        }
+        Ok(())
     }
 
     fn count_lost(&mut self, topic: &'static str, count: u64) {

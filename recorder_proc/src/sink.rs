@@ -36,8 +36,8 @@ pub(crate) struct Sink<W: Write> {
     dt_ns: u64,
     /// Ticks of a chunk.
     chunk_ticks: u64,
-    /// Chunk number (tick / chunk_ticks) of the open chunk.
-    open_chunk: Option<u64>,
+    /// tick / chunk_ticks at the last end of a tick.
+    last_chunk: u64,
     chunk_bytes: usize,
     /// CDR header and message, contiguous.
     scratch: Vec<u8>,
@@ -78,7 +78,7 @@ impl<W: Write> Sink<W> {
             channels: Vec::new(),
             dt_ns,
             chunk_ticks: (CHUNK_NS / dt_ns).max(1),
-            open_chunk: None,
+            last_chunk: 0,
             chunk_bytes: 0,
             scratch: Vec::new(),
         })
@@ -103,13 +103,8 @@ impl<W: Write> Sink<W> {
         Ok(self.channels.len() - 1)
     }
 
-    /// Writes a message, given in parts that follow each other, at a tick's time; closes the chunk before it if the
-    /// message belongs to a later one.
-    pub fn message(&mut self, channel: usize, log_tick: u64, parts: &[&[u8]]) -> Result<(), LogError> {
-        let chunk = log_tick / self.chunk_ticks;
-        if self.open_chunk.is_some_and(|open| open != chunk) || self.chunk_bytes >= CHUNK_BYTES {
-            self.close_chunk()?;
-        }
+    /// Writes a message, given in parts that follow each other, at a tick's time.
+    pub fn message(&mut self, channel: usize, tick: u64, parts: &[&[u8]]) -> Result<(), LogError> {
         self.scratch.clear();
         self.scratch.extend_from_slice(&CDR_LITTLE_ENDIAN);
         parts.iter().for_each(|part| self.scratch.extend_from_slice(part));
@@ -120,21 +115,29 @@ impl<W: Write> Sink<W> {
             let topic = channel.topic.clone();
             return Err(LogError::Message { path: self.path.clone(), topic, given, expected });
         }
-        let time = log_tick.saturating_mul(self.dt_ns);
+        let time = tick.saturating_mul(self.dt_ns);
         let sequence = channel.count as u32;
         let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
         self.writer
             .write_to_known_channel(&header, &self.scratch)
             .map_err(|e| encode_error(&self.path, e))?;
         channel.count += 1;
-        self.open_chunk = Some(chunk);
         self.chunk_bytes += self.scratch.len();
         Ok(())
     }
 
+    /// Says that a tick's messages are written: closes the chunk every 100 ms and when it is large.
+    pub fn end_tick(&mut self, tick: u64) -> Result<(), LogError> {
+        let chunk = tick / self.chunk_ticks;
+        if chunk <= self.last_chunk && self.chunk_bytes < CHUNK_BYTES {
+            return Ok(());
+        }
+        self.last_chunk = chunk.max(self.last_chunk);
+        self.close_chunk()
+    }
+
     /// Closes the open chunk and hands its bytes to the operating system.
     pub fn close_chunk(&mut self) -> Result<(), LogError> {
-        self.open_chunk = None;
         self.chunk_bytes = 0;
         self.writer.flush().map_err(|error| encode_error(&self.path, error))
     }

@@ -38,13 +38,12 @@ impl<W: Write> TimingLog<W> {
         Ok(TimingLog { sink: Sink::create(w, path, header, "timing")?, last_tick: None })
     }
 
-    /// Writes a message's bytes, struct and tail. `log_tick` is the number of ticks since the start of the log
-    /// ([`RunLog::base_tick`](crate::RunLog::base_tick) plus `State.tick`).
+    /// Writes a message's bytes, struct and tail. `tick` is `State.tick` of the newest state when it arrived.
     pub fn message(
         &mut self,
         topic: &str,
         description: &'static Description,
-        log_tick: u64,
+        tick: u64,
         message: &[u8],
     ) -> Result<(), LogError> {
         let expected = message_size(description, message);
@@ -59,8 +58,9 @@ impl<W: Write> TimingLog<W> {
             });
         }
         let channel = self.sink.channel(topic, description)?;
-        self.last_tick = self.last_tick.max(Some(log_tick));
-        self.sink.message(channel, log_tick, &[message])
+        self.last_tick = self.last_tick.max(Some(tick));
+        self.sink.message(channel, tick, &[message])?;
+        self.sink.end_tick(tick)
     }
 
     /// Hands everything so far to the operating system. The owner calls it when no tick will come for a while (pause).

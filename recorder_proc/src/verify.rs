@@ -14,9 +14,13 @@ use crate::topics;
 pub trait Simulation {
     /// The present state with its chained hash; before the first step, the initial one.
     fn state(&self) -> &State;
-    /// Makes one tick; `latched.reset` sets the simulation back first.
-    fn step(&mut self, latched: &Latched);
-    /// Voxels that the last step removed, in the order of the physics.
+    /// Makes one tick; `latched.reset` sets the simulation back first, but for the tick count and the hash.
+    ///
+    /// # Errors
+    /// What keeps it from making the tick, for people: the recorded run made it.
+    fn step(&mut self, latched: &Latched) -> Result<(), String>;
+    /// Voxels that the last step drilled away, in the order of the physics; not those that a reset put back or removed
+    /// again.
     fn removed(&self) -> &[u32];
 }
 
@@ -40,6 +44,8 @@ pub struct ReplayReport {
     pub hash: [u64; 2],
     /// The first tick that differs.
     pub divergence: Option<Divergence>,
+    /// Tick that the simulation could not make, and why.
+    pub simulation_error: Option<(u64, String)>,
     /// Why the log could not be read further (a gap, damage).
     pub log_error: Option<LogError>,
     /// How the file ends, if it was read to its end.
@@ -49,7 +55,7 @@ pub struct ReplayReport {
 impl ReplayReport {
     /// True if nothing differs and the log could be read as far as it goes.
     pub fn is_identical(&self) -> bool {
-        self.divergence.is_none() && self.log_error.is_none()
+        self.divergence.is_none() && self.simulation_error.is_none() && self.log_error.is_none()
     }
 }
 
@@ -65,7 +71,8 @@ pub fn verify(
         last_tick: 0,
         simulated_ns: 0,
         hash: reader.initial().hash,
-        divergence: compare_state(0, reader.initial(), simulation.state()),
+        divergence: compare_state(reader.initial(), simulation.state()),
+        simulation_error: None,
         log_error: None,
         ending: Ending::default(),
     };
@@ -80,11 +87,12 @@ pub fn verify(
                 break;
             }
             Some(Ok(tick)) => {
-                simulation.step(&tick.latched);
-                report.divergence =
-                    compare_state(tick.log_tick, &tick.state, simulation.state()).or_else(|| {
-                        compare_removed(tick.state.tick, tick.log_tick, &tick.removed, simulation.removed())
-                    });
+                if let Err(cause) = simulation.step(&tick.latched) {
+                    report.simulation_error = Some((tick.state.tick, cause));
+                    break;
+                }
+                report.divergence = compare_state(&tick.state, simulation.state())
+                    .or_else(|| compare_removed(tick.state.tick, &tick.removed, simulation.removed()));
                 if report.divergence.is_none() {
                     report.identical_ticks += 1;
                     report.last_tick = tick.state.tick;
@@ -98,7 +106,7 @@ pub fn verify(
 }
 
 /// Where two states of a tick differ.
-pub fn compare_state(log_tick: u64, recorded: &State, replayed: &State) -> Option<Divergence> {
+pub fn compare_state(recorded: &State, replayed: &State) -> Option<Divergence> {
     let (a, b) = (recorded.as_bytes(), replayed.as_bytes());
-    compare(topics::STATE, recorded.tick, log_tick, State::DESCRIPTION, a, b)
+    compare(topics::STATE, recorded.tick, State::DESCRIPTION, a, b)
 }

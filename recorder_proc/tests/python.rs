@@ -1,5 +1,5 @@
 //! Another language's reader of the same files: `mcap-ros2-support` for Python.
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
 use std::collections::{BTreeMap, BTreeSet};
@@ -88,13 +88,14 @@ fn python_decodes_every_field_of_states_removals_and_images() {
     let mut wanted = BTreeSet::new();
     for tick in 0..4u64 {
         let voxels: Vec<u32> = (0..tick).map(|_| random.word() as u32).collect();
-        let state = random_state(&mut random, tick, voxels.len() as u32);
+        let mut state = random_state(&mut random, tick, voxels.len() as u32);
+        state.removed_total = tick << 40;
         if tick > 0 {
             log.latched(&latched(tick - 1)).unwrap();
-            log.removed(&removed_bytes(tick, tick, 1 << 40, &voxels)).unwrap();
+            log.removed(&removed_bytes(tick, tick, tick << 40, &voxels)).unwrap();
             let prefix = format!("/removed {}", tick - 1);
             wanted.insert(format!("{prefix} tick {tick}"));
-            wanted.insert(format!("{prefix} removed_total {}", 1u64 << 40));
+            wanted.insert(format!("{prefix} removed_total {}", tick << 40));
             wanted.extend(voxels.iter().enumerate().map(|(i, v)| format!("{prefix} voxel_index[{i}] {v}")));
             let mut fields = BTreeSet::new();
             expected(Latched::DESCRIPTION, latched(tick - 1).as_bytes(), "", &mut fields);

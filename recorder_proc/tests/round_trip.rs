@@ -1,5 +1,5 @@
 //! What is written is what is read.
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
 use std::collections::BTreeMap;
@@ -17,14 +17,15 @@ fn ticks_come_back_bit_for_bit() {
     let mut reader = open_bytes(&write_log(&steps)).unwrap();
     assert_eq!(*reader.header(), header());
     assert_eq!(*reader.initial(), Toy::new().state);
+    assert_eq!(reader.predrilled(), PREDRILLED);
     let mut toy = Toy::new();
     for k in 0..1234 {
         let tick = reader.next().unwrap().unwrap();
-        toy.step(&latched(k));
+        toy.step(&latched(k)).unwrap();
         assert_eq!(tick.latched.as_bytes(), latched(k).as_bytes());
         assert_eq!(tick.state.as_bytes(), toy.state.as_bytes());
         assert_eq!(tick.removed, toy.removed);
-        assert_eq!(tick.log_tick, k + 1);
+        assert_eq!((tick.state.tick, tick.restored), (k + 1, None));
     }
     assert!(reader.next().is_none());
     assert_eq!(reader.last_complete_tick(), 1234);
@@ -39,14 +40,17 @@ fn ticks_come_back_bit_for_bit() {
 }
 
 #[test]
-fn a_reset_starts_ticks_again_and_log_time_goes_on() {
+fn a_reset_puts_voxels_back_and_time_goes_on() {
     let steps = run_messages(500, Some(321));
     let bytes = write_log(&steps);
     let reader = open_bytes(&bytes).unwrap();
     let ticks: Vec<TickRecord> = reader.map(Result::unwrap).collect();
     assert_eq!(ticks.len(), 500);
-    assert_eq!((ticks[320].state.tick, ticks[321].state.tick), (321, 1));
-    assert_eq!((ticks[321].log_tick, ticks[499].state.tick), (322, 179));
+    let restored: Vec<_> = ticks.iter().filter_map(|t| Some((t.state.tick, t.restored.clone()?))).collect();
+    assert_eq!(restored, [(322, PREDRILLED.to_vec())]);
+    // Tick 325 is the first after the reset that drills: 325 = 46 * 7 + 3.
+    assert_eq!((ticks[320].state.removed_total, ticks[321].state.removed_total), (4 + 46 * 5, 4));
+    assert_eq!((ticks[324].removed.len(), ticks[324].state.removed_total), (5, 9));
     let states = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
     let times: Vec<u64> = states.filter(|m| m.channel.topic == "/state").map(|m| m.log_time).collect();
     assert_eq!(times, (0..=500).map(|k| k * 1_000_000).collect::<Vec<u64>>());

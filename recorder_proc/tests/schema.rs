@@ -1,5 +1,5 @@
 //! The schemas' text, read by a parser of its own and laid out by the rules of CDR, gives the offsets of the structs.
-#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeMap;
 

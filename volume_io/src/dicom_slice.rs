@@ -193,11 +193,12 @@ impl Fields<'_> {
     }
 
     fn numbers<const N: usize>(&self, tag: Tag, name: &str) -> Result<[f64; N], VolumeError> {
-        let expected = format!("{N} numbers");
+        let expected = format!("{N} finite numbers");
         let Some(text) = self.text(tag)? else {
             return Err(self.wrong(tag, name, "nothing".into(), &expected));
         };
-        let parsed: Option<Vec<f64>> = text.split('\\').map(|word| word.trim().parse().ok()).collect();
+        let parsed: Option<Vec<f64>> =
+            text.split('\\').map(|word| word.trim().parse().ok().filter(|n: &f64| n.is_finite())).collect();
         let array = parsed.and_then(|values| <[f64; N]>::try_from(values).ok());
         array.ok_or_else(|| self.wrong(tag, name, format!("`{text}`"), &expected))
     }

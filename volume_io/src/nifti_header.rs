@@ -313,11 +313,8 @@ fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
         return q;
     }
     notes.push("neither sform nor qform is set: the axes are assumed to be right, anterior, superior, from the origin".into());
-    let mut out = [[0.0; 4]; 3];
-    for axis in 0..3 {
-        out[axis][axis] = raw.pixdim[axis + 1];
-    }
-    out
+    let size = &raw.pixdim;
+    [[size[1], 0.0, 0.0, 0.0], [0.0, size[2], 0.0, 0.0], [0.0, 0.0, size[3], 0.0]]
 }
 
 /// nifti1.h method 2: rotation from the quaternion (b, c, d), voxel sizes, and the handedness `qfac` in pixdim[0].

@@ -1,7 +1,7 @@
 //! From stored numbers to Hounsfield units: voxel types, byte orders, scaling, rounding, clamping.
 
 use crate::error::VolumeError;
-use crate::input::read_full;
+use crate::input::{Codec, read_full};
 use std::io::Read;
 use std::path::Path;
 
@@ -180,6 +180,10 @@ impl Layout {
         sink: &mut HuSink,
     ) -> Result<(), VolumeError> {
         let size = self.scalar.size();
+        // Of a raw file the length is known to suffice; a compressed stream may still hold less than it could.
+        if codec == Codec::Raw.name() {
+            sink.hu.reserve_exact(count);
+        }
         let mut buffer = vec![0_u8; 1 << 16];
         let mut left = count;
         while left > 0 {

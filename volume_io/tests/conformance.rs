@@ -3,6 +3,9 @@
 //! Expected figures come from the files' own projects (pynrrd, nifti-rs, nibabel, pydicom, mdai-utils, TotalSegmentator) as opened with
 //! SimpleITK, nibabel and pydicom. Skipped, loudly, where the shared data are absent.
 
+// Helpers of tests may fail a test.
+#![allow(clippy::unwrap_used)]
+
 #[path = "common/shared.rs"]
 mod shared_data;
 
@@ -156,14 +159,12 @@ fn nifti_against_the_nifti_crate() {
         if header.sform_code > 0 {
             let rows = [header.srow_x, header.srow_y, header.srow_z];
             let sign = [-1.0, -1.0, 1.0];
-            for row in 0..3 {
-                for axis in 0..3 {
-                    let mine = ours.direction[row][axis] * ours.spacing_m[axis] * 1e3;
-                    // f32 affine: 1e-6 relative.
-                    assert!((mine - sign[row] * f64::from(rows[row][axis])).abs() < 1e-5, "{name}");
-                }
-                let origin = ours.origin_m[row] * 1e3;
-                assert!((origin - sign[row] * f64::from(rows[row][3])).abs() < 1e-4, "{name}");
+            for (row, values) in rows.iter().enumerate() {
+                let lps = values.map(|v| sign[row] * f64::from(v));
+                let mine = [0, 1, 2].map(|axis| ours.direction[row][axis] * ours.spacing_m[axis] * 1e3);
+                // f32 affine: 1e-6 relative.
+                close(&mine, &lps[..3], 1e-5);
+                close(&[ours.origin_m[row] * 1e3], &lps[3..], 1e-4);
             }
         }
     }

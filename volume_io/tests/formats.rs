@@ -1,11 +1,14 @@
 //! Round trips and the geometry rules of each format, on small files made here.
 
+// Helpers of tests may fail a test.
+#![allow(clippy::unwrap_used)]
+
 #[path = "common/dicom_bytes.rs"]
 mod dicom_bytes;
 #[path = "common/nifti_bytes.rs"]
 mod nifti_bytes;
 
-use dicom_bytes::{DicomSlice, write_series};
+use dicom_bytes::{DicomSlice, LOSSLESS_JPEG, write_series};
 use nifti_bytes::NiftiBytes;
 use proptest::prelude::*;
 use std::io::Write;
@@ -68,7 +71,7 @@ fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn nrrd_round_trip(
@@ -213,9 +216,9 @@ fn nrrd_spaces_units_and_encodings() {
     ] {
         let volume = read_bytes("v.nrrd", &nrrd(&format!("space: {space}\n{directions}"), &data)).unwrap();
         near(&volume.spacing_m, &[1e-3, 2e-3, 3e-3], 1e-15);
-        for axis in 0..3 {
-            assert_eq!(volume.direction[axis][axis], sign[axis], "{space}");
-            near(&[volume.origin_m[axis]], &[sign[axis] * 0.01 * (axis + 1) as f64], 1e-15);
+        for (axis, sign) in sign.into_iter().enumerate() {
+            assert_eq!(volume.direction[axis][axis], sign, "{space}");
+            near(&[volume.origin_m[axis]], &[sign * 0.01 * (axis + 1) as f64], 1e-15);
         }
         assert_eq!(volume.hu, counting());
     }
@@ -307,6 +310,19 @@ fn dicom_rle() {
     };
     let volume = read_bytes("v.dcm", &slice.bytes()).unwrap();
     assert_eq!(volume.hu, (1..=20).collect::<Vec<i16>>());
+}
+
+#[test]
+fn dicom_lossless_jpeg() {
+    let slice = DicomSlice {
+        transfer_syntax: "1.2.840.10008.1.2.4.70",
+        fragment: Some(LOSSLESS_JPEG.to_vec()),
+        ..DicomSlice::default()
+    };
+    assert_eq!(read_bytes("v.dcm", &slice.bytes()).unwrap().hu, [0; 20]);
+    // The JPEG says 5 × 4, the header 5 × 3.
+    let other = DicomSlice { rows: 3, ..slice };
+    assert!(matches!(read_bytes("v.dcm", &other.bytes()), Err(VolumeError::Corrupt { .. })));
 }
 
 #[test]

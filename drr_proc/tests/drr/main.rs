@@ -1,18 +1,18 @@
 //! The pure core of `drr_proc` against closed forms, tables and itself.
+//!
+//! The modules are `cfg(test)` so that clippy knows their helpers for tests, which may unwrap.
 
+#[cfg(test)]
 mod attenuation;
+#[cfg(test)]
 mod detector;
+#[cfg(test)]
 mod frames;
+#[cfg(test)]
 mod geometry;
+#[cfg(test)]
+mod poses;
+#[cfg(test)]
 mod projectors;
+#[cfg(test)]
 mod tool;
-
-use drr_proc::{CArm, DetectorFormat, PositionerAngles};
-
-/// A C-arm about the world's origin, 0.7 m from source to isocentre, 1.0 m to the detector.
-fn c_arm(primary_deg: f64, secondary_deg: f64, pixels: u32, field_m: f64) -> CArm {
-    let pitch = field_m / f64::from(pixels);
-    let format = DetectorFormat { columns: pixels, rows: pixels, pixel_pitch_m: [pitch; 2] };
-    let angles = PositionerAngles::from_degrees(primary_deg, secondary_deg);
-    CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format).unwrap()
-}

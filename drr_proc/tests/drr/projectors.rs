@@ -110,7 +110,7 @@ fn rays_that_never_meet_the_volume_or_have_no_length_give_zero() {
 #[test]
 fn an_ellipsoid_phantom_at_two_resolutions() {
     let shapes = reference::thigh(0.25);
-    let c_arm = crate::c_arm(37.0, 18.0, 64, 0.08);
+    let c_arm = crate::poses::c_arm(37.0, 18.0, 64, 0.08);
     let mut errors = Vec::new();
     for n in [1_usize, 2] {
         let grid = Grid::centred([60 * n, 50 * n, 80 * n], [1e-3 / n as f64; 3]).unwrap();
@@ -139,7 +139,7 @@ fn an_ellipsoid_phantom_at_two_resolutions() {
 fn joseph_is_of_second_order_in_the_voxel_size() {
     // A Gaussian blob: its line integral is closed, A s sqrt(2 pi) exp(-b^2/(2 s^2)), and there is no edge.
     let (sigma, amplitude_hu) = (4e-3, 30_000.0);
-    let c_arm = crate::c_arm(25.0, 15.0, 24, 0.03);
+    let c_arm = crate::poses::c_arm(25.0, 15.0, 24, 0.03);
     let mut errors = Vec::new();
     for n in [1_usize, 2, 4] {
         // 12 sigma wide; -1000 HU is no attenuation.
@@ -178,7 +178,7 @@ fn an_interval_splits_the_whole_integral() {
     let hu: Vec<i16> = (0..grid.voxels()).map(|i| ((i * 7919) % 2000) as i16 - 500).collect();
     let scene = Scene::new(grid, hu);
     for (primary, secondary) in [(0.0, 0.0), (40.0, 20.0), (90.0, 5.0), (10.0, 80.0)] {
-        let c_arm = crate::c_arm(primary, secondary, 12, 0.06);
+        let c_arm = crate::poses::c_arm(primary, secondary, 12, 0.06);
         let fan = RayFan::new(&grid, &c_arm);
         for (c, r) in pixels(&c_arm) {
             let ray = fan.index_ray(c, r);
@@ -238,7 +238,7 @@ proptest! {
         // The same attenuation map with every block marked as occupied.
         let mut plain = Scene::new(grid, vec![1000; grid.voxels()]);
         plain.hu = hu;
-        let c_arm = crate::c_arm(primary, secondary, 48, 0.07);
+        let c_arm = crate::poses::c_arm(primary, secondary, 48, 0.07);
         prop_assert_eq!(skipping.image(&c_arm, Scene::joseph), plain.image(&c_arm, Scene::joseph));
     }
 }

@@ -89,7 +89,7 @@ fn metal_displaces_the_anatomy_once() {
     let burr =
         ToolPart::Sphere { centre_m: [0.012, 0.0, 0.0], radius_m: 3.25e-3, material: Material::Steel316L };
     let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]), cable, burr] };
-    let c_arm = crate::c_arm(0.0, 0.0, 41, 0.05);
+    let c_arm = crate::poses::c_arm(0.0, 0.0, 41, 0.05);
     let [water, nitinol, steel] =
         [Material::Water, NITINOL, Material::Steel316L].map(|m| m.mu_per_m(60.0).unwrap());
     for projector in [Projector::Siddon, Projector::Joseph] {
@@ -142,7 +142,7 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
         .map(|i| i as u32)
         .collect();
     let tool = Tool { parts: vec![tube([-0.01, 0.0, 0.0], [0.01, 0.0, 0.0])] };
-    let c_arm = crate::c_arm(0.0, 0.0, 41, 0.05);
+    let c_arm = crate::poses::c_arm(0.0, 0.0, 41, 0.05);
     let quiet = DetectorParameters { quantum_noise: false, ..DetectorParameters::default() };
     let mut renderer =
         DrrRenderer::new(&view, DrrParameters { detector: quiet, ..DrrParameters::default() }).unwrap();

@@ -60,7 +60,7 @@ message! {
         sim_time_s: f64,
         /// Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first).
         hash: [u64; 2],
-        /// Voxels removed since the start.
+        /// Voxels drilled since the start or the last reset.
         removed_total: u64,
         /// Voxels removed in this tick.
         removed_in_tick: u32,

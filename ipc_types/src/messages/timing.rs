@@ -34,8 +34,6 @@ message! {
         frame_sequence: u64,
         /// Tick shown.
         tick: u64,
-        /// Monotonic clock when rendering began.
-        start_ns: u64,
         /// Time of rendering.
         render_ns: u64,
         /// Rays traced through the volume.

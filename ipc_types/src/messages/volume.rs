@@ -1,16 +1,16 @@
 use crate::message;
 
 message! {
-    /// Voxels that are gone from this tick on, published before the state of the tick. Tick 0 has the holes that the
-    /// scene predrills. Published only for ticks that removed some; one message holds at most 4096 voxels.
+    /// Voxels that are gone from this tick on, published before the state of the tick, and only for ticks that removed
+    /// some. Messages of tick 0 hold the holes that the scene predrills, which `removed_total` does not count.
     pub struct Removed = "trabecula_msgs/msg/Removed" {
         /// `State.tick` of the state in which they are gone.
         tick: u64,
         /// Counts these messages, from 1, rising by one.
         sequence: u64,
-        /// Voxels removed since the start, these included.
+        /// Voxels drilled since the start or the last reset, these included.
         removed_total: u64,
-        /// 1 if all voxels are put back before these are removed (a reset).
+        /// 1 if all drilled voxels, not the predrilled ones, are put back before these are removed (a reset).
         restore_first: u32,
         /// Number of entries of `voxel_index`.
         voxel_index_length: u32,

@@ -27,4 +27,4 @@ pub use error::BoneError;
 pub use field::{BoneField, BoneParameters, BoneSnapshot};
 pub use grid::GridGeometry;
 pub use material::MaterialLaw;
-pub use query::{ContactBuffer, ContactPlane};
+pub use query::ContactBuffer;

@@ -123,11 +123,28 @@ impl Occupancy {
     /// [`WINDOW_VOXELS`] on mean nothing.
     #[inline]
     pub fn window(&self, place: WindowPlace, j: usize, k: usize) -> u64 {
-        let byte = (k * self.dims[1] + j) * self.row_stride + place.byte;
-        match self.bytes.get(byte..).and_then(|bytes| bytes.first_chunk()) {
+        self.window_at(place, k * self.slice_stride() + j * self.row_stride)
+    }
+
+    /// The window of the row whose bytes start at `row`: see [`Self::row_stride`].
+    #[inline]
+    pub fn window_at(&self, place: WindowPlace, row: usize) -> u64 {
+        match self.bytes.get(row + place.byte..).and_then(|bytes| bytes.first_chunk()) {
             Some(bytes) => u64::from_le_bytes(*bytes) >> place.shift,
             None => 0,
         }
+    }
+
+    /// Bytes from a row to the next along y; row (j, k) starts at `k * slice_stride + j * row_stride`.
+    #[inline]
+    pub fn row_stride(&self) -> usize {
+        self.row_stride
+    }
+
+    /// Bytes from a row to the next along z.
+    #[inline]
+    pub fn slice_stride(&self) -> usize {
+        self.row_stride * self.dims[1]
     }
 
     /// Whether any coarse cell that meets the box holds bone.

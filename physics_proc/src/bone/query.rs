@@ -14,6 +14,8 @@
 
 use nalgebra::{Unit, Vector3};
 
+use crate::contact_plane::ContactPlane;
+
 use super::field::BoneField;
 use super::grid::floor_to_i64;
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
@@ -30,19 +32,6 @@ const SAME_PLANE_COSINE: f64 = 0.5;
 const DUPLICATE_COSINE: f64 = 0.8;
 /// A smoothed normal farther than this (cosine) from the seed's direction is not trusted: thin sheets, single voxels.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
-
-/// A plane that a proxy sphere must not cross.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ContactPlane {
-    /// Number of the proxy sphere.
-    pub sphere_index: usize,
-    /// A point on the bone surface, world, metres.
-    pub point_m: Vector3<f64>,
-    /// From bone to sphere, world.
-    pub normal: Unit<Vector3<f64>>,
-    /// Distance from the sphere's surface to the plane in metres, negative when it penetrates.
-    pub gap_m: f64,
-}
 
 /// Contact planes of one tick and the query's working memory, reserved once.
 #[derive(Debug, Clone)]
@@ -172,13 +161,21 @@ impl Candidates {
         }
     }
 
-    /// Drops the candidates that lie within 60 degrees of a direction.
-    fn drop_near(&mut self, direction: &Vector3<f64>) {
-        self.items.retain(|candidate| {
-            let d = candidate.offset;
-            let along = d[0] * direction.x + d[1] * direction.y + d[2] * direction.z;
-            along * along.abs() <= SAME_PLANE_COSINE * SAME_PLANE_COSINE * candidate.length2
-        });
+    /// Drops the candidates that lie within 60 degrees of either direction.
+    fn drop_near(&mut self, first: &Vector3<f64>, second: &Vector3<f64>) {
+        let limit = SAME_PLANE_COSINE * SAME_PLANE_COSINE;
+        let mut kept = 0;
+        for place in 0..self.items.len() {
+            let candidate = self.items[place];
+            let [x, y, z] = candidate.offset;
+            let along_first = x * first.x + y * first.y + z * first.z;
+            let along_second = x * second.x + y * second.y + z * second.z;
+            let along = along_first.max(along_second);
+            self.items[kept] = candidate;
+            // Without a branch: half of them stay, unpredictably.
+            kept += usize::from(along * along.abs() <= limit * candidate.length2);
+        }
+        self.items.truncate(kept);
     }
 
     fn nearest(&self) -> Option<Candidate> {
@@ -254,6 +251,8 @@ impl BoneField {
     fn gather(&self, sphere: &Sphere, voxels: &VoxelBox, candidates: &mut Candidates) {
         let [_, hy, hz] = self.geometry.spacing_m;
         let [_, ny, nz] = self.geometry.dims;
+        let (row_stride, slice_stride) = (self.occupancy.row_stride(), self.occupancy.slice_stride());
+        let per_hy = 1.0 / hy;
         let reach2 = sphere.reach * sphere.reach;
         for start in (voxels.low[0]..=voxels.high[0]).step_by(COLUMNS as usize) {
             let count = (voxels.high[0] - start + 1).min(COLUMNS);
@@ -265,22 +264,19 @@ impl BoneField {
                 if room_z < 0.0 {
                     continue;
                 }
-                let between_z = towards(k, sphere.voxel[2], nz);
                 let half = room_z.sqrt();
-                let low = floor_to_i64((sphere.centre.y - half) / hy + 0.5).max(voxels.low[1]);
-                let high = floor_to_i64((sphere.centre.y + half) / hy + 0.5).min(voxels.high[1]);
-                for j in low..=high {
-                    let own = self.occupancy.window(place, j as usize, k as usize);
-                    let mut bits = columns.exposed(own);
-                    if bits == 0 {
-                        continue;
-                    }
-                    if let Some(between) = between_z {
-                        bits &= !self.occupancy.window(place, j as usize, between);
-                    }
-                    if let Some(between) = towards(j, sphere.voxel[1], ny) {
-                        bits &= !self.occupancy.window(place, between, k as usize);
-                    }
+                let low = floor_to_i64((sphere.centre.y - half) * per_hy + 0.5).max(voxels.low[1]);
+                let high = floor_to_i64((sphere.centre.y + half) * per_hy + 0.5).min(voxels.high[1]);
+                let (next_k, mask_z) = towards(k, sphere.voxel[2], nz);
+                let (slice, next_slice) = (k as usize * slice_stride, next_k * slice_stride);
+                for j in low..high + 1 {
+                    let row = j as usize * row_stride;
+                    let (next_j, mask_y) = towards(j, sphere.voxel[1], ny);
+                    let own = self.occupancy.window_at(place, slice + row);
+                    let above = self.occupancy.window_at(place, next_slice + row);
+                    let beside = self.occupancy.window_at(place, slice + next_j * row_stride);
+                    // Without branches up to here: which of the three empties a row is unpredictable.
+                    let mut bits = columns.exposed(own) & !(above & mask_z) & !(beside & mask_y);
                     while bits != 0 {
                         let i = start - 1 + i64::from(bits.trailing_zeros());
                         bits &= bits - 1;
@@ -397,8 +393,7 @@ impl BoneField {
             let normal = if trusted { smooth } else { direction };
             let stands_out =
                 if trusted { ((0.5 - sample.level) / steepness).clamp(0.0, 0.5 * smallest) } else { 0.0 };
-            out.candidates.drop_near(&direction);
-            out.candidates.drop_near(&normal);
+            out.candidates.drop_near(&direction, &normal);
             if normals[..count].iter().any(|other| other.dot(&normal) > DUPLICATE_COSINE) {
                 continue;
             }
@@ -427,9 +422,9 @@ pub(super) fn outside(offset: f64, width: f64) -> f64 {
     }
 }
 
-/// The index next to `from` towards `to`; `None` if they are equal or there is no such index.
+/// The index next to `from`, which is in `0..count`, towards `to`, and all ones; or `from` and 0 if there is no such index.
 #[inline]
-fn towards(from: i64, to: i64, count: usize) -> Option<usize> {
-    let next = from + (to - from).signum();
-    (next != from && next >= 0 && next < count as i64).then_some(next as usize)
+fn towards(from: i64, to: i64, count: usize) -> (usize, u64) {
+    let next = (from + i64::from(to > from) - i64::from(to < from)).clamp(0, count as i64 - 1);
+    (next as usize, if next == from { 0 } else { u64::MAX })
 }

@@ -27,7 +27,7 @@ fn times(m: &Symmetric, v: &Spatial) -> Spatial {
     ]
 }
 
-/// m += scale a b' for symmetric a b' (a parallel to b, or used in pairs).
+/// m += scale a a'.
 fn add_outer(m: &mut Symmetric, scale: f64, a: &Spatial) {
     m[0] += scale * a[0] * a[0];
     m[1] += scale * a[0] * a[1];

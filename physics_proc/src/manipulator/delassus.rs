@@ -12,8 +12,7 @@ use super::{MAX_JOINTS, MAX_ROWS, MAX_SPHERES};
 /// The probes of one step and their mobility.
 #[derive(Debug, Clone)]
 pub(super) struct Delassus {
-    /// Sphere of each sphere probe, ascending, so links never decrease.
-    sphere: [usize; MAX_SPHERES],
+    /// Link of each sphere probe; never decreases.
     link: [usize; MAX_SPHERES],
     centre: [Planar; MAX_SPHERES],
     pub sphere_count: usize,
@@ -30,7 +29,6 @@ pub(super) struct Delassus {
 impl Delassus {
     pub fn new() -> Self {
         Self {
-            sphere: [0; MAX_SPHERES],
             link: [0; MAX_SPHERES],
             centre: [[0.0; 2]; MAX_SPHERES],
             sphere_count: 0,
@@ -53,7 +51,6 @@ impl Delassus {
     pub fn add_sphere(&mut self, layout: &Layout, configuration: &Configuration, sphere: usize) -> usize {
         let k = self.sphere_count;
         let fixed = &layout.spheres[sphere];
-        self.sphere[k] = sphere;
         self.link[k] = fixed.link;
         self.centre[k] = configuration.point(fixed.link, fixed.along_m);
         self.sphere_count += 1;
@@ -103,8 +100,7 @@ impl Delassus {
         let c = self.centre[probe];
         let unit: [Spatial; 3] = [[1.0, 0.0, 0.0], [c[1], 1.0, 0.0], [-c[0], 0.0, 1.0]];
         let mut x = unit.map(|force| articulated.link_response(self.link[probe], &force));
-        let mut next = probe;
-        next = self.write_spheres(next, self.link[probe], 3 * probe, &x);
+        let mut next = self.write_spheres(probe, self.link[probe], 3 * probe, &x);
         for joint in self.link[probe]..joints {
             let rates = [0, 1, 2].map(|k| articulated.carry_outward(joint, &mut x[k]));
             if let Some(row) = self.joint_row[joint] {

@@ -48,7 +48,7 @@ pub use error::ManipulatorError;
 pub use geometry::SphereKind;
 pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, TendonParameters};
 pub use state::{
-    BaseMotion, ContactPlane, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport,
+    BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport,
     TendonCommand, Wrench,
 };
 

@@ -1,6 +1,8 @@
 //! What goes into a step, what comes out, and the state between steps.
 
-use nalgebra::{Isometry3, Unit, Vector3};
+use nalgebra::{Isometry3, Vector3};
+
+use crate::contact_plane::ContactPlane;
 
 use super::geometry::SphereKind;
 use super::parameters::Integrator;
@@ -37,19 +39,6 @@ pub enum TendonCommand {
     /// Length pulled out at the base from the straight tool's slackless length, m (`servo_jp`). The tension follows
     /// from the tendon's stiffness; a slack tendon does not push.
     Displacement([f64; 2]),
-}
-
-/// A plane that a proxy sphere must not cross, in the configuration before the step.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ContactPlane {
-    /// Index into [`super::Manipulator::proxy_spheres`].
-    pub sphere_index: usize,
-    /// Point on the obstacle's surface, world, m. The step itself needs only `normal` and `gap_m`.
-    pub point_m: Vector3<f64>,
-    /// World, from the obstacle to the sphere.
-    pub normal: Unit<Vector3<f64>>,
-    /// Distance between the sphere and the plane, negative when they overlap, m.
-    pub gap_m: f64,
 }
 
 /// Force and torque, world axes.

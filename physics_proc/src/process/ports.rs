@@ -62,8 +62,12 @@ impl Ports {
         })
     }
 
-    /// Publishes the voxels that are gone from `tick` on, in as many messages as they need. `removed_total` counts
-    /// them all.
+    /// Publishes the holes that are there before the run, in as many messages of tick 0 as they need.
+    pub(super) fn publish_predrilled(&mut self, voxels: &[u32]) -> Result<(), PortError> {
+        voxels.chunks(MAX_REMOVED_PER_TICK).try_for_each(|chunk| self.publish_removed(0, chunk, 0, false))
+    }
+
+    /// Publishes the voxels that a tick removed; at most [`MAX_REMOVED_PER_TICK`].
     pub(super) fn publish_removed(
         &mut self,
         tick: u64,
@@ -71,26 +75,12 @@ impl Ports {
         removed_total: u64,
         restore_first: bool,
     ) -> Result<(), PortError> {
-        let mut left = voxels.len() as u64;
-        let mut restore = restore_first;
-        for chunk in voxels.chunks(MAX_REMOVED_PER_TICK) {
-            left -= chunk.len() as u64;
-            self.send_removed(tick, chunk, removed_total - left, restore)?;
-            restore = false;
-        }
-        if restore {
-            self.send_removed(tick, &[], removed_total, true)?;
-        }
-        Ok(())
-    }
-
-    fn send_removed(&mut self, tick: u64, voxels: &[u32], removed_total: u64, restore: bool) -> Result<(), PortError> {
         self.removed_messages += 1;
         let message = Removed {
             tick,
             sequence: self.removed_messages,
             removed_total,
-            restore_first: u32::from(restore),
+            restore_first: u32::from(restore_first),
             voxel_index_length: voxels.len() as u32,
         };
         self.removed.send_with_tail(&message, voxels.as_bytes())

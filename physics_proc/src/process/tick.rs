@@ -113,7 +113,7 @@ impl<'v> Runner<'v> {
             let missing = self.ports.consumers.missing().map(|consumer| consumer.part.to_owned());
             if missing.is_none() && !shown {
                 // Only now, so that no consumer misses the first messages.
-                self.ports.publish_removed(0, &predrilled, predrilled.len() as u64, false)?;
+                self.ports.publish_predrilled(&predrilled)?;
                 self.publish_state()?;
                 shown = true;
             }
@@ -283,11 +283,10 @@ impl<'v> Runner<'v> {
 
     fn publish_tick(&mut self, reset: bool) -> Result<(), PortError> {
         let removed_total = self.simulation.state().removed_total;
-        if reset {
-            let predrilled = self.simulation.predrilled().to_vec();
-            self.ports.publish_removed(self.tick, &predrilled, predrilled.len() as u64, true)?;
+        let removed = self.simulation.removed();
+        if reset || !removed.is_empty() {
+            self.ports.publish_removed(self.tick, removed, removed_total, reset)?;
         }
-        self.ports.publish_removed(self.tick, self.simulation.removed(), removed_total, false)?;
         self.publish_state()
     }
 

@@ -23,7 +23,8 @@ use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot};
 use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry};
-use crate::manipulator::{BaseMotion, ContactPlane, Manipulator, ManipulatorError, ManipulatorState, StepInput, Wrench};
+use crate::contact_plane::ContactPlane;
+use crate::manipulator::{BaseMotion, Manipulator, ManipulatorError, ManipulatorState, StepInput, Wrench};
 use tendon_drive::{TendonDrive, TendonDriveState};
 
 pub use apply::Refusal;
@@ -157,12 +158,7 @@ impl<'v> Simulation<'v> {
             let margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
             bone.field.contact_planes(index, &sphere.centre_m, sphere.radius_m, margin_m, &mut bone.contacts);
         }
-        self.planes.extend(bone.contacts.planes().iter().map(|plane| ContactPlane {
-            sphere_index: plane.sphere_index,
-            point_m: plane.point_m,
-            normal: plane.normal,
-            gap_m: plane.gap_m,
-        }));
+        self.planes.extend_from_slice(bone.contacts.planes());
     }
 
     fn grind(&mut self, normal_force_n: f64) -> Result<usize, SimulationError> {

@@ -1,5 +1,11 @@
 //! A small deterministic simulation and the messages of a run made with it.
-#![allow(clippy::unwrap_used, missing_docs, dead_code, reason = "each test file uses a part of this")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    missing_docs,
+    dead_code,
+    reason = "each test file uses a part of this"
+)]
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -48,6 +54,9 @@ pub fn latched(tick: u64) -> Latched {
     message
 }
 
+/// Voxels that are gone from the start, as many as two messages.
+pub const PREDRILLED: [u32; 4] = [4_000_000_000, 2, 9, 1];
+
 /// A simulation with nothing in it but feedback from commands to state, so that one wrong bit changes everything after.
 pub struct Toy {
     pub state: State,
@@ -56,6 +65,8 @@ pub struct Toy {
     pub fault_tick: Option<u64>,
     /// Tick that forgets to remove a voxel.
     pub forget_tick: Option<u64>,
+    /// Tick that it cannot make.
+    pub fail_tick: Option<u64>,
 }
 
 impl Toy {
@@ -63,8 +74,9 @@ impl Toy {
         let mut state = State::zeroed();
         state.joint_count = 27;
         state.hash = [11, 22];
+        state.removed_total = PREDRILLED.len() as u64;
         state.t_world_tip = Pose::IDENTITY;
-        Toy { state, removed: Vec::new(), fault_tick: None, forget_tick: None }
+        Toy { state, removed: Vec::new(), fault_tick: None, forget_tick: None, fail_tick: None }
     }
 }
 
@@ -72,10 +84,14 @@ impl Simulation for Toy {
     fn state(&self) -> &State {
         &self.state
     }
-    fn step(&mut self, latched: &Latched) {
+    fn step(&mut self, latched: &Latched) -> Result<(), String> {
+        if self.fail_tick == Some(latched.tick + 1) {
+            return Err("the toy is broken".to_string());
+        }
         if latched.reset != 0 {
-            let (fault_tick, forget_tick) = (self.fault_tick, self.forget_tick);
-            *self = Toy { fault_tick, forget_tick, ..Toy::new() };
+            let (tick, hash) = (self.state.tick, self.state.hash);
+            self.state = Toy::new().state;
+            (self.state.tick, self.state.hash) = (tick, hash);
         }
         let s = &mut self.state;
         s.tick += 1;
@@ -102,6 +118,7 @@ impl Simulation for Toy {
             h = (h ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
         }
         self.state.hash = [h, h.rotate_left(17)];
+        Ok(())
     }
     fn removed(&self) -> &[u32] {
         &self.removed
@@ -143,20 +160,28 @@ pub enum Step {
 /// The messages of a run in the order of the physics: a frame every 40 ticks, a reset if asked for.
 pub fn run_messages(ticks: u64, reset_at: Option<u64>) -> Vec<Step> {
     let mut toy = Toy::new();
-    let mut steps = vec![Step::State(Box::new(toy.state))];
-    let (mut sequence, mut frames, mut tick) = (0, 0, 0);
+    let (mut steps, mut sequence, mut frames) = (Vec::new(), 0, 0);
+    let mut removal = |steps: &mut Vec<Step>, tick: u64, total: u64, voxels: &[u32], restore: bool| {
+        sequence += 1;
+        let mut bytes = removed_bytes(tick, sequence, total, voxels);
+        bytes[24] = u8::from(restore);
+        steps.push(Step::Removed(bytes));
+    };
+    removal(&mut steps, 0, 3, &PREDRILLED[..3], false);
+    removal(&mut steps, 0, 4, &PREDRILLED[3..], false);
+    steps.push(Step::State(Box::new(toy.state)));
     for k in 0..ticks {
-        let mut u = latched(tick);
-        if reset_at == Some(k) {
-            u = latched(0);
-            u.reset = 1;
-        }
-        toy.step(&u);
-        tick = toy.state.tick;
+        let tick = k + 1;
+        let mut u = latched(k);
+        u.reset = u32::from(reset_at == Some(k));
+        toy.step(&u).unwrap();
         steps.push(Step::Latched(Box::new(u)));
+        if u.reset == 1 {
+            removal(&mut steps, tick, 3, &PREDRILLED[..3], true);
+            removal(&mut steps, tick, 4, &PREDRILLED[3..], false);
+        }
         if !toy.removed.is_empty() {
-            sequence += 1;
-            steps.push(Step::Removed(removed_bytes(tick, sequence, toy.state.removed_total, &toy.removed)));
+            removal(&mut steps, tick, toy.state.removed_total, &toy.removed, false);
         }
         steps.push(Step::State(Box::new(toy.state)));
         if k % 40 == 20 {

@@ -61,18 +61,18 @@ impl Anatomy {
     }
 
     /// Point given relative to the neck-shaft crossing.
-    fn from_crossing(&self, offset: [f64; 3]) -> [f64; 3] {
+    fn relative_to_crossing(&self, offset: [f64; 3]) -> [f64; 3] {
         add_scaled(self.crossing, 1.0, offset)
     }
 
     /// Tip of the greater trochanter's core (its surface lies 8 mm further up).
     pub fn greater_trochanter(&self) -> [f64; 3] {
-        self.from_crossing([-7.0, 11.0, 24.5])
+        self.relative_to_crossing([-7.0, 11.0, 24.5])
     }
 
     /// Centre of the lesser trochanter's rounded end.
     pub fn lesser_trochanter(&self) -> [f64; 3] {
-        self.from_crossing([12.5, 14.5, -29.0])
+        self.relative_to_crossing([12.5, 14.5, -29.0])
     }
 
     /// Distance to the outer surface of the bone, mm; negative inside, first-order accurate near the surface.
@@ -95,12 +95,12 @@ impl Anatomy {
         let greater = ellipsoid(sub(q, [-11.5, 4.0, 9.0]), [12.5, 15.5, 19.0]);
         let greater = smooth_union(
             greater,
-            tapered_capsule(p, self.from_crossing([-11.0, 7.0, 8.0]), tip, 11.0, 8.0),
+            tapered_capsule(p, self.relative_to_crossing([-11.0, 7.0, 8.0]), tip, 11.0, 8.0),
             6.0,
         );
         let lesser_end = self.lesser_trochanter();
-        let lesser = tapered_capsule(p, self.from_crossing([3.0, 4.0, -22.0]), lesser_end, 11.0, 6.0);
-        let crest = tapered_capsule(p, self.from_crossing([-8.0, 13.0, 14.0]), lesser_end, 6.0, 4.5);
+        let lesser = tapered_capsule(p, self.relative_to_crossing([3.0, 4.0, -22.0]), lesser_end, 11.0, 6.0);
+        let crest = tapered_capsule(p, self.relative_to_crossing([-8.0, 13.0, 14.0]), lesser_end, 6.0, 4.5);
         let processes = smooth_union(smooth_union(greater, crest, 8.0), lesser, 8.0);
         let bone = smooth_union(trunk, processes, 8.0);
 

@@ -235,7 +235,7 @@ mod tests {
                 let j = index / volume.dims[0] % volume.dims[1];
                 let k = index / (volume.dims[0] * volume.dims[1]);
                 let p = volume.voxel_to_world_m([i as f64, j as f64, k as f64]);
-                assert_eq!(libm::round(field.hu(Tissue::Any, p)) as i16, hu, "voxel {i} {j} {k}");
+                assert_eq!(super::super::fill::to_hu(field.hu(Tissue::Any, p)), hu, "voxel {i} {j} {k}");
             }
         }
     }

@@ -84,10 +84,16 @@ fn fill_slab<F: Field>(grid: Grid, field: &F, slab: usize, voxels: &mut [i16]) {
                     let y = at(1, j as f64);
                     for i in i0..(i0 + BLOCK).min(ni) {
                         let value = field.hu(region, [at(0, i as f64), y, z]);
-                        voxels[i + ni * (j + nj * k)] = libm::round(value.clamp(-32768.0, 32767.0)) as i16;
+                        voxels[i + ni * (j + nj * k)] = to_hu(value);
                     }
                 }
             }
         }
     }
+}
+
+/// The nearest whole number, halves upward, clamped to `i16`.
+pub fn to_hu(value: f64) -> i16 {
+    // Shifted to positive numbers, where the cast is a floor.
+    ((value.clamp(-32768.0, 32767.0) + 32768.5) as i64 - 32768) as i16
 }

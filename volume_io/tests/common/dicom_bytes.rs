@@ -122,3 +122,10 @@ fn element(out: &mut Vec<u8>, at: (u16, u16), vr: &[u8; 2], value: &[u8]) {
     }
     out.extend(value);
 }
+
+/// A lossless JPEG (process 14, first-order prediction) of 5 × 4 pixels of 11 bits, all at the initial prediction 2^10 = 1024: one Huffman
+/// code, one bit a pixel (ITU-T T.81 annex H).
+pub const LOSSLESS_JPEG: [u8; 54] = [
+    0xff, 0xd8, 0xff, 0xc3, 0, 11, 11, 0, 4, 0, 5, 1, 1, 0x11, 0, 0xff, 0xc4, 0, 20, 0, 1, 0, 0, 0, 0, 0, 0,
+    0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xda, 0, 8, 1, 1, 0, 1, 0, 0, 0, 0, 0x0f, 0xff, 0xd9, 0, 0,
+];

@@ -1,0 +1,28 @@
+//! The DRR process as a program of its own.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Parser;
+use ipc_types::process::{EXIT_FAILED, end_with_parent};
+
+/// Renders the X-ray frames of a running session.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Arguments {
+    /// Folder of the session; `trabecula run` prints it.
+    #[arg(long, env = "TRABECULA_SESSION")]
+    session: PathBuf,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    end_with_parent();
+    match drr_proc::process::run(&arguments.session) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("drr_proc: {error}");
+            ExitCode::from(EXIT_FAILED)
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! The DRR process: takes every state and every removed voxel, renders the frames that are due, publishes them.
+//!
+//! One thread talks to the other processes, another renders (with as many worker threads as the scene says), so that
+//! no message is lost however long a frame takes. In lockstep every scheduled tick is rendered, and the physics waits
+//! when the renderer falls behind; in real time a frame that is due while another is rendered shows the newest state
+//! once the renderer is free. Which tick a frame shows is published (`DrrReply`) before it is rendered.
+
+mod ports;
+mod schedule;
+mod service;
+mod tool_model;
+mod worker;
+
+use std::path::Path;
+
+use ipc_types::messages::{CArmGeometry, Volume};
+use ipc_types::ports::PortError;
+use ipc_types::process::{EndRequest, session_scene};
+use ipc_types::scene::{Display, Drr, Projector as SceneProjector, Scene, SceneError};
+use ipc_types::session::{Session, SessionError};
+use thiserror::Error;
+use zerocopy::FromBytes;
+
+use crate::{
+    CArm, DetectorFormat, DetectorParameters, DisplayMode, DisplayParameters, DrrError, DrrParameters, DrrRenderer, Grid,
+    PositionerAngles, Projector, VolumeView,
+};
+
+pub use tool_model::tool_of;
+pub use worker::{Job, Rendered, render_job};
+
+/// Why the DRR process ends early.
+#[derive(Debug, Error)]
+pub enum DrrProcessError {
+    /// The session cannot be joined.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The session's scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A message cannot be sent or taken.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// The renderer refuses the volume or the C-arm.
+    #[error(transparent)]
+    Renderer(#[from] DrrError),
+    /// The scene has no X-ray.
+    #[error("the scene has no `[drr]`: there is nothing to render")]
+    NoDrr,
+    /// The volume did not come.
+    #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
+    NoVolume {
+        /// Seconds waited.
+        limit_s: u64,
+    },
+    /// The volume's bytes do not lie as they should.
+    #[error("the volume message is not one: {problem}")]
+    BadVolume {
+        /// What is wrong.
+        problem: String,
+    },
+    /// Removed voxels were lost, so that frames would show bone that is gone.
+    #[error("tick {tick}: {expected} voxels have been removed, but only {received} arrived here")]
+    RemovedLost {
+        /// Tick.
+        tick: u64,
+        /// Voxels that the physics removed.
+        expected: u64,
+        /// Voxels that came.
+        received: u64,
+    },
+    /// The rendering thread ended.
+    #[error("the rendering thread ended early")]
+    WorkerGone,
+    /// Signals cannot be handled.
+    #[error("signals cannot be handled: {0}")]
+    Signals(std::io::Error),
+}
+
+/// Runs the DRR process of a session to its end.
+///
+/// # Errors
+/// Any [`DrrProcessError`].
+pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
+    let end = EndRequest::install().map_err(DrrProcessError::Signals)?;
+    let scene = session_scene(session_folder)?;
+    let drr = scene.drr.clone().ok_or(DrrProcessError::NoDrr)?;
+    // Frames may wait, ticks may not. Where the kernel refuses, all parts have the same weight.
+    let _ = rustix::process::nice(5);
+    let session = Session::join(session_folder)?;
+    let ports = ports::Ports::open(&session)?;
+    let volume = ports.receive_volume(&end)?;
+    let view = volume_view(volume.message(), volume.tail())?;
+    let renderer = DrrRenderer::new(&view, renderer_parameters(&drr))?;
+    let c_arm = scene_c_arm(&drr)?;
+    service::serve(&scene, ports, &view, renderer, &c_arm, &end)
+}
+
+/// The volume of a message, in place.
+///
+/// # Errors
+/// [`DrrProcessError::BadVolume`], or a grid that is not one.
+pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'v>, DrrProcessError> {
+    let d = &volume.direction;
+    let direction = [[d[0], d[1], d[2]], [d[3], d[4], d[5]], [d[6], d[7], d[8]]];
+    let dims = volume.dimensions.map(|n| n as usize);
+    let grid = Grid::new(dims, volume.spacing_m, volume.origin_m, direction)?;
+    let hu = <[i16]>::ref_from_bytes(voxels)
+        .map_err(|cause| DrrProcessError::BadVolume { problem: format!("voxels do not lie aligned: {cause}") })?;
+    Ok(VolumeView::new(grid, hu)?)
+}
+
+/// The renderer's parameters of a scene.
+pub fn renderer_parameters(drr: &Drr) -> DrrParameters {
+    DrrParameters {
+        projector: match drr.projector {
+            SceneProjector::Joseph => Projector::Joseph,
+            SceneProjector::Siddon => Projector::Siddon,
+        },
+        energy_kev: drr.energy_kev,
+        threads: drr.threads,
+        detector: DetectorParameters {
+            photons_per_pixel: if drr.photons_per_pixel > 0.0 { drr.photons_per_pixel } else { 1.0e5 },
+            quantum_noise: drr.photons_per_pixel > 0.0,
+            blur_sigma_px: drr.blur_pixels,
+        },
+        display: DisplayParameters {
+            mode: match drr.display {
+                Display::BoneDark => DisplayMode::BoneDark,
+                Display::BoneBright => DisplayMode::BoneBright,
+            },
+            ..DisplayParameters::default()
+        },
+        ..DrrParameters::default()
+    }
+}
+
+/// The C-arm of a scene.
+///
+/// # Errors
+/// A value out of range, by name.
+pub fn scene_c_arm(drr: &Drr) -> Result<CArm, DrrError> {
+    let format =
+        DetectorFormat { columns: drr.columns, rows: drr.rows, pixel_pitch_m: [drr.pixel_pitch_mm * 1e-3; 2] };
+    let angles = PositionerAngles::from_degrees(drr.primary_angle_deg, drr.secondary_angle_deg);
+    let isocentre_m = drr.isocentre_mm.map(|x| x * 1e-3);
+    CArm::from_positioner_angles(isocentre_m, angles, drr.source_isocentre_mm * 1e-3, drr.source_detector_mm * 1e-3, format)
+}
+
+/// A C-arm as a message.
+pub fn c_arm_message(c_arm: &CArm) -> CArmGeometry {
+    CArmGeometry {
+        source_m: c_arm.source_m,
+        detector_centre_m: c_arm.detector_centre_m,
+        row_axis: c_arm.row_axis,
+        column_axis: c_arm.column_axis,
+        pixel_pitch_m: c_arm.pixel_pitch_m,
+        columns: c_arm.columns,
+        rows: c_arm.rows,
+    }
+}
+
+/// A message's C-arm, checked.
+///
+/// # Errors
+/// A value out of range, by name.
+pub fn c_arm_of(message: &CArmGeometry) -> Result<CArm, DrrError> {
+    let c_arm = CArm {
+        source_m: message.source_m,
+        detector_centre_m: message.detector_centre_m,
+        row_axis: message.row_axis,
+        column_axis: message.column_axis,
+        pixel_pitch_m: message.pixel_pitch_m,
+        columns: message.columns,
+        rows: message.rows,
+    };
+    c_arm.validate()?;
+    Ok(c_arm)
+}
+
+/// Radius of the scene's burr.
+pub fn burr_radius_m(scene: &Scene) -> f64 {
+    // The standard burr has 6.5 mm.
+    scene.manipulator.burr_diameter_mm.unwrap_or(6.5) * 0.5e-3
+}

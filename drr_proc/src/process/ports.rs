@@ -1,0 +1,69 @@
+//! Every port of the DRR process.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{
+    DrrReply, DrrRequest, Frame, FrameTiming, Progress, Removed, RunStatus, SENDER_DRR, State, Volume,
+};
+use ipc_types::ports::{Publisher, Received, Subscriber};
+use ipc_types::process::{EndRequest, EventSender};
+use ipc_types::services;
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::{Waiter, Waker};
+
+use super::DrrProcessError;
+
+const VOLUME_LIMIT_S: u64 = 60;
+
+pub(super) struct Ports {
+    volume: Subscriber<Volume>,
+    pub(super) states: Subscriber<State>,
+    pub(super) removed: Subscriber<Removed>,
+    pub(super) requests: Subscriber<DrrRequest>,
+    pub(super) status: Subscriber<RunStatus>,
+    pub(super) replies: Publisher<DrrReply>,
+    pub(super) frames: Publisher<Frame>,
+    pub(super) timing: Publisher<FrameTiming>,
+    pub(super) progress: Publisher<Progress>,
+    pub(super) events: EventSender,
+    pub(super) waiter: Waiter,
+    pub(super) physics: Waker,
+}
+
+impl Ports {
+    pub(super) fn open(session: &Session) -> Result<Ports, SessionError> {
+        Ok(Ports {
+            volume: session.subscriber(&services::VOLUME)?,
+            states: session.subscriber(&services::STATE)?,
+            removed: session.subscriber(&services::REMOVED)?,
+            requests: session.subscriber(&services::DRR_REQUEST)?,
+            status: session.subscriber(&services::RUN_STATUS)?,
+            replies: session.publisher(&services::DRR_REPLY)?,
+            frames: session.publisher(&services::FRAME)?,
+            timing: session.publisher(&services::FRAME_TIMING)?,
+            progress: session.publisher(&services::PROGRESS)?,
+            events: EventSender::new(session, SENDER_DRR)?,
+            waiter: session.waiter(Reader::Drr)?,
+            physics: session.waker(Reader::Physics)?,
+        })
+    }
+
+    /// The volume in shared memory; it stays there as long as the return value lives.
+    pub(super) fn receive_volume(&self, end: &EndRequest) -> Result<Received<Volume>, DrrProcessError> {
+        let limit = Instant::now() + Duration::from_secs(VOLUME_LIMIT_S);
+        while Instant::now() < limit && !end.is_set() {
+            if let Some(volume) = self.volume.receive()? {
+                return Ok(volume);
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        Err(DrrProcessError::NoVolume { limit_s: VOLUME_LIMIT_S })
+    }
+
+    /// Tells the physics how far this process has come.
+    pub(super) fn report_progress(&self, tick: u64) -> Result<(), DrrProcessError> {
+        self.progress.send(&Progress { tick, lost_messages: 0, consumer: SENDER_DRR, reserved: 0 })?;
+        self.physics.wake();
+        Ok(())
+    }
+}

@@ -1,0 +1,301 @@
+//! The loop of the DRR process: messages in, jobs to the renderer, frames out.
+
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{
+    DRR_ACCEPTED, DRR_BUSY, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming, GEOMETRY_REQUEST,
+    PHASE_ENDED, SEVERITY_WARNING, State,
+};
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Mode, Scene};
+use zerocopy::FromBytes;
+
+use super::ports::Ports;
+use super::schedule::{Due, Schedule};
+use super::worker::{Job, Rendered, render_job};
+use super::{DrrProcessError, burr_radius_m, c_arm_message, c_arm_of};
+use crate::{CArm, DrrError, DrrRenderer, VolumeView};
+
+/// Jobs that may wait for the renderer.
+const QUEUE: usize = 2;
+const LOOK_TIME: Duration = Duration::from_millis(2);
+/// States after which progress is reported in between.
+const PROGRESS_TICKS: u64 = 32;
+
+type Outcome = Result<Rendered, DrrError>;
+
+/// Serves frames until the run ends.
+pub(super) fn serve(
+    scene: &Scene,
+    ports: Ports,
+    view: &VolumeView<'_>,
+    mut renderer: DrrRenderer,
+    c_arm: &CArm,
+    end: &EndRequest,
+) -> Result<(), DrrProcessError> {
+    let (jobs, job_queue) = sync_channel::<Job>(QUEUE);
+    let (outcomes, outcome_queue) = sync_channel::<Outcome>(QUEUE + 2);
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            for job in job_queue {
+                // The other side has ended: so does this one.
+                if outcomes.send(render_job(&mut renderer, view, &job)).is_err() {
+                    break;
+                }
+            }
+        });
+        Service::new(scene, ports, *c_arm, jobs, outcome_queue).run(end)
+    })
+}
+
+struct Service {
+    ports: Ports,
+    schedule: Schedule,
+    lockstep: bool,
+    c_arm: CArm,
+    noise_seed: u64,
+    burr_radius_m: f64,
+    jobs: SyncSender<Job>,
+    outcomes: Receiver<Outcome>,
+    in_flight: usize,
+    sequence: u64,
+    removals: Removals,
+    newest: Option<Box<State>>,
+    shown_tick: Option<u64>,
+    reported_tick: u64,
+}
+
+impl Service {
+    fn new(scene: &Scene, ports: Ports, c_arm: CArm, jobs: SyncSender<Job>, outcomes: Receiver<Outcome>) -> Service {
+        Service {
+            ports,
+            schedule: Schedule::new(scene.run.mode, scene.frame_period_ticks()),
+            lockstep: scene.run.mode == Mode::Lockstep,
+            c_arm,
+            noise_seed: scene.run.seed,
+            burr_radius_m: burr_radius_m(scene),
+            jobs,
+            outcomes,
+            in_flight: 0,
+            sequence: 0,
+            removals: Removals::default(),
+            newest: None,
+            shown_tick: None,
+            reported_tick: 0,
+        }
+    }
+
+    fn run(mut self, end: &EndRequest) -> Result<(), DrrProcessError> {
+        self.ports.report_progress(0)?;
+        let mut last_tick = None;
+        while !end.is_set() {
+            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
+            self.take_requests()?;
+            self.take_states()?;
+            self.publish_finished()?;
+            if let Some(status) = self.ports.status.receive_newest()?
+                && status.message().phase == PHASE_ENDED
+            {
+                last_tick = Some(status.message().tick);
+            }
+            if let (Some(last), Some(newest)) = (last_tick, &self.newest)
+                && newest.tick >= last
+            {
+                return self.finish();
+            }
+        }
+        Ok(())
+    }
+
+    /// The last state is always shown.
+    fn finish(mut self) -> Result<(), DrrProcessError> {
+        if let Some(state) = self.newest.take()
+            && self.shown_tick != Some(state.tick)
+        {
+            self.start(&state, Due::Scheduled)?;
+        }
+        while self.in_flight > 0 {
+            self.publish_finished()?;
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok(())
+    }
+
+    fn take_states(&mut self) -> Result<(), DrrProcessError> {
+        while let Some(received) = self.ports.states.receive()? {
+            let state = Box::new(*received.message());
+            drop(received);
+            self.take_removals(&state)?;
+            while let Some(due) = self.schedule.due(state.tick, self.in_flight == 0) {
+                self.start(&state, due)?;
+            }
+            if state.tick >= self.reported_tick + PROGRESS_TICKS {
+                self.reported_tick = state.tick;
+                self.ports.report_progress(state.tick)?;
+            }
+            self.newest = Some(state);
+            self.publish_finished()?;
+        }
+        let newest = self.newest.as_ref().map_or(0, |state| state.tick);
+        if newest > self.reported_tick {
+            self.reported_tick = newest;
+            self.ports.report_progress(newest)?;
+        }
+        Ok(())
+    }
+
+    /// Every removal up to this state has been published before it.
+    fn take_removals(&mut self, state: &State) -> Result<(), DrrProcessError> {
+        while let Some(removed) = self.ports.removed.receive()? {
+            let voxels = removed.tail().chunks_exact(4).filter_map(|bytes| u32::read_from_bytes(bytes).ok()).collect();
+            let message = removed.message();
+            self.removals.waiting.push_back(Batch {
+                tick: message.tick,
+                total: message.removed_total,
+                restore_first: message.restore_first != 0,
+                voxels,
+            });
+        }
+        self.removals.advance(state)
+    }
+
+    fn take_requests(&mut self) -> Result<(), DrrProcessError> {
+        while let Some(request) = self.ports.requests.receive()? {
+            let request = *request.message();
+            let refusal = match self.geometry_of(&request) {
+                Err(cause) => Some((DRR_REFUSED, cause.to_string())),
+                Ok(_) if !self.schedule.request(request) => Some((DRR_BUSY, "too many requests wait".to_owned())),
+                Ok(_) => None,
+            };
+            if let Some((status, reason)) = refusal {
+                self.reply(&request, 0, request.tick, status, &self.c_arm)?;
+                let tick = self.newest.as_ref().map_or(0, |state| state.tick);
+                let text = format!("request {} for a frame: {reason}; refused", request.request_id);
+                self.ports.events.send(tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn geometry_of(&self, request: &DrrRequest) -> Result<CArm, DrrError> {
+        if request.use_geometry != GEOMETRY_REQUEST {
+            return Ok(self.c_arm);
+        }
+        let c_arm = c_arm_of(&request.geometry)?;
+        // The shared memory of a frame has the size of the scene's detector.
+        if (c_arm.columns, c_arm.rows) == (self.c_arm.columns, self.c_arm.rows) {
+            return Ok(c_arm);
+        }
+        let value = f64::from(c_arm.columns) * f64::from(c_arm.rows);
+        Err(DrrError::OutOfRange { field: "columns x rows", given: value, expected: "those of the scene's detector" })
+    }
+
+    fn reply(&self, request: &DrrRequest, sequence: u64, tick: u64, status: u32, c_arm: &CArm) -> Result<(), DrrProcessError> {
+        let geometry = c_arm_message(c_arm);
+        let DrrRequest { request_id, requester, .. } = *request;
+        Ok(self.ports.replies.send(&DrrReply { request_id, frame_sequence: sequence, tick, status, requester, geometry })?)
+    }
+
+    /// Announces a frame of this state and hands it to the renderer.
+    fn start(&mut self, state: &State, due: Due) -> Result<(), DrrProcessError> {
+        let (request, c_arm) = match due {
+            Due::Scheduled => (DrrRequest::zeroed(), self.c_arm),
+            Due::Requested(request) => (request, self.geometry_of(&request)?),
+        };
+        self.sequence += 1;
+        self.shown_tick = Some(state.tick);
+        self.reply(&request, self.sequence, state.tick, DRR_ACCEPTED, &c_arm)?;
+        let (restore_first, removed) = self.removals.take();
+        let mut job = Job {
+            state: Box::new(*state),
+            restore_first,
+            removed,
+            sequence: self.sequence,
+            request_id: request.request_id,
+            c_arm,
+            noise_seed: self.noise_seed,
+            burr_radius_m: self.burr_radius_m,
+        };
+        self.in_flight += 1;
+        loop {
+            match self.jobs.try_send(job) {
+                Ok(()) => return Ok(()),
+                Err(TrySendError::Disconnected(_)) => return Err(DrrProcessError::WorkerGone),
+                Err(TrySendError::Full(back)) => {
+                    debug_assert!(self.lockstep, "in real time only a free renderer is given a job");
+                    job = back;
+                    self.publish_finished()?;
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
+        }
+    }
+
+    fn publish_finished(&mut self) -> Result<(), DrrProcessError> {
+        loop {
+            let rendered = match self.outcomes.try_recv() {
+                Ok(outcome) => outcome?,
+                Err(TryRecvError::Empty) => return Ok(()),
+                Err(TryRecvError::Disconnected) if self.in_flight == 0 => return Ok(()),
+                Err(TryRecvError::Disconnected) => return Err(DrrProcessError::WorkerGone),
+            };
+            self.in_flight -= 1;
+            self.ports.frames.send_parts(&rendered.parts())?;
+            let newest = self.newest.as_ref().map_or(0, |state| state.tick);
+            self.ports.timing.send(&FrameTiming {
+                frame_sequence: rendered.frame.sequence,
+                tick: rendered.frame.tick,
+                render_ns: rendered.render_ns,
+                rays: rendered.report.rays_traced as u64,
+                age_ticks: newest.saturating_sub(rendered.frame.tick),
+                full: u32::from(rendered.is_full()),
+                reserved: 0,
+            })?;
+        }
+    }
+}
+
+struct Batch {
+    tick: u64,
+    total: u64,
+    restore_first: bool,
+    voxels: Vec<u32>,
+}
+
+/// Removed voxels between their arrival and the frame that shows them gone.
+#[derive(Default)]
+struct Removals {
+    waiting: VecDeque<Batch>,
+    predrilled: Vec<u32>,
+    restore_first: bool,
+    fresh: Vec<u32>,
+    total: u64,
+}
+
+impl Removals {
+    /// Takes in what belongs to this state and checks that nothing is missing.
+    fn advance(&mut self, state: &State) -> Result<(), DrrProcessError> {
+        while self.waiting.front().is_some_and(|batch| batch.tick <= state.tick) {
+            let Some(batch) = self.waiting.pop_front() else { break };
+            if batch.restore_first {
+                self.restore_first = true;
+                self.fresh.clone_from(&self.predrilled);
+            }
+            if batch.tick == 0 {
+                self.predrilled.extend_from_slice(&batch.voxels);
+            }
+            self.fresh.extend_from_slice(&batch.voxels);
+            self.total = batch.total;
+        }
+        if self.total == state.removed_total {
+            return Ok(());
+        }
+        Err(DrrProcessError::RemovedLost { tick: state.tick, expected: state.removed_total, received: self.total })
+    }
+
+    fn take(&mut self) -> (bool, Vec<u32>) {
+        (std::mem::take(&mut self.restore_first), std::mem::take(&mut self.fresh))
+    }
+}

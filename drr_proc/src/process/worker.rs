@@ -1,0 +1,88 @@
+//! One frame, from what the process has received to the bytes that it publishes.
+
+use std::time::Instant;
+
+use ipc_types::messages::{Frame, ImagePrefix, State};
+use xxhash_rust::xxh3::xxh3_128;
+use zerocopy::IntoBytes;
+
+use super::{c_arm_message, tool_of};
+use crate::{CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, RenderKind, VolumeView};
+
+/// What a frame is to show.
+#[derive(Debug, Clone)]
+pub struct Job {
+    /// State of the tick.
+    pub state: Box<State>,
+    /// Whether all removed voxels are put back before `removed` is removed.
+    pub restore_first: bool,
+    /// Voxels removed since the last job.
+    pub removed: Vec<u32>,
+    /// `Frame.sequence`.
+    pub sequence: u64,
+    /// `DrrRequest.request_id`, or 0.
+    pub request_id: u64,
+    /// C-arm.
+    pub c_arm: CArm,
+    /// The scene's seed.
+    pub noise_seed: u64,
+    /// Radius of the burr.
+    pub burr_radius_m: f64,
+}
+
+/// A finished frame.
+#[derive(Debug, Clone)]
+pub struct Rendered {
+    /// What it shows.
+    pub frame: Frame,
+    /// Head of the image.
+    pub prefix: ImagePrefix,
+    /// Pixels, rows from top to bottom.
+    pub pixels: Vec<u16>,
+    /// What it took.
+    pub report: FrameReport,
+    /// Wall time of rendering.
+    pub render_ns: u64,
+}
+
+impl Rendered {
+    /// Whether all of the anatomy was traced.
+    pub fn is_full(&self) -> bool {
+        self.report.kind == RenderKind::Full
+    }
+
+    /// The three parts of the message, in order.
+    pub fn parts(&self) -> [&[u8]; 3] {
+        [self.frame.as_bytes(), self.prefix.as_bytes(), self.pixels.as_bytes()]
+    }
+}
+
+/// Renders one frame. But for `render_ns`, the result depends on the jobs so far alone.
+///
+/// # Errors
+/// The renderer's.
+pub fn render_job(renderer: &mut DrrRenderer, view: &VolumeView<'_>, job: &Job) -> Result<Rendered, DrrError> {
+    let began = Instant::now();
+    if job.restore_first {
+        renderer.restore_all();
+    }
+    renderer.remove(view, &job.removed)?;
+    let tool = tool_of(&job.state, job.burr_radius_m);
+    let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
+    let mut pixels = vec![0_u16; job.c_arm.pixels()];
+    let report = renderer.render(view, &job.c_arm, &tool, seed, &mut pixels)?;
+    let hash = xxh3_128(pixels.as_bytes());
+    let frame = Frame {
+        sequence: job.sequence,
+        request_id: job.request_id,
+        tick: job.state.tick,
+        removed_total: job.state.removed_total,
+        sim_time_s: job.state.sim_time_s,
+        pixel_hash: [hash as u64, (hash >> 64) as u64],
+        noise_seed: job.noise_seed,
+        t_world_burr: job.state.t_world_burr,
+        geometry: c_arm_message(&job.c_arm),
+    };
+    let prefix = ImagePrefix::mono16(job.c_arm.columns, job.c_arm.rows, job.state.sim_time_s);
+    Ok(Rendered { frame, prefix, pixels, report, render_ns: began.elapsed().as_nanos() as u64 })
+}

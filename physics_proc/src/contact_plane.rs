@@ -1,0 +1,16 @@
+//! What bone, or any obstacle, tells the manipulator about a contact.
+
+use nalgebra::{Unit, Vector3};
+
+/// A plane that a proxy sphere must not cross, in the configuration before the step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactPlane {
+    /// Index of the proxy sphere, as in [`Manipulator::proxy_spheres`](crate::manipulator::Manipulator::proxy_spheres).
+    pub sphere_index: usize,
+    /// Point on the obstacle's surface, world, m. The step itself needs only `normal` and `gap_m`.
+    pub point_m: Vector3<f64>,
+    /// World, from the obstacle to the sphere.
+    pub normal: Unit<Vector3<f64>>,
+    /// Distance between the sphere and the plane, negative when they overlap, m.
+    pub gap_m: f64,
+}

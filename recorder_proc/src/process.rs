@@ -1,0 +1,297 @@
+//! The recorder process: takes every message of every service and writes the two logs.
+//!
+//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold half a second; the physics in lockstep
+//! waits for its `Progress`, in real time a gap is counted by the sequence numbers and written into the log's end.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use ipc_types::layout::Message;
+use ipc_types::messages::{
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Latched, Progress, Removed, RunControl, RunControlReply,
+    RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
+};
+use ipc_types::ports::{PortError, Publisher, Subscriber};
+use ipc_types::process::{EndRequest, session_scene};
+use ipc_types::scene::{Images, Mode, Scene, SceneError};
+use ipc_types::services;
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::{Waiter, Waker};
+use thiserror::Error;
+use zerocopy::IntoBytes;
+
+use crate::{BuildInfo, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, topics};
+
+/// Longest time between two looks at the queues: a small part of the half second that they hold.
+const LOOK_TIME: Duration = Duration::from_millis(2);
+const VOLUME_LIMIT: Duration = Duration::from_secs(60);
+/// States after which progress is reported in between.
+const PROGRESS_TICKS: u64 = 64;
+/// Name of the file in the run folder through which the launcher says why the run ended.
+pub const REASON_FILE: &str = ".end_reason";
+
+/// Why the recorder ends early.
+#[derive(Debug, Error)]
+pub enum RecorderError {
+    /// The session cannot be joined.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The session's scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A message cannot be taken.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// A log cannot be written.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// The scene's text cannot be read back.
+    #[error("{path}: {cause}")]
+    SceneText {
+        /// Scene in the session's folder.
+        path: PathBuf,
+        /// The system's reason.
+        cause: std::io::Error,
+    },
+    /// The volume did not come.
+    #[error("the volume did not arrive within {} s; is the launcher running?", VOLUME_LIMIT.as_secs())]
+    NoVolume,
+    /// Signals cannot be handled.
+    #[error("signals cannot be handled: {0}")]
+    Signals(std::io::Error),
+}
+
+/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then takes what
+/// still waits and finishes both logs.
+///
+/// # Errors
+/// Any [`RecorderError`].
+pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
+    let end = EndRequest::install().map_err(RecorderError::Signals)?;
+    let scene = session_scene(session_folder)?;
+    let session = Session::join(session_folder)?;
+    let header = header(&session, &scene)?;
+    let ports = Ports::open(&session, &scene)?;
+    let mut recorder = Recorder {
+        run: RunLog::create_file(&output.join("run.mcap"), &header)?,
+        timing: TimingLog::create_file(&output.join("timing.mcap"), &header)?,
+        images: scene.recording.images,
+        newest_tick: 0,
+        reported_tick: 0,
+        timed_ticks: 0,
+        lost: BTreeMap::new(),
+        ports,
+    };
+    recorder.report_progress(0)?;
+    while !end.is_set() {
+        recorder.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || recorder.ports.states.has_message());
+        recorder.take_all()?;
+    }
+    // Once more: a message that arrived between the last look and the request to end.
+    recorder.take_all()?;
+    recorder.finish(output)
+}
+
+/// What the logs say about the run.
+fn header(session: &Session, scene: &Scene) -> Result<LogHeader, RecorderError> {
+    let (volume_sha256, volume_dimensions) = match &scene.volume {
+        Some(_) => {
+            let (sha256, dimensions) = volume_identity(session)?;
+            (Some(sha256), dimensions)
+        }
+        None => (None, [0; 3]),
+    };
+    let path = session.folder().join("scene.toml");
+    let scene_toml = std::fs::read_to_string(&path).map_err(|cause| RecorderError::SceneText { path, cause })?;
+    Ok(LogHeader {
+        scene_toml,
+        scene_name: scene.name.clone(),
+        volume_sha256,
+        volume_dimensions,
+        dt_ns: scene.dt_ns(),
+        mode: if scene.run.mode == Mode::Lockstep { RunMode::Lockstep } else { RunMode::RealTime },
+        controllers: scene.controller_names(),
+        build: BuildInfo::current(),
+    })
+}
+
+fn volume_identity(session: &Session) -> Result<([u8; 32], [u32; 3]), RecorderError> {
+    let subscriber: Subscriber<Volume> = session.subscriber(&services::VOLUME)?;
+    let limit = Instant::now() + VOLUME_LIMIT;
+    while Instant::now() < limit {
+        if let Some(volume) = subscriber.receive()? {
+            return Ok((volume.message().sha256, volume.message().dimensions));
+        }
+        std::thread::sleep(LOOK_TIME);
+    }
+    Err(RecorderError::NoVolume)
+}
+
+struct Ports {
+    states: Subscriber<State>,
+    latched: Subscriber<Latched>,
+    removed: Subscriber<Removed>,
+    frames: Option<Subscriber<Frame>>,
+    replies: Subscriber<DrrReply>,
+    requests: Subscriber<DrrRequest>,
+    commands: Vec<(String, Subscriber<Command>)>,
+    controls: Subscriber<RunControl>,
+    control_replies: Subscriber<RunControlReply>,
+    status: Subscriber<RunStatus>,
+    events: Subscriber<Event>,
+    tick_timing: Subscriber<TickTiming>,
+    frame_timing: Subscriber<FrameTiming>,
+    progress: Publisher<Progress>,
+    waiter: Waiter,
+    physics: Waker,
+}
+
+impl Ports {
+    fn open(session: &Session, scene: &Scene) -> Result<Ports, SessionError> {
+        let command = |name: String| Ok((topics::command(&name), session.command_subscriber(&name)?));
+        Ok(Ports {
+            states: session.subscriber(&services::STATE)?,
+            latched: session.subscriber(&services::LATCHED)?,
+            removed: session.subscriber(&services::REMOVED)?,
+            frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
+            replies: session.subscriber(&services::DRR_REPLY)?,
+            requests: session.subscriber(&services::DRR_REQUEST)?,
+            commands: scene.controller_names().into_iter().map(command).collect::<Result<_, SessionError>>()?,
+            controls: session.subscriber(&services::RUN_CONTROL)?,
+            control_replies: session.subscriber(&services::RUN_CONTROL_REPLY)?,
+            status: session.subscriber(&services::RUN_STATUS)?,
+            events: session.subscriber(&services::EVENT)?,
+            tick_timing: session.subscriber(&services::TICK_TIMING)?,
+            frame_timing: session.subscriber(&services::FRAME_TIMING)?,
+            progress: session.publisher(&services::PROGRESS)?,
+            waiter: session.waiter(Reader::Recorder)?,
+            physics: session.waker(Reader::Physics)?,
+        })
+    }
+}
+
+type FileLog = BufWriter<File>;
+
+struct Recorder {
+    run: RunLog<FileLog>,
+    timing: TimingLog<FileLog>,
+    images: Images,
+    newest_tick: u64,
+    reported_tick: u64,
+    timed_ticks: u64,
+    lost: BTreeMap<String, u64>,
+    ports: Ports,
+}
+
+impl Recorder {
+    /// Takes everything that waits, the tick's messages first.
+    fn take_all(&mut self) -> Result<(), RecorderError> {
+        self.take_ticks()?;
+        self.take_frames()?;
+        self.take_timing()
+    }
+
+    fn take_ticks(&mut self) -> Result<(), RecorderError> {
+        while let Some(state) = self.ports.states.receive()? {
+            // Latched and Removed of a tick are published before its state.
+            self.take_inputs()?;
+            self.run.state(state.message())?;
+            self.newest_tick = state.message().tick;
+            if self.newest_tick >= self.reported_tick + PROGRESS_TICKS {
+                self.report_progress(self.newest_tick)?;
+            }
+        }
+        self.take_inputs()?;
+        if self.newest_tick > self.reported_tick {
+            self.report_progress(self.newest_tick)?;
+        }
+        Ok(())
+    }
+
+    fn take_inputs(&mut self) -> Result<(), RecorderError> {
+        while let Some(latched) = self.ports.latched.receive()? {
+            self.run.latched(latched.message())?;
+        }
+        while let Some(removed) = self.ports.removed.receive()? {
+            // The holes of tick 0 follow from the scene.
+            if removed.message().tick > 0 {
+                self.run.removed(removed.bytes())?;
+            }
+        }
+        Ok(())
+    }
+
+    fn take_frames(&mut self) -> Result<(), RecorderError> {
+        while let Some(reply) = self.ports.replies.receive()? {
+            self.run.drr_reply(reply.message())?;
+        }
+        let Some(frames) = &self.ports.frames else { return Ok(()) };
+        while let Some(frame) = frames.receive()? {
+            match self.images {
+                Images::Full => self.run.frame(frame.bytes())?,
+                Images::HashOnly => self.run.frame_without_image(frame.message())?,
+            }
+        }
+        Ok(())
+    }
+
+    fn take_timing(&mut self) -> Result<(), RecorderError> {
+        let (ports, timing, tick) = (&self.ports, &mut self.timing, self.newest_tick);
+        while let Some(message) = ports.tick_timing.receive()? {
+            let missed = message.message().tick.saturating_sub(self.timed_ticks);
+            self.timed_ticks = message.message().tick + 1;
+            if missed > 0 {
+                *self.lost.entry(topics::TICK_TIMING.to_owned()).or_default() += missed;
+            }
+            timing.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, message.message().tick, message.bytes())?;
+        }
+        for (topic, commands) in &ports.commands {
+            copy_all(commands, timing, topic, tick)?;
+        }
+        copy_all(&ports.frame_timing, timing, topics::FRAME_TIMING, tick)?;
+        copy_all(&ports.events, timing, topics::EVENT, tick)?;
+        copy_all(&ports.controls, timing, topics::RUN_CONTROL, tick)?;
+        copy_all(&ports.control_replies, timing, topics::RUN_CONTROL_REPLY, tick)?;
+        copy_all(&ports.status, timing, topics::RUN_STATUS, tick)?;
+        copy_all(&ports.requests, timing, topics::DRR_REQUEST, tick)
+    }
+
+    fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {
+        self.reported_tick = tick;
+        let lost_messages = self.run.lost().values().sum::<u64>() + self.lost.values().sum::<u64>();
+        self.ports.progress.send(&Progress { tick, lost_messages, consumer: SENDER_RECORDER, reserved: 0 })?;
+        self.ports.physics.wake();
+        Ok(())
+    }
+
+    fn finish(self, output: &Path) -> Result<(), RecorderError> {
+        let reason_path = output.join(REASON_FILE);
+        let reason = match std::fs::read_to_string(&reason_path) {
+            Ok(text) if text == "interrupted" => EndReason::Interrupted,
+            Ok(part) if !part.is_empty() => EndReason::PartDied(part),
+            _ => EndReason::Completed,
+        };
+        // Absent after a run that completed.
+        let _ = std::fs::remove_file(&reason_path);
+        self.run.finish(reason.clone(), &BTreeMap::new())?;
+        self.timing.finish(reason, &self.lost)?;
+        Ok(())
+    }
+}
+
+/// Copies all that waits on a service into the timing lane.
+fn copy_all<M: Message>(
+    subscriber: &Subscriber<M>,
+    timing: &mut TimingLog<FileLog>,
+    topic: &str,
+    tick: u64,
+) -> Result<(), RecorderError> {
+    while let Some(message) = subscriber.receive()? {
+        debug_assert_eq!(message.message().as_bytes().len(), M::DESCRIPTION.size);
+        timing.message(topic, M::DESCRIPTION, tick, message.bytes())?;
+    }
+    Ok(())
+}
