@@ -145,7 +145,7 @@ impl Session {
         let value = ours.as_str().try_into().map_err(transported(name, "describing"))?;
         let attributes = AttributeVerifier::new().require(&key, &value).map_err(transported(name, "describing"))?;
         let builder = || self.node.service_builder(&service_name).publish_subscribe::<[u8]>();
-        let opened = builder().payload_alignment(crate::session::PAYLOAD_ALIGNMENT).open_with_attributes(&attributes);
+        let opened = builder().open_with_attributes(&attributes);
         opened.map_err(|cause| match cause {
             PublishSubscribeOpenError::IncompatibleAttributes => layout("another layout".to_owned()),
             other => transported(name, "opening")(other),

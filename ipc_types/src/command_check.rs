@@ -18,7 +18,7 @@ pub const MAX_BURR_SPEED_RAD_PER_S: f64 = 6283.2;
 pub const MAX_POSITION_M: f64 = 10.0;
 /// Largest speed that may be asked for.
 pub const MAX_SPEED_M_PER_S: f64 = 1.0;
-const MAX_JOINT_RAD: f64 = 6.283_2;
+const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
 /// Quaternions are stored rounded; this is far above rounding and far below any wrong use.
 const QUATERNION_TOLERANCE: f64 = 1e-6;
 

@@ -12,7 +12,7 @@ use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 use iceoryx2::config::Config;
-use iceoryx2::prelude::{Alignment, FileName, LogLevel, Node, NodeBuilder, SemanticString, SignalHandlingMode, ipc, set_log_level};
+use iceoryx2::prelude::{FileName, LogLevel, Node, NodeBuilder, SemanticString, SignalHandlingMode, ipc, set_log_level};
 use iceoryx2::service::attribute::AttributeSpecifier;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use serde::{Deserialize, Serialize};
@@ -29,8 +29,6 @@ pub const SESSION_VARIABLE: &str = "TRABECULA_SESSION";
 /// iceoryx2 puts sockets below the root path, whose names must fit into 108 bytes.
 const MAX_ROOT_PATH: usize = 60;
 const MAX_NODES: usize = 64;
-// SAFETY: 64 is a power of two.
-pub(crate) const PAYLOAD_ALIGNMENT: Alignment = unsafe { Alignment::new_unchecked(64) };
 
 pub(crate) type ByteService = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
 pub(crate) type EventService = event::PortFactory<ipc::Service>;
@@ -370,7 +368,6 @@ fn create_byte_service(node: &Node<ipc::Service>, name: &str, service: &Service)
     let attributes = AttributeSpecifier::new().define(&key, &value).map_err(transported(name, "describing"))?;
     node.service_builder(&service_name)
         .publish_subscribe::<[u8]>()
-        .payload_alignment(PAYLOAD_ALIGNMENT)
         .enable_safe_overflow(true)
         .subscriber_max_buffer_size(service.queue_length)
         .subscriber_max_borrowed_samples(2)

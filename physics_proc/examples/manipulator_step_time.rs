@@ -9,8 +9,9 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Unit, Vector3};
+use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
-    BaseMotion, ContactPlane, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, StepInput,
+    BaseMotion, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, StepInput,
     TendonCommand, Wrench,
 };
 

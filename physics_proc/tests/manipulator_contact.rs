@@ -3,8 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
-    BaseMotion, ContactPlane, Integrator, Manipulator, ManipulatorParameters, SphereKind, StepInput,
+    BaseMotion, Integrator, Manipulator, ManipulatorParameters, SphereKind, StepInput,
     StepReport, TendonCommand, Wrench,
 };
 

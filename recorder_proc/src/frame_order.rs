@@ -30,7 +30,7 @@ pub(crate) struct FrameOrder {
     /// Tick of the last state written.
     tick: Option<u64>,
     replies: VecDeque<(u64, DrrReply)>,
-    frames: VecDeque<(u64, Frame, Vec<u8>)>,
+    frames: VecDeque<(u64, Frame, Option<Vec<u8>>)>,
     held_bytes: usize,
 }
 
@@ -52,12 +52,12 @@ impl FrameOrder {
         self.replies.push_back((due, *reply));
     }
 
-    /// Takes a frame. None overtakes an earlier one.
-    pub fn frame(&mut self, frame: &Frame, image: &[u8]) {
+    /// Takes a frame, with its image if that is logged. None overtakes an earlier one.
+    pub fn frame(&mut self, frame: &Frame, image: Option<&[u8]>) {
         let due = frame.tick.saturating_add(self.lag_ticks);
         let due = self.frames.back().map_or(due, |(earlier, _, _)| due.max(*earlier));
-        self.held_bytes += image.len();
-        self.frames.push_back((due, *frame, image.to_vec()));
+        self.held_bytes += image.map_or(0, <[u8]>::len);
+        self.frames.push_back((due, *frame, image.map(<[u8]>::to_vec)));
     }
 
     /// The next reply whose tick has come; with `last`, any.
@@ -68,11 +68,11 @@ impl FrameOrder {
     }
 
     /// The next frame whose tick has come; with `last` or too many held, any.
-    pub fn next_frame(&mut self, last: bool) -> Option<(Frame, Vec<u8>)> {
+    pub fn next_frame(&mut self, last: bool) -> Option<(Frame, Option<Vec<u8>>)> {
         let any = last || self.held_bytes > MAX_HELD_BYTES;
         let due = self.frames.front()?.0;
         let (_, frame, image) = self.is_due(due, any).then(|| self.frames.pop_front())??;
-        self.held_bytes -= image.len();
+        self.held_bytes -= image.as_ref().map_or(0, Vec::len);
         Some((frame, image))
     }
 

@@ -16,9 +16,9 @@ use crate::topics;
 pub struct FrameRecord {
     /// What it shows.
     pub frame: Frame,
-    /// Size and time of the image.
-    pub image: ImagePrefix,
-    /// `mono16` pixels, row by row, top left first, little-endian.
+    /// Size and time of the image; none if the log holds hashes only.
+    pub image: Option<ImagePrefix>,
+    /// `mono16` pixels, row by row, top left first, little-endian; empty without an image.
     pub pixels: Vec<u8>,
 }
 
@@ -51,36 +51,48 @@ impl FrameReader {
         self.stream.ending()
     }
 
+    /// The image follows its frame at once, or is not in the log.
     fn next_frame(&mut self) -> Result<Option<FrameRecord>, LogError> {
         let path: PathBuf = self.stream.path().into();
-        let gap = |topic, tick, found: String| LogError::Gap { path: path.clone(), topic, tick, found };
         while let Some(message) = self.stream.next_message()? {
+            let without_image = |frame| FrameRecord { frame, image: None, pixels: Vec::new() };
             match message.topic {
                 topics::DRR_FRAME => {
                     let Ok(frame) = Frame::read_from_bytes(message.body) else { continue };
-                    if let Some(previous) = &self.pending {
-                        let found = format!("frame {} follows frame {}", frame.sequence, previous.sequence);
-                        return Err(gap(topics::DRR_IMAGE, previous.tick, found));
-                    }
                     if frame.sequence != self.expected {
                         let found = format!("frame {}, expected {}", frame.sequence, self.expected);
-                        return Err(gap(topics::DRR_FRAME, frame.tick, found));
+                        return Err(LogError::Gap {
+                            path,
+                            topic: topics::DRR_FRAME,
+                            tick: frame.tick,
+                            found,
+                        });
                     }
                     self.expected += 1;
-                    self.pending = Some(frame);
+                    if let Some(previous) = self.pending.replace(frame) {
+                        return Ok(Some(without_image(previous)));
+                    }
                 }
                 topics::DRR_IMAGE => {
                     let Ok((image, pixels)) = ImagePrefix::read_from_prefix(message.body) else { continue };
                     let Some(frame) = self.pending.take() else {
                         let tick = message.log_time_ns / self.stream.header().dt_ns.max(1);
-                        return Err(gap(topics::DRR_FRAME, tick, "an image without its frame".to_string()));
+                        let found = "an image without its frame".to_string();
+                        return Err(LogError::Gap { path, topic: topics::DRR_FRAME, tick, found });
                     };
-                    return Ok(Some(FrameRecord { frame, image, pixels: pixels.to_vec() }));
+                    return Ok(Some(FrameRecord { frame, image: Some(image), pixels: pixels.to_vec() }));
                 }
-                _ => (),
+                _ => {
+                    if let Some(frame) = self.pending.take() {
+                        return Ok(Some(without_image(frame)));
+                    }
+                }
             }
         }
-        Ok(None)
+        // A frame at the very end of a cut file may have lost its image.
+        let whole = self.stream.ending().cut.is_none();
+        let frame = self.pending.take().filter(|_| whole);
+        Ok(frame.map(|frame| FrameRecord { frame, image: None, pixels: Vec::new() }))
     }
 }
 

@@ -26,6 +26,7 @@ pub mod frames;
 pub mod header;
 pub mod info;
 mod order;
+pub mod process;
 pub mod reader;
 mod records;
 pub mod run_log;

@@ -21,7 +21,6 @@ use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use thiserror::Error;
-use zerocopy::IntoBytes;
 
 use crate::{BuildInfo, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, topics};
 
@@ -88,6 +87,8 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     recorder.report_progress(0)?;
     while !end.is_set() {
         recorder.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || recorder.ports.states.has_message());
+        // A physics process that joins later must hear of this one.
+        recorder.ports.progress.deliver_history()?;
         recorder.take_all()?;
     }
     // Once more: a message that arrived between the last look and the request to end.
@@ -216,10 +217,7 @@ impl Recorder {
             self.run.latched(latched.message())?;
         }
         while let Some(removed) = self.ports.removed.receive()? {
-            // The holes of tick 0 follow from the scene.
-            if removed.message().tick > 0 {
-                self.run.removed(removed.bytes())?;
-            }
+            self.run.removed(removed.bytes())?;
         }
         Ok(())
     }
@@ -290,7 +288,6 @@ fn copy_all<M: Message>(
     tick: u64,
 ) -> Result<(), RecorderError> {
     while let Some(message) = subscriber.receive()? {
-        debug_assert_eq!(message.message().as_bytes().len(), M::DESCRIPTION.size);
         timing.message(topic, M::DESCRIPTION, tick, message.bytes())?;
     }
     Ok(())

@@ -137,7 +137,13 @@ impl<W: Write> RunLog<W> {
             let expected = smallest + prefix.data_length as usize;
             return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), expected));
         }
-        self.frames.frame(&frame, image);
+        self.frames.frame(&frame, Some(image));
+        self.write_frames(false)
+    }
+
+    /// Takes a frame whose image is not to be logged: its `pixel_hash` stands for it.
+    pub fn frame_without_image(&mut self, frame: &Frame) -> Result<(), LogError> {
+        self.frames.frame(frame, None);
         self.write_frames(false)
     }
 
@@ -227,6 +233,7 @@ impl<W: Write> RunLog<W> {
             self.count_lost(topics::DRR_FRAME, missed);
             self.expected.frame_sequence = frame.sequence.saturating_add(1);
             self.sink.message(self.channels.frame, frame.tick, &[frame.as_bytes()])?;
+            let Some(image) = image else { continue };
             // The image lies in a chunk of its own, so that whoever asks for states does not read pixels.
             self.sink.close_chunk()?;
             self.sink.message(self.channels.image, frame.tick, &[&image])?;

@@ -50,7 +50,7 @@ fn interleaved(steps: &[Step], choices: &[u8]) -> Vec<Step> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
     /// However the recorder drains its queues, the file is the same.
     #[test]
     fn the_turn_of_the_queues_does_not_matter(

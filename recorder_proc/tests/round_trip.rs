@@ -102,10 +102,36 @@ fn frames_come_back_with_their_pixels() {
         frames(&path, ReadOptions::default()).unwrap().map(Result::unwrap).collect();
     assert_eq!(records.len(), 5);
     for (i, record) in records.iter().enumerate() {
-        let payload = [record.frame.as_bytes(), record.image.as_bytes(), &record.pixels].concat();
+        let payload = [record.frame.as_bytes(), record.image.unwrap().as_bytes(), &record.pixels].concat();
         let n = i as u64 + 1;
         assert_eq!(payload, frame_bytes(n, 40 * n - 19, 32, 20));
     }
+}
+
+#[test]
+fn frames_may_be_logged_without_their_images() {
+    let mut log = RunLog::create(Vec::new(), &header()).unwrap();
+    for step in run_messages(900, None) {
+        match &step {
+            Step::Frame(bytes) => {
+                log.frame_without_image(&Frame::read_from_prefix(bytes).unwrap().0).unwrap()
+            }
+            _ => feed(&mut log, &[step]).unwrap(),
+        }
+    }
+    let (marker, bytes) = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    assert_eq!((marker.counts["/drr/frame"], marker.counts["/drr/image"]), (22, 0));
+    let folder = tempfile::tempdir().unwrap();
+    let path = save(folder.path(), "run.mcap", &bytes);
+    let records: Vec<FrameRecord> =
+        frames(&path, ReadOptions::default()).unwrap().map(Result::unwrap).collect();
+    let ticks: Vec<u64> = records.iter().map(|record| record.frame.tick).collect();
+    assert_eq!(ticks, (0..22).map(|n| 40 * n + 21).collect::<Vec<u64>>());
+    assert!(records.iter().all(|record| record.image.is_none() && record.pixels.is_empty()));
+    // A log with images and one with hashes only hold the same run.
+    let with_images = save(folder.path(), "images.mcap", &write_log(&run_messages(900, None)));
+    let report = diff(&path, &with_images, ReadOptions::default()).unwrap();
+    assert_eq!((report.same_run(), report.identical_frames), (true, 22));
 }
 
 #[test]

@@ -95,6 +95,8 @@ impl Service {
             self.take_requests()?;
             self.take_states()?;
             self.publish_finished()?;
+            // A physics process that joins later must hear of this one.
+            self.ports.progress.deliver_history()?;
             if let Some(status) = self.ports.status.receive_newest()?
                 && status.message().phase == PHASE_ENDED
             {

@@ -109,7 +109,7 @@ impl<'v> Simulation<'v> {
         &self.state
     }
 
-    /// Voxels that the last tick removed, by linear index; after a reset, the predrilled ones.
+    /// Voxels that the last tick drilled, by linear index.
     pub fn removed(&self) -> &[u32] {
         self.bone.as_ref().map_or(&[], |bone| bone.field.removed_this_tick())
     }

@@ -1,0 +1,137 @@
+//! The session of a run: services, volume, parts.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use ipc_types::messages::{State, Volume as VolumeMessage};
+use ipc_types::ports::{PortError, Publisher};
+use ipc_types::scene::Scene;
+use ipc_types::services;
+use ipc_types::session::{SESSION_VARIABLE, SessionError, SessionHost, SessionPlan};
+use volume_io::Volume;
+use zerocopy::IntoBytes;
+
+use super::part::Part;
+use super::volume_source;
+
+/// Name of the physics part.
+pub const PHYSICS: &str = "physics";
+/// Name of the DRR part.
+pub const DRR: &str = "drr";
+/// Name of the recorder part.
+pub const RECORDER: &str = "recorder";
+
+/// The host's side of a run.
+#[derive(Debug)]
+pub struct Hub {
+    /// The session with all its services.
+    pub host: SessionHost,
+    volume: Option<Publisher<VolumeMessage>>,
+}
+
+/// Why a hub cannot be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum HubError {
+    /// The session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The volume cannot be published.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// The scene cannot be laid into the session's folder.
+    #[error("{path}: {cause}")]
+    File {
+        /// File.
+        path: PathBuf,
+        /// The system's reason.
+        cause: String,
+    },
+    /// A part cannot be started.
+    #[error("part `{part}`: `{program}` cannot be started ({cause})")]
+    Start {
+        /// Its name.
+        part: String,
+        /// Program.
+        program: String,
+        /// The system's reason.
+        cause: std::io::Error,
+    },
+}
+
+impl Hub {
+    /// Makes the session of a scene, publishes its volume, and announces it.
+    ///
+    /// # Errors
+    /// Any [`HubError`].
+    pub fn create(scene: &Scene, volume: Option<&(Volume, [u8; 32])>, recorder: bool) -> Result<Hub, HubError> {
+        let plan = SessionPlan {
+            controllers: scene.controller_names(),
+            volume_bytes: volume.map_or(0, |(volume, _)| volume_source::message_bytes(volume)),
+            frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
+            recorder,
+        };
+        let host = SessionHost::create(&plan)?;
+        let path = host.session.folder().join("scene.toml");
+        let file_error = |cause: String| HubError::File { path: path.clone(), cause };
+        let text = toml::to_string(scene).map_err(|cause| file_error(cause.to_string()))?;
+        std::fs::write(&path, text).map_err(|cause| file_error(cause.to_string()))?;
+        let publisher = match volume {
+            Some((volume, sha256)) => {
+                let publisher = host.session.publisher::<VolumeMessage>(&services::VOLUME)?;
+                let head = volume_source::message(volume, *sha256);
+                publisher.send_with_tail(&head, volume.hu.as_bytes())?;
+                Some(publisher)
+            }
+            None => None,
+        };
+        host.announce()?;
+        Ok(Hub { host, volume: publisher })
+    }
+
+    /// Folder of the session.
+    pub fn folder(&self) -> &Path {
+        self.host.session.folder()
+    }
+
+    /// Gives the volume to those who have joined since the last call.
+    pub fn serve_late_joiners(&self) -> Result<(), PortError> {
+        self.volume.as_ref().map_or(Ok(()), Publisher::deliver_history)
+    }
+
+    /// Starts one of our own parts as `trabecula proc NAME …`.
+    ///
+    /// # Errors
+    /// [`HubError::Start`].
+    pub fn start(&self, part: &str, arguments: &[&str], output: Option<&Path>) -> Result<Part, HubError> {
+        let program = std::env::current_exe()
+            .map_err(|cause| HubError::Start { part: part.to_owned(), program: "trabecula".to_owned(), cause })?;
+        let mut command = Command::new(&program);
+        command.arg("proc").args(arguments).arg("--session").arg(self.folder());
+        if let Some(output) = output {
+            command.arg("--output").arg(output);
+        }
+        self.spawn(part, &mut command, false)
+    }
+
+    /// Starts a controller that is not one of ours.
+    ///
+    /// # Errors
+    /// [`HubError::Start`].
+    pub fn start_program(&self, name: &str, words: &[String]) -> Result<Part, HubError> {
+        let (program, arguments) = words.split_first().map_or(("", words), |(first, rest)| (first.as_str(), rest));
+        let mut command = Command::new(program);
+        command.args(arguments).env("TRABECULA_CONTROLLER", name);
+        self.spawn(name, &mut command, true)
+    }
+
+    fn spawn(&self, part: &str, command: &mut Command, echo: bool) -> Result<Part, HubError> {
+        let program = command.get_program().to_string_lossy().into_owned();
+        Part::start(part, command.env(SESSION_VARIABLE, self.folder()), echo)
+            .map_err(|cause| HubError::Start { part: part.to_owned(), program, cause })
+    }
+}
+
+/// Tip of a state in millimetres.
+pub fn tip_mm(state: &State) -> [f64; 3] {
+    state.t_world_tip.position_m.map(|x| x * 1e3)
+}

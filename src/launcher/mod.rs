@@ -1,0 +1,6 @@
+//! Starting, watching and ending the parts of a run.
+
+pub mod hub;
+pub mod part;
+pub mod run;
+pub mod volume_source;

@@ -1,0 +1,134 @@
+//! One process of a run: started, watched, ended.
+
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use ipc_types::process::bind_to_parent;
+use rustix::process::{Pid, Signal, kill_process};
+
+/// Lines that are kept of what a part said.
+const LAST_WORDS: usize = 20;
+
+/// A running part.
+#[derive(Debug)]
+pub struct Part {
+    /// Its name in messages.
+    pub name: String,
+    child: Child,
+    words: Arc<Mutex<VecDeque<String>>>,
+    status: Option<ExitStatus>,
+    /// Most memory it has had so far.
+    pub memory: Memory,
+}
+
+/// Memory of a process in bytes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Memory {
+    /// Most that was resident, shared memory included.
+    pub peak_resident: u64,
+    /// Most of its own: resident, but not shared memory.
+    pub peak_private: u64,
+}
+
+impl Part {
+    /// Starts a program. Its output is kept as its last words; `echo` also shows it.
+    ///
+    /// # Errors
+    /// The program cannot be started.
+    pub fn start(name: &str, command: &mut Command, echo: bool) -> std::io::Result<Part> {
+        let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = bind_to_parent(command).spawn()?;
+        let words = Arc::new(Mutex::new(VecDeque::new()));
+        let shown_as = echo.then(|| name.to_owned());
+        if let Some(output) = child.stdout.take() {
+            listen(output, Arc::clone(&words), shown_as.clone());
+        }
+        if let Some(output) = child.stderr.take() {
+            listen(output, Arc::clone(&words), shown_as);
+        }
+        Ok(Part { name: name.to_owned(), child, words, status: None, memory: Memory::default() })
+    }
+
+    /// How it ended, if it has.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        if self.status.is_none() {
+            self.status = self.child.try_wait().ok().flatten();
+        }
+        self.status
+    }
+
+    /// The last lines it said.
+    pub fn last_words(&self) -> Vec<String> {
+        // Its output may still be on the way through the pipe.
+        std::thread::sleep(Duration::from_millis(50));
+        self.words.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
+    }
+
+    /// Reads its memory.
+    pub fn measure_memory(&mut self) {
+        let path = format!("/proc/{}/status", self.child.id());
+        let Ok(text) = std::fs::read_to_string(path) else { return };
+        let field = |name: &str| {
+            let line = text.lines().find(|line| line.starts_with(name))?;
+            line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+        };
+        let private = field("RssAnon:").unwrap_or(0) + field("RssFile:").unwrap_or(0);
+        self.memory.peak_resident = self.memory.peak_resident.max(field("VmHWM:").unwrap_or(0));
+        self.memory.peak_private = self.memory.peak_private.max(private);
+    }
+
+    /// Asks it to end (SIGTERM).
+    pub fn ask_to_end(&mut self) {
+        self.signal(Signal::TERM);
+    }
+
+    fn signal(&mut self, signal: Signal) {
+        if self.ended().is_none()
+            && let Some(pid) = Pid::from_raw(self.child.id() as i32)
+        {
+            // It may have ended in this instant.
+            let _ = kill_process(pid, signal);
+        }
+    }
+
+    /// Waits for its end; after the limit it is killed. Returns whether it ended by itself.
+    pub fn wait(&mut self, limit: Duration) -> bool {
+        let end = Instant::now() + limit;
+        while self.ended().is_none() {
+            if Instant::now() >= end {
+                self.signal(Signal::KILL);
+                self.status = self.child.wait().ok();
+                return false;
+            }
+            self.measure_memory();
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        true
+    }
+}
+
+impl Drop for Part {
+    fn drop(&mut self) {
+        self.signal(Signal::KILL);
+        // Reaped, so that no zombie stays.
+        let _ = self.child.wait();
+    }
+}
+
+fn listen(output: impl Read + Send + 'static, words: Arc<Mutex<VecDeque<String>>>, shown_as: Option<String>) {
+    std::thread::spawn(move || {
+        for line in BufReader::new(output).lines().map_while(Result::ok) {
+            if let Some(name) = &shown_as {
+                eprintln!("[{name}] {line}");
+            }
+            let mut words = words.lock().unwrap_or_else(PoisonError::into_inner);
+            if words.len() == LAST_WORDS {
+                words.pop_front();
+            }
+            words.push_back(line);
+        }
+    });
+}

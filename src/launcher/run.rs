@@ -1,0 +1,324 @@
+//! One run, from the scene to the finished logs.
+//!
+//! Order of the end: the physics says "ended" and leaves when its consumers have everything; the DRR process and the
+//! controllers leave on that; the recorder is asked last, when nobody writes any more.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{CONTROL_STOP, Frame, PHASE_RUNNING, RunControl, RunStatus, State, TickTiming};
+use ipc_types::ports::{PortError, Publisher, Subscriber};
+use ipc_types::process::EndRequest;
+use ipc_types::scene::Scene;
+use ipc_types::services;
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::Waker;
+
+use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
+use super::part::{Memory, Part};
+use super::volume_source;
+
+const LOOK_TIME: Duration = Duration::from_millis(20);
+/// How long a part may take to end after it has been asked.
+const END_LIMIT: Duration = Duration::from_secs(130);
+/// The same after something has failed.
+const FAILED_END_LIMIT: Duration = Duration::from_secs(10);
+
+/// How a run is to be made.
+#[derive(Debug, Clone)]
+pub struct RunPlan {
+    /// Scene.
+    pub scene: Scene,
+    /// Folder for logs; none records nothing.
+    pub output: Option<PathBuf>,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Outcome {
+    /// All ticks were made, or the run was stopped by run control.
+    Completed,
+    /// Ctrl-C, or SIGTERM.
+    Interrupted,
+    /// A part died or ended before its time.
+    PartDied {
+        /// Its name.
+        name: String,
+        /// How it ended.
+        how: String,
+        /// The last lines it said.
+        last_words: Vec<String>,
+    },
+}
+
+/// What a run tells its caller when it is over.
+#[derive(Debug, Clone)]
+pub struct RunResult {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Wall time from the first tick to the end of the physics.
+    pub running: Duration,
+    /// Wall time from the start of the launcher to the first tick.
+    pub starting: Duration,
+    /// Most memory of each process, by name.
+    pub memory: Vec<(String, Memory)>,
+}
+
+/// Why a run could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The volume.
+    #[error(transparent)]
+    Volume(#[from] volume_io::VolumeError),
+    /// The session or a part.
+    #[error(transparent)]
+    Hub(#[from] HubError),
+    /// A port of the launcher.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// A message.
+    #[error(transparent)]
+    Port(#[from] PortError),
+}
+
+/// What the progress display sees at every look.
+#[derive(Debug)]
+pub struct Glance<'a> {
+    /// Newest state, if there is one.
+    pub state: Option<&'a State>,
+    /// Newest status.
+    pub status: Option<&'a RunStatus>,
+    /// Timings of the ticks since the last look.
+    pub timings: &'a [TickTiming],
+    /// Frames so far.
+    pub frames: u64,
+}
+
+/// Makes a run; `show` is called at every look.
+///
+/// # Errors
+/// Any [`RunError`]: the run did not begin. What goes wrong later is the [`Outcome`].
+pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> Result<RunResult, RunError> {
+    let began = Instant::now();
+    let volume = volume_source::load(&plan.scene)?;
+    let hub = Hub::create(&plan.scene, volume.as_ref(), plan.output.is_some())?;
+    // The one copy that stays is the one in shared memory.
+    drop(volume);
+    let mut eyes = Eyes::open(&hub.host.session)?;
+    let mut parts = start_parts(plan, &hub)?;
+    let mut first_tick = None;
+    let outcome = loop {
+        hub.serve_late_joiners()?;
+        eyes.look()?;
+        show(&eyes.glance());
+        if first_tick.is_none() && eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING) {
+            first_tick = Some(Instant::now());
+        }
+        parts.iter_mut().for_each(Part::measure_memory);
+        if end.is_set() {
+            break Outcome::Interrupted;
+        }
+        if let Some(index) = parts.iter_mut().position(|part| part.ended().is_some()) {
+            break judge(&mut parts, index);
+        }
+        std::thread::sleep(LOOK_TIME);
+    };
+    let first_tick = first_tick.unwrap_or_else(Instant::now);
+    let running = end_parts(plan, &outcome, &mut eyes, &mut parts).duration_since(first_tick);
+    eyes.look()?;
+    show(&eyes.glance());
+    let mut memory: Vec<(String, Memory)> = parts.iter().map(|part| (part.name.clone(), part.memory)).collect();
+    memory.push(("launcher".to_owned(), own_memory()));
+    Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory })
+}
+
+/// A part has ended while the run was on: at its end, or before.
+fn judge(parts: &mut [Part], index: usize) -> Outcome {
+    let status = parts[index].ended();
+    let succeeded = status.is_some_and(|status| status.success());
+    // When the run is over, DRR and controllers may leave a moment before the physics does.
+    let limit = if succeeded { END_LIMIT } else { Duration::ZERO };
+    let by_itself = parts[index].name == PHYSICS || parts.iter_mut().any(|p| p.name == PHYSICS && ended_well(p, limit));
+    if succeeded && by_itself && parts[index].name != RECORDER {
+        return Outcome::Completed;
+    }
+    // A part that fails because another one died is not the one to name.
+    let physics_failed = parts.iter_mut().find(|p| p.name == PHYSICS).is_some_and(|p| p.ended().is_some_and(|s| !s.success()));
+    let blamed = match parts.iter().position(|part| part.name == PHYSICS) {
+        Some(physics) if succeeded && physics_failed => physics,
+        _ => index,
+    };
+    let part = &mut parts[blamed];
+    let how = match part.ended() {
+        Some(status) if status.success() => "ended before the run did".to_owned(),
+        Some(status) => status.to_string(),
+        None => "did not end".to_owned(),
+    };
+    Outcome::PartDied { name: part.name.clone(), how, last_words: part.last_words() }
+}
+
+fn ended_well(part: &mut Part, limit: Duration) -> bool {
+    let end = Instant::now() + limit.min(Duration::from_secs(3));
+    while part.ended().is_none() && Instant::now() < end {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    part.ended().is_some_and(|status| status.success())
+}
+
+fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
+    let mut parts = Vec::new();
+    if let Some(output) = &plan.output {
+        parts.push(hub.start(RECORDER, &["recorder"], Some(output))?);
+    }
+    if plan.scene.drr.is_some() {
+        parts.push(hub.start(DRR, &["drr"], None)?);
+    }
+    parts.push(hub.start(PHYSICS, &["physics"], None)?);
+    for controller in &plan.scene.controller {
+        match &controller.command {
+            Some(words) => parts.push(hub.start_program(&controller.name, words)?),
+            None if controller.external => {}
+            None => parts.push(hub.start(&controller.name, &["controller", "--name", &controller.name], None)?),
+        }
+    }
+    Ok(parts)
+}
+
+/// Ends all parts in order; returns when the physics was over.
+fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Part]) -> Instant {
+    write_reason(plan, outcome);
+    let (failed, stop) = match outcome {
+        Outcome::Completed => (false, false),
+        Outcome::Interrupted => (false, true),
+        Outcome::PartDied { .. } => (true, true),
+    };
+    if stop {
+        eyes.ask_to_stop();
+    }
+    let limit = if failed { FAILED_END_LIMIT } else { END_LIMIT };
+    let mut over = Instant::now();
+    let order = |part: &Part| match part.name.as_str() {
+        PHYSICS => 0,
+        RECORDER => 2,
+        _ => 1,
+    };
+    for turn in 0..3 {
+        for part in parts.iter_mut().filter(|part| order(part) == turn) {
+            // Only the physics ends by run control; when it has, DRR and controllers have heard so, unless it died.
+            if turn == 2 || failed && turn == 1 {
+                part.ask_to_end();
+            }
+            part.wait(limit);
+            if turn == 0 {
+                over = Instant::now();
+            }
+        }
+    }
+    over
+}
+
+/// Tells the recorder what to write into the log's end.
+fn write_reason(plan: &RunPlan, outcome: &Outcome) {
+    let reason = match outcome {
+        Outcome::Completed => return,
+        Outcome::Interrupted => "interrupted",
+        Outcome::PartDied { name, .. } => name,
+    };
+    if let Some(output) = &plan.output {
+        // Without it the log's end says "completed"; the exit code and the message still tell.
+        let _ = std::fs::write(output.join(recorder_proc::process::REASON_FILE), reason);
+    }
+}
+
+fn own_memory() -> Memory {
+    let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = text.lines().find(|line| line.starts_with("VmHWM:")).and_then(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok());
+    let peak_resident = peak.unwrap_or(0) * 1024;
+    Memory { peak_resident, peak_private: peak_resident }
+}
+
+/// The launcher's subscriptions.
+struct Eyes {
+    states: Subscriber<State>,
+    statuses: Subscriber<RunStatus>,
+    tick_timings: Subscriber<TickTiming>,
+    frame_messages: Option<Subscriber<Frame>>,
+    control: Publisher<RunControl>,
+    physics: Waker,
+    state: Option<Box<State>>,
+    status: Option<RunStatus>,
+    timings: Vec<TickTiming>,
+    frames: u64,
+}
+
+impl Eyes {
+    fn open(session: &Session) -> Result<Eyes, SessionError> {
+        let has_frames = session.announcement().frame_bytes > 0;
+        Ok(Eyes {
+            states: session.subscriber(&services::STATE)?,
+            statuses: session.subscriber(&services::RUN_STATUS)?,
+            tick_timings: session.subscriber(&services::TICK_TIMING)?,
+            frame_messages: has_frames.then(|| session.subscriber(&services::FRAME)).transpose()?,
+            control: session.publisher(&services::RUN_CONTROL)?,
+            physics: session.waker(Reader::Physics)?,
+            state: None,
+            status: None,
+            timings: Vec::new(),
+            frames: 0,
+        })
+    }
+
+    fn look(&mut self) -> Result<(), PortError> {
+        if let Some(state) = self.states.receive_newest()? {
+            self.state = Some(Box::new(*state.message()));
+        }
+        if let Some(status) = self.statuses.receive_newest()? {
+            self.status = Some(*status.message());
+        }
+        self.timings.clear();
+        while let Some(timing) = self.tick_timings.receive()? {
+            self.timings.push(*timing.message());
+        }
+        if let Some(frames) = &self.frame_messages {
+            while let Some(frame) = frames.receive()? {
+                self.frames = frame.message().sequence;
+            }
+        }
+        Ok(())
+    }
+
+    fn glance(&self) -> Glance<'_> {
+        Glance {
+            state: self.state.as_deref(),
+            status: self.status.as_ref(),
+            timings: &self.timings,
+            frames: self.frames,
+        }
+    }
+
+    fn ask_to_stop(&self) {
+        // If the physics is gone, there is nobody to stop.
+        let request = RunControl { request_id: 1, action: CONTROL_STOP, ..RunControl::zeroed() };
+        let _ = self.control.send(&request);
+        self.physics.wake();
+    }
+}
+
+/// A fresh folder `<scene>-<date-time>` below `parent`.
+///
+/// # Errors
+/// The system's.
+pub fn output_folder(parent: &Path, scene: &Scene) -> std::io::Result<PathBuf> {
+    let stamp = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S").to_string();
+    std::fs::create_dir_all(parent)?;
+    for attempt in 0.. {
+        let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
+        let folder = parent.join(format!("{}-{stamp}{suffix}", scene.name));
+        match std::fs::create_dir(&folder) {
+            Ok(()) => return Ok(folder),
+            Err(cause) if cause.kind() == std::io::ErrorKind::AlreadyExists && attempt < 1000 => {}
+            Err(cause) => return Err(cause),
+        }
+    }
+    Err(std::io::Error::other("no free folder name"))
+}

@@ -1,0 +1,75 @@
+//! The scene's volume, made or read.
+
+use ipc_types::layout::Message;
+use ipc_types::messages::Volume as VolumeMessage;
+use ipc_types::scene::{Phantom, Scene, Volume as SceneVolume};
+use volume_io::{MaskModel, Volume, VolumeError, mask_to_hu, phantom, volume_hash};
+
+/// The volume of a scene with its hash; `None` if the scene has none.
+///
+/// # Errors
+/// The file is not a volume, or cannot be read.
+pub fn load(scene: &Scene) -> Result<Option<(Volume, [u8; 32])>, VolumeError> {
+    let Some(source) = &scene.volume else { return Ok(None) };
+    let volume = match (&source.path, source.phantom) {
+        (Some(path), _) => {
+            let mut volume = volume_io::read(path)?;
+            if source.mask {
+                mask_to_hu(&mut volume, &MaskModel::default())?;
+            }
+            volume
+        }
+        (None, Some(Phantom::Block)) => block(source)?,
+        (None, _) => {
+            let spacing_m = source.spacing_mm * 1e-3;
+            phantom::femur(&phantom::FemurSpec { spacing_m, ..phantom::FemurSpec::default() })?
+        }
+    };
+    let hash = volume_hash(&volume);
+    Ok(Some((volume, hash)))
+}
+
+/// Apparent density at 0 HU and per HU, kg/m³ (the line of the drilling law, `physics_proc::bone::MaterialLaw`).
+const DENSITY_AT_ZERO: f64 = 131.0;
+const DENSITY_PER_HU: f64 = 1.067;
+/// HU of the block's near half: cancellous bone.
+const BLOCK_HU: i16 = 300;
+
+/// A block 40 mm wide whose far half (+x) is denser by the scene's ratio.
+fn block(source: &SceneVolume) -> Result<Volume, VolumeError> {
+    let spacing_m = source.spacing_mm * 1e-3;
+    let voxels = |length_m: f64| (length_m / spacing_m + 0.5) as usize;
+    let dims = [voxels(0.04), voxels(0.04), voxels(0.06)];
+    let centred = |n: usize| -0.5 * spacing_m * (n as f64 - 1.0);
+    let near = DENSITY_AT_ZERO + DENSITY_PER_HU * f64::from(BLOCK_HU);
+    let far_hu = (near * source.block_density_ratio - DENSITY_AT_ZERO) / DENSITY_PER_HU;
+    phantom::block(&phantom::BlockSpec {
+        dims,
+        spacing_m: [spacing_m; 3],
+        origin_m: dims.map(centred),
+        plane_point_m: [0.0; 3],
+        plane_normal: [1.0, 0.0, 0.0],
+        hu_behind: BLOCK_HU,
+        hu_ahead: far_hu.clamp(-1000.0, 30_000.0) as i16,
+        ..phantom::BlockSpec::default()
+    })
+}
+
+/// Head of the volume's message.
+pub fn message(volume: &Volume, sha256: [u8; 32]) -> VolumeMessage {
+    let d = &volume.direction;
+    VolumeMessage {
+        sha256,
+        origin_m: volume.origin_m,
+        spacing_m: volume.spacing_m,
+        // Axis after axis; the reader keeps rows of a matrix whose columns are the axes.
+        direction: [d[0][0], d[1][0], d[2][0], d[0][1], d[1][1], d[2][1], d[0][2], d[1][2], d[2][2]],
+        dimensions: volume.dims.map(|n| n as u32),
+        hu_length: volume.hu.len() as u32,
+    }
+}
+
+/// Bytes of the volume's message.
+pub fn message_bytes(volume: &Volume) -> usize {
+    VolumeMessage::DESCRIPTION.size + volume.hu.len() * 2
+}

@@ -1,0 +1,139 @@
+//! Axes: from values to shares of a length, with round ticks.
+
+/// A decade's inner ticks.
+const MINOR: [f64; 8] = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
+
+/// An axis with its ticks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Axis {
+    /// What it shows, with the unit.
+    pub title: String,
+    /// Labelled ticks: value and label.
+    pub ticks: Vec<(f64, String)>,
+    /// Ticks without a label.
+    pub minor: Vec<f64>,
+    low: f64,
+    high: f64,
+    logarithmic: bool,
+}
+
+impl Axis {
+    /// From `low` to `high`, with at most about `count` labelled ticks. A range that is empty or not finite becomes
+    /// one of width 1.
+    pub fn linear(title: &str, low: f64, high: f64, count: usize) -> Axis {
+        let (low, high) = widened(low, high);
+        let step = round_step((high - low) / count.max(1) as f64);
+        let decimals = (-step.log10().floor()).max(0.0) as usize;
+        let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
+        let ticks = (first..=last).map(|i| i as f64 * step);
+        let ticks = ticks.map(|value| (value, format!("{value:.decimals$}"))).collect();
+        Axis { title: title.to_string(), ticks, minor: Vec::new(), low, high, logarithmic: false }
+    }
+
+    /// Around the values, with a margin of 6 %, and from 0 if none is negative.
+    pub fn around(title: &str, values: impl Iterator<Item = f64>, count: usize) -> Axis {
+        let (low, high) = bounds(values).unwrap_or((0.0, 1.0));
+        let margin = 0.06 * (high - low.min(0.0)).max(1e-9);
+        Axis::linear(title, if low < 0.0 { low - margin } else { 0.0 }, high + margin, count)
+    }
+
+    /// Logarithmic, over whole decades around the positive values; `label` names a power of ten.
+    pub fn decades(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {
+        let (low, high) = bounds(values.filter(|&value| value > 0.0)).unwrap_or((1.0, 10.0));
+        let first = (low.log10() + 1e-9).floor() as i32;
+        let last = ((high.log10() - 1e-9).ceil() as i32).max(first + 1);
+        let power = |exponent: i32| 10f64.powi(exponent);
+        let ticks = (first..=last).map(|n| (power(n), label(power(n)))).collect();
+        let minor = (first..last).flat_map(|n| MINOR.map(|digit| digit * power(n))).collect();
+        Axis {
+            title: title.to_string(),
+            ticks,
+            minor,
+            low: power(first).log10(),
+            high: power(last).log10(),
+            logarithmic: true,
+        }
+    }
+
+    /// Share of the length at which a value lies: 0 at the low end, 1 at the high end; outside beyond. A value that
+    /// a logarithmic axis cannot show lies at its low end.
+    pub fn share(&self, value: f64) -> f64 {
+        let value = if !self.logarithmic {
+            value
+        } else if value > 0.0 {
+            value.log10()
+        } else {
+            self.low
+        };
+        (value - self.low) / (self.high - self.low)
+    }
+}
+
+/// Least and greatest finite value.
+pub fn bounds(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    let start = (f64::INFINITY, f64::NEG_INFINITY);
+    let (low, high) =
+        values.filter(|v| v.is_finite()).fold(start, |(low, high), v| (low.min(v), high.max(v)));
+    (low <= high).then_some((low, high))
+}
+
+fn widened(low: f64, high: f64) -> (f64, f64) {
+    if !(low.is_finite() && high.is_finite()) || low > high {
+        return (0.0, 1.0);
+    }
+    // Narrower than that, neighbouring ticks are the same number.
+    if high - low > 1e-9 * low.abs().max(high.abs()).max(1e-3) { (low, high) } else { (low - 0.5, high + 0.5) }
+}
+
+/// The least of 1, 2, 5 times a power of ten that is not below `step`.
+fn round_step(step: f64) -> f64 {
+    let power = 10f64.powf(step.log10().floor());
+    [1.0, 2.0, 5.0].map(|digit| digit * power).into_iter().find(|s| *s >= step * (1.0 - 1e-9)).unwrap_or(10.0 * power)
+}
+
+/// A duration given in microseconds, as short as it reads well.
+pub fn duration_label(microseconds: f64) -> String {
+    let (value, unit) = if microseconds < 1.0 {
+        (microseconds * 1e3, "ns")
+    } else if microseconds < 1e3 {
+        (microseconds, "µs")
+    } else if microseconds < 1e6 {
+        (microseconds * 1e-3, "ms")
+    } else {
+        (microseconds * 1e-6, "s")
+    };
+    let decimals = if value >= 100.0 || (value - value.round()).abs() < 1e-9 { 0 } else { 1 };
+    format!("{value:.decimals$} {unit}")
+}
+
+/// A whole number.
+pub fn count_label(value: f64) -> String {
+    format!("{value:.0}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(axis: &Axis) -> Vec<&str> {
+        axis.ticks.iter().map(|(_, label)| label.as_str()).collect()
+    }
+
+    #[test]
+    fn ticks_are_round() {
+        assert_eq!(labels(&Axis::linear("", 0.0, 5.0, 5)), ["0", "1", "2", "3", "4", "5"]);
+        assert_eq!(labels(&Axis::linear("", -0.31, 0.32, 4)), ["-0.2", "0.0", "0.2"]);
+        assert_eq!(labels(&Axis::linear("", 3.0, 3.0, 4)), ["2.6", "2.8", "3.0", "3.2", "3.4"]);
+        assert_eq!(labels(&Axis::linear("", f64::NAN, 1.0, 2)), ["0.0", "0.5", "1.0"]);
+        let axis = Axis::decades("", [0.0, f64::NAN, 30.0, 2000.0].into_iter(), duration_label);
+        assert_eq!(labels(&axis), ["10 µs", "100 µs", "1 ms", "10 ms"]);
+        assert_eq!(axis.minor.len(), 24);
+        assert!((axis.share(100.0) - 1.0 / 3.0).abs() < 1e-12);
+        assert_eq!(axis.share(-1.0), 0.0);
+    }
+
+    #[test]
+    fn durations_read_well() {
+        assert_eq!([0.05, 12.34, 999.9, 1500.0, 2e6].map(duration_label), ["50 ns", "12.3 µs", "1000 µs", "1.5 ms", "2 s"]);
+    }
+}

@@ -1,0 +1,154 @@
+//! The line that shows how a run goes on.
+
+use ipc_types::messages::TickTiming;
+
+use super::ReportError;
+use super::distribution::{Distribution, Quantiles};
+
+/// Timing of the ticks since the last progress line. Pure: no clock, no output.
+#[derive(Debug, Clone)]
+pub struct LiveStats {
+    step: Distribution,
+    lateness: Distribution,
+    missed: u64,
+}
+
+/// Timing of one interval.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LiveInterval {
+    /// Time of the physics step, µs; none without a tick.
+    pub step_us: Option<Quantiles>,
+    /// How late ticks began, µs; none without a tick.
+    pub lateness_us: Option<Quantiles>,
+    /// Ticks that began more than a period late.
+    pub missed: u64,
+}
+
+impl LiveStats {
+    /// An empty interval.
+    pub fn new() -> Result<LiveStats, ReportError> {
+        let duration = Distribution::new(3)?;
+        Ok(LiveStats { step: duration.clone(), lateness: duration, missed: 0 })
+    }
+
+    /// Takes a tick.
+    pub fn add(&mut self, timing: &TickTiming) {
+        self.step.add(timing.step_ns);
+        self.lateness.add(timing.wake_lateness_ns.max(0) as u64);
+        self.missed += u64::from(timing.missed != 0);
+    }
+
+    /// The interval so far; a new one begins.
+    pub fn take(&mut self) -> LiveInterval {
+        let (step_us, lateness_us) = (self.step.quantiles(1e3), self.lateness.quantiles(1e3));
+        self.step.clear();
+        self.lateness.clear();
+        LiveInterval { step_us, lateness_us, missed: std::mem::take(&mut self.missed) }
+    }
+}
+
+/// Where a run stands.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct LiveSnapshot {
+    /// Simulated time.
+    pub sim_time_s: f64,
+    /// Simulated over wall time, of the last interval.
+    pub real_time_factor: f64,
+    /// `State.t_world_tip.position_m`.
+    pub tip_position_m: [f64; 3],
+    /// Tension of tendon 0.
+    pub tension_n: f64,
+    /// `State.removed_total`.
+    pub removed_total: u64,
+    /// Timing of the last interval.
+    pub interval: LiveInterval,
+    /// Frames per second of wall time in the last interval; none without DRR.
+    pub drr_rate_hz: Option<f64>,
+    /// Missed ticks since the start; none in lockstep.
+    pub missed_ticks: Option<u64>,
+}
+
+/// One line of less than 160 columns.
+pub fn progress_line(live: &LiveSnapshot) -> String {
+    let [x, y, z] = live.tip_position_m.map(|metres| fixed(metres * 1e3, 7, 2));
+    let microseconds = |q: Option<Quantiles>, of: fn(&Quantiles) -> f64| {
+        fixed(q.map_or(f64::NAN, |q| of(&q)), 5, 0)
+    };
+    let interval = &live.interval;
+    let mut line = format!(
+        "{} s  x{}  tip {x} {y} {z} mm  {} N  {} voxels  step p50 {} p99 {} us",
+        fixed(live.sim_time_s, 8, 2),
+        fixed(live.real_time_factor, 5, 2),
+        fixed(live.tension_n, 6, 2),
+        fixed(live.removed_total as f64, 7, 0),
+        microseconds(interval.step_us, |q| q.p50),
+        microseconds(interval.step_us, |q| q.p99),
+    );
+    if let Some(missed) = live.missed_ticks {
+        let late = microseconds(interval.lateness_us, |q| q.p99);
+        line += &format!("  late p99 {late} us  missed {}", fixed(missed as f64, 1, 0));
+    }
+    if let Some(rate_hz) = live.drr_rate_hz {
+        line += &format!("  DRR {}/s", fixed(rate_hz, 4, 1));
+    }
+    line
+}
+
+/// A number in at least `width` columns; in at most 8 or `width`, whichever is more: what does not fit is written with
+/// an exponent, what is no finite number as a dash.
+fn fixed(value: f64, width: usize, decimals: usize) -> String {
+    if !value.is_finite() {
+        return format!("{:>width$}", "-");
+    }
+    let plain = format!("{value:width$.decimals$}");
+    if plain.len() <= width.max(8) { plain } else { format!("{value:width$.1e}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tick(step_ns: u64, wake_lateness_ns: i64, missed: u32) -> TickTiming {
+        let mut timing = TickTiming::zeroed();
+        (timing.step_ns, timing.wake_lateness_ns, timing.missed) = (step_ns, wake_lateness_ns, missed);
+        timing
+    }
+
+    #[test]
+    fn an_interval_has_its_own_quantiles() {
+        let mut stats = LiveStats::new().unwrap();
+        for i in 1..=1000u64 {
+            stats.add(&tick(i * 1000, -5, u32::from(i > 998)));
+        }
+        let interval = stats.take();
+        let step = interval.step_us.unwrap();
+        // 3 digits: a bin is at most 0.1 % wide.
+        assert!((step.p50 - 500.0).abs() <= 0.5 && (step.p99 - 990.0).abs() <= 1.0, "{step:?}");
+        assert_eq!(interval.lateness_us.unwrap().max, 0.0, "a tick that begins early is not late");
+        assert_eq!(interval.missed, 2);
+        assert_eq!(stats.take(), LiveInterval::default());
+        stats.add(&tick(7000, 3000, 0));
+        assert_eq!(stats.take().step_us.unwrap().count, 1);
+    }
+
+    #[test]
+    fn a_line_stays_below_160_columns() {
+        let quantiles = |v: f64| Some(Quantiles { count: 1, p50: v, p99: v, p99_9: v, max: v });
+        for value in [0.0, -12.345, 1e-9, 3599.999, f64::NAN, f64::NEG_INFINITY, -1.79e308] {
+            let live = LiveSnapshot {
+                sim_time_s: value,
+                real_time_factor: value,
+                tip_position_m: [value; 3],
+                tension_n: value,
+                removed_total: u64::MAX,
+                interval: LiveInterval { step_us: quantiles(value), lateness_us: quantiles(value), missed: 9 },
+                drr_rate_hz: Some(value),
+                missed_ticks: Some(u64::MAX),
+            };
+            let line = progress_line(&live);
+            assert!(line.chars().count() < 160 && !line.contains('\n'), "{} {line}", line.len());
+        }
+        let empty = progress_line(&LiveSnapshot::default());
+        assert!(empty.contains("step p50     - p99     - us"), "{empty}");
+    }
+}

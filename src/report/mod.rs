@@ -1,0 +1,126 @@
+//! What a user sees of a finished run: pictures, numbers, a table; and the line that shows how a run goes on.
+//!
+//! [`write`] reads `run.mcap` and `timing.mcap` of a run folder once each, in bounded memory, and writes beside them:
+//!
+//! | file | what it shows |
+//! |---|---|
+//! | `drr_before.png`, `drr_half.png`, `drr_after.png` | first, middle and last frame |
+//! | `tip_path.png`, `.svg` | tip path with the manipulator's shape; tension, bend and burr force over time |
+//! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
+//! | `summary.json` | [`Summary`] |
+//!
+//! A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`].
+
+mod axis;
+mod distribution;
+mod grey;
+mod live;
+mod panel;
+mod run_lane;
+mod shapes;
+mod summary;
+mod timeline;
+mod timing_figure;
+mod timing_lane;
+mod tip_figure;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+
+pub use live::{LiveSnapshot, LiveStats, progress_line};
+pub use summary::Summary;
+
+use run_lane::RunLane;
+use timing_lane::TimingLane;
+
+/// What only the launcher knows of a run.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RunFacts {
+    /// Wall time from the first tick to the last.
+    pub wall_s: f64,
+    /// Wall time from the start to the first tick.
+    pub startup_s: f64,
+    /// How the run ended, for people.
+    pub outcome: String,
+    /// Peak memory (VmHWM) of each process by its name, bytes.
+    pub peak_memory_bytes: BTreeMap<String, u64>,
+    /// Command line that replays the run.
+    pub replay_command: String,
+}
+
+/// Why a report could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// A file could not be written.
+    #[error("{}: cannot be written: {source}; free space or choose a writable folder", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// A picture could not be encoded.
+    #[error("{}: cannot be written as PNG: {source}; free space or choose a writable folder", path.display())]
+    Png {
+        /// The file.
+        path: PathBuf,
+        /// The encoder's reason.
+        source: png::EncodingError,
+    },
+    /// A figure could not be drawn.
+    #[error("{}: cannot be drawn: {cause}", path.display())]
+    Draw {
+        /// The file.
+        path: PathBuf,
+        /// The drawing library's reason.
+        cause: String,
+    },
+    /// The built-in font was refused.
+    #[error("the built-in font of the figures cannot be read by the drawing library; rebuild with the locked dependencies")]
+    Font,
+    /// A histogram could not be made.
+    #[error("a histogram of durations cannot be made: {source}")]
+    Histogram {
+        /// The library's reason.
+        source: hdrhistogram::CreationError,
+    },
+    /// The summary could not be encoded.
+    #[error("{}: cannot be written as JSON: {source}", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// The encoder's reason.
+        source: serde_json::Error,
+    },
+}
+
+/// Writes the report of a run into its folder and returns its numbers.
+///
+/// # Errors
+/// [`ReportError`] if something cannot be written. Logs that cannot be read are not an error.
+pub fn write(folder: &Path, facts: &RunFacts) -> Result<Summary, ReportError> {
+    let paths = [folder.join("run.mcap"), folder.join("timing.mcap")];
+    // The timing lane first: it tells the length of the run, and so which frame is the middle one.
+    let timing = TimingLane::read(&paths[1])?;
+    let run = RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0));
+    let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
+    let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
+    for (name, image) in frames {
+        if let Some(image) = image {
+            image.write_png(&folder.join(format!("drr_{name}.png")))?;
+        }
+    }
+    tip_figure::draw(&run)?.write(folder, "tip_path")?;
+    timing_figure::draw(&timing, run.end_ns)?.write(folder, "timing")?;
+    let summary = Summary::new(&run, &timing, facts, bytes);
+    let path = folder.join("summary.json");
+    let mut text = serde_json::to_string_pretty(&summary)
+        .map_err(|source| ReportError::Json { path: path.clone(), source })?;
+    text.push('\n');
+    std::fs::write(&path, text).map_err(|source| ReportError::Write { path, source })?;
+    Ok(summary)
+}

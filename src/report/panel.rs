@@ -1,0 +1,337 @@
+//! A panel of a figure: a frame with two axes, lines in it, a legend.
+
+use plotters::style::RGBColor;
+
+use super::axis::Axis;
+use super::shapes::{Anchor, Figure, Point, Shape, Stroke, text_width};
+
+/// Text and frame.
+pub const INK: RGBColor = RGBColor(40, 40, 40);
+/// Blue, vermilion, green, purple: told apart with any colour vision (Okabe and Ito 2008).
+pub const COLOURS: [RGBColor; 4] =
+    [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
+/// Dashes that tell lines apart without colour, in the order of [`COLOURS`].
+pub const DASHES: [&[f64]; 4] = [&[], &[7.0, 3.0], &[2.0, 2.0], &[8.0, 2.5, 2.0, 2.5]];
+const GRID: RGBColor = RGBColor(225, 225, 225);
+const FAINT_GRID: RGBColor = RGBColor(243, 243, 243);
+
+const TITLE_SIZE: f64 = 15.0;
+const LABEL_SIZE: f64 = 12.5;
+const LEFT: f64 = 62.0;
+const RIGHT: f64 = 14.0;
+const TOP: f64 = 30.0;
+const BOTTOM: f64 = 44.0;
+
+/// A rectangle in figure units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rect {
+    /// Left edge.
+    pub x: f64,
+    /// Upper edge.
+    pub y: f64,
+    /// Width.
+    pub width: f64,
+    /// Height.
+    pub height: f64,
+}
+
+impl Rect {
+    /// The part inside a panel's titles and labels.
+    pub fn plot_area(self) -> Rect {
+        Rect {
+            x: self.x + LEFT,
+            y: self.y + TOP,
+            width: self.width - LEFT - RIGHT,
+            height: self.height - TOP - BOTTOM,
+        }
+    }
+
+    fn contains(self, (x, y): Point) -> bool {
+        x >= self.x && x <= self.x + self.width && y >= self.y && y <= self.y + self.height
+    }
+}
+
+/// How a legend shows its entry.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Key {
+    /// A piece of line.
+    Line(Stroke),
+    /// A filled square.
+    Patch(RGBColor),
+    /// A disc.
+    Disc(RGBColor),
+    /// A cross.
+    Cross(Stroke),
+    /// An upright bar.
+    Bar(Stroke),
+    /// Nothing.
+    None,
+}
+
+/// A frame with two axes. Curves are clipped at the frame.
+pub struct Panel<'a> {
+    figure: &'a mut Figure,
+    area: Rect,
+    x: Axis,
+    y: Axis,
+    legend: Vec<(Key, String)>,
+    /// Where curves run, for the place of the legend.
+    seen: Vec<Point>,
+}
+
+impl Stroke {
+    /// A full line.
+    pub fn full(colour: RGBColor, width: f64) -> Stroke {
+        Stroke { colour, width, dash: &[] }
+    }
+
+    /// Colour and dash number `index` of the palette.
+    pub fn of_palette(index: usize, width: f64) -> Stroke {
+        Stroke { colour: COLOURS[index % COLOURS.len()], width, dash: DASHES[index % DASHES.len()] }
+    }
+}
+
+impl<'a> Panel<'a> {
+    /// Draws grid, ticks, titles and labels inside `outer`.
+    pub fn new(figure: &'a mut Figure, outer: Rect, title: &str, x: Axis, y: Axis) -> Panel<'a> {
+        let area = outer.plot_area();
+        figure.text((area.x, outer.y + 0.5 * TOP), title, TITLE_SIZE, INK, Anchor::Left);
+        let mut panel = Panel { figure, area, x, y, legend: Vec::new(), seen: Vec::new() };
+        panel.grid();
+        panel.labels(outer);
+        panel
+    }
+
+    fn grid(&mut self) {
+        let Rect { x, y, width, height } = self.area;
+        let inside = |share: f64| (-1e-9..=1.0 + 1e-9).contains(&share);
+        let shares = |axis: &Axis| {
+            let minor = axis.minor.iter().map(|&value| (axis.share(value), FAINT_GRID));
+            let major = axis.ticks.iter().map(|(value, _)| (axis.share(*value), GRID));
+            minor.chain(major).filter(|(share, _)| inside(*share)).collect::<Vec<_>>()
+        };
+        for (share, colour) in shares(&self.x) {
+            let at = x + share * width;
+            self.straight([(at, y), (at, y + height)], Stroke::full(colour, 0.8));
+        }
+        for (share, colour) in shares(&self.y) {
+            let at = y + (1.0 - share) * height;
+            self.straight([(x, at), (x + width, at)], Stroke::full(colour, 0.8));
+        }
+    }
+
+    fn labels(&mut self, outer: Rect) {
+        let Rect { x, y, width, height } = self.area;
+        for (value, label) in self.x.ticks.clone() {
+            let at = (x + self.x.share(value) * width, y + height + 12.0);
+            self.figure.text(at, &label, LABEL_SIZE, INK, Anchor::Centre);
+        }
+        for (value, label) in self.y.ticks.clone() {
+            let at = (x - 6.0, y + (1.0 - self.y.share(value)) * height);
+            self.figure.text(at, &label, LABEL_SIZE, INK, Anchor::Right);
+        }
+        let below = (x + 0.5 * width, y + height + 30.0);
+        self.figure.text(below, &self.x.title.clone(), LABEL_SIZE, INK, Anchor::Centre);
+        let beside = (outer.x + 10.0, y + 0.5 * height);
+        let (text, size) = (self.y.title.clone(), LABEL_SIZE);
+        let label =
+            Shape::Text { at: beside, text, size, colour: INK, anchor: Anchor::Centre, upwards: true };
+        self.figure.add(label);
+    }
+
+    fn straight(&mut self, ends: [Point; 2], stroke: Stroke) {
+        self.figure.add(Shape::Line { points: ends.to_vec(), stroke });
+    }
+
+    /// Where a pair of values lies in the figure.
+    pub fn place(&self, (x, y): Point) -> Point {
+        let Rect { x: left, y: top, width, height } = self.area;
+        (left + self.x.share(x) * width, top + (1.0 - self.y.share(y)) * height)
+    }
+
+    /// Figure units per unit of the x axis, if it is linear.
+    pub fn scale(&self) -> f64 {
+        (self.x.share(1.0) - self.x.share(0.0)) * self.area.width
+    }
+
+    /// A curve through pairs of values; the legend names it unless `label` is empty.
+    pub fn line(&mut self, values: &[Point], stroke: Stroke, label: &str) {
+        let points: Vec<Point> = values.iter().map(|&value| self.place(value)).collect();
+        for run in clip(&points, self.area) {
+            self.seen.extend(&run);
+            self.figure.add(Shape::Line { points: run, stroke });
+        }
+        self.key(Key::Line(stroke), label);
+    }
+
+    /// A filled area between two curves over the same x: (x, low, high).
+    pub fn band(&mut self, values: &[(f64, f64, f64)], fill: RGBColor) {
+        let clamped = |point: Point| {
+            let (x, y) = self.place(point);
+            (x, y.clamp(self.area.y, self.area.y + self.area.height))
+        };
+        let upper = values.iter().map(|&(x, _, high)| clamped((x, high)));
+        let lower = values.iter().rev().map(|&(x, low, _)| clamped((x, low)));
+        let corners: Vec<Point> = upper.chain(lower).collect();
+        self.seen.extend(&corners);
+        self.figure.add(Shape::Area { corners, fill });
+    }
+
+    /// A disc at a pair of values; its radius is in figure units.
+    pub fn disc(&mut self, value: Point, radius: f64, fill: RGBColor) {
+        let centre = self.place(value);
+        if self.area.contains(centre) {
+            self.seen.push(centre);
+            self.figure.add(Shape::Disc { centre, radius, fill });
+        }
+    }
+
+    /// A cross at a pair of values.
+    pub fn cross(&mut self, value: Point, arm: f64, stroke: Stroke) {
+        let (x, y) = self.place(value);
+        if self.area.contains((x, y)) {
+            self.seen.push((x, y));
+            self.straight([(x - arm, y - arm), (x + arm, y + arm)], stroke);
+            self.straight([(x - arm, y + arm), (x + arm, y - arm)], stroke);
+        }
+    }
+
+    /// An upright line over the whole height at an x.
+    pub fn upright(&mut self, x: f64, stroke: Stroke) {
+        let (at, _) = self.place((x, 1.0));
+        let Rect { y, height, .. } = self.area;
+        if self.area.contains((at, y)) {
+            self.straight([(at, y), (at, y + height)], stroke);
+        }
+    }
+
+    /// A short bar on the x axis.
+    pub fn bar(&mut self, x: f64, stroke: Stroke) {
+        let (at, _) = self.place((x, 1.0));
+        let foot = self.area.y + self.area.height;
+        if self.area.contains((at, foot)) {
+            self.straight([(at, foot - 10.0), (at, foot)], stroke);
+        }
+    }
+
+    /// A remark in the middle, in place of curves.
+    pub fn remark(&mut self, text: &str) {
+        let Rect { x, y, width, height } = self.area;
+        self.figure.text((x + 0.5 * width, y + 0.5 * height), text, LABEL_SIZE, INK, Anchor::Centre);
+    }
+
+    /// An entry of the legend; none if `label` is empty.
+    pub fn key(&mut self, key: Key, label: &str) {
+        if !label.is_empty() {
+            self.legend.push((key, label.to_string()));
+        }
+    }
+
+    /// Draws the frame, and the legend in the corner where the fewest curves run.
+    pub fn finish(mut self) {
+        let Rect { x, y, width, height } = self.area;
+        let frame = vec![(x, y), (x, y + height), (x + width, y + height)];
+        self.figure.add(Shape::Line { points: frame, stroke: Stroke::full(INK, 1.0) });
+        if self.legend.is_empty() {
+            return;
+        }
+        const KEY: f64 = 32.0;
+        const LINE: f64 = 17.0;
+        let text = self.legend.iter().map(|(_, label)| text_width(label, LABEL_SIZE)).fold(0.0, f64::max);
+        let size = (KEY + text + 18.0, LINE * self.legend.len() as f64 + 6.0);
+        let corner = self.corner(size);
+        let (right, lower) = (corner.0 + size.0, corner.1 + size.1);
+        let box_corners = vec![corner, (right, corner.1), (right, lower), (corner.0, lower)];
+        self.figure.add(Shape::Area { corners: box_corners, fill: RGBColor(255, 255, 255) });
+        for (i, (key, label)) in std::mem::take(&mut self.legend).into_iter().enumerate() {
+            let centre = (corner.0 + 8.0 + 0.5 * KEY - 4.0, corner.1 + 3.0 + LINE * (i as f64 + 0.5));
+            self.draw_key(key, centre);
+            let at = (corner.0 + KEY + 10.0, centre.1);
+            self.figure.text(at, &label, LABEL_SIZE, INK, Anchor::Left);
+        }
+    }
+
+    fn corner(&self, (width, height): Point) -> Point {
+        let gap = 6.0;
+        let (left, right) = (self.area.x + gap, self.area.x + self.area.width - width - gap);
+        let (upper, lower) = (self.area.y + gap, self.area.y + self.area.height - height - gap);
+        let corners = [(right, upper), (left, upper), (right, lower), (left, lower)];
+        let covered = |&(x, y): &Point| {
+            let cover = Rect { x, y, width, height };
+            self.seen.iter().filter(|&&point| cover.contains(point)).count()
+        };
+        corners.into_iter().min_by_key(covered).unwrap_or(corners[0])
+    }
+
+    fn draw_key(&mut self, key: Key, (x, y): Point) {
+        match key {
+            Key::Line(stroke) => self.straight([(x - 13.0, y), (x + 13.0, y)], stroke),
+            Key::Patch(fill) => {
+                let corners = vec![(x - 13.0, y - 5.0), (x + 13.0, y - 5.0), (x + 13.0, y + 5.0), (x - 13.0, y + 5.0)];
+                self.figure.add(Shape::Area { corners, fill });
+            }
+            Key::Disc(fill) => self.figure.add(Shape::Disc { centre: (x, y), radius: 5.0, fill }),
+            Key::Cross(stroke) => {
+                self.straight([(x - 5.0, y - 5.0), (x + 5.0, y + 5.0)], stroke);
+                self.straight([(x - 5.0, y + 5.0), (x + 5.0, y - 5.0)], stroke);
+            }
+            Key::Bar(stroke) => self.straight([(x, y - 5.0), (x, y + 5.0)], stroke),
+            Key::None => (),
+        }
+    }
+}
+
+/// The runs of a polyline that lie inside a rectangle.
+fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
+    let mut runs: Vec<Vec<Point>> = Vec::new();
+    let mut open = false;
+    for pair in points.windows(2) {
+        let Some((a, b, whole)) = clip_piece(pair[0], pair[1], area) else {
+            open = false;
+            continue;
+        };
+        match runs.last_mut().filter(|_| open) {
+            Some(run) => run.push(b),
+            None => runs.push(vec![a, b]),
+        }
+        open = whole;
+    }
+    runs
+}
+
+/// The part of a straight piece inside a rectangle (Liang and Barsky 1984) and whether it reaches the piece's end.
+fn clip_piece(a: Point, b: Point, area: Rect) -> Option<(Point, Point, bool)> {
+    let d = (b.0 - a.0, b.1 - a.1);
+    let (mut enter, mut leave) = (0.0f64, 1.0f64);
+    let edges = [
+        (-d.0, a.0 - area.x),
+        (d.0, area.x + area.width - a.0),
+        (-d.1, a.1 - area.y),
+        (d.1, area.y + area.height - a.1),
+    ];
+    for (towards, room) in edges {
+        if !(towards.is_finite() && room.is_finite()) || (towards == 0.0 && room < 0.0) {
+            return None;
+        }
+        if towards < 0.0 {
+            enter = enter.max(room / towards);
+        } else if towards > 0.0 {
+            leave = leave.min(room / towards);
+        }
+    }
+    let at = |share: f64| (a.0 + share * d.0, a.1 + share * d.1);
+    (enter <= leave).then(|| (at(enter), at(leave), leave >= 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_cut_at_the_frame() {
+        let area = Rect { x: 0.0, y: 0.0, width: 10.0, height: 10.0 };
+        let line = [(-5.0, 5.0), (5.0, 5.0), (5.0, 15.0), (8.0, 15.0), (8.0, 2.0), (f64::NAN, 2.0), (1.0, 1.0)];
+        let runs = clip(&line, area);
+        assert_eq!(runs, vec![vec![(0.0, 5.0), (5.0, 5.0), (5.0, 10.0)], vec![(8.0, 10.0), (8.0, 2.0)]]);
+    }
+}

@@ -1,0 +1,333 @@
+//! A figure as a list of shapes, and its rendering as PNG and SVG.
+
+use std::path::Path;
+
+use plotters::backend::{BitMapBackend, SVGBackend};
+use plotters::coord::Shift;
+use plotters::drawing::{DrawingArea, IntoDrawingArea};
+use plotters::element::{Circle, PathElement, Polygon};
+use plotters::prelude::DrawingBackend;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::{
+    Color, FontStyle, FontTransform, IntoFont, RGBColor, ShapeStyle, TextStyle, WHITE, register_font,
+};
+
+use super::ReportError;
+use super::grey::write_png;
+
+const FONT: &str = "sans-serif";
+/// Pixels per figure unit while drawing; plotters places shapes on whole pixels.
+const SCALE: usize = 4;
+/// Each square of this many pixels becomes one of the PNG file: plotters' wide lines have no soft edge of their own.
+const SHRINK: usize = 2;
+
+/// A point of the figure: right and down from the top left corner, in units of half a pixel of the PNG file.
+pub type Point = (f64, f64);
+
+/// How a line is drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stroke {
+    /// Colour.
+    pub colour: RGBColor,
+    /// Width in figure units.
+    pub width: f64,
+    /// Lengths of dash and gap in turn, in figure units; empty for a full line.
+    pub dash: &'static [f64],
+}
+
+/// Which point of a text lies at its position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Anchor {
+    /// Left end, half height.
+    Left,
+    /// Middle.
+    Centre,
+    /// Right end, half height.
+    Right,
+}
+
+/// One thing to draw.
+#[derive(Debug, Clone)]
+pub enum Shape {
+    /// A line through points.
+    Line {
+        /// The points.
+        points: Vec<Point>,
+        /// How it is drawn.
+        stroke: Stroke,
+    },
+    /// A filled area without outline.
+    Area {
+        /// Its corners.
+        corners: Vec<Point>,
+        /// Its colour.
+        fill: RGBColor,
+    },
+    /// A filled circle.
+    Disc {
+        /// Its centre.
+        centre: Point,
+        /// Its radius in figure units.
+        radius: f64,
+        /// Its colour.
+        fill: RGBColor,
+    },
+    /// One line of text.
+    Text {
+        /// Where its anchor lies.
+        at: Point,
+        /// What it says.
+        text: String,
+        /// Height of its font in figure units.
+        size: f64,
+        /// Its colour.
+        colour: RGBColor,
+        /// Which point of it lies at `at`.
+        anchor: Anchor,
+        /// True if it runs upwards.
+        upwards: bool,
+    },
+}
+
+/// A figure of a fixed size on white.
+#[derive(Debug, Clone)]
+pub struct Figure {
+    width: u32,
+    height: u32,
+    shapes: Vec<Shape>,
+}
+
+/// Registers the font that the figures use: Ubuntu Light from memory, so that none need be installed.
+fn register() -> Result<(), ReportError> {
+    register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).map_err(|_| ReportError::Font)
+}
+
+/// Width of a text in figure units.
+pub fn text_width(text: &str, size: f64) -> f64 {
+    let drawn = (FONT, size * SCALE as f64).into_font().box_size(text);
+    // Half the height is the usual width of a letter.
+    drawn.map_or(0.5 * size * text.chars().count() as f64, |(width, _)| f64::from(width) / SCALE as f64)
+}
+
+impl Figure {
+    /// An empty figure, in figure units.
+    pub fn new(width: u32, height: u32) -> Result<Figure, ReportError> {
+        register()?;
+        Ok(Figure { width, height, shapes: Vec::new() })
+    }
+
+    /// Draws over what is there. Shapes with a coordinate that is not finite are left out.
+    pub fn add(&mut self, shape: Shape) {
+        let finite = |points: &[Point]| points.iter().all(|(x, y)| x.is_finite() && y.is_finite());
+        let sound = match &shape {
+            Shape::Line { points, .. } => points.len() > 1 && finite(points),
+            Shape::Area { corners, .. } => corners.len() > 2 && finite(corners),
+            Shape::Disc { centre, radius, .. } => finite(&[*centre]) && radius.is_finite(),
+            Shape::Text { at, .. } => finite(&[*at]),
+        };
+        if sound {
+            self.shapes.push(shape);
+        }
+    }
+
+    /// Adds a text.
+    pub fn text(&mut self, at: Point, text: &str, size: f64, colour: RGBColor, anchor: Anchor) {
+        self.add(Shape::Text { at, text: text.to_string(), size, colour, anchor, upwards: false });
+    }
+
+    /// Writes `<stem>.png` and `<stem>.svg`.
+    pub fn write(&self, folder: &Path, stem: &str) -> Result<(), ReportError> {
+        self.write_png(&folder.join(format!("{stem}.png")))?;
+        self.write_svg(&folder.join(format!("{stem}.svg")))
+    }
+
+    fn write_png(&self, path: &Path) -> Result<(), ReportError> {
+        let size = (self.width * SCALE as u32, self.height * SCALE as u32);
+        let mut pixels = vec![0u8; size.0 as usize * size.1 as usize * 3];
+        {
+            let backend = BitMapBackend::with_buffer(&mut pixels, size);
+            self.draw(backend, true)
+                .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
+        }
+        let (columns, rows) = (size.0 as usize / SHRINK, size.1 as usize / SHRINK);
+        let shrunk = shrink(&pixels, columns, rows);
+        write_png(path, columns as u32, rows as u32, png::ColorType::Rgb, &shrunk)
+    }
+
+    fn write_svg(&self, path: &Path) -> Result<(), ReportError> {
+        let size = (self.width * SCALE as u32, self.height * SCALE as u32);
+        let mut text = String::new();
+        self.draw(SVGBackend::with_string(&mut text, size), false)
+            .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
+        // Drawn on a fine grid, shown at its own size.
+        let drawn = format!("width=\"{}\" height=\"{}\"", size.0, size.1);
+        let shown = format!("width=\"{}\" height=\"{}\"", self.width, self.height);
+        let text = text.replacen(&drawn, &shown, 1);
+        std::fs::write(path, text).map_err(|source| ReportError::Write { path: path.into(), source })
+    }
+
+    fn draw<DB: DrawingBackend>(&self, backend: DB, in_pieces: bool) -> Result<(), Box<dyn std::error::Error>>
+    where
+        DB::ErrorType: 'static,
+    {
+        let area = backend.into_drawing_area();
+        area.fill(&WHITE)?;
+        for shape in &self.shapes {
+            draw_shape(&area, shape, in_pieces)?;
+        }
+        area.present()?;
+        Ok(())
+    }
+}
+
+/// Means over squares of `SHRINK` × `SHRINK` RGB pixels.
+fn shrink(pixels: &[u8], columns: usize, rows: usize) -> Vec<u8> {
+    let wide = columns * SHRINK;
+    let mut shrunk = Vec::with_capacity(columns * rows * 3);
+    for row in 0..rows {
+        for column in 0..columns {
+            for channel in 0..3 {
+                let mut sum = 0u32;
+                for y in row * SHRINK..(row + 1) * SHRINK {
+                    for x in column * SHRINK..(column + 1) * SHRINK {
+                        sum += u32::from(pixels[(y * wide + x) * 3 + channel]);
+                    }
+                }
+                let count = (SHRINK * SHRINK) as u32;
+                shrunk.push(((sum + count / 2) / count) as u8);
+            }
+        }
+    }
+    shrunk
+}
+
+type DrawResult<DB> = Result<
+    (),
+    plotters::drawing::DrawingAreaErrorKind<<DB as DrawingBackend>::ErrorType>,
+>;
+
+fn pixel((x, y): Point) -> (i32, i32) {
+    let round = |v: f64| (v * SCALE as f64).round() as i32;
+    (round(x), round(y))
+}
+
+fn draw_shape<DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
+    shape: &Shape,
+    in_pieces: bool,
+) -> DrawResult<DB> {
+    match shape {
+        Shape::Line { points, stroke } => draw_line(area, points, stroke, in_pieces),
+        Shape::Area { corners, fill } => {
+            let corners: Vec<_> = corners.iter().map(|&corner| pixel(corner)).collect();
+            area.draw(&Polygon::new(corners, fill.filled()))
+        }
+        Shape::Disc { centre, radius, fill } => {
+            let radius = (radius * SCALE as f64).round().max(1.0) as i32;
+            area.draw(&Circle::new(pixel(*centre), radius, fill.filled()))
+        }
+        Shape::Text { at, text, size, colour, anchor, upwards } => {
+            let horizontal = match anchor {
+                Anchor::Left => HPos::Left,
+                Anchor::Centre => HPos::Center,
+                Anchor::Right => HPos::Right,
+            };
+            let mut font = (FONT, size * SCALE as f64).into_font();
+            if *upwards {
+                font = font.transform(FontTransform::Rotate270);
+            }
+            let style = TextStyle::from(font).color(colour).pos(Pos::new(horizontal, VPos::Center));
+            area.draw_text(text, &style, pixel(*at))
+        }
+    }
+}
+
+/// Draws dashes one by one. `in_pieces` draws each straight piece alone with round joints: the outline that plotters'
+/// bitmap makes of a dense polyline has spikes.
+fn draw_line<DB: DrawingBackend>(
+    area: &DrawingArea<DB, Shift>,
+    points: &[Point],
+    stroke: &Stroke,
+    in_pieces: bool,
+) -> DrawResult<DB> {
+    let width = (stroke.width * SCALE as f64).round().max(1.0) as u32;
+    let style = ShapeStyle { color: stroke.colour.to_rgba(), filled: true, stroke_width: width };
+    for dash in dashes(points, stroke.dash) {
+        let mut corners: Vec<_> = dash.iter().map(|&point| pixel(point)).collect();
+        corners.dedup();
+        if !in_pieces {
+            area.draw(&PathElement::new(corners, style))?;
+            continue;
+        }
+        for piece in corners.windows(2) {
+            area.draw(&PathElement::new(piece.to_vec(), style))?;
+        }
+        let inner = corners.len().saturating_sub(1).max(1);
+        for &joint in corners[..inner].iter().skip(1).filter(|_| width > 3) {
+            area.draw(&Circle::new(joint, width as i32 / 2, style))?;
+        }
+    }
+    Ok(())
+}
+
+/// Cuts a polyline into its dashes. An empty pattern leaves it whole.
+fn dashes(points: &[Point], pattern: &[f64]) -> Vec<Vec<Point>> {
+    if pattern.is_empty() || pattern.iter().any(|&length| length.is_nan() || length <= 0.0) {
+        return vec![points.to_vec()];
+    }
+    let mut all = Vec::new();
+    let mut current: Vec<Point> = points.first().copied().into_iter().collect();
+    let (mut index, mut left) = (0, pattern[0]);
+    for pair in points.windows(2) {
+        let (a, b) = (pair[0], pair[1]);
+        let length = (b.0 - a.0).hypot(b.1 - a.1);
+        let mut done = 0.0;
+        while length - done > left {
+            done += left;
+            let share = done / length;
+            let cut = (a.0 + share * (b.0 - a.0), a.1 + share * (b.1 - a.1));
+            if index % 2 == 0 {
+                current.push(cut);
+                all.push(std::mem::take(&mut current));
+            } else {
+                current = vec![cut];
+            }
+            index += 1;
+            left = pattern[index % pattern.len()];
+        }
+        left -= length - done;
+        if index % 2 == 0 {
+            current.push(b);
+        }
+    }
+    if index % 2 == 0 && current.len() > 1 {
+        all.push(current);
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn length(line: &[Point]) -> f64 {
+        line.windows(2).map(|p| (p[1].0 - p[0].0).hypot(p[1].1 - p[0].1)).sum()
+    }
+
+    #[test]
+    fn dashes_keep_the_shares_of_the_pattern() {
+        // A corner at an odd place: 7 right, 5 down; total 12 with pattern 2 on, 1 off: 8 of 12 drawn in 4 dashes.
+        let line = [(0.0, 0.0), (7.0, 0.0), (7.0, 5.0)];
+        let cut = dashes(&line, &[2.0, 1.0]);
+        assert_eq!(cut.len(), 4);
+        assert!((cut.iter().map(|dash| length(dash)).sum::<f64>() - 8.0).abs() < 1e-12);
+        assert_eq!(dashes(&line, &[]), vec![line.to_vec()]);
+        assert_eq!(cut[2], vec![(6.0, 0.0), (7.0, 0.0), (7.0, 1.0)], "a dash goes round the corner");
+    }
+
+    #[test]
+    fn shrinking_takes_means() {
+        let pixels: Vec<u8> = [[0u8; 3], [255; 3], [255; 3], [0; 3]].concat();
+        assert_eq!(shrink(&pixels, 1, 1), vec![128; 3]);
+    }
+}

@@ -1,0 +1,351 @@
+//! The numbers of a run.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use recorder_proc::end::hash_text;
+use serde::{Deserialize, Serialize};
+
+use super::RunFacts;
+use super::distribution::Quantiles;
+use super::run_lane::{RunLane, distance_m};
+use super::timing_lane::TimingLane;
+
+/// What a run came to: the content of `summary.json`. What the logs do not say is null.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Name of the scene.
+    pub scene: Option<String>,
+    /// `lockstep` or `realtime`.
+    pub mode: Option<String>,
+    /// How the run ended.
+    pub outcome: String,
+    /// Ticks made.
+    pub ticks: u64,
+    /// Simulated time.
+    pub simulated_s: f64,
+    /// Wall time of the ticks.
+    pub wall_s: f64,
+    /// Wall time from the start to the first tick.
+    pub startup_s: f64,
+    /// Simulated over wall time.
+    pub real_time_factor: Option<f64>,
+    /// `State.hash` of the last state, 32 hexadecimal digits, high word first.
+    pub final_hash: Option<String>,
+    /// The tool; none without a state.
+    pub tool: Option<ToolSummary>,
+    /// Drilling and contact; none without a state.
+    pub drilling: Option<DrillingSummary>,
+    /// X-ray frames; none without a frame.
+    pub drr: Option<DrrSummary>,
+    /// Real-time behaviour.
+    pub timing: TimingSummary,
+    /// Number of events by kind.
+    pub events: BTreeMap<String, u64>,
+    /// The last warnings and errors.
+    pub warnings: Vec<String>,
+    /// The logs.
+    pub logs: LogSummary,
+    /// Peak memory (VmHWM) of each process, bytes.
+    pub peak_memory_bytes: BTreeMap<String, u64>,
+    /// Command that replays the run.
+    pub replay_command: String,
+}
+
+/// The tool at start and end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ToolSummary {
+    /// Front of the burr at the start, world.
+    pub tip_start_mm: [f64; 3],
+    /// Front of the burr at the end, world.
+    pub tip_end_mm: [f64; 3],
+    /// Distance of the burr centre from the controller's target at the end; none without a target.
+    pub target_error_mm: Option<f64>,
+    /// Bend at the end.
+    pub bend_deg: f64,
+    /// Greatest tension of any tendon.
+    pub max_tension_n: f64,
+}
+
+/// Drilling and contact.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DrillingSummary {
+    /// Voxels removed since the start or the last reset.
+    pub removed_voxels: u64,
+    /// Their volume, if the scene says the voxel size.
+    pub removed_volume_mm3: Option<f64>,
+    /// Energy put into cutting since the start or the last reset.
+    pub cutting_energy_j: f64,
+    /// Greatest normal force of the burr.
+    pub max_burr_force_n: f64,
+    /// Greatest normal force of any contact.
+    pub max_contact_force_n: f64,
+    /// Most contacts in one tick.
+    pub max_contacts: u32,
+    /// Share of the ticks with at least one contact.
+    pub contact_share: f64,
+}
+
+/// X-ray frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DrrSummary {
+    /// Frames in the log.
+    pub frames: u64,
+    /// Those that were traced whole; the others only where something had changed.
+    pub full_frames: u64,
+    /// Time of rendering.
+    pub render_ms: Option<Quantiles>,
+    /// Rays traced for all frames.
+    pub rays: u64,
+    /// Mean rays of a frame.
+    pub rays_per_frame: Option<f64>,
+    /// Frames per simulated second.
+    pub frames_per_simulated_s: Option<f64>,
+    /// Frames per second of wall time.
+    pub frames_per_wall_s: Option<f64>,
+}
+
+/// Real-time behaviour.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TimingSummary {
+    /// Time of the physics step.
+    pub step_us: Option<Quantiles>,
+    /// How late ticks began (real time).
+    pub lateness_us: Option<Quantiles>,
+    /// From state to command, per controller that answered.
+    pub round_trip_us: BTreeMap<String, Quantiles>,
+    /// Ticks that began more than a period late.
+    pub missed_ticks: u64,
+    /// Page faults of the physics process after its first tick.
+    pub page_faults: u64,
+}
+
+/// The logs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LogSummary {
+    /// Size of `run.mcap`.
+    pub run_bytes: u64,
+    /// Size of `timing.mcap`.
+    pub timing_bytes: u64,
+    /// Both, 10⁶ bytes per simulated second.
+    pub mb_per_simulated_s: Option<f64>,
+    /// Messages that somebody missed, by topic.
+    pub lost_messages: BTreeMap<String, u64>,
+    /// What is wrong with the files: cut, damaged, not there.
+    pub notes: Vec<String>,
+}
+
+/// A ratio that exists.
+fn ratio(a: f64, b: f64) -> Option<f64> {
+    Some(a / b).filter(|ratio| b > 0.0 && ratio.is_finite())
+}
+
+impl Summary {
+    /// Puts together what the logs and the launcher say. Sizes in bytes: run log, timing log.
+    pub fn new(run: &RunLane, timing: &TimingLane, facts: &RunFacts, bytes: [u64; 2]) -> Summary {
+        let header = run.header.as_ref().or(timing.header.as_ref());
+        let simulated_s = run.end_ns as f64 * 1e-9;
+        Summary {
+            scene: header.map(|header| header.scene_name.clone()),
+            mode: header.map(|header| header.mode.name().to_string()),
+            outcome: facts.outcome.clone(),
+            ticks: run.ticks,
+            simulated_s,
+            wall_s: facts.wall_s,
+            startup_s: facts.startup_s,
+            real_time_factor: ratio(simulated_s, facts.wall_s),
+            final_hash: run.last.as_ref().map(|state| hash_text(state.hash)),
+            tool: ToolSummary::of(run),
+            drilling: DrillingSummary::of(run),
+            drr: DrrSummary::of(run, timing, facts),
+            timing: TimingSummary::of(timing),
+            events: timing.events.clone(),
+            warnings: timing.warnings.iter().cloned().collect(),
+            logs: LogSummary::of(run, timing, bytes),
+            peak_memory_bytes: facts.peak_memory_bytes.clone(),
+            replay_command: facts.replay_command.clone(),
+        }
+    }
+}
+
+impl ToolSummary {
+    fn of(run: &RunLane) -> Option<ToolSummary> {
+        let (first, last) = (run.first.as_ref()?, run.last.as_ref()?);
+        let burr_m = last.t_world_burr.position_m;
+        Some(ToolSummary {
+            tip_start_mm: first.t_world_tip.position_m.map(|x| x * 1e3),
+            tip_end_mm: last.t_world_tip.position_m.map(|x| x * 1e3),
+            target_error_mm: run.target_m().map(|target_m| distance_m(target_m, burr_m) * 1e3),
+            bend_deg: last.bend_rad.to_degrees(),
+            max_tension_n: run.peaks.tension_n,
+        })
+    }
+}
+
+impl DrillingSummary {
+    fn of(run: &RunLane) -> Option<DrillingSummary> {
+        let last = run.last.as_ref()?;
+        Some(DrillingSummary {
+            removed_voxels: last.removed_total,
+            removed_volume_mm3: run.voxel_volume_mm3().map(|volume| volume * last.removed_total as f64),
+            cutting_energy_j: last.cutting_energy_j,
+            max_burr_force_n: run.peaks.burr_force_n,
+            max_contact_force_n: run.peaks.contact_force_n,
+            max_contacts: run.peaks.contacts,
+            contact_share: ratio(run.peaks.ticks_in_contact as f64, run.ticks as f64).unwrap_or(0.0).min(1.0),
+        })
+    }
+}
+
+impl DrrSummary {
+    fn of(run: &RunLane, timing: &TimingLane, facts: &RunFacts) -> Option<DrrSummary> {
+        let frames = run.frames.count;
+        (frames > 0).then(|| DrrSummary {
+            frames,
+            full_frames: timing.full_frames,
+            render_ms: timing.render.quantiles(1e6),
+            rays: timing.rays,
+            rays_per_frame: ratio(timing.rays as f64, timing.render.count() as f64),
+            frames_per_simulated_s: ratio(frames as f64, run.end_ns as f64 * 1e-9),
+            frames_per_wall_s: ratio(frames as f64, facts.wall_s),
+        })
+    }
+}
+
+impl TimingSummary {
+    fn of(timing: &TimingLane) -> TimingSummary {
+        let controllers = timing.header.as_ref().map(|h| h.controllers.as_slice()).unwrap_or_default();
+        let trips = controllers.iter().zip(&timing.round_trips);
+        let realtime = timing.header.as_ref().is_some_and(|h| h.mode == recorder_proc::RunMode::RealTime);
+        TimingSummary {
+            step_us: timing.step.quantiles(1e3),
+            lateness_us: timing.lateness.quantiles(1e3).filter(|_| realtime),
+            round_trip_us: trips.filter_map(|(name, d)| Some((name.clone(), d.quantiles(1e3)?))).collect(),
+            missed_ticks: timing.missed,
+            page_faults: timing.page_faults,
+        }
+    }
+}
+
+impl LogSummary {
+    fn of(run: &RunLane, timing: &TimingLane, [run_bytes, timing_bytes]: [u64; 2]) -> LogSummary {
+        let mut lost_messages = timing.lost.clone();
+        lost_messages.extend(run.lost.clone());
+        let megabytes = (run_bytes + timing_bytes) as f64 * 1e-6;
+        LogSummary {
+            run_bytes,
+            timing_bytes,
+            mb_per_simulated_s: ratio(megabytes, run.end_ns as f64 * 1e-9),
+            lost_messages,
+            notes: run.notes.iter().chain(&timing.notes).cloned().collect(),
+        }
+    }
+}
+
+/// The short table at the end of a run, at most 20 lines.
+impl fmt::Display for Summary {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let unknown = || "unknown".to_string();
+        let row = |name: &str, text: String| format!("{name:<13}{text}\n");
+        let mut table = row(
+            "run",
+            format!(
+                "{} ({}), {}",
+                self.scene.clone().unwrap_or_else(unknown),
+                self.mode.clone().unwrap_or_else(unknown),
+                self.outcome
+            ),
+        );
+        let factor = self.real_time_factor.map_or(String::new(), |f| format!(", {f:.2} x real time"));
+        let (simulated_s, wall_s, startup_s) = (self.simulated_s, self.wall_s, self.startup_s);
+        table += &row(
+            "time",
+            format!("{simulated_s:.3} s simulated in {wall_s:.3} s{factor}, start {startup_s:.2} s"),
+        );
+        let hash = self.final_hash.clone().unwrap_or_else(|| "none".to_string());
+        table += &row("ticks", format!("{}, hash {hash}", self.ticks));
+        for (name, text) in self.tool_rows().into_iter().chain(self.timing_rows()).chain(self.log_rows()) {
+            table += &row(name, text);
+        }
+        out.write_str(table.trim_end())
+    }
+}
+
+type Rows = Vec<(&'static str, String)>;
+
+impl Summary {
+    fn tool_rows(&self) -> Rows {
+        let mut rows = Rows::new();
+        if let Some(tool) = &self.tool {
+            let point = |p: [f64; 3]| format!("{:.2} {:.2} {:.2}", p[0], p[1], p[2]);
+            let (start, end) = (point(tool.tip_start_mm), point(tool.tip_end_mm));
+            let error = tool.target_error_mm.map_or(String::new(), |mm| format!(", {mm:.2} mm off target"));
+            rows.push(("tip", format!("{start} -> {end} mm{error}")));
+            rows.push(("bend", format!("{:.2} deg, tension up to {:.2} N", tool.bend_deg, tool.max_tension_n)));
+        }
+        if let Some(drilling) = &self.drilling {
+            let volume = drilling.removed_volume_mm3.map_or(String::new(), |mm3| format!(" ({mm3:.1} mm3)"));
+            let (voxels, energy) = (drilling.removed_voxels, drilling.cutting_energy_j);
+            rows.push(("drilled", format!("{voxels} voxels{volume}, {energy:.2} J of cutting")));
+            let text = format!(
+                "up to {} at once, in {:.1} % of ticks, burr force up to {:.2} N",
+                drilling.max_contacts,
+                100.0 * drilling.contact_share,
+                drilling.max_burr_force_n
+            );
+            rows.push(("contacts", text));
+        }
+        if let Some(drr) = &self.drr {
+            let render = drr.render_ms.map_or(String::new(), |q| {
+                format!(", render p50 {:.1} p99 {:.1} ms", q.p50, q.p99)
+            });
+            let rate = drr.frames_per_wall_s.map_or(String::new(), |hz| format!(", {hz:.1} per wall s"));
+            rows.push(("DRR frames", format!("{} ({} full){render}{rate}", drr.frames, drr.full_frames)));
+        }
+        rows
+    }
+
+    fn timing_rows(&self) -> Rows {
+        let quantiles = |q: &Quantiles| {
+            format!("p50 {:.1}  p99 {:.1}  p99.9 {:.1}  max {:.1} us", q.p50, q.p99, q.p99_9, q.max)
+        };
+        let mut rows = Rows::new();
+        if let Some(q) = &self.timing.step_us {
+            rows.push(("step", quantiles(q)));
+        }
+        if let Some(q) = &self.timing.lateness_us {
+            rows.push(("lateness", format!("{}, {} missed ticks", quantiles(q), self.timing.missed_ticks)));
+        }
+        for (name, q) in &self.timing.round_trip_us {
+            rows.push(("round trip", format!("{}, {name}", quantiles(q))));
+        }
+        rows
+    }
+
+    fn log_rows(&self) -> Rows {
+        let mut rows = Rows::new();
+        let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 * 1e-6);
+        let rate = self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
+        let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
+        rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
+        if !self.peak_memory_bytes.is_empty() {
+            let each = self.peak_memory_bytes.iter().map(|(name, &bytes)| format!("{name} {}", megabytes(bytes)));
+            rows.push(("peak memory", each.collect::<Vec<_>>().join(", ")));
+        }
+        if !self.events.is_empty() {
+            let each = self.events.iter().map(|(name, count)| format!("{count} {name}"));
+            rows.push(("events", each.collect::<Vec<_>>().join(", ")));
+        }
+        if let Some(warning) = self.warnings.last() {
+            rows.push(("last warning", warning.clone()));
+        }
+        let lost: u64 = self.logs.lost_messages.values().sum();
+        let lost = (lost > 0).then(|| format!("{lost} messages lost"));
+        let problems: Vec<String> = self.logs.notes.iter().cloned().chain(lost).collect();
+        if !problems.is_empty() {
+            rows.push(("logs lack", problems.join("; ")));
+        }
+        rows.push(("replay", self.replay_command.clone()));
+        rows
+    }
+}

@@ -1,0 +1,204 @@
+//! A report of a synthetic run, of cut logs and of none.
+
+mod synthetic;
+
+use std::fs;
+use std::path::Path;
+
+use super::*;
+use recorder_proc::{EndReason, RunLog, TimingLog};
+use synthetic::{BURR_RADIUS_M, FRAME_TICKS, Random};
+
+const TICKS: u64 = 2000;
+
+fn facts() -> RunFacts {
+    RunFacts {
+        wall_s: 4.0,
+        startup_s: 0.5,
+        outcome: "completed".to_string(),
+        peak_memory_bytes: BTreeMap::from([("physics".to_string(), 40_000_000)]),
+        replay_command: "trabecula replay runs/x/run.mcap".to_string(),
+    }
+}
+
+fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
+    let mut reader = png::Decoder::new(io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut pixels).unwrap();
+    pixels.truncate(info.buffer_size());
+    (info.width, info.height, pixels)
+}
+
+/// All figures are there, of the right size, with something drawn on them, and free of numbers that are none.
+fn check_figures(folder: &Path) {
+    for (stem, size) in [("tip_path", (2120, 1440)), ("timing", (2120, 1400))] {
+        let (width, height, pixels) = picture(&folder.join(format!("{stem}.png")));
+        assert_eq!((width, height), size);
+        let dark = pixels.chunks_exact(3).filter(|rgb| rgb.iter().all(|&c| c < 100)).count();
+        assert!(dark > 2000, "{stem}: {dark} dark pixels: axes and labels are missing");
+        let svg = fs::read_to_string(folder.join(format!("{stem}.svg"))).unwrap();
+        assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
+        assert!(svg.contains(&format!("width=\"{}\" height=\"{}\"", size.0 / 2, size.1 / 2)));
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{stem}");
+    }
+}
+
+#[test]
+fn a_run_is_summed_up() {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_run(folder.path(), TICKS);
+    let summary = write(folder.path(), &facts()).unwrap();
+    check_figures(folder.path());
+
+    let last = synthetic::state(TICKS, TICKS, &mut Random(1));
+    let (tool, drilling) = (summary.tool.as_ref().unwrap(), summary.drilling.as_ref().unwrap());
+    assert_eq!((summary.ticks, summary.simulated_s, summary.real_time_factor), (TICKS, 2.0, Some(0.5)));
+    assert_eq!(summary.final_hash.as_deref(), Some(format!("{:016x}{TICKS:016x}", !TICKS).as_str()));
+    assert_eq!(tool.tip_end_mm, last.t_world_tip.position_m.map(|x| x * 1e3));
+    assert!((tool.bend_deg - 0.8f64.to_degrees()).abs() < 1e-12);
+    assert_eq!(tool.max_tension_n, 12.0);
+    let [x, _, z] = last.t_world_burr.position_m;
+    let error_mm = ((x * 1e3 - 12.0).powi(2) + (z * 1e3 - 27.0).powi(2)).sqrt();
+    assert!((tool.target_error_mm.unwrap() - error_mm).abs() < 1e-9);
+    assert_eq!((drilling.removed_voxels, drilling.removed_volume_mm3), (4000, Some(500.0)));
+    assert_eq!((drilling.cutting_energy_j, drilling.max_contacts), (25.0, 3));
+    assert!(drilling.max_burr_force_n > 4.5 && drilling.max_burr_force_n < 5.0);
+    assert_eq!(drilling.max_contact_force_n, 2.0 * drilling.max_burr_force_n);
+    // Ticks 201 to 1799 drill.
+    assert_eq!(drilling.contact_share, 1599.0 / 2000.0);
+
+    let drr = summary.drr.as_ref().unwrap();
+    assert_eq!((drr.frames, drr.full_frames, drr.rays_per_frame), (20, 1, Some(1000.0)));
+    assert_eq!((drr.frames_per_simulated_s, drr.frames_per_wall_s), (Some(10.0), Some(5.0)));
+    // Three digits: 0.1 %.
+    assert!((drr.render_ms.unwrap().p50 - 5.0).abs() < 5e-3);
+
+    let timing = &summary.timing;
+    assert_eq!(timing.missed_ticks, 2);
+    assert!((timing.lateness_us.unwrap().max - 2300.0).abs() < 2.3);
+    let trips = &timing.round_trip_us;
+    assert_eq!(trips.keys().collect::<Vec<_>>(), ["guide", "watch"]);
+    assert!(trips["guide"].p50 > 60.0 && trips["guide"].max <= 120.12 && trips["watch"].max <= 45.05);
+    let step = timing.step_us.unwrap();
+    assert!(step.count == TICKS && step.p50 > 30.0 && step.p50 < 60.0 && step.max > 240.0);
+
+    assert_eq!((summary.events["command_held"], summary.events["run"]), (8, 1));
+    assert_eq!(summary.warnings.len(), 5);
+    assert_eq!(summary.warnings[4], "tick 7, watch: late by 7 ticks again");
+    assert_eq!(summary.logs.lost_messages["/event"], 3);
+    assert!(summary.logs.notes.is_empty() && summary.logs.run_bytes > 0 && summary.logs.timing_bytes > 0);
+
+    let json = fs::read(folder.path().join("summary.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<Summary>(&json).unwrap(), summary, "the file says the same");
+    let table = summary.to_string();
+    assert!(table.lines().count() <= 20, "{table}");
+    assert!(table.contains("2.000 s simulated in 4.000 s, 0.50 x real time"), "{table}");
+}
+
+#[test]
+fn step_quantiles_are_those_of_the_sorted_samples() {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_run(folder.path(), 500);
+    let step = write(folder.path(), &facts()).unwrap().timing.step_us.unwrap();
+    // The same stream of random numbers as in write_run.
+    let mut random = Random(1);
+    synthetic::state(0, 500, &mut random);
+    let sample = |k: u64| {
+        synthetic::state(k + 1, 500, &mut random);
+        synthetic::timing(k, &mut random).step_ns as f64 * 1e-3
+    };
+    let mut samples: Vec<f64> = (0..500).map(sample).collect();
+    samples.sort_by(f64::total_cmp);
+    // The histogram's bins are at most 0.1 % wide.
+    for (found, rank) in [(step.p50, 250), (step.p99, 495), (step.p99_9, 500), (step.max, 500)] {
+        let expected: f64 = samples[rank - 1];
+        assert!((found / expected - 1.0).abs() < 1.1e-3, "{found} {expected}");
+    }
+}
+
+#[test]
+fn the_middle_frame_is_the_one_nearest_the_middle() {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_run(folder.path(), TICKS);
+    write(folder.path(), &facts()).unwrap();
+    // Frame n lies at tick 1 + 100 (n - 1); the middle of 2000 ticks is nearest to frame 11. A frame's first pixel is
+    // its number.
+    assert_eq!(FRAME_TICKS, 100);
+    for (name, number) in [("before", 1), ("half", 11), ("after", 20)] {
+        let (columns, rows, pixels) = picture(&folder.path().join(format!("drr_{name}.png")));
+        assert_eq!((columns, rows, pixels[0]), (64, 48, number));
+    }
+}
+
+#[test]
+fn a_cut_log_gives_what_it_holds() {
+    let whole = tempfile::tempdir().unwrap();
+    synthetic::write_run(whole.path(), 600);
+    let bytes = ["run.mcap", "timing.mcap"].map(|name| fs::read(whole.path().join(name)).unwrap());
+    let mut ticks = Vec::new();
+    for share in [0.0, 0.02, 0.5, 0.9] {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in ["run.mcap", "timing.mcap"].iter().zip(&bytes) {
+            fs::write(folder.path().join(name), &bytes[..(bytes.len() as f64 * share) as usize]).unwrap();
+        }
+        let summary = write(folder.path(), &facts()).unwrap();
+        assert_eq!(summary.logs.notes.len(), 2, "{:?}", summary.logs.notes);
+        assert!(summary.to_string().lines().count() <= 20);
+        check_figures(folder.path());
+        ticks.push(summary.ticks);
+    }
+    assert!(ticks[0] == 0 && ticks[2] > 0 && ticks[3] > ticks[2] && ticks[3] < 600, "{ticks:?}");
+}
+
+#[test]
+fn a_run_without_ticks_or_logs_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let summary = write(folder.path(), &facts()).unwrap();
+    assert_eq!((summary.ticks, summary.scene, summary.logs.notes.len()), (0, None, 2));
+    check_figures(folder.path());
+
+    let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &synthetic::header()).unwrap();
+    run.state(&synthetic::state(0, 1, &mut Random(1))).unwrap();
+    run.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
+    let timing = TimingLog::create_file(&folder.path().join("timing.mcap"), &synthetic::header()).unwrap();
+    timing.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
+    let summary = write(folder.path(), &facts()).unwrap();
+    assert_eq!((summary.ticks, summary.scene.as_deref()), (0, Some("synthetic")));
+    assert!(summary.drr.is_none() && summary.timing.step_us.is_none() && summary.logs.notes.is_empty());
+    let tip_mm = summary.tool.unwrap().tip_end_mm;
+    assert!((tip_mm[2]).abs() < 1e-9 && BURR_RADIUS_M > 0.0);
+    check_figures(folder.path());
+    assert!(!folder.path().join("drr_before.png").exists());
+}
+
+#[test]
+fn numbers_that_are_none_do_not_stop_the_drawing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &synthetic::header()).unwrap();
+    for tick in 0..50 {
+        let mut state = synthetic::state(tick, 50, &mut Random(1));
+        if tick > 20 {
+            state.bend_rad = f64::NAN;
+            state.burr_force_n = f64::INFINITY;
+            state.t_world_tip.position_m = [f64::NAN; 3];
+            state.t_world_link[3].position_m = [f64::NEG_INFINITY; 3];
+        }
+        if tick > 0 {
+            let mut latched = ipc_types::messages::Latched::zeroed();
+            latched.tick = tick - 1;
+            run.latched(&latched).unwrap();
+        }
+        run.state(&state).unwrap();
+    }
+    run.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    let summary = write(folder.path(), &facts()).unwrap();
+    assert_eq!(summary.ticks, 49);
+    check_figures(folder.path());
+}
+
+#[test]
+fn a_folder_that_is_not_there_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = write(&folder.path().join("missing"), &facts()).unwrap_err();
+    assert!(matches!(error, ReportError::Write { .. }) && error.to_string().contains("missing"), "{error}");
+}

@@ -1,0 +1,180 @@
+//! A made-up run with the shape of a real one: wait, advance along an arc with the burr on, hold.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use ipc_types::layout::Message;
+use ipc_types::messages::*;
+use recorder_proc::{BuildInfo, EndReason, LogHeader, RunLog, RunMode, TimingLog, topics};
+use zerocopy::IntoBytes;
+
+/// The scene's text; its target lies where the burr ends, 1 mm to the side.
+const SCENE: &str = r#"
+name = "synthetic"
+[run]
+mode = "realtime"
+duration_s = 5.0
+[volume]
+phantom = "femur"
+spacing_mm = 0.5
+[tool]
+burr_start_mm = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+[drr]
+rate_hz = 10.0
+isocentre_mm = [0.0, 0.0, 0.0]
+columns = 64
+rows = 48
+pixel_pitch_mm = 1.0
+[[controller]]
+name = "guide"
+drives = ["tendon", "arm", "burr"]
+[controller.curved_drilling]
+feed_mm_per_s = 8.0
+insertion_mm = 32.0
+tension_n = 12.0
+ramp_end_mm = 32.0
+burr_speed_rpm = 30000.0
+target_mm = [12.0, 0.0, 27.0]
+"#;
+
+/// Number of flexures.
+const JOINTS: usize = 27;
+const PITCH_M: f64 = 1.3e-3;
+const SHAFT_M: f64 = 0.1;
+/// Radius of the burr.
+pub const BURR_RADIUS_M: f64 = 3e-3;
+/// Ticks between frames.
+pub const FRAME_TICKS: u64 = 100;
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+pub struct Random(pub u64);
+
+impl Random {
+    fn word(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in 0..1.
+    pub fn share(&mut self) -> f64 {
+        (self.word() >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// Header of both lanes.
+pub fn header() -> LogHeader {
+    LogHeader {
+        scene_toml: SCENE.to_string(),
+        scene_name: "synthetic".to_string(),
+        volume_sha256: Some([7; 32]),
+        volume_dimensions: [200, 200, 200],
+        dt_ns: 1_000_000,
+        mode: RunMode::RealTime,
+        controllers: vec!["guide".to_string(), "watch".to_string()],
+        build: BuildInfo::current(),
+    }
+}
+
+/// The state after `tick` of `ticks` ticks. The bend grows to 0.8 rad, the tension to 12 N.
+pub fn state(tick: u64, ticks: u64, random: &mut Random) -> State {
+    let mut s = State::zeroed();
+    let progress = ((tick as f64 / ticks.max(1) as f64 - 0.1) / 0.8).clamp(0.0, 1.0);
+    let drilling = progress > 0.0 && progress < 1.0;
+    (s.tick, s.sim_time_s) = (tick, tick as f64 * 1e-3);
+    s.hash = [tick, !tick];
+    (s.joint_count, s.tendon_count, s.controller_count) = (JOINTS as u32, 1, 2);
+    s.bend_rad = 0.8 * progress;
+    s.tendon_tension_n[0] = 12.0 * progress * progress;
+    let noise = random.share() - 0.5;
+    s.burr_force_n = if drilling { 3.0 + (9.0 * progress).sin() + 2.0 * noise } else { 0.0 };
+    s.contact_total = if drilling { 1 + (3.0 * random.share()) as u32 } else { 0 };
+    s.contact_count = s.contact_total;
+    s.contacts[0].normal_force_n = 2.0 * s.burr_force_n;
+    s.removed_total = (4000.0 * progress) as u64;
+    s.cutting_energy_j = 25.0 * progress;
+    let advance = 0.032 * progress;
+    let base = advance - SHAFT_M - JOINTS as f64 * PITCH_M - BURR_RADIUS_M;
+    s.t_world_base = Pose { position_m: [0.0, 0.0, base], ..Pose::IDENTITY };
+    let (mut x, mut z, mut angle) = (0.0, base + SHAFT_M, 0.0f64);
+    for i in 0..JOINTS {
+        angle += s.bend_rad / JOINTS as f64;
+        s.joint_position_rad[i] = s.bend_rad / JOINTS as f64;
+        s.t_world_link[i] = Pose { position_m: [x, 0.0, z], ..Pose::IDENTITY };
+        (x, z) = (x + PITCH_M * angle.sin(), z + PITCH_M * angle.cos());
+    }
+    s.t_world_burr = Pose { position_m: [x, 0.0, z], ..Pose::IDENTITY };
+    let tip = [x + BURR_RADIUS_M * angle.sin(), 0.0, z + BURR_RADIUS_M * angle.cos()];
+    s.t_world_tip = Pose { position_m: tip, ..Pose::IDENTITY };
+    s
+}
+
+/// Wall-clock facts of a tick: usually 40 µs, now and then long; every 997th is missed.
+pub fn timing(tick: u64, random: &mut Random) -> TickTiming {
+    let mut t = TickTiming::zeroed();
+    let long = if random.share() > 0.995 { 8.0 } else { 1.0 };
+    t.tick = tick;
+    t.step_ns = (30e3 * long * (1.0 + random.share() * random.share())) as u64;
+    t.wake_lateness_ns = (8e3 * long * (0.3 + random.share())) as i64;
+    t.round_trip_ns = [(60e3 * (1.0 + random.share())) as u64, (15e3 * (1.0 + 2.0 * random.share())) as u64, 0, 0];
+    if tick % 997 == 996 {
+        (t.missed, t.wake_lateness_ns) = (1, 2_300_000);
+    }
+    t
+}
+
+/// A frame as on the wire: a gradient whose grey rises with the number of the frame.
+pub fn frame(sequence: u64, tick: u64, columns: u32, rows: u32) -> Vec<u8> {
+    let mut frame = Frame::zeroed();
+    (frame.sequence, frame.tick) = (sequence, tick);
+    let prefix = ImagePrefix::mono16(columns, rows, tick as f64 * 1e-3);
+    let grey = |i: u32| ((i % columns) as u16).saturating_mul(256).saturating_add(sequence as u16 * 257);
+    let pixels: Vec<u8> = (0..columns * rows).flat_map(|i| grey(i).to_le_bytes()).collect();
+    [frame.as_bytes(), prefix.as_bytes(), &pixels].concat()
+}
+
+fn event(tick: u64, severity: u32, code: u32, text: &str) -> Vec<u8> {
+    let mut event = Event::zeroed();
+    (event.tick, event.severity, event.code) = (tick, severity, code);
+    event.sender = SENDER_CONTROLLER + 1;
+    event.text_length = text.len() as u32 + 1;
+    [event.as_bytes(), text.as_bytes(), b"\0"].concat()
+}
+
+/// Writes both lanes of a run of `ticks` ticks into a folder.
+pub fn write_run(folder: &Path, ticks: u64) {
+    let mut random = Random(1);
+    let mut run = RunLog::create_file(&folder.join("run.mcap"), &header()).unwrap();
+    let mut lane = TimingLog::create_file(&folder.join("timing.mcap"), &header()).unwrap();
+    run.state(&state(0, ticks, &mut random)).unwrap();
+    let mut frames = 0;
+    for k in 0..ticks {
+        let mut latched = Latched::zeroed();
+        latched.tick = k;
+        run.latched(&latched).unwrap();
+        run.state(&state(k + 1, ticks, &mut random)).unwrap();
+        let timing = timing(k, &mut random);
+        lane.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, k + 1, timing.as_bytes()).unwrap();
+        if k % FRAME_TICKS == 0 {
+            frames += 1;
+            run.frame(&frame(frames, k + 1, 64, 48)).unwrap();
+            let mut timing = FrameTiming::zeroed();
+            (timing.frame_sequence, timing.rays) = (frames, 1000);
+            (timing.render_ns, timing.full) = (5_000_000, u32::from(frames == 1));
+            lane.message(topics::FRAME_TIMING, FrameTiming::DESCRIPTION, k + 1, timing.as_bytes()).unwrap();
+        }
+    }
+    for i in 0..8 {
+        let event = event(i, SEVERITY_WARNING, EVENT_COMMAND_HELD, &format!("late by {i} ticks\nagain"));
+        lane.message(topics::EVENT, Event::DESCRIPTION, ticks, &event).unwrap();
+    }
+    let event = event(9, SEVERITY_INFO, EVENT_RUN, "ended");
+    lane.message(topics::EVENT, Event::DESCRIPTION, ticks, &event).unwrap();
+    let lost = BTreeMap::from([("/event".to_string(), 3)]);
+    run.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+    lane.finish(EndReason::Completed, &lost).unwrap();
+}

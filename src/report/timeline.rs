@@ -1,0 +1,106 @@
+//! Bins over simulated time, in bounded memory for a run of any length.
+
+/// What a bin keeps.
+pub trait Bin: Clone {
+    /// Takes in the bin that follows.
+    fn merge(&mut self, later: &Self);
+}
+
+/// Bins of equal width from time 0 on. When a time lies behind the last possible bin, neighbours are merged and the
+/// width doubles, until it fits: between half and all of `capacity` bins cover the run.
+#[derive(Debug, Clone)]
+pub struct Timeline<B> {
+    capacity: usize,
+    width_ns: u64,
+    empty: B,
+    bins: Vec<B>,
+}
+
+impl<B: Bin> Timeline<B> {
+    /// At most `capacity` bins (2 or more), at first `width_ns` wide; `empty` is a bin with nothing in it.
+    pub fn new(capacity: usize, width_ns: u64, empty: B) -> Timeline<B> {
+        Timeline { capacity: capacity.max(2), width_ns: width_ns.max(1), empty, bins: Vec::new() }
+    }
+
+    /// The bin of a time.
+    pub fn bin(&mut self, time_ns: u64) -> &mut B {
+        while time_ns / self.width_ns >= self.capacity as u64 {
+            self.halve();
+        }
+        let index = (time_ns / self.width_ns) as usize;
+        if self.bins.len() <= index {
+            self.bins.resize(index + 1, self.empty.clone());
+        }
+        &mut self.bins[index]
+    }
+
+    /// Middle of each bin (s) and the bin, in order.
+    pub fn iter(&self) -> impl Iterator<Item = (f64, &B)> {
+        let width_s = self.width_ns as f64 * 1e-9;
+        self.bins.iter().enumerate().map(move |(i, bin)| ((i as f64 + 0.5) * width_s, bin))
+    }
+
+    fn halve(&mut self) {
+        let merged = self.bins.chunks(2).map(|pair| {
+            let mut first = pair[0].clone();
+            if let Some(second) = pair.get(1) {
+                first.merge(second);
+            }
+            first
+        });
+        self.bins = merged.collect();
+        self.width_ns = self.width_ns.saturating_mul(2);
+    }
+}
+
+/// Least, greatest and mean of the finite samples of a bin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extremes {
+    low: f64,
+    high: f64,
+    sum: f64,
+    count: u64,
+}
+
+impl Extremes {
+    /// No sample.
+    pub const EMPTY: Extremes = Extremes { low: f64::INFINITY, high: f64::NEG_INFINITY, sum: 0.0, count: 0 };
+
+    /// Takes a sample; one that is not finite is left out.
+    pub fn add(&mut self, value: f64) {
+        if value.is_finite() {
+            self.low = self.low.min(value);
+            self.high = self.high.max(value);
+            self.sum += value;
+            self.count += 1;
+        }
+    }
+
+    /// Least, mean and greatest sample; none without samples.
+    pub fn range(&self) -> Option<[f64; 3]> {
+        (self.count > 0).then(|| [self.low, self.sum / self.count as f64, self.high])
+    }
+}
+
+impl Bin for Extremes {
+    fn merge(&mut self, later: &Extremes) {
+        self.low = self.low.min(later.low);
+        self.high = self.high.max(later.high);
+        self.sum += later.sum;
+        self.count += later.count;
+    }
+}
+
+/// The newest value of a bin.
+impl<T: Copy> Bin for Option<T> {
+    fn merge(&mut self, later: &Option<T>) {
+        *self = later.or(*self);
+    }
+}
+
+/// A count of what happened in a bin.
+impl Bin for u64 {
+    fn merge(&mut self, later: &u64) {
+        *self += later;
+    }
+}

@@ -1,0 +1,145 @@
+//! The figure of the run's timing.
+
+use plotters::style::RGBColor;
+
+use super::ReportError;
+use super::axis::{Axis, count_label, duration_label};
+use super::distribution::{Distribution, Quantiles};
+use super::panel::{COLOURS, INK, Key, Panel, Rect};
+use super::shapes::{Anchor, Figure, Point, Stroke};
+use super::timing_lane::TimingLane;
+use super::tip_figure::lighter;
+
+const WIDTH: u32 = 1060;
+const HEIGHT: u32 = 700;
+const HEAD: f64 = 40.0;
+const TOP_ROW: f64 = 330.0;
+/// Bars of a histogram per decade.
+const BARS_PER_DECADE: f64 = 20.0;
+/// Shorter durations are shown as this: no clock here tells them apart.
+const SHORTEST_US: f64 = 0.1;
+const P50_DASH: &[f64] = &[6.0, 2.5];
+const P99_DASH: &[f64] = &[1.5, 2.5];
+const GREY: RGBColor = RGBColor(110, 110, 110);
+
+/// Draws the figure; a panel without data says so. `end_ns` is the simulated length of the run.
+pub fn draw(timing: &TimingLane, end_ns: u64) -> Result<Figure, ReportError> {
+    let mut figure = Figure::new(WIDTH, HEIGHT)?;
+    let header = timing.header.as_ref();
+    let (scene, mode) = header.map_or(("run", ""), |h| (h.scene_name.as_str(), h.mode.name()));
+    let mode = if mode.is_empty() { String::new() } else { format!(", {mode}") };
+    let title = format!("{scene}{mode}: timing of {} ticks", timing.step.count());
+    figure.text((16.0, 20.0), &title, 18.0, INK, Anchor::Left);
+    let width = f64::from(WIDTH);
+    let end_s = end_ns.max(timing.end_ns) as f64 * 1e-9;
+    draw_over_time(&mut figure, Rect { x: 0.0, y: HEAD, width, height: TOP_ROW }, timing, end_s);
+    let y = HEAD + TOP_ROW;
+    let column = width / 3.0;
+    let cell = |i: f64| Rect { x: i * column, y, width: column, height: f64::from(HEIGHT) - y };
+    let name = String::new;
+    draw_histogram(&mut figure, cell(0.0), "Physics step", "step time", &[(name(), &timing.step)]);
+    let lateness = [(name(), &timing.lateness)];
+    draw_histogram(&mut figure, cell(1.0), "Wake-up after the deadline", "lateness", &lateness);
+    let controllers = header.map(|h| h.controllers.as_slice()).unwrap_or_default();
+    let trips: Vec<_> = controllers.iter().cloned().zip(&timing.round_trips).collect();
+    draw_histogram(&mut figure, cell(2.0), "State to command", "round trip", &trips);
+    Ok(figure)
+}
+
+fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: f64) {
+    let bins = timing.step_over_time.iter();
+    let bins: Vec<(f64, Quantiles)> =
+        bins.filter_map(|(t, bin)| Some((t.min(end_s), bin.quantiles(1e3)?))).collect();
+    let period_us = timing.header.as_ref().map_or(0.0, |header| header.dt_ns as f64 * 1e-3);
+    let values = bins.iter().flat_map(|(_, q)| [q.p50, q.max]).map(|value| value.max(SHORTEST_US));
+    let y = Axis::decades("step time", values.chain([period_us]), duration_label);
+    let x = Axis::linear("simulated time (s)", 0.0, end_s, 12);
+    let mut panel = Panel::new(figure, outer, "Physics step over the run", x, y);
+    if bins.is_empty() {
+        panel.remark("no timing in the log");
+        return panel.finish();
+    }
+    let curve = |of: fn(&Quantiles) -> f64| bins.iter().map(|(t, q)| (*t, of(q))).collect::<Vec<Point>>();
+    let thin = Stroke { colour: GREY, width: 1.2, dash: &[1.5, 2.0] };
+    panel.line(&curve(|q| q.max), thin, "longest per interval");
+    let p99 = Stroke { dash: &[7.0, 3.0], ..Stroke::full(COLOURS[1], 1.8) };
+    panel.line(&curve(|q| q.p99), p99, "p99 per interval");
+    panel.line(&curve(|q| q.p50), Stroke::full(COLOURS[0], 2.0), "p50 per interval");
+    let period = Stroke { colour: INK, width: 1.2, dash: &[8.0, 2.5, 2.0, 2.5] };
+    panel.line(&[(0.0, period_us), (end_s, period_us)], period, "period of a tick");
+    let missed = Stroke::full(COLOURS[1], 2.0);
+    let times: Vec<f64> = timing.missed_over_time.iter().filter(|(_, n)| **n > 0).map(|(t, _)| t).collect();
+    for &time_s in &times {
+        panel.bar(time_s.min(end_s), missed);
+    }
+    let key = if times.is_empty() { Key::None } else { Key::Bar(missed) };
+    panel.key(key, &format!("missed ticks: {}", timing.missed));
+    panel.finish();
+}
+
+/// Outline of a histogram with bars of equal width on a logarithmic axis: (µs, count).
+fn outline(distribution: &Distribution) -> Vec<Point> {
+    let bar_of = |us: f64| (us.max(SHORTEST_US).log10() * BARS_PER_DECADE).floor() as i64;
+    let edge = |bar: i64| 10f64.powf(bar as f64 / BARS_PER_DECADE);
+    let mut bars: Vec<(i64, u64)> = Vec::new();
+    for (value_ns, count) in distribution.recorded() {
+        let bar = bar_of(value_ns as f64 * 1e-3);
+        match bars.last_mut() {
+            Some((last, sum)) if *last == bar => *sum += count,
+            _ => bars.push((bar, count)),
+        }
+    }
+    let mut points: Vec<Point> = Vec::new();
+    for (i, &(bar, count)) in bars.iter().enumerate() {
+        if i == 0 || bars[i - 1].0 + 1 != bar {
+            points.push((edge(bar), 0.0));
+        }
+        points.extend([(edge(bar), count as f64), (edge(bar + 1), count as f64)]);
+        if bars.get(i + 1).is_none_or(|next| next.0 != bar + 1) {
+            points.push((edge(bar + 1), 0.0));
+        }
+    }
+    points
+}
+
+fn draw_histogram(
+    figure: &mut Figure,
+    outer: Rect,
+    title: &str,
+    quantity: &str,
+    distributions: &[(String, &Distribution)],
+) {
+    let outlines: Vec<Vec<Point>> = distributions.iter().map(|(_, d)| outline(d)).collect();
+    let points = || outlines.iter().flatten();
+    let x = Axis::decades(quantity, points().map(|p| p.0), duration_label);
+    // Counts of 1 stand above the axis, which begins below them.
+    let top = points().map(|p| p.1).fold(1.0, f64::max);
+    let mut y = Axis::decades("ticks", [0.1, 30.0 * top].into_iter(), count_label);
+    y.ticks.retain(|(value, _)| *value >= 1.0);
+    y.minor.retain(|value| *value >= 1.0);
+    let mut panel = Panel::new(figure, outer, title, x, y);
+    if points().next().is_none() {
+        panel.remark("no data in the log");
+    }
+    for (i, ((name, distribution), outline)) in distributions.iter().zip(&outlines).enumerate() {
+        let Some(q) = distribution.quantiles(1e3) else { continue };
+        let (stroke, mark) = (Stroke::of_palette(i, 1.6), Stroke::full(INK, 1.3));
+        if distributions.len() == 1 {
+            let band: Vec<_> = outline.iter().map(|&(us, count)| (us, 0.0, count)).collect();
+            panel.band(&band, lighter(stroke.colour));
+        }
+        panel.line(outline, stroke, name);
+        let [p50, p99, max] = [q.p50, q.p99, q.max].map(duration_label);
+        let (median, tail) = (Stroke { dash: P50_DASH, ..mark }, Stroke { dash: P99_DASH, ..mark });
+        if name.is_empty() {
+            panel.upright(q.p50, median);
+            panel.upright(q.p99, tail);
+            panel.key(Key::Line(median), &format!("p50 {p50}"));
+            panel.key(Key::Line(tail), &format!("p99 {p99}"));
+            panel.key(Key::None, &format!("max {max}"));
+        } else {
+            panel.key(Key::None, &format!("p50 {p50}, p99 {p99}, max {max}"));
+        }
+    }
+    panel.finish();
+}

@@ -1,0 +1,195 @@
+//! What a `timing.mcap` says.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+
+use ipc_types::messages::{
+    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED,
+    EVENT_RUN, EVENT_SAFE_COMMAND, Event, FrameTiming, SENDER_CONTROLLER, SENDER_DRR, SENDER_LAUNCHER,
+    SENDER_PHYSICS, SENDER_RECORDER, SEVERITY_WARNING, TickTiming,
+};
+use recorder_proc::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, topics};
+use zerocopy::FromBytes;
+
+use super::ReportError;
+use super::distribution::Distribution;
+use super::timeline::Timeline;
+
+/// Bins of the step time over the run.
+const TIME_BINS: usize = 240;
+/// Warnings and errors whose text is kept: the last ones.
+const KEPT_WARNINGS: usize = 5;
+
+/// Wall-clock facts of a run. Durations in nanoseconds.
+pub struct TimingLane {
+    /// Header of the file; none if it could not be opened.
+    pub header: Option<LogHeader>,
+    /// Simulated time of the last message.
+    pub end_ns: u64,
+    /// Time of the physics step.
+    pub step: Distribution,
+    /// The same over simulated time, two digits.
+    pub step_over_time: Timeline<Distribution>,
+    /// How late ticks began.
+    pub lateness: Distribution,
+    /// From state to command, per controller in the header's order.
+    pub round_trips: Vec<Distribution>,
+    /// Ticks that began more than a period late.
+    pub missed: u64,
+    /// The same over simulated time.
+    pub missed_over_time: Timeline<u64>,
+    /// Page faults of the physics process after its first tick.
+    pub page_faults: u64,
+    /// Render times of frames.
+    pub render: Distribution,
+    /// Rays traced for all frames.
+    pub rays: u64,
+    /// Frames that were traced whole.
+    pub full_frames: u64,
+    /// Number of events by kind.
+    pub events: BTreeMap<String, u64>,
+    /// The last warnings and errors, one line each.
+    pub warnings: VecDeque<String>,
+    /// Messages that somebody missed, by topic, as the end marker says.
+    pub lost: BTreeMap<String, u64>,
+    /// What was wrong with the file, and how it ends unless it ends well.
+    pub notes: Vec<String>,
+}
+
+impl TimingLane {
+    /// Reads the file once. Whatever is wrong with it is a note.
+    pub fn read(path: &Path) -> Result<TimingLane, ReportError> {
+        let stream = match MessageStream::open(path, ReadOptions::default()) {
+            Ok(stream) => stream,
+            Err(error) => {
+                let mut lane = TimingLane::empty(0, 1)?;
+                lane.notes.push(error.to_string());
+                return Ok(lane);
+            }
+        };
+        let header = stream.header().clone();
+        let mut lane = TimingLane::empty(header.controllers.len(), header.dt_ns)?;
+        lane.header = Some(header);
+        if let Err(error) = lane.read_messages(stream) {
+            lane.notes.push(error.to_string());
+        }
+        Ok(lane)
+    }
+
+    fn empty(controllers: usize, dt_ns: u64) -> Result<TimingLane, ReportError> {
+        let duration = Distribution::new(3)?;
+        Ok(TimingLane {
+            header: None,
+            end_ns: 0,
+            step: duration.clone(),
+            step_over_time: Timeline::new(TIME_BINS, dt_ns, Distribution::new(2)?),
+            lateness: duration.clone(),
+            round_trips: vec![duration.clone(); controllers],
+            missed: 0,
+            missed_over_time: Timeline::new(TIME_BINS, dt_ns, 0),
+            page_faults: 0,
+            render: duration,
+            rays: 0,
+            full_frames: 0,
+            events: BTreeMap::new(),
+            warnings: VecDeque::new(),
+            lost: BTreeMap::new(),
+            notes: Vec::new(),
+        })
+    }
+
+    fn read_messages(&mut self, mut stream: MessageStream) -> Result<(), LogError> {
+        while let Some(message) = stream.next_message()? {
+            self.end_ns = self.end_ns.max(message.log_time_ns);
+            self.take(&message);
+        }
+        let ending = stream.ending();
+        if !ending.is_complete() {
+            self.notes.push(format!("timing.mcap: {}", ending.describe()));
+        }
+        self.lost = ending.marker.as_ref().map(|marker| marker.lost.clone()).unwrap_or_default();
+        Ok(())
+    }
+
+    fn take(&mut self, message: &LogMessage<'_>) {
+        match message.topic {
+            topics::TICK_TIMING => {
+                if let Ok(timing) = TickTiming::read_from_bytes(message.body) {
+                    self.tick(&timing, message.log_time_ns);
+                }
+            }
+            topics::FRAME_TIMING => {
+                if let Ok(timing) = FrameTiming::read_from_bytes(message.body) {
+                    self.render.add(timing.render_ns);
+                    self.rays = self.rays.saturating_add(timing.rays);
+                    self.full_frames += u64::from(timing.full != 0);
+                }
+            }
+            topics::EVENT => {
+                if let Ok((event, text)) = Event::read_from_prefix(message.body) {
+                    self.event(&event, text);
+                }
+            }
+            _ => (),
+        }
+    }
+
+    fn tick(&mut self, timing: &TickTiming, time_ns: u64) {
+        self.step.add(timing.step_ns);
+        self.step_over_time.bin(time_ns).add(timing.step_ns);
+        self.lateness.add(timing.wake_lateness_ns.max(0) as u64);
+        for (distribution, &round_trip_ns) in self.round_trips.iter_mut().zip(&timing.round_trip_ns) {
+            // 0: no command came for this tick.
+            if round_trip_ns > 0 {
+                distribution.add(round_trip_ns);
+            }
+        }
+        if timing.missed != 0 {
+            self.missed += 1;
+            *self.missed_over_time.bin(time_ns) += 1;
+        }
+        if self.step.count() > 1 {
+            self.page_faults += u64::from(timing.page_faults);
+        }
+    }
+
+    fn event(&mut self, event: &Event, text: &[u8]) {
+        *self.events.entry(event_name(event.code)).or_default() += 1;
+        if event.severity >= SEVERITY_WARNING {
+            if self.warnings.len() == KEPT_WARNINGS {
+                self.warnings.pop_front();
+            }
+            let text = String::from_utf8_lossy(text);
+            let text = text.trim_end_matches('\0').replace(char::is_control, " ");
+            self.warnings.push_back(format!("tick {}, {}: {text}", event.tick, self.sender(event.sender)));
+        }
+    }
+
+    fn sender(&self, sender: u32) -> String {
+        let controllers = self.header.as_ref().map(|header| header.controllers.as_slice()).unwrap_or_default();
+        match sender {
+            SENDER_LAUNCHER => "launcher".to_string(),
+            SENDER_PHYSICS => "physics".to_string(),
+            SENDER_DRR => "DRR".to_string(),
+            SENDER_RECORDER => "recorder".to_string(),
+            _ => {
+                let index = sender.checked_sub(SENDER_CONTROLLER).map(|i| i as usize);
+                let name = index.and_then(|i| controllers.get(i)).cloned();
+                name.unwrap_or_else(|| format!("sender {sender}"))
+            }
+        }
+    }
+}
+
+fn event_name(code: u32) -> String {
+    match code {
+        EVENT_COMMAND_REFUSED => "command_refused".to_string(),
+        EVENT_COMMAND_HELD => "command_held".to_string(),
+        EVENT_SAFE_COMMAND => "safe_command".to_string(),
+        EVENT_MESSAGES_LOST => "messages_lost".to_string(),
+        EVENT_RUN => "run".to_string(),
+        EVENT_CONTROLLER => "controller".to_string(),
+        EVENT_REQUEST_REFUSED => "request_refused".to_string(),
+        _ => format!("code_{code}"),
+    }
+}

@@ -1,0 +1,177 @@
+//! The figure of the tool's motion: tip path with the manipulator's shape, and the forces over time.
+
+use ipc_types::messages::State;
+use plotters::style::RGBColor;
+
+use super::ReportError;
+use super::axis::{Axis, bounds};
+use super::panel::{COLOURS, INK, Key, Panel, Rect};
+use super::run_lane::{Curves, Plane, RunLane, distance_m, links};
+use super::shapes::{Anchor, Figure, Point, Stroke};
+use super::timeline::{Extremes, Timeline};
+
+const WIDTH: u32 = 1060;
+const HEIGHT: u32 = 720;
+const PATH_WIDTH: f64 = 440.0;
+const HEAD: f64 = 40.0;
+const BURR: RGBColor = RGBColor(200, 200, 200);
+const START: RGBColor = RGBColor(150, 150, 150);
+
+/// Draws the figure; without states it says so.
+pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
+    let mut figure = Figure::new(WIDTH, HEIGHT)?;
+    let scene = run.header.as_ref().map_or("run", |header| header.scene_name.as_str());
+    let title = format!("{scene}: tool motion over {:.2} s", run.end_ns as f64 * 1e-9);
+    figure.text((16.0, 20.0), &title, 18.0, INK, Anchor::Left);
+    let height = f64::from(HEIGHT) - HEAD;
+    draw_path(&mut figure, Rect { x: 0.0, y: HEAD, width: PATH_WIDTH, height }, run);
+    let rows = height / 3.0;
+    let cell = |row: f64| Rect {
+        x: PATH_WIDTH,
+        y: HEAD + row * rows,
+        width: f64::from(WIDTH) - PATH_WIDTH,
+        height: rows,
+    };
+    let end_s = run.end_ns as f64 * 1e-9;
+    let (tensions, bend, force) = match &run.curves {
+        Some(curves) => {
+            let used = run.last.as_ref().map_or(0, |state| state.tendon_count as usize);
+            let tendons = curves.tension_n.iter().take(used).enumerate();
+            let tensions = tendons.map(|(i, line)| (line, format!("tendon {i}"))).collect();
+            let bend = vec![(&curves.bend_deg, String::new())];
+            (tensions, bend, vec![(&curves.burr_force_n, String::new())])
+        }
+        None => (Vec::new(), Vec::new(), Vec::new()),
+    };
+    draw_over_time(&mut figure, cell(0.0), ("Tendon tension", "tension (N)"), end_s, &tensions);
+    draw_over_time(&mut figure, cell(1.0), ("Bend of the tip against the base", "bend (deg)"), end_s, &bend);
+    draw_over_time(&mut figure, cell(2.0), ("Normal force on the burr", "force (N)"), end_s, &force);
+    Ok(figure)
+}
+
+/// What the left panel shows, mm along bend and insertion axis.
+struct Scenery {
+    path: Vec<Point>,
+    start: Vec<Point>,
+    end: Vec<Point>,
+    burr: Option<(Point, f64)>,
+    target: Option<Point>,
+}
+
+impl Scenery {
+    fn of(run: &RunLane, curves: &Curves, first: &State, last: &State) -> Scenery {
+        let plane = &curves.plane;
+        let project = |point_m: [f64; 3]| {
+            let [x, y] = plane.project_mm(point_m);
+            (x, y)
+        };
+        let centre = last.t_world_burr.position_m;
+        let radius_mm = distance_m(centre, last.t_world_tip.position_m) * 1e3;
+        let middle = curves.tip_mm.iter().filter_map(|(_, tip)| *tip).map(|[x, y]| (x, y));
+        let ends = [first, last].map(|state| project(state.t_world_tip.position_m));
+        Scenery {
+            path: std::iter::once(ends[0]).chain(middle).chain([ends[1]]).collect(),
+            start: shape(plane, first),
+            end: shape(plane, last),
+            burr: Some((project(centre), radius_mm)),
+            target: run.target_m().map(project),
+        }
+    }
+
+    /// All that the panel must hold: the shaft may reach out of it.
+    fn corners(&self) -> Vec<Point> {
+        let links = |shape: &[Point]| shape.iter().skip(1).copied().collect::<Vec<_>>();
+        let mut points = [self.path.clone(), links(&self.start), links(&self.end)].concat();
+        points.extend(self.target);
+        if let Some(((x, y), radius)) = self.burr {
+            points.extend([(x - radius, y - radius), (x + radius, y + radius)]);
+        }
+        points
+    }
+}
+
+/// Base, links and burr centre in the plane.
+fn shape(plane: &Plane, state: &State) -> Vec<Point> {
+    let links = links(state).iter().map(|pose| pose.position_m);
+    let points = std::iter::once(state.t_world_base.position_m).chain(links);
+    let points = points.chain([state.t_world_burr.position_m]).map(|point| plane.project_mm(point));
+    points.map(|[x, y]| (x, y)).collect()
+}
+
+fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
+    let title = "Tip path and shape in the bending plane";
+    let scenery = match (&run.curves, &run.first, &run.last) {
+        (Some(curves), Some(first), Some(last)) => Scenery::of(run, curves, first, last),
+        _ => {
+            let axis = || Axis::linear("", 0.0, 1.0, 4);
+            let mut panel = Panel::new(figure, outer, title, axis(), axis());
+            panel.remark("no state in the log");
+            return panel.finish();
+        }
+    };
+    let (x, y) = equal_axes(&scenery.corners(), outer.plot_area());
+    let mut panel = Panel::new(figure, outer, title, x, y);
+    if let Some((centre, radius_mm)) = scenery.burr {
+        panel.disc(centre, radius_mm * panel.scale(), BURR);
+        panel.key(Key::Disc(BURR), "burr at the end");
+    }
+    panel.line(&scenery.start, Stroke { colour: START, width: 2.0, dash: &[3.0, 3.0] }, "tool at the start");
+    panel.line(&scenery.end, Stroke::full(INK, 2.2), "tool at the end");
+    let links = scenery.end.len().saturating_sub(2);
+    for &link in scenery.end.iter().skip(1).take(links) {
+        panel.disc(link, 2.4, INK);
+    }
+    panel.line(&scenery.path, Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) }, "path of the tip");
+    if let Some(target) = scenery.target {
+        let stroke = Stroke::full(COLOURS[1], 2.2);
+        panel.cross(target, 6.0, stroke);
+        panel.key(Key::Cross(stroke), "target of the burr centre");
+    }
+    panel.finish();
+}
+
+/// Axes with the same length per millimetre that hold all points and fill the area.
+fn equal_axes(points: &[Point], area: Rect) -> (Axis, Axis) {
+    let range = |values: Vec<f64>| bounds(values.into_iter()).unwrap_or((-1.0, 1.0));
+    let x = range(points.iter().map(|p| p.0).collect());
+    let y = range(points.iter().map(|p| p.1).collect());
+    let per_unit = ((x.1 - x.0) / area.width).max((y.1 - y.0) / area.height).max(1e-3) * 1.1;
+    let around = |(low, high): (f64, f64), length: f64| {
+        let (middle, half) = (0.5 * (low + high), 0.5 * per_unit * length);
+        (middle - half, middle + half)
+    };
+    let (x, y) = (around(x, area.width), around(y, area.height));
+    let x = Axis::linear("toward tendon 0 from the start of the tip (mm)", x.0, x.1, 6);
+    (x, Axis::linear("insertion from the start of the tip (mm)", y.0, y.1, 10))
+}
+
+fn draw_over_time(
+    figure: &mut Figure,
+    outer: Rect,
+    (title, unit): (&str, &str),
+    end_s: f64,
+    lines: &[(&Timeline<Extremes>, String)],
+) {
+    let values = lines.iter().flat_map(|(line, _)| line.iter()).filter_map(|(_, bin)| bin.range()).flatten();
+    let y = Axis::around(unit, values, 5);
+    let x = Axis::linear("simulated time (s)", 0.0, end_s, 8);
+    let mut panel = Panel::new(figure, outer, title, x, y);
+    if lines.is_empty() {
+        panel.remark("no data in the log");
+    }
+    for (i, (line, label)) in lines.iter().enumerate() {
+        let bins: Vec<_> = line.iter().filter_map(|(t, bin)| Some((t.min(end_s), bin.range()?))).collect();
+        let bands: Vec<_> = bins.iter().map(|&(t, [low, _, high])| (t, low, high)).collect();
+        let means: Vec<_> = bins.iter().map(|&(t, [_, mean, _])| (t, mean)).collect();
+        let stroke = Stroke::of_palette(i, 1.8);
+        panel.band(&bands, lighter(stroke.colour));
+        panel.line(&means, stroke, label);
+    }
+    panel.finish();
+}
+
+/// A quarter of a colour on white.
+pub fn lighter(RGBColor(r, g, b): RGBColor) -> RGBColor {
+    let mix = |channel: u8| 255 - (255 - channel) / 4;
+    RGBColor(mix(r), mix(g), mix(b))
+}
