@@ -3,13 +3,18 @@
 mod commands;
 mod failure;
 mod launcher;
+mod report;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use commands::log::LogCommand;
 use commands::proc::ProcCommand;
+use commands::replay::ReplayArguments;
 use commands::run::RunArguments;
+use commands::scene::SceneCommand;
+use commands::volume::{PhantomArguments, VolumeCommand};
 use failure::Failure;
 
 /// A zero-copy shared-memory co-simulation hub for image-guided bone drilling with a continuum manipulator.
@@ -24,6 +29,19 @@ struct Arguments {
 enum Command {
     /// Run a scene (the default: the femur).
     Run(RunArguments),
+    /// Step the physics through a log's commands again.
+    Replay(ReplayArguments),
+    /// Look into logs.
+    #[command(subcommand)]
+    Log(LogCommand),
+    /// Check scenes.
+    #[command(subcommand)]
+    Scene(SceneCommand),
+    /// Look into CT volumes.
+    #[command(subcommand)]
+    Volume(VolumeCommand),
+    /// Write a synthetic volume to a file.
+    Phantom(PhantomArguments),
     /// Run one part of a session in this process.
     #[command(subcommand)]
     Proc(ProcCommand),
@@ -39,6 +57,11 @@ fn main() -> ExitCode {
     };
     let outcome: Result<(), Failure> = match &arguments {
         Command::Run(arguments) => commands::run::run(arguments),
+        Command::Replay(arguments) => commands::replay::run(arguments),
+        Command::Log(command) => commands::log::run(command),
+        Command::Scene(command) => commands::scene::run(command),
+        Command::Volume(command) => commands::volume::run(command),
+        Command::Phantom(arguments) => commands::volume::write_phantom(arguments),
         Command::Proc(command) => commands::proc::run(command),
     };
     match outcome {

@@ -1,4 +1,8 @@
 //! The subcommands, one a file.
 
+pub mod log;
 pub mod proc;
+pub mod replay;
 pub mod run;
+pub mod scene;
+pub mod volume;

@@ -1,5 +1,6 @@
 //! `trabecula run SCENE`: a whole run.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -7,7 +8,10 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::launcher::part::Memory;
+use crate::launcher::progress::Display;
 use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run as run_scene};
+use crate::report::{self, RunFacts};
 
 /// The scene that runs when none is named.
 pub const DEFAULT_SCENE: &str = "configs/femur_curved_drilling.toml";
@@ -58,7 +62,10 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
         })?),
     };
     let plan = RunPlan { scene, output };
-    let result = run_scene(&plan, &end, |_glance| {}).map_err(|error| {
+    let mut display = Display::new(arguments.quiet)?;
+    let result = run_scene(&plan, &end, |glance| display.show(glance));
+    display.end();
+    let result = result.map_err(|error| {
         // Nothing was recorded: leave no empty folder.
         if let Some(output) = &plan.output {
             let _ = std::fs::remove_dir(output);
@@ -68,7 +75,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             _ => Failure::failed(error.to_string()),
         }
     })?;
-    finish(&result, plan.output.as_deref())
+    let written = plan.output.as_deref().map_or(Ok(()), |output| write_report(&result, output));
+    judge(&result).and(written)
 }
 
 fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
@@ -87,8 +95,43 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
     Ok(scene)
 }
 
-fn finish(result: &RunResult, _output: Option<&Path>) -> Result<(), Failure> {
-    println!("{result:#?}");
+/// Pictures, numbers, and the table at the end.
+fn write_report(result: &RunResult, output: &Path) -> Result<(), Failure> {
+    let replay_command = format!("{} replay {} --verify", program_name(), output.display());
+    let facts = RunFacts {
+        wall_s: result.running.as_secs_f64(),
+        startup_s: result.starting.as_secs_f64(),
+        outcome: outcome_text(&result.outcome),
+        peak_memory_bytes: memory_by_name(&result.memory),
+        replay_command: replay_command.clone(),
+    };
+    let summary = report::write(output, &facts).map_err(|error| Failure::failed(error.to_string()))?;
+    println!("{summary}");
+    println!("\nfolder       {}\nreplay it    {replay_command}", output.display());
+    Ok(())
+}
+
+/// How the user called this program.
+fn program_name() -> String {
+    std::env::args().next().unwrap_or_else(|| "trabecula".to_owned())
+}
+
+fn memory_by_name(memory: &[(String, Memory)]) -> BTreeMap<String, u64> {
+    let both = |(name, memory): &(String, Memory)| {
+        [(name.clone(), memory.peak_resident), (format!("{name}, not shared"), memory.peak_private)]
+    };
+    memory.iter().flat_map(both).collect()
+}
+
+fn outcome_text(outcome: &Outcome) -> String {
+    match outcome {
+        Outcome::Completed => "completed".to_owned(),
+        Outcome::Interrupted => "interrupted".to_owned(),
+        Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
+    }
+}
+
+fn judge(result: &RunResult) -> Result<(), Failure> {
     match &result.outcome {
         Outcome::Completed => Ok(()),
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use ipc_types::messages::{State, Volume as VolumeMessage};
+use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::ports::{PortError, Publisher};
 use ipc_types::scene::Scene;
 use ipc_types::services;
@@ -129,9 +129,4 @@ impl Hub {
         Part::start(part, command.env(SESSION_VARIABLE, self.folder()), echo)
             .map_err(|cause| HubError::Start { part: part.to_owned(), program, cause })
     }
-}
-
-/// Tip of a state in millimetres.
-pub fn tip_mm(state: &State) -> [f64; 3] {
-    state.t_world_tip.position_m.map(|x| x * 1e3)
 }

@@ -2,5 +2,6 @@
 
 pub mod hub;
 pub mod part;
+pub mod progress;
 pub mod run;
 pub mod volume_source;

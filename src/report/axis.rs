@@ -1,7 +1,7 @@
 //! Axes: from values to shares of a length, with round ticks.
 
-/// A decade's inner ticks.
-const MINOR: [f64; 8] = [2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
+/// A decade's ticks.
+const DIGITS: [f64; 9] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
 
 /// An axis with its ticks.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,9 +24,13 @@ impl Axis {
         let (low, high) = widened(low, high);
         let step = round_step((high - low) / count.max(1) as f64);
         let decimals = (-step.log10().floor()).max(0.0) as usize;
+        let label = |value: f64| match step {
+            1e-4..1e6 => format!("{value:.decimals$}"),
+            _ => format!("{value:.1e}"),
+        };
         let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
         let ticks = (first..=last).map(|i| i as f64 * step);
-        let ticks = ticks.map(|value| (value, format!("{value:.decimals$}"))).collect();
+        let ticks = ticks.map(|value| (value, label(value))).collect();
         Axis { title: title.to_string(), ticks, minor: Vec::new(), low, high, logarithmic: false }
     }
 
@@ -37,22 +41,22 @@ impl Axis {
         Axis::linear(title, if low < 0.0 { low - margin } else { 0.0 }, high + margin, count)
     }
 
-    /// Logarithmic, over whole decades around the positive values; `label` names a power of ten.
-    pub fn decades(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {
-        let (low, high) = bounds(values.filter(|&value| value > 0.0)).unwrap_or((1.0, 10.0));
-        let first = (low.log10() + 1e-9).floor() as i32;
-        let last = ((high.log10() - 1e-9).ceil() as i32).max(first + 1);
-        let power = |exponent: i32| 10f64.powi(exponent);
-        let ticks = (first..=last).map(|n| (power(n), label(power(n)))).collect();
-        let minor = (first..last).flat_map(|n| MINOR.map(|digit| digit * power(n))).collect();
-        Axis {
-            title: title.to_string(),
-            ticks,
-            minor,
-            low: power(first).log10(),
-            high: power(last).log10(),
-            logarithmic: true,
+    /// Logarithmic, from a little below the least to a little above the greatest positive value; `label` names a tick.
+    /// Ticks are powers of ten, over less than two decades also twice and five times these.
+    pub fn logarithmic(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {
+        let (low, high) = bounds(values.filter(|&value| value > 0.0)).unwrap_or((1.0, 100.0));
+        let (low, high) = (low.log10() - 0.15, high.log10() + 0.15);
+        let labelled: &[f64] = if high - low < 2.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+        let decades = low.floor() as i32..=high.ceil() as i32;
+        let (mut ticks, mut minor) = (Vec::new(), Vec::new());
+        for (n, digit) in decades.flat_map(|n| DIGITS.map(|digit| (n, digit))) {
+            let value = digit * 10f64.powi(n);
+            if value.log10() < low || value.log10() > high {
+                continue;
+            }
+            if labelled.contains(&digit) { ticks.push((value, label(value))) } else { minor.push(value) }
         }
+        Axis { title: title.to_string(), ticks, minor, low, high, logarithmic: true }
     }
 
     /// Share of the length at which a value lies: 0 at the low end, 1 at the high end; outside beyond. A value that
@@ -82,13 +86,21 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
         return (0.0, 1.0);
     }
     // Narrower than that, neighbouring ticks are the same number.
-    if high - low > 1e-9 * low.abs().max(high.abs()).max(1e-3) { (low, high) } else { (low - 0.5, high + 0.5) }
+    if high - low > 1e-9 * low.abs().max(high.abs()).max(1e-3) {
+        (low, high)
+    } else {
+        (low - 0.5, high + 0.5)
+    }
 }
 
 /// The least of 1, 2, 5 times a power of ten that is not below `step`.
 fn round_step(step: f64) -> f64 {
     let power = 10f64.powf(step.log10().floor());
-    [1.0, 2.0, 5.0].map(|digit| digit * power).into_iter().find(|s| *s >= step * (1.0 - 1e-9)).unwrap_or(10.0 * power)
+    [1.0, 2.0, 5.0]
+        .map(|digit| digit * power)
+        .into_iter()
+        .find(|s| *s >= step * (1.0 - 1e-9))
+        .unwrap_or(10.0 * power)
 }
 
 /// A duration given in microseconds, as short as it reads well.
@@ -123,17 +135,23 @@ mod tests {
     fn ticks_are_round() {
         assert_eq!(labels(&Axis::linear("", 0.0, 5.0, 5)), ["0", "1", "2", "3", "4", "5"]);
         assert_eq!(labels(&Axis::linear("", -0.31, 0.32, 4)), ["-0.2", "0.0", "0.2"]);
-        assert_eq!(labels(&Axis::linear("", 3.0, 3.0, 4)), ["2.6", "2.8", "3.0", "3.2", "3.4"]);
+        assert_eq!(labels(&Axis::linear("", 3.0, 3.0, 4)), ["2.5", "3.0", "3.5"]);
+        assert_eq!(labels(&Axis::linear("", 0.0, 3e200, 2)), ["0.0e0", "2.0e200"]);
         assert_eq!(labels(&Axis::linear("", f64::NAN, 1.0, 2)), ["0.0", "0.5", "1.0"]);
-        let axis = Axis::decades("", [0.0, f64::NAN, 30.0, 2000.0].into_iter(), duration_label);
-        assert_eq!(labels(&axis), ["10 µs", "100 µs", "1 ms", "10 ms"]);
-        assert_eq!(axis.minor.len(), 24);
-        assert!((axis.share(100.0) - 1.0 / 3.0).abs() < 1e-12);
+        let axis = Axis::logarithmic("", [0.0, f64::NAN, 30.0, 2000.0].into_iter(), duration_label);
+        assert_eq!(labels(&axis), ["100 µs", "1 ms"]);
+        // Three decades' inner ticks from 30 / 1.41 to 2000 * 1.41, without 100 and 1000.
+        assert_eq!(axis.minor.len(), 7 + 8 + 1);
+        assert!((axis.share(30.0) + axis.share(2000.0) - 1.0).abs() < 1e-12, "the same margin on both sides");
+        assert_eq!(labels(&Axis::logarithmic("", [30.0].into_iter(), count_label)), [] as [&str; 0]);
         assert_eq!(axis.share(-1.0), 0.0);
     }
 
     #[test]
     fn durations_read_well() {
-        assert_eq!([0.05, 12.34, 999.9, 1500.0, 2e6].map(duration_label), ["50 ns", "12.3 µs", "1000 µs", "1.5 ms", "2 s"]);
+        assert_eq!(
+            [0.05, 12.34, 999.9, 1500.0, 2e6].map(duration_label),
+            ["50 ns", "12.3 µs", "1000 µs", "1.5 ms", "2 s"]
+        );
     }
 }

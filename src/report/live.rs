@@ -71,9 +71,8 @@ pub struct LiveSnapshot {
 /// One line of less than 160 columns.
 pub fn progress_line(live: &LiveSnapshot) -> String {
     let [x, y, z] = live.tip_position_m.map(|metres| fixed(metres * 1e3, 7, 2));
-    let microseconds = |q: Option<Quantiles>, of: fn(&Quantiles) -> f64| {
-        fixed(q.map_or(f64::NAN, |q| of(&q)), 5, 0)
-    };
+    let microseconds =
+        |q: Option<Quantiles>, of: fn(&Quantiles) -> f64| fixed(q.map_or(f64::NAN, |q| of(&q)), 5, 0);
     let interval = &live.interval;
     let mut line = format!(
         "{} s  x{}  tip {x} {y} {z} mm  {} N  {} voxels  step p50 {} p99 {} us",
@@ -94,14 +93,14 @@ pub fn progress_line(live: &LiveSnapshot) -> String {
     line
 }
 
-/// A number in at least `width` columns; in at most 8 or `width`, whichever is more: what does not fit is written with
+/// A number in at least `width` columns; in at most 6 or `width`, whichever is more: what does not fit is written with
 /// an exponent, what is no finite number as a dash.
 fn fixed(value: f64, width: usize, decimals: usize) -> String {
     if !value.is_finite() {
         return format!("{:>width$}", "-");
     }
     let plain = format!("{value:width$.decimals$}");
-    if plain.len() <= width.max(8) { plain } else { format!("{value:width$.1e}") }
+    if plain.len() <= width.max(6) { plain } else { format!("{value:width$.0e}") }
 }
 
 #[cfg(test)]
@@ -134,14 +133,20 @@ mod tests {
     #[test]
     fn a_line_stays_below_160_columns() {
         let quantiles = |v: f64| Some(Quantiles { count: 1, p50: v, p99: v, p99_9: v, max: v });
-        for value in [0.0, -12.345, 1e-9, 3599.999, f64::NAN, f64::NEG_INFINITY, -1.79e308] {
+        for value in
+            [0.0, -12.345, 1e-9, 3599.999, -99999.9, 123456.7, f64::NAN, f64::NEG_INFINITY, -1.79e308]
+        {
             let live = LiveSnapshot {
                 sim_time_s: value,
                 real_time_factor: value,
                 tip_position_m: [value; 3],
                 tension_n: value,
                 removed_total: u64::MAX,
-                interval: LiveInterval { step_us: quantiles(value), lateness_us: quantiles(value), missed: 9 },
+                interval: LiveInterval {
+                    step_us: quantiles(value),
+                    lateness_us: quantiles(value),
+                    missed: 9,
+                },
                 drr_rate_hz: Some(value),
                 missed_ticks: Some(u64::MAX),
             };

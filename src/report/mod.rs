@@ -9,7 +9,7 @@
 //! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
 //! | `summary.json` | [`Summary`] |
 //!
-//! A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`].
+//! A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`](summary::LogSummary::notes).
 
 mod axis;
 mod distribution;
@@ -80,7 +80,9 @@ pub enum ReportError {
         cause: String,
     },
     /// The built-in font was refused.
-    #[error("the built-in font of the figures cannot be read by the drawing library; rebuild with the locked dependencies")]
+    #[error(
+        "the built-in font of the figures cannot be read by the drawing library; rebuild with the locked dependencies"
+    )]
     Font,
     /// A histogram could not be made.
     #[error("a histogram of durations cannot be made: {source}")]

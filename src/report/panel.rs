@@ -17,6 +17,9 @@ const FAINT_GRID: RGBColor = RGBColor(243, 243, 243);
 
 const TITLE_SIZE: f64 = 15.0;
 const LABEL_SIZE: f64 = 12.5;
+/// Height of a line of a legend, and width of its key.
+const LEGEND_LINE: f64 = 17.0;
+const KEY_WIDTH: f64 = 32.0;
 const LEFT: f64 = 62.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 30.0;
@@ -56,8 +59,6 @@ impl Rect {
 pub enum Key {
     /// A piece of line.
     Line(Stroke),
-    /// A filled square.
-    Patch(RGBColor),
     /// A disc.
     Disc(RGBColor),
     /// A cross.
@@ -158,10 +159,20 @@ impl<'a> Panel<'a> {
     pub fn line(&mut self, values: &[Point], stroke: Stroke, label: &str) {
         let points: Vec<Point> = values.iter().map(|&value| self.place(value)).collect();
         for run in clip(&points, self.area) {
-            self.seen.extend(&run);
+            self.see(&run);
             self.figure.add(Shape::Line { points: run, stroke });
         }
         self.key(Key::Line(stroke), label);
+    }
+
+    /// Remembers where a curve runs, every few units.
+    fn see(&mut self, run: &[Point]) {
+        for (a, b) in run.iter().zip(&run[1..]) {
+            let pieces = ((b.0 - a.0).hypot(b.1 - a.1) / 8.0).ceil().clamp(1.0, 1000.0);
+            let share = |i: usize| i as f64 / pieces;
+            let points = (0..=pieces as usize).map(share);
+            self.seen.extend(points.map(|s| (a.0 + s * (b.0 - a.0), a.1 + s * (b.1 - a.1))));
+        }
     }
 
     /// A filled area between two curves over the same x: (x, low, high).
@@ -229,26 +240,43 @@ impl<'a> Panel<'a> {
 
     /// Draws the frame, and the legend in the corner where the fewest curves run.
     pub fn finish(mut self) {
-        let Rect { x, y, width, height } = self.area;
-        let frame = vec![(x, y), (x, y + height), (x + width, y + height)];
-        self.figure.add(Shape::Line { points: frame, stroke: Stroke::full(INK, 1.0) });
-        if self.legend.is_empty() {
+        self.frame();
+        let legend = std::mem::take(&mut self.legend);
+        if legend.is_empty() {
             return;
         }
-        const KEY: f64 = 32.0;
-        const LINE: f64 = 17.0;
-        let text = self.legend.iter().map(|(_, label)| text_width(label, LABEL_SIZE)).fold(0.0, f64::max);
-        let size = (KEY + text + 18.0, LINE * self.legend.len() as f64 + 6.0);
+        let text = legend.iter().map(|(_, label)| text_width(label, LABEL_SIZE)).fold(0.0, f64::max);
+        let size = (KEY_WIDTH + text + 18.0, LEGEND_LINE * legend.len() as f64 + 6.0);
         let corner = self.corner(size);
         let (right, lower) = (corner.0 + size.0, corner.1 + size.1);
-        let box_corners = vec![corner, (right, corner.1), (right, lower), (corner.0, lower)];
-        self.figure.add(Shape::Area { corners: box_corners, fill: RGBColor(255, 255, 255) });
-        for (i, (key, label)) in std::mem::take(&mut self.legend).into_iter().enumerate() {
-            let centre = (corner.0 + 8.0 + 0.5 * KEY - 4.0, corner.1 + 3.0 + LINE * (i as f64 + 0.5));
-            self.draw_key(key, centre);
-            let at = (corner.0 + KEY + 10.0, centre.1);
-            self.figure.text(at, &label, LABEL_SIZE, INK, Anchor::Left);
+        let corners = vec![corner, (right, corner.1), (right, lower), (corner.0, lower)];
+        self.figure.add(Shape::Area { corners, fill: RGBColor(255, 255, 255) });
+        for (i, (key, label)) in legend.into_iter().enumerate() {
+            self.entry(key, &label, (corner.0 + 8.0, corner.1 + 3.0 + LEGEND_LINE * (i as f64 + 0.5)));
         }
+    }
+
+    /// Draws the frame, and the legend in a row above it, on the right.
+    pub fn finish_with_row(mut self) {
+        self.frame();
+        let mut right = self.area.x + self.area.width;
+        for (key, label) in std::mem::take(&mut self.legend).into_iter().rev() {
+            right -= KEY_WIDTH + 2.0 + text_width(&label, LABEL_SIZE);
+            self.entry(key, &label, (right, self.area.y - 0.5 * TOP));
+            right -= 14.0;
+        }
+    }
+
+    fn frame(&mut self) {
+        let Rect { x, y, width, height } = self.area;
+        let points = vec![(x, y), (x, y + height), (x + width, y + height)];
+        self.figure.add(Shape::Line { points, stroke: Stroke::full(INK, 1.0) });
+    }
+
+    /// An entry of the legend whose left end is given.
+    fn entry(&mut self, key: Key, label: &str, (x, y): Point) {
+        self.draw_key(key, (x + 0.5 * KEY_WIDTH - 4.0, y));
+        self.figure.text((x + KEY_WIDTH + 2.0, y), label, LABEL_SIZE, INK, Anchor::Left);
     }
 
     fn corner(&self, (width, height): Point) -> Point {
@@ -266,10 +294,6 @@ impl<'a> Panel<'a> {
     fn draw_key(&mut self, key: Key, (x, y): Point) {
         match key {
             Key::Line(stroke) => self.straight([(x - 13.0, y), (x + 13.0, y)], stroke),
-            Key::Patch(fill) => {
-                let corners = vec![(x - 13.0, y - 5.0), (x + 13.0, y - 5.0), (x + 13.0, y + 5.0), (x - 13.0, y + 5.0)];
-                self.figure.add(Shape::Area { corners, fill });
-            }
             Key::Disc(fill) => self.figure.add(Shape::Disc { centre: (x, y), radius: 5.0, fill }),
             Key::Cross(stroke) => {
                 self.straight([(x - 5.0, y - 5.0), (x + 5.0, y + 5.0)], stroke);
@@ -330,7 +354,8 @@ mod tests {
     #[test]
     fn lines_are_cut_at_the_frame() {
         let area = Rect { x: 0.0, y: 0.0, width: 10.0, height: 10.0 };
-        let line = [(-5.0, 5.0), (5.0, 5.0), (5.0, 15.0), (8.0, 15.0), (8.0, 2.0), (f64::NAN, 2.0), (1.0, 1.0)];
+        let line =
+            [(-5.0, 5.0), (5.0, 5.0), (5.0, 15.0), (8.0, 15.0), (8.0, 2.0), (f64::NAN, 2.0), (1.0, 1.0)];
         let runs = clip(&line, area);
         assert_eq!(runs, vec![vec![(0.0, 5.0), (5.0, 5.0), (5.0, 10.0)], vec![(8.0, 10.0), (8.0, 2.0)]]);
     }

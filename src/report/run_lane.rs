@@ -224,8 +224,7 @@ impl RunLane {
             topics::DRR_FRAME => self.frames.count += u64::from(Frame::read_from_bytes(message.body).is_ok()),
             topics::DRR_IMAGE => {
                 let parts = ImagePrefix::read_from_prefix(message.body).ok();
-                let image =
-                    parts.and_then(|(p, pixels)| GreyImage::from_mono16(p.width, p.height, pixels));
+                let image = parts.and_then(|(p, pixels)| GreyImage::from_mono16(p.width, p.height, pixels));
                 if let Some(image) = image {
                     self.frames.add(image, message.log_time_ns, middle_ns);
                 }
@@ -266,4 +265,23 @@ impl RunLane {
 /// Origins of the tool's links in use, base to tip.
 pub fn links(state: &State) -> &[Pose] {
     &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_plane_follows_the_base() {
+        // Half a turn about x + z swaps x and z and turns y round: insertion along world +x, bend along world +z.
+        let h = std::f64::consts::FRAC_1_SQRT_2;
+        let mut state = State::zeroed();
+        state.t_world_base.orientation_xyzw = [h, 0.0, h, 0.0];
+        state.t_world_tip.position_m = [0.1, 0.2, 0.3];
+        let [bend_mm, insertion_mm] = Plane::of(&state).project_mm([0.105, 9.0, 0.301]);
+        assert!(
+            (bend_mm - 1.0).abs() < 1e-9 && (insertion_mm - 5.0).abs() < 1e-9,
+            "{bend_mm} {insertion_mm}"
+        );
+    }
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use recorder_proc::RunMode;
 use recorder_proc::end::hash_text;
 use serde::{Deserialize, Serialize};
 
@@ -216,7 +217,7 @@ impl TimingSummary {
     fn of(timing: &TimingLane) -> TimingSummary {
         let controllers = timing.header.as_ref().map(|h| h.controllers.as_slice()).unwrap_or_default();
         let trips = controllers.iter().zip(&timing.round_trips);
-        let realtime = timing.header.as_ref().is_some_and(|h| h.mode == recorder_proc::RunMode::RealTime);
+        let realtime = timing.header.as_ref().is_some_and(|h| h.mode == RunMode::RealTime);
         TimingSummary {
             step_us: timing.step.quantiles(1e3),
             lateness_us: timing.lateness.quantiles(1e3).filter(|_| realtime),
@@ -281,7 +282,10 @@ impl Summary {
             let (start, end) = (point(tool.tip_start_mm), point(tool.tip_end_mm));
             let error = tool.target_error_mm.map_or(String::new(), |mm| format!(", {mm:.2} mm off target"));
             rows.push(("tip", format!("{start} -> {end} mm{error}")));
-            rows.push(("bend", format!("{:.2} deg, tension up to {:.2} N", tool.bend_deg, tool.max_tension_n)));
+            rows.push((
+                "bend",
+                format!("{:.2} deg, tension up to {:.2} N", tool.bend_deg, tool.max_tension_n),
+            ));
         }
         if let Some(drilling) = &self.drilling {
             let volume = drilling.removed_volume_mm3.map_or(String::new(), |mm3| format!(" ({mm3:.1} mm3)"));
@@ -296,9 +300,9 @@ impl Summary {
             rows.push(("contacts", text));
         }
         if let Some(drr) = &self.drr {
-            let render = drr.render_ms.map_or(String::new(), |q| {
-                format!(", render p50 {:.1} p99 {:.1} ms", q.p50, q.p99)
-            });
+            let render = drr
+                .render_ms
+                .map_or(String::new(), |q| format!(", render p50 {:.1} p99 {:.1} ms", q.p50, q.p99));
             let rate = drr.frames_per_wall_s.map_or(String::new(), |hz| format!(", {hz:.1} per wall s"));
             rows.push(("DRR frames", format!("{} ({} full){render}{rate}", drr.frames, drr.full_frames)));
         }
@@ -325,11 +329,13 @@ impl Summary {
     fn log_rows(&self) -> Rows {
         let mut rows = Rows::new();
         let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 * 1e-6);
-        let rate = self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
+        let rate =
+            self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
         if !self.peak_memory_bytes.is_empty() {
-            let each = self.peak_memory_bytes.iter().map(|(name, &bytes)| format!("{name} {}", megabytes(bytes)));
+            let each =
+                self.peak_memory_bytes.iter().map(|(name, &bytes)| format!("{name} {}", megabytes(bytes)));
             rows.push(("peak memory", each.collect::<Vec<_>>().join(", ")));
         }
         if !self.events.is_empty() {
@@ -343,7 +349,7 @@ impl Summary {
         let lost = (lost > 0).then(|| format!("{lost} messages lost"));
         let problems: Vec<String> = self.logs.notes.iter().cloned().chain(lost).collect();
         if !problems.is_empty() {
-            rows.push(("logs lack", problems.join("; ")));
+            rows.push(("log problems", problems.join("; ")));
         }
         rows.push(("replay", self.replay_command.clone()));
         rows

@@ -104,3 +104,32 @@ impl Bin for u64 {
         *self += later;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_double_and_lose_nothing() {
+        let mut line = Timeline::new(8, 10, Extremes::EMPTY);
+        let mut count = Timeline::new(8, 10, 0u64);
+        let mut newest = Timeline::new(8, 10, None);
+        for i in 0..1000u64 {
+            line.bin(i).add((i as f64 - 500.0).powi(2));
+            *count.bin(i) += 1;
+            *newest.bin(i) = Some(i);
+        }
+        line.bin(3).add(f64::NAN);
+        // 10 * 2^4 * 8 >= 1000: bins of 160 ns.
+        let counts: Vec<u64> = count.iter().map(|(_, n)| *n).collect();
+        assert_eq!(counts, [160, 160, 160, 160, 160, 160, 40]);
+        let last: Vec<u64> = newest.iter().filter_map(|(_, n)| *n).collect();
+        assert_eq!(last, [159, 319, 479, 639, 799, 959, 999]);
+        let ranges: Vec<[f64; 3]> = line.iter().filter_map(|(_, bin)| bin.range()).collect();
+        assert_eq!((ranges[3][0], ranges[3][2], ranges[0][2]), (0.0, 139.0f64.powi(2), 250_000.0));
+        // Mean of (i - 500)^2 over i = 0..160: the sum of squares of 341 to 500 over 160.
+        let sum = |n: f64| n * (n + 1.0) * (2.0 * n + 1.0) / 6.0;
+        assert!((ranges[0][1] - (sum(500.0) - sum(340.0)) / 160.0).abs() < 1e-6);
+        assert!((line.iter().nth(1).unwrap().0 - 240e-9).abs() < 1e-18, "the middle of the second bin");
+    }
+}

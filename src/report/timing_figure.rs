@@ -1,6 +1,7 @@
 //! The figure of the run's timing.
 
 use plotters::style::RGBColor;
+use recorder_proc::RunMode;
 
 use super::ReportError;
 use super::axis::{Axis, count_label, duration_label};
@@ -20,6 +21,7 @@ const BARS_PER_DECADE: f64 = 20.0;
 const SHORTEST_US: f64 = 0.1;
 const P50_DASH: &[f64] = &[6.0, 2.5];
 const P99_DASH: &[f64] = &[1.5, 2.5];
+const EMPTY: &str = "no data in the log";
 const GREY: RGBColor = RGBColor(110, 110, 110);
 
 /// Draws the figure; a panel without data says so. `end_ns` is the simulated length of the run.
@@ -37,34 +39,56 @@ pub fn draw(timing: &TimingLane, end_ns: u64) -> Result<Figure, ReportError> {
     let column = width / 3.0;
     let cell = |i: f64| Rect { x: i * column, y, width: column, height: f64::from(HEIGHT) - y };
     let name = String::new;
-    draw_histogram(&mut figure, cell(0.0), "Physics step", "step time", &[(name(), &timing.step)]);
+    draw_histogram(&mut figure, cell(0.0), "Physics step", "step time", &[(name(), &timing.step)], EMPTY);
     let lateness = [(name(), &timing.lateness)];
-    draw_histogram(&mut figure, cell(1.0), "Wake-up after the deadline", "lateness", &lateness);
+    let (lateness, without): (&[_], _) =
+        if is_realtime(timing) { (&lateness, EMPTY) } else { (&[], "no deadlines in lockstep") };
+    draw_histogram(&mut figure, cell(1.0), "Wake-up after the deadline", "lateness", lateness, without);
     let controllers = header.map(|h| h.controllers.as_slice()).unwrap_or_default();
     let trips: Vec<_> = controllers.iter().cloned().zip(&timing.round_trips).collect();
-    draw_histogram(&mut figure, cell(2.0), "State to command", "round trip", &trips);
+    draw_histogram(&mut figure, cell(2.0), "State to command", "round trip", &trips, EMPTY);
     Ok(figure)
 }
 
-fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: f64) {
+fn is_realtime(timing: &TimingLane) -> bool {
+    timing.header.as_ref().is_some_and(|header| header.mode == RunMode::RealTime)
+}
+
+/// Middle (s) and quantiles (µs) of each interval. A last one that is less than half full counts to the one before.
+fn step_bins(timing: &TimingLane, end_s: f64) -> Vec<(f64, Quantiles)> {
     let bins = timing.step_over_time.iter();
-    let bins: Vec<(f64, Quantiles)> =
+    let mut bins: Vec<(f64, Quantiles)> =
         bins.filter_map(|(t, bin)| Some((t.min(end_s), bin.quantiles(1e3)?))).collect();
+    if let [.., (_, before), (_, last)] = bins.as_mut_slice()
+        && 2 * last.count < before.count
+    {
+        before.max = before.max.max(last.max);
+        bins.pop();
+    }
+    bins
+}
+
+fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: f64) {
+    let bins = step_bins(timing, end_s);
     let period_us = timing.header.as_ref().map_or(0.0, |header| header.dt_ns as f64 * 1e-3);
     let values = bins.iter().flat_map(|(_, q)| [q.p50, q.max]).map(|value| value.max(SHORTEST_US));
-    let y = Axis::decades("step time", values.chain([period_us]), duration_label);
+    let y = Axis::logarithmic("step time", values.chain([period_us]), duration_label);
     let x = Axis::linear("simulated time (s)", 0.0, end_s, 12);
-    let mut panel = Panel::new(figure, outer, "Physics step over the run", x, y);
+    let mut panel = Panel::new(figure, outer, "Physics step in intervals of the run", x, y);
     if bins.is_empty() {
         panel.remark("no timing in the log");
         return panel.finish();
     }
-    let curve = |of: fn(&Quantiles) -> f64| bins.iter().map(|(t, q)| (*t, of(q))).collect::<Vec<Point>>();
+    // From the middles of the first and last interval on to the ends of the run.
+    let ends = [bins.first().map(|(_, q)| (0.0, *q)), bins.last().map(|(_, q)| (end_s, *q))];
+    let [first, last] = ends.map(|end| end.into_iter());
+    let all: Vec<_> = first.chain(bins.iter().copied()).chain(last).collect();
+    let curve = |of: fn(&Quantiles) -> f64| all.iter().map(|(t, q)| (*t, of(q))).collect::<Vec<Point>>();
     let thin = Stroke { colour: GREY, width: 1.2, dash: &[1.5, 2.0] };
-    panel.line(&curve(|q| q.max), thin, "longest per interval");
+    panel.line(&curve(|q| q.max), thin, "longest");
     let p99 = Stroke { dash: &[7.0, 3.0], ..Stroke::full(COLOURS[1], 1.8) };
-    panel.line(&curve(|q| q.p99), p99, "p99 per interval");
-    panel.line(&curve(|q| q.p50), Stroke::full(COLOURS[0], 2.0), "p50 per interval");
+    panel.line(&curve(|q| q.p99), p99, "p99");
+    panel.line(&curve(|q| q.p50), Stroke::full(COLOURS[0], 2.0), "p50");
     let period = Stroke { colour: INK, width: 1.2, dash: &[8.0, 2.5, 2.0, 2.5] };
     panel.line(&[(0.0, period_us), (end_s, period_us)], period, "period of a tick");
     let missed = Stroke::full(COLOURS[1], 2.0);
@@ -72,9 +96,11 @@ fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: 
     for &time_s in &times {
         panel.bar(time_s.min(end_s), missed);
     }
-    let key = if times.is_empty() { Key::None } else { Key::Bar(missed) };
-    panel.key(key, &format!("missed ticks: {}", timing.missed));
-    panel.finish();
+    if is_realtime(timing) {
+        let key = if times.is_empty() { Key::None } else { Key::Bar(missed) };
+        panel.key(key, &format!("missed ticks: {}", timing.missed));
+    }
+    panel.finish_with_row();
 }
 
 /// Outline of a histogram with bars of equal width on a logarithmic axis: (µs, count).
@@ -108,18 +134,19 @@ fn draw_histogram(
     title: &str,
     quantity: &str,
     distributions: &[(String, &Distribution)],
+    without: &str,
 ) {
     let outlines: Vec<Vec<Point>> = distributions.iter().map(|(_, d)| outline(d)).collect();
     let points = || outlines.iter().flatten();
-    let x = Axis::decades(quantity, points().map(|p| p.0), duration_label);
+    let x = Axis::logarithmic(quantity, points().map(|p| p.0), duration_label);
     // Counts of 1 stand above the axis, which begins below them.
     let top = points().map(|p| p.1).fold(1.0, f64::max);
-    let mut y = Axis::decades("ticks", [0.1, 30.0 * top].into_iter(), count_label);
+    let mut y = Axis::logarithmic("ticks", [0.6, 30.0 * top].into_iter(), count_label);
     y.ticks.retain(|(value, _)| *value >= 1.0);
     y.minor.retain(|value| *value >= 1.0);
     let mut panel = Panel::new(figure, outer, title, x, y);
     if points().next().is_none() {
-        panel.remark("no data in the log");
+        panel.remark(without);
     }
     for (i, ((name, distribution), outline)) in distributions.iter().zip(&outlines).enumerate() {
         let Some(q) = distribution.quantiles(1e3) else { continue };

@@ -15,8 +15,10 @@ use super::ReportError;
 use super::distribution::Distribution;
 use super::timeline::Timeline;
 
-/// Bins of the step time over the run.
+/// Most bins of the step time over the run.
 const TIME_BINS: usize = 240;
+/// Ticks of its bins at the least: p99 needs about a hundred.
+const BIN_TICKS: u64 = 100;
 /// Warnings and errors whose text is kept: the last ones.
 const KEPT_WARNINGS: usize = 5;
 
@@ -82,11 +84,11 @@ impl TimingLane {
             header: None,
             end_ns: 0,
             step: duration.clone(),
-            step_over_time: Timeline::new(TIME_BINS, dt_ns, Distribution::new(2)?),
+            step_over_time: Timeline::new(TIME_BINS, BIN_TICKS.saturating_mul(dt_ns), Distribution::new(2)?),
             lateness: duration.clone(),
             round_trips: vec![duration.clone(); controllers],
             missed: 0,
-            missed_over_time: Timeline::new(TIME_BINS, dt_ns, 0),
+            missed_over_time: Timeline::new(2 * TIME_BINS, dt_ns, 0),
             page_faults: 0,
             render: duration,
             rays: 0,
@@ -166,7 +168,8 @@ impl TimingLane {
     }
 
     fn sender(&self, sender: u32) -> String {
-        let controllers = self.header.as_ref().map(|header| header.controllers.as_slice()).unwrap_or_default();
+        let controllers =
+            self.header.as_ref().map(|header| header.controllers.as_slice()).unwrap_or_default();
         match sender {
             SENDER_LAUNCHER => "launcher".to_string(),
             SENDER_PHYSICS => "physics".to_string(),

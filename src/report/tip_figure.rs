@@ -14,14 +14,17 @@ const WIDTH: u32 = 1060;
 const HEIGHT: u32 = 720;
 const PATH_WIDTH: f64 = 440.0;
 const HEAD: f64 = 40.0;
-const BURR: RGBColor = RGBColor(200, 200, 200);
-const START: RGBColor = RGBColor(150, 150, 150);
+const BURR: RGBColor = RGBColor(178, 178, 178);
+const START: RGBColor = RGBColor(222, 222, 222);
 
 /// Draws the figure; without states it says so.
 pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
     let mut figure = Figure::new(WIDTH, HEIGHT)?;
     let scene = run.header.as_ref().map_or("run", |header| header.scene_name.as_str());
-    let title = format!("{scene}: tool motion over {:.2} s", run.end_ns as f64 * 1e-9);
+    let title = format!(
+        "{scene}: tool motion over {:.2} s (bands: least to greatest of an interval)",
+        run.end_ns as f64 * 1e-9
+    );
     figure.text((16.0, 20.0), &title, 18.0, INK, Anchor::Left);
     let height = f64::from(HEIGHT) - HEAD;
     draw_path(&mut figure, Rect { x: 0.0, y: HEAD, width: PATH_WIDTH, height }, run);
@@ -111,17 +114,21 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     };
     let (x, y) = equal_axes(&scenery.corners(), outer.plot_area());
     let mut panel = Panel::new(figure, outer, title, x, y);
+    panel.line(&scenery.start, Stroke::full(START, 7.0), "tool at the start");
     if let Some((centre, radius_mm)) = scenery.burr {
         panel.disc(centre, radius_mm * panel.scale(), BURR);
         panel.key(Key::Disc(BURR), "burr at the end");
     }
-    panel.line(&scenery.start, Stroke { colour: START, width: 2.0, dash: &[3.0, 3.0] }, "tool at the start");
     panel.line(&scenery.end, Stroke::full(INK, 2.2), "tool at the end");
     let links = scenery.end.len().saturating_sub(2);
     for &link in scenery.end.iter().skip(1).take(links) {
         panel.disc(link, 2.4, INK);
     }
-    panel.line(&scenery.path, Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) }, "path of the tip");
+    panel.line(
+        &scenery.path,
+        Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) },
+        "path of the tip",
+    );
     if let Some(target) = scenery.target {
         let stroke = Stroke::full(COLOURS[1], 2.2);
         panel.cross(target, 6.0, stroke);
@@ -141,8 +148,8 @@ fn equal_axes(points: &[Point], area: Rect) -> (Axis, Axis) {
         (middle - half, middle + half)
     };
     let (x, y) = (around(x, area.width), around(y, area.height));
-    let x = Axis::linear("toward tendon 0 from the start of the tip (mm)", x.0, x.1, 6);
-    (x, Axis::linear("insertion from the start of the tip (mm)", y.0, y.1, 10))
+    let x = Axis::linear("bend direction, from the tip's start (mm)", x.0, x.1, 6);
+    (x, Axis::linear("insertion, from the tip's start (mm)", y.0, y.1, 10))
 }
 
 fn draw_over_time(
@@ -167,7 +174,7 @@ fn draw_over_time(
         panel.band(&bands, lighter(stroke.colour));
         panel.line(&means, stroke, label);
     }
-    panel.finish();
+    panel.finish_with_row();
 }
 
 /// A quarter of a colour on white.

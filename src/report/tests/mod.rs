@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use super::*;
-use recorder_proc::{EndReason, RunLog, TimingLog};
+use recorder_proc::{EndReason, LogHeader, RunLog, RunMode, TimingLog};
 use synthetic::{BURR_RADIUS_M, FRAME_TICKS, Random};
 
 const TICKS: u64 = 2000;
@@ -22,7 +22,8 @@ fn facts() -> RunFacts {
 }
 
 fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
-    let mut reader = png::Decoder::new(io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
+    let mut reader =
+        png::Decoder::new(io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
     let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut pixels).unwrap();
     pixels.truncate(info.buffer_size());
@@ -157,13 +158,15 @@ fn a_run_without_ticks_or_logs_is_reported() {
     assert_eq!((summary.ticks, summary.scene, summary.logs.notes.len()), (0, None, 2));
     check_figures(folder.path());
 
-    let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &synthetic::header()).unwrap();
+    let header = LogHeader { mode: RunMode::Lockstep, ..synthetic::header() };
+    let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &header).unwrap();
     run.state(&synthetic::state(0, 1, &mut Random(1))).unwrap();
     run.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
-    let timing = TimingLog::create_file(&folder.path().join("timing.mcap"), &synthetic::header()).unwrap();
+    let timing = TimingLog::create_file(&folder.path().join("timing.mcap"), &header).unwrap();
     timing.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
     let summary = write(folder.path(), &facts()).unwrap();
     assert_eq!((summary.ticks, summary.scene.as_deref()), (0, Some("synthetic")));
+    assert_eq!((summary.mode.as_deref(), summary.tool.is_some()), (Some("lockstep"), true));
     assert!(summary.drr.is_none() && summary.timing.step_us.is_none() && summary.logs.notes.is_empty());
     let tip_mm = summary.tool.unwrap().tip_end_mm;
     assert!((tip_mm[2]).abs() < 1e-9 && BURR_RADIUS_M > 0.0);
@@ -179,7 +182,8 @@ fn numbers_that_are_none_do_not_stop_the_drawing() {
         let mut state = synthetic::state(tick, 50, &mut Random(1));
         if tick > 20 {
             state.bend_rad = f64::NAN;
-            state.burr_force_n = f64::INFINITY;
+            state.burr_force_n = if tick % 2 == 0 { f64::INFINITY } else { 1e200 };
+            state.tendon_tension_n[0] = if tick % 2 == 0 { f64::MAX } else { -f64::MAX };
             state.t_world_tip.position_m = [f64::NAN; 3];
             state.t_world_link[3].position_m = [f64::NEG_INFINITY; 3];
         }

@@ -66,7 +66,7 @@ impl Random {
     }
 }
 
-/// Header of both lanes.
+/// Header of both lanes, in real time.
 pub fn header() -> LogHeader {
     LogHeader {
         scene_toml: SCENE.to_string(),
@@ -120,7 +120,8 @@ pub fn timing(tick: u64, random: &mut Random) -> TickTiming {
     t.tick = tick;
     t.step_ns = (30e3 * long * (1.0 + random.share() * random.share())) as u64;
     t.wake_lateness_ns = (8e3 * long * (0.3 + random.share())) as i64;
-    t.round_trip_ns = [(60e3 * (1.0 + random.share())) as u64, (15e3 * (1.0 + 2.0 * random.share())) as u64, 0, 0];
+    t.round_trip_ns =
+        [(60e3 * (1.0 + random.share())) as u64, (15e3 * (1.0 + 2.0 * random.share())) as u64, 0, 0];
     if tick % 997 == 996 {
         (t.missed, t.wake_lateness_ns) = (1, 2_300_000);
     }

@@ -1,0 +1,46 @@
+//! `trabecula scene check FILE`.
+
+use std::path::PathBuf;
+
+use clap::Subcommand;
+use ipc_types::scene::Scene;
+
+use crate::failure::Failure;
+
+/// What to do with a scene.
+#[derive(Debug, Subcommand)]
+pub enum SceneCommand {
+    /// Check every key and range, and that the volume is there.
+    Check {
+        /// Scene file.
+        file: PathBuf,
+    },
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A scene that is not one (2).
+pub fn run(command: &SceneCommand) -> Result<(), Failure> {
+    let SceneCommand::Check { file } = command;
+    let scene = Scene::load(file).map_err(Failure::bad_input)?;
+    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref())
+        && !path.exists()
+    {
+        return Err(Failure::bad_input(format!("{}: `volume.path` is {}, which does not exist", file.display(), path.display())));
+    }
+    println!(
+        "{}: scene `{}` is valid: {:?}, {} ticks of {} ms, {} controllers, {}",
+        file.display(),
+        scene.name,
+        scene.run.mode,
+        scene.tick_count(),
+        scene.run.dt_ms,
+        scene.controller.len(),
+        match scene.frame_period_ticks() {
+            Some(ticks) => format!("a frame every {ticks} ticks"),
+            None => "no scheduled frames".to_owned(),
+        }
+    );
+    Ok(())
+}
