@@ -1,5 +1,6 @@
 //! `trabecula`: launches, watches, records and replays image-guided bone drilling across processes.
 
+mod bench;
 mod commands;
 mod failure;
 mod launcher;
@@ -9,6 +10,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use commands::bench::BenchCommand;
+use commands::docs::DocsCommand;
 use commands::log::LogCommand;
 use commands::proc::ProcCommand;
 use commands::replay::ReplayArguments;
@@ -42,6 +45,12 @@ enum Command {
     Volume(VolumeCommand),
     /// Write a synthetic volume to a file.
     Phantom(PhantomArguments),
+    /// Print generated documentation.
+    #[command(subcommand)]
+    Docs(DocsCommand),
+    /// Measure what the hub costs on this machine.
+    #[command(subcommand)]
+    Bench(BenchCommand),
     /// Run one part of a session in this process.
     #[command(subcommand)]
     Proc(ProcCommand),
@@ -62,6 +71,8 @@ fn main() -> ExitCode {
         Command::Scene(command) => commands::scene::run(command),
         Command::Volume(command) => commands::volume::run(command),
         Command::Phantom(arguments) => commands::volume::write_phantom(arguments),
+        Command::Docs(command) => commands::docs::run(command),
+        Command::Bench(command) => commands::bench::run(command),
         Command::Proc(command) => commands::proc::run(command),
     };
     match outcome {

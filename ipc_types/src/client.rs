@@ -5,7 +5,7 @@ use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use iceoryx2::prelude::AllocationStrategy;
+use iceoryx2::prelude::{AllocationStrategy, Node, ipc};
 use iceoryx2::service::attribute::AttributeVerifier;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::port::publisher::PublisherCreateError;
@@ -44,6 +44,11 @@ impl Session {
     /// The session's folder.
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// The transport itself, for measurements beside the session's services.
+    pub fn node(&self) -> &Node<ipc::Service> {
+        &self.node
     }
 
     /// What the host announced.

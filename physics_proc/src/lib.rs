@@ -9,4 +9,5 @@ pub mod contact_plane;
 pub mod latch;
 pub mod manipulator;
 pub mod process;
+pub mod rigid;
 pub mod simulation;

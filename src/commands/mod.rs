@@ -1,5 +1,7 @@
 //! The subcommands, one a file.
 
+pub mod bench;
+pub mod docs;
 pub mod log;
 pub mod proc;
 pub mod replay;

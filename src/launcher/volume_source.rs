@@ -3,7 +3,7 @@
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Phantom, Scene, Volume as SceneVolume};
-use volume_io::{MaskModel, Volume, VolumeError, mask_to_hu, phantom, volume_hash};
+use volume_io::{MaskModel, Volume, VolumeError, mask_to_hu, phantom, resample, volume_hash};
 
 /// The volume of a scene with its hash; `None` if the scene has none.
 ///
@@ -15,9 +15,12 @@ pub fn load(scene: &Scene) -> Result<Option<(Volume, [u8; 32])>, VolumeError> {
         (Some(path), _) => {
             let mut volume = volume_io::read(path)?;
             if source.mask {
-                mask_to_hu(&mut volume, &MaskModel::default())?;
+                mask_to_hu(&mut volume, &MASK_MODEL)?;
             }
-            volume
+            match source.resample_mm {
+                Some(spacing_mm) => resample(&volume, spacing_mm * 1e-3)?,
+                None => volume,
+            }
         }
         (None, Some(Phantom::Block)) => block(source)?,
         (None, _) => {
@@ -28,6 +31,20 @@ pub fn load(scene: &Scene) -> Result<Option<(Volume, [u8; 32])>, VolumeError> {
     let hash = volume_hash(&volume);
     Ok(Some((volume, hash)))
 }
+
+/// Synthetic bone in a mask: cancellous up to the middle of a femoral head (22 mm deep), so that there is something to
+/// drill; marrow only in what is thicker.
+const MASK_MODEL: MaskModel = MaskModel {
+    cortical_thickness_m: 2.0e-3,
+    cortical_hu: 1500,
+    cancellous_outer_hu: 450,
+    cancellous_inner_hu: 200,
+    marrow_depth_m: 30.0e-3,
+    marrow_hu: -50,
+    soft_tissue_m: 20.0e-3,
+    soft_tissue_hu: 50,
+    air_hu: -1000,
+};
 
 /// Apparent density at 0 HU and per HU, kg/m³ (the line of the drilling law, `physics_proc::bone::MaterialLaw`).
 const DENSITY_AT_ZERO: f64 = 131.0;

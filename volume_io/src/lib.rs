@@ -1,7 +1,7 @@
 //! CT volumes for the hub: readers, a synthetic femur with known landmarks, and geometry in world LPS.
 //!
 //! Everything ends as one [`Volume`]: Hounsfield units as `i16`, i fastest, with spacing, origin and direction in the world frame
-//! (LPS, metres). Voxels are never resampled or reordered; only the geometry is converted.
+//! (LPS, metres). Reading never resamples or reorders voxels, it only converts the geometry; [`resample`] is for who asks.
 
 mod dicom_scan;
 mod dicom_series;
@@ -18,6 +18,7 @@ mod nrrd;
 mod nrrd_write;
 pub mod phantom;
 mod read;
+mod resample;
 mod scalar;
 mod text_header;
 mod volume;
@@ -28,6 +29,7 @@ pub use hash::{volume_hash, volume_hash_of_parts};
 pub use mask::{MaskModel, mask_to_hu};
 pub use nrrd_write::write_nrrd;
 pub use read::{read, read_with_info};
+pub use resample::resample;
 pub use volume::{
     HuStatistics, IDENTITY_DIRECTION, MAX_SPACING_M, MAX_VOXELS, MIN_SPACING_M, ORTHOGONALITY_TOLERANCE,
     Volume, VolumeInfo,

@@ -50,7 +50,7 @@ message! {
         tendon_displacement_m: [f64; MAX_TENDONS],
         /// Joint angles for the arm's servo_jp and move_jp.
         arm_joint_position_rad: [f64; ARM_JOINTS],
-        /// Tool base pose for the arm's servo_cp and move_cp.
+        /// Goal of the arm's servo_cp and move_cp: the flange, where the tool base is but for the mount's deflection.
         t_world_base: Pose,
         /// Speed limit of move_cp; 0 takes the scene's limit.
         arm_speed_m_per_s: f64,

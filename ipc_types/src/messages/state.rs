@@ -90,7 +90,8 @@ message! {
         tendon_tension_n: [f64; MAX_TENDONS],
         /// Pull of each tendon from its straight, unloaded length; positive is pulled.
         tendon_displacement_m: [f64; MAX_TENDONS],
-        /// Tool base (start of the rigid shaft); +z along the straight tool, +x toward tendon 0.
+        /// Tool base (start of the rigid shaft), the mount's deflection included; +z along the straight tool, +x toward
+        /// tendon 0.
         t_world_base: Pose,
         /// Front of the burr: its centre plus its radius along the last link's +z.
         t_world_tip: Pose,

@@ -128,6 +128,10 @@ fn check_volume(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
     if volume.mask && volume.path.is_none() {
         return Err(checker.invalid("volume.mask", "is for a file; a phantom is not a mask"));
     }
+    if volume.resample_mm.is_some() && volume.path.is_none() {
+        return Err(checker.invalid("volume.resample_mm", "is for a file; a phantom has `spacing_mm`"));
+    }
+    checker.optional("volume.resample_mm", volume.resample_mm, 0.25, 5.0)?;
     checker.range("volume.spacing_mm", volume.spacing_mm, 0.25, 2.0)?;
     checker.range("volume.bone_threshold_hu", f64::from(volume.bone_threshold_hu), -1000.0, 3000.0)?;
     checker.range("volume.block_density_ratio", volume.block_density_ratio, 0.1, 20.0)
@@ -234,5 +238,7 @@ fn check_curved_drilling(drilling: &CurvedDrilling, checker: &Checker) -> Result
     checker.range(&key("ramp_end_mm"), drilling.ramp_end_mm, drilling.ramp_start_mm, 200.0)?;
     checker.range(&key("burr_speed_rpm"), drilling.burr_speed_rpm, 0.0, 60_000.0)?;
     checker.range(&key("guidance_gain_n_per_mm"), drilling.guidance_gain_n_per_mm, 0.0, 10.0)?;
+    checker.range(&key("retraction_mm"), drilling.retraction_mm, 0.0, 200.0)?;
+    checker.range(&key("retraction_mm_per_s"), drilling.retraction_mm_per_s, 0.01, 100.0)?;
     drilling.target_mm.as_ref().map_or(Ok(()), |target| checker.point_mm(&key("target_mm"), target))
 }

@@ -109,6 +109,8 @@ pub struct Volume {
     /// True if the file is a 0/1 mask of bone, to be filled with synthetic Hounsfield units.
     #[serde(default)]
     pub mask: bool,
+    /// A file's volume is resampled to cubic voxels of this size, 0.25 to 5 mm: thick slices make a rough tunnel wall.
+    pub resample_mm: Option<f64>,
     /// Voxel size of the phantom, 0.25 to 2 mm.
     #[serde(default = "Volume::default_spacing_mm")]
     pub spacing_mm: f64,
@@ -367,6 +369,18 @@ pub struct CurvedDrilling {
     /// Tension per millimetre of sideways error seen in a frame, 0 to 10 N/mm.
     #[serde(default)]
     pub guidance_gain_n_per_mm: f64,
+    /// Length by which the tool is drawn back at the end, so that the tunnel shows, 0 to 200 mm.
+    #[serde(default)]
+    pub retraction_mm: f64,
+    /// Speed of that, 0.01 to 100 mm/s.
+    #[serde(default = "CurvedDrilling::default_retraction_mm_per_s")]
+    pub retraction_mm_per_s: f64,
+}
+
+impl CurvedDrilling {
+    fn default_retraction_mm_per_s() -> f64 {
+        10.0
+    }
 }
 
 /// Holds a tension, an arm and a burr speed.

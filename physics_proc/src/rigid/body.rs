@@ -1,0 +1,98 @@
+//! A body's definition.
+
+use nalgebra::{Isometry3, Vector3};
+
+use super::error::RigidError;
+
+/// Convex shape, centred at the body's origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BodyShape {
+    /// Half extents along the body's x, y and z, m.
+    Box {
+        /// m.
+        half_extents_m: Vector3<f64>,
+    },
+    /// A ball.
+    Ball {
+        /// m.
+        radius_m: f64,
+    },
+    /// A capsule along the body's z.
+    Capsule {
+        /// Half of the distance between the centres of its ends, m.
+        half_height_m: f64,
+        /// m.
+        radius_m: f64,
+    },
+}
+
+/// Whether a body can move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BodyMotion {
+    /// Stands still: a clamp.
+    Fixed,
+    /// Moves by forces: a fragment.
+    Free,
+}
+
+/// Everything that defines a body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyParameters {
+    /// Name, for messages.
+    pub name: String,
+    /// Shape.
+    pub shape: BodyShape,
+    /// Pose at the start.
+    pub t_world_body: Isometry3<f64>,
+    /// Fixed or free.
+    pub motion: BodyMotion,
+    /// Mass of a free body per volume of its shape, kg/m^3.
+    pub density_kg_per_m3: f64,
+    /// Coulomb coefficient against other bodies (two bodies: the mean). The tool's contacts have the tool's own.
+    pub friction: f64,
+}
+
+impl BodyParameters {
+    /// Checks every number; the error names the first that is wrong.
+    ///
+    /// # Errors
+    /// [`RigidError::OutOfRange`].
+    pub fn validate(&self) -> Result<(), RigidError> {
+        const LENGTH: &str = "1e-5 to 10 m";
+        let length = |x: f64| (1e-5..=10.0).contains(&x);
+        match self.shape {
+            BodyShape::Box { half_extents_m } => {
+                for value in half_extents_m.iter() {
+                    self.check("half_extents_m", *value, LENGTH, length)?;
+                }
+            }
+            BodyShape::Ball { radius_m } => self.check("radius_m", radius_m, LENGTH, length)?,
+            BodyShape::Capsule { half_height_m, radius_m } => {
+                self.check("half_height_m", half_height_m, LENGTH, length)?;
+                self.check("radius_m", radius_m, LENGTH, length)?;
+            }
+        }
+        for value in self.t_world_body.translation.vector.iter() {
+            self.check("t_world_body position", *value, "-1000 to 1000 m", |x| x.abs() <= 1000.0)?;
+        }
+        let norm = self.t_world_body.rotation.norm();
+        self.check("t_world_body rotation norm", norm, "1", |x| (x - 1.0).abs() < 1e-9)?;
+        let density = |x: f64| (1.0..=1e5).contains(&x);
+        self.check("density_kg_per_m3", self.density_kg_per_m3, "1 to 1e5 kg/m^3", density)?;
+        self.check("friction", self.friction, "0 to 10", |x| (0.0..=10.0).contains(&x))
+    }
+
+    fn check(
+        &self,
+        field: &'static str,
+        value: f64,
+        allowed: &'static str,
+        accept: impl Fn(f64) -> bool,
+    ) -> Result<(), RigidError> {
+        // A NaN is in no range.
+        if accept(value) {
+            return Ok(());
+        }
+        Err(RigidError::OutOfRange { body: self.name.clone(), field, value, allowed })
+    }
+}

@@ -1,0 +1,212 @@
+//! The bodies, what they show to the tool, and their state.
+
+use nalgebra::{Isometry3, Vector3};
+use rapier3d_f64::dynamics::RigidBodyHandle;
+
+use super::body::{BodyMotion, BodyParameters};
+use super::coupling::{CouplingReport, FixedPoint, Moving};
+use super::error::RigidError;
+use super::query::QueryShape;
+use super::world::{Stepper, World, from_vector};
+use crate::contact_plane::ContactPlane;
+use crate::manipulator::ProxySphere;
+
+/// Velocity of a body's centre of mass and its angular velocity, world axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Twist {
+    pub linear_m_per_s: Vector3<f64>,
+    pub angular_rad_per_s: Vector3<f64>,
+    /// Centre of mass, world, m.
+    pub centre_m: Vector3<f64>,
+}
+
+impl Twist {
+    pub fn at(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
+        self.linear_m_per_s + self.angular_rad_per_s.cross(&(point_m - self.centre_m))
+    }
+}
+
+pub(super) struct Body {
+    pub handle: RigidBodyHandle,
+    pub free: bool,
+    shape: QueryShape,
+    /// Follows from the world.
+    pub t_world_body: Isometry3<f64>,
+    /// Follows from the world.
+    pub twist: Twist,
+    /// That of the tick before, for the prediction.
+    pub previous: Twist,
+}
+
+/// Everything that a tick changes in the rigid scene.
+#[derive(Clone)]
+pub struct RigidSnapshot {
+    world: World,
+    previous: Vec<Twist>,
+    report: CouplingReport,
+}
+
+impl core::fmt::Debug for RigidSnapshot {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("RigidSnapshot").field("report", &self.report).finish_non_exhaustive()
+    }
+}
+
+/// Free and fixed rigid bodies beside the manipulator; see [the module](super) for the method.
+pub struct RigidScene {
+    pub(super) dt_s: f64,
+    pub(super) bodies: Vec<Body>,
+    pub(super) stepper: Stepper,
+    pub(super) world: World,
+    /// Workspace: the world after a trial step.
+    pub(super) trial: World,
+    /// Body of each plane that the last [`Self::find_contacts`] appended, and the index of the first of them.
+    pub(super) plane_body: Vec<usize>,
+    pub(super) first_plane: usize,
+    pub(super) moving: Vec<Moving>,
+    pub(super) fixed_point: FixedPoint,
+    pub(super) report: CouplingReport,
+}
+
+impl RigidScene {
+    /// The bodies at rest at their start. `dt_s` is the tick; gravity is in world axes and acts on free bodies.
+    ///
+    /// # Errors
+    /// [`RigidError`]: a number is not usable.
+    pub fn new(
+        bodies: &[BodyParameters],
+        gravity_m_per_s2: &Vector3<f64>,
+        dt_s: f64,
+        sphere_count: usize,
+    ) -> Result<RigidScene, RigidError> {
+        for body in bodies {
+            body.validate()?;
+        }
+        let scene = |field, value, allowed| Err(RigidError::Scene { field, value, allowed });
+        if !(1e-7..=0.1).contains(&dt_s) {
+            return scene("dt_s", dt_s, "1e-7 to 0.1 s");
+        }
+        if let Some(&value) = gravity_m_per_s2.iter().find(|x| x.is_nan() || x.abs() > 1000.0) {
+            return scene("gravity_m_per_s2", value, "-1000 to 1000 m/s^2");
+        }
+        let (world, handles) = World::new(bodies);
+        let most_planes = sphere_count * bodies.len();
+        let bodies = bodies.iter().zip(handles).map(|(body, handle)| Body {
+            handle,
+            free: body.motion == BodyMotion::Free,
+            shape: QueryShape::new(&body.shape),
+            t_world_body: world.pose(handle),
+            twist: twist(&world, handle),
+            previous: twist(&world, handle),
+        });
+        Ok(RigidScene {
+            dt_s,
+            bodies: bodies.collect(),
+            stepper: Stepper::new(dt_s, gravity_m_per_s2),
+            trial: world.clone(),
+            world,
+            plane_body: Vec::with_capacity(most_planes),
+            first_plane: 0,
+            moving: Vec::with_capacity(most_planes),
+            fixed_point: FixedPoint::new(most_planes),
+            report: CouplingReport::none(),
+        })
+    }
+
+    /// Appends, for each sphere and body, the plane of the body's nearest surface point, if the gap could close within
+    /// the tick at the present velocities or is below `margin_m`. At most one plane a sphere and body.
+    pub fn find_contacts(&mut self, spheres: &[ProxySphere], margin_m: f64, planes: &mut Vec<ContactPlane>) {
+        self.first_plane = planes.len();
+        self.plane_body.clear();
+        for (index, body) in self.bodies.iter().enumerate() {
+            let reach_m = body.shape.bounding_radius_m();
+            for (sphere_index, sphere) in spheres.iter().enumerate() {
+                let relative = sphere.velocity_m_per_s - body.twist.at(&sphere.centre_m);
+                let margin_m = margin_m + libm::sqrt(relative.norm_squared()) * self.dt_s;
+                let near_m = reach_m + sphere.radius_m + margin_m;
+                let between = sphere.centre_m - body.t_world_body.translation.vector;
+                if between.norm_squared() > near_m * near_m {
+                    continue;
+                }
+                let nearest = body.shape.nearest(&body.t_world_body, &sphere.centre_m);
+                let gap_m = nearest.distance_m - sphere.radius_m;
+                if gap_m <= margin_m {
+                    planes.push(ContactPlane {
+                        sphere_index,
+                        point_m: nearest.point_m,
+                        normal: nearest.normal,
+                        gap_m,
+                    });
+                    self.plane_body.push(index);
+                }
+            }
+        }
+    }
+
+    /// Number of bodies.
+    pub fn body_count(&self) -> usize {
+        self.bodies.len()
+    }
+
+    /// Pose of each body, in the order of the definition.
+    pub fn poses(&self) -> impl Iterator<Item = &Isometry3<f64>> {
+        self.bodies.iter().map(|body| &body.t_world_body)
+    }
+
+    /// Velocity of a body's centre of mass and its angular velocity, world axes, m/s and rad/s; `None` past the last.
+    pub fn velocity(&self, body: usize) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        self.bodies.get(body).map(|body| (body.twist.linear_m_per_s, body.twist.angular_rad_per_s))
+    }
+
+    /// Mass of a body, kg; `None` past the last.
+    pub fn mass_kg(&self, body: usize) -> Option<f64> {
+        self.bodies.get(body).map(|body| self.world.body(body.handle).mass())
+    }
+
+    /// Body of a plane of the last [`Self::find_contacts`], by its index in the list; `None` for another's plane.
+    pub fn body_of_plane(&self, plane: usize) -> Option<usize> {
+        plane.checked_sub(self.first_plane).and_then(|own| self.plane_body.get(own)).copied()
+    }
+
+    /// How the last step's coupling ended.
+    pub fn last_report(&self) -> &CouplingReport {
+        &self.report
+    }
+
+    /// Reads poses and velocities from the world after a step.
+    pub(super) fn update_bodies(&mut self) {
+        for body in &mut self.bodies {
+            body.previous = body.twist;
+            body.t_world_body = self.world.pose(body.handle);
+            body.twist = twist(&self.world, body.handle);
+        }
+    }
+
+    /// A copy of the whole dynamic state. Allocates.
+    pub fn snapshot(&self) -> RigidSnapshot {
+        RigidSnapshot {
+            world: self.world.clone(),
+            previous: self.bodies.iter().map(|body| body.previous).collect(),
+            report: self.report,
+        }
+    }
+
+    /// Continues from a snapshot of a scene with the same bodies, bit for bit. Allocates.
+    pub fn restore(&mut self, snapshot: &RigidSnapshot) {
+        self.world = snapshot.world.clone();
+        self.update_bodies();
+        for (body, previous) in self.bodies.iter_mut().zip(&snapshot.previous) {
+            body.previous = *previous;
+        }
+        self.report = snapshot.report;
+    }
+}
+
+fn twist(world: &World, handle: RigidBodyHandle) -> Twist {
+    let body = world.body(handle);
+    Twist {
+        linear_m_per_s: from_vector(body.linvel()),
+        angular_rad_per_s: from_vector(body.angvel()),
+        centre_m: from_vector(body.center_of_mass()),
+    }
+}

@@ -1,0 +1,145 @@
+//! The bodies in Rapier: SI units, stiff contacts, no sleeping.
+
+use nalgebra::{Isometry3, Vector3};
+use rapier3d_f64::dynamics::{
+    CCDSolver, ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, RigidBody, RigidBodyBuilder,
+    RigidBodyHandle, RigidBodySet, SoftBodySet, SpringCoefficients,
+};
+use rapier3d_f64::geometry::{BroadPhaseBvh, Collider, ColliderBuilder, ColliderSet, NarrowPhase};
+use rapier3d_f64::math::Vector;
+use rapier3d_f64::pipeline::PhysicsPipeline;
+
+use super::body::{BodyMotion, BodyParameters, BodyShape};
+
+/// Size of the bodies, m: Rapier's tolerances scale with it.
+const LENGTH_UNIT_M: f64 = 0.01;
+/// Contacts are found from this distance on, m: what a body at 2 m/s travels in 1 ms.
+const PREDICTION_M: f64 = 2e-3;
+/// Rapier clamps velocities to this, m/s; far above what a scene reaches, so that no momentum is lost.
+const FASTEST_M_PER_S: f64 = 1e4;
+
+/// Rapier's world as far as a step changes it: a clone continues bit for bit.
+#[derive(Clone)]
+pub(super) struct World {
+    bodies: RigidBodySet,
+    colliders: ColliderSet,
+    islands: IslandManager,
+    broad_phase: BroadPhaseBvh,
+    narrow_phase: NarrowPhase,
+}
+
+/// What a step needs besides the world: settings, empty sets and workspace, none of it state.
+pub(super) struct Stepper {
+    gravity: Vector,
+    parameters: IntegrationParameters,
+    pipeline: PhysicsPipeline,
+    impulse_joints: ImpulseJointSet,
+    multibody_joints: MultibodyJointSet,
+    soft_bodies: SoftBodySet,
+    ccd_solver: CCDSolver,
+}
+
+impl Stepper {
+    pub fn new(dt_s: f64, gravity_m_per_s2: &Vector3<f64>) -> Stepper {
+        // The default springs (30 Hz) let 10 N press a light body millimetres into its support; 1e5 Hz holds it.
+        let stiff = SpringCoefficients::new(1e5, 1.0);
+        let parameters = IntegrationParameters {
+            dt: dt_s,
+            length_unit: LENGTH_UNIT_M,
+            contact_softness: stiff,
+            static_contact_softness: stiff,
+            normalized_prediction_distance: PREDICTION_M / LENGTH_UNIT_M,
+            normalized_max_linear_velocity: FASTEST_M_PER_S / LENGTH_UNIT_M,
+            ..IntegrationParameters::default()
+        };
+        Stepper {
+            gravity: vector(gravity_m_per_s2),
+            parameters,
+            pipeline: PhysicsPipeline::new(),
+            impulse_joints: ImpulseJointSet::new(),
+            multibody_joints: MultibodyJointSet::new(),
+            soft_bodies: SoftBodySet::new(),
+            ccd_solver: CCDSolver::new(),
+        }
+    }
+
+    /// Advances the world by one time step.
+    pub fn step(&mut self, world: &mut World) {
+        self.pipeline.step(
+            self.gravity,
+            &self.parameters,
+            &mut world.islands,
+            &mut world.broad_phase,
+            &mut world.narrow_phase,
+            &mut world.bodies,
+            &mut world.colliders,
+            &mut self.impulse_joints,
+            &mut self.multibody_joints,
+            &mut self.soft_bodies,
+            &mut self.ccd_solver,
+            &(),
+            &(),
+        );
+    }
+}
+
+impl World {
+    /// The bodies at their start, in the order given, with their handles.
+    pub fn new(list: &[BodyParameters]) -> (World, Vec<RigidBodyHandle>) {
+        let mut world = World {
+            bodies: RigidBodySet::new(),
+            colliders: ColliderSet::new(),
+            islands: IslandManager::new(),
+            broad_phase: BroadPhaseBvh::default(),
+            narrow_phase: NarrowPhase::new(),
+        };
+        let handles = list
+            .iter()
+            .map(|body| {
+                let builder = match body.motion {
+                    BodyMotion::Fixed => RigidBodyBuilder::fixed(),
+                    BodyMotion::Free => RigidBodyBuilder::dynamic(),
+                };
+                let handle = world.bodies.insert(builder.pose(body.t_world_body.into()).can_sleep(false));
+                world.colliders.insert_with_parent(collider(body), handle, &mut world.bodies);
+                if let Some(inserted) = world.bodies.get_mut(handle) {
+                    inserted.recompute_mass_properties_from_colliders(&world.colliders);
+                }
+                handle
+            })
+            .collect();
+        (world, handles)
+    }
+
+    pub fn body(&self, handle: RigidBodyHandle) -> &RigidBody {
+        &self.bodies[handle]
+    }
+
+    pub fn pose(&self, handle: RigidBodyHandle) -> Isometry3<f64> {
+        (*self.body(handle).position()).into()
+    }
+
+    /// Gives the body an impulse (N s) at a point, world axes.
+    pub fn apply_impulse(&mut self, handle: RigidBodyHandle, impulse: &Vector3<f64>, point_m: &Vector3<f64>) {
+        self.bodies[handle].apply_impulse_at_point(vector(impulse), vector(point_m), true);
+    }
+}
+
+fn collider(body: &BodyParameters) -> Collider {
+    let shape = match body.shape {
+        BodyShape::Box { half_extents_m: half } => ColliderBuilder::cuboid(half.x, half.y, half.z),
+        BodyShape::Ball { radius_m } => ColliderBuilder::ball(radius_m),
+        BodyShape::Capsule { half_height_m, radius_m } => ColliderBuilder::capsule_z(half_height_m, radius_m),
+    };
+    shape.density(body.density_kg_per_m3).friction(body.friction).restitution(0.0).build()
+}
+
+/// nalgebra to glam.
+pub(super) fn vector(v: &Vector3<f64>) -> Vector {
+    Vector::new(v.x, v.y, v.z)
+}
+
+/// glam to nalgebra.
+pub(super) fn from_vector(v: Vector) -> Vector3<f64> {
+    Vector3::new(v.x, v.y, v.z)
+}

@@ -1,0 +1,43 @@
+//! Durations and their quantiles.
+
+/// Durations in nanoseconds.
+#[derive(Debug, Clone, Default)]
+pub struct Samples(Vec<u64>);
+
+impl Samples {
+    /// Takes one.
+    pub fn add(&mut self, nanoseconds: u64) {
+        self.0.push(nanoseconds);
+    }
+
+    /// Takes all of another.
+    pub fn append(&mut self, other: &Samples) {
+        self.0.extend_from_slice(&other.0);
+    }
+
+    /// Number of samples.
+    pub fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    /// The sample of rank `fraction` (0 to 1) of the sorted samples, in microseconds; 0 without samples.
+    pub fn quantile_us(&self, fraction: f64) -> f64 {
+        let mut sorted = self.0.clone();
+        sorted.sort_unstable();
+        let rank = (fraction * sorted.len().saturating_sub(1) as f64 + 0.5) as usize;
+        sorted.get(rank).map_or(0.0, |nanoseconds| *nanoseconds as f64 * 1e-3)
+    }
+
+    /// Quantiles as a line of a table.
+    pub fn line(&self) -> String {
+        let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|fraction| self.quantile_us(fraction));
+        format!("p50 {p50:9.2}  p99 {p99:9.2}  p99.9 {p999:9.2} us   ({} samples)", self.count())
+    }
+}
+
+/// The middle of some numbers; 0 without any.
+pub fn median(numbers: &[f64]) -> f64 {
+    let mut sorted = numbers.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}

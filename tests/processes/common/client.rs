@@ -1,0 +1,134 @@
+//! A client of a running session: what a user's own program would be.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{Command, Event, RunControl, RunControlReply, RunStatus, State};
+use ipc_types::ports::{Publisher, Subscriber};
+use ipc_types::services;
+use ipc_types::session::{Reader, Session};
+use ipc_types::wake::Waker;
+
+use super::program::{LIMIT, wait_for};
+
+/// Watches and steers a run.
+pub struct Client {
+    pub session: Session,
+    pub states: Subscriber<State>,
+    pub status: Subscriber<RunStatus>,
+    events: Subscriber<Event>,
+    control: Publisher<RunControl>,
+    replies: Subscriber<RunControlReply>,
+    physics: Waker,
+    requests: std::cell::Cell<u64>,
+}
+
+impl Client {
+    pub fn join(folder: &Path) -> Client {
+        let session = Session::join(folder).unwrap();
+        Client {
+            states: session.subscriber(&services::STATE).unwrap(),
+            status: session.subscriber(&services::RUN_STATUS).unwrap(),
+            events: session.subscriber(&services::EVENT).unwrap(),
+            control: session.publisher(&services::RUN_CONTROL).unwrap(),
+            replies: session.subscriber(&services::RUN_CONTROL_REPLY).unwrap(),
+            physics: session.waker(Reader::Physics).unwrap(),
+            requests: std::cell::Cell::new(1000),
+            session,
+        }
+    }
+
+    /// Waits for a state that is as wanted, and returns it.
+    pub fn wait_for_state(&self, wanted: impl Fn(&State) -> bool) -> State {
+        wait_for("a state", || {
+            let mut found = None;
+            while let Some(state) = self.states.receive().unwrap() {
+                if wanted(state.message()) {
+                    found = Some(*state.message());
+                    break;
+                }
+            }
+            found
+        })
+    }
+
+    /// The next state within a while, if one comes.
+    pub fn next_state_within(&self, limit: Duration) -> Option<State> {
+        let end = Instant::now() + limit;
+        loop {
+            if let Some(state) = self.states.receive().unwrap() {
+                return Some(*state.message());
+            }
+            if Instant::now() >= end {
+                return None;
+            }
+            std::thread::yield_now();
+        }
+    }
+
+    /// Asks for an action and waits for the answer.
+    pub fn ask(&self, action: u32, ticks: u64) -> RunControlReply {
+        let request_id = self.requests.get();
+        self.requests.set(request_id + 1);
+        self.control.send(&RunControl { request_id, ticks, action, reserved: 0 }).unwrap();
+        self.physics.wake();
+        wait_for("a reply to run control", || {
+            let reply = self.replies.receive().unwrap().map(|reply| *reply.message());
+            reply.filter(|reply| reply.request_id == request_id)
+        })
+    }
+
+    /// Every event since the last call: code and text.
+    pub fn events(&self) -> Vec<(u32, String)> {
+        let mut all = Vec::new();
+        while let Some(event) = self.events.receive().unwrap() {
+            let text = event.tail().strip_suffix(&[0]).unwrap();
+            all.push((event.message().code, String::from_utf8(text.to_vec()).unwrap()));
+        }
+        all
+    }
+}
+
+/// A controller that the test drives itself.
+pub struct Pilot {
+    pub client: Client,
+    pub commands: Publisher<Command>,
+    pub sequence: u64,
+}
+
+impl Pilot {
+    pub fn join(folder: &Path, name: &str) -> Pilot {
+        let client = Client::join(folder);
+        let commands = client.session.command_publisher(name).unwrap();
+        Pilot { client, commands, sequence: 0 }
+    }
+
+    /// The next state.
+    pub fn next_state(&self) -> State {
+        self.client.next_state_within(LIMIT).expect("a state")
+    }
+
+    /// Sends a command as it is.
+    pub fn send(&self, command: &Command) {
+        self.commands.send(command).unwrap();
+        self.client.physics.wake();
+    }
+
+    /// Answers a state with the next sequence number.
+    pub fn answer(&mut self, state: &State, command: Command) {
+        self.sequence += 1;
+        self.send(&Command { sequence: self.sequence, state_tick: state.tick, ..command });
+    }
+
+    /// Answers every state up to that of `tick`, which it returns unanswered.
+    pub fn drive_to(&mut self, tick: u64, command: impl Fn(&State) -> Command) -> State {
+        loop {
+            let state = self.next_state();
+            if state.tick == tick {
+                return state;
+            }
+            let command = command(&state);
+            self.answer(&state, command);
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Logs: reading them, and making ones that are not right.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use ipc_types::messages::{Latched, State};
+use recorder_proc::{EndMarker, EndReason, LogReader, MessageStream, ReadOptions, RunLog, TickRecord, topics};
+use zerocopy::FromBytes;
+
+use super::program::{Done, trabecula};
+
+/// `run.mcap` whole: initial state, ticks, end marker.
+pub struct Whole {
+    pub initial: State,
+    pub ticks: Vec<TickRecord>,
+    pub marker: Option<EndMarker>,
+}
+
+/// Reads a log that must be readable to its end.
+pub fn read(folder: &Path) -> Whole {
+    let mut reader = LogReader::open(&folder.join("run.mcap")).unwrap();
+    let initial = *reader.initial();
+    let ticks = reader.by_ref().map(Result::unwrap).collect();
+    Whole { initial, ticks, marker: reader.ending().marker.clone() }
+}
+
+/// Replays a folder or log with `--verify`.
+pub fn verify(log: &Path) -> Done {
+    trabecula(&[&"replay", &log, &"--verify"])
+}
+
+/// Replays a folder or log, which must be identical at every tick. Returns what the program said.
+pub fn assert_replays(log: &Path) -> String {
+    let done = verify(log);
+    assert_eq!(done.code, Some(0), "{}\n{}", done.out, done.err);
+    assert!(done.out.contains("all identical"), "{}", done.out);
+    done.out
+}
+
+/// Writes a log again with the recorder's own writer, so that every length and CRC is right, but with changed
+/// commands and states. Frames are left out.
+pub fn rewrite(from: &Path, to: &Path, latched: impl Fn(&mut Latched), state: impl Fn(&mut State)) {
+    let mut stream = MessageStream::open(from, ReadOptions::default()).unwrap();
+    let mut log = RunLog::create_file(to, &stream.header().clone()).unwrap();
+    while let Some(message) = stream.next_message().unwrap() {
+        match message.topic {
+            topics::LATCHED => {
+                let mut changed = Latched::read_from_bytes(message.body).unwrap();
+                latched(&mut changed);
+                log.latched(&changed).unwrap();
+            }
+            topics::STATE => {
+                let mut changed = State::read_from_bytes(message.body).unwrap();
+                state(&mut changed);
+                log.state(&changed).unwrap();
+            }
+            topics::REMOVED => log.removed(message.body).unwrap(),
+            _ => {}
+        }
+    }
+    log.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
+}

@@ -1,0 +1,6 @@
+//! What the tests share.
+
+pub mod client;
+pub mod logs;
+pub mod program;
+pub mod scenes;

@@ -1,0 +1,220 @@
+//! Starting the program, looking at its processes, and what it leaves behind.
+
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use ipc_types::session::sessions_folder;
+use rustix::process::{Pid, Signal, kill_process};
+use tempfile::TempDir;
+
+/// Long enough for any test on a loaded machine; only a hang reaches it.
+pub const LIMIT: Duration = Duration::from_secs(240);
+const LOOK: Duration = Duration::from_millis(5);
+
+/// How a command ended and what it said.
+#[derive(Debug)]
+pub struct Done {
+    /// Exit code; none after a signal.
+    pub code: Option<i32>,
+    pub out: String,
+    pub err: String,
+}
+
+/// Runs the program to its end.
+pub fn trabecula(arguments: &[&dyn AsRef<OsStr>]) -> Done {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    arguments.iter().for_each(|argument| {
+        command.arg(argument);
+    });
+    let output = command.stdin(Stdio::null()).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    Done { code: output.status.code(), out: text(&output.stdout), err: text(&output.stderr) }
+}
+
+/// Waits until `found` gives something.
+pub fn wait_for<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
+    let end = Instant::now() + LIMIT;
+    loop {
+        if let Some(value) = found() {
+            return value;
+        }
+        assert!(Instant::now() < end, "{what} did not happen within {LIMIT:?}");
+        std::thread::sleep(LOOK);
+    }
+}
+
+/// Sends a signal; the process may be gone already.
+pub fn signal(pid: u32, signal: Signal) {
+    let _ = kill_process(Pid::from_raw(pid as i32).unwrap(), signal);
+}
+
+/// A test's own folder.
+#[derive(Debug)]
+pub struct Place(TempDir);
+
+impl Place {
+    pub fn new() -> Place {
+        Place(tempfile::tempdir().unwrap())
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Writes a scene file.
+    pub fn scene(&self, text: &str) -> PathBuf {
+        let path = self.path("scene.toml");
+        fs::write(&path, text).unwrap();
+        path
+    }
+
+    /// Names of all that lies in the folder.
+    pub fn entries(&self) -> Vec<String> {
+        let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+        let mut names: Vec<String> = fs::read_dir(self.0.path()).unwrap().flatten().map(name).collect();
+        names.sort();
+        names
+    }
+
+    /// Starts a run of a scene.
+    pub fn start(&self, scene: &str) -> Run {
+        let scene = self.scene(scene);
+        Run::start(&scene, self.path("out"), &[])
+    }
+
+    /// Makes a whole run that must succeed.
+    pub fn complete(&self, scene: &str) -> Ended {
+        let ended = self.start(scene).end();
+        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        ended
+    }
+}
+
+/// A run under way.
+#[derive(Debug)]
+pub struct Run {
+    child: Child,
+    output: PathBuf,
+    words: TempDir,
+}
+
+/// A run that is over.
+#[derive(Debug)]
+pub struct Ended {
+    /// Exit code; none after a signal.
+    pub code: Option<i32>,
+    pub out: String,
+    pub err: String,
+    /// Folder of the run.
+    pub folder: PathBuf,
+    /// Process of the launcher.
+    pub pid: u32,
+}
+
+impl Run {
+    pub fn start(scene: &Path, output: PathBuf, more: &[&str]) -> Run {
+        let words = tempfile::tempdir().unwrap();
+        let file = |name: &str| File::create(words.path().join(name)).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+        command.arg("run").arg(scene).arg("--output").arg(&output).arg("--quiet").args(more);
+        let command = command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err"));
+        Run { child: command.spawn().unwrap(), output, words }
+    }
+
+    /// Process of the launcher.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Folder of the session, once it is announced.
+    pub fn session(&self) -> PathBuf {
+        let folder = session_folder(self.pid());
+        wait_for("the session's announcement", || folder.join("session.json").exists().then(|| folder.clone()))
+    }
+
+    /// The process of a part (`physics`, `drr`, `controller`, `recorder`), once it is there.
+    pub fn part(&self, name: &str) -> u32 {
+        let session = self.session();
+        wait_for(name, || parts_of(&session).into_iter().find(|(part, _)| part == name).map(|(_, pid)| pid))
+    }
+
+    /// Waits for the end of the launcher.
+    pub fn end(mut self) -> Ended {
+        let pid = self.pid();
+        let status = wait_for("the end of the run", || self.child.try_wait().unwrap());
+        let text = |name: &str| fs::read_to_string(self.words.path().join(name)).unwrap();
+        let folders = fs::read_dir(&self.output).map(|entries| entries.flatten().map(|e| e.path()).collect());
+        let folders: Vec<PathBuf> = folders.unwrap_or_default();
+        let folder = folders.into_iter().next().unwrap_or_default();
+        Ended { code: status.code(), out: text("out"), err: text("err"), folder, pid }
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        // A test that fails leaves nothing running: the parts end with the launcher.
+        if matches!(self.child.try_wait(), Ok(None)) {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+    }
+}
+
+/// Where the session of a launcher lies.
+pub fn session_folder(launcher: u32) -> PathBuf {
+    sessions_folder().join(format!("{launcher}-0"))
+}
+
+/// Processes that were started for a session: the part's name and its number.
+pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
+    let mut parts = Vec::new();
+    for entry in fs::read_dir("/proc").unwrap().flatten() {
+        let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else { continue };
+        let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+        let words: Vec<String> = line.split(|byte| *byte == 0).map(|w| String::from_utf8_lossy(w).into_owned()).collect();
+        if words.iter().any(|word| Path::new(word) == session)
+            && let Some(at) = words.iter().position(|word| word == "proc")
+        {
+            parts.push((words[at + 1].clone(), pid));
+        }
+    }
+    parts
+}
+
+/// Names in /dev/shm that belong to the sessions of a launcher.
+pub fn shared_memory_of(launcher: u32) -> Vec<String> {
+    let prefix = format!("trabecula010_{launcher}-");
+    let names = fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
+    names.filter(|name| name.starts_with(&prefix)).collect()
+}
+
+/// No process, no session, no shared memory of a launcher.
+pub fn assert_nothing_left(launcher: u32) {
+    let session = session_folder(launcher);
+    assert_eq!(parts_of(&session), [], "processes of {} still run", session.display());
+    assert!(!session.exists(), "{} is left", session.display());
+    assert_eq!(shared_memory_of(launcher), [String::new(); 0]);
+}
+
+/// Processes that burn a core each until dropped.
+#[derive(Debug)]
+pub struct BusyLoops(Vec<Child>);
+
+impl BusyLoops {
+    pub fn start(count: usize) -> BusyLoops {
+        let start = |_| Command::new("sh").args(["-c", "while :; do :; done"]).spawn().unwrap();
+        BusyLoops((0..count).map(start).collect())
+    }
+}
+
+impl Drop for BusyLoops {
+    fn drop(&mut self) {
+        for child in &mut self.0 {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}

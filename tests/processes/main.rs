@@ -1,0 +1,15 @@
+//! The whole program, process by process: runs, replays, ends, bad input, foreign clients.
+//!
+//! Every test starts the built `trabecula` in a folder of its own with a scene that it writes itself. Nothing here
+//! asserts a wall-clock time; limits only keep a broken run from hanging the tests.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
+mod bad_input;
+mod clients;
+mod common;
+mod ends;
+mod frames;
+mod late_controllers;
+mod replay;
+mod run_control;
+mod runs;

@@ -1,0 +1,136 @@
+//! Logs that are altered, cut, of something else, or no logs.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::common::logs::{assert_replays, read, rewrite, verify};
+use crate::common::program::{Place, trabecula};
+use crate::common::scenes;
+
+fn recorded(place: &Place) -> PathBuf {
+    place.complete(&scenes::drill("lockstep", 0.4)).folder.join("run.mcap")
+}
+
+fn assert_differs(log: &Path, words: &[&str]) {
+    let done = verify(log);
+    assert_eq!(done.code, Some(1), "{}{}", done.out, done.err);
+    assert!(words.iter().all(|word| done.err.contains(word)), "{words:?} in: {}", done.err);
+    assert!(!done.out.contains("identical"), "{}", done.out);
+}
+
+#[test]
+fn a_log_with_one_altered_bit_differs_at_that_tick_and_field() {
+    let place = Place::new();
+    let original = recorded(&place);
+    let changed = place.path("changed.mcap");
+    rewrite(&original, &changed, |_| {}, |_| {});
+    assert_replays(&changed);
+
+    let flip = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
+    rewrite(&original, &changed, |_| {}, |state| {
+        if state.tick == 173 {
+            flip(&mut state.t_world_link[5].position_m[1]);
+        }
+    });
+    assert_differs(&changed, &["173", "t_world_link[5].position_m[1]"]);
+
+    rewrite(&original, &changed, |_| {}, |state| state.hash[1] ^= u64::from(state.tick == 90));
+    assert_differs(&changed, &["90", "hash"]);
+
+    // A command that the recorded states do not follow from.
+    rewrite(
+        &original,
+        &changed,
+        |latched| {
+            if latched.tick == 250 {
+                latched.commands[0].command.burr_speed_rad_per_s += 1.0;
+            }
+        },
+        |_| {},
+    );
+    assert_differs(&changed, &["251"]);
+}
+
+#[test]
+fn a_bit_flipped_in_the_file_itself_is_found_by_its_checksum() {
+    let place = Place::new();
+    let original = recorded(&place);
+    let mut bytes = fs::read(&original).unwrap();
+    let at = bytes.len() / 2;
+    bytes[at] ^= 4;
+    fs::write(place.path("flipped.mcap"), &bytes).unwrap();
+    let done = verify(&place.path("flipped.mcap"));
+    assert_eq!(done.code, Some(1), "{}{}", done.out, done.err);
+    assert!(done.err.contains("cannot be read further than tick"), "{}", done.err);
+}
+
+#[test]
+fn a_cut_log_replays_to_its_last_complete_tick_and_says_so() {
+    let place = Place::new();
+    let scene = scenes::hold("lockstep", 1.0);
+    let original = place.complete(&scene).folder.join("run.mcap");
+    let bytes = fs::read(&original).unwrap();
+    let (cut_log, mut random, mut last) = (place.path("cut.mcap"), 12_345_u64, 0);
+    let mut cuts: Vec<usize> = (0..6)
+        .map(|_| {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            bytes.len() / 8 + (random >> 33) as usize % (bytes.len() * 7 / 8)
+        })
+        .collect();
+    cuts.sort_unstable();
+    for cut in cuts {
+        fs::write(&cut_log, &bytes[..cut]).unwrap();
+        let said = assert_replays(&cut_log);
+        let ticks: usize = said.split(' ').nth(1).unwrap().parse().unwrap();
+        assert!(said.contains(&format!("last tick {ticks},")), "{said}");
+        assert!(said.contains("no end marker") || said.contains("end marker: completed; cut after"), "{said}");
+        // Chunks are closed every 100 ticks: no more than that (and the index at the end) is lost.
+        assert!(ticks >= last && ticks + 250 >= 1000 * cut / bytes.len(), "cut at {cut} of {}: {said}", bytes.len());
+        last = ticks;
+    }
+}
+
+#[test]
+fn a_log_of_another_volume_is_refused_by_name() {
+    let place = Place::new();
+    let volume = place.path("block.nrrd");
+    let make = |spacing: &str| trabecula(&[&"phantom", &"block", &volume, &"--spacing-mm", &spacing]);
+    assert_eq!(make("1").code, Some(0));
+    let folder = place.complete(&scenes::drill_in_file("lockstep", 0.2, "block.nrrd")).folder;
+    assert_replays(&folder);
+    assert_eq!(make("0.8").code, Some(0));
+    let done = verify(&folder);
+    assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
+    let log = trabecula(&[&"log", &"info", &folder]).out;
+    let hash = log.lines().find_map(|line| line.strip_prefix("volume").and_then(|l| l.split("sha256 ").nth(1))).unwrap();
+    assert!(done.err.contains("volume: the log's has SHA-256") && done.err.contains(hash.trim_end_matches(')')), "{}", done.err);
+
+    fs::remove_file(&volume).unwrap();
+    let done = verify(&folder);
+    assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
+    assert!(done.err.contains("block.nrrd"), "{}", done.err);
+}
+
+#[test]
+fn what_is_not_a_log_is_refused_by_name() {
+    let place = Place::new();
+    fs::write(place.path("text.mcap"), "this is no log at all, but long enough to hold a header\n").unwrap();
+    fs::write(place.path("empty.mcap"), "").unwrap();
+    for name in ["text.mcap", "empty.mcap", "missing.mcap"] {
+        for command in ["replay", "log"] {
+            let path = place.path(name);
+            let done = if command == "log" { trabecula(&[&"log", &"info", &path]) } else { verify(&path) };
+            assert_eq!(done.code, Some(2), "{command} {name}: {}{}", done.out, done.err);
+            assert!(done.err.contains(name), "{}", done.err);
+        }
+    }
+}
+
+#[test]
+fn a_timing_log_is_not_replayed_as_a_run() {
+    let place = Place::new();
+    let folder = place.complete(&scenes::hold("lockstep", 0.1)).folder;
+    let done = verify(&folder.join("timing.mcap"));
+    assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
+    assert_eq!(read(&folder).ticks.len(), 100);
+}
