@@ -95,6 +95,15 @@ impl Session {
         self.named_subscriber(service.name, service)
     }
 
+    /// A subscriber that keeps only the newest message, so that the writer goes round a few samples that stay in its
+    /// cache instead of filling a long queue for a reader that looks seldom.
+    ///
+    /// # Errors
+    /// As [`Session::subscriber`].
+    pub fn newest_subscriber<M: Message>(&self, service: &Service) -> Result<Subscriber<M>, SessionError> {
+        self.named_subscriber(service.name, &Service { queue_length: 1, ..*service })
+    }
+
     /// The subscriber of a controller's commands.
     ///
     /// # Errors

@@ -150,11 +150,12 @@ impl<M: Message> Subscriber<M> {
     }
 }
 
-/// A message in shared memory.
+/// A message in shared memory. Whoever decides on its content first copies it: its writer is another process.
 #[derive(Debug)]
 pub struct Received<M> {
     sample: Sample<ipc::Service, [u8], ()>,
-    message: M,
+    /// The message, if it does not lie aligned in shared memory.
+    copy: Option<Box<M>>,
 }
 
 impl<M: Message> Received<M> {
@@ -162,7 +163,7 @@ impl<M: Message> Received<M> {
         let bytes = sample.payload();
         let size = M::DESCRIPTION.size;
         let wrong = |expected: String| PortError::Length { service: service.to_owned(), bytes: bytes.len(), expected };
-        let Ok((message, rest)) = M::read_from_prefix(bytes) else {
+        let Some(rest) = bytes.get(size..) else {
             return Err(wrong(format!("at least {size} ({})", M::DESCRIPTION.name)));
         };
         if let Some(tail) = M::DESCRIPTION.tail {
@@ -174,12 +175,22 @@ impl<M: Message> Received<M> {
         } else if !rest.is_empty() && M::DESCRIPTION.short_name() != "Frame" {
             return Err(wrong(format!("{size} ({})", M::DESCRIPTION.name)));
         }
-        Ok(Received { sample, message })
+        let copy = match M::ref_from_prefix(bytes) {
+            Ok(_) => None,
+            Err(_) => M::read_from_prefix(bytes).ok().map(|(message, _)| Box::new(message)),
+        };
+        Ok(Received { sample, copy })
     }
 
-    /// The message without what follows it.
+    /// The message without what follows it. Not a copy.
     pub fn message(&self) -> &M {
-        &self.message
+        match &self.copy {
+            Some(copy) => copy,
+            // SAFETY: `new` has found at least a message's bytes and, as there is no copy, has proved with
+            // `ref_from_prefix` that a reference to an `M` may point at them; the sample keeps them where they are
+            // for as long as `self` lives, and no writer is given them before it is dropped.
+            None => unsafe { &*self.sample.payload().as_ptr().cast::<M>() },
+        }
     }
 
     /// What follows the message: its tail, or a frame's image. Not a copy.

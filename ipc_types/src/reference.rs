@@ -80,7 +80,8 @@ fn lane_name(lane: Lane) -> &'static str {
 }
 
 fn service_row(service: &Service) -> String {
-    let most_bytes = if service.max_bytes == 0 { "by the scene".to_owned() } else { service.max_bytes.to_string() };
+    let most_bytes =
+        if service.max_bytes == 0 { "by the scene".to_owned() } else { service.max_bytes.to_string() };
     let message = service.description.short_name();
     format!(
         "| `{}` | [{message}](#{}) | {} | {} | {} | {} | {} | {most_bytes} |\n",
@@ -115,7 +116,10 @@ fn section(description: &Description) -> String {
     if let Some(tail) = description.tail {
         let array = if tail.ros_type == "string" { "" } else { "[]" };
         let size = tail.element_size;
-        text.push_str(&format!("\nTail: `{}{array} {}`, {size} bytes an element.\n", tail.ros_type, tail.name));
+        text.push_str(&format!(
+            "\nTail: `{}{array} {}`, {size} bytes an element.\n",
+            tail.ros_type, tail.name
+        ));
     }
     if description.name == Frame::DESCRIPTION.name {
         text.push_str("\nBehind it, in the same message: [ImagePrefix](#imageprefix) with its pixels.\n");

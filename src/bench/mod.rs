@@ -1,14 +1,18 @@
 //! What the hub costs: measurements that print tables. Times are facts about a machine, so nothing here asserts one.
 
-
+pub mod log;
 mod machine;
-
+pub mod memory;
 pub mod overhead;
 pub mod ping_pong;
 mod samples;
+pub mod step;
 
+use ipc_types::process::EndRequest;
+use ipc_types::scene::Scene;
 
 use crate::failure::Failure;
+use crate::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene};
 
 /// An error that ends a measurement.
 fn failed(cause: impl ToString) -> Failure {
@@ -18,4 +22,22 @@ fn failed(cause: impl ToString) -> Failure {
 /// Prints one line of a table.
 fn row(name: &str, value: &str) {
     println!("{name:<46} {value}");
+}
+
+/// Makes a run with all its processes; one that does not complete is an error.
+fn complete_run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&Glance)) -> Result<RunResult, Failure> {
+    let result = run_scene(plan, end, show).map_err(failed)?;
+    match &result.outcome {
+        Outcome::Completed => Ok(result),
+        Outcome::Interrupted => Err(Failure::failed("interrupted")),
+        Outcome::PartDied { name, how, last_words } => {
+            Err(Failure::failed(format!("part `{name}` died ({how}): {}", last_words.join("; "))))
+        }
+    }
+}
+
+/// Cuts a scene to a number of ticks.
+fn cut(scene: &mut Scene, ticks: Option<u64>) {
+    let ticks = ticks.map_or(scene.tick_count(), |most| most.clamp(1, scene.tick_count()));
+    scene.run.duration_s = ticks as f64 * scene.dt_s();
 }

@@ -9,9 +9,9 @@ use ipc_types::scene::{Mode, Scene};
 use super::machine::Machine;
 use super::ping_pong::{self, Wait};
 use super::samples::{Samples, median};
-use super::{failed, row};
+use super::{complete_run, failed, row};
 use crate::failure::Failure;
-use crate::launcher::run::{Outcome, RunPlan, run as run_scene};
+use crate::launcher::run::RunPlan;
 
 /// Where the time of lockstep ticks goes.
 #[derive(Debug, Default)]
@@ -98,9 +98,6 @@ fn ratio_line(ratios: &[f64]) -> String {
 fn run_ticks(scene: &Scene, end: &EndRequest) -> Result<Ticks, Failure> {
     let plan = RunPlan { scene: scene.clone(), output: None };
     let mut ticks = Ticks::default();
-    let result = run_scene(&plan, end, |glance| glance.timings.iter().for_each(|timing| ticks.add(timing)));
-    match result.map_err(failed)?.outcome {
-        Outcome::Completed => Ok(ticks),
-        other => Err(Failure::failed(format!("the run did not complete: {other:?}"))),
-    }
+    complete_run(&plan, end, |glance| glance.timings.iter().for_each(|timing| ticks.add(timing)))?;
+    Ok(ticks)
 }

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use clap::Subcommand;
 
+use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
-use crate::bench::{overhead, ping_pong};
+use crate::bench::{log, memory, overhead, ping_pong, step};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -22,6 +23,27 @@ pub enum BenchCommand {
         /// Rounds, 1 to 1000.
         #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
+    },
+    /// Physics step and DRR in one process; then a recorded lockstep run: log size, and speed of its replay.
+    Step {
+        /// Scene whose controllers are all built in.
+        #[arg(default_value = DEFAULT_SCENE)]
+        scene: PathBuf,
+        /// Ticks at most.
+        #[arg(long)]
+        ticks: Option<u64>,
+    },
+    /// Memory of each process with a large volume.
+    Memory {
+        /// Scene; its volume is resampled to the dimensions.
+        #[arg(default_value = DEFAULT_SCENE)]
+        scene: PathBuf,
+        /// Voxels along i, j, k.
+        #[arg(long, default_value = "512x512x400", value_parser = memory::parse_dimensions)]
+        dimensions: [usize; 3],
+        /// Ticks of the run.
+        #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(10..=100_000))]
+        ticks: u64,
     },
     /// The answering side of a ping-pong.
     #[command(hide = true)]
@@ -45,6 +67,12 @@ pub enum BenchCommand {
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     match command {
         BenchCommand::Overhead { scene, ticks, rounds } => overhead::run(scene, *ticks, *rounds as usize),
+        BenchCommand::Step { scene, ticks } => {
+            step::run(scene, *ticks)?;
+            println!();
+            log::run(scene, *ticks)
+        }
+        BenchCommand::Memory { scene, dimensions, ticks } => memory::run(scene, *dimensions, *ticks),
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }
 }

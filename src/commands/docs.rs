@@ -35,7 +35,9 @@ pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     };
     match stdout().write_all(text.as_bytes()) {
         // A reader that has had enough (`| head`) is no failure.
-        Err(cause) if cause.kind() != ErrorKind::BrokenPipe => Err(Failure::failed(format!("standard output: {cause}"))),
+        Err(cause) if cause.kind() != ErrorKind::BrokenPipe => {
+            Err(Failure::failed(format!("standard output: {cause}")))
+        }
         _ => Ok(()),
     }
 }

@@ -255,7 +255,7 @@ impl Eyes {
     fn open(session: &Session) -> Result<Eyes, SessionError> {
         let has_frames = session.announcement().frame_bytes > 0;
         Ok(Eyes {
-            states: session.subscriber(&services::STATE)?,
+            states: session.newest_subscriber(&services::STATE)?,
             statuses: session.subscriber(&services::RUN_STATUS)?,
             tick_timings: session.subscriber(&services::TICK_TIMING)?,
             frame_messages: has_frames.then(|| session.subscriber(&services::FRAME)).transpose()?,

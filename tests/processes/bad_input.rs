@@ -1,1 +1,155 @@
-//! To come.
+//! Bad input: one clear error with file, key and allowed range, exit code 2, and nothing written.
+
+use std::fs;
+
+use crate::common::program::{Place, trabecula};
+use crate::common::scenes;
+
+/// Runs a scene that must be refused with all these words, and looks that nothing has been written.
+fn assert_refused_in(place: &Place, words: &[&str]) {
+    let before = place.entries();
+    let done = trabecula(&[&"run", &place.path("scene.toml"), &"--output", &place.path("out"), &"--quiet"]);
+    assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
+    assert!(words.iter().all(|word| done.err.contains(word)), "{words:?} in: {}", done.err);
+    assert_eq!(done.err.matches("trabecula: ").count(), 1, "one error: {}", done.err);
+    assert_eq!(done.out, "");
+    assert_eq!(place.entries(), before, "something was written");
+}
+
+fn assert_refused(change: impl FnOnce(String) -> String, words: &[&str]) {
+    let place = Place::new();
+    let (scene, changed) = (scenes::drill("lockstep", 1.0), change(scenes::drill("lockstep", 1.0)));
+    assert_ne!(scene, changed, "the scene is as it was");
+    place.scene(&changed);
+    assert_refused_in(&place, words);
+    let check = trabecula(&[&"scene", &"check", &place.path("scene.toml")]);
+    assert_eq!(check.code, Some(2), "{}", check.out);
+    assert!(words.iter().all(|word| check.err.contains(word)), "{words:?} in: {}", check.err);
+}
+
+#[test]
+fn an_unknown_key_is_named_with_its_line() {
+    assert_refused(
+        |scene| scene.replace("seed = 7", "sead = 7"),
+        &["scene.toml, line 5", "`sead`", "expected", "`seed`"],
+    );
+}
+
+#[test]
+fn a_key_in_another_unit_is_named() {
+    assert_refused(
+        |scene| scene.replace("feed_mm_per_s = 8.0", "feed_m_per_s = 0.008"),
+        &["scene.toml, line", "`feed_m_per_s`", "`feed_mm_per_s`"],
+    );
+}
+
+#[test]
+fn a_value_out_of_range_is_named_with_the_range() {
+    assert_refused(
+        |scene| scene.replace("feed_mm_per_s = 8.0", "feed_mm_per_s = 2000.0"),
+        &["scene.toml", "`controller.curved_drilling.feed_mm_per_s` is 2000", "allowed is 0.01 to 20"],
+    );
+    assert_refused(
+        |scene| scene.replace("duration_s = 1.0", "duration_s = nan"),
+        &["scene.toml", "`run.duration_s` is NaN", "allowed is 0.001 to 3600"],
+    );
+}
+
+#[test]
+fn a_value_of_a_wrong_type_is_named_with_its_line() {
+    assert_refused(
+        |scene| scene.replace("duration_s = 1.0", "duration_s = \"long\""),
+        &["scene.toml, line 4", "invalid type: string \"long\", expected"],
+    );
+    assert_refused(|scene| scene.replace("mode = \"lockstep\"", "mode = \"fast\""), &["line 3", "`fast`", "`lockstep`"]);
+    assert_refused(|scene| scene.replace("burr_start_mm", "[burr_start_mm"), &["scene.toml, line"]);
+}
+
+#[test]
+fn a_missing_key_is_named() {
+    assert_refused(|scene| scene.replace("insertion_mm = 20.0", ""), &["scene.toml, line", "insertion_mm"]);
+}
+
+#[test]
+fn two_controllers_with_one_name_are_refused() {
+    let second = "\n[[controller]]\nname = \"reference\"\ndrives = []\nexternal = true\n";
+    assert_refused(|scene| scene + second, &["scene.toml", "`controller.name`", "`reference` stands twice"]);
+}
+
+#[test]
+fn two_controllers_that_drive_one_part_are_refused() {
+    let second = "\n[[controller]]\nname = \"other\"\ndrives = [\"burr\"]\nexternal = true\n";
+    assert_refused(
+        |scene| scene + second,
+        &["scene.toml", "`controller.drives`", "Burr", "`reference`", "`other`", "expected one"],
+    );
+}
+
+#[test]
+fn a_missing_scene_file_is_named() {
+    let place = Place::new();
+    assert_refused_in(&place, &["scene.toml: cannot be read", "No such file"]);
+}
+
+fn with_volume(text: impl FnOnce(&Place)) -> Place {
+    let place = Place::new();
+    place.scene(&scenes::drill_in_file("lockstep", 1.0, "ct.nrrd"));
+    text(&place);
+    place
+}
+
+#[test]
+fn a_missing_volume_is_named() {
+    let place = with_volume(|_| {});
+    assert_refused_in(&place, &["ct.nrrd", "No such file"]);
+    let check = trabecula(&[&"scene", &"check", &place.path("scene.toml")]);
+    assert_eq!(check.code, Some(2));
+    assert!(check.err.contains("`volume.path`") && check.err.contains("ct.nrrd"), "{}", check.err);
+}
+
+#[test]
+fn a_text_file_named_as_a_volume_is_refused() {
+    let place = with_volume(|place| fs::write(place.path("ct.nrrd"), "a shopping list\nmilk\nbread\n").unwrap());
+    assert_refused_in(&place, &["ct.nrrd"]);
+}
+
+#[test]
+fn a_truncated_volume_is_refused() {
+    let place = with_volume(|place| {
+        let whole = place.path("ct.nrrd");
+        assert_eq!(trabecula(&[&"phantom", &"block", &whole, &"--spacing-mm", &"1"]).code, Some(0));
+        let bytes = fs::read(&whole).unwrap();
+        fs::write(&whole, &bytes[..bytes.len() - bytes.len() / 3]).unwrap();
+    });
+    assert_refused_in(&place, &["ct.nrrd"]);
+    let info = trabecula(&[&"volume", &"info", &place.path("ct.nrrd")]);
+    assert_eq!(info.code, Some(2), "{}", info.out);
+}
+
+#[test]
+fn a_bad_argument_is_refused_with_what_is_allowed() {
+    let place = Place::new();
+    let scene = place.scene(&scenes::hold("lockstep", 1.0));
+    let unknown = trabecula(&[&"drill"]);
+    assert_eq!(unknown.code, Some(2));
+    assert!(unknown.err.contains("unrecognized subcommand 'drill'"), "{}", unknown.err);
+    let mode = trabecula(&[&"run", &scene, &"--mode", &"fast"]);
+    assert_eq!(mode.code, Some(2));
+    assert!(mode.err.contains("lockstep") && mode.err.contains("realtime"), "{}", mode.err);
+    let duration = trabecula(&[&"run", &scene, &"--duration-s", &"0", &"--output", &place.path("out")]);
+    assert_eq!(duration.code, Some(2));
+    assert!(duration.err.contains("--duration-s is 0, allowed is 0.001 to 3600"), "{}", duration.err);
+    let part = trabecula(&[&"proc", &"physics", &"--session", &place.path("nowhere")]);
+    assert_ne!(part.code, Some(0));
+    assert!(part.err.contains("nowhere"), "{}", part.err);
+    assert_eq!(place.entries(), ["scene.toml"]);
+}
+
+#[test]
+fn an_output_that_cannot_be_made_is_named() {
+    let place = Place::new();
+    let scene = place.scene(&scenes::hold("lockstep", 1.0));
+    let done = trabecula(&[&"run", &scene, &"--output", &scene]);
+    assert_eq!(done.code, Some(2), "{}", done.err);
+    assert!(done.err.contains("--output") && done.err.contains("scene.toml"), "{}", done.err);
+}

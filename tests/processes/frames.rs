@@ -1,1 +1,91 @@
-//! To come.
+//! X-ray frames are tied to ticks and are a function of volume, removed voxels and state.
+
+use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, volume_view};
+use drr_proc::DrrRenderer;
+use ipc_types::messages::Volume as VolumeMessage;
+use ipc_types::scene::Scene;
+use recorder_proc::{FrameRecord, ReadOptions, frames};
+use zerocopy::IntoBytes;
+
+use crate::common::logs::{Whole, read};
+use crate::common::program::{Ended, Place, trabecula};
+use crate::common::scenes;
+
+fn frames_of(ended: &Ended) -> Vec<FrameRecord> {
+    frames(&ended.folder.join("run.mcap"), ReadOptions::default()).unwrap().map(Result::unwrap).collect()
+}
+
+#[test]
+fn lockstep_frames_show_the_scheduled_ticks_and_repeat_to_the_pixel() {
+    let (first, second) = (Place::new(), Place::new());
+    let runs = [&first, &second].map(|place| place.complete(&scenes::drill("lockstep", 1.05)));
+    let [a, b] = runs.each_ref().map(frames_of);
+    // 10 Hz at 1 ms: every 100 ticks; the last state is shown as well.
+    let ticks: Vec<u64> = a.iter().map(|frame| frame.frame.tick).collect();
+    assert_eq!(ticks, [0, 100, 200, 300, 400, 500, 600, 700, 800, 900, 1000, 1050]);
+    let log = read(&runs[0].folder);
+    for frame in &a {
+        let removed = match frame.frame.tick {
+            0 => 0,
+            tick => log.ticks[tick as usize - 1].state.removed_total,
+        };
+        assert_eq!(frame.frame.removed_total, removed);
+        assert!(frame.pixels.len() == 64 * 64 * 2 && frame.frame.pixel_hash != [0; 2]);
+    }
+    let hashes = |frames: &[FrameRecord]| frames.iter().map(|frame| frame.frame.pixel_hash).collect::<Vec<_>>();
+    assert_eq!(hashes(&a), hashes(&b));
+    assert!(a == b);
+}
+
+/// Voxels that are gone at a tick, by the log.
+fn removed_until(log: &Whole, tick: u64) -> Vec<u32> {
+    log.ticks.iter().filter(|record| record.state.tick <= tick).flat_map(|record| record.removed.clone()).collect()
+}
+
+#[test]
+fn drilled_voxels_are_gone_in_the_frames() {
+    let place = Place::new();
+    let file = place.path("block.nrrd");
+    assert_eq!(trabecula(&[&"phantom", &"block", &file, &"--spacing-mm", &"0.5"]).code, Some(0));
+    // The block of the file begins at z = -12.25 mm; the burr stands 0.75 mm in front of it.
+    let text = scenes::drill_in_file("lockstep", 1.2, "block.nrrd")
+        .replace("[0.0, 0.0, -34.0]", "[0.0, 0.0, -16.25]")
+        .replace("[0.0, 0.0, -20.0]", "[0.0, 0.0, -5.0]");
+    let ended = place.complete(&text);
+    let scene = Scene::parse(&text, &place.path("scene.toml")).unwrap();
+    let volume = volume_io::read(&file).unwrap();
+    let d = &volume.direction;
+    let message = VolumeMessage {
+        sha256: [0; 32],
+        origin_m: volume.origin_m,
+        spacing_m: volume.spacing_m,
+        direction: [d[0][0], d[1][0], d[2][0], d[0][1], d[1][1], d[2][1], d[0][2], d[1][2], d[2][2]],
+        dimensions: volume.dims.map(|n| n as u32),
+        hu_length: volume.hu.len() as u32,
+    };
+    let view = volume_view(&message, volume.hu.as_bytes()).unwrap();
+    let drr = scene.drr.as_ref().unwrap();
+    let log = read(&ended.folder);
+    let last = frames_of(&ended).pop().unwrap();
+    let state = log.ticks.last().unwrap().state;
+    assert!(state.removed_total > 100, "only {} voxels drilled", state.removed_total);
+    let rendered = |removed: Vec<u32>| {
+        let job = Job {
+            state: Box::new(state),
+            restore_first: false,
+            removed,
+            sequence: last.frame.sequence,
+            request_id: 0,
+            c_arm: scene_c_arm(drr).unwrap(),
+            noise_seed: scene.run.seed,
+            burr_radius_m: 3.25e-3,
+        };
+        let mut renderer = DrrRenderer::new(&view, renderer_parameters(drr)).unwrap();
+        render_job(&mut renderer, &view, &job).unwrap().frame.pixel_hash
+    };
+    // A fresh renderer that is told all at once sees what the process saw after many small steps.
+    let removed = removed_until(&log, state.tick);
+    assert_eq!(removed.len() as u64, state.removed_total);
+    assert_eq!(rendered(removed), last.frame.pixel_hash);
+    assert_ne!(rendered(Vec::new()), last.frame.pixel_hash, "the drilled voxels would be there");
+}

@@ -1,1 +1,151 @@
-//! To come.
+//! Pause, step, resume, reset, stop: ticks advance exactly as asked.
+
+use std::time::Duration;
+
+use ipc_types::messages::{
+    ARM_HOLD, ARM_MOVE_CP, BURR_SPEED, CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME,
+    CONTROL_STEP, CONTROL_STOP, Command, State, TENDON_SERVO_JF,
+};
+use recorder_proc::EndReason;
+
+use crate::common::client::Pilot;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Place, assert_nothing_left};
+use crate::common::scenes;
+
+/// How long nothing must happen. Too short a time on a slow machine can only hide a fault, not report one.
+const SILENCE: Duration = Duration::from_millis(150);
+
+fn rest(_: &State) -> Command {
+    let mut command =
+        Command { tendon_mode: TENDON_SERVO_JF, arm_mode: ARM_HOLD, burr_mode: BURR_SPEED, ..Command::zeroed() };
+    command.tendon_force_n[0] = 1.0;
+    command
+}
+
+/// Into the bone, straight ahead, burr on.
+fn drilling(start: &State) -> Command {
+    let mut command = rest(start);
+    command.arm_mode = ARM_MOVE_CP;
+    command.arm_speed_m_per_s = 0.02;
+    command.t_world_base = start.t_world_base;
+    command.t_world_base.position_m[2] += 0.02;
+    command.burr_speed_rad_per_s = 800.0;
+    command
+}
+
+/// Silence, at this tick.
+fn assert_stands(pilot: &Pilot, tick: u64) {
+    assert!(pilot.client.next_state_within(SILENCE).is_none(), "a tick was made while paused");
+    let status = *pilot.client.status.receive_newest().unwrap().expect("a status ten times a second").message();
+    assert_eq!((status.tick, status.phase), (tick, ipc_types::messages::PHASE_PAUSED));
+}
+
+#[test]
+fn ticks_advance_exactly_as_run_control_asks() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
+    let mut pilot = Pilot::join(&run.session(), "pilot");
+    let initial = pilot.next_state();
+    let reply = pilot.client.ask(CONTROL_PAUSE, 0);
+    assert_eq!((reply.status, reply.tick), (CONTROL_DONE, 0));
+    pilot.answer(&initial, rest(&initial));
+    assert_stands(&pilot, 0);
+
+    for (count, last) in [(5, 5), (1, 6), (14, 20)] {
+        assert_eq!(pilot.client.ask(CONTROL_STEP, count).status, CONTROL_DONE);
+        let state = pilot.drive_to(last, rest);
+        pilot.answer(&state, rest(&state));
+        assert_stands(&pilot, last);
+    }
+    let unknown = pilot.client.ask(77, 0);
+    assert_eq!((unknown.status, unknown.action, unknown.tick), (CONTROL_REFUSED, 77, 20));
+
+    assert_eq!(pilot.client.ask(CONTROL_RESUME, 0).status, CONTROL_DONE);
+    let state = pilot.drive_to(60, rest);
+    let running = pilot.client.ask(CONTROL_STEP, 3);
+    assert_eq!((running.status, running.tick), (CONTROL_REFUSED, 60));
+    pilot.answer(&state, rest(&state));
+    pilot.drive_to(80, rest);
+    let stop = pilot.client.ask(CONTROL_STOP, 0);
+    assert_eq!((stop.status, stop.tick), (CONTROL_DONE, 80));
+    drop(pilot);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    let marker = read(&ended.folder).marker.unwrap();
+    assert_eq!((marker.last_tick, marker.reason), (Some(80), EndReason::Completed));
+    assert_replays(&ended.folder);
+}
+
+/// A pause that came while a controller was thinking was answered with "done at tick k", and tick k made all the same.
+#[test]
+fn a_pause_while_a_controller_thinks_holds_the_tick() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
+    let mut pilot = Pilot::join(&run.session(), "pilot");
+    let state = pilot.drive_to(50, rest);
+    let reply = pilot.client.ask(CONTROL_PAUSE, 0);
+    assert_eq!((reply.status, reply.tick), (CONTROL_DONE, 50));
+    pilot.answer(&state, rest(&state));
+    assert_stands(&pilot, 50);
+    pilot.client.ask(CONTROL_STEP, 1);
+    let next = pilot.next_state();
+    assert_eq!(next.tick, 51);
+    pilot.answer(&next, rest(&next));
+    assert_stands(&pilot, 51);
+    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
+    drop(pilot);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_replays(&ended.folder);
+}
+
+/// A state without what a reset does not set back: tick, time, hash, and the numbers of the commands.
+fn without_history(state: &State) -> State {
+    let mut state = State { tick: 0, sim_time_s: 0.0, hash: [0; 2], ..*state };
+    state.applied.iter_mut().for_each(|applied| applied.sequence = 0);
+    state
+}
+
+#[test]
+fn a_reset_sets_all_back_and_the_run_replays_identically() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
+    let mut pilot = Pilot::join(&run.session(), "pilot");
+    let start = pilot.drive_to(20, rest);
+    pilot.answer(&start, rest(&start));
+    let deep = pilot.drive_to(700, |_| drilling(&start));
+    assert!(deep.removed_total > 0, "the burr has drilled");
+    assert!(deep.t_world_base.position_m[2] > start.t_world_base.position_m[2] + 1e-3);
+    pilot.answer(&deep, rest(&deep));
+    pilot.drive_to(720, rest);
+    let reply = pilot.client.ask(CONTROL_RESET, 0);
+    assert_eq!((reply.status, reply.tick), (CONTROL_DONE, 720));
+    let state = pilot.client.states.receive().unwrap();
+    assert!(state.is_none(), "a reset makes no tick of its own");
+    drop(state);
+    // The state of tick 720 is still to be answered: the reset comes before it is acted on.
+    pilot.sequence += 1;
+    pilot.send(&Command { sequence: pilot.sequence, state_tick: 720, ..rest(&start) });
+    let again = pilot.drive_to(900, |state| if state.tick < 760 { rest(state) } else { drilling(&start) });
+    assert!(again.removed_total < deep.removed_total);
+    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
+    drop(pilot);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+
+    let log = read(&ended.folder);
+    let resets: Vec<u64> = log.ticks.iter().filter(|tick| tick.latched.reset != 0).map(|t| t.latched.tick).collect();
+    assert_eq!(resets, [720]);
+    // The same command on the initial state gives the same states, bit for bit.
+    for k in 0..20 {
+        let (first, second) = (&log.ticks[k].state, &log.ticks[720 + k].state);
+        assert!(without_history(first) == without_history(second), "tick {k} after the reset differs");
+        assert_eq!(second.tick, 721 + k as u64);
+    }
+    assert_eq!(log.ticks[720].state.removed_total, 0);
+    assert_eq!(log.ticks[720].restored.as_deref(), Some(&[][..]), "nothing was predrilled");
+    let said = assert_replays(&ended.folder);
+    assert!(said.contains("replayed 900 ticks"), "{said}");
+}

@@ -70,7 +70,7 @@ message! {
         tendon_count: u32,
         /// Number of entries of `contacts` in use.
         contact_count: u32,
-        /// Number of contacts in this tick, listed or not.
+        /// Number of contacts and near contacts in this tick; `contacts` lists those that carry force.
         contact_total: u32,
         /// Number of entries of `applied` in use.
         controller_count: u32,
@@ -107,7 +107,7 @@ message! {
         t_world_flange: Pose,
         /// Wrench of the tool on the flange, about the tool base, world axes.
         flange_wrench: Wrench,
-        /// Contacts in the order of the solver.
+        /// Contacts that carry force, in the order of the spheres.
         contacts: [Contact; MAX_CONTACTS],
         /// The command of each controller that this tick applied.
         applied: [AppliedCommand; MAX_CONTROLLERS],

@@ -58,7 +58,7 @@ pub enum Mode {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Run {
-    /// Lockstep or real time.
+    /// Lockstep: as fast as the parts allow, every tick waits for every controller. Real time: by the wall clock.
     pub mode: Mode,
     /// Simulated time of the whole run, 0.001 to 3600 s.
     pub duration_s: f64,
@@ -71,7 +71,7 @@ pub struct Run {
     /// Lockstep: wall-clock time that a controller may take for one tick, 10 to 600000 ms.
     #[serde(default = "Run::default_controller_limit_ms")]
     pub controller_limit_ms: f64,
-    /// Seed of everything random (the noise of frames).
+    /// Seed of everything random: the noise of frames.
     #[serde(default)]
     pub seed: u64,
 }
@@ -174,7 +174,7 @@ pub struct Manipulator {
     pub mount_stiffness_n_per_m: Option<f64>,
     /// Diameter of the burr, 1 to 20 mm.
     pub burr_diameter_mm: Option<f64>,
-    /// Second-order integration in free motion.
+    /// Time integration: `hybrid`, the standard, is second order in free motion.
     pub integrator: Option<Integrator>,
 }
 
@@ -283,10 +283,10 @@ pub struct Drr {
     /// Detector blur (standard deviation), 0 to 5 pixels.
     #[serde(default)]
     pub blur_pixels: f64,
-    /// Bone dark or bright.
+    /// Bone and metal dark, as the detector sees them, or bright.
     #[serde(default = "Drr::default_display")]
     pub display: Display,
-    /// Line integral.
+    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear and fast.
     #[serde(default = "Drr::default_projector")]
     pub projector: Projector,
     /// Threads that render, 1 to 64.
@@ -339,9 +339,10 @@ pub struct Controller {
     pub curved_drilling: Option<CurvedDrilling>,
     /// The built-in controller that holds a tension.
     pub hold: Option<Hold>,
-    /// A program to start, with its arguments; it finds the session in `TRABECULA_SESSION`.
+    /// A program to start, with its arguments; it finds the session's folder in the environment variable
+    /// `TRABECULA_SESSION` and its own name in `TRABECULA_CONTROLLER`.
     pub command: Option<Vec<String>>,
-    /// True if somebody else starts it.
+    /// True if somebody else starts it, within 60 s.
     #[serde(default)]
     pub external: bool,
 }
@@ -383,7 +384,7 @@ impl CurvedDrilling {
     }
 }
 
-/// Holds a tension, an arm and a burr speed.
+/// Holds a tension and the arm, with the burr at rest; of these, what the controller drives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Hold {
@@ -405,7 +406,7 @@ pub enum Images {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Recording {
-    /// Frames: `full` or `hash_only`.
+    /// Frames whole, or only their geometry and hash: they are a function of scene and state.
     pub images: Images,
 }
 

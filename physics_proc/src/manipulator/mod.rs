@@ -56,10 +56,10 @@ pub use state::{
 pub const MAX_JOINTS: usize = 32;
 /// Most proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
-/// Most contacts of a step; further ones are refused and counted.
-pub const MAX_CONTACTS: usize = 96;
 /// Shaft, one a segment, burr.
 const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
+/// Most contacts of a step, four a sphere; further ones are refused and counted.
+pub const MAX_CONTACTS: usize = 4 * MAX_SPHERES;
 /// Rows of the contact solver: three a sphere, one a stop.
 const MAX_ROWS: usize = 3 * MAX_SPHERES + MAX_JOINTS;
 

@@ -25,32 +25,52 @@ pub(super) fn sleep_until(deadline_ns: u64) {
 #[derive(Debug)]
 pub(super) struct ThreadCounters {
     schedstat: Option<File>,
-    last_wait_ns: u64,
+    wait_ns: u64,
+    switches: u64,
+    page_faults: u64,
+}
+
+/// What has happened to this thread since the last look; 0 where the kernel does not say.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Disturbance {
+    /// Time for which it waited for a core.
+    pub(super) run_queue_wait_ns: u64,
+    /// Page faults.
+    pub(super) page_faults: u32,
 }
 
 impl ThreadCounters {
     pub(super) fn new() -> ThreadCounters {
-        let mut counters = ThreadCounters { schedstat: File::open("/proc/thread-self/schedstat").ok(), last_wait_ns: 0 };
-        counters.run_queue_wait_ns();
+        let schedstat = File::open("/proc/thread-self/schedstat").ok();
+        let mut counters = ThreadCounters { schedstat, wait_ns: 0, switches: u64::MAX, page_faults: 0 };
+        counters.since_last();
         counters
     }
 
-    /// Time this thread waited for a core since the last call; 0 where the kernel does not say.
-    pub(super) fn run_queue_wait_ns(&mut self) -> u64 {
-        let mut text = [0; 96];
-        let Some(file) = &self.schedstat else { return 0 };
-        let Ok(length) = file.read_at(&mut text, 0) else { return 0 };
-        let second = text[..length].split(|byte| *byte == b' ').nth(1).unwrap_or_default();
-        let total = second.iter().fold(0_u64, |sum, digit| sum * 10 + u64::from(digit.wrapping_sub(b'0')));
-        let since = total.saturating_sub(self.last_wait_ns);
-        self.last_wait_ns = total;
-        since
+    /// Looks at the counters.
+    pub(super) fn since_last(&mut self) -> Disturbance {
+        let Ok(usage) = getrusage(UsageWho::RUSAGE_THREAD) else { return Disturbance::default() };
+        let faults = (usage.minor_page_faults() + usage.major_page_faults()) as u64;
+        let switches = (usage.voluntary_context_switches() + usage.involuntary_context_switches()) as u64;
+        let page_faults = (faults - self.page_faults.min(faults)) as u32;
+        self.page_faults = faults;
+        // A thread that was never taken off its core has not waited for one: the file, a microsecond to read, is
+        // looked at only after a switch.
+        let mut run_queue_wait_ns = 0;
+        if switches != self.switches {
+            self.switches = switches;
+            let total_ns = self.total_wait_ns().unwrap_or(self.wait_ns);
+            run_queue_wait_ns = total_ns.saturating_sub(self.wait_ns);
+            self.wait_ns = total_ns;
+        }
+        Disturbance { run_queue_wait_ns, page_faults }
     }
 
-    /// Page faults of this thread so far; 0 where the kernel does not say.
-    pub(super) fn page_faults(&self) -> u64 {
-        let usage = getrusage(UsageWho::RUSAGE_THREAD);
-        usage.map_or(0, |usage| (usage.minor_page_faults() + usage.major_page_faults()) as u64)
+    fn total_wait_ns(&self) -> Option<u64> {
+        let mut text = [0; 96];
+        let length = self.schedstat.as_ref()?.read_at(&mut text, 0).ok()?;
+        let second = text[..length].split(|byte| *byte == b' ').nth(1)?;
+        Some(second.iter().fold(0_u64, |sum, digit| sum * 10 + u64::from(digit.wrapping_sub(b'0'))))
     }
 }
 

@@ -47,7 +47,6 @@ pub(super) struct Runner<'v> {
     missed_ticks: u64,
     status_sent: Option<Instant>,
     counters: ThreadCounters,
-    page_faults: u64,
     sources: [u32; MAX_CONTROLLERS],
 }
 
@@ -72,7 +71,6 @@ impl<'v> Runner<'v> {
             missed_ticks: 0,
             status_sent: None,
             counters: ThreadCounters::new(),
-            page_faults: 0,
             sources: [0; MAX_CONTROLLERS],
         }
     }
@@ -223,14 +221,15 @@ impl<'v> Runner<'v> {
                 let refusal = match port.commands.receive() {
                     Ok(None) => break,
                     Ok(Some(command)) => {
-                        let command = command.message();
+                        // A copy: what is checked must be what is latched, whatever its writer does meanwhile.
+                        let command = *command.message();
                         if command.sequence == 1 {
                             self.latch.reconnected(index);
                         }
                         if command.state_tick == self.tick && port.round_trip_ns == 0 {
                             port.round_trip_ns = elapsed_ns(self.published).max(1);
                         }
-                        let outcome = self.latch.offer(index, command, self.tick);
+                        let outcome = self.latch.offer(index, &command, self.tick);
                         outcome.err().map(|cause| format!("command {}: {cause}", command.sequence))
                     }
                     Err(PortError::Length { service, bytes, expected }) => {
@@ -261,15 +260,17 @@ impl<'v> Runner<'v> {
         let publish_began = Instant::now();
         self.tick += 1;
         self.publish_tick(reset)?;
+        let publish_ns = elapsed_ns(publish_began);
+        let disturbance = self.counters.since_last();
         let mut timing = TickTiming {
             tick: latched.tick,
             start_ns,
             wake_lateness_ns: start.lateness_ns,
             latch_ns,
             step_ns,
-            publish_ns: elapsed_ns(publish_began),
-            run_queue_wait_ns: self.counters.run_queue_wait_ns(),
-            page_faults: self.new_page_faults(),
+            publish_ns,
+            run_queue_wait_ns: disturbance.run_queue_wait_ns,
+            page_faults: disturbance.page_faults,
             missed: u32::from(start.missed),
             ..TickTiming::zeroed()
         };
@@ -295,13 +296,6 @@ impl<'v> Runner<'v> {
         self.published = Instant::now();
         self.ports.controllers.iter().for_each(|port| port.waker.wake());
         Ok(())
-    }
-
-    fn new_page_faults(&mut self) -> u32 {
-        let total = self.counters.page_faults();
-        let since = total.saturating_sub(self.page_faults);
-        self.page_faults = total;
-        since as u32
     }
 
     /// Says when a controller's command begins to be held, or is replaced by the safe one.

@@ -77,8 +77,8 @@ impl BodyParameters {
         }
         let norm = self.t_world_body.rotation.norm();
         self.check("t_world_body rotation norm", norm, "1", |x| (x - 1.0).abs() < 1e-9)?;
-        let density = |x: f64| (1.0..=1e5).contains(&x);
-        self.check("density_kg_per_m3", self.density_kg_per_m3, "1 to 1e5 kg/m^3", density)?;
+        let density = |x: f64| (1.0..=1e6).contains(&x);
+        self.check("density_kg_per_m3", self.density_kg_per_m3, "1 to 1e6 kg/m^3", density)?;
         self.check("friction", self.friction, "0 to 10", |x| (0.0..=10.0).contains(&x))
     }
 

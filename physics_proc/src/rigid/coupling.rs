@@ -23,6 +23,16 @@ const DEPTH: usize = 5;
 /// A difference that is left with less than this share of itself says nothing new.
 const DEPENDENT: f64 = 1e-6;
 
+/// How tool and free bodies meet in a tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Coupling {
+    /// Iterated to the common motion.
+    Iterated,
+    /// Baseline: the tool meets a body that goes on as before, then the body gets the impulse. A body lighter than the
+    /// tool is thrown off with more energy than the tool had.
+    Staggered,
+}
+
 /// What drives the tool through the tick.
 #[derive(Debug, Clone, Copy)]
 pub struct ToolDrive {
@@ -128,7 +138,8 @@ impl RigidScene {
         let mut residual = self.fixed_point.largest_residual();
         let mut best = residual;
         self.fixed_point.keep_best();
-        while residual > TOLERANCE_M_PER_S && evaluations < MAX_EVALUATIONS {
+        let most = if self.coupling == Coupling::Iterated { MAX_EVALUATIONS } else { 1 };
+        while residual > TOLERANCE_M_PER_S && evaluations < most {
             self.fixed_point.improve();
             manipulator.restore(&start);
             report = self.evaluate(manipulator, drive, planes)?;

@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::dynamics::RigidBodyHandle;
 
 use super::body::{BodyMotion, BodyParameters};
-use super::coupling::{CouplingReport, FixedPoint, Moving};
+use super::coupling::{Coupling, CouplingReport, FixedPoint, Moving};
 use super::error::RigidError;
 use super::query::QueryShape;
 use super::world::{Stepper, World, from_vector};
@@ -55,6 +55,7 @@ impl core::fmt::Debug for RigidSnapshot {
 /// Free and fixed rigid bodies beside the manipulator; see [the module](super) for the method.
 pub struct RigidScene {
     pub(super) dt_s: f64,
+    pub(super) coupling: Coupling,
     pub(super) bodies: Vec<Body>,
     pub(super) stepper: Stepper,
     pub(super) world: World,
@@ -69,7 +70,8 @@ pub struct RigidScene {
 }
 
 impl RigidScene {
-    /// The bodies at rest at their start. `dt_s` is the tick; gravity is in world axes and acts on free bodies.
+    /// The bodies at rest at their start. `dt_s` is the tick; gravity is in world axes and acts on free bodies;
+    /// `sphere_count` is the number of the tool's proxy spheres.
     ///
     /// # Errors
     /// [`RigidError`]: a number is not usable.
@@ -101,6 +103,7 @@ impl RigidScene {
         });
         Ok(RigidScene {
             dt_s,
+            coupling: Coupling::Iterated,
             bodies: bodies.collect(),
             stepper: Stepper::new(dt_s, gravity_m_per_s2),
             trial: world.clone(),
@@ -141,6 +144,11 @@ impl RigidScene {
                 }
             }
         }
+    }
+
+    /// Chooses how tool and free bodies meet; a new scene iterates.
+    pub fn set_coupling(&mut self, coupling: Coupling) {
+        self.coupling = coupling;
     }
 
     /// Number of bodies.

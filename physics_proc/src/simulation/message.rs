@@ -1,7 +1,7 @@
 //! The state as a message.
 
 use ipc_types::messages::{
-    AppliedCommand, Contact, Latched, MAX_CONTACTS, PART_BURR, PART_SEGMENT, PART_SHAFT, Pose, Wrench,
+    AppliedCommand, Contact, Latched, PART_BURR, PART_SEGMENT, PART_SHAFT, Pose, Wrench,
 };
 use nalgebra::{Isometry3, Vector3};
 
@@ -57,14 +57,14 @@ impl Simulation<'_> {
         state.burr_force_n = tool.last_report().burr_normal_force_n.norm();
     }
 
+    /// Lists the contacts that carry force; the others are only counted.
     fn write_contacts(&mut self) {
         let state = &mut self.state;
         let results = self.manipulator.contact_results();
         let spheres = self.manipulator.proxy_spheres();
-        state.contact_total = results.len() as u32;
-        state.contact_count = results.len().min(MAX_CONTACTS) as u32;
-        state.contacts.fill(Contact::zeroed());
-        for (slot, result) in state.contacts.iter_mut().zip(results) {
+        let mut listed = 0;
+        for result in results.iter().filter(|result| result.normal_force_n > 0.0) {
+            let Some(slot) = state.contacts.get_mut(listed) else { break };
             let plane = self.planes.get(result.contact_index);
             *slot = Contact {
                 sphere_index: result.sphere_index as u32,
@@ -75,7 +75,11 @@ impl Simulation<'_> {
                 normal_force_n: result.normal_force_n,
                 friction_force_n: numbers(&result.friction_force_n),
             };
+            listed += 1;
         }
+        state.contacts[listed..].fill(Contact::zeroed());
+        state.contact_count = listed as u32;
+        state.contact_total = results.len() as u32;
     }
 
     fn write_arm(&mut self) {

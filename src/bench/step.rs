@@ -1,0 +1,179 @@
+//! Physics step and DRR of a scene in one process, driven by the scene's own controllers: no other process, no log.
+
+use std::path::Path;
+use std::time::Instant;
+
+use controller_proc::{Controller, CurvedDrillingController, HoldController};
+use drr_proc::process::{Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view};
+use drr_proc::{CArm, DrrRenderer, VolumeView};
+use ipc_types::messages::{Command, State, Volume as VolumeMessage};
+use ipc_types::scene::{Drr, Mode, Scene};
+use physics_proc::latch::Latch;
+use physics_proc::process::ct_geometry;
+use physics_proc::simulation::{CtView, Simulation};
+use zerocopy::IntoBytes;
+
+use super::machine::Machine;
+use super::samples::Samples;
+use super::{cut, failed, row};
+use crate::failure::Failure;
+use crate::launcher::volume_source;
+
+/// Frames from a C-arm that has moved, at the end.
+const FULL_FRAMES: usize = 9;
+
+/// Runs the scene to its end, or for `ticks`, in lockstep in this process.
+///
+/// # Errors
+/// A scene that is not one, or whose controllers are not built in (2).
+pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
+    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+    scene.run.mode = Mode::Lockstep;
+    cut(&mut scene, ticks);
+    let volume = volume_source::load(&scene).map_err(Failure::bad_input)?;
+    let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
+    let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
+    let simulation = Simulation::new(&scene, ct).map_err(failed)?;
+    let x_ray = match (&scene.drr, &volume) {
+        (Some(drr), Some((message, hu))) => Some(XRay::new(&scene, drr, message, hu, simulation.predrilled())?),
+        _ => None,
+    };
+    let machine = Machine::watch();
+    let mut bench = Bench { simulation, x_ray, steps: Samples::default() };
+    bench.play(&scene)?;
+    println!("scene {}, {} ticks of {} ms in one process\n", scene.name, scene.tick_count(), scene.run.dt_ms);
+    row("physics step", &bench.steps.line());
+    if let Some(mut x_ray) = bench.x_ray.take() {
+        x_ray.render_from_elsewhere(bench.simulation.state())?;
+        let what = format!("{} x {} pixels, {} threads", x_ray.c_arm.columns, x_ray.c_arm.rows, x_ray.threads);
+        row(&format!("DRR, full ({what})"), &x_ray.full.line());
+        row("DRR, C-arm at rest: what has changed", &x_ray.changed.line());
+    }
+    machine.print();
+    Ok(())
+}
+
+struct Bench<'v> {
+    simulation: Simulation<'v>,
+    x_ray: Option<XRay<'v>>,
+    steps: Samples,
+}
+
+impl Bench<'_> {
+    fn play(&mut self, scene: &Scene) -> Result<(), Failure> {
+        let mut controllers = controllers(scene)?;
+        let mut latch = Latch::new(scene);
+        let period = scene.frame_period_ticks();
+        for tick in 0..scene.tick_count() {
+            if let Some(x_ray) = &mut self.x_ray {
+                x_ray.see(self.simulation.state(), self.simulation.removed(), period, &mut controllers)?;
+            }
+            for (index, controller) in controllers.iter_mut().enumerate() {
+                let mut command = Command { sequence: tick + 1, state_tick: tick, ..Command::zeroed() };
+                controller.step(self.simulation.state(), &mut command);
+                latch.offer(index, &command, tick).map_err(failed)?;
+            }
+            let latched = latch.latch(tick, false);
+            let began = Instant::now();
+            self.simulation.step(&latched).map_err(failed)?;
+            self.steps.add(began.elapsed().as_nanos() as u64);
+        }
+        Ok(())
+    }
+}
+
+fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {
+    let built_in = |entry: &ipc_types::scene::Controller| -> Result<Box<dyn Controller>, Failure> {
+        match (&entry.curved_drilling, &entry.hold) {
+            (Some(plan), _) => Ok(Box::new(CurvedDrillingController::new(plan, scene))),
+            (None, Some(hold)) => Ok(Box::new(HoldController::new(hold.tension_n, &entry.drives))),
+            (None, None) => Err(Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name))),
+        }
+    };
+    scene.controller.iter().map(built_in).collect()
+}
+
+/// The X-ray of the scene, frame by frame as its process would render them.
+struct XRay<'v> {
+    view: VolumeView<'v>,
+    renderer: DrrRenderer,
+    c_arm: CArm,
+    threads: usize,
+    noise_seed: u64,
+    burr_radius_m: f64,
+    removed: Vec<u32>,
+    shown: u64,
+    newest: Option<Rendered>,
+    full: Samples,
+    changed: Samples,
+}
+
+impl<'v> XRay<'v> {
+    fn new(scene: &Scene, drr: &Drr, message: &VolumeMessage, hu: &'v [i16], predrilled: &[u32]) -> Result<XRay<'v>, Failure> {
+        let view = volume_view(message, hu.as_bytes()).map_err(failed)?;
+        Ok(XRay {
+            renderer: DrrRenderer::new(&view, renderer_parameters(drr)).map_err(failed)?,
+            view,
+            c_arm: scene_c_arm(drr).map_err(Failure::bad_input)?,
+            threads: drr.threads,
+            noise_seed: scene.run.seed,
+            burr_radius_m: burr_radius_m(scene),
+            removed: predrilled.to_vec(),
+            shown: 0,
+            newest: None,
+            full: Samples::default(),
+            changed: Samples::default(),
+        })
+    }
+
+    /// Renders what is due at this state, and shows the newest frame half a period after its tick.
+    fn see(
+        &mut self,
+        state: &State,
+        removed: &[u32],
+        period: Option<u64>,
+        controllers: &mut [Box<dyn Controller>],
+    ) -> Result<(), Failure> {
+        self.removed.extend_from_slice(removed);
+        let Some(period) = period else { return Ok(()) };
+        if state.tick.is_multiple_of(period) {
+            let rendered = self.render(state, self.c_arm)?;
+            self.newest = Some(rendered);
+        } else if state.tick % period == (period / 2).max(1)
+            && let Some(rendered) = &self.newest
+        {
+            controllers.iter_mut().for_each(|controller| controller.frame(&rendered.frame, &rendered.pixels));
+        }
+        Ok(())
+    }
+
+    fn render(&mut self, state: &State, c_arm: CArm) -> Result<Rendered, Failure> {
+        self.shown += 1;
+        let job = Job {
+            state: Box::new(*state),
+            restore_first: false,
+            removed: std::mem::take(&mut self.removed),
+            sequence: self.shown,
+            request_id: 0,
+            c_arm,
+            noise_seed: self.noise_seed,
+            burr_radius_m: self.burr_radius_m,
+        };
+        let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;
+        let samples = if rendered.is_full() { &mut self.full } else { &mut self.changed };
+        samples.add(rendered.render_ns);
+        Ok(rendered)
+    }
+
+    /// Frames whose every ray is traced, because the C-arm moves by a millimetre between them.
+    fn render_from_elsewhere(&mut self, state: &State) -> Result<(), Failure> {
+        for frame in 1..=FULL_FRAMES {
+            let shift_m = frame as f64 * 1e-3;
+            let mut c_arm = self.c_arm;
+            c_arm.source_m[2] += shift_m;
+            c_arm.detector_centre_m[2] += shift_m;
+            self.render(state, c_arm)?;
+        }
+        Ok(())
+    }
+}
