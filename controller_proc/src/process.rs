@@ -82,7 +82,7 @@ pub fn run_controller(session_folder: &Path, name: &str, controller: &mut dyn Co
         ports.waiter.wait_until(Instant::now() + LOOK_TIME, || ports.states.has_message());
         let Some(state) = ports.states.receive_newest()? else { continue };
         let state = state.message();
-        ports.frames_for(state.tick, controller)?;
+        ports.frames_for(state.tick, controller, &end)?;
         sequence += 1;
         let mut command = Command { sequence, state_tick: state.tick, ..Command::zeroed() };
         controller.step(state, &mut command);
@@ -133,9 +133,9 @@ impl Ports {
         Ok(status.is_some_and(|status| status.message().phase == PHASE_ENDED))
     }
 
-    fn frames_for(&mut self, tick: u64, controller: &mut dyn Controller) -> Result<(), ControllerError> {
+    fn frames_for(&mut self, tick: u64, controller: &mut dyn Controller, end: &EndRequest) -> Result<(), ControllerError> {
         match &mut self.frames {
-            Some(frames) if self.lockstep => frames.due(tick, controller),
+            Some(frames) if self.lockstep => frames.due(tick, controller, end),
             Some(frames) => frames.arrived(controller),
             None => Ok(()),
         }
@@ -172,7 +172,7 @@ impl Frames {
         Ok(())
     }
 
-    fn due(&mut self, tick: u64, controller: &mut dyn Controller) -> Result<(), ControllerError> {
+    fn due(&mut self, tick: u64, controller: &mut dyn Controller, end: &EndRequest) -> Result<(), ControllerError> {
         let Some(period) = self.period_ticks else { return Ok(()) };
         let delay = (period / 2).max(1);
         if tick < delay || !(tick - delay).is_multiple_of(period) {
@@ -187,6 +187,7 @@ impl Frames {
                     return Ok(());
                 }
                 Some(_) => {}
+                None if end.is_set() => return Ok(()),
                 None => std::thread::sleep(Duration::from_micros(500)),
             }
         }

@@ -1,4 +1,33 @@
 //! Messages, service names, ports, tick protocol and scene files: what every process of the hub shares.
+//!
+//! A client joins a session, opens ports of its services and takes what has arrived:
+//!
+//! ```no_run
+//! use std::path::Path;
+//!
+//! use ipc_types::messages::State;
+//! use ipc_types::{services, session::Session};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let folder = std::env::var(ipc_types::session::SESSION_VARIABLE)?;
+//! let session = Session::join(Path::new(&folder))?;
+//! let states = session.subscriber::<State>(&services::STATE)?;
+//! while let Some(state) = states.receive()? {
+//!     println!("{} {:?}", state.message().tick, state.message().t_world_tip.position_m);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`messages`], [`layout`] | the messages; one declaration gives struct, schema, field table and layout hash |
+//! | [`services`] | names, queues, lanes |
+//! | [`session`], [`ports`], [`wake`] | creating and joining a session, sending and receiving, waiting and waking |
+//! | [`command_check`] | what a command must be before it may reach the model |
+//! | [`scene`] | scene files |
+//! | [`process`] | signals, exit codes, events: what every process does alike |
+//! | [`reference`](mod@reference), [`scene_reference`] | docs/messages.md and docs/scene.md, generated |
 
 mod client;
 pub mod command_check;

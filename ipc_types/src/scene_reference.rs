@@ -20,6 +20,21 @@ phantom = "femur"
 from_mm = [0.0, 0.0, 0.0]
 to_mm = [0.0, 0.0, 1.0]
 diameter_mm = 7.0
+[[body]]
+name = "a"
+cuboid = { half_extents_mm = [1.0, 1.0, 1.0] }
+motion = "fixed"
+position_mm = [0.0, 0.0, 0.0]
+[[body]]
+name = "b"
+ball = { radius_mm = 1.0 }
+motion = "free"
+position_mm = [0.0, 0.0, 0.0]
+[[body]]
+name = "c"
+capsule = { half_height_mm = 1.0, radius_mm = 1.0 }
+motion = "free"
+position_mm = [0.0, 0.0, 0.0]
 [tool]
 burr_start_mm = [0.0, 0.0, 0.0]
 direction = [1.0, 0.0, 0.0]

@@ -1,6 +1,7 @@
-//! Time of the contact query: 34 spheres of 3 mm in 0.5 mm voxels, in a tunnel, buried and in air.
+//! Time of the contact query: 34 spheres of 3 mm in 0.5 mm voxels, in a tunnel, buried and in air; searched afresh, and
+//! tracked while they move on by 1.5 um a tick.
 //!
-//! `cargo run --release -p physics_proc --example bone_query_time`
+//! `cargo run --release -p physics_proc --example bone_query_time [-- SCENE fresh|tracked]`
 
 use std::time::Instant;
 
@@ -41,29 +42,51 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("buried 5 mm", along(Vector3::new(30e-3, 64e-3, 24.75e-3), Vector3::x() * 1.31e-3)),
         ("buried 30 mm", along(Vector3::new(30e-3, 64e-3, 100e-3), Vector3::x() * 1.31e-3)),
     ];
-    let mut buffer = ContactBuffer::with_capacity(4 * SPHERES);
+    // Arguments: only the scenes whose name contains the first, only fresh or tracked queries, no drilling (for a profiler).
+    let wanted: Vec<String> = std::env::args().skip(1).collect();
+    let is_wanted =
+        |place: usize, name: &str| wanted.get(place).is_none_or(|wanted| name.contains(wanted.as_str()));
     for margin_m in [0.2e-3, 0.5e-3] {
         for (name, centres) in &scenes {
-            let mut times_us = Vec::with_capacity(REPEATS);
-            for _ in 0..REPEATS {
-                let start = Instant::now();
-                buffer.clear();
-                for (sphere, centre) in centres.iter().enumerate() {
-                    field.contact_planes(sphere, centre, RADIUS_M, margin_m, &mut buffer);
+            for way in ["fresh", "tracked"] {
+                if is_wanted(0, name) && is_wanted(1, way) {
+                    time_queries(&mut field, (name, way), centres, margin_m);
                 }
-                times_us.push(start.elapsed().as_secs_f64() * 1e6);
             }
-            times_us.sort_by(f64::total_cmp);
-            println!(
-                "{name:>16}, margin {:.1} mm: {:7.2} us median, {:7.2} us p99 for {SPHERES} spheres, {} planes",
-                margin_m * 1e3,
-                times_us[REPEATS / 2],
-                times_us[REPEATS * 99 / 100],
-                buffer.planes().len()
-            );
         }
     }
-    time_grind(&mut field, &hu)
+    if wanted.is_empty() {
+        time_grind(&mut field, &hu)?;
+    }
+    Ok(())
+}
+
+fn time_queries(field: &mut BoneField, (name, way): (&str, &str), centres: &[Vector3<f64>], margin_m: f64) {
+    let mut buffer = ContactBuffer::with_capacity(4 * SPHERES);
+    let mut times_us = Vec::with_capacity(REPEATS);
+    let direction = (centres[1] - centres[0]).normalize();
+    for tick in 0..REPEATS {
+        let moved = direction * (tick as f64 * 1.5e-6);
+        let start = Instant::now();
+        buffer.clear();
+        for (sphere, centre) in centres.iter().enumerate() {
+            let centre = centre + moved;
+            if way == "fresh" {
+                field.contact_planes(sphere, &centre, RADIUS_M, margin_m, &mut buffer);
+            } else {
+                field.contact_planes_tracked(sphere, &centre, RADIUS_M, margin_m, &mut buffer);
+            }
+        }
+        times_us.push(start.elapsed().as_secs_f64() * 1e6);
+    }
+    times_us.sort_by(f64::total_cmp);
+    println!(
+        "{name:>16}, margin {:.1} mm, {way:>7}: {:7.2} us median, {:7.2} us p99 for {SPHERES} spheres, {} planes",
+        margin_m * 1e3,
+        times_us[REPEATS / 2],
+        times_us[REPEATS * 99 / 100],
+        buffer.planes().len()
+    );
 }
 
 /// A burr that is held still half in the bone's face: the cost of one tick of drilling.

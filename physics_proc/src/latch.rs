@@ -48,7 +48,13 @@ impl Latch {
     /// The [`CommandRefusal`]; nothing has changed then.
     pub fn offer(&mut self, controller: usize, command: &Command, tick: u64) -> Result<(), CommandRefusal> {
         let slot = &mut self.slots[controller];
-        command.check(&slot.drives, slot.last_sequence, tick)?;
+        // A controller that connects anew begins its sequence again.
+        let reconnected = command.sequence == 1;
+        let last_sequence = if reconnected { 0 } else { slot.last_sequence };
+        command.check(&slot.drives, last_sequence, tick)?;
+        if reconnected {
+            slot.latched_sequence = 0;
+        }
         slot.last_sequence = command.sequence;
         slot.newest = Some(*command);
         Ok(())
@@ -62,12 +68,6 @@ impl Latch {
     /// Whether any command of a controller has been accepted.
     pub fn has_command(&self, controller: usize) -> bool {
         self.slots[controller].newest.is_some()
-    }
-
-    /// A controller that connects anew begins its sequence again.
-    pub fn reconnected(&mut self, controller: usize) {
-        self.slots[controller].last_sequence = 0;
-        self.slots[controller].latched_sequence = 0;
     }
 
     /// What [`Latch::latch`] last decided for a controller: one of the `SOURCE_` constants.

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
+use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -70,9 +71,10 @@ pub enum RecorderError {
 /// Any [`RecorderError`].
 pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let end = EndRequest::install().map_err(RecorderError::Signals)?;
+    let launcher = parent_id();
     let scene = session_scene(session_folder)?;
     let session = Session::join(session_folder)?;
-    let header = header(&session, &scene)?;
+    let header = header(&session, &scene, &end)?;
     let ports = Ports::open(&session, &scene)?;
     let mut recorder = Recorder {
         run: RunLog::create_file(&output.join("run.mcap"), &header)?,
@@ -93,14 +95,14 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     }
     // Once more: a message that arrived between the last look and the request to end.
     recorder.take_all()?;
-    recorder.finish(output)
+    recorder.finish(output, launcher)
 }
 
 /// What the logs say about the run.
-fn header(session: &Session, scene: &Scene) -> Result<LogHeader, RecorderError> {
+fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeader, RecorderError> {
     let (volume_sha256, volume_dimensions) = match &scene.volume {
         Some(_) => {
-            let (sha256, dimensions) = volume_identity(session)?;
+            let (sha256, dimensions) = volume_identity(session, end)?;
             (Some(sha256), dimensions)
         }
         None => (None, [0; 3]),
@@ -119,10 +121,10 @@ fn header(session: &Session, scene: &Scene) -> Result<LogHeader, RecorderError> 
     })
 }
 
-fn volume_identity(session: &Session) -> Result<([u8; 32], [u32; 3]), RecorderError> {
+fn volume_identity(session: &Session, end: &EndRequest) -> Result<([u8; 32], [u32; 3]), RecorderError> {
     let subscriber: Subscriber<Volume> = session.subscriber(&services::VOLUME)?;
     let limit = Instant::now() + VOLUME_LIMIT;
-    while Instant::now() < limit {
+    while Instant::now() < limit && !end.is_set() {
         if let Some(volume) = subscriber.receive()? {
             return Ok((volume.message().sha256, volume.message().dimensions));
         }
@@ -265,11 +267,14 @@ impl Recorder {
         Ok(())
     }
 
-    fn finish(self, output: &Path) -> Result<(), RecorderError> {
+    /// `launcher` is the process that started this one.
+    fn finish(self, output: &Path, launcher: u32) -> Result<(), RecorderError> {
         let reason_path = output.join(REASON_FILE);
         let reason = match std::fs::read_to_string(&reason_path) {
             Ok(text) if text == "interrupted" => EndReason::Interrupted,
             Ok(part) if !part.is_empty() => EndReason::PartDied(part),
+            // Killed, it could not say why.
+            _ if parent_id() != launcher => EndReason::PartDied("launcher".to_owned()),
             _ => EndReason::Completed,
         };
         // Absent after a run that completed.

@@ -34,7 +34,14 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     row("run", &format!("{wall_s:.2} s, {:.1} times real time", simulated_s / wall_s));
     for lane in ["run.mcap", "timing.mcap"] {
         let bytes = std::fs::metadata(folder.path().join(lane)).map_err(failed)?.len();
-        row(lane, &format!("{:.0} kB per simulated second ({:.1} MB)", bytes as f64 * 1e-3 / simulated_s, bytes as f64 * 1e-6));
+        row(
+            lane,
+            &format!(
+                "{:.0} kB per simulated second ({:.1} MB)",
+                bytes as f64 * 1e-3 / simulated_s,
+                bytes as f64 * 1e-6
+            ),
+        );
     }
     let replay_s = replay(&plan.scene, &folder.path().join("run.mcap"))?;
     row("replay without frames", &format!("{replay_s:.2} s, {:.1} times real time", simulated_s / replay_s));

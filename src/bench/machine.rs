@@ -17,7 +17,8 @@ impl CpuTimes {
         let text = std::fs::read_to_string("/proc/stat").unwrap_or_default();
         // cpu user nice system idle iowait irq softirq steal (proc_stat(5)); guest time is part of user time.
         let first = text.lines().next().unwrap_or_default();
-        let fields: Vec<u64> = first.split_whitespace().skip(1).take(8).map_while(|field| field.parse().ok()).collect();
+        let fields: Vec<u64> =
+            first.split_whitespace().skip(1).take(8).map_while(|field| field.parse().ok()).collect();
         let field = |index: usize| fields.get(index).copied().unwrap_or(0);
         CpuTimes { all: fields.iter().sum(), idle: field(3) + field(4), stolen: field(7) }
     }

@@ -12,6 +12,7 @@ use zerocopy::IntoBytes;
 use super::machine::Machine;
 use super::{complete_run, cut, failed, row};
 use crate::failure::Failure;
+use crate::launcher::part::Memory;
 use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source;
 
@@ -48,20 +49,27 @@ pub fn run(scene: &Path, dimensions: [usize; 3], ticks: u64) -> Result<(), Failu
     }
     let end = EndRequest::install().map_err(failed)?;
     let ct_bytes = dimensions.iter().product::<usize>() as u64 * 2;
-    let mut segments = Vec::new();
+    let (mut segments, mut running) = (Vec::new(), Memory::default());
     let machine = Machine::watch();
     let plan = RunPlan { scene, output: Some(folder.path().to_owned()) };
     let result = complete_run(&plan, &end, |_| {
+        running.measure("self");
         if segments.is_empty() {
             segments = shared_segments(ct_bytes);
         }
     })?;
     let [i, j, k] = dimensions;
-    println!("scene {}, {ticks} ticks, CT of {i} x {j} x {k} voxels: {}\n", plan.scene.name, mebibytes(ct_bytes));
+    println!(
+        "scene {}, {ticks} ticks, CT of {i} x {j} x {k} voxels: {}\n",
+        plan.scene.name,
+        mebibytes(ct_bytes)
+    );
     println!("{:<46} {:>14} {:>14}", "process", "peak resident", "its own");
     for (name, memory) in &result.memory {
         println!("{name:<46} {:>14} {:>14}", mebibytes(memory.peak_resident), mebibytes(memory.peak_private));
     }
+    // At its peak the launcher holds the volume that it has read and the one that it shares.
+    println!("{:<46} {:>14} {:>14}", "launcher, once the parts run", "", mebibytes(running.peak_private));
     let sizes: Vec<String> = segments.iter().map(|bytes| mebibytes(*bytes)).collect();
     row("shared segments as large as the CT", &format!("{} ({})", segments.len(), sizes.join(", ")));
     machine.print();
@@ -77,7 +85,10 @@ fn shared_segments(ct_bytes: u64) -> Vec<u64> {
     let prefix = format!("trabecula010_{}-", std::process::id());
     let entries = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
     let ours = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
-    ours.filter_map(|entry| entry.metadata().ok()).map(|meta| meta.len()).filter(|bytes| *bytes >= ct_bytes).collect()
+    ours.filter_map(|entry| entry.metadata().ok())
+        .map(|meta| meta.len())
+        .filter(|bytes| *bytes >= ct_bytes)
+        .collect()
 }
 
 /// Writes the volume with other dimensions over the same space as an uncompressed NRRD file, each voxel the nearest one.
@@ -95,7 +106,13 @@ fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::R
         file,
         "NRRD0005\ntype: int16\ndimension: 3\nspace: left-posterior-superior\nsizes: {} {} {}\n\
          space directions: {} {} {}\nendian: little\nencoding: raw\nspace units: \"mm\" \"mm\" \"mm\"\nspace origin: {}\n\n",
-        dims[0], dims[1], dims[2], axes[0], axes[1], axes[2], vector(origin_mm)
+        dims[0],
+        dims[1],
+        dims[2],
+        axes[0],
+        axes[1],
+        axes[2],
+        vector(origin_mm)
     )?;
     let nearest = |axis: usize| (0..dims[axis]).map(move |at| at * volume.dims[axis] / dims[axis]);
     let mut line = Vec::with_capacity(dims[0]);
@@ -108,4 +125,42 @@ fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::R
         }
     }
     file.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dimensions_are_three_sizes_in_range() {
+        assert_eq!(parse_dimensions("512x512x400"), Ok([512, 512, 400]));
+        for bad in ["512x512", "512x512x400x2", "4x512x512", "512x512x4000", "axbxc", ""] {
+            assert!(parse_dimensions(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_resampled_file_covers_the_same_space_with_the_same_values() {
+        let hu = (0..24).collect();
+        let volume = Volume {
+            dims: [4, 3, 2],
+            spacing_m: [1e-3, 2e-3, 3e-3],
+            origin_m: [0.01, 0.02, 0.03],
+            direction: volume_io::IDENTITY_DIRECTION,
+            hu,
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("finer.nrrd");
+        write_resampled(&volume, [8, 9, 2], &file).unwrap();
+        let finer = volume_io::read(&file).unwrap();
+        assert_eq!(finer.dims, [8, 9, 2]);
+        for (i, j, k) in [(0, 0, 0), (7, 8, 1), (3, 4, 0)] {
+            assert_eq!(finer.at([i, j, k]), volume.at([i / 2, j / 3, k]));
+        }
+        // The outer corner of the first voxel stays; millimetres in text round at 1e-16 relative.
+        let corner = |volume: &Volume| volume.voxel_to_world_m([-0.5; 3]);
+        for (a, b) in corner(&volume).iter().zip(corner(&finer)) {
+            assert!((a - b).abs() < 1e-12, "{a} {b}");
+        }
+    }
 }

@@ -75,7 +75,10 @@ pub fn run(scene: &Path, ticks: u64, rounds: usize) -> Result<(), Failure> {
         hybrid.append(&bare_hybrid);
         yielding.append(&bare_yield);
     }
-    println!("scene {}, {rounds} rounds of {ticks} ticks in lockstep, each followed by bare ping-pongs\n", scene.name);
+    println!(
+        "scene {}, {rounds} rounds of {ticks} ticks in lockstep, each followed by bare ping-pongs\n",
+        scene.name
+    );
     row("lockstep tick over processes", &all.whole.line());
     row("  latch and publish u_k", &all.latch.line());
     row("  physics step", &all.step.line());

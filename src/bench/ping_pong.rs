@@ -49,9 +49,18 @@ struct Side {
 }
 
 impl Side {
-    fn new(session: &Session, wait: Wait, out: &Service, back: &Service, ends: [Reader; 2]) -> Result<Side, Failure> {
+    fn new(
+        session: &Session,
+        wait: Wait,
+        out: &Service,
+        back: &Service,
+        ends: [Reader; 2],
+    ) -> Result<Side, Failure> {
         let bytes = State::DESCRIPTION.size.max(Command::DESCRIPTION.size);
-        let publisher = out.publisher_builder().initial_max_slice_len(bytes).allocation_strategy(AllocationStrategy::Static);
+        let publisher = out
+            .publisher_builder()
+            .initial_max_slice_len(bytes)
+            .allocation_strategy(AllocationStrategy::Static);
         Ok(Side {
             publisher: publisher.create().map_err(failed)?,
             subscriber: back.subscriber_builder().create().map_err(failed)?,
@@ -115,7 +124,8 @@ fn open(node: &Node<ipc::Service>, name: &str) -> Result<Service, Failure> {
 /// # Errors
 /// The transport's, or the other side does not answer.
 pub fn measure(wait: Wait, rounds: usize) -> Result<Samples, Failure> {
-    let plan = SessionPlan { controllers: vec![PONG.to_owned()], volume_bytes: 0, frame_bytes: 0, recorder: false };
+    let plan =
+        SessionPlan { controllers: vec![PONG.to_owned()], volume_bytes: 0, frame_bytes: 0, recorder: false };
     let host = SessionHost::create(&plan).map_err(failed)?;
     let session = &host.session;
     let (out, back) = (create(session.node(), PING_SERVICE)?, create(session.node(), PONG_SERVICE)?);
@@ -135,13 +145,17 @@ fn start_pong(session: &Path, wait: Wait, rounds: usize) -> Result<Child, Failur
     let program = std::env::current_exe().map_err(failed)?;
     let wait = wait.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
     let mut command = Program::new(program);
-    command.args(["bench", "pong", "--wait", &wait, "--rounds", &rounds.to_string()]).env(SESSION_VARIABLE, session);
+    command
+        .args(["bench", "pong", "--wait", &wait, "--rounds", &rounds.to_string()])
+        .env(SESSION_VARIABLE, session);
     bind_to_parent(&mut command).spawn().map_err(failed)
 }
 
 fn connected(out: &Service, back: &Service) -> Result<(), Failure> {
     let limit = Instant::now() + LIMIT;
-    while out.dynamic_config().number_of_subscribers() == 0 || back.dynamic_config().number_of_publishers() == 0 {
+    while out.dynamic_config().number_of_subscribers() == 0
+        || back.dynamic_config().number_of_publishers() == 0
+    {
         if Instant::now() >= limit {
             return Err(Failure::failed("ping-pong: the other side does not connect"));
         }

@@ -41,3 +41,20 @@ pub fn median(numbers: &[f64]) -> f64 {
     sorted.sort_unstable_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_samples_by_rank_whatever_the_order() {
+        let mut samples = Samples::default();
+        (0..=100).rev().for_each(|micros| samples.add(micros * 1000));
+        assert_eq!(
+            [0.0, 0.5, 0.99, 1.0].map(|fraction| samples.quantile_us(fraction)),
+            [0.0, 50.0, 99.0, 100.0]
+        );
+        assert_eq!(Samples::default().quantile_us(0.5), 0.0);
+        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
+    }
+}

@@ -4,7 +4,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use controller_proc::{Controller, CurvedDrillingController, HoldController};
-use drr_proc::process::{Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view};
+use drr_proc::process::{
+    Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view,
+};
 use drr_proc::{CArm, DrrRenderer, VolumeView};
 use ipc_types::messages::{Command, State, Volume as VolumeMessage};
 use ipc_types::scene::{Drr, Mode, Scene};
@@ -35,7 +37,9 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
     let simulation = Simulation::new(&scene, ct).map_err(failed)?;
     let x_ray = match (&scene.drr, &volume) {
-        (Some(drr), Some((message, hu))) => Some(XRay::new(&scene, drr, message, hu, simulation.predrilled())?),
+        (Some(drr), Some((message, hu))) => {
+            Some(XRay::new(&scene, drr, message, hu, simulation.predrilled())?)
+        }
         _ => None,
     };
     let machine = Machine::watch();
@@ -45,7 +49,8 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     row("physics step", &bench.steps.line());
     if let Some(mut x_ray) = bench.x_ray.take() {
         x_ray.render_from_elsewhere(bench.simulation.state())?;
-        let what = format!("{} x {} pixels, {} threads", x_ray.c_arm.columns, x_ray.c_arm.rows, x_ray.threads);
+        let what =
+            format!("{} x {} pixels, {} threads", x_ray.c_arm.columns, x_ray.c_arm.rows, x_ray.threads);
         row(&format!("DRR, full ({what})"), &x_ray.full.line());
         row("DRR, C-arm at rest: what has changed", &x_ray.changed.line());
     }
@@ -87,7 +92,9 @@ fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {
         match (&entry.curved_drilling, &entry.hold) {
             (Some(plan), _) => Ok(Box::new(CurvedDrillingController::new(plan, scene))),
             (None, Some(hold)) => Ok(Box::new(HoldController::new(hold.tension_n, &entry.drives))),
-            (None, None) => Err(Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name))),
+            (None, None) => {
+                Err(Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name)))
+            }
         }
     };
     scene.controller.iter().map(built_in).collect()
@@ -109,7 +116,13 @@ struct XRay<'v> {
 }
 
 impl<'v> XRay<'v> {
-    fn new(scene: &Scene, drr: &Drr, message: &VolumeMessage, hu: &'v [i16], predrilled: &[u32]) -> Result<XRay<'v>, Failure> {
+    fn new(
+        scene: &Scene,
+        drr: &Drr,
+        message: &VolumeMessage,
+        hu: &'v [i16],
+        predrilled: &[u32],
+    ) -> Result<XRay<'v>, Failure> {
         let view = volume_view(message, hu.as_bytes()).map_err(failed)?;
         Ok(XRay {
             renderer: DrrRenderer::new(&view, renderer_parameters(drr)).map_err(failed)?,

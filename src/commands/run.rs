@@ -11,7 +11,7 @@ use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
 use crate::launcher::progress::Display;
 use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run as run_scene};
-use crate::report::{self, RunFacts};
+use crate::report::{self, NOT_SHARED, RunFacts};
 
 /// The scene that runs when none is named.
 pub const DEFAULT_SCENE: &str = "configs/femur_curved_drilling.toml";
@@ -55,6 +55,8 @@ pub enum ModeArgument {
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let scene = scene_of(arguments)?;
     let end = EndRequest::install().map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    // What is there before this run.
+    let kept = arguments.output.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new(""));
     let output = match arguments.no_record {
         true => None,
         false => Some(output_folder(&arguments.output, &scene).map_err(|cause| {
@@ -66,9 +68,9 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let result = run_scene(&plan, &end, |glance| display.show(glance));
     display.end();
     let result = result.map_err(|error| {
-        // Nothing was recorded: leave no empty folder.
-        if let Some(output) = &plan.output {
-            let _ = std::fs::remove_dir(output);
+        // Nothing was recorded: leave no empty folder that was not there.
+        for folder in plan.output.iter().flat_map(|output| output.ancestors()).take_while(|folder| *folder != kept) {
+            let _ = std::fs::remove_dir(folder);
         }
         match error {
             RunError::Volume(_) => Failure::bad_input(error),
@@ -118,7 +120,7 @@ fn program_name() -> String {
 
 fn memory_by_name(memory: &[(String, Memory)]) -> BTreeMap<String, u64> {
     let both = |(name, memory): &(String, Memory)| {
-        [(name.clone(), memory.peak_resident), (format!("{name}, not shared"), memory.peak_private)]
+        [(name.clone(), memory.peak_resident), (format!("{name}{NOT_SHARED}"), memory.peak_private)]
     };
     memory.iter().flat_map(both).collect()
 }

@@ -33,6 +33,20 @@ pub struct Memory {
     pub peak_private: u64,
 }
 
+impl Memory {
+    /// Takes in what a process, a number or `self`, has now. One that has gone changes nothing.
+    pub fn measure(&mut self, process: &str) {
+        let Ok(text) = std::fs::read_to_string(format!("/proc/{process}/status")) else { return };
+        let field = |name: &str| {
+            let line = text.lines().find(|line| line.starts_with(name))?;
+            line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+        };
+        let private = field("RssAnon:").unwrap_or(0) + field("RssFile:").unwrap_or(0);
+        self.peak_resident = self.peak_resident.max(field("VmHWM:").unwrap_or(0));
+        self.peak_private = self.peak_private.max(private);
+    }
+}
+
 impl Part {
     /// Starts a program. Its output is kept as its last words; `echo` also shows it.
     ///
@@ -69,15 +83,7 @@ impl Part {
 
     /// Reads its memory.
     pub fn measure_memory(&mut self) {
-        let path = format!("/proc/{}/status", self.child.id());
-        let Ok(text) = std::fs::read_to_string(path) else { return };
-        let field = |name: &str| {
-            let line = text.lines().find(|line| line.starts_with(name))?;
-            line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
-        };
-        let private = field("RssAnon:").unwrap_or(0) + field("RssFile:").unwrap_or(0);
-        self.memory.peak_resident = self.memory.peak_resident.max(field("VmHWM:").unwrap_or(0));
-        self.memory.peak_private = self.memory.peak_private.max(private);
+        self.memory.measure(&self.child.id().to_string());
     }
 
     /// Asks it to end (SIGTERM).

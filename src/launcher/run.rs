@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{CONTROL_STOP, Frame, PHASE_RUNNING, RunControl, RunStatus, State, TickTiming};
+use ipc_types::messages::{CONTROL_STOP, Frame, PHASE_ENDED, PHASE_RUNNING, RunControl, RunStatus, State, TickTiming};
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
@@ -102,6 +102,8 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     let began = Instant::now();
     let volume = volume_source::load(&plan.scene)?;
     let hub = Hub::create(&plan.scene, volume.as_ref(), plan.output.is_some())?;
+    let mut own_memory = Memory::default();
+    own_memory.measure("self");
     // The one copy that stays is the one in shared memory.
     drop(volume);
     let mut eyes = Eyes::open(&hub.host.session)?;
@@ -119,7 +121,10 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
             break Outcome::Interrupted;
         }
         if let Some(index) = parts.iter_mut().position(|part| part.ended().is_some()) {
-            break judge(&mut parts, index);
+            // What the physics said before is on its way or here.
+            eyes.look()?;
+            let run_has_ended = eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
+            break judge(&mut parts[index], run_has_ended);
         }
         std::thread::sleep(LOOK_TIME);
     };
@@ -128,41 +133,24 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     eyes.look()?;
     show(&eyes.glance());
     let mut memory: Vec<(String, Memory)> = parts.iter().map(|part| (part.name.clone(), part.memory)).collect();
-    memory.push(("launcher".to_owned(), own_memory()));
+    own_memory.measure("self");
+    memory.push(("launcher".to_owned(), own_memory));
     Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory })
 }
 
-/// A part has ended while the run was on: at its end, or before.
-fn judge(parts: &mut [Part], index: usize) -> Outcome {
-    let status = parts[index].ended();
+/// A part has ended. When the run is over, DRR and controllers may leave a moment before the physics does; the physics
+/// ends well only when it is over, and nobody may leave before.
+fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
+    let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());
-    // When the run is over, DRR and controllers may leave a moment before the physics does.
-    let limit = if succeeded { END_LIMIT } else { Duration::ZERO };
-    let by_itself = parts[index].name == PHYSICS || parts.iter_mut().any(|p| p.name == PHYSICS && ended_well(p, limit));
-    if succeeded && by_itself && parts[index].name != RECORDER {
+    if succeeded && (part.name == PHYSICS || (run_has_ended && part.name != RECORDER)) {
         return Outcome::Completed;
     }
-    // A part that fails because another one died is not the one to name.
-    let physics_failed = parts.iter_mut().find(|p| p.name == PHYSICS).is_some_and(|p| p.ended().is_some_and(|s| !s.success()));
-    let blamed = match parts.iter().position(|part| part.name == PHYSICS) {
-        Some(physics) if succeeded && physics_failed => physics,
-        _ => index,
-    };
-    let part = &mut parts[blamed];
-    let how = match part.ended() {
-        Some(status) if status.success() => "ended before the run did".to_owned(),
-        Some(status) => status.to_string(),
-        None => "did not end".to_owned(),
+    let how = match status {
+        Some(status) if !status.success() => status.to_string(),
+        _ => "ended before the run did".to_owned(),
     };
     Outcome::PartDied { name: part.name.clone(), how, last_words: part.last_words() }
-}
-
-fn ended_well(part: &mut Part, limit: Duration) -> bool {
-    let end = Instant::now() + limit.min(Duration::from_secs(3));
-    while part.ended().is_none() && Instant::now() < end {
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    part.ended().is_some_and(|status| status.success())
 }
 
 fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
@@ -205,7 +193,7 @@ fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Pa
     for turn in 0..3 {
         for part in parts.iter_mut().filter(|part| order(part) == turn) {
             // Only the physics ends by run control; when it has, DRR and controllers have heard so, unless it died.
-            if turn == 2 || failed && turn == 1 {
+            if turn == 2 || failed {
                 part.ask_to_end();
             }
             part.wait(limit);
@@ -228,13 +216,6 @@ fn write_reason(plan: &RunPlan, outcome: &Outcome) {
         // Without it the log's end says "completed"; the exit code and the message still tell.
         let _ = std::fs::write(output.join(recorder_proc::process::REASON_FILE), reason);
     }
-}
-
-fn own_memory() -> Memory {
-    let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = text.lines().find(|line| line.starts_with("VmHWM:")).and_then(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok());
-    let peak_resident = peak.unwrap_or(0) * 1024;
-    Memory { peak_resident, peak_private: peak_resident }
 }
 
 /// The launcher's subscriptions.

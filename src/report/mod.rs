@@ -32,7 +32,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
-pub use summary::Summary;
+pub use summary::{NOT_SHARED, Summary};
 
 use run_lane::RunLane;
 use timing_lane::TimingLane;

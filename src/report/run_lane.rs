@@ -161,6 +161,9 @@ pub struct RunLane {
     pub first: Option<Box<State>>,
     /// The last state.
     pub last: Option<Box<State>>,
+    /// The last state in which the tool was inserted as deeply as ever: before it is drawn back, if it is.
+    pub deepest: Option<Box<State>>,
+    deepest_mm: f64,
     /// Curves for the figures; none without a state.
     pub curves: Option<Curves>,
     /// Greatest values.
@@ -172,6 +175,9 @@ pub struct RunLane {
     /// What was wrong with the file, and how it ends unless it ends well.
     pub notes: Vec<String>,
 }
+
+/// The mount gives way by this much under load.
+const SAME_DEPTH_MM: f64 = 0.02;
 
 impl RunLane {
     /// Reads the file once. Whatever is wrong with it is a note. `end_ns` is the simulated length of the run if it is
@@ -240,8 +246,14 @@ impl RunLane {
             self.first = Some(Box::new(state));
         }
         self.end_ns = self.end_ns.max(time_ns);
-        self.curves.get_or_insert_with(|| Curves::new(&state, dt_ns)).add(&state, time_ns);
+        let curves = self.curves.get_or_insert_with(|| Curves::new(&state, dt_ns));
+        curves.add(&state, time_ns);
+        let [_, depth_mm] = curves.plane.project_mm(state.t_world_base.position_m);
         self.peaks.add(&state);
+        if self.deepest.is_none() || depth_mm >= self.deepest_mm - SAME_DEPTH_MM {
+            self.deepest_mm = if self.deepest.is_none() { depth_mm } else { self.deepest_mm.max(depth_mm) };
+            self.deepest = Some(Box::new(state));
+        }
         match &mut self.last {
             Some(last) => **last = state,
             None => self.last = Some(Box::new(state)),

@@ -58,11 +58,13 @@ pub struct Summary {
 pub struct ToolSummary {
     /// Front of the burr at the start, world.
     pub tip_start_mm: [f64; 3],
+    /// Front of the burr at the greatest insertion, world.
+    pub tip_deepest_mm: [f64; 3],
     /// Front of the burr at the end, world.
     pub tip_end_mm: [f64; 3],
-    /// Distance of the burr centre from the controller's target at the end; none without a target.
+    /// Distance of the burr centre from the controller's target at the greatest insertion; none without a target.
     pub target_error_mm: Option<f64>,
-    /// Bend at the end.
+    /// Bend at the greatest insertion.
     pub bend_deg: f64,
     /// Greatest tension of any tendon.
     pub max_tension_n: f64,
@@ -171,13 +173,14 @@ impl Summary {
 
 impl ToolSummary {
     fn of(run: &RunLane) -> Option<ToolSummary> {
-        let (first, last) = (run.first.as_ref()?, run.last.as_ref()?);
-        let burr_m = last.t_world_burr.position_m;
+        let (first, last, deepest) = (run.first.as_ref()?, run.last.as_ref()?, run.deepest.as_ref()?);
+        let burr_m = deepest.t_world_burr.position_m;
         Some(ToolSummary {
             tip_start_mm: first.t_world_tip.position_m.map(|x| x * 1e3),
+            tip_deepest_mm: deepest.t_world_tip.position_m.map(|x| x * 1e3),
             tip_end_mm: last.t_world_tip.position_m.map(|x| x * 1e3),
             target_error_mm: run.target_m().map(|target_m| distance_m(target_m, burr_m) * 1e3),
-            bend_deg: last.bend_rad.to_degrees(),
+            bend_deg: deepest.bend_rad.to_degrees(),
             max_tension_n: run.peaks.tension_n,
         })
     }
@@ -243,6 +246,9 @@ impl LogSummary {
     }
 }
 
+/// Ending of a name in [`Summary::peak_memory_bytes`] under which the memory of a process without shared memory stands.
+pub const NOT_SHARED: &str = ", not shared";
+
 /// The short table at the end of a run, at most 20 lines.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -279,7 +285,7 @@ impl Summary {
         let mut rows = Rows::new();
         if let Some(tool) = &self.tool {
             let point = |p: [f64; 3]| format!("{:.2} {:.2} {:.2}", p[0], p[1], p[2]);
-            let (start, end) = (point(tool.tip_start_mm), point(tool.tip_end_mm));
+            let (start, end) = (point(tool.tip_start_mm), point(tool.tip_deepest_mm));
             let error = tool.target_error_mm.map_or(String::new(), |mm| format!(", {mm:.2} mm off target"));
             rows.push(("tip", format!("{start} -> {end} mm{error}")));
             rows.push((
@@ -333,10 +339,11 @@ impl Summary {
             self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
-        if !self.peak_memory_bytes.is_empty() {
-            let each =
-                self.peak_memory_bytes.iter().map(|(name, &bytes)| format!("{name} {}", megabytes(bytes)));
-            rows.push(("peak memory", each.collect::<Vec<_>>().join(", ")));
+        // The shared memory that a process maps counts in all of them; a person wants to know what it costs itself.
+        let own = self.peak_memory_bytes.iter().filter_map(|(name, &bytes)| Some((name.strip_suffix(NOT_SHARED)?, bytes)));
+        let own: Vec<String> = own.map(|(name, bytes)| format!("{name} {}", megabytes(bytes))).collect();
+        if !own.is_empty() {
+            rows.push(("own memory", own.join(", ")));
         }
         if !self.events.is_empty() {
             let each = self.events.iter().map(|(name, count)| format!("{count} {name}"));

@@ -62,20 +62,20 @@ struct Scenery {
 }
 
 impl Scenery {
-    fn of(run: &RunLane, curves: &Curves, first: &State, last: &State) -> Scenery {
+    fn of(run: &RunLane, curves: &Curves, first: &State, last: &State, deepest: &State) -> Scenery {
         let plane = &curves.plane;
         let project = |point_m: [f64; 3]| {
             let [x, y] = plane.project_mm(point_m);
             (x, y)
         };
-        let centre = last.t_world_burr.position_m;
-        let radius_mm = distance_m(centre, last.t_world_tip.position_m) * 1e3;
+        let centre = deepest.t_world_burr.position_m;
+        let radius_mm = distance_m(centre, deepest.t_world_tip.position_m) * 1e3;
         let middle = curves.tip_mm.iter().filter_map(|(_, tip)| *tip).map(|[x, y]| (x, y));
         let ends = [first, last].map(|state| project(state.t_world_tip.position_m));
         Scenery {
             path: std::iter::once(ends[0]).chain(middle).chain([ends[1]]).collect(),
             start: shape(plane, first),
-            end: shape(plane, last),
+            end: shape(plane, deepest),
             burr: Some((project(centre), radius_mm)),
             target: run.target_m().map(project),
         }
@@ -103,8 +103,8 @@ fn shape(plane: &Plane, state: &State) -> Vec<Point> {
 
 fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     let title = "Tip path and shape in the bending plane";
-    let scenery = match (&run.curves, &run.first, &run.last) {
-        (Some(curves), Some(first), Some(last)) => Scenery::of(run, curves, first, last),
+    let scenery = match (&run.curves, &run.first, &run.last, &run.deepest) {
+        (Some(curves), Some(first), Some(last), Some(deepest)) => Scenery::of(run, curves, first, last, deepest),
         _ => {
             let axis = || Axis::linear("", 0.0, 1.0, 4);
             let mut panel = Panel::new(figure, outer, title, axis(), axis());
@@ -117,9 +117,9 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     panel.line(&scenery.start, Stroke::full(START, 7.0), "tool at the start");
     if let Some((centre, radius_mm)) = scenery.burr {
         panel.disc(centre, radius_mm * panel.scale(), BURR);
-        panel.key(Key::Disc(BURR), "burr at the end");
+        panel.key(Key::Disc(BURR), "burr at the greatest insertion");
     }
-    panel.line(&scenery.end, Stroke::full(INK, 2.2), "tool at the end");
+    panel.line(&scenery.end, Stroke::full(INK, 2.2), "tool at the greatest insertion");
     let links = scenery.end.len().saturating_sub(2);
     for &link in scenery.end.iter().skip(1).take(links) {
         panel.disc(link, 2.4, INK);

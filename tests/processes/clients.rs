@@ -22,12 +22,13 @@ fn steered(state: &State) -> Command {
     command
 }
 
-/// Runs the shared scene with `steered`; `disturb` is called once, before tick 150 is answered.
-fn flown(place: &Place, disturb: impl FnOnce(&mut Pilot, &State)) -> Ended {
+/// Runs the shared scene with `steered`; `disturb` is called once, with the state of tick 150, and returns the state that
+/// is to be answered next.
+fn flown(place: &Place, disturb: impl FnOnce(&mut Pilot, State) -> State) -> Ended {
     let run = place.start(&scenes::shared("lockstep", TICKS as f64 * 1e-3));
     let mut pilot = Pilot::join(&run.session(), "pilot");
     let state = pilot.drive_to(150, steered);
-    disturb(&mut pilot, &state);
+    let state = disturb(&mut pilot, state);
     pilot.answer(&state, steered(&state));
     pilot.drive_to(TICKS, steered);
     drop(pilot);
@@ -77,12 +78,13 @@ fn bad_commands_are_refused_by_field_and_change_nothing() {
             events.extend(pilot.client.events());
         }
         assert!(pilot.client.states.receive().unwrap().is_none(), "no tick was made from a refused command");
+        state
     });
     for ((code, text), words) in events.iter().zip(&expected) {
         assert_eq!(*code, EVENT_COMMAND_REFUSED);
         assert!(text.contains("controller `pilot`: command 15") && text.contains(words), "{words} in: {text}");
     }
-    assert_same_run(&disturbed, &flown(&other, |_, _| {}));
+    assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }
 
 /// The first command of a controller that connects anew has sequence 1, and starts the count again. A refused one did
@@ -92,7 +94,7 @@ fn a_refused_first_command_does_not_restart_the_sequence() {
     let (place, other) = (Place::new(), Place::new());
     let disturbed = flown(&place, |pilot, state| {
         pilot.client.events();
-        let good = Command { sequence: 1, state_tick: state.tick, ..steered(state) };
+        let good = Command { sequence: 1, state_tick: state.tick, ..steered(&state) };
         pilot.send(&Command { burr_mode: BURR_SPEED, ..good });
         pilot.send(&Command { sequence: 2, ..good });
         let mut events = Vec::new();
@@ -101,8 +103,9 @@ fn a_refused_first_command_does_not_restart_the_sequence() {
         }
         assert!(events[0].1.contains("`burr_mode`"), "{events:?}");
         assert!(events[1].1.contains("`sequence` is 2, expected more than 150"), "{events:?}");
+        state
     });
-    assert_same_run(&disturbed, &flown(&other, |_, _| {}));
+    assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }
 
 /// A goal that no arm reaches is only found in the step: it is refused there, and the run goes on and replays.
@@ -111,18 +114,17 @@ fn an_unreachable_goal_is_refused_with_an_event() {
     let place = Place::new();
     let ended = flown(&place, |pilot, state| {
         pilot.client.events();
-        let mut command = Command { arm_mode: ipc_types::messages::ARM_MOVE_CP, ..steered(state) };
+        let mut command = Command { arm_mode: ipc_types::messages::ARM_MOVE_CP, ..steered(&state) };
         command.t_world_base = state.t_world_base;
         command.t_world_base.position_m[0] += 5.0;
-        pilot.answer(state, command);
+        pilot.answer(&state, command);
         let next = pilot.next_state();
         let mut events = Vec::new();
         while events.is_empty() {
             events.extend(pilot.client.events());
         }
         assert!(events[0].1.contains("controller `pilot`: command 151: arm"), "{events:?}");
-        pilot.answer(&next, steered(&next));
-        // `flown` answers its own state once more, which is old by now and no harm.
+        next
     });
     let log = read(&ended.folder);
     let at = |tick: usize| log.ticks[tick].state.t_world_base.position_m;
@@ -132,7 +134,7 @@ fn an_unreachable_goal_is_refused_with_an_event() {
 #[test]
 fn a_second_controller_of_the_same_name_is_refused_by_name() {
     let (place, other) = (Place::new(), Place::new());
-    let disturbed = flown(&place, |pilot, _| {
+    let disturbed = flown(&place, |pilot, state| {
         let folder = pilot.client.session.folder().to_owned();
         let second = Client::join(&folder);
         let refusal = second.session.command_publisher("pilot").unwrap_err();
@@ -143,14 +145,15 @@ fn a_second_controller_of_the_same_name_is_refused_by_name() {
         let unknown = trabecula(&[&"proc", &"controller", &"--name", &"nobody", &"--session", &folder]);
         assert_ne!(unknown.code, Some(0));
         assert!(unknown.err.contains("nobody"), "{}", unknown.err);
+        state
     });
-    assert_same_run(&disturbed, &flown(&other, |_, _| {}));
+    assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }
 
 #[test]
 fn a_client_of_another_layout_is_refused_with_both_layouts() {
     let (place, other) = (Place::new(), Place::new());
-    let disturbed = flown(&place, |pilot, _| {
+    let disturbed = flown(&place, |pilot, state| {
         let folder = pilot.client.session.folder().to_owned();
         let path = folder.join("session.json");
         let announced = fs::read_to_string(&path).unwrap();
@@ -165,8 +168,9 @@ fn a_client_of_another_layout_is_refused_with_both_layouts() {
         // A program that takes the service for one of another message.
         let refusal = pilot.client.session.subscriber::<Command>(&services::STATE).unwrap_err();
         assert!(matches!(refusal, SessionError::Layout { .. }), "{refusal}");
+        state
     });
-    assert_same_run(&disturbed, &flown(&other, |_, _| {}));
+    assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }
 
 /// A controller that goes and comes back within its limit goes on where it was; its numbers begin again.

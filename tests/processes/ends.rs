@@ -109,7 +109,7 @@ fn the_last_words_of_a_controller_program_are_shown() {
 }
 
 #[test]
-fn a_program_that_does_not_exist_is_named_and_leaves_no_folder() {
+fn a_controller_program_that_does_not_exist_is_named() {
     let place = Place::new();
     let scene =
         scenes::hold("lockstep", 1.0).replace("hold = { tension_n = 2.0 }", "command = [\"/no/such/program\"]");
@@ -135,6 +135,7 @@ fn assert_parts_end_with_their_launcher(scene: &str) {
     assert!(parts.iter().all(|pid| !PathBuf::from(format!("/proc/{pid}/cmdline")).exists()));
     let log = read(&ended.folder);
     assert!(log.ticks.len() >= 200, "only {} ticks", log.ticks.len());
+    assert_eq!(log.marker.unwrap().reason, EndReason::PartDied("launcher".to_owned()));
     assert_replays(&ended.folder);
     // Another test's run may have wiped it by now; this one surely does.
     place.complete(&scenes::hold("lockstep", 0.05));

@@ -1,9 +1,9 @@
 use super::Pose;
 use crate::message;
 
-/// Geometry of the C-arm behind [`DrrRequest::use_geometry`]: 0 takes the scene's.
+/// [`DrrRequest::use_geometry`]: the scene's C-arm.
 pub const GEOMETRY_SCENE: u32 = 0;
-/// [`DrrRequest::use_geometry`]: the request's own.
+/// [`DrrRequest::use_geometry`]: the C-arm in [`DrrRequest::geometry`].
 pub const GEOMETRY_REQUEST: u32 = 1;
 
 message! {

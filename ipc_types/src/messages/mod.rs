@@ -25,6 +25,8 @@ use crate::layout::{Description, Message};
 pub const MAX_JOINTS: usize = 32;
 /// Most contacts that a `State` lists; `contact_total` counts all of them.
 pub const MAX_CONTACTS: usize = 40;
+/// Most rigid bodies of a scene.
+pub const MAX_BODIES: usize = 4;
 /// Most tendons of a manipulator.
 pub const MAX_TENDONS: usize = 4;
 /// Joints of the arm.

@@ -1,4 +1,4 @@
-use super::{ARM_JOINTS, MAX_CONTACTS, MAX_CONTROLLERS, MAX_JOINTS, MAX_TENDONS, Pose, Wrench};
+use super::{ARM_JOINTS, MAX_BODIES, MAX_CONTACTS, MAX_CONTROLLERS, MAX_JOINTS, MAX_TENDONS, Pose, Wrench};
 use crate::message;
 
 /// [`Contact::part`]: a sphere of the rigid shaft.
@@ -28,7 +28,7 @@ message! {
     }
 }
 
-/// [`AppliedCommand::source`] and [`LatchedCommand::source`]: nothing arrived yet; nothing is driven.
+/// [`AppliedCommand::source`] and [`LatchedCommand::source`](super::LatchedCommand::source): nothing arrived yet; nothing is driven.
 pub const SOURCE_NONE: u32 = 0;
 /// A command that arrived for this tick.
 pub const SOURCE_FRESH: u32 = 1;
@@ -74,6 +74,10 @@ message! {
         contact_total: u32,
         /// Number of entries of `applied` in use.
         controller_count: u32,
+        /// Number of entries of `t_world_body` in use.
+        body_count: u32,
+        /// Zero.
+        reserved_bodies: u32,
         /// Flexure angles from base to tip, positive toward tendon 0.
         joint_position_rad: [f64; MAX_JOINTS],
         /// Flexure rates.
@@ -107,6 +111,8 @@ message! {
         t_world_flange: Pose,
         /// Wrench of the tool on the flange, about the tool base, world axes.
         flange_wrench: Wrench,
+        /// Pose of each rigid body of the scene, in its order.
+        t_world_body: [Pose; MAX_BODIES],
         /// Contacts that carry force, in the order of the spheres.
         contacts: [Contact; MAX_CONTACTS],
         /// The command of each controller that this tick applied.

@@ -18,7 +18,8 @@ message! {
         publish_ns: u64,
         /// Time in which the kernel had this thread wait for a core since the last tick.
         run_queue_wait_ns: u64,
-        /// From the publication of the state to the arrival of the command that answers it, per controller; 0 if none came.
+        /// From the publication of the state until the command that answers it was taken, per controller; 0 if none came.
+        /// In real time commands are taken when the next tick begins, so most of a period is waiting for that.
         round_trip_ns: [u64; MAX_CONTROLLERS],
         /// Page faults of the physics process since the last tick.
         page_faults: u32,

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::model::{Controller, CurvedDrilling, Drives, Drr, Scene, Tool, Volume};
-use crate::messages::MAX_CONTROLLERS;
+use super::model::{Body, Controller, CurvedDrilling, Drives, Drr, Scene, Tool, Volume};
+use crate::messages::{MAX_BODIES, MAX_CONTROLLERS};
 
 /// Why a scene is refused.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -64,15 +64,25 @@ impl Checker<'_> {
         if value >= lowest && value <= highest {
             return Ok(());
         }
-        Err(SceneError::OutOfRange { file: self.file.to_owned(), key: key.to_owned(), value, lowest, highest })
+        Err(SceneError::OutOfRange {
+            file: self.file.to_owned(),
+            key: key.to_owned(),
+            value,
+            lowest,
+            highest,
+        })
     }
 
     fn optional(&self, key: &str, value: Option<f64>, lowest: f64, highest: f64) -> Result<(), SceneError> {
         value.map_or(Ok(()), |value| self.range(key, value, lowest, highest))
     }
 
+    fn each(&self, key: &str, values: &[f64; 3], lowest: f64, highest: f64) -> Result<(), SceneError> {
+        values.iter().try_for_each(|value| self.range(key, *value, lowest, highest))
+    }
+
     fn point_mm(&self, key: &str, point: &[f64; 3]) -> Result<(), SceneError> {
-        point.iter().try_for_each(|value| self.range(key, *value, -1e5, 1e5))
+        self.each(key, point, -1e5, 1e5)
     }
 
     fn invalid(&self, key: &str, problem: impl Into<String>) -> SceneError {
@@ -83,7 +93,10 @@ impl Checker<'_> {
         if !name.is_empty() && name.len() <= 64 && name.chars().all(allowed) {
             return Ok(());
         }
-        Err(self.invalid(key, format!("is {name:?}; expected 1 to 64 letters, digits, `_` (and `-` in a scene's name)")))
+        Err(self.invalid(
+            key,
+            format!("is {name:?}; expected 1 to 64 letters, digits, `_` (and `-` in a scene's name)"),
+        ))
     }
 }
 
@@ -101,6 +114,7 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
         checker.point_mm("predrill.to_mm", &hole.to_mm)?;
         checker.range("predrill.diameter_mm", hole.diameter_mm, 0.5, 50.0)?;
     }
+    check_bodies(scene, &checker)?;
     check_tool(&scene.tool, &checker)?;
     check_overrides(scene, &checker)?;
     if let Some(drr) = &scene.drr {
@@ -121,8 +135,12 @@ fn check_run(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
 
 fn check_volume(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
     match (&volume.phantom, &volume.path) {
-        (Some(_), Some(_)) => return Err(checker.invalid("volume", "has both `phantom` and `path`; expected one")),
-        (None, None) => return Err(checker.invalid("volume", "has neither `phantom` nor `path`; expected one")),
+        (Some(_), Some(_)) => {
+            return Err(checker.invalid("volume", "has both `phantom` and `path`; expected one"));
+        }
+        (None, None) => {
+            return Err(checker.invalid("volume", "has neither `phantom` nor `path`; expected one"));
+        }
         _ => {}
     }
     if volume.mask && volume.path.is_none() {
@@ -137,6 +155,43 @@ fn check_volume(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
     checker.range("volume.block_density_ratio", volume.block_density_ratio, 0.1, 20.0)
 }
 
+fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    checker.each("gravity_m_per_s2", &scene.gravity_m_per_s2, -100.0, 100.0)?;
+    checker.range("body (their number)", scene.body.len() as f64, 0.0, MAX_BODIES as f64)?;
+    for (index, body) in scene.body.iter().enumerate() {
+        checker.name("body.name", &body.name, |c| c.is_ascii_alphanumeric() || c == '_')?;
+        if scene.body[..index].iter().any(|other| other.name == body.name) {
+            return Err(checker.invalid("body.name", format!("`{}` stands twice", body.name)));
+        }
+        check_shape(body, checker)?;
+        checker.point_mm("body.position_mm", &body.position_mm)?;
+        checker.each("body.rotation_vector_deg", &body.rotation_vector_deg, -360.0, 360.0)?;
+        checker.range("body.density_kg_per_m3", body.density_kg_per_m3, 10.0, 25_000.0)?;
+        checker.range("body.friction", body.friction, 0.0, 2.0)?;
+    }
+    Ok(())
+}
+
+fn check_shape(body: &Body, checker: &Checker) -> Result<(), SceneError> {
+    let shapes = [body.cuboid.is_some(), body.ball.is_some(), body.capsule.is_some()];
+    if shapes.iter().filter(|shape| **shape).count() != 1 {
+        let problem = "needs exactly one of `cuboid`, `ball`, `capsule`";
+        return Err(checker.invalid(&format!("body `{}`", body.name), problem));
+    }
+    let length = |key: &str, value_mm: f64| checker.range(key, value_mm, 0.1, 1000.0);
+    if let Some(cuboid) = &body.cuboid {
+        checker.each("body.cuboid.half_extents_mm", &cuboid.half_extents_mm, 0.1, 1000.0)?;
+    }
+    if let Some(ball) = &body.ball {
+        length("body.ball.radius_mm", ball.radius_mm)?;
+    }
+    if let Some(capsule) = &body.capsule {
+        length("body.capsule.half_height_mm", capsule.half_height_mm)?;
+        length("body.capsule.radius_mm", capsule.radius_mm)?;
+    }
+    Ok(())
+}
+
 fn check_tool(tool: &Tool, checker: &Checker) -> Result<(), SceneError> {
     checker.point_mm("tool.burr_start_mm", &tool.burr_start_mm)?;
     let length = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -146,7 +201,9 @@ fn check_tool(tool: &Tool, checker: &Checker) -> Result<(), SceneError> {
     let [a, b] = [&tool.direction, &tool.bend_toward];
     let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     if length(&cross) < 1e-3 * length(a) * length(b) {
-        return Err(checker.invalid("tool.bend_toward", "lies along `tool.direction`; expected another direction"));
+        return Err(
+            checker.invalid("tool.bend_toward", "lies along `tool.direction`; expected another direction")
+        );
     }
     Ok(())
 }
@@ -176,7 +233,12 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     checker.range("drr.primary_angle_deg", drr.primary_angle_deg, -180.0, 180.0)?;
     checker.range("drr.secondary_angle_deg", drr.secondary_angle_deg, -90.0, 90.0)?;
     checker.range("drr.source_isocentre_mm", drr.source_isocentre_mm, 100.0, 2000.0)?;
-    checker.range("drr.source_detector_mm", drr.source_detector_mm, drr.source_isocentre_mm.max(200.0), 3000.0)?;
+    checker.range(
+        "drr.source_detector_mm",
+        drr.source_detector_mm,
+        drr.source_isocentre_mm.max(200.0),
+        3000.0,
+    )?;
     checker.range("drr.columns", f64::from(drr.columns), 16.0, 4096.0)?;
     checker.range("drr.rows", f64::from(drr.rows), 16.0, 4096.0)?;
     checker.range("drr.pixel_pitch_mm", drr.pixel_pitch_mm, 0.05, 5.0)?;
@@ -196,7 +258,8 @@ fn check_controllers(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
         }
         for part in &controller.drives {
             if let Some((_, other)) = driven.iter().find(|(driven, _)| driven == part) {
-                let problem = format!("{part:?} is driven by `{other}` and by `{}`; expected one", controller.name);
+                let problem =
+                    format!("{part:?} is driven by `{other}` and by `{}`; expected one", controller.name);
                 return Err(checker.invalid("controller.drives", problem));
             }
             driven.push((*part, &controller.name));

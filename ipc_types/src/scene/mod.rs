@@ -41,7 +41,9 @@ impl Scene {
         if let Some(volume) = &mut self.volume
             && let Some(path) = &mut volume.path
         {
-            *path = folder.join(&*path);
+            // Absolute, because the text is copied into the session and into the log, which lie elsewhere.
+            let joined = folder.join(&*path);
+            *path = std::path::absolute(&joined).unwrap_or(joined);
         }
     }
 

@@ -20,6 +20,13 @@ pub struct Scene {
     /// Holes that are there before the run.
     #[serde(default)]
     pub predrill: Vec<Predrill>,
+    /// Rigid bodies beside the tool, at most 4; absent: none, and no rigid-body engine.
+    #[serde(default)]
+    pub body: Vec<Body>,
+    /// Gravity in the patient frame, on the tool and on free bodies, each −100 to 100 m/s². None by default: the tool's
+    /// own weight of 7 g bends it by micrometres, and a scene says which way the patient lies.
+    #[serde(default)]
+    pub gravity_m_per_s2: [f64; 3],
     /// Where the tool starts.
     pub tool: Tool,
     /// The manipulator, where it differs from the standard one.
@@ -144,6 +151,78 @@ pub struct Predrill {
     pub to_mm: [f64; 3],
     /// Diameter, 0.5 to 50 mm.
     pub diameter_mm: f64,
+}
+
+/// A box, centred at the body's position.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cuboid {
+    /// Half extents along the body's axes, each 0.1 to 1000 mm.
+    pub half_extents_mm: [f64; 3],
+}
+
+/// A ball, centred at the body's position.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ball {
+    /// Radius, 0.1 to 1000 mm.
+    pub radius_mm: f64,
+}
+
+/// A capsule along the body's z, centred at the body's position.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Capsule {
+    /// Half the distance between the centres of its ends, 0.1 to 1000 mm.
+    pub half_height_mm: f64,
+    /// Radius, 0.1 to 1000 mm.
+    pub radius_mm: f64,
+}
+
+/// Whether a rigid body can move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BodyMotion {
+    /// Stands still: a clamp.
+    Fixed,
+    /// Moves by forces: a bone fragment.
+    Free,
+}
+
+/// A rigid body beside the tool. The burr does not cut it. Exactly one of `cuboid`, `ball` and `capsule` is its shape.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Name: letters, digits, `_`.
+    pub name: String,
+    /// A box.
+    pub cuboid: Option<Cuboid>,
+    /// A ball.
+    pub ball: Option<Ball>,
+    /// A capsule.
+    pub capsule: Option<Capsule>,
+    /// Fixed or free.
+    pub motion: BodyMotion,
+    /// Centre, patient frame.
+    pub position_mm: [f64; 3],
+    /// Orientation: axis times angle, each −360 to 360 deg.
+    #[serde(default)]
+    pub rotation_vector_deg: [f64; 3],
+    /// Density of a free body, 10 to 25000 kg/m³; cortical bone by default.
+    #[serde(default = "Body::default_density_kg_per_m3")]
+    pub density_kg_per_m3: f64,
+    /// Friction coefficient against other bodies, 0 to 2; against the tool it is the tool's (`[contact]`).
+    #[serde(default = "Body::default_friction")]
+    pub friction: f64,
+}
+
+impl Body {
+    fn default_density_kg_per_m3() -> f64 {
+        1900.0
+    }
+    fn default_friction() -> f64 {
+        0.3
+    }
 }
 
 /// Where the tool starts and which way it looks, in the patient frame (LPS).

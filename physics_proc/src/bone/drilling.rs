@@ -22,9 +22,10 @@ use nalgebra::Vector3;
 
 use super::BoneError;
 use super::field::{BoneField, BoneParameters, check_volume};
-use super::grid::GridGeometry;
+use super::gather::outside;
+use super::grid::{GridGeometry, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
-use super::query::{VoxelSurface, outside};
+use super::query::VoxelSurface;
 
 /// Rounds of sharing the energy; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
@@ -224,7 +225,8 @@ impl BoneField {
         let recession =
             cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s / core::f64::consts::TAU;
         let VoxelBox { low, high } = voxels;
-        let outer2 = outer * outer;
+        // Wider by what rounding can take: the voxel's own distance decides.
+        let widest = reach + 1e-6 * diagonal;
         for start in (low[0]..=high[0]).step_by(WINDOW_VOXELS as usize) {
             let place = self.occupancy.window_place(start);
             let count = (high[0] - start + 1).min(WINDOW_VOXELS);
@@ -233,15 +235,26 @@ impl BoneField {
                 let dz = centre.z - k as f64 * spacing[2];
                 for j in low[1]..=high[1] {
                     let dy = centre.y - j as f64 * spacing[1];
-                    if dz * dz + dy * dy > outer2 {
+                    let room = outer * outer - dz * dz - dy * dy;
+                    if room < 0.0 {
                         continue;
                     }
                     let mut bits = self.occupancy.window(place, j as usize, k as usize) & wanted;
+                    if bits == 0 {
+                        continue;
+                    }
+                    // Whole bone takes part if its box is in reach; behind it only slivers do, which are cut in part.
+                    let (to_y, to_z) = (outside(dy, spacing[1]), outside(dz, spacing[2]));
+                    let inner = widest * widest - to_z * to_z - to_y * to_y;
+                    let reached = columns_within(centre.x, inner, spacing[0], start);
+                    if bits & !reached != 0 {
+                        bits &= reached | self.pool.partial_bits(start, count, j as usize, k as usize);
+                    }
                     while bits != 0 {
                         let i = start + i64::from(bits.trailing_zeros());
                         bits &= bits - 1;
                         let dx = centre.x - i as f64 * spacing[0];
-                        if dx * dx + dy * dy + dz * dz <= outer2 {
+                        if dx * dx <= room {
                             self.collect_voxel(hu, &centre, [i, j, k], reach, recession, report);
                         }
                     }
@@ -267,9 +280,10 @@ impl BoneField {
             return;
         }
         let spacing = self.geometry.spacing_m;
-        let to_box = [0, 1, 2].map(|a| outside(centre[a] - voxel[a] as f64 * spacing[a], spacing[a]));
+        let position = self.voxel_position(voxel);
+        let to_box = [0, 1, 2].map(|a| outside(centre[a] - position[a], spacing[a]));
         let VoxelSurface { distance: surface, from_centre, .. } =
-            self.voxel_surface(centre, voxel, to_box, spent);
+            self.voxel_surface(centre, &position, to_box, spent);
         let is_sliver = spent > 0.0 && left < cutting.sliver_fraction && surface > reach + cutting.reach_m;
         if surface >= reach && !is_sliver {
             return;
@@ -364,6 +378,7 @@ impl BoneField {
             let index = self.waiting[place];
             let [i, j, k] = self.voxel_of_index(index as usize);
             self.occupancy.set(i, j, k, false);
+            self.tracks.forget_near([i, j, k]);
             self.removed.push(index);
         }
         self.waiting.drain(..count);
@@ -371,4 +386,16 @@ impl BoneField {
         report.removed_count = count;
         report.waiting_count = self.waiting.len();
     }
+}
+
+/// The voxels of a window that starts at `start` whose slabs along x are within the root of `distance2` of `x`, as bits.
+#[inline]
+fn columns_within(x: f64, distance2: f64, spacing: f64, start: i64) -> u64 {
+    if distance2 <= 0.0 {
+        return 0;
+    }
+    let distance = distance2.sqrt();
+    let first = (floor_to_i64((x - distance) / spacing + 0.5) - start).clamp(0, 63);
+    let end = (floor_to_i64((x + distance) / spacing + 0.5) + 1 - start).clamp(first, 63);
+    (1u64 << end) - (1u64 << first)
 }

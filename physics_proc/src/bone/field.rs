@@ -6,6 +6,7 @@ use super::grid::GridGeometry;
 use super::material::{CuttingTable, MaterialLaw};
 use super::occupancy::Occupancy;
 use super::strength::SpentPool;
+use super::tracked::Tracks;
 
 /// What a scene says about its bone.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,6 +55,8 @@ pub struct BoneField {
     /// Voxels spent but not yet removed, first in, first out.
     pub(super) waiting: Vec<u32>,
     pub(super) removed_total: u64,
+    /// What contact queries remember; changes no result.
+    pub(super) tracks: Tracks,
 }
 
 /// What drilling has changed in a field: enough to continue bit for bit in a field of the same CT and scene.
@@ -96,6 +99,7 @@ impl BoneField {
             removed: Vec::with_capacity(parameters.removed_per_tick),
             waiting,
             removed_total: 0,
+            tracks: Tracks::new(),
         })
     }
 
@@ -179,6 +183,7 @@ impl BoneField {
                 }
             }
         }
+        self.tracks.forget_all();
         self.pool.clear();
         self.removed.clear();
         self.waiting.clear();

@@ -14,13 +14,17 @@ mod buried;
 pub mod drilling;
 mod error;
 mod field;
+mod gather;
 mod grid;
 pub mod material;
+mod near;
 mod occupancy;
 mod predrill;
 pub mod query;
+mod spline;
 mod strength;
 mod surface;
+mod tracked;
 
 pub use drilling::{BurrState, CuttingLaw, GrindReport};
 pub use error::BoneError;

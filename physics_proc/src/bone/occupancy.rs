@@ -10,8 +10,8 @@ const ROW_PADDING: usize = 8;
 /// Voxels that a window shows: 64 less the 7 that a start within a byte can cost.
 pub(super) const WINDOW_VOXELS: i64 = 57;
 
-/// Bit rows along x, as bytes, so that a window is one unaligned load. Eight zero bytes lie before every row and behind the
-/// last, so that a window may run past either end of a row.
+/// Bit rows along x, as bytes, so that a window is one unaligned load. Eight zero bytes lie before every row, and more than a
+/// row of them behind the last, so that a window may run past either end of a row.
 #[derive(Debug, Clone)]
 pub(super) struct Occupancy {
     dims: [usize; 3],
@@ -45,7 +45,7 @@ impl Occupancy {
         let mut occupancy = Self {
             dims,
             row_stride,
-            bytes: vec![0; row_stride * dims[1] * dims[2] + 2 * ROW_PADDING],
+            bytes: vec![0; row_stride * (dims[1] * dims[2] + 1) + 2 * ROW_PADDING],
             cell_dims,
             cell_counts: vec![0; cell_dims[0] * cell_dims[1] * cell_dims[2]],
             solid_count: 0,
@@ -132,6 +132,33 @@ impl Occupancy {
         match self.bytes.get(row + place.byte..).and_then(|bytes| bytes.first_chunk()) {
             Some(bytes) => u64::from_le_bytes(*bytes) >> place.shift,
             None => 0,
+        }
+    }
+
+    /// Eight voxels along x from `start` on as bits, for N rows of N slices; voxels outside the grid are 0.
+    #[inline]
+    pub fn cube<const N: usize>(&self, start: [i64; 3], rows: &mut [[u8; N]; N]) {
+        let place = self.window_place(start[0]);
+        let [y, z] = [1, 2].map(|axis| {
+            let end = (self.dims[axis] as i64 - start[axis]).clamp(0, N as i64) as usize;
+            (-start[axis]).clamp(0, end as i64) as usize..end
+        });
+        for slice in z {
+            let k = (start[2] + slice as i64) as usize;
+            let first =
+                k * self.slice_stride() + (start[1] + y.start as i64) as usize * self.row_stride + place.byte;
+            let mut from = self.bytes.get(first..).unwrap_or_default().chunks_exact(self.row_stride);
+            // Two bytes hold eight voxels, wherever they start.
+            let mut next = || match from.next() {
+                Some([low, high, ..]) => (u16::from_le_bytes([*low, *high]) >> place.shift) as u8,
+                _ => 0,
+            };
+            if y.len() == N {
+                // The rule; without the bounds it is unrolled.
+                rows[slice] = core::array::from_fn(|_| next());
+            } else {
+                rows[slice][y.clone()].iter_mut().for_each(|row| *row = next());
+            }
         }
     }
 

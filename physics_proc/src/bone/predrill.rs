@@ -44,6 +44,7 @@ impl BoneField {
                 }
             }
         }
+        self.tracks.forget_all();
         self.predrilled_count += removed.len() as u64;
         removed
     }

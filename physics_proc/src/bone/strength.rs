@@ -7,6 +7,8 @@ const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
 pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 /// Table entry of a block that nothing has touched.
 const UNTOUCHED: u32 = u32::MAX;
+/// Place of a voxel in a block that nothing has touched.
+pub(super) const NO_PLACE: usize = usize::MAX;
 
 /// The spent fraction of every touched voxel: 0 whole, 1 gone.
 #[derive(Debug, Clone)]
@@ -70,6 +72,23 @@ impl SpentPool {
         }
     }
 
+    /// Where the fraction of a voxel of the grid is kept now, for [`Self::spent_at`].
+    #[inline]
+    pub fn place(&self, [i, j, k]: [usize; 3]) -> usize {
+        let (block, offset) = self.locate(i, j, k);
+        match self.table[block] {
+            UNTOUCHED => NO_PLACE,
+            slot => slot as usize * BLOCK_VOXELS + offset,
+        }
+    }
+
+    /// The fraction at a place that [`Self::place`] returned since the last block was taken.
+    #[inline]
+    pub fn spent_at(&self, place: usize) -> f64 {
+        // A whole voxel has no place.
+        self.spent.get(place).copied().unwrap_or(0.0)
+    }
+
     /// Where the voxel's fraction is kept, taking a block if needed; `None` if the pool is full.
     pub fn claim(&mut self, i: usize, j: usize, k: usize) -> Option<usize> {
         let (block, offset) = self.locate(i, j, k);
@@ -114,6 +133,35 @@ impl SpentPool {
         };
         let first = start >> BLOCK_SHIFT;
         ((bits(first) | bits(first + 1) << 8) >> (start & 7)) as u8
+    }
+
+    /// [`Self::partial_window`] for `count` voxels, at most 64.
+    #[inline]
+    pub fn partial_bits(&self, start: i64, count: i64, j: usize, k: usize) -> u64 {
+        (0..count)
+            .step_by(BLOCK_EDGE)
+            .fold(0, |bits, offset| bits | u64::from(self.partial_window(start + offset, j, k)) << offset)
+    }
+
+    /// Whether any block in use meets the cube of voxels `low` to `low + extent`, which may reach beyond the grid.
+    #[inline]
+    pub fn any_block_in(&self, low: [i64; 3], extent: i64) -> bool {
+        if self.owners.is_empty() {
+            return false;
+        }
+        let [bx, by, bz] = self.block_dims;
+        let blocks = |axis: usize, count: usize| {
+            let last = count as i64 - 1;
+            let [first, end] = [low[axis], low[axis] + extent].map(|x| (x >> BLOCK_SHIFT).clamp(0, last));
+            first as usize..end as usize + 1
+        };
+        let (x, y, z) = (blocks(0, bx), blocks(1, by), blocks(2, bz));
+        z.into_iter().any(|k| {
+            y.clone().any(|j| {
+                let row = (k * by + j) * bx;
+                self.table[row + x.start..row + x.end].iter().any(|slot| *slot != UNTOUCHED)
+            })
+        })
     }
 
     /// Forgets what a voxel absorbed, if anything.

@@ -29,6 +29,16 @@ pub(super) struct SurfaceSample {
     pub level: f64,
 }
 
+/// The tent's sizes for a sphere.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TentSizes {
+    /// Voxels per metre along each axis.
+    per_spacing: [f64; 3],
+    /// Half width along each axis in voxels, and its inverse.
+    half_width: [f64; 3],
+    per_half_width: [f64; 3],
+}
+
 /// The tent along one axis at the faces of the voxels `start..start + count`. A run of voxels has as weight the difference
 /// between its two ends.
 struct AxisTent {
@@ -41,9 +51,8 @@ struct AxisTent {
 }
 
 impl AxisTent {
-    /// `position` and `half_width` in voxels.
-    fn new(position: f64, half_width: f64) -> Self {
-        let inverse = 1.0 / half_width;
+    /// `position` and `half_width` in voxels, `inverse` that of the half width.
+    fn new(position: f64, half_width: f64, inverse: f64) -> Self {
         let start = floor_to_i64(position - half_width + 0.5);
         let count = ((floor_to_i64(position + half_width + 0.5) - start + 1) as usize).min(TENT_VOXELS);
         let mut axis = Self { start, count, integral: [0.0; TENT_VOXELS + 1], tent: [0.0; TENT_VOXELS + 1] };
@@ -66,14 +75,35 @@ impl AxisTent {
 }
 
 impl BoneField {
-    /// Samples the smoothed surface at a point of the grid's metric frame for a sphere of radius `radius_m`.
-    pub(super) fn sample_surface(&self, point: &Vector3<f64>, radius_m: f64) -> SurfaceSample {
-        let spacing = self.geometry.spacing_m;
-        let [x, y, z] = [0, 1, 2].map(|axis| {
-            let inverse = 1.0 / spacing[axis];
-            let half_width = (0.8 * radius_m * inverse).clamp(TENT_MIN_VOXELS, TENT_MAX_VOXELS);
-            AxisTent::new(point[axis] * inverse, half_width)
-        });
+    /// The tent for spheres of radius `radius_m`.
+    #[inline]
+    pub(super) fn tent_sizes(&self, radius_m: f64) -> TentSizes {
+        let per_spacing = self.geometry.spacing_m.map(|spacing| 1.0 / spacing);
+        let half_width =
+            per_spacing.map(|inverse| (0.8 * radius_m * inverse).clamp(TENT_MIN_VOXELS, TENT_MAX_VOXELS));
+        TentSizes { per_spacing, half_width, per_half_width: half_width.map(|half| 1.0 / half) }
+    }
+
+    /// Samples the smoothed surface at a point of the grid's metric frame.
+    pub(super) fn sample_surface(&self, point: &Vector3<f64>, tent: &TentSizes) -> SurfaceSample {
+        let position = [0, 1, 2].map(|axis| point[axis] * tent.per_spacing[axis]);
+        let mut sample = if tent.half_width == [TENT_MAX_VOXELS; 3] {
+            let start = position.map(|position| floor_to_i64(position - TENT_MAX_VOXELS + 0.5));
+            let behind = [0, 1, 2].map(|axis| start[axis] as f64 + TENT_MAX_VOXELS + 0.5 - position[axis]);
+            self.sample_spline(start, behind)
+        } else {
+            self.sample_tents(position, tent)
+        };
+        for axis in 0..3 {
+            sample.outward_per_m[axis] *= tent.per_spacing[axis];
+        }
+        sample
+    }
+
+    /// The smoothed occupancy and its slopes in 1/voxel, for tents of any width.
+    pub(super) fn sample_tents(&self, position: [f64; 3], tent: &TentSizes) -> SurfaceSample {
+        let [x, y, z] = [0, 1, 2]
+            .map(|axis| AxisTent::new(position[axis], tent.half_width[axis], tent.per_half_width[axis]));
         let place = self.occupancy.window_place(x.start);
         let (rows_y, rows_z) = (self.rows_inside(&y, 1), self.rows_inside(&z, 2));
         let (mut level, mut outward) = (0.0, Vector3::zeros());
@@ -90,9 +120,6 @@ impl BoneField {
             let (weight, weight_rise) = z.voxel(row_z);
             level += value * weight;
             outward += Vector3::new(rise_x * weight, rise_y * weight, value * weight_rise);
-        }
-        for axis in 0..3 {
-            outward[axis] /= spacing[axis];
         }
         SurfaceSample { outward_per_m: outward, level }
     }

@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::Volume;
 use ipc_types::ports::Received;
+use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::Session;
@@ -16,13 +17,13 @@ use crate::bone::GridGeometry;
 const VOLUME_LIMIT_S: u64 = 60;
 
 /// The volume in shared memory; it stays there as long as the return value lives.
-pub(super) fn receive_volume(session: &Session, scene: &Scene) -> Result<Option<Received<Volume>>, PhysicsError> {
+pub(super) fn receive_volume(session: &Session, scene: &Scene, end: &EndRequest) -> Result<Option<Received<Volume>>, PhysicsError> {
     if scene.volume.is_none() {
         return Ok(None);
     }
     let subscriber = session.subscriber::<Volume>(&services::VOLUME)?;
     let limit = Instant::now() + Duration::from_secs(VOLUME_LIMIT_S);
-    while Instant::now() < limit {
+    while Instant::now() < limit && !end.is_set() {
         if let Some(volume) = subscriber.receive()? {
             return Ok(Some(volume));
         }

@@ -109,7 +109,7 @@ pub fn run(session_folder: &Path) -> Result<(), PhysicsError> {
     let scene = session_scene(session_folder)?;
     let session = Session::join(session_folder)?;
     let ports = Ports::open(&session, &scene)?;
-    let volume = connection::receive_volume(&session, &scene)?;
+    let volume = connection::receive_volume(&session, &scene, &end)?;
     let ct = match &volume {
         Some(volume) => {
             let geometry: GridGeometry = ct_geometry(volume.message());

@@ -25,6 +25,8 @@ const CONNECT_LIMIT: Duration = Duration::from_secs(60);
 const LEAD_TICKS: u64 = 256;
 /// How long a consumer may stand still in lockstep: a full frame of a large CT takes seconds.
 const CONSUMER_LIMIT: Duration = Duration::from_secs(120);
+/// The same at the end of a run that something has ended before its time.
+const ABANDONED_LIMIT: Duration = Duration::from_secs(2);
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
 const PAUSE_LOOK: Duration = Duration::from_millis(20);
 
@@ -81,7 +83,7 @@ impl<'v> Runner<'v> {
         let mut schedule = Schedule::new(self.period_ns, now_ns());
         while self.tick < self.tick_count && !self.ends() {
             self.obey()?;
-            if self.paused && self.steps_left == 0 {
+            if self.rests() {
                 self.rest()?;
                 schedule = Schedule::new(self.period_ns, now_ns());
                 continue;
@@ -89,6 +91,9 @@ impl<'v> Runner<'v> {
             let start = self.await_start(&mut schedule)?;
             if self.ends() {
                 break;
+            }
+            if self.rests() {
+                continue;
             }
             self.make_tick(start)?;
             self.steps_left = self.steps_left.saturating_sub(1);
@@ -99,6 +104,11 @@ impl<'v> Runner<'v> {
 
     fn ends(&self) -> bool {
         self.stopped || self.end.is_set()
+    }
+
+    /// Paused, with no step left to make.
+    fn rests(&self) -> bool {
+        self.paused && self.steps_left == 0
     }
 
     /// Publishes the initial state until everybody has answered it.
@@ -180,9 +190,11 @@ impl<'v> Runner<'v> {
             let slice = (Instant::now() + Duration::from_millis(200)).min(limit);
             if !self.ports.waiter.wait_until(slice, || commands.has_message()) {
                 self.obey()?;
-                if self.stopped {
+                if self.stopped || self.rests() {
                     return Ok(());
                 }
+                // A controller that has come back needs the state that it is to answer.
+                self.ports.state.deliver_history()?;
                 if Instant::now() >= limit {
                     let name = self.ports.controllers[silent].name.clone();
                     let limit_ms = self.controller_limit.as_secs_f64() * 1e3;
@@ -223,9 +235,6 @@ impl<'v> Runner<'v> {
                     Ok(Some(command)) => {
                         // A copy: what is checked must be what is latched, whatever its writer does meanwhile.
                         let command = *command.message();
-                        if command.sequence == 1 {
-                            self.latch.reconnected(index);
-                        }
                         if command.state_tick == self.tick && port.round_trip_ns == 0 {
                             port.round_trip_ns = elapsed_ns(self.published).max(1);
                         }
@@ -353,6 +362,7 @@ impl<'v> Runner<'v> {
     /// Paused: looks again after a while.
     fn rest(&mut self) -> Result<(), PhysicsError> {
         self.send_status(PHASE_PAUSED, false)?;
+        self.ports.state.deliver_history()?;
         self.collect_commands()?;
         self.ports.waiter.wait_until(Instant::now() + PAUSE_LOOK, || self.ports.control.has_message());
         Ok(())
@@ -380,12 +390,14 @@ impl<'v> Runner<'v> {
         self.ports.events.inform(self.tick, EVENT_RUN, &text)?;
         self.send_status(PHASE_ENDED, true)?;
         self.ports.controllers.iter().for_each(|port| port.waker.wake());
-        let limit = Instant::now() + CONSUMER_LIMIT;
+        let began = Instant::now();
         loop {
             self.ports.consumers.update()?;
             let Some(part) = self.ports.consumers.behind(self.tick).map(|consumer| consumer.part) else { return Ok(()) };
-            if Instant::now() >= limit {
-                return Err(PhysicsError::ConsumerStuck { part, tick: self.tick, limit_s: CONSUMER_LIMIT.as_secs() });
+            // Asked to end by a signal, the launcher or a consumer is dead: nobody may be there to take the last state.
+            let limit = if self.end.is_set() { ABANDONED_LIMIT } else { CONSUMER_LIMIT };
+            if began.elapsed() >= limit {
+                return Err(PhysicsError::ConsumerStuck { part, tick: self.tick, limit_s: limit.as_secs() });
             }
             self.ports.consumers.wake();
             self.ports.status.deliver_history()?;

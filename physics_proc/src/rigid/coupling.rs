@@ -1,27 +1,21 @@
-//! Tool and bodies in one tick: the fixed point of the planes' speeds.
+//! Tool and bodies in one tick: the common motion.
 //!
-//! Unknown is the speed u_j with which plane j moves along its normal through the tick. The tool, stepped against planes
-//! whose gap is shortened by u_j dt, exerts impulses; Rapier, given these, moves the bodies, and with them the planes, by
-//! g_j(u) dt. Wanted is g(u) = u. Both sides are monotone (the harder the tool is met, the larger its impulse; the larger
-//! the impulse, the faster the body yields), so there is one solution, and while no contact opens or closes g is linear:
-//! Anderson's acceleration finds it in one evaluation more than there are directions in which bodies yield.
+//! The tool is stepped against planes whose gap is shortened by what the bodies are thought to move, and exerts impulses;
+//! Rapier, given these, moves the bodies. [`Descent`] brings thought and motion together.
 
 use crate::contact_plane::ContactPlane;
-use crate::manipulator::{BaseMotion, Manipulator, ManipulatorError, StepInput, StepReport, TendonCommand, Wrench};
+use crate::manipulator::{
+    BaseMotion, Manipulator, ManipulatorError, StepInput, StepReport, TendonCommand, Wrench,
+};
 
+use super::descent::{Inertia, Motion};
 use super::scene::RigidScene;
 
-/// Largest |g(u) - u| that ends the iteration, m/s: ten times what the tool's contact solver leaves.
+/// Largest difference between a plane's speed as the tool saw it and as the body made it that ends the iteration, m/s:
+/// ten times what the tool's contact solver leaves.
 const TOLERANCE_M_PER_S: f64 = 1e-5;
-/// Bound on the evaluations of g in a tick.
-const MAX_EVALUATIONS: usize = 12;
-/// Largest step along a direction whose slope is not known, m/s: small, so that it does not leave the contact (a body
-/// lighter than the tool would answer the full residual with many times the right speed).
-const PROBING_M_PER_S: f64 = 1e-3;
-/// Differences that the acceleration remembers.
-const DEPTH: usize = 5;
-/// A difference that is left with less than this share of itself says nothing new.
-const DEPENDENT: f64 = 1e-6;
+/// Bound on the evaluations in a tick.
+const MAX_EVALUATIONS: usize = 24;
 
 /// How tool and free bodies meet in a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,40 +86,46 @@ impl RigidScene {
             if !self.bodies.iter().any(|body| body.free) {
                 return Ok(report);
             }
-            self.stepper.step(&mut self.world);
+            self.trial.clone_from(&self.world);
+            self.stepper.step(&mut self.trial);
             report
         } else {
             let outcome = self.iterate(manipulator, drive, planes);
             for moving in &self.moving {
                 planes[moving.plane].gap_m = moving.still_gap_m;
             }
-            let report = outcome?;
-            core::mem::swap(&mut self.world, &mut self.trial);
-            report
+            outcome?
         };
+        core::mem::swap(&mut self.world, &mut self.trial);
         self.update_bodies();
         Ok(report)
     }
 
-    /// The planes on free bodies, and the speeds that these planes have if the bodies go on as in the last tick.
+    /// The planes on free bodies, and how these bodies move if they do as in the last tick.
     fn collect_moving(&mut self, planes: &[ContactPlane]) {
         self.moving.clear();
-        self.fixed_point.clear();
         for (own, &body_index) in self.plane_body.iter().enumerate() {
-            let body = &self.bodies[body_index];
             let plane = self.first_plane + own;
             let Some(contact) = planes.get(plane) else { continue };
-            if body.free {
-                let velocity = body.twist.at(&contact.point_m) * 2.0 - body.previous.at(&contact.point_m);
-                self.fixed_point.guess.push(velocity.dot(&contact.normal));
-                self.fixed_point.residual.push(0.0);
+            if self.bodies[body_index].free {
                 let still_gap_m = contact.gap_m;
                 self.moving.push(Moving { plane, body: body_index, still_gap_m, pressed: false });
             }
         }
+        let mut changed = false;
+        for (k, body) in self.bodies.iter().enumerate() {
+            let touched = self.moving.iter().any(|moving| moving.body == k);
+            changed |= touched != (self.descent.inertia[k].mass_kg > 0.0);
+            self.descent.motion[k] = if touched { body.mean } else { Motion::zero() };
+            self.descent.residual[k] = Motion::zero();
+            self.descent.inertia[k] = if touched { self.world.inertia(body.handle) } else { Inertia::none() };
+        }
+        if changed {
+            self.descent.forget();
+        }
     }
 
-    /// Finds the fixed point; tool and trial world are those of the evaluation that ends it.
+    /// Finds the common motion; tool and trial world are those of the evaluation that ends it.
     fn iterate(
         &mut self,
         manipulator: &mut Manipulator,
@@ -133,49 +133,58 @@ impl RigidScene {
         planes: &mut [ContactPlane],
     ) -> Result<StepReport, ManipulatorError> {
         let start = manipulator.snapshot();
-        let mut evaluations = 1;
-        let mut report = self.evaluate(manipulator, drive, planes)?;
-        let mut residual = self.fixed_point.largest_residual();
-        let mut best = residual;
-        self.fixed_point.keep_best();
         let most = if self.coupling == Coupling::Iterated { MAX_EVALUATIONS } else { 1 };
+        let mut evaluations = 1;
+        let (mut report, mut residual) = self.evaluate(manipulator, drive, planes)?;
+        let mut best = residual;
+        self.descent.keep_best();
         while residual > TOLERANCE_M_PER_S && evaluations < most {
-            self.fixed_point.improve();
+            if evaluations == 1 {
+                self.descent.begin()
+            } else {
+                self.descent.advance()
+            }
             manipulator.restore(&start);
-            report = self.evaluate(manipulator, drive, planes)?;
+            (report, residual) = self.evaluate(manipulator, drive, planes)?;
             evaluations += 1;
-            residual = self.fixed_point.largest_residual();
             if residual < best {
                 best = residual;
-                self.fixed_point.keep_best();
+                self.descent.keep_best();
             }
         }
+        if evaluations > 1 {
+            self.descent.remember();
+        }
         if residual > best {
-            self.fixed_point.take_best();
+            self.descent.take_best();
             manipulator.restore(&start);
-            report = self.evaluate(manipulator, drive, planes)?;
+            (report, residual) = self.evaluate(manipulator, drive, planes)?;
             evaluations += 1;
         }
-        let residual_m_per_s = self.fixed_point.largest_residual();
-        self.report = CouplingReport { moving_planes: self.moving.len(), evaluations, residual_m_per_s };
+        self.report =
+            CouplingReport { moving_planes: self.moving.len(), evaluations, residual_m_per_s: residual };
         Ok(report)
     }
 
-    /// Steps tool and trial world at the guessed speeds; the residuals go to the fixed point.
+    /// Steps tool and trial world with the motion of the descent; its residual, and the largest of a plane's speed, m/s.
     fn evaluate(
         &mut self,
         manipulator: &mut Manipulator,
         drive: &ToolDrive,
         planes: &mut [ContactPlane],
-    ) -> Result<StepReport, ManipulatorError> {
-        for (moving, speed) in self.moving.iter_mut().zip(&self.fixed_point.guess) {
-            planes[moving.plane].gap_m = moving.still_gap_m - speed * self.dt_s;
+    ) -> Result<(StepReport, f64), ManipulatorError> {
+        for moving in &mut self.moving {
+            let plane = &mut planes[moving.plane];
+            let arm = plane.point_m - self.bodies[moving.body].centre_m;
+            let speed = self.descent.motion[moving.body].at(&arm).dot(&plane.normal);
+            plane.gap_m = moving.still_gap_m - speed * self.dt_s;
             moving.pressed = false;
         }
         let report = step_tool(manipulator, self.dt_s, drive, planes)?;
         self.trial.clone_from(&self.world);
         for result in manipulator.contact_results() {
-            let Ok(place) = self.moving.binary_search_by_key(&result.contact_index, |moving| moving.plane) else {
+            let Ok(place) = self.moving.binary_search_by_key(&result.contact_index, |moving| moving.plane)
+            else {
                 continue;
             };
             let moving = &mut self.moving[place];
@@ -185,16 +194,25 @@ impl RigidScene {
             self.trial.apply_impulse(handle, &(force * -self.dt_s), &planes[moving.plane].point_m);
         }
         self.stepper.step(&mut self.trial);
-        for (k, moving) in self.moving.iter().enumerate() {
-            let (plane, body) = (&planes[moving.plane], &self.bodies[moving.body]);
-            let point = plane.point_m.into();
-            let moved = self.trial.pose(body.handle) * body.t_world_body.inverse_transform_point(&point) - point;
-            let speed = moved.dot(&plane.normal) / self.dt_s;
-            let difference = speed - self.fixed_point.guess[k];
+        Ok((report, self.residuals(planes)))
+    }
+
+    /// Response minus motion; the largest difference of a plane's speeds, m/s.
+    fn residuals(&mut self, planes: &[ContactPlane]) -> f64 {
+        let mut largest = 0.0f64;
+        for moving in &self.moving {
+            let body = &self.bodies[moving.body];
+            let response = self.world.motion_to(&self.trial, body.handle, self.dt_s);
+            let residual = response.plus(-1.0, &self.descent.motion[moving.body]);
+            self.descent.residual[moving.body] = residual;
+            let plane = &planes[moving.plane];
+            let difference = residual.at(&(plane.point_m - body.centre_m)).dot(&plane.normal);
             // A plane that no force holds and that recedes faster than the tool was told changes nothing.
-            self.fixed_point.residual[k] = if moving.pressed || difference > 0.0 { difference } else { 0.0 };
+            if moving.pressed || difference > 0.0 {
+                largest = largest.max(difference.abs());
+            }
         }
-        Ok(report)
+        largest
     }
 }
 
@@ -204,118 +222,7 @@ fn step_tool(
     drive: &ToolDrive,
     planes: &[ContactPlane],
 ) -> Result<StepReport, ManipulatorError> {
-    let input = StepInput { base: drive.base, tendon: drive.tendon, tip_wrench: drive.tip_wrench, contacts: planes };
+    let input =
+        StepInput { base: drive.base, tendon: drive.tendon, tip_wrench: drive.tip_wrench, contacts: planes };
     manipulator.step(dt_s, &input)
-}
-
-/// Anderson's acceleration (Anderson 1965, J. ACM 12(4); Walker and Ni 2011, SIAM J. Numer. Anal. 49(4), eq. 2.2) of
-/// u <- u + residual(u), with a bounded step where nothing is known.
-pub(super) struct FixedPoint {
-    /// u.
-    pub guess: Vec<f64>,
-    /// g(u) - u, set by the evaluation.
-    pub residual: Vec<f64>,
-    best: Vec<f64>,
-    last_guess: Vec<f64>,
-    last_residual: Vec<f64>,
-    /// The newest differences of guess and residual, orthonormal in the residual; `used` of them.
-    step: [Vec<f64>; DEPTH],
-    change: [Vec<f64>; DEPTH],
-    used: usize,
-    started: bool,
-}
-
-impl FixedPoint {
-    pub fn new(most_planes: usize) -> FixedPoint {
-        let room = || Vec::with_capacity(most_planes);
-        FixedPoint {
-            guess: room(),
-            residual: room(),
-            best: room(),
-            last_guess: room(),
-            last_residual: room(),
-            step: core::array::from_fn(|_| room()),
-            change: core::array::from_fn(|_| room()),
-            used: 0,
-            started: false,
-        }
-    }
-
-    pub fn clear(&mut self) {
-        self.guess.clear();
-        self.residual.clear();
-        self.used = 0;
-        self.started = false;
-    }
-
-    pub fn largest_residual(&self) -> f64 {
-        self.residual.iter().fold(0.0, |most, r| most.max(r.abs()))
-    }
-
-    pub fn keep_best(&mut self) {
-        self.best.clone_from(&self.guess);
-    }
-
-    pub fn take_best(&mut self) {
-        self.guess.clone_from(&self.best);
-    }
-
-    /// The next guess, from the residual of this one and the differences so far.
-    pub fn improve(&mut self) {
-        if self.started {
-            self.remember();
-        }
-        self.started = true;
-        self.last_guess.clone_from(&self.guess);
-        self.last_residual.clone_from(&self.residual);
-        // Newton along the known directions; what they leave of the residual is followed by a small step.
-        for k in 0..self.used {
-            let share = dot(&self.change[k], &self.residual);
-            subtract(&mut self.guess, share, &self.step[k]);
-            subtract(&mut self.residual, share, &self.change[k]);
-        }
-        let largest = self.largest_residual();
-        if largest > 0.0 {
-            let mixing = (PROBING_M_PER_S / largest).min(1.0);
-            subtract(&mut self.guess, -mixing, &self.residual);
-        }
-    }
-
-    /// Takes in the last difference. The oldest is forgotten when the memory is full.
-    fn remember(&mut self) {
-        if self.used == DEPTH {
-            self.step.rotate_left(1);
-            self.change.rotate_left(1);
-            self.used -= 1;
-        }
-        let (known_step, step) = self.step.split_at_mut(self.used);
-        let (known_change, change) = self.change.split_at_mut(self.used);
-        let (step, change) = (&mut step[0], &mut change[0]);
-        step.clone_from(&self.guess);
-        subtract(step, 1.0, &self.last_guess);
-        change.clone_from(&self.residual);
-        subtract(change, 1.0, &self.last_residual);
-        let whole = libm::sqrt(dot(change, change));
-        for (known_step, known_change) in known_step.iter().zip(known_change.iter()) {
-            let share = dot(known_change, change);
-            subtract(step, share, known_step);
-            subtract(change, share, known_change);
-        }
-        let left = libm::sqrt(dot(change, change));
-        if left > DEPENDENT * whole && left > 0.0 {
-            step.iter_mut().chain(change.iter_mut()).for_each(|x| *x /= left);
-            self.used += 1;
-        }
-    }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
-}
-
-/// a -= scale b.
-fn subtract(a: &mut [f64], scale: f64, b: &[f64]) {
-    for (x, y) in a.iter_mut().zip(b) {
-        *x -= scale * y;
-    }
 }

@@ -4,27 +4,13 @@ use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::dynamics::RigidBodyHandle;
 
 use super::body::{BodyMotion, BodyParameters};
-use super::coupling::{Coupling, CouplingReport, FixedPoint, Moving};
+use super::coupling::{Coupling, CouplingReport, Moving};
+use super::descent::{Descent, Inertia, Motion, Pair};
 use super::error::RigidError;
 use super::query::QueryShape;
-use super::world::{Stepper, World, from_vector};
+use super::world::{Stepper, World};
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::ProxySphere;
-
-/// Velocity of a body's centre of mass and its angular velocity, world axes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Twist {
-    pub linear_m_per_s: Vector3<f64>,
-    pub angular_rad_per_s: Vector3<f64>,
-    /// Centre of mass, world, m.
-    pub centre_m: Vector3<f64>,
-}
-
-impl Twist {
-    pub fn at(&self, point_m: &Vector3<f64>) -> Vector3<f64> {
-        self.linear_m_per_s + self.angular_rad_per_s.cross(&(point_m - self.centre_m))
-    }
-}
 
 pub(super) struct Body {
     pub handle: RigidBodyHandle,
@@ -32,17 +18,21 @@ pub(super) struct Body {
     shape: QueryShape,
     /// Follows from the world.
     pub t_world_body: Isometry3<f64>,
+    /// Centre of mass, world, m. Follows from the world.
+    pub centre_m: Vector3<f64>,
     /// Follows from the world.
-    pub twist: Twist,
-    /// That of the tick before, for the prediction.
-    pub previous: Twist,
+    pub motion: Motion,
+    /// Mean through the last tick: where the next one's iteration begins. State.
+    pub mean: Motion,
 }
 
 /// Everything that a tick changes in the rigid scene.
 #[derive(Clone)]
 pub struct RigidSnapshot {
     world: World,
-    previous: Vec<Twist>,
+    mean: Vec<Motion>,
+    memory: Vec<Pair>,
+    touched: Vec<Inertia>,
     report: CouplingReport,
 }
 
@@ -65,7 +55,7 @@ pub struct RigidScene {
     pub(super) plane_body: Vec<usize>,
     pub(super) first_plane: usize,
     pub(super) moving: Vec<Moving>,
-    pub(super) fixed_point: FixedPoint,
+    pub(super) descent: Descent,
     pub(super) report: CouplingReport,
 }
 
@@ -93,13 +83,14 @@ impl RigidScene {
         }
         let (world, handles) = World::new(bodies);
         let most_planes = sphere_count * bodies.len();
-        let bodies = bodies.iter().zip(handles).map(|(body, handle)| Body {
+        let bodies = bodies.iter().zip(handles.iter().copied()).map(|(body, handle)| Body {
             handle,
             free: body.motion == BodyMotion::Free,
             shape: QueryShape::new(&body.shape),
             t_world_body: world.pose(handle),
-            twist: twist(&world, handle),
-            previous: twist(&world, handle),
+            centre_m: world.centre_m(handle),
+            motion: world.motion(handle),
+            mean: Motion::zero(),
         });
         Ok(RigidScene {
             dt_s,
@@ -111,7 +102,7 @@ impl RigidScene {
             plane_body: Vec::with_capacity(most_planes),
             first_plane: 0,
             moving: Vec::with_capacity(most_planes),
-            fixed_point: FixedPoint::new(most_planes),
+            descent: Descent::new(handles.len()),
             report: CouplingReport::none(),
         })
     }
@@ -124,7 +115,7 @@ impl RigidScene {
         for (index, body) in self.bodies.iter().enumerate() {
             let reach_m = body.shape.bounding_radius_m();
             for (sphere_index, sphere) in spheres.iter().enumerate() {
-                let relative = sphere.velocity_m_per_s - body.twist.at(&sphere.centre_m);
+                let relative = sphere.velocity_m_per_s - body.motion.at(&(sphere.centre_m - body.centre_m));
                 let margin_m = margin_m + libm::sqrt(relative.norm_squared()) * self.dt_s;
                 let near_m = reach_m + sphere.radius_m + margin_m;
                 let between = sphere.centre_m - body.t_world_body.translation.vector;
@@ -163,7 +154,7 @@ impl RigidScene {
 
     /// Velocity of a body's centre of mass and its angular velocity, world axes, m/s and rad/s; `None` past the last.
     pub fn velocity(&self, body: usize) -> Option<(Vector3<f64>, Vector3<f64>)> {
-        self.bodies.get(body).map(|body| (body.twist.linear_m_per_s, body.twist.angular_rad_per_s))
+        self.bodies.get(body).map(|body| (body.motion.linear, body.motion.angular))
     }
 
     /// Mass of a body, kg; `None` past the last.
@@ -181,12 +172,13 @@ impl RigidScene {
         &self.report
     }
 
-    /// Reads poses and velocities from the world after a step.
+    /// Reads poses and velocities from the world after a step; the world before it is `trial`.
     pub(super) fn update_bodies(&mut self) {
         for body in &mut self.bodies {
-            body.previous = body.twist;
+            body.mean = self.trial.motion_to(&self.world, body.handle, self.dt_s);
             body.t_world_body = self.world.pose(body.handle);
-            body.twist = twist(&self.world, body.handle);
+            body.centre_m = self.world.centre_m(body.handle);
+            body.motion = self.world.motion(body.handle);
         }
     }
 
@@ -194,7 +186,9 @@ impl RigidScene {
     pub fn snapshot(&self) -> RigidSnapshot {
         RigidSnapshot {
             world: self.world.clone(),
-            previous: self.bodies.iter().map(|body| body.previous).collect(),
+            mean: self.bodies.iter().map(|body| body.mean).collect(),
+            memory: self.descent.memory().to_vec(),
+            touched: self.descent.inertia.clone(),
             report: self.report,
         }
     }
@@ -203,18 +197,11 @@ impl RigidScene {
     pub fn restore(&mut self, snapshot: &RigidSnapshot) {
         self.world = snapshot.world.clone();
         self.update_bodies();
-        for (body, previous) in self.bodies.iter_mut().zip(&snapshot.previous) {
-            body.previous = *previous;
+        for (body, mean) in self.bodies.iter_mut().zip(&snapshot.mean) {
+            body.mean = *mean;
         }
+        self.descent.restore_memory(&snapshot.memory);
+        self.descent.inertia.clone_from(&snapshot.touched);
         self.report = snapshot.report;
-    }
-}
-
-fn twist(world: &World, handle: RigidBodyHandle) -> Twist {
-    let body = world.body(handle);
-    Twist {
-        linear_m_per_s: from_vector(body.linvel()),
-        angular_rad_per_s: from_vector(body.angvel()),
-        centre_m: from_vector(body.center_of_mass()),
     }
 }

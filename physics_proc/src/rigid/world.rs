@@ -1,15 +1,16 @@
 //! The bodies in Rapier: SI units, stiff contacts, no sleeping.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
 use rapier3d_f64::dynamics::{
-    CCDSolver, ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, RigidBody, RigidBodyBuilder,
-    RigidBodyHandle, RigidBodySet, SoftBodySet, SpringCoefficients,
+    CCDSolver, ImpulseJointSet, IntegrationParameters, IslandManager, MultibodyJointSet, RigidBody,
+    RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet, SpringCoefficients,
 };
 use rapier3d_f64::geometry::{BroadPhaseBvh, Collider, ColliderBuilder, ColliderSet, NarrowPhase};
 use rapier3d_f64::math::Vector;
 use rapier3d_f64::pipeline::PhysicsPipeline;
 
 use super::body::{BodyMotion, BodyParameters, BodyShape};
+use super::descent::{Inertia, Motion};
 
 /// Size of the bodies, m: Rapier's tolerances scale with it.
 const LENGTH_UNIT_M: f64 = 0.01;
@@ -117,6 +118,34 @@ impl World {
 
     pub fn pose(&self, handle: RigidBodyHandle) -> Isometry3<f64> {
         (*self.body(handle).position()).into()
+    }
+
+    /// Velocity of a body's centre of mass, and its angular velocity.
+    pub fn motion(&self, handle: RigidBodyHandle) -> Motion {
+        let body = self.body(handle);
+        Motion { linear: from_vector(body.linvel()), angular: from_vector(body.angvel()) }
+    }
+
+    pub fn centre_m(&self, handle: RigidBodyHandle) -> Vector3<f64> {
+        from_vector(self.body(handle).center_of_mass())
+    }
+
+    /// Mean motion of a body on its way from this world to `later`, `dt_s` after it.
+    pub fn motion_to(&self, later: &World, handle: RigidBodyHandle, dt_s: f64) -> Motion {
+        let turn = later.pose(handle).rotation * self.pose(handle).rotation.inverse();
+        Motion {
+            linear: (later.centre_m(handle) - self.centre_m(handle)) / dt_s,
+            angular: turn.scaled_axis() / dt_s,
+        }
+    }
+
+    pub fn inertia(&self, handle: RigidBodyHandle) -> Inertia {
+        let body = self.body(handle);
+        let local = &body.mass_properties().local_mprops;
+        let axes = self.pose(handle).rotation * UnitQuaternion::from(local.principal_inertia_local_frame);
+        let axes = axes.to_rotation_matrix().into_inner();
+        let principal = Matrix3::from_diagonal(&from_vector(local.principal_inertia()));
+        Inertia { mass_kg: body.mass(), moment_kg_m2: axes * principal * axes.transpose() }
     }
 
     /// Gives the body an impulse (N s) at a point, world axes.

@@ -14,6 +14,7 @@ impl Simulation<'_> {
         self.write_tool();
         self.write_contacts();
         self.write_arm();
+        self.write_bodies();
         let state = &mut self.state;
         if self.initial.is_some() {
             state.tick = latched.tick + 1;
@@ -53,7 +54,8 @@ impl Simulation<'_> {
             *slot = pose(&link);
         }
         let wrench = tool.flange_wrench();
-        state.flange_wrench = Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
+        state.flange_wrench =
+            Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
         state.burr_force_n = tool.last_report().burr_normal_force_n.norm();
     }
 
@@ -80,6 +82,14 @@ impl Simulation<'_> {
         state.contacts[listed..].fill(Contact::zeroed());
         state.contact_count = listed as u32;
         state.contact_total = results.len() as u32;
+    }
+
+    fn write_bodies(&mut self) {
+        let Some(rigid) = &self.rigid else { return };
+        self.state.body_count = rigid.body_count() as u32;
+        for (slot, transform) in self.state.t_world_body.iter_mut().zip(rigid.poses()) {
+            *slot = pose(transform);
+        }
     }
 
     fn write_arm(&mut self) {

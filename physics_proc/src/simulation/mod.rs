@@ -4,8 +4,9 @@
 //!
 //! 1. apply the latched commands: arm goal, tendon target, burr speed;
 //! 2. the arm moves along its jerk-limited path; its flange is the manipulator's base;
-//! 3. the proxy spheres of the manipulator ask the bone for contact planes;
-//! 4. the manipulator steps with these planes and the tendon's tension, impulses inside its implicit solve;
+//! 3. the proxy spheres of the manipulator ask the bone and the rigid bodies for contact planes;
+//! 4. the manipulator steps with these planes and the tendon's tension, impulses inside its implicit solve; free bodies
+//!    step with it;
 //! 5. the burr, pressed with the normal force of that solve, takes bone away;
 //! 6. the chained hash takes in commands, state and removed voxels.
 
@@ -24,7 +25,10 @@ use zerocopy::IntoBytes;
 use crate::arm::{Arm, ArmError, ArmSnapshot};
 use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry};
 use crate::contact_plane::ContactPlane;
-use crate::manipulator::{BaseMotion, Manipulator, ManipulatorError, ManipulatorState, StepInput, Wrench};
+use crate::manipulator::{
+    BaseMotion, Manipulator, ManipulatorError, ManipulatorState, SphereKind, StepInput, StepReport, Wrench,
+};
+use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use tendon_drive::{TendonDrive, TendonDriveState};
 
 pub use apply::Refusal;
@@ -56,6 +60,9 @@ pub enum SimulationError {
     /// The arm's.
     #[error("arm: {0}")]
     Arm(#[from] ArmError),
+    /// The rigid bodies'.
+    #[error("rigid bodies: {0}")]
+    Rigid(#[from] RigidError),
 }
 
 /// Everything that a tick changes, bit for bit: see [`Simulation::snapshot`].
@@ -64,6 +71,7 @@ pub struct SimulationSnapshot {
     arm: ArmSnapshot,
     manipulator: ManipulatorState,
     bone: Option<BoneSnapshot>,
+    rigid: Option<RigidSnapshot>,
     tendon: TendonDriveState,
     burr_speed_rad_per_s: f64,
     cutting_energy_j: f64,
@@ -76,6 +84,7 @@ pub struct Simulation<'v> {
     arm: Arm,
     manipulator: Manipulator,
     bone: Option<Bone<'v>>,
+    rigid: Option<RigidScene>,
     planes: Vec<ContactPlane>,
     tendon: TendonDrive,
     burr_speed_rad_per_s: f64,
@@ -142,9 +151,17 @@ impl<'v> Simulation<'v> {
         self.find_contacts();
         let tendon = self.tendon.step(self.dt_s);
         let tip_wrench = Wrench::zero();
-        let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
-        let report = self.manipulator.step(self.dt_s, &input)?;
-        let removed = self.grind(report.burr_normal_force_n.norm())?;
+        let report = match &mut self.rigid {
+            Some(rigid) => {
+                let drive = ToolDrive { base, tendon, tip_wrench };
+                rigid.step(&mut self.manipulator, &drive, &mut self.planes)?
+            }
+            None => {
+                let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
+                self.manipulator.step(self.dt_s, &input)?
+            }
+        };
+        let removed = self.grind(self.burr_force_on_bone_n(&report))?;
         self.update_state(latched, removed);
         self.update_hash(latched);
         Ok(())
@@ -152,13 +169,32 @@ impl<'v> Simulation<'v> {
 
     fn find_contacts(&mut self) {
         self.planes.clear();
-        let Some(bone) = &mut self.bone else { return };
-        bone.contacts.clear();
-        for (index, sphere) in self.manipulator.proxy_spheres().iter().enumerate() {
-            let margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
-            bone.field.contact_planes(index, &sphere.centre_m, sphere.radius_m, margin_m, &mut bone.contacts);
+        if let Some(bone) = &mut self.bone {
+            bone.contacts.clear();
+            for (index, sphere) in self.manipulator.proxy_spheres().iter().enumerate() {
+                let margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
+                let (centre, radius_m) = (&sphere.centre_m, sphere.radius_m);
+                bone.field.contact_planes_tracked(index, centre, radius_m, margin_m, &mut bone.contacts);
+            }
+            self.planes.extend_from_slice(bone.contacts.planes());
         }
-        self.planes.extend_from_slice(bone.contacts.planes());
+        if let Some(rigid) = &mut self.rigid {
+            rigid.find_contacts(self.manipulator.proxy_spheres(), CONTACT_MARGIN_M, &mut self.planes);
+        }
+    }
+
+    /// Normal force of the burr on the bone alone, N.
+    fn burr_force_on_bone_n(&self, report: &StepReport) -> f64 {
+        let Some(rigid) = &self.rigid else { return report.burr_normal_force_n.norm() };
+        let spheres = self.manipulator.proxy_spheres();
+        let mut force_n = Vector3::zeros();
+        for result in self.manipulator.contact_results() {
+            let burr = spheres.get(result.sphere_index).is_some_and(|sphere| sphere.kind == SphereKind::Burr);
+            if burr && rigid.body_of_plane(result.contact_index).is_none() {
+                force_n += result.normal * result.normal_force_n;
+            }
+        }
+        force_n.norm()
     }
 
     fn grind(&mut self, normal_force_n: f64) -> Result<usize, SimulationError> {
@@ -191,6 +227,7 @@ impl<'v> Simulation<'v> {
             arm: self.arm.snapshot(),
             manipulator: self.manipulator.snapshot(),
             bone: self.bone.as_ref().map(|bone| bone.field.snapshot()),
+            rigid: self.rigid.as_ref().map(RigidScene::snapshot),
             tendon: self.tendon.snapshot(),
             burr_speed_rad_per_s: self.burr_speed_rad_per_s,
             cutting_energy_j: self.cutting_energy_j,
@@ -207,6 +244,9 @@ impl<'v> Simulation<'v> {
         self.manipulator.restore(&snapshot.manipulator);
         if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
             bone.field.restore(saved)?;
+        }
+        if let (Some(rigid), Some(saved)) = (&mut self.rigid, &snapshot.rigid) {
+            rigid.restore(saved);
         }
         self.tendon.restore(&snapshot.tendon);
         self.burr_speed_rad_per_s = snapshot.burr_speed_rad_per_s;

@@ -1,7 +1,7 @@
 //! From a scene's units and keys to the parameters of the parts.
 
 use ipc_types::messages::State;
-use ipc_types::scene::{Integrator as SceneIntegrator, Scene, Tool};
+use ipc_types::scene::{Body, BodyMotion as SceneMotion, Integrator as SceneIntegrator, Scene, Tool};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::tendon_drive::TendonDrive;
@@ -9,6 +9,7 @@ use super::{Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, place_base_for};
 use crate::bone::{BoneField, BoneParameters, ContactBuffer};
 use crate::manipulator::{BaseMotion, Integrator, MAX_CONTACTS, Manipulator, ManipulatorParameters};
+use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
 pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
     let parameters = manipulator_parameters(scene);
@@ -26,12 +27,21 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
             (Some(bone), predrilled)
         }
     };
+    let sphere_count = manipulator.proxy_spheres().len();
+    let rigid = if scene.body.is_empty() {
+        None
+    } else {
+        let bodies: Vec<BodyParameters> = scene.body.iter().map(body).collect();
+        let gravity_m_per_s2 = Vector3::from(scene.gravity_m_per_s2);
+        Some(RigidScene::new(&bodies, &gravity_m_per_s2, scene.dt_s(), sphere_count)?)
+    };
     Ok(Simulation {
         dt_s: scene.dt_s(),
         arm,
         manipulator,
         bone,
-        planes: Vec::with_capacity(MAX_CONTACTS),
+        rigid,
+        planes: Vec::with_capacity(MAX_CONTACTS + sphere_count * scene.body.len()),
         tendon: TendonDrive::new(),
         burr_speed_rad_per_s: 0.0,
         cutting_energy_j: 0.0,
@@ -66,6 +76,7 @@ pub fn manipulator_parameters(scene: &Scene) -> ManipulatorParameters {
     if let Some(diameter_mm) = overrides.burr_diameter_mm {
         parameters.burr_radius_m = diameter_mm * 0.5e-3;
     }
+    parameters.gravity_m_per_s2 = Vector3::from(scene.gravity_m_per_s2);
     parameters.integrator = match overrides.integrator {
         Some(SceneIntegrator::LinearlyImplicitEuler) => Integrator::LinearlyImplicitEuler,
         Some(SceneIntegrator::Hybrid) | None => Integrator::Hybrid,
@@ -91,6 +102,32 @@ fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> 
     Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&turn))
 }
 
+/// A body in SI units.
+fn body(body: &Body) -> BodyParameters {
+    let shape = if let Some(cuboid) = &body.cuboid {
+        BodyShape::Box { half_extents_m: Vector3::from(cuboid.half_extents_mm) * 1e-3 }
+    } else if let Some(capsule) = &body.capsule {
+        BodyShape::Capsule {
+            half_height_m: capsule.half_height_mm * 1e-3,
+            radius_m: capsule.radius_mm * 1e-3,
+        }
+    } else {
+        // A scene's body has one shape; a radius of 0 is refused.
+        BodyShape::Ball { radius_m: body.ball.as_ref().map_or(0.0, |ball| ball.radius_mm * 1e-3) }
+    };
+    let turn_rad = Vector3::from(body.rotation_vector_deg) * (core::f64::consts::PI / 180.0);
+    let t_world_body = Isometry3::from_parts(
+        Translation3::from(Vector3::from(body.position_mm) * 1e-3),
+        UnitQuaternion::from_scaled_axis(turn_rad),
+    );
+    let motion = match body.motion {
+        SceneMotion::Fixed => BodyMotion::Fixed,
+        SceneMotion::Free => BodyMotion::Free,
+    };
+    let (density_kg_per_m3, friction) = (body.density_kg_per_m3, body.friction);
+    BodyParameters { name: body.name.clone(), shape, t_world_body, motion, density_kg_per_m3, friction }
+}
+
 fn arm(scene: &Scene, t_world_flange: &Isometry3<f64>) -> Result<Arm, SimulationError> {
     let mut parameters = ArmParameters::ur5(scene.dt_s());
     let (t_world_arm_base, joints) = place_base_for(&parameters.geometry, t_world_flange);
@@ -101,7 +138,11 @@ fn arm(scene: &Scene, t_world_flange: &Isometry3<f64>) -> Result<Arm, Simulation
     Ok(Arm::new(parameters, &joints)?)
 }
 
-fn bone<'v>(scene: &Scene, ct: CtView<'v>, max_burr_radius_m: f64) -> Result<(Bone<'v>, Vec<u32>), SimulationError> {
+fn bone<'v>(
+    scene: &Scene,
+    ct: CtView<'v>,
+    max_burr_radius_m: f64,
+) -> Result<(Bone<'v>, Vec<u32>), SimulationError> {
     let mut parameters = BoneParameters { max_burr_radius_m, ..BoneParameters::default() };
     if let Some(volume) = &scene.volume {
         parameters.threshold_hu = volume.bone_threshold_hu;

@@ -11,7 +11,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
 /// Long enough for any test on a loaded machine; only a hang reaches it.
-pub const LIMIT: Duration = Duration::from_secs(240);
+pub const LIMIT: Duration = Duration::from_secs(90);
 const LOOK: Duration = Duration::from_millis(5);
 
 /// How a command ended and what it said.

@@ -1,0 +1,125 @@
+//! Which voxels can be nearest to a sphere: those within reach without bone beside them towards the centre.
+
+use nalgebra::Vector3;
+
+use super::field::BoneField;
+use super::grid::floor_to_i64;
+use super::occupancy::{VoxelBox, WINDOW_VOXELS};
+
+/// Voxels of a row examined at once: a window less one on either side for the neighbours along x.
+const COLUMNS: i64 = WINDOW_VOXELS - 2;
+/// What the reach is widened by for the rows and columns looked at, in voxels: far above the rounding of a coordinate, so
+/// that the caller's own distance alone decides which voxels count.
+const ROUNDING_VOXELS: f64 = 1e-6;
+
+/// A sphere in the grid's metric frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sphere {
+    pub centre: Vector3<f64>,
+    /// The voxel that holds the centre, possibly outside the grid.
+    pub voxel: [i64; 3],
+    /// Radius plus margin in metres.
+    pub reach: f64,
+}
+
+/// The columns of voxels that a window shows. Bit 0 of the window is the voxel before the first wanted one.
+struct Columns {
+    /// The wanted voxels before the centre's column; their neighbour towards the centre is the next one.
+    before: u64,
+    /// The centre's own column.
+    own: u64,
+    /// The wanted voxels behind it.
+    behind: u64,
+}
+
+impl Columns {
+    fn new(start: i64, count: i64, centre: i64) -> Self {
+        let wanted = ((1u64 << count) - 1) << 1;
+        let column = centre - (start - 1);
+        let below = |bit: i64| if bit <= 0 { 0 } else { u64::MAX >> (64 - bit.min(64)) };
+        Self {
+            before: wanted & below(column),
+            own: wanted & below(column + 1) & !below(column),
+            behind: wanted & !below(column + 1),
+        }
+    }
+
+    /// The wanted bone voxels without bone beside them towards the centre.
+    #[inline]
+    fn exposed(&self, row: u64) -> u64 {
+        row & ((self.before & !(row >> 1)) | self.own | (self.behind & !(row << 1)))
+    }
+}
+
+impl BoneField {
+    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no neighbour between itself and the
+    /// centre, and possibly with some that are farther by rounding; slices outermost, x fastest. Returns the voxels that the
+    /// result depends on, or `None` if none is in the grid.
+    #[inline]
+    pub(super) fn gather(&self, sphere: &Sphere, mut visit: impl FnMut([i64; 3])) -> Option<VoxelBox> {
+        let [hx, hy, hz] = self.geometry.spacing_m;
+        let reach = sphere.reach + ROUNDING_VOXELS * hx.max(hy).max(hz);
+        let voxels = self.occupancy.voxels_around(sphere.centre.into(), reach, self.geometry.spacing_m)?;
+        if !self.occupancy.any_in(&voxels) {
+            return Some(voxels);
+        }
+        let [_, ny, nz] = self.geometry.dims;
+        let (row_stride, slice_stride) = (self.occupancy.row_stride(), self.occupancy.slice_stride());
+        let per_hy = 1.0 / hy;
+        let reach2 = reach * reach;
+        for start in (voxels.low[0]..=voxels.high[0]).step_by(COLUMNS as usize) {
+            let count = (voxels.high[0] - start + 1).min(COLUMNS);
+            let columns = Columns::new(start, count, sphere.voxel[0]);
+            let place = self.occupancy.window_place(start - 1);
+            for k in voxels.low[2]..=voxels.high[2] {
+                let to_z = outside(sphere.centre.z - k as f64 * hz, hz);
+                let room_z = reach2 - to_z * to_z;
+                if room_z < 0.0 {
+                    continue;
+                }
+                let half = room_z.sqrt();
+                let low = floor_to_i64((sphere.centre.y - half) * per_hy + 0.5).max(voxels.low[1]);
+                let high = floor_to_i64((sphere.centre.y + half) * per_hy + 0.5).min(voxels.high[1]);
+                let (next_k, mask_z) = towards(k, sphere.voxel[2], nz);
+                let (slice, next_slice) = (k as usize * slice_stride, next_k * slice_stride);
+                for j in low..high + 1 {
+                    let row = j as usize * row_stride;
+                    let exposed = columns.exposed(self.occupancy.window_at(place, slice + row));
+                    if exposed == 0 {
+                        continue;
+                    }
+                    let (next_j, mask_y) = towards(j, sphere.voxel[1], ny);
+                    let above = self.occupancy.window_at(place, next_slice + row);
+                    let beside = self.occupancy.window_at(place, slice + next_j * row_stride);
+                    let mut bits = exposed & !(above & mask_z) & !(beside & mask_y);
+                    while bits != 0 {
+                        let i = start - 1 + i64::from(bits.trailing_zeros());
+                        bits &= bits - 1;
+                        let to_x = outside(sphere.centre.x - i as f64 * hx, hx);
+                        let to_y = outside(sphere.centre.y - j as f64 * hy, hy);
+                        if to_x * to_x + to_y * to_y < room_z {
+                            visit([i, j, k]);
+                        }
+                    }
+                }
+            }
+        }
+        Some(voxels)
+    }
+}
+
+/// Signed distance along one axis from a voxel's slab to a point whose offset from the slab's middle is `offset`; 0 inside.
+#[inline]
+pub(super) fn outside(offset: f64, width: f64) -> f64 {
+    let half = 0.5 * width;
+    // Without a branch: which side it is is unpredictable.
+    let above = if offset > -half { offset } else { -half };
+    offset - if above < half { above } else { half }
+}
+
+/// The index next to `from`, which is in `0..count`, towards `to`, and all ones; or `from` and 0 if there is no such index.
+#[inline]
+fn towards(from: i64, to: i64, count: usize) -> (usize, u64) {
+    let next = (from + i64::from(to > from) - i64::from(to < from)).clamp(0, count as i64 - 1);
+    (next as usize, if next == from { 0 } else { u64::MAX })
+}

@@ -1,0 +1,227 @@
+//! The voxels that may be nearest to a sphere, and how far they are: numbers side by side, for loops without branches.
+
+use nalgebra::Vector3;
+
+use super::field::BoneField;
+use super::gather::{Sphere, outside};
+use super::strength::NO_PLACE;
+
+/// Voxels kept a sphere.
+pub(super) const MAX_NEAR: usize = 256;
+/// Numbers compared at a time.
+const LANES: usize = 4;
+/// Seeds nearer than this angle (its cosine) to a plane or its seed belong to that plane: 60 degrees.
+const SAME_PLANE_COSINE: f64 = 0.5;
+
+/// Voxels, in the order in which they were found.
+#[derive(Debug, Clone)]
+pub(super) struct NearVoxels {
+    count: usize,
+    /// Centres along each grid axis, metres.
+    position: [[f64; MAX_NEAR]; 3],
+    /// Where each one's spent fraction is kept.
+    place: [usize; MAX_NEAR],
+    any_place: bool,
+}
+
+impl NearVoxels {
+    pub fn new() -> Self {
+        Self { count: 0, position: [[0.0; MAX_NEAR]; 3], place: [NO_PLACE; MAX_NEAR], any_place: false }
+    }
+
+    pub fn clear(&mut self) {
+        self.count = 0;
+        self.any_place = false;
+    }
+
+    /// Adds a voxel; false if there is no room.
+    #[inline]
+    pub fn push(&mut self, position: [f64; 3], place: usize) -> bool {
+        let room = self.count < MAX_NEAR;
+        if room {
+            self.put(self.count, position, place);
+            self.count += 1;
+        }
+        room
+    }
+
+    /// Adds a voxel, in the place of the one whose box is farthest if there is no room.
+    pub fn push_nearest(&mut self, sphere: &Sphere, spacing: &[f64; 3], position: [f64; 3], place: usize) {
+        if self.push(position, place) {
+            return;
+        }
+        let distance2 = |position: [f64; 3]| {
+            let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
+            to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2]
+        };
+        let mut farthest = (0, 0.0);
+        for voxel in 0..MAX_NEAR {
+            let other = distance2([0, 1, 2].map(|a| self.position[a][voxel]));
+            if other > farthest.1 {
+                farthest = (voxel, other);
+            }
+        }
+        if distance2(position) < farthest.1 {
+            self.put(farthest.0, position, place);
+        }
+    }
+
+    #[inline]
+    fn put(&mut self, voxel: usize, position: [f64; 3], place: usize) {
+        for (along, position) in self.position.iter_mut().zip(position) {
+            along[voxel] = position;
+        }
+        self.place[voxel] = place;
+        self.any_place |= place != NO_PLACE;
+    }
+}
+
+/// A voxel that is nearest.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Seed {
+    /// From the voxel to the sphere's centre, grid frame, metres.
+    pub offset: Vector3<f64>,
+    /// Square of the offset's length.
+    pub length2: f64,
+    /// Square of the distance from the sphere's centre to the voxel's surface.
+    pub distance2: f64,
+}
+
+/// The voxels seen from the sphere. Squares, because few of them need their root.
+#[derive(Debug, Clone)]
+pub(super) struct Candidates {
+    count: usize,
+    offset: [[f64; MAX_NEAR]; 3],
+    length2: [f64; MAX_NEAR],
+    /// Infinite for a voxel out of reach or dropped, and from `count` on up to a multiple of `LANES`.
+    distance2: [f64; MAX_NEAR],
+}
+
+impl Candidates {
+    pub fn new() -> Self {
+        Self {
+            count: 0,
+            offset: [[0.0; MAX_NEAR]; 3],
+            length2: [0.0; MAX_NEAR],
+            distance2: [f64::INFINITY; MAX_NEAR],
+        }
+    }
+
+    /// Distances to the boxes of whole voxels; those of `sphere.reach` and more do not count.
+    fn see_boxes(&mut self, near: &NearVoxels, sphere: &Sphere, spacing: &[f64; 3]) {
+        let count = near.count;
+        self.count = count;
+        let [x, y, z] = [0, 1, 2].map(|a| &near.position[a][..count]);
+        let [to_x, to_y, to_z] = &mut self.offset;
+        let (to_x, to_y, to_z) = (&mut to_x[..count], &mut to_y[..count], &mut to_z[..count]);
+        let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
+        let reach2 = sphere.reach * sphere.reach;
+        for voxel in 0..count {
+            let to_box = [
+                outside(sphere.centre.x - x[voxel], spacing[0]),
+                outside(sphere.centre.y - y[voxel], spacing[1]),
+                outside(sphere.centre.z - z[voxel], spacing[2]),
+            ];
+            let square = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
+            (to_x[voxel], to_y[voxel], to_z[voxel]) = (to_box[0], to_box[1], to_box[2]);
+            length2[voxel] = square;
+            distance2[voxel] = if square < reach2 { square } else { f64::INFINITY };
+        }
+        self.distance2[count..count.next_multiple_of(LANES)].fill(f64::INFINITY);
+    }
+
+    fn put(&mut self, voxel: usize, seed: &Seed) {
+        for axis in 0..3 {
+            self.offset[axis][voxel] = seed.offset[axis];
+        }
+        self.length2[voxel] = seed.length2;
+        self.distance2[voxel] = seed.distance2;
+    }
+
+    /// Drops the candidates that lie within 60 degrees of either direction.
+    pub fn drop_near(&mut self, first: &Vector3<f64>, second: &Vector3<f64>) {
+        const LIMIT: f64 = SAME_PLANE_COSINE * SAME_PLANE_COSINE;
+        let count = self.count;
+        let [x, y, z] = [0, 1, 2].map(|a| &self.offset[a][..count]);
+        let (length2, distance2) = (&self.length2[..count], &mut self.distance2[..count]);
+        for voxel in 0..count {
+            let along_first = x[voxel] * first.x + y[voxel] * first.y + z[voxel] * first.z;
+            let along_second = x[voxel] * second.x + y[voxel] * second.y + z[voxel] * second.z;
+            let along = if along_first > along_second { along_first } else { along_second };
+            let near = along * along.abs() > LIMIT * length2[voxel];
+            distance2[voxel] = if near { f64::INFINITY } else { distance2[voxel] };
+        }
+    }
+
+    /// The first of the nearest candidates.
+    pub fn nearest(&self) -> Option<Seed> {
+        let padded = &self.distance2[..self.count.next_multiple_of(LANES)];
+        let mut low = [f64::INFINITY; LANES];
+        for lanes in padded.chunks_exact(LANES) {
+            for (low, distance2) in low.iter_mut().zip(lanes) {
+                *low = if *distance2 < *low { *distance2 } else { *low };
+            }
+        }
+        let distance2 = low.iter().fold(f64::INFINITY, |low, x| if *x < low { *x } else { low });
+        if distance2 == f64::INFINITY {
+            return None;
+        }
+        let voxel = padded.iter().position(|x| *x == distance2)?;
+        let offset = Vector3::from([0, 1, 2].map(|a| self.offset[a][voxel]));
+        Some(Seed { offset, length2: self.length2[voxel], distance2 })
+    }
+}
+
+impl BoneField {
+    /// How far the near voxels' surfaces are from a sphere; those out of its reach do not count.
+    pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
+        candidates.see_boxes(near, sphere, &self.geometry.spacing_m);
+        let on_a_box = candidates.nearest().is_some_and(|seed| seed.distance2 <= 0.0);
+        if !near.any_place && !on_a_box {
+            return;
+        }
+        for voxel in 0..near.count {
+            let spent = self.pool.spent_at(near.place[voxel]);
+            let box_distance2 = candidates.distance2[voxel];
+            if box_distance2 < f64::INFINITY && (spent > 0.0 || box_distance2 <= 0.0) {
+                let position = [0, 1, 2].map(|a| near.position[a][voxel]);
+                let to_box = [0, 1, 2].map(|a| candidates.offset[a][voxel]);
+                match self.see_cut(sphere, &position, to_box, spent) {
+                    Some(seed) => candidates.put(voxel, &seed),
+                    None => candidates.distance2[voxel] = f64::INFINITY,
+                }
+            }
+        }
+    }
+
+    /// A voxel that is cut in part or whose box holds the centre; `None` if its surface is out of reach.
+    fn see_cut(&self, sphere: &Sphere, position: &[f64; 3], to_box: [f64; 3], spent: f64) -> Option<Seed> {
+        let surface = self.voxel_surface(&sphere.centre, position, to_box, spent);
+        let offset = if surface.cut {
+            surface.from_centre
+        } else if surface.distance > 0.0 {
+            Vector3::from(to_box)
+        } else {
+            // The centre lies exactly on the voxel's boundary: out through the face it lies on.
+            self.face_direction(&surface.from_centre)
+        };
+        let length2 = offset.norm_squared();
+        let distance2 = surface.distance * surface.distance;
+        // A voxel that is more than half cut and holds the centre at its middle has no direction to push in.
+        (surface.distance < sphere.reach && length2 > 0.0).then_some(Seed { offset, length2, distance2 })
+    }
+
+    /// Unit vector along the axis on which an offset from a voxel's centre is largest in voxels.
+    fn face_direction(&self, from_centre: &Vector3<f64>) -> Vector3<f64> {
+        let in_voxels = [0, 1, 2].map(|a| (from_centre[a] / self.geometry.spacing_m[a]).abs());
+        let mut axis = 0;
+        for other in 1..3 {
+            if in_voxels[other] > in_voxels[axis] {
+                axis = other;
+            }
+        }
+        let mut direction = Vector3::zeros();
+        direction[axis] = if from_centre[axis] < 0.0 { -1.0 } else { 1.0 };
+        direction
+    }
+}

@@ -1,0 +1,173 @@
+//! The smoothed surface for the widest tent, in whole numbers.
+//!
+//! Over the seven voxels that a tent of half width 3 meets, the weights are quadratic polynomials of where the point lies
+//! between two faces, `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. So the smoothed occupancy is a polynomial in
+//! (u_x, u_y, u_z) whose 27 coefficients are sums of small whole numbers over the voxels that are bone: no rounding, and three
+//! coefficients fit one word.
+
+use nalgebra::Vector3;
+
+use super::field::BoneField;
+use super::surface::SurfaceSample;
+
+/// Voxels along an axis.
+pub(super) const SPLINE_VOXELS: usize = 7;
+/// Eighteen times the integral of the tent over each voxel: coefficients of 1, u, u². From the tent's heights at the faces,
+/// u/3, (u+1)/3, (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
+const WEIGHT_18: [[i64; 3]; SPLINE_VOXELS] =
+    [[0, 0, 1], [1, 2, 0], [3, 2, 0], [5, 2, -2], [5, -2, 0], [3, -2, 0], [1, -2, 1]];
+/// Bits of a field. The largest sum, of 7 x 7 x 7 products, is below 2^15.
+const FIELD_BITS: u32 = 21;
+/// Inverse of 18 cubed.
+const PER_18_CUBED: f64 = 1.0 / 5832.0;
+
+/// Sums of the three coefficients along x, a field each, by which of seven voxels are bone.
+const ROW_SUMS: [i64; 1 << SPLINE_VOXELS] = {
+    let mut sums = [0; 1 << SPLINE_VOXELS];
+    let mut bits = 1usize;
+    while bits < sums.len() {
+        let [one, u, u2] = WEIGHT_18[bits.trailing_zeros() as usize];
+        sums[bits] = sums[bits & (bits - 1)] + one + (u << FIELD_BITS) + (u2 << (2 * FIELD_BITS));
+        bits += 1;
+    }
+    sums
+};
+
+/// Sums over seven rows, or slices, by the power of u.
+#[inline]
+fn combine(p: &[i64; SPLINE_VOXELS]) -> [i64; 3] {
+    // The columns of WEIGHT_18.
+    let outer = p[1] + p[6] + 3 * (p[2] + p[5]) + 5 * (p[3] + p[4]);
+    [outer, 2 * (p[1] + p[2] + p[3] - p[4] - p[5] - p[6]), p[0] + p[6] - 2 * p[3]]
+}
+
+/// The three fields of a word, lowest first.
+#[inline]
+fn fields(word: i64) -> [f64; 3] {
+    const UNUSED: u32 = i64::BITS - FIELD_BITS;
+    let low = (word << UNUSED) >> UNUSED;
+    let rest = (word - low) >> FIELD_BITS;
+    let middle = (rest << UNUSED) >> UNUSED;
+    [low as f64, middle as f64, ((rest - middle) >> FIELD_BITS) as f64]
+}
+
+#[inline]
+fn value(c: [f64; 3], u: f64) -> f64 {
+    c[0] + u * (c[1] + u * c[2])
+}
+
+#[inline]
+fn slope(c: [f64; 3], u: f64) -> f64 {
+    c[1] + 2.0 * u * c[2]
+}
+
+/// Weight and rise of each voxel along an axis.
+fn weights(u: f64) -> [[f64; 2]; SPLINE_VOXELS] {
+    WEIGHT_18.map(|c| {
+        let c = c.map(|x| x as f64 / 18.0);
+        [value(c, u), slope(c, u)]
+    })
+}
+
+impl BoneField {
+    /// The smoothed occupancy and its slopes along u about the voxels `start..start + 7` of each axis.
+    pub(super) fn sample_spline(&self, start: [i64; 3], u: [f64; 3]) -> SurfaceSample {
+        let mut slices = [[0; 3]; SPLINE_VOXELS];
+        let mut rows = [[0u8; SPLINE_VOXELS]; SPLINE_VOXELS];
+        self.occupancy.cube(start, &mut rows);
+        for (slice, rows) in slices.iter_mut().zip(&rows) {
+            *slice = combine(&rows.map(|bits| ROW_SUMS[usize::from(bits & 0x7f)]));
+        }
+        let by_y = [0, 1, 2].map(|y_power| combine(&slices.map(|slice| slice[y_power])));
+        let (mut level, mut slope_x, mut slope_y) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        for z_power in 0..3 {
+            let along_x = by_y.map(|words| fields(words[z_power]));
+            let values = along_x.map(|c| value(c, u[0]));
+            level[z_power] = value(values, u[1]);
+            slope_x[z_power] = value(along_x.map(|c| slope(c, u[0])), u[1]);
+            slope_y[z_power] = slope(values, u[1]);
+        }
+        let slopes = Vector3::new(value(slope_x, u[2]), value(slope_y, u[2]), slope(level, u[2]));
+        let mut sample =
+            SurfaceSample { outward_per_m: slopes * PER_18_CUBED, level: value(level, u[2]) * PER_18_CUBED };
+        if self.pool.any_block_in(start, SPLINE_VOXELS as i64 - 1) {
+            self.take_spent(start, &u.map(weights), &rows, &mut sample);
+        }
+        sample
+    }
+
+    /// Takes what is spent of the bone from a sample.
+    fn take_spent(
+        &self,
+        start: [i64; 3],
+        [x, y, z]: &[[[f64; 2]; SPLINE_VOXELS]; 3],
+        rows: &[[u8; SPLINE_VOXELS]; SPLINE_VOXELS],
+        sample: &mut SurfaceSample,
+    ) {
+        for (slice, row) in
+            (0..SPLINE_VOXELS).flat_map(|slice| (0..SPLINE_VOXELS).map(move |row| (slice, row)))
+        {
+            let solid = rows[slice][row] & 0x7f;
+            if solid == 0 {
+                continue;
+            }
+            // Bone lies in the grid.
+            let (j, k) = ((start[1] + row as i64) as usize, (start[2] + slice as i64) as usize);
+            let mut partial = solid & self.pool.partial_window(start[0], j, k);
+            while partial != 0 {
+                let voxel = partial.trailing_zeros() as usize;
+                partial &= partial - 1;
+                let spent = self.pool.spent((start[0] + voxel as i64) as usize, j, k);
+                let ([x, x_rise], [y, y_rise], [z, z_rise]) = (x[voxel], y[row], z[slice]);
+                sample.level -= x * y * z * spent;
+                sample.outward_per_m -= Vector3::new(x_rise * y * z, x * y_rise * z, x * y * z_rise) * spent;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use crate::bone::{BoneField, BoneParameters, BurrState, GridGeometry};
+
+    /// The polynomial against the sums of the tents, on scattered voxels cut in part, inside the grid and across its ends.
+    /// Tolerance 1e-12: rounding of some hundred terms below 1.
+    #[test]
+    fn polynomial_is_the_sum_of_the_tents() {
+        let dims = [19, 17, 15];
+        let geometry = GridGeometry::axis_aligned(dims, [0.5e-3, 0.4e-3, 0.6e-3], Vector3::zeros());
+        let mut random = 1u64;
+        let mut next = || {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (random >> 40) as f64 / (1u64 << 24) as f64
+        };
+        let hu: Vec<i16> =
+            (0..geometry.voxel_count()).map(|_| if next() < 0.6 { 400 } else { -1000 }).collect();
+        let mut field = BoneField::new(geometry, &hu, BoneParameters::default()).unwrap();
+        let burr = BurrState {
+            centre_m: Vector3::new(4.0e-3, 3.0e-3, 4.0e-3),
+            radius_m: 3.0e-3,
+            speed_rad_s: 800.0,
+            normal_force_n: 5.0,
+        };
+        let report = field.grind(&hu, &burr, 0.05).unwrap();
+        assert!(report.cut_count > 100 && report.removed_count == 0);
+        let tent = field.tent_sizes(3.0e-3);
+        let mut worst: f64 = 0.0;
+        for _ in 0..2000 {
+            let position = dims.map(|n| (n as f64 + 10.0) * next() - 5.0);
+            let mut point = Vector3::from(position);
+            point.iter_mut().zip(field.geometry.spacing_m).for_each(|(x, spacing)| *x *= spacing);
+            let fast = field.sample_surface(&point, &tent);
+            let mut slow = field.sample_tents(position, &tent);
+            for axis in 0..3 {
+                slow.outward_per_m[axis] -= fast.outward_per_m[axis] * field.geometry.spacing_m[axis];
+            }
+            worst = worst.max(slow.outward_per_m.norm()).max((slow.level - fast.level).abs());
+        }
+        println!("polynomial against tents: at most {worst:.1e}");
+        assert!(worst < 1e-12);
+    }
+}
