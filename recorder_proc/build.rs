@@ -1,6 +1,14 @@
-//! Tells the crate which target and compiler it is built with: both go into every log's header.
+//! Tells the crate with which target and compiler it is built, and from which source of everything that decides a
+//! tick: these go into every log's header, so that a log of another build is refused by name.
 
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::Command;
+
+use sha2::{Digest, Sha256};
+
+/// What decides a tick, from this crate's folder.
+const SOURCES: [&str; 4] = ["../physics_proc/src", "../ipc_types/src", "../volume_io/src", "../Cargo.lock"];
 
 fn main() {
     let target = std::env::var("TARGET").unwrap_or_default();
@@ -9,5 +17,27 @@ fn main() {
     let version = version.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_string());
     println!("cargo::rustc-env=TRABECULA_TARGET={target}");
     println!("cargo::rustc-env=TRABECULA_RUSTC={}", version.unwrap_or_default());
+    println!("cargo::rustc-env=TRABECULA_SOURCE={}", source_hash());
     println!("cargo::rerun-if-changed=build.rs");
+    SOURCES.iter().for_each(|source| println!("cargo::rerun-if-changed={source}"));
+}
+
+/// First 12 digits of the SHA-256 of all names and contents, in order of the names.
+fn source_hash() -> String {
+    let mut files = Vec::new();
+    SOURCES.iter().for_each(|source| collect(Path::new(source), &mut files));
+    files.sort();
+    let mut hasher = Sha256::new();
+    for file in files {
+        hasher.update(file.to_string_lossy().as_bytes());
+        hasher.update(fs::read(&file).unwrap_or_default());
+    }
+    hasher.finalize().iter().take(6).map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn collect(path: &Path, files: &mut Vec<PathBuf>) {
+    match fs::read_dir(path) {
+        Ok(entries) => entries.flatten().for_each(|entry| collect(&entry.path(), files)),
+        Err(_) => files.push(path.to_owned()),
+    }
 }

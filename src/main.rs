@@ -1,5 +1,8 @@
 //! `trabecula`: launches, watches, records and replays image-guided bone drilling across processes.
 
+#[macro_use]
+mod say;
+
 mod bench;
 mod commands;
 mod failure;

@@ -90,7 +90,9 @@ impl CurvedDrillingController {
         let back_m = (plan.insertion_mm - plan.retraction_mm).max(0.0) * 1e-3;
         self.phase = match self.phase {
             Phase::Feeding if inserted_m >= end_m - ARRIVED_M => Phase::Arrived { since_s: time_s },
-            Phase::Arrived { since_s } if plan.retraction_mm > 0.0 && time_s - since_s >= REST_S => Phase::Retracting,
+            Phase::Arrived { since_s } if plan.retraction_mm > 0.0 && time_s - since_s >= REST_S => {
+                Phase::Retracting
+            }
             same => same,
         };
         match self.phase {
@@ -138,7 +140,8 @@ impl CurvedDrillingController {
 impl Controller for CurvedDrillingController {
     fn step(&mut self, state: &State, command: &mut Command) {
         let start = self.begin(state);
-        let inserted_m = (position_m(&state.t_world_flange) - position_m(&start.t_world_flange)).dot(&start.along);
+        let inserted_m =
+            (position_m(&state.t_world_flange) - position_m(&start.t_world_flange)).dot(&start.along);
         command.tendon_mode = TENDON_SERVO_JF;
         let planned = self.planned_tension_n(inserted_m);
         let corrected = if planned > 0.0 { planned + self.correction_n } else { 0.0 };
@@ -165,7 +168,9 @@ impl Controller for CurvedDrillingController {
             return;
         };
         let normal = start.along.cross(&start.bend);
-        let Some(seen_m) = back_project(&frame.geometry, sighting.pixel, &start.burr_m, &normal) else { return };
+        let Some(seen_m) = back_project(&frame.geometry, sighting.pixel, &start.burr_m, &normal) else {
+            return;
+        };
         let offset_mm = (seen_m - position_m(&prior)).norm() * 1e3;
         let error_m = self.correct(&start, &seen_m);
         self.remark = Some(match error_m {

@@ -34,7 +34,12 @@ pub fn project(c_arm: &CArmGeometry, point_m: &Vector3<f64>) -> Option<([f64; 2]
 }
 
 /// Where the ray through a pixel meets the plane through `origin_m` with this normal; `None` if it runs along it.
-pub fn back_project(c_arm: &CArmGeometry, pixel: [f64; 2], origin_m: &Vector3<f64>, normal: &Vector3<f64>) -> Option<Vector3<f64>> {
+pub fn back_project(
+    c_arm: &CArmGeometry,
+    pixel: [f64; 2],
+    origin_m: &Vector3<f64>,
+    normal: &Vector3<f64>,
+) -> Option<Vector3<f64>> {
     let source = Vector3::from(c_arm.source_m);
     let across = (pixel[0] - 0.5 * f64::from(c_arm.columns - 1)) * c_arm.pixel_pitch_m[0];
     let down = (pixel[1] - 0.5 * f64::from(c_arm.rows - 1)) * c_arm.pixel_pitch_m[1];

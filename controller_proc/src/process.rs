@@ -3,11 +3,11 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{
-    Command, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, Frame, ImagePrefix, PHASE_ENDED, RunStatus, SENDER_CONTROLLER,
-    SEVERITY_WARNING, State,
-};
 use ipc_types::layout::Message;
+use ipc_types::messages::{
+    Command, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, Frame, ImagePrefix, PHASE_ENDED, RunStatus,
+    SENDER_CONTROLLER, SEVERITY_WARNING, State,
+};
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, session_scene};
 use ipc_types::scene::{Mode, Scene, SceneError};
@@ -73,7 +73,11 @@ pub fn run(session_folder: &Path, name: &str) -> Result<(), ControllerError> {
 ///
 /// # Errors
 /// Any [`ControllerError`].
-pub fn run_controller(session_folder: &Path, name: &str, controller: &mut dyn Controller) -> Result<(), ControllerError> {
+pub fn run_controller(
+    session_folder: &Path,
+    name: &str,
+    controller: &mut dyn Controller,
+) -> Result<(), ControllerError> {
     let end = EndRequest::install().map_err(ControllerError::Signals)?;
     let mut ports = Ports::open(session_folder, name)?;
     let mut sequence = 0;
@@ -133,7 +137,12 @@ impl Ports {
         Ok(status.is_some_and(|status| status.message().phase == PHASE_ENDED))
     }
 
-    fn frames_for(&mut self, tick: u64, controller: &mut dyn Controller, end: &EndRequest) -> Result<(), ControllerError> {
+    fn frames_for(
+        &mut self,
+        tick: u64,
+        controller: &mut dyn Controller,
+        end: &EndRequest,
+    ) -> Result<(), ControllerError> {
         match &mut self.frames {
             Some(frames) if self.lockstep => frames.due(tick, controller, end),
             Some(frames) => frames.arrived(controller),
@@ -172,7 +181,12 @@ impl Frames {
         Ok(())
     }
 
-    fn due(&mut self, tick: u64, controller: &mut dyn Controller, end: &EndRequest) -> Result<(), ControllerError> {
+    fn due(
+        &mut self,
+        tick: u64,
+        controller: &mut dyn Controller,
+        end: &EndRequest,
+    ) -> Result<(), ControllerError> {
         let Some(period) = self.period_ticks else { return Ok(()) };
         let delay = (period / 2).max(1);
         if tick < delay || !(tick - delay).is_multiple_of(period) {

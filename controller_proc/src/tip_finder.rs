@@ -30,7 +30,12 @@ pub struct TipSighting {
 
 /// Looks for a burr of this radius near `t_world_burr` in a mono16 frame in which metal is dark. `None` if the window
 /// is outside the image or holds no metal.
-pub fn find_tip(c_arm: &CArmGeometry, pixels: &[u16], t_world_burr: &Pose, radius_m: f64) -> Option<TipSighting> {
+pub fn find_tip(
+    c_arm: &CArmGeometry,
+    pixels: &[u16],
+    t_world_burr: &Pose,
+    radius_m: f64,
+) -> Option<TipSighting> {
     let centre = position_m(t_world_burr);
     let ahead = centre + rotation(t_world_burr) * nalgebra::Vector3::new(0.0, 0.0, radius_m);
     let (expected, pixels_per_m) = project(c_arm, &centre)?;
@@ -61,7 +66,12 @@ pub fn find_tip(c_arm: &CArmGeometry, pixels: &[u16], t_world_burr: &Pose, radiu
     Some(TipSighting { pixel: [found.x, found.y], dark_pixels: burr.len() })
 }
 
-fn dark_pixels(c_arm: &CArmGeometry, pixels: &[u16], centre: &Vector2<f64>, half_width: f64) -> Vec<Vector2<f64>> {
+fn dark_pixels(
+    c_arm: &CArmGeometry,
+    pixels: &[u16],
+    centre: &Vector2<f64>,
+    half_width: f64,
+) -> Vec<Vector2<f64>> {
     let limit = (DARK_SHARE * f64::from(u16::MAX)) as u16;
     let span = |middle: f64, count: u32| {
         let first = libm::ceil(middle - half_width).max(0.0);

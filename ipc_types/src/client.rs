@@ -5,10 +5,10 @@ use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::prelude::{AllocationStrategy, Node, ipc};
 use iceoryx2::service::attribute::AttributeVerifier;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
-use iceoryx2::port::publisher::PublisherCreateError;
 use rustix::fs::FallocateFlags;
 
 use crate::layout::Message;
@@ -16,8 +16,8 @@ use crate::messages::Command;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, Service};
 use crate::session::{
-    Announcement, ByteService, ICEORYX2_VERSION, Reader, Session, SessionError, create_node, file_error, session_id,
-    shared_memory_prefix, transported,
+    Announcement, ByteService, ICEORYX2_VERSION, Reader, Session, SessionError, create_node, file_error,
+    session_id, shared_memory_prefix, transported,
 };
 use crate::wake::{Waiter, WakeFlags, Waker};
 
@@ -120,7 +120,8 @@ impl Session {
     pub fn waiter(&self, reader: Reader) -> Result<Waiter, SessionError> {
         let name = reader.event_name();
         let service_name = name.as_str().try_into().map_err(transported(&name, "naming"))?;
-        let service = self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
+        let service =
+            self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
         Ok(Waiter { listener, flags: self.flags.clone(), reader: reader.slot() })
     }
@@ -132,7 +133,8 @@ impl Session {
     pub fn waker(&self, reader: Reader) -> Result<Waker, SessionError> {
         let name = reader.event_name();
         let service_name = name.as_str().try_into().map_err(transported(&name, "naming"))?;
-        let service = self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
+        let service =
+            self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let notifier = service.notifier_builder().create().map_err(transported(&name, "notifying"))?;
         Ok(Waker { notifier, flags: self.flags.clone(), reader: reader.slot() })
     }
@@ -157,7 +159,8 @@ impl Session {
         let service_name = name.try_into().map_err(transported(name, "naming"))?;
         let key = "layout".try_into().map_err(transported(name, "describing"))?;
         let value = ours.as_str().try_into().map_err(transported(name, "describing"))?;
-        let attributes = AttributeVerifier::new().require(&key, &value).map_err(transported(name, "describing"))?;
+        let attributes =
+            AttributeVerifier::new().require(&key, &value).map_err(transported(name, "describing"))?;
         let builder = || self.node.service_builder(&service_name).publish_subscribe::<[u8]>();
         let opened = builder().open_with_attributes(&attributes);
         opened.map_err(|cause| match cause {
@@ -166,7 +169,11 @@ impl Session {
         })
     }
 
-    fn named_publisher<M: Message>(&self, name: &str, service: &Service) -> Result<Publisher<M>, SessionError> {
+    fn named_publisher<M: Message>(
+        &self,
+        name: &str,
+        service: &Service,
+    ) -> Result<Publisher<M>, SessionError> {
         let max_bytes = match service.name {
             announced if announced == services::VOLUME.name => self.announcement.volume_bytes,
             announced if announced == services::FRAME.name => self.announcement.frame_bytes,
@@ -184,7 +191,11 @@ impl Session {
         Ok(Publisher::new(raw, name.to_owned()))
     }
 
-    fn named_subscriber<M: Message>(&self, name: &str, service: &Service) -> Result<Subscriber<M>, SessionError> {
+    fn named_subscriber<M: Message>(
+        &self,
+        name: &str,
+        service: &Service,
+    ) -> Result<Subscriber<M>, SessionError> {
         let raw = self
             .open::<M>(name)?
             .subscriber_builder()
@@ -218,7 +229,11 @@ impl Session {
 
 type RawPublisher = iceoryx2::port::publisher::Publisher<iceoryx2::prelude::ipc::Service, [u8], ()>;
 
-fn publisher_of(factory: &mut ByteService, max_bytes: usize, service: &Service) -> Result<RawPublisher, PublisherCreateError> {
+fn publisher_of(
+    factory: &mut ByteService,
+    max_bytes: usize,
+    service: &Service,
+) -> Result<RawPublisher, PublisherCreateError> {
     let builder = factory
         .publisher_builder()
         .initial_max_slice_len(max_bytes)

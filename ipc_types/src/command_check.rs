@@ -54,7 +54,9 @@ pub enum CommandRefusal {
         length: f64,
     },
     /// The scene gives this part to another controller, or to none.
-    #[error("`{field}` drives the {part}, which the scene does not give to this controller; add it to its `drives`")]
+    #[error(
+        "`{field}` drives the {part}, which the scene does not give to this controller; add it to its `drives`"
+    )]
     NotItsPart {
         /// Field.
         field: &'static str,
@@ -88,7 +90,10 @@ fn range(field: impl Fn() -> String, value: f64, lowest: f64, highest: f64) -> R
 }
 
 fn ranges(name: &str, values: &[f64], lowest: f64, highest: f64) -> Result<(), CommandRefusal> {
-    values.iter().enumerate().try_for_each(|(i, value)| range(|| format!("{name}[{i}]"), *value, lowest, highest))
+    values
+        .iter()
+        .enumerate()
+        .try_for_each(|(i, value)| range(|| format!("{name}[{i}]"), *value, lowest, highest))
 }
 
 impl Command {
@@ -97,7 +102,12 @@ impl Command {
     ///
     /// # Errors
     /// The first [`CommandRefusal`] that is found.
-    pub fn check(&self, drives: &[Drives], last_sequence: u64, newest_tick: u64) -> Result<(), CommandRefusal> {
+    pub fn check(
+        &self,
+        drives: &[Drives],
+        last_sequence: u64,
+        newest_tick: u64,
+    ) -> Result<(), CommandRefusal> {
         if self.sequence <= last_sequence {
             return Err(CommandRefusal::OldSequence { sequence: self.sequence, last: last_sequence });
         }
@@ -111,10 +121,19 @@ impl Command {
 
     fn check_modes(&self) -> Result<(), CommandRefusal> {
         let mode = |field, value: u32, highest: u32, expected| {
-            if value <= highest { Ok(()) } else { Err(CommandRefusal::UnknownMode { field, value, expected }) }
+            if value <= highest {
+                Ok(())
+            } else {
+                Err(CommandRefusal::UnknownMode { field, value, expected })
+            }
         };
         mode("tendon_mode", self.tendon_mode, TENDON_MOVE_JP, "0 none, 1 servo_jf, 2 servo_jp or 3 move_jp")?;
-        mode("arm_mode", self.arm_mode, ARM_HOLD, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp or 5 hold")?;
+        mode(
+            "arm_mode",
+            self.arm_mode,
+            ARM_HOLD,
+            "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp or 5 hold",
+        )?;
         mode("burr_mode", self.burr_mode, BURR_SPEED, "0 none or 1 speed")?;
         mode("reserved", self.reserved, 0, "0")
     }
@@ -140,7 +159,12 @@ impl Command {
         }
         match self.arm_mode {
             ARM_SERVO_JP | ARM_MOVE_JP => {
-                ranges("arm_joint_position_rad", &self.arm_joint_position_rad, -MAX_JOINT_RAD, MAX_JOINT_RAD)?;
+                ranges(
+                    "arm_joint_position_rad",
+                    &self.arm_joint_position_rad,
+                    -MAX_JOINT_RAD,
+                    MAX_JOINT_RAD,
+                )?;
             }
             ARM_SERVO_CP | ARM_MOVE_CP => self.check_pose()?,
             _ => {}

@@ -10,7 +10,10 @@ use sha2::{Digest, Sha256};
 /// (OMG DDS-XTypes 1.3, 7.6.2.1.2: `CDR_LE`. `00 07` (XCDR2) is refused by common readers.)
 pub const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 
-const _: () = assert!(cfg!(target_endian = "little"), "messages are little-endian: big-endian targets are not supported");
+const _: () = assert!(
+    cfg!(target_endian = "little"),
+    "messages are little-endian: big-endian targets are not supported"
+);
 
 /// A field's element: a scalar of the ROS interface language, or another message.
 #[derive(Debug, Clone, Copy)]
@@ -83,7 +86,9 @@ pub trait WireType {
 }
 
 /// A message: a fixed layout with a generated schema.
-pub trait Message: Copy + zerocopy::FromBytes + zerocopy::IntoBytes + zerocopy::Immutable + zerocopy::KnownLayout {
+pub trait Message:
+    Copy + zerocopy::FromBytes + zerocopy::IntoBytes + zerocopy::Immutable + zerocopy::KnownLayout
+{
     /// The generated layout.
     const DESCRIPTION: &'static Description;
 }

@@ -16,7 +16,9 @@ use crate::layout::Message;
 #[derive(Debug, Error)]
 pub enum PortError {
     /// The publisher could not get a free sample.
-    #[error("service `{service}`: no sample to write {bytes} bytes into ({cause}); a message may have at most {limit} bytes")]
+    #[error(
+        "service `{service}`: no sample to write {bytes} bytes into ({cause}); a message may have at most {limit} bytes"
+    )]
     Loan {
         /// Service name.
         service: String,
@@ -128,10 +130,10 @@ impl<M: Message> Subscriber<M> {
     ///
     /// A message of a wrong length is taken off the queue and reported.
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
-        let sample = self
-            .raw
-            .receive()
-            .map_err(|cause| PortError::Receive { service: self.name.clone(), cause: format!("{cause:?}") })?;
+        let sample = self.raw.receive().map_err(|cause| PortError::Receive {
+            service: self.name.clone(),
+            cause: format!("{cause:?}"),
+        })?;
         sample.map(|sample| Received::new(sample, &self.name)).transpose()
     }
 
@@ -162,12 +164,17 @@ impl<M: Message> Received<M> {
     fn new(sample: Sample<ipc::Service, [u8], ()>, service: &str) -> Result<Self, PortError> {
         let bytes = sample.payload();
         let size = M::DESCRIPTION.size;
-        let wrong = |expected: String| PortError::Length { service: service.to_owned(), bytes: bytes.len(), expected };
+        let wrong = |expected: String| PortError::Length {
+            service: service.to_owned(),
+            bytes: bytes.len(),
+            expected,
+        };
         let Some(rest) = bytes.get(size..) else {
             return Err(wrong(format!("at least {size} ({})", M::DESCRIPTION.name)));
         };
         if let Some(tail) = M::DESCRIPTION.tail {
-            let count = u32::from_le_bytes([bytes[size - 4], bytes[size - 3], bytes[size - 2], bytes[size - 1]]);
+            let count =
+                u32::from_le_bytes([bytes[size - 4], bytes[size - 3], bytes[size - 2], bytes[size - 1]]);
             let expected = count as usize * tail.element_size;
             if rest.len() != expected {
                 return Err(wrong(format!("{} for {count} elements of `{}`", size + expected, tail.name)));

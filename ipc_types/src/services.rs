@@ -6,8 +6,8 @@
 
 use crate::layout::{Description, Message};
 use crate::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Latched, Progress, Removed, RunControl,
-    RunControlReply, RunStatus, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Latched, Progress, Removed,
+    RunControl, RunControlReply, RunStatus, State, TickTiming, Volume,
 };
 
 /// Which log a service is recorded to.
@@ -100,14 +100,28 @@ pub const EVENT: Service = Service {
 /// `Progress` of the consumers of lossless streams.
 pub const PROGRESS: Service = Service { max_publishers: 4, ..fixed::<Progress>("progress", Lane::None, 16) };
 /// `TickTiming`.
-pub const TICK_TIMING: Service = Service { history: 0, ..fixed::<TickTiming>("tick_timing", Lane::Timing, 512) };
+pub const TICK_TIMING: Service =
+    Service { history: 0, ..fixed::<TickTiming>("tick_timing", Lane::Timing, 512) };
 /// `FrameTiming`.
-pub const FRAME_TIMING: Service = Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, 64) };
+pub const FRAME_TIMING: Service =
+    Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, 64) };
 
 /// Every service but the commands, of which there is one a controller.
 pub const ALL: &[Service] = &[
-    STATE, LATCHED, REMOVED, VOLUME, FRAME, DRR_REQUEST, DRR_REPLY, RUN_CONTROL, RUN_CONTROL_REPLY, RUN_STATUS, EVENT,
-    PROGRESS, TICK_TIMING, FRAME_TIMING,
+    STATE,
+    LATCHED,
+    REMOVED,
+    VOLUME,
+    FRAME,
+    DRR_REQUEST,
+    DRR_REPLY,
+    RUN_CONTROL,
+    RUN_CONTROL_REPLY,
+    RUN_STATUS,
+    EVENT,
+    PROGRESS,
+    TICK_TIMING,
+    FRAME_TIMING,
 ];
 
 /// Name of a controller's command service.

@@ -12,7 +12,9 @@ use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 use iceoryx2::config::Config;
-use iceoryx2::prelude::{FileName, LogLevel, Node, NodeBuilder, SemanticString, SignalHandlingMode, ipc, set_log_level};
+use iceoryx2::prelude::{
+    FileName, LogLevel, Node, NodeBuilder, SemanticString, SignalHandlingMode, ipc, set_log_level,
+};
 use iceoryx2::service::attribute::AttributeSpecifier;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use serde::{Deserialize, Serialize};
@@ -51,13 +53,17 @@ pub enum SessionError {
         path: PathBuf,
     },
     /// The folder's path is too long for the sockets in it.
-    #[error("the session folder {path} is longer than {MAX_ROOT_PATH} bytes; set XDG_RUNTIME_DIR or TMPDIR to a shorter path")]
+    #[error(
+        "the session folder {path} is longer than {MAX_ROOT_PATH} bytes; set XDG_RUNTIME_DIR or TMPDIR to a shorter path"
+    )]
     PathTooLong {
         /// The path.
         path: PathBuf,
     },
     /// The hub speaks another version of the transport.
-    #[error("the hub of {path} uses iceoryx2 {theirs}, this program {ICEORYX2_VERSION}; build both from one version")]
+    #[error(
+        "the hub of {path} uses iceoryx2 {theirs}, this program {ICEORYX2_VERSION}; build both from one version"
+    )]
     Transport {
         /// Session folder.
         path: PathBuf,
@@ -65,7 +71,9 @@ pub enum SessionError {
         theirs: String,
     },
     /// A service has another layout than this program was built with.
-    #[error("service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; build both from one version")]
+    #[error(
+        "service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; build both from one version"
+    )]
     Layout {
         /// Service name.
         service: String,
@@ -85,13 +93,17 @@ pub enum SessionError {
         known: String,
     },
     /// Another controller already writes this service.
-    #[error("a controller named `{name}` is already connected to this session; a name drives one controller at a time")]
+    #[error(
+        "a controller named `{name}` is already connected to this session; a name drives one controller at a time"
+    )]
     ControllerTaken {
         /// Its name.
         name: String,
     },
     /// Shared memory is short.
-    #[error("/dev/shm: {bytes} bytes of shared memory for service `{service}` cannot be reserved ({cause}); free some or enlarge it")]
+    #[error(
+        "/dev/shm: {bytes} bytes of shared memory for service `{service}` cannot be reserved ({cause}); free some or enlarge it"
+    )]
     SharedMemory {
         /// Service name.
         service: String,
@@ -201,7 +213,10 @@ pub(crate) fn file_error(path: &Path) -> impl FnOnce(io::Error) -> SessionError 
     move |cause| SessionError::File { path: path.to_owned(), cause }
 }
 
-pub(crate) fn transported<E: core::fmt::Debug>(service: &str, action: &'static str) -> impl FnOnce(E) -> SessionError {
+pub(crate) fn transported<E: core::fmt::Debug>(
+    service: &str,
+    action: &'static str,
+) -> impl FnOnce(E) -> SessionError {
     let service = service.to_owned();
     move |cause| SessionError::Transported { service, action, cause: format!("{cause:?}") }
 }
@@ -244,11 +259,14 @@ pub(crate) fn shared_memory_prefix(id: &str) -> String {
 }
 
 fn transport_config(folder: &Path, id: &str) -> Result<Config, SessionError> {
-    let invalid = |cause: String| SessionError::Transported { service: "session".into(), action: "configuring", cause };
+    let invalid =
+        |cause: String| SessionError::Transported { service: "session".into(), action: "configuring", cause };
     let mut config = Config::default();
-    let root = iceoryx2::prelude::Path::new(folder.as_os_str().as_encoded_bytes()).map_err(|e| invalid(format!("{e:?}")))?;
+    let root = iceoryx2::prelude::Path::new(folder.as_os_str().as_encoded_bytes())
+        .map_err(|e| invalid(format!("{e:?}")))?;
     config.global.set_root_path(&root);
-    config.global.prefix = FileName::new(shared_memory_prefix(id).as_bytes()).map_err(|e| invalid(format!("{e:?}")))?;
+    config.global.prefix =
+        FileName::new(shared_memory_prefix(id).as_bytes()).map_err(|e| invalid(format!("{e:?}")))?;
     Ok(config)
 }
 
@@ -299,7 +317,9 @@ impl SessionHost {
         }
         let controllers = (0..plan.controllers.len()).map(Reader::Controller);
         let readers = [Reader::Physics, Reader::Drr, Reader::Recorder].into_iter().chain(controllers);
-        let event_services = readers.map(|reader| create_event_service(&node, &reader.event_name())).collect::<Result<_, _>>()?;
+        let event_services = readers
+            .map(|reader| create_event_service(&node, &reader.event_name()))
+            .collect::<Result<_, _>>()?;
         let announcement = Announcement {
             pid: std::process::id(),
             iceoryx2: ICEORYX2_VERSION.to_owned(),
@@ -311,7 +331,12 @@ impl SessionHost {
             recorder: plan.recorder,
         };
         let session = Session { folder, announcement, node, flags };
-        Ok(SessionHost { session, _byte_services: byte_services, _event_services: event_services, _cleanup: cleanup })
+        Ok(SessionHost {
+            session,
+            _byte_services: byte_services,
+            _event_services: event_services,
+            _cleanup: cleanup,
+        })
     }
 
     /// Writes `session.json`, from which on clients may join. The file appears whole.
@@ -361,11 +386,17 @@ fn new_session_folder() -> Result<(PathBuf, String), SessionError> {
     Err(SessionError::NoSession { path: parent })
 }
 
-fn create_byte_service(node: &Node<ipc::Service>, name: &str, service: &Service) -> Result<ByteService, SessionError> {
+fn create_byte_service(
+    node: &Node<ipc::Service>,
+    name: &str,
+    service: &Service,
+) -> Result<ByteService, SessionError> {
     let service_name = name.try_into().map_err(transported(name, "naming"))?;
     let key = "layout".try_into().map_err(transported(name, "describing"))?;
-    let value = service.description.layout_hash().as_str().try_into().map_err(transported(name, "describing"))?;
-    let attributes = AttributeSpecifier::new().define(&key, &value).map_err(transported(name, "describing"))?;
+    let value =
+        service.description.layout_hash().as_str().try_into().map_err(transported(name, "describing"))?;
+    let attributes =
+        AttributeSpecifier::new().define(&key, &value).map_err(transported(name, "describing"))?;
     node.service_builder(&service_name)
         .publish_subscribe::<[u8]>()
         .enable_safe_overflow(true)

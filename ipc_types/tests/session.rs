@@ -1,5 +1,7 @@
 //! A session: its services, its isolation, and what it leaves behind.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail the test")]
+
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{Command, Event, Removed, State};
@@ -83,7 +85,8 @@ fn a_client_of_another_layout_is_refused_with_both_layouts() {
     let host = SessionHost::create(&plan(&["left"])).unwrap();
     let mut announcement = host.session.announcement().clone();
     announcement.layouts.insert("state".to_owned(), "0123456789abcdef".to_owned());
-    std::fs::write(host.session.folder().join("session.json"), serde_json::to_string(&announcement).unwrap()).unwrap();
+    std::fs::write(host.session.folder().join("session.json"), serde_json::to_string(&announcement).unwrap())
+        .unwrap();
     let client = Session::join(host.session.folder()).unwrap();
     let refusal = client.subscriber::<State>(&services::STATE).unwrap_err().to_string();
     assert!(refusal.contains("0123456789abcdef") && refusal.contains("State"), "{refusal}");

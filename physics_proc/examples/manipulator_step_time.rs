@@ -11,8 +11,8 @@ use std::time::Instant;
 use nalgebra::{Isometry3, Unit, Vector3};
 use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
-    BaseMotion, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, StepInput,
-    TendonCommand, Wrench,
+    BaseMotion, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, StepInput, TendonCommand,
+    Wrench,
 };
 
 const STEPS: usize = 4000;

@@ -5,8 +5,8 @@
 
 use ipc_types::command_check::CommandRefusal;
 use ipc_types::messages::{
-    ARM_HOLD, BURR_SPEED, Command, Latched, LatchedCommand, MAX_CONTROLLERS, SOURCE_FRESH, SOURCE_HELD, SOURCE_NONE,
-    SOURCE_SAFE,
+    ARM_HOLD, BURR_SPEED, Command, Latched, LatchedCommand, MAX_CONTROLLERS, SOURCE_FRESH, SOURCE_HELD,
+    SOURCE_NONE, SOURCE_SAFE,
 };
 use ipc_types::scene::{Drives, Mode, Scene};
 

@@ -5,8 +5,8 @@
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
-    BaseMotion, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, SphereKind,
-    StepInput, TendonCommand, Wrench,
+    BaseMotion, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, SphereKind, StepInput,
+    TendonCommand, Wrench,
 };
 
 fn rest() -> BaseMotion {

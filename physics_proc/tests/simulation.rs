@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use ipc_types::messages::{
-    ARM_MOVE_CP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State, TENDON_SERVO_JF,
+    ARM_MOVE_CP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
+    TENDON_SERVO_JF,
 };
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;

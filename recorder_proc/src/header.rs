@@ -38,7 +38,7 @@ impl RunMode {
 /// Which build wrote the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BuildInfo {
-    /// Version of the hub.
+    /// Version of the hub, `+`, and a hash of the source of everything that decides a tick.
     pub version: String,
     /// Target triple.
     pub target: String,
@@ -51,7 +51,7 @@ impl BuildInfo {
     pub fn current() -> BuildInfo {
         let rustc = env!("TRABECULA_RUSTC");
         BuildInfo {
-            version: env!("CARGO_PKG_VERSION").to_string(),
+            version: concat!(env!("CARGO_PKG_VERSION"), "+", env!("TRABECULA_SOURCE")).to_string(),
             target: env!("TRABECULA_TARGET").to_string(),
             rustc: (!rustc.is_empty()).then(|| rustc.to_string()),
         }

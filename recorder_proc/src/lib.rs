@@ -11,7 +11,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | [`run_log`], [`timing_log`] | the writers |
-//! | [`reader`], [`frames`], [`stream`] | ticks, frames, single messages of a log |
+//! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
 //! | [`verify`](mod@verify) | re-execution of a log, compared tick by tick |
 //! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
 

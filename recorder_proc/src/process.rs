@@ -6,14 +6,13 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
-use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Latched, Progress, Removed, RunControl, RunControlReply,
-    RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Latched, Progress, Removed, RunControl,
+    RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::{EndRequest, session_scene};
@@ -71,7 +70,6 @@ pub enum RecorderError {
 /// Any [`RecorderError`].
 pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let end = EndRequest::install().map_err(RecorderError::Signals)?;
-    let launcher = parent_id();
     let scene = session_scene(session_folder)?;
     let session = Session::join(session_folder)?;
     let header = header(&session, &scene, &end)?;
@@ -95,7 +93,7 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     }
     // Once more: a message that arrived between the last look and the request to end.
     recorder.take_all()?;
-    recorder.finish(output, launcher)
+    recorder.finish(output)
 }
 
 /// What the logs say about the run.
@@ -108,7 +106,8 @@ fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeade
         None => (None, [0; 3]),
     };
     let path = session.folder().join("scene.toml");
-    let scene_toml = std::fs::read_to_string(&path).map_err(|cause| RecorderError::SceneText { path, cause })?;
+    let scene_toml =
+        std::fs::read_to_string(&path).map_err(|cause| RecorderError::SceneText { path, cause })?;
     Ok(LogHeader {
         scene_toml,
         scene_name: scene.name.clone(),
@@ -162,7 +161,11 @@ impl Ports {
             frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
             replies: session.subscriber(&services::DRR_REPLY)?,
             requests: session.subscriber(&services::DRR_REQUEST)?,
-            commands: scene.controller_names().into_iter().map(command).collect::<Result<_, SessionError>>()?,
+            commands: scene
+                .controller_names()
+                .into_iter()
+                .map(command)
+                .collect::<Result<_, SessionError>>()?,
             controls: session.subscriber(&services::RUN_CONTROL)?,
             control_replies: session.subscriber(&services::RUN_CONTROL_REPLY)?,
             status: session.subscriber(&services::RUN_STATUS)?,
@@ -246,7 +249,12 @@ impl Recorder {
             if missed > 0 {
                 *self.lost.entry(topics::TICK_TIMING.to_owned()).or_default() += missed;
             }
-            timing.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, message.message().tick, message.bytes())?;
+            timing.message(
+                topics::TICK_TIMING,
+                TickTiming::DESCRIPTION,
+                message.message().tick,
+                message.bytes(),
+            )?;
         }
         for (topic, commands) in &ports.commands {
             copy_all(commands, timing, topic, tick)?;
@@ -262,22 +270,26 @@ impl Recorder {
     fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {
         self.reported_tick = tick;
         let lost_messages = self.run.lost().values().sum::<u64>() + self.lost.values().sum::<u64>();
-        self.ports.progress.send(&Progress { tick, lost_messages, consumer: SENDER_RECORDER, reserved: 0 })?;
+        self.ports.progress.send(&Progress {
+            tick,
+            lost_messages,
+            consumer: SENDER_RECORDER,
+            reserved: 0,
+        })?;
         self.ports.physics.wake();
         Ok(())
     }
 
-    /// `launcher` is the process that started this one.
-    fn finish(self, output: &Path, launcher: u32) -> Result<(), RecorderError> {
+    fn finish(self, output: &Path) -> Result<(), RecorderError> {
         let reason_path = output.join(REASON_FILE);
         let reason = match std::fs::read_to_string(&reason_path) {
             Ok(text) if text == "interrupted" => EndReason::Interrupted,
-            Ok(part) if !part.is_empty() => EndReason::PartDied(part),
-            // Killed, it could not say why.
-            _ if parent_id() != launcher => EndReason::PartDied("launcher".to_owned()),
-            _ => EndReason::Completed,
+            Ok(part) if !part.is_empty() && part != "completed" => EndReason::PartDied(part),
+            Ok(_) => EndReason::Completed,
+            // It was killed, and could not say why the run ends.
+            Err(_) => EndReason::PartDied("launcher".to_owned()),
         };
-        // Absent after a run that completed.
+        // It has done its work, and may be absent.
         let _ = std::fs::remove_file(&reason_path);
         self.run.finish(reason.clone(), &BTreeMap::new())?;
         self.timing.finish(reason, &self.lost)?;

@@ -30,7 +30,7 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     let result = complete_run(&plan, &end, |_| {})?;
     let simulated_s = plan.scene.run.duration_s;
     let wall_s = result.running.as_secs_f64();
-    println!("scene {}, {simulated_s} s simulated in lockstep over processes, recorded\n", plan.scene.name);
+    say!("scene {}, {simulated_s} s simulated in lockstep over processes, recorded\n", plan.scene.name);
     row("run", &format!("{wall_s:.2} s, {:.1} times real time", simulated_s / wall_s));
     for lane in ["run.mcap", "timing.mcap"] {
         let bytes = std::fs::metadata(folder.path().join(lane)).map_err(failed)?.len();

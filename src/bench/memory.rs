@@ -59,17 +59,13 @@ pub fn run(scene: &Path, dimensions: [usize; 3], ticks: u64) -> Result<(), Failu
         }
     })?;
     let [i, j, k] = dimensions;
-    println!(
-        "scene {}, {ticks} ticks, CT of {i} x {j} x {k} voxels: {}\n",
-        plan.scene.name,
-        mebibytes(ct_bytes)
-    );
-    println!("{:<46} {:>14} {:>14}", "process", "peak resident", "its own");
+    say!("scene {}, {ticks} ticks, CT of {i} x {j} x {k} voxels: {}\n", plan.scene.name, mebibytes(ct_bytes));
+    say!("{:<46} {:>14} {:>14}", "process", "peak resident", "its own");
     for (name, memory) in &result.memory {
-        println!("{name:<46} {:>14} {:>14}", mebibytes(memory.peak_resident), mebibytes(memory.peak_private));
+        say!("{name:<46} {:>14} {:>14}", mebibytes(memory.peak_resident), mebibytes(memory.peak_private));
     }
     // At its peak the launcher holds the volume that it has read and the one that it shares.
-    println!("{:<46} {:>14} {:>14}", "launcher, once the parts run", "", mebibytes(running.peak_private));
+    say!("{:<46} {:>14} {:>14}", "launcher, once the parts run", "", mebibytes(running.peak_private));
     let sizes: Vec<String> = segments.iter().map(|bytes| mebibytes(*bytes)).collect();
     row("shared segments as large as the CT", &format!("{} ({})", segments.len(), sizes.join(", ")));
     machine.print();

@@ -21,7 +21,7 @@ fn failed(cause: impl ToString) -> Failure {
 
 /// Prints one line of a table.
 fn row(name: &str, value: &str) {
-    println!("{name:<46} {value}");
+    say!("{name:<46} {value}");
 }
 
 /// Makes a run with all its processes; one that does not complete is an error.

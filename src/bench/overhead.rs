@@ -75,7 +75,7 @@ pub fn run(scene: &Path, ticks: u64, rounds: usize) -> Result<(), Failure> {
         hybrid.append(&bare_hybrid);
         yielding.append(&bare_yield);
     }
-    println!(
+    say!(
         "scene {}, {rounds} rounds of {ticks} ticks in lockstep, each followed by bare ping-pongs\n",
         scene.name
     );

@@ -45,7 +45,7 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     let machine = Machine::watch();
     let mut bench = Bench { simulation, x_ray, steps: Samples::default() };
     bench.play(&scene)?;
-    println!("scene {}, {} ticks of {} ms in one process\n", scene.name, scene.tick_count(), scene.run.dt_ms);
+    say!("scene {}, {} ticks of {} ms in one process\n", scene.name, scene.tick_count(), scene.run.dt_ms);
     row("physics step", &bench.steps.line());
     if let Some(mut x_ray) = bench.x_ray.take() {
         x_ray.render_from_elsewhere(bench.simulation.state())?;

@@ -69,7 +69,7 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         BenchCommand::Overhead { scene, ticks, rounds } => overhead::run(scene, *ticks, *rounds as usize),
         BenchCommand::Step { scene, ticks } => {
             step::run(scene, *ticks)?;
-            println!();
+            say!();
             log::run(scene, *ticks)
         }
         BenchCommand::Memory { scene, dimensions, ticks } => memory::run(scene, *dimensions, *ticks),

@@ -63,7 +63,8 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     };
     let wall_s = began.elapsed().as_secs_f64();
     let label = if mismatches.is_empty() { "" } else { " (MISMATCH ALLOWED)" };
-    tell(&report, wall_s, arguments.verify, label)
+    let stopped_early = arguments.ticks.is_some_and(|most| report.identical_ticks >= most);
+    tell(&report, wall_s, (arguments.verify, stopped_early), label)
 }
 
 /// `run.mcap` of a folder, or the file itself.
@@ -77,7 +78,12 @@ fn build_mismatch(reader: &LogReader) -> Vec<String> {
         return Vec::new();
     }
     let name = |build: &BuildInfo| {
-        format!("{} for {} by {}", build.version, build.target, build.rustc.as_deref().unwrap_or("an unknown compiler"))
+        format!(
+            "{} for {} by {}",
+            build.version,
+            build.target,
+            build.rustc.as_deref().unwrap_or("an unknown compiler")
+        )
     };
     vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
 }
@@ -131,11 +137,19 @@ fn step_only(reader: &mut LogReader, world: &mut World, ticks: Option<u64>) -> R
     Ok(report)
 }
 
-fn tell(report: &ReplayReport, wall_s: f64, verified: bool, label: &str) -> Result<(), Failure> {
+fn tell(
+    report: &ReplayReport,
+    wall_s: f64,
+    (verified, stopped_early): (bool, bool),
+    label: &str,
+) -> Result<(), Failure> {
     let simulated_s = report.simulated_ns as f64 * 1e-9;
     let hash = recorder_proc::end::hash_text(report.hash);
     if let Some(error) = &report.log_error {
-        return Err(Failure::failed(format!("the log cannot be read further than tick {}: {error}", report.last_tick)));
+        return Err(Failure::failed(format!(
+            "the log cannot be read further than tick {}: {error}",
+            report.last_tick
+        )));
     }
     if let Some((tick, cause)) = &report.simulation_error {
         return Err(Failure::failed(format!("tick {tick} cannot be made: {cause}")));
@@ -144,12 +158,15 @@ fn tell(report: &ReplayReport, wall_s: f64, verified: bool, label: &str) -> Resu
         return Err(Failure::failed(format!("{divergence}{label}")));
     }
     let what = if verified { "ticks, all identical" } else { "ticks" };
-    println!(
+    say!(
         "replayed {} {what}{label}; last tick {}, hash {hash}; {simulated_s:.3} s simulated in {wall_s:.3} s, {:.1} times real time",
         report.identical_ticks,
         report.last_tick,
         simulated_s / wall_s.max(1e-9)
     );
-    println!("{}", report.ending.describe());
+    // A replay that was told to stop early has not read how the log ends.
+    if !stopped_early {
+        say!("{}", report.ending.describe());
+    }
     Ok(())
 }

@@ -54,7 +54,8 @@ pub enum ModeArgument {
 /// Bad input (exit code 2), a part that died (1), Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let scene = scene_of(arguments)?;
-    let end = EndRequest::install().map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let end = EndRequest::install()
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     // What is there before this run.
     let kept = arguments.output.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new(""));
     let output = match arguments.no_record {
@@ -69,7 +70,9 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     display.end();
     let result = result.map_err(|error| {
         // Nothing was recorded: leave no empty folder that was not there.
-        for folder in plan.output.iter().flat_map(|output| output.ancestors()).take_while(|folder| *folder != kept) {
+        for folder in
+            plan.output.iter().flat_map(|output| output.ancestors()).take_while(|folder| *folder != kept)
+        {
             let _ = std::fs::remove_dir(folder);
         }
         match error {
@@ -90,7 +93,9 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
     }
     if let Some(duration_s) = arguments.duration_s {
         if !(0.001..=3600.0).contains(&duration_s) {
-            return Err(Failure::bad_input(format!("--duration-s is {duration_s}, allowed is 0.001 to 3600")));
+            return Err(Failure::bad_input(format!(
+                "--duration-s is {duration_s}, allowed is 0.001 to 3600"
+            )));
         }
         scene.run.duration_s = duration_s;
     }
@@ -108,8 +113,8 @@ fn write_report(result: &RunResult, output: &Path) -> Result<(), Failure> {
         replay_command: replay_command.clone(),
     };
     let summary = report::write(output, &facts).map_err(|error| Failure::failed(error.to_string()))?;
-    println!("{summary}");
-    println!("\nfolder       {}\nreplay it    {replay_command}", output.display());
+    say!("{summary}");
+    say!("\nfolder       {}\nreplay it    {replay_command}", output.display());
     Ok(())
 }
 

@@ -27,9 +27,13 @@ pub fn run(command: &SceneCommand) -> Result<(), Failure> {
     if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref())
         && !path.exists()
     {
-        return Err(Failure::bad_input(format!("{}: `volume.path` is {}, which does not exist", file.display(), path.display())));
+        return Err(Failure::bad_input(format!(
+            "{}: `volume.path` is {}, which does not exist",
+            file.display(),
+            path.display()
+        )));
     }
-    println!(
+    say!(
         "{}: scene `{}` is valid: {:?}, {} ticks of {} ms, {} controllers, {}",
         file.display(),
         scene.name,

@@ -24,7 +24,7 @@ pub enum VolumeCommand {
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
     let VolumeCommand::Info { file } = command;
     let (_, info) = read_with_info(file).map_err(Failure::bad_input)?;
-    println!("{info}");
+    say!("{info}");
     Ok(())
 }
 
@@ -64,12 +64,16 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
     let spacing_m = arguments.spacing_mm * 1e-3;
     let volume = match arguments.kind {
         PhantomKind::Femur => phantom::femur(&phantom::FemurSpec { spacing_m, ..Default::default() }),
-        PhantomKind::Block => phantom::block(&phantom::BlockSpec { spacing_m: [spacing_m; 3], ..Default::default() }),
-        PhantomKind::Sphere => phantom::sphere(&phantom::SphereSpec { spacing_m: [spacing_m; 3], ..Default::default() }),
+        PhantomKind::Block => {
+            phantom::block(&phantom::BlockSpec { spacing_m: [spacing_m; 3], ..Default::default() })
+        }
+        PhantomKind::Sphere => {
+            phantom::sphere(&phantom::SphereSpec { spacing_m: [spacing_m; 3], ..Default::default() })
+        }
     };
     let volume = volume.map_err(Failure::bad_input)?;
     write_nrrd(&arguments.file, &volume).map_err(Failure::bad_input)?;
     let [i, j, k] = volume.dims;
-    println!("{}: synthetic, {i} x {j} x {k} voxels of {} mm", arguments.file.display(), arguments.spacing_mm);
+    say!("{}: synthetic, {i} x {j} x {k} voxels of {} mm", arguments.file.display(), arguments.spacing_mm);
     Ok(())
 }

@@ -63,7 +63,11 @@ impl Hub {
     ///
     /// # Errors
     /// Any [`HubError`].
-    pub fn create(scene: &Scene, volume: Option<&(Volume, [u8; 32])>, recorder: bool) -> Result<Hub, HubError> {
+    pub fn create(
+        scene: &Scene,
+        volume: Option<&(Volume, [u8; 32])>,
+        recorder: bool,
+    ) -> Result<Hub, HubError> {
         let plan = SessionPlan {
             controllers: scene.controller_names(),
             volume_bytes: volume.map_or(0, |(volume, _)| volume_source::message_bytes(volume)),
@@ -103,8 +107,11 @@ impl Hub {
     /// # Errors
     /// [`HubError::Start`].
     pub fn start(&self, part: &str, arguments: &[&str], output: Option<&Path>) -> Result<Part, HubError> {
-        let program = std::env::current_exe()
-            .map_err(|cause| HubError::Start { part: part.to_owned(), program: "trabecula".to_owned(), cause })?;
+        let program = std::env::current_exe().map_err(|cause| HubError::Start {
+            part: part.to_owned(),
+            program: "trabecula".to_owned(),
+            cause,
+        })?;
         let mut command = Command::new(&program);
         command.arg("proc").args(arguments).arg("--session").arg(self.folder());
         if let Some(output) = output {
@@ -118,7 +125,8 @@ impl Hub {
     /// # Errors
     /// [`HubError::Start`].
     pub fn start_program(&self, name: &str, words: &[String]) -> Result<Part, HubError> {
-        let (program, arguments) = words.split_first().map_or(("", words), |(first, rest)| (first.as_str(), rest));
+        let (program, arguments) =
+            words.split_first().map_or(("", words), |(first, rest)| (first.as_str(), rest));
         let mut command = Command::new(program);
         command.args(arguments).env("TRABECULA_CONTROLLER", name);
         self.spawn(name, &mut command, true)

@@ -22,6 +22,7 @@ pub struct Display {
     last_sim_s: f64,
     last_frames: u64,
     drawn: bool,
+    announced: bool,
 }
 
 impl Display {
@@ -32,12 +33,25 @@ impl Display {
     pub fn new(quiet: bool) -> Result<Display, Failure> {
         let stats = LiveStats::new().map_err(|error| Failure::failed(error.to_string()))?;
         let terminal = stderr().is_terminal();
-        Ok(Display { quiet, terminal, stats, last: Instant::now(), last_sim_s: 0.0, last_frames: 0, drawn: false })
+        Ok(Display {
+            quiet,
+            terminal,
+            stats,
+            last: Instant::now(),
+            last_sim_s: 0.0,
+            last_frames: 0,
+            drawn: false,
+            announced: false,
+        })
     }
 
     /// Takes in a glance and shows a line if it is time to.
     pub fn show(&mut self, glance: &Glance) {
         glance.timings.iter().for_each(|timing| self.stats.add(timing));
+        if !self.quiet && !self.announced {
+            self.announced = true;
+            eprintln!("session {}", glance.session.display());
+        }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
         if self.quiet || self.last.elapsed() < period {
             return;

@@ -6,7 +6,9 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{CONTROL_STOP, Frame, PHASE_ENDED, PHASE_RUNNING, RunControl, RunStatus, State, TickTiming};
+use ipc_types::messages::{
+    CONTROL_STOP, Frame, PHASE_ENDED, PHASE_RUNNING, RunControl, RunStatus, State, TickTiming,
+};
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
@@ -84,6 +86,8 @@ pub enum RunError {
 /// What the progress display sees at every look.
 #[derive(Debug)]
 pub struct Glance<'a> {
+    /// Folder of the session, for controllers that somebody else starts.
+    pub session: &'a Path,
     /// Newest state, if there is one.
     pub state: Option<&'a State>,
     /// Newest status.
@@ -112,7 +116,7 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     let outcome = loop {
         hub.serve_late_joiners()?;
         eyes.look()?;
-        show(&eyes.glance());
+        show(&eyes.glance(hub.folder()));
         if first_tick.is_none() && eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING) {
             first_tick = Some(Instant::now());
         }
@@ -131,8 +135,9 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     let first_tick = first_tick.unwrap_or_else(Instant::now);
     let running = end_parts(plan, &outcome, &mut eyes, &mut parts).duration_since(first_tick);
     eyes.look()?;
-    show(&eyes.glance());
-    let mut memory: Vec<(String, Memory)> = parts.iter().map(|part| (part.name.clone(), part.memory)).collect();
+    show(&eyes.glance(hub.folder()));
+    let mut memory: Vec<(String, Memory)> =
+        parts.iter().map(|part| (part.name.clone(), part.memory)).collect();
     own_memory.measure("self");
     memory.push(("launcher".to_owned(), own_memory));
     Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory })
@@ -166,7 +171,9 @@ fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
         match &controller.command {
             Some(words) => parts.push(hub.start_program(&controller.name, words)?),
             None if controller.external => {}
-            None => parts.push(hub.start(&controller.name, &["controller", "--name", &controller.name], None)?),
+            None => {
+                parts.push(hub.start(&controller.name, &["controller", "--name", &controller.name], None)?)
+            }
         }
     }
     Ok(parts)
@@ -208,12 +215,12 @@ fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Pa
 /// Tells the recorder what to write into the log's end.
 fn write_reason(plan: &RunPlan, outcome: &Outcome) {
     let reason = match outcome {
-        Outcome::Completed => return,
+        Outcome::Completed => "completed",
         Outcome::Interrupted => "interrupted",
         Outcome::PartDied { name, .. } => name,
     };
     if let Some(output) = &plan.output {
-        // Without it the log's end says "completed"; the exit code and the message still tell.
+        // Without it the log's end blames the launcher; the exit code and the message still tell.
         let _ = std::fs::write(output.join(recorder_proc::process::REASON_FILE), reason);
     }
 }
@@ -268,8 +275,9 @@ impl Eyes {
         Ok(())
     }
 
-    fn glance(&self) -> Glance<'_> {
+    fn glance<'a>(&'a self, session: &'a Path) -> Glance<'a> {
         Glance {
+            session,
             state: self.state.as_deref(),
             status: self.status.as_ref(),
             timings: &self.timings,

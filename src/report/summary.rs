@@ -340,7 +340,10 @@ impl Summary {
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
         // The shared memory that a process maps counts in all of them; a person wants to know what it costs itself.
-        let own = self.peak_memory_bytes.iter().filter_map(|(name, &bytes)| Some((name.strip_suffix(NOT_SHARED)?, bytes)));
+        let own = self
+            .peak_memory_bytes
+            .iter()
+            .filter_map(|(name, &bytes)| Some((name.strip_suffix(NOT_SHARED)?, bytes)));
         let own: Vec<String> = own.map(|(name, bytes)| format!("{name} {}", megabytes(bytes))).collect();
         if !own.is_empty() {
             rows.push(("own memory", own.join(", ")));

@@ -104,7 +104,9 @@ fn shape(plane: &Plane, state: &State) -> Vec<Point> {
 fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     let title = "Tip path and shape in the bending plane";
     let scenery = match (&run.curves, &run.first, &run.last, &run.deepest) {
-        (Some(curves), Some(first), Some(last), Some(deepest)) => Scenery::of(run, curves, first, last, deepest),
+        (Some(curves), Some(first), Some(last), Some(deepest)) => {
+            Scenery::of(run, curves, first, last, deepest)
+        }
         _ => {
             let axis = || Axis::linear("", 0.0, 1.0, 4);
             let mut panel = Panel::new(figure, outer, title, axis(), axis());

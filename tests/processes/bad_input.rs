@@ -61,7 +61,10 @@ fn a_value_of_a_wrong_type_is_named_with_its_line() {
         |scene| scene.replace("duration_s = 1.0", "duration_s = \"long\""),
         &["scene.toml, line 4", "invalid type: string \"long\", expected"],
     );
-    assert_refused(|scene| scene.replace("mode = \"lockstep\"", "mode = \"fast\""), &["line 3", "`fast`", "`lockstep`"]);
+    assert_refused(
+        |scene| scene.replace("mode = \"lockstep\"", "mode = \"fast\""),
+        &["line 3", "`fast`", "`lockstep`"],
+    );
     assert_refused(|scene| scene.replace("burr_start_mm", "[burr_start_mm"), &["scene.toml, line"]);
 }
 
@@ -109,7 +112,8 @@ fn a_missing_volume_is_named() {
 
 #[test]
 fn a_text_file_named_as_a_volume_is_refused() {
-    let place = with_volume(|place| fs::write(place.path("ct.nrrd"), "a shopping list\nmilk\nbread\n").unwrap());
+    let place =
+        with_volume(|place| fs::write(place.path("ct.nrrd"), "a shopping list\nmilk\nbread\n").unwrap());
     assert_refused_in(&place, &["ct.nrrd"]);
 }
 

@@ -50,15 +50,24 @@ fn bad_commands(sequence: u64, tick: u64) -> Vec<(Command, &'static str)> {
     let good = Command { sequence, state_tick: tick, ..steered(&State::zeroed()) };
     let forces = |force_n: f64| [force_n, 0.0, 0.0, 0.0];
     vec![
-        (Command { tendon_force_n: forces(f64::NAN), ..good }, "`tendon_force_n[0]` is NaN, allowed is 0 to 60"),
+        (
+            Command { tendon_force_n: forces(f64::NAN), ..good },
+            "`tendon_force_n[0]` is NaN, allowed is 0 to 60",
+        ),
         (Command { tendon_force_n: forces(61.0), ..good }, "`tendon_force_n[0]` is 61, allowed is 0 to 60"),
         (Command { tendon_force_n: forces(-0.5), ..good }, "`tendon_force_n[0]` is -0.5, allowed is 0 to 60"),
-        (Command { arm_speed_m_per_s: f64::INFINITY, ..good }, "`arm_speed_m_per_s` is inf, allowed is 0 to 1"),
+        (
+            Command { arm_speed_m_per_s: f64::INFINITY, ..good },
+            "`arm_speed_m_per_s` is inf, allowed is 0 to 1",
+        ),
         (Command { arm_mode: 9, ..good }, "`arm_mode` is 9, expected 0 none"),
         (Command { reserved: 1, ..good }, "`reserved` is 1, expected 0"),
         (Command { sequence: sequence - 1, ..good }, "`sequence` is 150, expected more than 150"),
         (Command { state_tick: tick + 1, ..good }, "`state_tick` is 151, but the newest state is 150"),
-        (Command { burr_mode: BURR_SPEED, ..good }, "`burr_mode` drives the burr, which the scene does not give"),
+        (
+            Command { burr_mode: BURR_SPEED, ..good },
+            "`burr_mode` drives the burr, which the scene does not give",
+        ),
     ]
 }
 
@@ -82,7 +91,10 @@ fn bad_commands_are_refused_by_field_and_change_nothing() {
     });
     for ((code, text), words) in events.iter().zip(&expected) {
         assert_eq!(*code, EVENT_COMMAND_REFUSED);
-        assert!(text.contains("controller `pilot`: command 15") && text.contains(words), "{words} in: {text}");
+        assert!(
+            text.contains("controller `pilot`: command 15") && text.contains(words),
+            "{words} in: {text}"
+        );
     }
     assert_same_run(&disturbed, &flown(&other, |_, state| state));
 }

@@ -1,7 +1,7 @@
 //! X-ray frames are tied to ticks and are a function of volume, removed voxels and state.
 
-use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, volume_view};
 use drr_proc::DrrRenderer;
+use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, volume_view};
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::Scene;
 use recorder_proc::{FrameRecord, ReadOptions, frames};
@@ -32,14 +32,19 @@ fn lockstep_frames_show_the_scheduled_ticks_and_repeat_to_the_pixel() {
         assert_eq!(frame.frame.removed_total, removed);
         assert!(frame.pixels.len() == 64 * 64 * 2 && frame.frame.pixel_hash != [0; 2]);
     }
-    let hashes = |frames: &[FrameRecord]| frames.iter().map(|frame| frame.frame.pixel_hash).collect::<Vec<_>>();
+    let hashes =
+        |frames: &[FrameRecord]| frames.iter().map(|frame| frame.frame.pixel_hash).collect::<Vec<_>>();
     assert_eq!(hashes(&a), hashes(&b));
     assert!(a == b);
 }
 
 /// Voxels that are gone at a tick, by the log.
 fn removed_until(log: &Whole, tick: u64) -> Vec<u32> {
-    log.ticks.iter().filter(|record| record.state.tick <= tick).flat_map(|record| record.removed.clone()).collect()
+    log.ticks
+        .iter()
+        .filter(|record| record.state.tick <= tick)
+        .flat_map(|record| record.removed.clone())
+        .collect()
 }
 
 #[test]

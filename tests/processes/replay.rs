@@ -27,11 +27,16 @@ fn a_log_with_one_altered_bit_differs_at_that_tick_and_field() {
     assert_replays(&changed);
 
     let flip = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
-    rewrite(&original, &changed, |_| {}, |state| {
-        if state.tick == 173 {
-            flip(&mut state.t_world_link[5].position_m[1]);
-        }
-    });
+    rewrite(
+        &original,
+        &changed,
+        |_| {},
+        |state| {
+            if state.tick == 173 {
+                flip(&mut state.t_world_link[5].position_m[1]);
+            }
+        },
+    );
     assert_differs(&changed, &["173", "t_world_link[5].position_m[1]"]);
 
     rewrite(&original, &changed, |_| {}, |state| state.hash[1] ^= u64::from(state.tick == 90));
@@ -83,9 +88,16 @@ fn a_cut_log_replays_to_its_last_complete_tick_and_says_so() {
         let said = assert_replays(&cut_log);
         let ticks: usize = said.split(' ').nth(1).unwrap().parse().unwrap();
         assert!(said.contains(&format!("last tick {ticks},")), "{said}");
-        assert!(said.contains("no end marker") || said.contains("end marker: completed; cut after"), "{said}");
+        assert!(
+            said.contains("no end marker") || said.contains("end marker: completed; cut after"),
+            "{said}"
+        );
         // Chunks are closed every 100 ticks: no more than that (and the index at the end) is lost.
-        assert!(ticks >= last && ticks + 250 >= 1000 * cut / bytes.len(), "cut at {cut} of {}: {said}", bytes.len());
+        assert!(
+            ticks >= last && ticks + 250 >= 1000 * cut / bytes.len(),
+            "cut at {cut} of {}: {said}",
+            bytes.len()
+        );
         last = ticks;
     }
 }
@@ -102,8 +114,15 @@ fn a_log_of_another_volume_is_refused_by_name() {
     let done = verify(&folder);
     assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
     let log = trabecula(&[&"log", &"info", &folder]).out;
-    let hash = log.lines().find_map(|line| line.strip_prefix("volume").and_then(|l| l.split("sha256 ").nth(1))).unwrap();
-    assert!(done.err.contains("volume: the log's has SHA-256") && done.err.contains(hash.trim_end_matches(')')), "{}", done.err);
+    let hash = log
+        .lines()
+        .find_map(|line| line.strip_prefix("volume").and_then(|l| l.split("sha256 ").nth(1)))
+        .unwrap();
+    assert!(
+        done.err.contains("volume: the log's has SHA-256") && done.err.contains(hash.trim_end_matches(')')),
+        "{}",
+        done.err
+    );
 
     fs::remove_file(&volume).unwrap();
     let done = verify(&folder);

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use ipc_types::messages::{
-    ARM_HOLD, ARM_MOVE_CP, BURR_SPEED, CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME,
-    CONTROL_STEP, CONTROL_STOP, Command, State, TENDON_SERVO_JF,
+    ARM_HOLD, ARM_MOVE_CP, BURR_SPEED, CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET,
+    CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, State, TENDON_SERVO_JF,
 };
 use recorder_proc::EndReason;
 
@@ -17,8 +17,12 @@ use crate::common::scenes;
 const SILENCE: Duration = Duration::from_millis(150);
 
 fn rest(_: &State) -> Command {
-    let mut command =
-        Command { tendon_mode: TENDON_SERVO_JF, arm_mode: ARM_HOLD, burr_mode: BURR_SPEED, ..Command::zeroed() };
+    let mut command = Command {
+        tendon_mode: TENDON_SERVO_JF,
+        arm_mode: ARM_HOLD,
+        burr_mode: BURR_SPEED,
+        ..Command::zeroed()
+    };
     command.tendon_force_n[0] = 1.0;
     command
 }
@@ -37,7 +41,8 @@ fn drilling(start: &State) -> Command {
 /// Silence, at this tick.
 fn assert_stands(pilot: &Pilot, tick: u64) {
     assert!(pilot.client.next_state_within(SILENCE).is_none(), "a tick was made while paused");
-    let status = *pilot.client.status.receive_newest().unwrap().expect("a status ten times a second").message();
+    let status =
+        *pilot.client.status.receive_newest().unwrap().expect("a status ten times a second").message();
     assert_eq!((status.tick, status.phase), (tick, ipc_types::messages::PHASE_PAUSED));
 }
 
@@ -136,7 +141,8 @@ fn a_reset_sets_all_back_and_the_run_replays_identically() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
 
     let log = read(&ended.folder);
-    let resets: Vec<u64> = log.ticks.iter().filter(|tick| tick.latched.reset != 0).map(|t| t.latched.tick).collect();
+    let resets: Vec<u64> =
+        log.ticks.iter().filter(|tick| tick.latched.reset != 0).map(|t| t.latched.tick).collect();
     assert_eq!(resets, [720]);
     // The same command on the initial state gives the same states, bit for bit.
     for k in 0..20 {

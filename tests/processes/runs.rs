@@ -12,8 +12,10 @@ fn configs() -> PathBuf {
 
 #[test]
 fn every_scene_in_configs_passes_the_scene_check() {
-    let scenes: Vec<PathBuf> = std::fs::read_dir(configs()).unwrap().flatten().map(|entry| entry.path()).collect();
-    let scenes: Vec<PathBuf> = scenes.into_iter().filter(|path| path.extension().is_some_and(|e| e == "toml")).collect();
+    let scenes: Vec<PathBuf> =
+        std::fs::read_dir(configs()).unwrap().flatten().map(|entry| entry.path()).collect();
+    let scenes: Vec<PathBuf> =
+        scenes.into_iter().filter(|path| path.extension().is_some_and(|e| e == "toml")).collect();
     assert!(scenes.iter().any(|path| path.ends_with("femur_curved_drilling.toml")), "{scenes:?}");
     for scene in scenes {
         let done = trabecula(&[&"scene", &"check", &scene]);
@@ -34,7 +36,15 @@ fn the_default_scene_in_lockstep_records_and_replays_identically() {
     assert_nothing_left(ended.pid);
     let said = assert_replays(&ended.folder);
     assert!(said.contains("replayed 2000 ticks") && said.contains("end marker: completed"), "{said}");
-    for file in ["run.mcap", "timing.mcap", "summary.json", "drr_before.png", "drr_half.png", "drr_after.png", "tip_path.png"] {
+    for file in [
+        "run.mcap",
+        "timing.mcap",
+        "summary.json",
+        "drr_before.png",
+        "drr_half.png",
+        "drr_after.png",
+        "tip_path.png",
+    ] {
         assert!(ended.folder.join(file).metadata().unwrap().len() > 0, "{file}");
     }
     let log = read(&ended.folder);
@@ -108,6 +118,7 @@ fn a_scene_with_its_volume_beside_it_replays_from_anywhere() {
     let command = command.args(["run", "scene.toml", "--quiet"]).current_dir(place.path(""));
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let runs: Vec<PathBuf> = std::fs::read_dir(place.path("out")).unwrap().flatten().map(|e| e.path()).collect();
+    let runs: Vec<PathBuf> =
+        std::fs::read_dir(place.path("out")).unwrap().flatten().map(|e| e.path()).collect();
     assert_replays(&runs[0]);
 }

@@ -13,20 +13,28 @@ use crate::volume::{MAX_VOXELS, Volume};
 /// [`VolumeError::Argument`] if the spacing is not a length above 0, or the result would have more than [`MAX_VOXELS`].
 pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> {
     volume.check(Path::new("volume to resample"))?;
-    let refuse = |given: String, expected: &str| VolumeError::Argument { field: "spacing_m", given, expected: expected.to_owned() };
+    let refuse = |given: String, expected: &str| VolumeError::Argument {
+        field: "spacing_m",
+        given,
+        expected: expected.to_owned(),
+    };
     if !(spacing_m.is_finite() && spacing_m > 0.0) {
         return Err(refuse(spacing_m.to_string(), "a finite length above 0"));
     }
     let extent = |axis: usize| volume.dims[axis] as f64 * volume.spacing_m[axis];
     let counts = [0, 1, 2].map(|axis| libm::floor(extent(axis) / spacing_m + 0.5).max(1.0));
     if counts.iter().product::<f64>() > MAX_VOXELS as f64 {
-        let given = format!("{spacing_m} m, which makes {:.0} x {:.0} x {:.0} voxels", counts[0], counts[1], counts[2]);
+        let given = format!(
+            "{spacing_m} m, which makes {:.0} x {:.0} x {:.0} voxels",
+            counts[0], counts[1], counts[2]
+        );
         return Err(refuse(given, "at most 2^29 voxels: a larger spacing"));
     }
     let dims = counts.map(|count| count as usize);
     // The outer faces of the first voxels coincide.
     let first = [0, 1, 2].map(|axis| 0.5 * (spacing_m / volume.spacing_m[axis] - 1.0));
-    let axes = [0, 1, 2].map(|axis| samples(dims[axis], volume.dims[axis], first[axis], spacing_m / volume.spacing_m[axis]));
+    let axes = [0, 1, 2]
+        .map(|axis| samples(dims[axis], volume.dims[axis], first[axis], spacing_m / volume.spacing_m[axis]));
     let mut hu = Vec::with_capacity(dims.iter().product());
     for k in &axes[2] {
         for j in &axes[1] {
@@ -83,12 +91,19 @@ mod tests {
     /// HU that are linear in the world's coordinates.
     fn linear(dims: [usize; 3], spacing_m: [f64; 3]) -> Volume {
         let direction = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
-        let mut volume = Volume { dims, spacing_m, origin_m: [0.01, -0.02, 0.03], direction, hu: vec![0; dims.iter().product()] };
+        let mut volume = Volume {
+            dims,
+            spacing_m,
+            origin_m: [0.01, -0.02, 0.03],
+            direction,
+            hu: vec![0; dims.iter().product()],
+        };
         for k in 0..dims[2] {
             for j in 0..dims[1] {
                 for i in 0..dims[0] {
                     let p = volume.voxel_to_world_m([i as f64, j as f64, k as f64]);
-                    volume.hu[i + dims[0] * (j + dims[1] * k)] = (p[0] * 2e4 - p[1] * 3e4 + p[2] * 1e4) as i16;
+                    volume.hu[i + dims[0] * (j + dims[1] * k)] =
+                        (p[0] * 2e4 - p[1] * 3e4 + p[2] * 1e4) as i16;
                 }
             }
         }

@@ -22,8 +22,8 @@ use thiserror::Error;
 use zerocopy::FromBytes;
 
 use crate::{
-    CArm, DetectorFormat, DetectorParameters, DisplayMode, DisplayParameters, DrrError, DrrParameters, DrrRenderer, Grid,
-    PositionerAngles, Projector, VolumeView,
+    CArm, DetectorFormat, DetectorParameters, DisplayMode, DisplayParameters, DrrError, DrrParameters,
+    DrrRenderer, Grid, PositionerAngles, Projector, VolumeView,
 };
 
 pub use tool_model::tool_of;
@@ -105,8 +105,9 @@ pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'
     let direction = [[d[0], d[1], d[2]], [d[3], d[4], d[5]], [d[6], d[7], d[8]]];
     let dims = volume.dimensions.map(|n| n as usize);
     let grid = Grid::new(dims, volume.spacing_m, volume.origin_m, direction)?;
-    let hu = <[i16]>::ref_from_bytes(voxels)
-        .map_err(|cause| DrrProcessError::BadVolume { problem: format!("voxels do not lie aligned: {cause}") })?;
+    let hu = <[i16]>::ref_from_bytes(voxels).map_err(|cause| DrrProcessError::BadVolume {
+        problem: format!("voxels do not lie aligned: {cause}"),
+    })?;
     Ok(VolumeView::new(grid, hu)?)
 }
 
@@ -140,11 +141,20 @@ pub fn renderer_parameters(drr: &Drr) -> DrrParameters {
 /// # Errors
 /// A value out of range, by name.
 pub fn scene_c_arm(drr: &Drr) -> Result<CArm, DrrError> {
-    let format =
-        DetectorFormat { columns: drr.columns, rows: drr.rows, pixel_pitch_m: [drr.pixel_pitch_mm * 1e-3; 2] };
+    let format = DetectorFormat {
+        columns: drr.columns,
+        rows: drr.rows,
+        pixel_pitch_m: [drr.pixel_pitch_mm * 1e-3; 2],
+    };
     let angles = PositionerAngles::from_degrees(drr.primary_angle_deg, drr.secondary_angle_deg);
     let isocentre_m = drr.isocentre_mm.map(|x| x * 1e-3);
-    CArm::from_positioner_angles(isocentre_m, angles, drr.source_isocentre_mm * 1e-3, drr.source_detector_mm * 1e-3, format)
+    CArm::from_positioner_angles(
+        isocentre_m,
+        angles,
+        drr.source_isocentre_mm * 1e-3,
+        drr.source_detector_mm * 1e-3,
+        format,
+    )
 }
 
 /// A C-arm as a message.

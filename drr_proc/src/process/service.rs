@@ -5,8 +5,8 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_cha
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{
-    DRR_ACCEPTED, DRR_BUSY, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming, GEOMETRY_REQUEST,
-    PHASE_ENDED, SEVERITY_WARNING, State,
+    DRR_ACCEPTED, DRR_BUSY, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming,
+    GEOMETRY_REQUEST, PHASE_ENDED, SEVERITY_WARNING, State,
 };
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
@@ -68,7 +68,13 @@ struct Service {
 }
 
 impl Service {
-    fn new(scene: &Scene, ports: Ports, c_arm: CArm, jobs: SyncSender<Job>, outcomes: Receiver<Outcome>) -> Service {
+    fn new(
+        scene: &Scene,
+        ports: Ports,
+        c_arm: CArm,
+        jobs: SyncSender<Job>,
+        outcomes: Receiver<Outcome>,
+    ) -> Service {
         Service {
             ports,
             schedule: Schedule::new(scene.run.mode, scene.frame_period_ticks()),
@@ -151,7 +157,8 @@ impl Service {
     /// Every removal up to this state has been published before it.
     fn take_removals(&mut self, state: &State) -> Result<(), DrrProcessError> {
         while let Some(removed) = self.ports.removed.receive()? {
-            let voxels = removed.tail().chunks_exact(4).filter_map(|bytes| u32::read_from_bytes(bytes).ok()).collect();
+            let voxels =
+                removed.tail().chunks_exact(4).filter_map(|bytes| u32::read_from_bytes(bytes).ok()).collect();
             let message = removed.message();
             self.removals.waiting.push_back(Batch {
                 tick: message.tick,
@@ -168,7 +175,9 @@ impl Service {
             let request = *request.message();
             let refusal = match self.geometry_of(&request) {
                 Err(cause) => Some((DRR_REFUSED, cause.to_string())),
-                Ok(_) if !self.schedule.request(request) => Some((DRR_BUSY, "too many requests wait".to_owned())),
+                Ok(_) if !self.schedule.request(request) => {
+                    Some((DRR_BUSY, "too many requests wait".to_owned()))
+                }
                 Ok(_) => None,
             };
             if let Some((status, reason)) = refusal {
@@ -191,13 +200,31 @@ impl Service {
             return Ok(c_arm);
         }
         let value = f64::from(c_arm.columns) * f64::from(c_arm.rows);
-        Err(DrrError::OutOfRange { field: "columns x rows", given: value, expected: "those of the scene's detector" })
+        Err(DrrError::OutOfRange {
+            field: "columns x rows",
+            given: value,
+            expected: "those of the scene's detector",
+        })
     }
 
-    fn reply(&self, request: &DrrRequest, sequence: u64, tick: u64, status: u32, c_arm: &CArm) -> Result<(), DrrProcessError> {
+    fn reply(
+        &self,
+        request: &DrrRequest,
+        sequence: u64,
+        tick: u64,
+        status: u32,
+        c_arm: &CArm,
+    ) -> Result<(), DrrProcessError> {
         let geometry = c_arm_message(c_arm);
         let DrrRequest { request_id, requester, .. } = *request;
-        Ok(self.ports.replies.send(&DrrReply { request_id, frame_sequence: sequence, tick, status, requester, geometry })?)
+        Ok(self.ports.replies.send(&DrrReply {
+            request_id,
+            frame_sequence: sequence,
+            tick,
+            status,
+            requester,
+            geometry,
+        })?)
     }
 
     /// Announces a frame of this state and hands it to the renderer.
@@ -294,7 +321,11 @@ impl Removals {
         if self.total == state.removed_total {
             return Ok(());
         }
-        Err(DrrProcessError::RemovedLost { tick: state.tick, expected: state.removed_total, received: self.total })
+        Err(DrrProcessError::RemovedLost {
+            tick: state.tick,
+            expected: state.removed_total,
+            received: self.total,
+        })
     }
 
     fn take(&mut self) -> (bool, Vec<u32>) {

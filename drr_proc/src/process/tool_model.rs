@@ -27,7 +27,12 @@ pub fn tool_of(state: &State, burr_radius_m: f64) -> Tool {
             inner_radius_m: TUBE_INNER_RADIUS_M,
             material: Material::Nitinol,
         });
-        parts.push(ToolPart::Cylinder { start_m, end_m, radius_m: CABLE_RADIUS_M, material: Material::Steel316L });
+        parts.push(ToolPart::Cylinder {
+            start_m,
+            end_m,
+            radius_m: CABLE_RADIUS_M,
+            material: Material::Steel316L,
+        });
     }
     let centre_m = state.t_world_burr.position_m;
     parts.push(ToolPart::Sphere { centre_m, radius_m: burr_radius_m, material: Material::Steel316L });

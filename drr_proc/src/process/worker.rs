@@ -61,7 +61,11 @@ impl Rendered {
 ///
 /// # Errors
 /// The renderer's.
-pub fn render_job(renderer: &mut DrrRenderer, view: &VolumeView<'_>, job: &Job) -> Result<Rendered, DrrError> {
+pub fn render_job(
+    renderer: &mut DrrRenderer,
+    view: &VolumeView<'_>,
+    job: &Job,
+) -> Result<Rendered, DrrError> {
     let began = Instant::now();
     if job.restore_first {
         renderer.restore_all();

@@ -13,8 +13,8 @@ use super::geometry::{Configuration, Layout, SphereKind};
 use super::parameters::ManipulatorParameters;
 use super::row::{EMPTY_ROW, EMPTY_STOP, Row, Stop, target};
 use super::state::{ContactResult, ManipulatorState};
-use crate::contact_plane::ContactPlane;
 use super::{MAX_CONTACTS, MAX_JOINTS, MAX_ROWS, MAX_SPHERES};
+use crate::contact_plane::ContactPlane;
 
 /// Contacts of the last tick continue those of this one if their sphere is the same and the normals' cosine is above
 /// this.

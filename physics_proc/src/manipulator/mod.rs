@@ -48,8 +48,7 @@ pub use error::ManipulatorError;
 pub use geometry::SphereKind;
 pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, TendonParameters};
 pub use state::{
-    BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport,
-    TendonCommand, Wrench,
+    BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, TendonCommand, Wrench,
 };
 
 /// Most flexures of a chain.

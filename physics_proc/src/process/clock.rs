@@ -15,8 +15,10 @@ pub(super) fn now_ns() -> u64 {
 
 /// Sleeps until the monotonic clock shows `deadline_ns`. A signal ends the sleep early.
 pub(super) fn sleep_until(deadline_ns: u64) {
-    let request =
-        Timespec { tv_sec: (deadline_ns / 1_000_000_000) as i64, tv_nsec: (deadline_ns % 1_000_000_000) as i64 };
+    let request = Timespec {
+        tv_sec: (deadline_ns / 1_000_000_000) as i64,
+        tv_nsec: (deadline_ns % 1_000_000_000) as i64,
+    };
     // An interrupted sleep is looked at by the caller, which knows whether to end.
     let _ = rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &request);
 }

@@ -17,7 +17,11 @@ use crate::bone::GridGeometry;
 const VOLUME_LIMIT_S: u64 = 60;
 
 /// The volume in shared memory; it stays there as long as the return value lives.
-pub(super) fn receive_volume(session: &Session, scene: &Scene, end: &EndRequest) -> Result<Option<Received<Volume>>, PhysicsError> {
+pub(super) fn receive_volume(
+    session: &Session,
+    scene: &Scene,
+    end: &EndRequest,
+) -> Result<Option<Received<Volume>>, PhysicsError> {
     if scene.volume.is_none() {
         return Ok(None);
     }

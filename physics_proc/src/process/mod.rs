@@ -76,7 +76,9 @@ pub enum PhysicsError {
         limit_s: u64,
     },
     /// A controller did not answer in lockstep.
-    #[error("controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)")]
+    #[error(
+        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)"
+    )]
     ControllerSilent {
         /// Its name.
         name: String,
@@ -117,6 +119,7 @@ pub fn run(session_folder: &Path) -> Result<(), PhysicsError> {
         }
         None => None,
     };
-    let simulation = Simulation::new(&scene, ct).map_err(|cause| PhysicsError::Simulation { tick: 0, cause })?;
+    let simulation =
+        Simulation::new(&scene, ct).map_err(|cause| PhysicsError::Simulation { tick: 0, cause })?;
     Runner::new(&scene, simulation, ports, end).run()
 }

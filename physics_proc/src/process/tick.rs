@@ -4,9 +4,9 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::{
     CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
-    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_RUN, EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS, PHASE_CONNECTING,
-    PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING, RunControl, RunControlReply, RunStatus, SEVERITY_INFO, SEVERITY_WARNING,
-    SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TickTiming,
+    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_RUN, EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS,
+    PHASE_CONNECTING, PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING, RunControl, RunControlReply, RunStatus,
+    SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TickTiming,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
@@ -53,7 +53,12 @@ pub(super) struct Runner<'v> {
 }
 
 impl<'v> Runner<'v> {
-    pub(super) fn new(scene: &Scene, simulation: Simulation<'v>, ports: Ports, end: EndRequest) -> Runner<'v> {
+    pub(super) fn new(
+        scene: &Scene,
+        simulation: Simulation<'v>,
+        ports: Ports,
+        end: EndRequest,
+    ) -> Runner<'v> {
         Runner {
             simulation,
             ports,
@@ -179,7 +184,9 @@ impl<'v> Runner<'v> {
         let limit = Instant::now() + self.controller_limit;
         loop {
             self.collect_commands()?;
-            let Some(silent) = (0..self.ports.controllers.len()).find(|i| !self.latch.has_answer(*i, self.tick)) else {
+            let Some(silent) =
+                (0..self.ports.controllers.len()).find(|i| !self.latch.has_answer(*i, self.tick))
+            else {
                 return Ok(());
             };
             if self.end.is_set() {
@@ -212,13 +219,19 @@ impl<'v> Runner<'v> {
                 return Ok(());
             }
             self.ports.consumers.update()?;
-            let Some(part) = self.ports.consumers.behind(tick).map(|consumer| consumer.part) else { return Ok(()) };
+            let Some(part) = self.ports.consumers.behind(tick).map(|consumer| consumer.part) else {
+                return Ok(());
+            };
             if self.end.is_set() {
                 self.stopped = true;
                 return Ok(());
             }
             if Instant::now() >= limit {
-                return Err(PhysicsError::ConsumerStuck { part, tick: self.tick, limit_s: CONSUMER_LIMIT.as_secs() });
+                return Err(PhysicsError::ConsumerStuck {
+                    part,
+                    tick: self.tick,
+                    limit_s: CONSUMER_LIMIT.as_secs(),
+                });
             }
             self.ports.consumers.wake();
             let slice = Instant::now() + Duration::from_millis(2);
@@ -264,7 +277,9 @@ impl<'v> Runner<'v> {
         self.ports.latched.send(&latched)?;
         let latch_ns = elapsed_ns(began);
         let step_began = Instant::now();
-        self.simulation.step(&latched).map_err(|cause| PhysicsError::Simulation { tick: self.tick, cause })?;
+        self.simulation
+            .step(&latched)
+            .map_err(|cause| PhysicsError::Simulation { tick: self.tick, cause })?;
         let step_ns = elapsed_ns(step_began);
         let publish_began = Instant::now();
         self.tick += 1;
@@ -313,7 +328,10 @@ impl<'v> Runner<'v> {
             let (source, before) = (latched.commands[index].source, self.sources[index]);
             self.sources[index] = source;
             if source == SOURCE_SAFE && before != SOURCE_SAFE {
-                let text = format!("controller `{}` is late for longer than `run.hold_ticks`: burr off, arm stopped", port.name);
+                let text = format!(
+                    "controller `{}` is late for longer than `run.hold_ticks`: burr off, arm stopped",
+                    port.name
+                );
                 self.ports.events.send(latched.tick, SEVERITY_WARNING, EVENT_SAFE_COMMAND, &text)?;
             } else if source == SOURCE_HELD && before == SOURCE_FRESH {
                 let text = format!("controller `{}` is late: its last command is held", port.name);
@@ -327,7 +345,8 @@ impl<'v> Runner<'v> {
         for refusal in self.simulation.refusals() {
             self.refused_commands += 1;
             let name = &self.ports.controllers[refusal.controller_index as usize].name;
-            let text = format!("controller `{name}`: command {}: {}; refused", refusal.sequence, refusal.reason);
+            let text =
+                format!("controller `{name}`: command {}: {}; refused", refusal.sequence, refusal.reason);
             self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_COMMAND_REFUSED, &text)?;
         }
         Ok(())
@@ -338,8 +357,12 @@ impl<'v> Runner<'v> {
         while let Some(request) = self.ports.control.receive()? {
             let request = *request.message();
             let status = if self.obey_one(&request) { CONTROL_DONE } else { CONTROL_REFUSED };
-            let reply =
-                RunControlReply { request_id: request.request_id, tick: self.tick, action: request.action, status };
+            let reply = RunControlReply {
+                request_id: request.request_id,
+                tick: self.tick,
+                action: request.action,
+                status,
+            };
             self.ports.control_reply.send(&reply)?;
             let phase = if self.paused { PHASE_PAUSED } else { PHASE_RUNNING };
             self.send_status(phase, true)?;
@@ -393,7 +416,9 @@ impl<'v> Runner<'v> {
         let began = Instant::now();
         loop {
             self.ports.consumers.update()?;
-            let Some(part) = self.ports.consumers.behind(self.tick).map(|consumer| consumer.part) else { return Ok(()) };
+            let Some(part) = self.ports.consumers.behind(self.tick).map(|consumer| consumer.part) else {
+                return Ok(());
+            };
             // Asked to end by a signal, the launcher or a consumer is dead: nobody may be there to take the last state.
             let limit = if self.end.is_set() { ABANDONED_LIMIT } else { CONSUMER_LIMIT };
             if began.elapsed() >= limit {

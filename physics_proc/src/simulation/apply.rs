@@ -1,8 +1,8 @@
 //! What the latched commands do to the actuators.
 
 use ipc_types::messages::{
-    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_SERVO_CP, ARM_SERVO_JP, BURR_SPEED, Command, Latched, Pose,
-    SOURCE_FRESH, SOURCE_SAFE, TENDON_MOVE_JP, TENDON_SERVO_JF, TENDON_SERVO_JP,
+    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_SERVO_CP, ARM_SERVO_JP, BURR_SPEED, Command, Latched,
+    Pose, SOURCE_FRESH, SOURCE_SAFE, TENDON_MOVE_JP, TENDON_SERVO_JF, TENDON_SERVO_JP,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
@@ -50,7 +50,9 @@ impl Simulation<'_> {
             TENDON_MOVE_JP => {
                 let now_m = self.manipulator.tendon_displacements_m();
                 let goal_m = pair(&command.tendon_displacement_m);
-                self.tendon.move_to(goal_m, now_m, self.dt_s).map_err(|cause| format!("tendon move_jp: {cause}"))?;
+                self.tendon
+                    .move_to(goal_m, now_m, self.dt_s)
+                    .map_err(|cause| format!("tendon move_jp: {cause}"))?;
             }
             _ => {}
         }
@@ -61,7 +63,9 @@ impl Simulation<'_> {
         let speed_m_per_s = (command.arm_speed_m_per_s > 0.0).then_some(command.arm_speed_m_per_s);
         let wanted = match command.arm_mode {
             ARM_NONE => return Ok(()),
-            ARM_SERVO_JP => ArmCommand::ServoJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 },
+            ARM_SERVO_JP => {
+                ArmCommand::ServoJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 }
+            }
             ARM_MOVE_JP => ArmCommand::MoveJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 },
             ARM_SERVO_CP => {
                 ArmCommand::ServoCp { t_world_flange: isometry(&command.t_world_base), speed_fraction: 1.0 }
@@ -82,5 +86,8 @@ impl Simulation<'_> {
 fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let [px, py, pz] = pose.position_m;
-    Isometry3::from_parts(Translation3::new(px, py, pz), UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)))
+    Isometry3::from_parts(
+        Translation3::new(px, py, pz),
+        UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)),
+    )
 }

@@ -34,7 +34,7 @@ use tendon_drive::{TendonDrive, TendonDriveState};
 pub use apply::Refusal;
 
 /// Gap within which a contact plane takes part in a tick, beyond what the sphere can travel in it.
-const CONTACT_MARGIN_M: f64 = 2.0e-4;
+const CONTACT_MARGIN_M: f64 = 1.0e-4;
 
 /// The CT as a simulation sees it: geometry and Hounsfield units, x fastest, not copied.
 #[derive(Debug, Clone, Copy)]

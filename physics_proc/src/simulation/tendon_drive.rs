@@ -55,9 +55,16 @@ impl TendonDrive {
     }
 
     /// Starts toward a displacement from where the tendons are; the goal already followed changes nothing.
-    pub(super) fn move_to(&mut self, goal_m: [f64; 2], now_m: [f64; 2], dt_s: f64) -> Result<(), crate::arm::TrajectoryError> {
+    pub(super) fn move_to(
+        &mut self,
+        goal_m: [f64; 2],
+        now_m: [f64; 2],
+        dt_s: f64,
+    ) -> Result<(), crate::arm::TrajectoryError> {
         let start = match self.state {
-            TendonDriveState::Move { segment, .. } if segment.goal == Goal::Independent(goal_m) => return Ok(()),
+            TendonDriveState::Move { segment, .. } if segment.goal == Goal::Independent(goal_m) => {
+                return Ok(());
+            }
             TendonDriveState::Move { ticks, .. } => self.planner.sample(ticks as f64 * dt_s),
             TendonDriveState::Displacement(displacement_m) => AxisState::at_rest(displacement_m),
             TendonDriveState::Force(_) => AxisState::at_rest(now_m),

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use ipc_types::messages::{Latched, State};
-use recorder_proc::{EndMarker, EndReason, LogReader, MessageStream, ReadOptions, RunLog, TickRecord, topics};
+use recorder_proc::{
+    EndMarker, EndReason, LogReader, MessageStream, ReadOptions, RunLog, TickRecord, topics,
+};
 use zerocopy::FromBytes;
 
 use super::program::{Done, trabecula};

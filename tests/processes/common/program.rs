@@ -132,7 +132,9 @@ impl Run {
     /// Folder of the session, once it is announced.
     pub fn session(&self) -> PathBuf {
         let folder = session_folder(self.pid());
-        wait_for("the session's announcement", || folder.join("session.json").exists().then(|| folder.clone()))
+        wait_for("the session's announcement", || {
+            folder.join("session.json").exists().then(|| folder.clone())
+        })
     }
 
     /// The process of a part (`physics`, `drr`, `controller`, `recorder`), once it is there.
@@ -172,9 +174,12 @@ pub fn session_folder(launcher: u32) -> PathBuf {
 pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
     let mut parts = Vec::new();
     for entry in fs::read_dir("/proc").unwrap().flatten() {
-        let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else { continue };
+        let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else {
+            continue;
+        };
         let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
-        let words: Vec<String> = line.split(|byte| *byte == 0).map(|w| String::from_utf8_lossy(w).into_owned()).collect();
+        let words: Vec<String> =
+            line.split(|byte| *byte == 0).map(|w| String::from_utf8_lossy(w).into_owned()).collect();
         if words.iter().any(|word| Path::new(word) == session)
             && let Some(at) = words.iter().position(|word| word == "proc")
         {
@@ -187,7 +192,8 @@ pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
 /// Names in /dev/shm that belong to the sessions of a launcher.
 pub fn shared_memory_of(launcher: u32) -> Vec<String> {
     let prefix = format!("trabecula010_{launcher}-");
-    let names = fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
+    let names =
+        fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
     names.filter(|name| name.starts_with(&prefix)).collect()
 }
 
@@ -196,7 +202,7 @@ pub fn assert_nothing_left(launcher: u32) {
     let session = session_folder(launcher);
     assert_eq!(parts_of(&session), [], "processes of {} still run", session.display());
     assert!(!session.exists(), "{} is left", session.display());
-    assert_eq!(shared_memory_of(launcher), [String::new(); 0]);
+    assert_eq!(shared_memory_of(launcher), Vec::<String>::new());
 }
 
 /// Processes that burn a core each until dropped.

@@ -46,8 +46,7 @@ fn run(name: &str, mode: &str, duration_s: f64) -> String {
 
 /// A controller that holds a tension in free space: no volume, no X-ray.
 pub fn hold(mode: &str, duration_s: f64) -> String {
-    let controller =
-        "[[controller]]\nname = \"holder\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nhold = { tension_n = 2.0 }\n";
+    let controller = "[[controller]]\nname = \"holder\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nhold = { tension_n = 2.0 }\n";
     format!("{}{TOOL}{controller}", run("hold", mode, duration_s))
 }
 
@@ -65,7 +64,8 @@ pub fn drill_in_file(mode: &str, duration_s: f64, file: &str) -> String {
 /// The block, drilled by a controller `pilot` that the test itself is; `more` follows the `[run]` keys.
 pub fn piloted(mode: &str, duration_s: f64, more: &str) -> String {
     let run = run("piloted", mode, duration_s);
-    let pilot = "[[controller]]\nname = \"pilot\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n";
+    let pilot =
+        "[[controller]]\nname = \"pilot\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n";
     format!("{run}{more}\n{BLOCK}{TOOL}{pilot}")
 }
 
