@@ -1,5 +1,7 @@
 //! The documents say what the code says, and their links lead somewhere.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
+
 use std::path::{Path, PathBuf};
 
 fn root() -> &'static Path {

@@ -14,8 +14,8 @@ use crate::geometry::{position_m, project, rotation};
 const WINDOW_M: f64 = 0.008;
 /// Pixels below this share of full scale are metal.
 const DARK_SHARE: f64 = 0.12;
-/// Share of the dark pixels that may lie beyond the front: noise.
-const FRONT_SHARE: f64 = 0.01;
+/// Dark pixels that may lie beyond the front: noise.
+const STRAY_PIXELS: usize = 2;
 /// Fewest dark pixels of a sighting.
 const FEWEST_PIXELS: usize = 20;
 
@@ -48,7 +48,7 @@ pub fn find_tip(
     }
     let mut along: Vec<f64> = dark.iter().map(|p| (p - expected).dot(&direction)).collect();
     along.sort_by(f64::total_cmp);
-    let end = along[((1.0 - FRONT_SHARE) * (along.len() - 1) as f64) as usize];
+    let end = along[along.len() - 1 - STRAY_PIXELS];
     let radius = radius_m * pixels_per_m;
     let burr: Vec<Vector2<f64>> = dark
         .into_iter()

@@ -71,8 +71,9 @@ pub const REMOVED: Service = Service {
     max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4,
     ..fixed::<Removed>("removed", Lane::Run, 512)
 };
-/// `Command`, one service a controller: the writer is known by the service.
-pub const COMMAND: Service = Service { history: 0, ..fixed::<Command>("command", Lane::Timing, 64) };
+/// `Command`, one service a controller: the writer is known by the service. A recorder may be as far behind its answers
+/// as it is behind the states.
+pub const COMMAND: Service = Service { history: 0, ..fixed::<Command>("command", Lane::Timing, 512) };
 /// `Volume`, once; `max_bytes` is that of the scene's volume.
 pub const VOLUME: Service = Service { max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, 1) };
 /// `Frame` with its image; `max_bytes` is that of the scene's detector.

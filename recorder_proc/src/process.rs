@@ -29,6 +29,8 @@ const LOOK_TIME: Duration = Duration::from_millis(2);
 const VOLUME_LIMIT: Duration = Duration::from_secs(60);
 /// States after which progress is reported in between.
 const PROGRESS_TICKS: u64 = 64;
+/// States that are taken before the other queues are looked at again.
+const TICKS_PER_ROUND: usize = 16;
 /// Name of the file in the run folder through which the launcher says why the run ended.
 pub const REASON_FILE: &str = ".end_reason";
 
@@ -84,16 +86,10 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         lost: BTreeMap::new(),
         ports,
     };
-    recorder.report_progress(0)?;
-    while !end.is_set() {
-        recorder.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || recorder.ports.states.has_message());
-        // A physics process that joins later must hear of this one.
-        recorder.ports.progress.deliver_history()?;
-        recorder.take_all()?;
-    }
-    // Once more: a message that arrived between the last look and the request to end.
-    recorder.take_all()?;
-    recorder.finish(output)
+    let recorded = recorder.record(&end);
+    // Whatever went wrong, what has been taken is kept.
+    let finished = recorder.finish(output, recorded.is_err());
+    recorded.and(finished)
 }
 
 /// What the logs say about the run.
@@ -193,15 +189,33 @@ struct Recorder {
 }
 
 impl Recorder {
-    /// Takes everything that waits, the tick's messages first.
-    fn take_all(&mut self) -> Result<(), RecorderError> {
+    /// Takes messages until the recorder is asked to end, and then what still waits.
+    fn record(&mut self, end: &EndRequest) -> Result<(), RecorderError> {
+        self.report_progress(0)?;
+        while !end.is_set() {
+            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
+            // A physics process that joins later must hear of this one.
+            self.ports.progress.deliver_history()?;
+            self.take_round()?;
+        }
+        self.take_round()?;
+        while self.ports.states.has_message() {
+            self.take_round()?;
+        }
+        Ok(())
+    }
+
+    /// Takes some ticks, and everything else that waits. In lockstep the physics goes on as fast as states are taken:
+    /// a recorder that took states as long as there are any would never come to the other queues, which overflow.
+    fn take_round(&mut self) -> Result<(), RecorderError> {
         self.take_ticks()?;
         self.take_frames()?;
         self.take_timing()
     }
 
     fn take_ticks(&mut self) -> Result<(), RecorderError> {
-        while let Some(state) = self.ports.states.receive()? {
+        for _ in 0..TICKS_PER_ROUND {
+            let Some(state) = self.ports.states.receive()? else { break };
             // Latched and Removed of a tick are published before its state.
             self.take_inputs()?;
             self.run.state(state.message())?;
@@ -280,9 +294,10 @@ impl Recorder {
         Ok(())
     }
 
-    fn finish(self, output: &Path) -> Result<(), RecorderError> {
+    fn finish(self, output: &Path, failed: bool) -> Result<(), RecorderError> {
         let reason_path = output.join(REASON_FILE);
         let reason = match std::fs::read_to_string(&reason_path) {
+            _ if failed => EndReason::PartDied("recorder".to_owned()),
             Ok(text) if text == "interrupted" => EndReason::Interrupted,
             Ok(part) if !part.is_empty() && part != "completed" => EndReason::PartDied(part),
             Ok(_) => EndReason::Completed,

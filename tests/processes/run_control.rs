@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use ipc_types::messages::{
     ARM_HOLD, ARM_MOVE_CP, BURR_SPEED, CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET,
-    CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, State, TENDON_SERVO_JF,
+    CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, PHASE_PAUSED, State, TENDON_SERVO_JF,
 };
 use recorder_proc::EndReason;
 
 use crate::common::client::Pilot;
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Place, assert_nothing_left};
+use crate::common::program::{Place, assert_nothing_left, wait_for};
 use crate::common::scenes;
 
 /// How long nothing must happen. Too short a time on a slow machine can only hide a fault, not report one.
@@ -41,9 +41,12 @@ fn drilling(start: &State) -> Command {
 /// Silence, at this tick.
 fn assert_stands(pilot: &Pilot, tick: u64) {
     assert!(pilot.client.next_state_within(SILENCE).is_none(), "a tick was made while paused");
-    let status =
-        *pilot.client.status.receive_newest().unwrap().expect("a status ten times a second").message();
-    assert_eq!((status.tick, status.phase), (tick, ipc_types::messages::PHASE_PAUSED));
+    wait_for("a status that says so", || {
+        let status = pilot.client.status.receive_newest().unwrap()?;
+        let status = status.message();
+        assert!(status.tick <= tick);
+        (status.tick == tick && status.phase == PHASE_PAUSED).then_some(())
+    });
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common::logs::{assert_replays, read};
+use crate::common::logs::{assert_replays, counts, read};
 use crate::common::program::{BusyLoops, Place, Run, assert_nothing_left, trabecula};
 use crate::common::scenes;
 
@@ -86,6 +86,21 @@ fn a_realtime_run_beside_two_busy_loops_replays_identically() {
     assert_nothing_left(ended.pid);
     let said = assert_replays(&ended.folder);
     assert!(said.contains("replayed 2500 ticks"), "{said}");
+}
+
+/// The recorder took states as long as there were any; in lockstep there always were, and its other queues overflowed:
+/// commands and timings were lost, and once a frame.
+#[test]
+fn a_lockstep_log_misses_no_message_of_any_queue() {
+    let place = Place::new();
+    let busy = BusyLoops::start(2);
+    let folder = place.complete(&scenes::drill("lockstep", 3.0)).folder;
+    drop(busy);
+    let [run, timing] = ["run.mcap", "timing.mcap"].map(|name| counts(&folder.join(name)));
+    assert_eq!((run["/latched"], run["/state"], run["/drr/frame"], run["/drr/reply"]), (3000, 3001, 31, 31));
+    assert_eq!((timing["/timing/tick"], timing["/timing/frame"]), (3000, 31));
+    // A last answer may come when the run is over.
+    assert!((3000..=3001).contains(&timing["/command/reference"]), "{timing:?}");
 }
 
 #[test]

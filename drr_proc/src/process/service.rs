@@ -21,6 +21,8 @@ use crate::{CArm, DrrError, DrrRenderer, VolumeView};
 /// Jobs that may wait for the renderer.
 const QUEUE: usize = 2;
 const LOOK_TIME: Duration = Duration::from_millis(2);
+/// States that are taken before requests are looked at again.
+const STATES_PER_ROUND: usize = 32;
 /// States after which progress is reported in between.
 const PROGRESS_TICKS: u64 = 32;
 
@@ -132,7 +134,9 @@ impl Service {
     }
 
     fn take_states(&mut self) -> Result<(), DrrProcessError> {
-        while let Some(received) = self.ports.states.receive()? {
+        // In lockstep the physics goes on as fast as states are taken: requests must be looked at in between.
+        for _ in 0..STATES_PER_ROUND {
+            let Some(received) = self.ports.states.receive()? else { break };
             let state = Box::new(*received.message());
             drop(received);
             self.take_removals(&state)?;

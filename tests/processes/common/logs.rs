@@ -26,6 +26,15 @@ pub fn read(folder: &Path) -> Whole {
     Whole { initial, ticks, marker: reader.ending().marker.clone() }
 }
 
+/// Messages of a log by topic; the log must be complete and miss none.
+pub fn counts(log: &Path) -> BTreeMap<String, u64> {
+    let mut stream = MessageStream::open(log, ReadOptions::default()).unwrap();
+    while stream.next_message().unwrap().is_some() {}
+    let marker = stream.ending().marker.clone().expect("an end marker");
+    assert_eq!(marker.lost, BTreeMap::new());
+    stream.counts().into_iter().map(|(topic, count)| (topic, count.messages)).collect()
+}
+
 /// Replays a folder or log with `--verify`.
 pub fn verify(log: &Path) -> Done {
     trabecula(&[&"replay", &log, &"--verify"])
