@@ -22,7 +22,7 @@ phantom = "block"
 [[predrill]]
 from_mm = [0.0, 0.0, -110.0]
 to_mm = [0.0, 0.0, 0.0]
-diameter_mm = 7.0
+diameter_mm = 6.6
 [tool]
 burr_start_mm = [0.0, 0.0, 0.0]
 direction = [0.0, 0.0, 1.0]

@@ -203,7 +203,8 @@ fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Pa
             if turn == 2 || failed {
                 part.ask_to_end();
             }
-            part.wait(limit);
+            // The recorder is never cut short: what was published is to be in the log.
+            part.wait(if turn == 2 { END_LIMIT } else { limit });
             if turn == 0 {
                 over = Instant::now();
             }
