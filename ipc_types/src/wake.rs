@@ -23,6 +23,9 @@ use memmap2::MmapRaw;
 /// cores; yielding for 20 µs costs nothing there and catches nearly every answer of a running peer.
 pub const YIELD_TIME: Duration = Duration::from_micros(20);
 
+/// Shortest sleep. iceoryx2 hands it to the kernel as `SO_RCVTIMEO` in whole microseconds, and 0 of them is no limit at
+/// all: a reader with less than 1 µs left would sleep until somebody wakes it, which for the recorder nobody does.
+const SHORTEST_SLEEP: Duration = Duration::from_micros(10);
 /// Longest sleep before a reader looks again by itself.
 const LONGEST_SLEEP: Duration = Duration::from_millis(10);
 
@@ -117,7 +120,7 @@ impl Waiter {
                 return is_ready;
             }
             // A wait that fails (a signal) is a wait that ended early; the loop looks again.
-            let _ = self.listener.timed_wait(|_| {}, left.min(LONGEST_SLEEP));
+            let _ = self.listener.timed_wait(|_| {}, left.clamp(SHORTEST_SLEEP, LONGEST_SLEEP));
         }
     }
 

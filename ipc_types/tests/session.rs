@@ -138,6 +138,27 @@ fn a_sleeping_reader_is_woken() {
     assert_eq!(reader.join().unwrap(), (0..200).collect::<Vec<_>>());
 }
 
+/// A wait whose deadline was less than a microsecond away never ended: the kernel was asked to wait for 0 µs, which it
+/// takes for no limit. On a loaded machine the recorder slept through whole runs.
+#[test]
+fn a_wait_ends_however_near_its_deadline_is() {
+    let host = SessionHost::create(&plan(&[])).unwrap();
+    host.announce().unwrap();
+    let folder = host.session.folder().to_owned();
+    let (done, is_done) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let session = Session::join(&folder).unwrap();
+        let waiter = session.waiter(Reader::Recorder).unwrap();
+        for nanoseconds in 0..20_000 {
+            // Around the end of the yielding, where the wait begins.
+            let deadline = Instant::now() + ipc_types::wake::YIELD_TIME + Duration::from_nanos(nanoseconds);
+            assert!(!waiter.wait_until(deadline, || false));
+        }
+        done.send(()).unwrap();
+    });
+    is_done.recv_timeout(Duration::from_secs(60)).expect("every wait ends");
+}
+
 #[test]
 fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     // No process has this number: the largest one allowed is 4194304.
