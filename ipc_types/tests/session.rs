@@ -149,7 +149,7 @@ fn a_wait_ends_however_near_its_deadline_is() {
     std::thread::spawn(move || {
         let session = Session::join(&folder).unwrap();
         let waiter = session.waiter(Reader::Recorder).unwrap();
-        for nanoseconds in 0..20_000 {
+        for nanoseconds in (0..20_000).step_by(40) {
             // Around the end of the yielding, where the wait begins.
             let deadline = Instant::now() + ipc_types::wake::YIELD_TIME + Duration::from_nanos(nanoseconds);
             assert!(!waiter.wait_until(deadline, || false));
