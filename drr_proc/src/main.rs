@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use ipc_types::process::{EXIT_FAILED, end_with_parent};
+use ipc_types::process::{conclude, end_with_parent};
 
 /// Renders the X-ray frames of a running session.
 #[derive(Debug, Parser)]
@@ -18,11 +18,5 @@ struct Arguments {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     end_with_parent();
-    match drr_proc::process::run(&arguments.session) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("drr_proc: {error}");
-            ExitCode::from(EXIT_FAILED)
-        }
-    }
+    conclude("drr_proc", drr_proc::process::run(&arguments.session))
 }

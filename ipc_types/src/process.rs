@@ -2,15 +2,16 @@
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 use zerocopy::IntoBytes;
 
-use crate::messages::{Event, SEVERITY_INFO};
-use crate::ports::{PortError, Publisher};
+use crate::messages::{Event, SEVERITY_INFO, Volume};
+use crate::ports::{PortError, Publisher, Received, Subscriber};
 use crate::scene::{Scene, SceneError};
 use crate::services::{self, MAX_EVENT_TEXT};
 use crate::session::{Session, SessionError};
@@ -19,6 +20,39 @@ use crate::session::{Session, SessionError};
 pub const EXIT_FAILED: u8 = 1;
 /// Exit code for bad input: nothing was written, nothing was lost.
 pub const EXIT_BAD_INPUT: u8 = 2;
+
+/// How long a process waits for the volume.
+pub const VOLUME_LIMIT: Duration = Duration::from_secs(60);
+
+/// Exit code of a program that ran a part, after it has said what went wrong.
+pub fn conclude(program: &str, outcome: Result<(), impl std::error::Error>) -> ExitCode {
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{program}: {error}");
+            ExitCode::from(EXIT_FAILED)
+        }
+    }
+}
+
+/// Waits for the volume; it stays in shared memory as long as the return value lives. `None` if it did not come within
+/// [`VOLUME_LIMIT`], or the process was asked to end first.
+///
+/// # Errors
+/// The transport's.
+pub fn await_volume(
+    volumes: &Subscriber<Volume>,
+    end: &EndRequest,
+) -> Result<Option<Received<Volume>>, PortError> {
+    let limit = Instant::now() + VOLUME_LIMIT;
+    while Instant::now() < limit && !end.is_set() {
+        if let Some(volume) = volumes.receive()? {
+            return Ok(Some(volume));
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Ok(None)
+}
 
 /// Set when the process has been asked to end (SIGTERM, SIGINT).
 #[derive(Debug, Clone)]

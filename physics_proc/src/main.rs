@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use ipc_types::process::{EXIT_FAILED, end_with_parent};
+use ipc_types::process::{conclude, end_with_parent};
 
 /// Steps the physics of a running session.
 #[derive(Debug, Parser)]
@@ -18,11 +18,5 @@ struct Arguments {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     end_with_parent();
-    match physics_proc::process::run(&arguments.session) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("physics_proc: {error}");
-            ExitCode::from(EXIT_FAILED)
-        }
-    }
+    conclude("physics_proc", physics_proc::process::run(&arguments.session))
 }

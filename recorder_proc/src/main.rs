@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use ipc_types::process::{EXIT_FAILED, end_with_parent};
+use ipc_types::process::{conclude, end_with_parent};
 
 /// Records a running session.
 #[derive(Debug, Parser)]
@@ -21,11 +21,5 @@ struct Arguments {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     end_with_parent();
-    match recorder_proc::process::run(&arguments.session, &arguments.output) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("recorder_proc: {error}");
-            ExitCode::from(EXIT_FAILED)
-        }
-    }
+    conclude("recorder_proc", recorder_proc::process::run(&arguments.session, &arguments.output))
 }

@@ -15,7 +15,7 @@ use ipc_types::messages::{
     RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
-use ipc_types::process::{EndRequest, session_scene};
+use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume, session_scene};
 use ipc_types::scene::{Images, Mode, Scene, SceneError};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
@@ -26,7 +26,6 @@ use crate::{BuildInfo, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLo
 
 /// Longest time between two looks at the queues: a small part of the half second that they hold.
 const LOOK_TIME: Duration = Duration::from_millis(2);
-const VOLUME_LIMIT: Duration = Duration::from_secs(60);
 /// States after which progress is reported in between.
 const PROGRESS_TICKS: u64 = 64;
 /// States that are taken before the other queues are looked at again.
@@ -118,14 +117,8 @@ fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeade
 
 fn volume_identity(session: &Session, end: &EndRequest) -> Result<([u8; 32], [u32; 3]), RecorderError> {
     let subscriber: Subscriber<Volume> = session.subscriber(&services::VOLUME)?;
-    let limit = Instant::now() + VOLUME_LIMIT;
-    while Instant::now() < limit && !end.is_set() {
-        if let Some(volume) = subscriber.receive()? {
-            return Ok((volume.message().sha256, volume.message().dimensions));
-        }
-        std::thread::sleep(LOOK_TIME);
-    }
-    Err(RecorderError::NoVolume)
+    let volume = await_volume(&subscriber, end)?.ok_or(RecorderError::NoVolume)?;
+    Ok((volume.message().sha256, volume.message().dimensions))
 }
 
 struct Ports {

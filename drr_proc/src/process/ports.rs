@@ -1,19 +1,15 @@
 //! Every port of the DRR process.
 
-use std::time::{Duration, Instant};
-
 use ipc_types::messages::{
     DrrReply, DrrRequest, Frame, FrameTiming, Progress, Removed, RunStatus, SENDER_DRR, State, Volume,
 };
 use ipc_types::ports::{Publisher, Received, Subscriber};
-use ipc_types::process::{EndRequest, EventSender};
+use ipc_types::process::{EndRequest, EventSender, VOLUME_LIMIT, await_volume};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 
 use super::DrrProcessError;
-
-const VOLUME_LIMIT_S: u64 = 60;
 
 pub(super) struct Ports {
     volume: Subscriber<Volume>,
@@ -50,14 +46,8 @@ impl Ports {
 
     /// The volume in shared memory; it stays there as long as the return value lives.
     pub(super) fn receive_volume(&self, end: &EndRequest) -> Result<Received<Volume>, DrrProcessError> {
-        let limit = Instant::now() + Duration::from_secs(VOLUME_LIMIT_S);
-        while Instant::now() < limit && !end.is_set() {
-            if let Some(volume) = self.volume.receive()? {
-                return Ok(volume);
-            }
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        Err(DrrProcessError::NoVolume { limit_s: VOLUME_LIMIT_S })
+        let volume = await_volume(&self.volume, end)?;
+        volume.ok_or(DrrProcessError::NoVolume { limit_s: VOLUME_LIMIT.as_secs() })
     }
 
     /// Tells the physics how far this process has come.

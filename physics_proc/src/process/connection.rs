@@ -1,10 +1,8 @@
 //! Getting the volume.
 
-use std::time::{Duration, Instant};
-
 use ipc_types::messages::Volume;
 use ipc_types::ports::Received;
-use ipc_types::process::EndRequest;
+use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume};
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::Session;
@@ -13,8 +11,6 @@ use zerocopy::FromBytes;
 
 use super::PhysicsError;
 use crate::bone::GridGeometry;
-
-const VOLUME_LIMIT_S: u64 = 60;
 
 /// The volume in shared memory; it stays there as long as the return value lives.
 pub(super) fn receive_volume(
@@ -26,14 +22,8 @@ pub(super) fn receive_volume(
         return Ok(None);
     }
     let subscriber = session.subscriber::<Volume>(&services::VOLUME)?;
-    let limit = Instant::now() + Duration::from_secs(VOLUME_LIMIT_S);
-    while Instant::now() < limit && !end.is_set() {
-        if let Some(volume) = subscriber.receive()? {
-            return Ok(Some(volume));
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    }
-    Err(PhysicsError::NoVolume { limit_s: VOLUME_LIMIT_S })
+    let volume = await_volume(&subscriber, end)?;
+    volume.map(Some).ok_or(PhysicsError::NoVolume { limit_s: VOLUME_LIMIT.as_secs() })
 }
 
 /// The volume's voxels, in place.
