@@ -4,6 +4,7 @@
 //! ([`process`]) gives it the commands that it has latched and publishes what comes out; replay gives it those of a log.
 
 pub mod arm;
+pub mod baselines;
 pub mod bone;
 pub mod contact_plane;
 pub mod latch;

@@ -210,6 +210,11 @@ fn check_tool(tool: &Tool, checker: &Checker) -> Result<(), SceneError> {
 
 fn check_overrides(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let manipulator = &scene.manipulator;
+    let links = manipulator.links.map(|links| links as f64);
+    checker.optional("manipulator.links", links, 1.0, crate::messages::MAX_JOINTS as f64)?;
+    let [lateral, torsion] = [manipulator.lateral_stiffness_ratio, manipulator.torsion_stiffness_ratio];
+    checker.optional("manipulator.lateral_stiffness_ratio", lateral, 1e-3, 1e3)?;
+    checker.optional("manipulator.torsion_stiffness_ratio", torsion, 1e-3, 1e3)?;
     checker.optional("manipulator.tendon_friction", manipulator.tendon_friction, 0.0, 1.0)?;
     checker.optional("manipulator.damping_ratio", manipulator.damping_ratio, 0.001, 10.0)?;
     checker.optional("manipulator.stiffness_scale", manipulator.stiffness_scale, 0.001, 1000.0)?;

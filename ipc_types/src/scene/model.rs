@@ -241,6 +241,14 @@ pub struct Tool {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Manipulator {
+    /// Rung of the ladder of models: `planar` is the standard.
+    pub model: Option<ManipulatorRung>,
+    /// The flexible length as this many equal links in place of the flexures of the tables, 1 to 32.
+    pub links: Option<usize>,
+    /// Stiffness of a flexure across the bending plane over that in it, 0.001 to 1000; for `spatial` and `full`.
+    pub lateral_stiffness_ratio: Option<f64>,
+    /// Torsional over bending stiffness of a flexure, 0.001 to 1000; for `spatial` and `full`.
+    pub torsion_stiffness_ratio: Option<f64>,
     /// Friction coefficient of tendons in their channels, 0 to 1.
     pub tendon_friction: Option<f64>,
     /// Damping ratio of the first bending mode, 0.001 to 10.
@@ -255,6 +263,20 @@ pub struct Manipulator {
     pub burr_diameter_mm: Option<f64>,
     /// Time integration: `hybrid`, the standard, is second order in free motion.
     pub integrator: Option<Integrator>,
+}
+
+/// Models of the manipulator, from the cheapest to the richest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ManipulatorRung {
+    /// An arc of one curvature.
+    ConstantCurvature,
+    /// A chain that bends in one plane.
+    Planar,
+    /// A chain that bends, bends laterally and twists.
+    Spatial,
+    /// A chain whose flexures have all six freedoms.
+    Full,
 }
 
 /// Integrators of the manipulator.

@@ -20,9 +20,9 @@ use crate::contact_plane::ContactPlane;
 /// this.
 const SAME_NORMAL_COSINE: f64 = 0.9;
 /// A flexure enters the solver when the free step would bring it beyond this share of its stop.
-const STOP_SHARE: f64 = 0.9;
+pub(super) const STOP_SHARE: f64 = 0.9;
 /// Fastest return of a flexure that is past its stop, rad/s.
-const STOP_RETURN_RAD_PER_S: f64 = 5.0;
+pub(super) const STOP_RETURN_RAD_PER_S: f64 = 5.0;
 
 /// How the base frame moves in this step, base axes.
 #[derive(Debug, Clone, Copy)]
@@ -197,7 +197,9 @@ impl ContactSolver {
                 self.mobility(row.probe, lateral, t1, t1),
             ];
             let mut last = 0.0;
-            if let Some(old) = previous(state, &mut used, row.sphere, contact.normal.as_ref()) {
+            if let Some(old) =
+                previous(&state.results[..state.result_count], &mut used, row.sphere, contact.normal.as_ref())
+            {
                 let friction = drive.rotation.inverse_transform_vector(&old.friction_force_n);
                 last = old.normal_force_n;
                 row.impulse = [last * dt, friction.dot(&tangents[0]) * dt, friction.dot(&tangents[1]) * dt];
@@ -435,13 +437,12 @@ fn add_scaled(velocity: &mut [f64; MAX_ROWS], scale: f64, column: &[f64]) {
 }
 
 /// The result of the last tick that this contact continues, each used once.
-fn previous<'a>(
-    state: &'a ManipulatorState,
-    used: &mut [bool; MAX_CONTACTS],
+pub(super) fn previous<'a>(
+    results: &'a [ContactResult],
+    used: &mut [bool],
     sphere: usize,
     normal: &Vector3<f64>,
 ) -> Option<&'a ContactResult> {
-    let results = &state.results[..state.result_count];
     let start = results.partition_point(|r| r.sphere_index < sphere);
     let mut best = None;
     let mut best_cosine = SAME_NORMAL_COSINE;

@@ -1,7 +1,7 @@
 //! Fixed layout of the chain (bodies, spheres) and its planar configuration.
 
+use super::MAX_JOINTS;
 use super::parameters::ManipulatorParameters;
-use super::{MAX_JOINTS, MAX_SPHERES};
 
 /// A point or vector in the bending plane, base axes: (x, z).
 pub(super) type Planar = [f64; 2];
@@ -55,24 +55,34 @@ impl Layout {
     pub fn new(p: &ManipulatorParameters) -> Self {
         let n = p.joint_positions_m.len();
         let mut length_m = [0.0; MAX_JOINTS];
-        for i in 0..n {
-            length_m[i] =
-                if i + 1 < n { p.joint_positions_m[i + 1] - p.joint_positions_m[i] } else { p.tip_offset_m };
-        }
+        length_m[..n].copy_from_slice(&link_lengths_m(p));
         let mut body = [LinkBody::default(); MAX_JOINTS + 1];
-        body[0] = LinkBody { mass_kg: p.shaft_mass_kg, centre_m: p.shaft_centre_m, inertia_kg_m2: 0.0 };
-        let transverse =
-            0.25 * (p.tube_radii_m[0] * p.tube_radii_m[0] + p.tube_radii_m[1] * p.tube_radii_m[1]);
-        for i in 0..n {
-            let mass = p.linear_density_kg_per_m * length_m[i];
-            let inertia = mass * (length_m[i] * length_m[i] / 12.0 + transverse);
-            body[i + 1] = LinkBody { mass_kg: mass, centre_m: 0.5 * length_m[i], inertia_kg_m2: inertia };
-        }
-        body[n] = with_burr(body[n], p);
+        body[..=n].copy_from_slice(&link_bodies(p, &length_m[..n]));
         let total_mass_kg = body[..=n].iter().map(|b| b.mass_kg).sum();
         let first_joint_m = p.joint_positions_m[0];
-        Self { joints: n, first_joint_m, length_m, body, spheres: spheres(p, &length_m), total_mass_kg }
+        Self { joints: n, first_joint_m, length_m, body, spheres: spheres(p, &length_m[..n]), total_mass_kg }
     }
+}
+
+/// Length of the link behind each flexure, m.
+pub(super) fn link_lengths_m(p: &ManipulatorParameters) -> Vec<f64> {
+    let z = &p.joint_positions_m;
+    z.windows(2).map(|pair| pair[1] - pair[0]).chain([p.tip_offset_m]).collect()
+}
+
+/// The shaft, then one body a flexure, the burr joined to the last.
+pub(super) fn link_bodies(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<LinkBody> {
+    let transverse = 0.25 * (p.tube_radii_m[0] * p.tube_radii_m[0] + p.tube_radii_m[1] * p.tube_radii_m[1]);
+    let mut body =
+        vec![LinkBody { mass_kg: p.shaft_mass_kg, centre_m: p.shaft_centre_m, inertia_kg_m2: 0.0 }];
+    for &length in length_m {
+        let mass = p.linear_density_kg_per_m * length;
+        let inertia = mass * (length * length / 12.0 + transverse);
+        body.push(LinkBody { mass_kg: mass, centre_m: 0.5 * length, inertia_kg_m2: inertia });
+    }
+    let last = length_m.len();
+    body[last] = with_burr(body[last], p);
+    body
 }
 
 /// The last link's tube joined with the burr, a solid sphere at the tip.
@@ -86,9 +96,9 @@ fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
 }
 
 /// Shaft spheres at equal spacing, one sphere a segment, the burr: link indices never decrease.
-fn spheres(p: &ManipulatorParameters, length_m: &[f64; MAX_JOINTS]) -> Vec<SphereLayout> {
+pub(super) fn spheres(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<SphereLayout> {
     let n = p.joint_positions_m.len();
-    let mut list = Vec::with_capacity(MAX_SPHERES);
+    let mut list = Vec::with_capacity(p.shaft_sphere_count + n + 1);
     for i in 0..p.shaft_sphere_count {
         let fraction =
             if p.shaft_sphere_count > 1 { i as f64 / (p.shaft_sphere_count - 1) as f64 } else { 0.0 };

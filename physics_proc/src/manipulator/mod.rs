@@ -22,6 +22,7 @@
 )]
 
 mod articulated;
+mod constant_curvature;
 mod contact;
 mod coupling;
 mod delassus;
@@ -29,8 +30,10 @@ mod error;
 mod geometry;
 mod loads;
 mod modal;
+mod model;
 mod parameters;
 mod row;
+mod spatial;
 mod state;
 mod step;
 mod tendon;
@@ -44,15 +47,20 @@ use geometry::{Configuration, Layout};
 use loads::Loads;
 use tendon::TendonLoad;
 
+pub use constant_curvature::{ConstantCurvature, ConstantCurvatureState};
 pub use error::ManipulatorError;
 pub use geometry::SphereKind;
+pub use model::{AnyManipulator, AnyManipulatorState, ManipulatorModel, Rung};
 pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, TendonParameters};
+pub use spatial::{SpatialChain, SpatialState};
 pub use state::{
     BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, TendonCommand, Wrench,
 };
 
-/// Most flexures of a chain.
+/// Most flexures of the planar rung.
 pub const MAX_JOINTS: usize = 32;
+/// Most flexures of the spatial rungs.
+pub const MAX_LINKS: usize = 64;
 /// Most proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
 /// Shaft, one a segment, burr.
@@ -89,12 +97,18 @@ impl Manipulator {
     /// A straight tool at rest on `base`, with slack tendons.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         parameters.validate()?;
+        let given = parameters.joint_positions_m.len();
+        if given > MAX_JOINTS {
+            let expected = "1 to 32 entries for the planar rung";
+            return Err(ManipulatorError::Length { field: "joint_positions_m", given, expected });
+        }
         step::validate_base(base)?;
         let layout = Layout::new(&parameters);
         let n = layout.joints;
         let mut stiffness = [0.0; MAX_JOINTS];
         stiffness[..n].copy_from_slice(&parameters.joint_stiffness_nm_per_rad);
-        let first = modal::first_frequency_rad_per_s(&layout, &stiffness);
+        let (lengths, bodies) = (&layout.length_m[..n], &layout.body[..=n]);
+        let first = modal::first_frequency_rad_per_s(layout.first_joint_m, lengths, bodies, &stiffness[..n]);
         let damping = stiffness.map(|k| 2.0 * parameters.damping_ratio / first * k);
         let mount_damping = parameters
             .mount_stiffness_n_per_m

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::error::{ManipulatorError, check, check_all};
-use super::{MAX_JOINTS, MAX_SHAFT_SPHERES};
+use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
 
 /// How a step is integrated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +62,12 @@ pub struct ManipulatorParameters {
     pub joint_positions_m: Vec<f64>,
     /// Bending stiffness of each flexure, N m/rad.
     pub joint_stiffness_nm_per_rad: Vec<f64>,
+    /// Stiffness of each flexure across the bending plane over that in it. The spatial rungs use it.
+    pub lateral_stiffness_ratio: f64,
+    /// Torsional over bending stiffness of each flexure: 1 / (1 + nu) for a round section. The spatial rungs use it.
+    pub torsion_stiffness_ratio: f64,
+    /// Poisson's ratio nu, for the shear stiffness of the rung with six freedoms a flexure.
+    pub poisson_ratio: f64,
     /// Stop of each flexure, symmetric, rad.
     pub joint_limit_rad: f64,
     /// Stiffness of the stop, N m/rad.
@@ -150,7 +156,8 @@ impl ManipulatorParameters {
     ///
     /// Geometry and stiffness are the tables above; masses are those of a solid nitinol tube (6450 kg/m^3, 0.101
     /// kg/m). `tendon.gap_m` is 0, as in the published prediction (8.65 degrees per newton): the notch width is not
-    /// published, and a gap of a whole pitch bends about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m),
+    /// published, and a gap of a whole pitch bends about 1 % more. Lateral and torsional stiffness are not published
+    /// either: the ratios are those of a round nitinol tube (nu = 0.33). Tendon stiffness (a 0.35 mm steel cable of 0.3 m),
     /// damping ratio, stop stiffness and friction are assumptions; override them where you know better.
     pub fn jhu_27() -> Self {
         let joints: Vec<f64> = JHU_JOINTS_MM.iter().map(|z| z * 1e-3).collect();
@@ -161,6 +168,9 @@ impl ManipulatorParameters {
         Self {
             joint_positions_m: joints,
             joint_stiffness_nm_per_rad: stiffness,
+            lateral_stiffness_ratio: 1.0,
+            torsion_stiffness_ratio: 1.0 / (1.0 + 0.33),
+            poisson_ratio: 0.33,
             joint_limit_rad: 5.0 * core::f64::consts::PI / 180.0,
             joint_stop_stiffness_nm_per_rad: 100.0,
             tip_offset_m: 4.0e-3,
@@ -216,6 +226,70 @@ impl ManipulatorParameters {
         }
     }
 
+    /// The same tool as `links` equal links over its flexible length, 1 to 64.
+    ///
+    /// The flexible length goes from half a pitch before the first flexure to half a pitch behind the last. Each
+    /// flexure's compliance is spread evenly over its own cell between the middles to its neighbours; a new flexure has
+    /// the compliance of its link, and stands at that compliance's centroid, so that a small end load moves the tip as
+    /// it did.
+    ///
+    /// # Errors
+    /// A number of links that is not accepted, or parameters that are refused.
+    pub fn with_links(&self, links: usize) -> Result<Self, ManipulatorError> {
+        self.validate()?;
+        if !(1..=MAX_LINKS).contains(&links) {
+            return Err(ManipulatorError::Length { field: "links", given: links, expected: "1 to 64" });
+        }
+        let z = &self.joint_positions_m;
+        let n = z.len();
+        let burr = z[n - 1] + self.tip_offset_m;
+        let edges = self.cell_edges_m();
+        let (start, end) = (edges[0], edges[n]);
+        let (mut positions, mut stiffness) = (Vec::new(), Vec::new());
+        for i in 0..links {
+            let share = |k: usize| start + (end - start) * k as f64 / links as f64;
+            let (from, to) = (share(i), share(i + 1));
+            let (mut compliance, mut moment) = (0.0, 0.0);
+            for j in 0..n {
+                let (a, b) = (from.max(edges[j]), to.min(edges[j + 1]));
+                if b > a {
+                    let c = (b - a) / (edges[j + 1] - edges[j]) / self.joint_stiffness_nm_per_rad[j];
+                    compliance += c;
+                    moment += c * 0.5 * (a + b);
+                }
+            }
+            positions.push(moment / compliance);
+            stiffness.push(1.0 / compliance);
+        }
+        let tip_offset_m = burr - positions[links - 1];
+        // A stop and the tendon's gap belong to a length of tube.
+        let pitch_ratio = n as f64 / links as f64;
+        let mut tendon = self.tendon;
+        tendon.gap_m *= pitch_ratio;
+        Ok(Self {
+            joint_positions_m: positions,
+            joint_stiffness_nm_per_rad: stiffness,
+            joint_limit_rad: (self.joint_limit_rad * pitch_ratio).min(3.1),
+            joint_stop_stiffness_nm_per_rad: self.joint_stop_stiffness_nm_per_rad / pitch_ratio,
+            tip_offset_m,
+            tendon,
+            ..self.clone()
+        })
+    }
+
+    /// Ends of the cells of tube that the flexures stand for, one more than flexures, m.
+    pub(super) fn cell_edges_m(&self) -> Vec<f64> {
+        let z = &self.joint_positions_m;
+        let n = z.len();
+        let burr = z[n - 1] + self.tip_offset_m;
+        let first = if n > 1 { z[1] - z[0] } else { 2.0 * self.tip_offset_m.min(z[0]) };
+        let last = if n > 1 { z[n - 1] - z[n - 2] } else { first };
+        let mut edges = vec![(z[0] - 0.5 * first).max(0.0)];
+        edges.extend(z.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])));
+        edges.push((z[n - 1] + 0.5 * last).min(burr));
+        edges
+    }
+
     /// Checks every field; the error names the first that is wrong, its value and what is allowed.
     pub fn validate(&self) -> Result<(), ManipulatorError> {
         self.validate_chain()?;
@@ -226,11 +300,11 @@ impl ManipulatorParameters {
 
     fn validate_chain(&self) -> Result<(), ManipulatorError> {
         let n = self.joint_positions_m.len();
-        if !(1..=MAX_JOINTS).contains(&n) {
+        if !(1..=MAX_LINKS).contains(&n) {
             return Err(ManipulatorError::Length {
                 field: "joint_positions_m",
                 given: n,
-                expected: "1 to 32 entries",
+                expected: "1 to 64 entries (1 to 32 for the planar rung)",
             });
         }
         if self.joint_stiffness_nm_per_rad.len() != n {
@@ -261,6 +335,10 @@ impl ManipulatorParameters {
         })?;
         let stop = self.joint_stop_stiffness_nm_per_rad;
         check("joint_stop_stiffness_nm_per_rad", stop, "1e-3 to 1e9 N m/rad", |x| (1e-3..=1e9).contains(&x))?;
+        let ratio = |x: f64| (1e-3..=1e3).contains(&x);
+        check("lateral_stiffness_ratio", self.lateral_stiffness_ratio, "0.001 to 1000", ratio)?;
+        check("torsion_stiffness_ratio", self.torsion_stiffness_ratio, "0.001 to 1000", ratio)?;
+        check("poisson_ratio", self.poisson_ratio, "0 to 0.5", |x| (0.0..=0.5).contains(&x))?;
         check("tip_offset_m", self.tip_offset_m, "1e-6 to 1 m", |x| (1e-6..=1.0).contains(&x))?;
         check("damping_ratio", self.damping_ratio, "0 to 10", |x| (0.0..=10.0).contains(&x))
     }

@@ -135,7 +135,7 @@ pub(super) fn target(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
 }
 
 /// Two unit tangents, the first in the bending plane unless the normal is nearly perpendicular to it.
-fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
+pub(super) fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let in_plane = libm::sqrt(normal.x * normal.x + normal.z * normal.z);
     let first = if in_plane > 0.1 {
         Vector3::new(normal.z / in_plane, 0.0, -normal.x / in_plane)
@@ -149,7 +149,7 @@ fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
 /// Coulomb's law for one contact: the impulse p with |p| <= radius such that v = free + W p vanishes, or |p| = radius
 /// and v points against p. On the circle (W + shift 1) p = -free; the shift is found by Newton's method on 1/|p|
 /// (More and Sorensen 1983, eq. 3.10).
-fn cone(w: &[f64; 3], free: &[f64; 2], radius: f64, shift: &mut f64) -> [f64; 2] {
+pub(super) fn cone(w: &[f64; 3], free: &[f64; 2], radius: f64, shift: &mut f64) -> [f64; 2] {
     let solve = |s: f64, b: &[f64; 2]| {
         let (a, d) = (w[0] + s, w[2] + s);
         let inverse = 1.0 / (a * d - w[1] * w[1]);

@@ -16,11 +16,11 @@ use super::state::{BaseMotion, ProxySphere, StepInput, StepReport, TendonCommand
 use super::{MAX_JOINTS, Manipulator, tendon};
 
 /// 1 - 1/sqrt 2: the L-stable choice of ROS2.
-const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
+pub(super) const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
 /// A Rosenbrock step needs every flexure within this share of its stop.
-const FREE_SHARE: f64 = 0.9;
+pub(super) const FREE_SHARE: f64 = 0.9;
 /// A Rosenbrock step needs every contact candidate to stay farther than this at the present velocity, m.
-const CLEARANCE_M: f64 = 50.0e-6;
+pub(super) const CLEARANCE_M: f64 = 50.0e-6;
 
 /// Diagonals of the operator: elastic stiffness and damping of flexures and mount.
 #[derive(Debug, Clone)]
@@ -34,7 +34,7 @@ impl Manipulator {
     /// left out and counted in the report.
     pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
         validate(dt_s, input)?;
-        let (drive, frame) = self.base_motion(dt_s, input)?;
+        let (drive, frame) = base_motion(&self.state.base, &self.parameters.gravity_m_per_s2, dt_s, input)?;
         let before = self.velocities();
         let rosenbrock = self.rosenbrock(dt_s, input, &frame);
         let mut report = StepReport::none();
@@ -53,31 +53,6 @@ impl Manipulator {
         };
         self.finish(dt_s, input, (&before, &after), &mut report);
         Ok(report)
-    }
-
-    /// Mean base velocity over the step, and the frame's acceleration from the stated velocities.
-    fn base_motion(&self, dt: f64, input: &StepInput) -> Result<(BaseDrive, Frame), ManipulatorError> {
-        let (old, new) = (&self.state.base, &input.base);
-        let rotation = old.t_world_base.rotation;
-        let to_base = |v: Vector3<f64>| rotation.inverse_transform_vector(&v);
-        let moved = (new.t_world_base.translation.vector - old.t_world_base.translation.vector) / dt;
-        let turned = (new.t_world_base.rotation * rotation.inverse()).scaled_axis() / dt;
-        let allowed = "a pose that the base reaches within the step at no more than 100 m/s and 1000 rad/s";
-        check("base.t_world_base speed", libm::sqrt(moved.norm_squared()), allowed, |v| v <= 100.0)?;
-        check("base.t_world_base turn", libm::sqrt(turned.norm_squared()), allowed, |v| v <= 1000.0)?;
-        let acceleration = (new.linear_velocity_m_per_s - old.linear_velocity_m_per_s) / dt;
-        let turn = (new.angular_velocity_rad_per_s - old.angular_velocity_rad_per_s) / dt;
-        let drive = BaseDrive { rotation, linear: to_base(moved), angular: to_base(turned) };
-        let frame = Frame {
-            gravity: to_base(self.parameters.gravity_m_per_s2 - acceleration),
-            angular_velocity: to_base(new.angular_velocity_rad_per_s),
-            angular_acceleration: to_base(turn),
-            tip_wrench: Wrench {
-                force_n: to_base(input.tip_wrench.force_n),
-                torque_nm: to_base(input.tip_wrench.torque_nm),
-            },
-        };
-        Ok((drive, frame))
     }
 
     fn velocities(&self) -> Generalised {
@@ -338,13 +313,43 @@ impl Manipulator {
     }
 }
 
+/// Mean base velocity over the step, and the frame's acceleration from the stated velocities.
+pub(super) fn base_motion(
+    old: &BaseMotion,
+    gravity_m_per_s2: &Vector3<f64>,
+    dt: f64,
+    input: &StepInput,
+) -> Result<(BaseDrive, Frame), ManipulatorError> {
+    let new = &input.base;
+    let rotation = old.t_world_base.rotation;
+    let to_base = |v: Vector3<f64>| rotation.inverse_transform_vector(&v);
+    let moved = (new.t_world_base.translation.vector - old.t_world_base.translation.vector) / dt;
+    let turned = (new.t_world_base.rotation * rotation.inverse()).scaled_axis() / dt;
+    let allowed = "a pose that the base reaches within the step at no more than 100 m/s and 1000 rad/s";
+    check("base.t_world_base speed", libm::sqrt(moved.norm_squared()), allowed, |v| v <= 100.0)?;
+    check("base.t_world_base turn", libm::sqrt(turned.norm_squared()), allowed, |v| v <= 1000.0)?;
+    let acceleration = (new.linear_velocity_m_per_s - old.linear_velocity_m_per_s) / dt;
+    let turn = (new.angular_velocity_rad_per_s - old.angular_velocity_rad_per_s) / dt;
+    let drive = BaseDrive { rotation, linear: to_base(moved), angular: to_base(turned) };
+    let frame = Frame {
+        gravity: to_base(gravity_m_per_s2 - acceleration),
+        angular_velocity: to_base(new.angular_velocity_rad_per_s),
+        angular_acceleration: to_base(turn),
+        tip_wrench: Wrench {
+            force_n: to_base(input.tip_wrench.force_n),
+            torque_nm: to_base(input.tip_wrench.torque_nm),
+        },
+    };
+    Ok((drive, frame))
+}
+
 fn largest(values: &[f64; MAX_JOINTS]) -> f64 {
     // A NaN must win: it marks a step that failed.
     values.iter().fold(0.0, |m, x| if x.abs() > m || x.is_nan() { x.abs() } else { m })
 }
 
 /// Refuses input that is not finite or absurd.
-fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
+pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
     check("dt_s", dt, "1e-7 to 0.1 s", |x| (1e-7..=0.1).contains(&x))?;
     validate_base(&input.base)?;
     match &input.tendon {

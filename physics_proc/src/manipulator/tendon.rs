@@ -14,7 +14,8 @@ use super::geometry::{Configuration, Layout};
 use super::parameters::TendonParameters;
 use super::state::TendonCommand;
 
-const SIDE: [f64; 2] = [1.0, -1.0];
+/// Sign of each tendon's offset along base x.
+pub(super) const SIDE: [f64; 2] = [1.0, -1.0];
 
 /// What a tendon remembers between ticks.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -27,7 +28,7 @@ pub(super) struct TendonMemory {
 
 impl TendonMemory {
     /// Sliding state after the take-up has changed to `take_up_m`.
-    fn sliding_at(&self, take_up_m: f64, parameters: &TendonParameters) -> f64 {
+    pub fn sliding_at(&self, take_up_m: f64, parameters: &TendonParameters) -> f64 {
         (self.sliding + (take_up_m - self.take_up_m) / parameters.presliding_m).clamp(-1.0, 1.0)
     }
 }
@@ -143,7 +144,12 @@ fn take_up(parameters: &TendonParameters, n: usize, configuration: &Configuratio
 }
 
 /// Tension at the base end: as commanded, or what the pull stretches; a slack tendon does not push.
-fn base_tension(parameters: &TendonParameters, command: &TendonCommand, t: usize, take_up_m: f64) -> f64 {
+pub(super) fn base_tension(
+    parameters: &TendonParameters,
+    command: &TendonCommand,
+    t: usize,
+    take_up_m: f64,
+) -> f64 {
     match command {
         TendonCommand::Force(tension_n) => tension_n[t].max(0.0),
         TendonCommand::Displacement(pull_m) => {

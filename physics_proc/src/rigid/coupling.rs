@@ -5,7 +5,7 @@
 
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
-    BaseMotion, Manipulator, ManipulatorError, StepInput, StepReport, TendonCommand, Wrench,
+    BaseMotion, ManipulatorError, ManipulatorModel, StepInput, StepReport, TendonCommand, Wrench,
 };
 
 use super::descent::{Inertia, Motion};
@@ -75,7 +75,7 @@ impl RigidScene {
     /// The manipulator refuses its input; nothing has changed.
     pub fn step(
         &mut self,
-        manipulator: &mut Manipulator,
+        manipulator: &mut impl ManipulatorModel,
         drive: &ToolDrive,
         planes: &mut [ContactPlane],
     ) -> Result<StepReport, ManipulatorError> {
@@ -128,7 +128,7 @@ impl RigidScene {
     /// Finds the common motion; tool and trial world are those of the evaluation that ends it.
     fn iterate(
         &mut self,
-        manipulator: &mut Manipulator,
+        manipulator: &mut impl ManipulatorModel,
         drive: &ToolDrive,
         planes: &mut [ContactPlane],
     ) -> Result<StepReport, ManipulatorError> {
@@ -169,7 +169,7 @@ impl RigidScene {
     /// Steps tool and trial world with the motion of the descent; its residual, and the largest of a plane's speed, m/s.
     fn evaluate(
         &mut self,
-        manipulator: &mut Manipulator,
+        manipulator: &mut impl ManipulatorModel,
         drive: &ToolDrive,
         planes: &mut [ContactPlane],
     ) -> Result<(StepReport, f64), ManipulatorError> {
@@ -217,7 +217,7 @@ impl RigidScene {
 }
 
 fn step_tool(
-    manipulator: &mut Manipulator,
+    manipulator: &mut impl ManipulatorModel,
     dt_s: f64,
     drive: &ToolDrive,
     planes: &[ContactPlane],

@@ -8,6 +8,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
 use super::Simulation;
 use crate::arm::ArmCommand;
+use crate::manipulator::ManipulatorModel;
 
 /// A valid command that the model could not follow (an unreachable goal); nothing has changed by it.
 #[derive(Debug, Clone, PartialEq)]

@@ -6,7 +6,7 @@ use ipc_types::messages::{
 use nalgebra::{Isometry3, Vector3};
 
 use super::{Simulation, numbers};
-use crate::manipulator::SphereKind;
+use crate::manipulator::{ManipulatorModel, SphereKind};
 
 impl Simulation<'_> {
     /// Writes the world into the message; the hash follows.
@@ -50,8 +50,8 @@ impl Simulation<'_> {
         state.t_world_burr = pose(&burr);
         let front = burr * Isometry3::translation(0.0, 0.0, tool.parameters().burr_radius_m);
         state.t_world_tip = pose(&front);
-        for (slot, link) in state.t_world_link.iter_mut().zip(tool.link_poses().skip(1)) {
-            *slot = pose(&link);
+        for (slot, link) in state.t_world_link.iter_mut().zip(1..=joints) {
+            *slot = pose(&tool.t_world_link(link));
         }
         let wrench = tool.flange_wrench();
         state.flange_wrench =

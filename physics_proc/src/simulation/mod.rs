@@ -26,7 +26,8 @@ use crate::arm::{Arm, ArmError, ArmSnapshot};
 use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry};
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
-    BaseMotion, Manipulator, ManipulatorError, ManipulatorState, SphereKind, StepInput, StepReport, Wrench,
+    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, SphereKind,
+    StepInput, StepReport, Wrench,
 };
 use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use tendon_drive::{TendonDrive, TendonDriveState};
@@ -69,7 +70,7 @@ pub enum SimulationError {
 #[derive(Debug, Clone)]
 pub struct SimulationSnapshot {
     arm: ArmSnapshot,
-    manipulator: ManipulatorState,
+    manipulator: AnyManipulatorState,
     bone: Option<BoneSnapshot>,
     rigid: Option<RigidSnapshot>,
     tendon: TendonDriveState,
@@ -82,7 +83,7 @@ pub struct SimulationSnapshot {
 pub struct Simulation<'v> {
     dt_s: f64,
     arm: Arm,
-    manipulator: Manipulator,
+    manipulator: AnyManipulator,
     bone: Option<Bone<'v>>,
     rigid: Option<RigidScene>,
     planes: Vec<ContactPlane>,

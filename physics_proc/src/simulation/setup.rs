@@ -1,24 +1,29 @@
 //! From a scene's units and keys to the parameters of the parts.
 
 use ipc_types::messages::State;
-use ipc_types::scene::{Body, BodyMotion as SceneMotion, Integrator as SceneIntegrator, Scene, Tool};
+use ipc_types::scene::{
+    Body, BodyMotion as SceneMotion, Integrator as SceneIntegrator, ManipulatorRung, Scene, Tool,
+};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::tendon_drive::TendonDrive;
 use super::{Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, place_base_for};
 use crate::bone::{BoneField, BoneParameters, ContactBuffer};
-use crate::manipulator::{BaseMotion, Integrator, MAX_CONTACTS, Manipulator, ManipulatorParameters};
+use crate::manipulator::{
+    AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
+    ManipulatorParameters, Rung,
+};
 use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
 pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
-    let parameters = manipulator_parameters(scene);
+    let parameters = manipulator_parameters(scene)?;
     let t_world_base = tool_base(&scene.tool, &parameters);
     let arm = arm(scene, &t_world_base)?;
     // The arm's own forward kinematics, so that tick 1 does not begin with a jump of one rounding.
     let base = BaseMotion::at_rest(arm.state().t_world_flange);
     let max_burr_radius_m = parameters.burr_radius_m;
-    let manipulator = Manipulator::new(parameters, &base)?;
+    let manipulator = AnyManipulator::new(rung(scene), parameters, &base)?;
     let (bone, predrilled) = match (&scene.volume, ct) {
         (None, _) => (None, Vec::new()),
         (Some(_), None) => return Err(SimulationError::VolumeMissing),
@@ -52,10 +57,32 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
     })
 }
 
+/// The scene's rung of the manipulator ladder, the planar one if it names none.
+pub fn rung(scene: &Scene) -> Rung {
+    match scene.manipulator.model {
+        Some(ManipulatorRung::ConstantCurvature) => Rung::ConstantCurvature,
+        Some(ManipulatorRung::Planar) | None => Rung::Planar,
+        Some(ManipulatorRung::Spatial) => Rung::Spatial,
+        Some(ManipulatorRung::Full) => Rung::Full,
+    }
+}
+
 /// The standard manipulator with the scene's overrides.
-pub fn manipulator_parameters(scene: &Scene) -> ManipulatorParameters {
+///
+/// # Errors
+/// A number of links that the manipulator does not accept.
+pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, ManipulatorError> {
     let mut parameters = ManipulatorParameters::jhu_27();
     let overrides = &scene.manipulator;
+    if let Some(links) = overrides.links {
+        parameters = parameters.with_links(links)?;
+    }
+    if let Some(ratio) = overrides.lateral_stiffness_ratio {
+        parameters.lateral_stiffness_ratio = ratio;
+    }
+    if let Some(ratio) = overrides.torsion_stiffness_ratio {
+        parameters.torsion_stiffness_ratio = ratio;
+    }
     if let Some(friction) = overrides.tendon_friction {
         parameters.tendon.friction_coefficient = friction;
     }
@@ -87,7 +114,7 @@ pub fn manipulator_parameters(scene: &Scene) -> ManipulatorParameters {
     if let Some(stiffness) = scene.contact.stiffness_n_per_m {
         parameters.contact.stiffness_n_per_m = stiffness;
     }
-    parameters
+    Ok(parameters)
 }
 
 /// Base of the straight tool whose burr stands at the scene's start.

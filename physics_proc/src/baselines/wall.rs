@@ -1,0 +1,39 @@
+//! Half-spaces: the obstacles that every method can be given.
+
+use nalgebra::{Isometry3, Unit, Vector3};
+
+use crate::contact_plane::ContactPlane;
+use crate::manipulator::ProxySphere;
+
+/// What lies behind a plane is solid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wall {
+    /// World, out of the solid.
+    pub normal: Unit<Vector3<f64>>,
+    /// Point on the surface, world, m.
+    pub point_m: Vector3<f64>,
+}
+
+impl Wall {
+    /// A wall through a point.
+    pub fn new(normal: Vector3<f64>, point_m: Vector3<f64>) -> Self {
+        Self { normal: Unit::new_normalize(normal), point_m }
+    }
+
+    /// The same wall carried along.
+    pub fn moved(&self, by: &Isometry3<f64>) -> Self {
+        Self { normal: by * self.normal, point_m: by.transform_point(&self.point_m.into()).coords }
+    }
+
+    /// Contact planes of the spheres that come within `margin_m` (and what they travel in `dt_s`) of the wall.
+    pub fn planes(&self, spheres: &[ProxySphere], margin_m: f64, dt_s: f64, out: &mut Vec<ContactPlane>) {
+        for (sphere_index, sphere) in spheres.iter().enumerate() {
+            let distance = self.normal.dot(&(sphere.centre_m - self.point_m));
+            let gap_m = distance - sphere.radius_m;
+            if gap_m < margin_m + dt_s * sphere.velocity_m_per_s.norm() {
+                let point_m = sphere.centre_m - self.normal.into_inner() * distance;
+                out.push(ContactPlane { sphere_index, point_m, normal: self.normal, gap_m });
+            }
+        }
+    }
+}

@@ -1,0 +1,318 @@
+//! The cheapest rung: the flexible length is an arc of one curvature, in closed form.
+//!
+//! Four freedoms: the mount along base x, y, z and the bend. Exact under a pure end moment and, for a uniform tool, under
+//! its frictionless tendons; under a tip force or in a tunnel it is what one curvature allows. The bend's stiffness is the
+//! end moment per bend of the flexures in series, `1 / sum(1/k)`. Frames, tendons, contact laws and mount are those of the
+//! planar rung (see [`crate::manipulator`]); every step is taken by linearly implicit Euler.
+
+mod arc;
+mod step;
+
+use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3, Vector4};
+
+use super::error::ManipulatorError;
+use super::geometry::{SphereLayout, link_lengths_m, spheres};
+use super::parameters::ManipulatorParameters;
+use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
+use super::tendon::TendonMemory;
+use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
+use arc::Arc;
+use step::{Row, Stop};
+
+/// Most contacts of a step, four a sphere; further ones are refused and counted.
+const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
+/// Nodes and weights of the five-point Gauss rule on (0, 1): masses along the arc.
+const GAUSS: [(f64, f64); 5] = [
+    (0.046_910_077_030_668_0, 0.118_463_442_528_094_5),
+    (0.230_765_344_947_158_45, 0.239_314_335_249_683_24),
+    (0.5, 0.284_444_444_444_444_44),
+    (0.769_234_655_052_841_5, 0.239_314_335_249_683_24),
+    (0.953_089_922_969_332, 0.118_463_442_528_094_5),
+];
+
+/// A mass on the axis.
+#[derive(Debug, Clone, Copy)]
+struct Lump {
+    mass_kg: f64,
+    /// Where it lies on the straight tool, m.
+    z_m: f64,
+    /// About itself, axis y.
+    inertia_kg_m2: f64,
+}
+
+/// The dynamic state, bit for bit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ConstantCurvatureState {
+    /// Mount displacement (m) and bend (rad), and their velocities.
+    position: Vector4<f64>,
+    velocity: Vector4<f64>,
+    base: BaseMotion,
+    tendon: [TendonMemory; 2],
+    /// Torque of the stop in the last step, N m.
+    stop_torque_nm: f64,
+    result_count: usize,
+    results: Vec<ContactResult>,
+    report: StepReport,
+}
+
+/// A continuum manipulator of one curvature.
+#[derive(Debug, Clone)]
+pub struct ConstantCurvature {
+    parameters: ManipulatorParameters,
+    arc: Arc,
+    /// Mount and bend.
+    stiffness: Vector4<f64>,
+    damping: Vector4<f64>,
+    limit_rad: f64,
+    stop_stiffness_nm_per_rad: f64,
+    first_frequency_rad_per_s: f64,
+    lumps: Vec<Lump>,
+    sphere_layout: Vec<SphereLayout>,
+    /// Where each sphere lies on the straight tool, m.
+    sphere_z_m: Vec<f64>,
+    /// Ends of the flexures' cells, m.
+    edges_m: Vec<f64>,
+    state: ConstantCurvatureState,
+    spheres: Vec<ProxySphere>,
+    /// Bending angles and rates as the flexures would have them.
+    bend: [Vec<f64>; 2],
+    rows: Vec<Row>,
+    used: Vec<bool>,
+    stop: Option<Stop>,
+}
+
+impl ConstantCurvature {
+    /// A straight tool at rest on `base`, with slack tendons.
+    ///
+    /// # Errors
+    /// A parameter that is refused, by name.
+    pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
+        parameters.validate()?;
+        super::step::validate_base(base)?;
+        let arc = Arc::new(&parameters);
+        let p = &parameters;
+        let joints = p.joint_positions_m.len();
+        let compliance: f64 = p.joint_stiffness_nm_per_rad.iter().map(|k| 1.0 / k).sum();
+        let [mx, my, mz] = p.mount_stiffness_n_per_m;
+        let stiffness = Vector4::new(mx, my, mz, 1.0 / compliance);
+        let lumps = lumps(p, &arc);
+        let inertia = mass_matrix(&lumps, &arc, 0.0)[(3, 3)];
+        let first = libm::sqrt(stiffness[3] / inertia);
+        let total: f64 = lumps.iter().map(|lump| lump.mass_kg).sum();
+        let mount = |k: f64| 2.0 * p.mount_damping_ratio * libm::sqrt(k * total);
+        let damping =
+            Vector4::new(mount(mx), mount(my), mount(mz), 2.0 * p.damping_ratio / first * stiffness[3]);
+        let lengths = link_lengths_m(p);
+        let sphere_layout = spheres(p, &lengths);
+        let along = |s: &SphereLayout| match s.link {
+            0 => s.along_m,
+            link => p.joint_positions_m[link - 1] + s.along_m,
+        };
+        let blank = |s: &SphereLayout| ProxySphere {
+            centre_m: Vector3::zeros(),
+            velocity_m_per_s: Vector3::zeros(),
+            radius_m: s.radius_m,
+            kind: s.kind,
+        };
+        let mut tool = Self {
+            arc,
+            stiffness,
+            damping,
+            limit_rad: joints as f64 * p.joint_limit_rad,
+            // The flexures' stops in series.
+            stop_stiffness_nm_per_rad: p.joint_stop_stiffness_nm_per_rad / joints as f64,
+            first_frequency_rad_per_s: first,
+            sphere_z_m: sphere_layout.iter().map(along).collect(),
+            spheres: sphere_layout.iter().map(blank).collect(),
+            sphere_layout,
+            edges_m: p.cell_edges_m(),
+            lumps,
+            state: ConstantCurvatureState {
+                position: Vector4::zeros(),
+                velocity: Vector4::zeros(),
+                base: *base,
+                tendon: [TendonMemory::default(); 2],
+                stop_torque_nm: 0.0,
+                result_count: 0,
+                results: vec![ContactResult::none(); MAX_CONTACTS],
+                report: StepReport::none(),
+            },
+            bend: [vec![0.0; joints], vec![0.0; joints]],
+            rows: Vec::with_capacity(MAX_CONTACTS),
+            used: vec![false; MAX_CONTACTS],
+            stop: None,
+            parameters,
+        };
+        tool.update_configuration();
+        Ok(tool)
+    }
+
+    fn update_configuration(&mut self) {
+        let state = &self.state;
+        let (q, v) = (&state.position, &state.velocity);
+        let rotation = state.base.t_world_base.rotation;
+        for (sphere, &z_m) in self.spheres.iter_mut().zip(&self.sphere_z_m) {
+            let place = self.arc.place(z_m, q[3]);
+            let centre = rotation * Vector3::new(q[0] + place.point[0], q[1], q[2] + place.point[1]);
+            let own = Vector3::new(v[0] + v[3] * place.first[0], v[1], v[2] + v[3] * place.first[1]);
+            sphere.centre_m = state.base.t_world_base.translation.vector + centre;
+            sphere.velocity_m_per_s = state.base.linear_velocity_m_per_s
+                + state.base.angular_velocity_rad_per_s.cross(&centre)
+                + rotation * own;
+        }
+        for joint in 0..self.bend[0].len() {
+            let share = (self.edges_m[joint + 1] - self.edges_m[joint]) / self.arc.length_m;
+            self.bend[0][joint] = share * q[3];
+            self.bend[1][joint] = share * v[3];
+        }
+    }
+
+    /// Number of flexures that the arc stands for.
+    pub fn joint_count(&self) -> usize {
+        self.bend[0].len()
+    }
+
+    /// The parameters the tool was built from.
+    pub fn parameters(&self) -> &ManipulatorParameters {
+        &self.parameters
+    }
+
+    /// The bending mode of the straight tool on a rigid mount, Hz.
+    pub fn first_natural_frequency_hz(&self) -> f64 {
+        self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
+    }
+
+    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    pub fn proxy_spheres(&self) -> &[ProxySphere] {
+        &self.spheres
+    }
+
+    /// Each flexure's share of the bend, rad.
+    pub fn joint_positions_rad(&self) -> &[f64] {
+        &self.bend[0]
+    }
+
+    /// Each flexure's share of the bend's rate, rad/s.
+    pub fn joint_velocities_rad_per_s(&self) -> &[f64] {
+        &self.bend[1]
+    }
+
+    /// Pose at flexure `link` - 1 with z along the axis behind its cell; link 0 is the shaft at the base origin. A link
+    /// past the last is the last.
+    pub fn t_world_link(&self, link: usize) -> Isometry3<f64> {
+        let joints = self.joint_count();
+        match link.min(joints) {
+            0 => self.t_world_point(0.0, 0.0),
+            link => {
+                let behind = (self.edges_m[link] - self.edges_m[0]) / self.arc.length_m;
+                self.t_world_point(self.parameters.joint_positions_m[link - 1], behind)
+            }
+        }
+    }
+
+    /// Pose of the tip frame: origin at the burr centre, z along the axis there.
+    pub fn t_world_tip(&self) -> Isometry3<f64> {
+        let p = &self.parameters;
+        self.t_world_point(p.joint_positions_m[self.joint_count() - 1] + p.tip_offset_m, 1.0)
+    }
+
+    fn t_world_point(&self, z_m: f64, share: f64) -> Isometry3<f64> {
+        let q = &self.state.position;
+        let point = self.arc.place(z_m, q[3]).point;
+        let translation = Translation3::new(q[0] + point[0], q[1], q[2] + point[1]);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), share * q[3]);
+        self.state.base.t_world_base * Isometry3::from_parts(translation, rotation)
+    }
+
+    /// Base motion at the end of the last step.
+    pub fn base(&self) -> &BaseMotion {
+        &self.state.base
+    }
+
+    /// Puts the tool elsewhere at once, shape and relative motion kept: for scene set-up, not for motion.
+    ///
+    /// # Errors
+    /// A base that is not one.
+    pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
+        super::step::validate_base(base)?;
+        self.state.base = *base;
+        self.update_configuration();
+        Ok(())
+    }
+
+    /// What the tool exerted on the flange in the last step.
+    pub fn flange_wrench(&self) -> Wrench {
+        self.state.report.flange_wrench
+    }
+
+    /// Contacts of the last step, ordered by sphere.
+    pub fn contact_results(&self) -> &[ContactResult] {
+        &self.state.results[..self.state.result_count]
+    }
+
+    /// Summary of the last step.
+    pub fn last_report(&self) -> &StepReport {
+        &self.state.report
+    }
+
+    /// Kinetic energy relative to the base plus elastic energy of bend and mount, J.
+    pub fn energy_j(&self) -> f64 {
+        let (q, v) = (&self.state.position, &self.state.velocity);
+        let elastic = q.component_mul(&self.stiffness).dot(q);
+        0.5 * (elastic + v.dot(&(mass_matrix(&self.lumps, &self.arc, q[3]) * v)))
+    }
+
+    /// A copy of the whole dynamic state.
+    pub fn snapshot(&self) -> ConstantCurvatureState {
+        self.state.clone()
+    }
+
+    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    pub fn restore(&mut self, state: &ConstantCurvatureState) {
+        self.state.clone_from(state);
+        self.update_configuration();
+    }
+}
+
+/// Shaft, Gauss points of the arc, the tube behind it, the burr.
+fn lumps(p: &ManipulatorParameters, arc: &Arc) -> Vec<Lump> {
+    let [outer, inner] = p.tube_radii_m;
+    let gyration = 0.25 * (outer * outer + inner * inner);
+    let density = p.linear_density_kg_per_m;
+    let mut lumps = vec![Lump { mass_kg: p.shaft_mass_kg, z_m: p.shaft_centre_m, inertia_kg_m2: 0.0 }];
+    // The tube begins at the first flexure; what stands before the arc there moves with the shaft.
+    let first = p.joint_positions_m[0];
+    let moving = arc.length_m - (first - arc.start_m).max(0.0);
+    for (node, weight) in GAUSS {
+        let mass_kg = density * moving * weight;
+        let z_m = arc.start_m + arc.length_m - moving * (1.0 - node);
+        lumps.push(Lump { mass_kg, z_m, inertia_kg_m2: mass_kg * gyration });
+    }
+    let burr = p.joint_positions_m[p.joint_positions_m.len() - 1] + p.tip_offset_m;
+    let end = arc.start_m + arc.length_m;
+    let rest = (burr - end).max(0.0);
+    let mass_kg = density * rest;
+    let inertia_kg_m2 = mass_kg * (rest * rest / 12.0 + gyration);
+    lumps.push(Lump { mass_kg, z_m: end + 0.5 * rest, inertia_kg_m2 });
+    let own = 0.4 * p.burr_mass_kg * p.burr_radius_m * p.burr_radius_m;
+    lumps.push(Lump { mass_kg: p.burr_mass_kg, z_m: burr, inertia_kg_m2: own });
+    lumps
+}
+
+/// Mass matrix of mount and bend.
+fn mass_matrix(lumps: &[Lump], arc: &Arc, bend_rad: f64) -> Matrix4<f64> {
+    let mut m = Matrix4::zeros();
+    for lump in lumps {
+        let place = arc.place(lump.z_m, bend_rad);
+        let [x, z] = place.first;
+        for k in 0..3 {
+            m[(k, k)] += lump.mass_kg;
+        }
+        m[(0, 3)] += lump.mass_kg * x;
+        m[(2, 3)] += lump.mass_kg * z;
+        m[(3, 3)] += lump.mass_kg * (x * x + z * z) + lump.inertia_kg_m2 * place.share * place.share;
+    }
+    m[(3, 0)] = m[(0, 3)];
+    m[(3, 2)] = m[(2, 3)];
+    m
+}

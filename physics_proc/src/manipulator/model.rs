@@ -1,0 +1,280 @@
+//! The ladder of manipulator models behind one trait.
+
+use nalgebra::Isometry3;
+
+use super::constant_curvature::{ConstantCurvature, ConstantCurvatureState};
+use super::error::ManipulatorError;
+use super::parameters::ManipulatorParameters;
+use super::spatial::{SpatialChain, SpatialState};
+use super::state::{BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, Wrench};
+use super::{MAX_JOINTS, Manipulator};
+
+/// The rungs, from the cheapest to the richest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Rung {
+    /// An arc of one curvature.
+    ConstantCurvature,
+    /// A chain that bends in one plane.
+    Planar,
+    /// A chain that bends, bends laterally and twists.
+    Spatial,
+    /// A chain whose flexures have all six freedoms.
+    Full,
+}
+
+impl Rung {
+    /// All of them.
+    pub const ALL: [Rung; 4] = [Rung::ConstantCurvature, Rung::Planar, Rung::Spatial, Rung::Full];
+
+    /// As scenes and tables write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Rung::ConstantCurvature => "constant_curvature",
+            Rung::Planar => "planar",
+            Rung::Spatial => "spatial",
+            Rung::Full => "full",
+        }
+    }
+}
+
+/// What every rung does. The meaning of each function, and its errors, are those of [`Manipulator`].
+pub trait ManipulatorModel {
+    /// The whole dynamic state.
+    type State: Clone + PartialEq + core::fmt::Debug;
+
+    /// Advances by `dt_s`.
+    ///
+    /// # Errors
+    /// Input that is not finite or absurd; nothing has changed.
+    fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError>;
+    /// A copy of the whole dynamic state.
+    fn snapshot(&self) -> Self::State;
+    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    fn restore(&mut self, state: &Self::State);
+    /// Puts the tool elsewhere at once.
+    ///
+    /// # Errors
+    /// A base that is not one.
+    fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError>;
+    /// The parameters the tool was built from.
+    fn parameters(&self) -> &ManipulatorParameters;
+    /// Base motion at the end of the last step.
+    fn base(&self) -> &BaseMotion;
+    /// Number of flexures.
+    fn joint_count(&self) -> usize;
+    /// Bending angles, base to tip, rad.
+    fn joint_positions_rad(&self) -> &[f64];
+    /// Bending rates, base to tip, rad/s.
+    fn joint_velocities_rad_per_s(&self) -> &[f64];
+    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    fn proxy_spheres(&self) -> &[ProxySphere];
+    /// Contacts of the last step, ordered by sphere.
+    fn contact_results(&self) -> &[ContactResult];
+    /// Summary of the last step.
+    fn last_report(&self) -> &StepReport;
+    /// Pose of link `link` (0 is the shaft), z along the link.
+    fn t_world_link(&self, link: usize) -> Isometry3<f64>;
+    /// Pose of the tip frame: origin at the burr centre.
+    fn t_world_tip(&self) -> Isometry3<f64>;
+    /// Kinetic energy relative to the base plus elastic energy, J.
+    fn energy_j(&self) -> f64;
+    /// First bending mode of the straight tool on a rigid mount, Hz.
+    fn first_natural_frequency_hz(&self) -> f64;
+
+    /// Sum of the bending angles, rad.
+    fn bend_rad(&self) -> f64 {
+        self.joint_positions_rad().iter().sum()
+    }
+
+    /// Tension of each tendon at its base end after the last step, N.
+    fn tendon_tensions_n(&self) -> [f64; 2] {
+        self.last_report().tendon_tension_n
+    }
+
+    /// Pulled length of each tendon after the last step, its stretch included, m.
+    fn tendon_displacements_m(&self) -> [f64; 2] {
+        self.last_report().tendon_displacement_m
+    }
+
+    /// What the tool exerted on the flange in the last step.
+    fn flange_wrench(&self) -> Wrench {
+        self.last_report().flange_wrench
+    }
+}
+
+macro_rules! inherent {
+    ($($name:ident($($argument:ident: $type:ty),*) -> $out:ty;)*) => {
+        $(fn $name(&self, $($argument: $type),*) -> $out { Self::$name(self, $($argument),*) })*
+    };
+}
+
+macro_rules! model {
+    ([$($generics:tt)*] $type:ty, $state:ty) => {
+        impl<$($generics)*> ManipulatorModel for $type {
+            type State = $state;
+
+            fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+                Self::step(self, dt_s, input)
+            }
+
+            fn restore(&mut self, state: &$state) {
+                Self::restore(self, state);
+            }
+
+            fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
+                Self::place_base(self, base)
+            }
+
+            inherent! {
+                snapshot() -> $state;
+                parameters() -> &ManipulatorParameters;
+                base() -> &BaseMotion;
+                joint_count() -> usize;
+                joint_positions_rad() -> &[f64];
+                joint_velocities_rad_per_s() -> &[f64];
+                proxy_spheres() -> &[ProxySphere];
+                contact_results() -> &[ContactResult];
+                last_report() -> &StepReport;
+                t_world_link(link: usize) -> Isometry3<f64>;
+                t_world_tip() -> Isometry3<f64>;
+                energy_j() -> f64;
+                first_natural_frequency_hz() -> f64;
+            }
+        }
+    };
+}
+
+model!([] Manipulator, ManipulatorState);
+model!([] ConstantCurvature, ConstantCurvatureState);
+model!([const D: usize] SpatialChain<D>, SpatialState);
+
+/// A manipulator of any rung.
+#[derive(Debug, Clone)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one a simulation; a box would stand between the tick and its state"
+)]
+pub enum AnyManipulator {
+    /// See [`ConstantCurvature`].
+    ConstantCurvature(ConstantCurvature),
+    /// See [`Manipulator`].
+    Planar(Manipulator),
+    /// The planar rung with more flexures than [`Manipulator`] holds.
+    LongPlanar(SpatialChain<1>),
+    /// See [`SpatialChain`].
+    Spatial(SpatialChain<3>),
+    /// See [`SpatialChain`].
+    Full(SpatialChain<6>),
+}
+
+/// The state of an [`AnyManipulator`].
+#[derive(Debug, Clone, PartialEq)]
+pub enum AnyManipulatorState {
+    /// Of the arc.
+    ConstantCurvature(ConstantCurvatureState),
+    /// Of the planar chain.
+    Planar(Box<ManipulatorState>),
+    /// Of a spatial chain, the long planar one among them.
+    Spatial(SpatialState),
+}
+
+impl AnyManipulator {
+    /// A straight tool at rest on `base`, with slack tendons.
+    ///
+    /// # Errors
+    /// A parameter that is refused, by name.
+    pub fn new(
+        rung: Rung,
+        parameters: ManipulatorParameters,
+        base: &BaseMotion,
+    ) -> Result<Self, ManipulatorError> {
+        Ok(match rung {
+            Rung::ConstantCurvature => Self::ConstantCurvature(ConstantCurvature::new(parameters, base)?),
+            Rung::Planar if parameters.joint_positions_m.len() > MAX_JOINTS => {
+                Self::LongPlanar(SpatialChain::new(parameters, base)?)
+            }
+            Rung::Planar => Self::Planar(Manipulator::new(parameters, base)?),
+            Rung::Spatial => Self::Spatial(SpatialChain::new(parameters, base)?),
+            Rung::Full => Self::Full(SpatialChain::new(parameters, base)?),
+        })
+    }
+
+    /// Which rung it is.
+    pub fn rung(&self) -> Rung {
+        match self {
+            Self::ConstantCurvature(_) => Rung::ConstantCurvature,
+            Self::Planar(_) | Self::LongPlanar(_) => Rung::Planar,
+            Self::Spatial(_) => Rung::Spatial,
+            Self::Full(_) => Rung::Full,
+        }
+    }
+}
+
+macro_rules! each {
+    ($self:expr, $tool:ident => $what:expr) => {
+        match $self {
+            AnyManipulator::ConstantCurvature($tool) => $what,
+            AnyManipulator::Planar($tool) => $what,
+            AnyManipulator::LongPlanar($tool) => $what,
+            AnyManipulator::Spatial($tool) => $what,
+            AnyManipulator::Full($tool) => $what,
+        }
+    };
+}
+
+macro_rules! forward {
+    ($($name:ident($($argument:ident: $type:ty),*) -> $out:ty;)*) => {
+        $(fn $name(&self, $($argument: $type),*) -> $out { each!(self, tool => tool.$name($($argument),*)) })*
+    };
+}
+
+impl ManipulatorModel for AnyManipulator {
+    type State = AnyManipulatorState;
+
+    fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+        each!(self, tool => tool.step(dt_s, input))
+    }
+
+    fn snapshot(&self) -> AnyManipulatorState {
+        match self {
+            Self::ConstantCurvature(tool) => AnyManipulatorState::ConstantCurvature(tool.snapshot()),
+            Self::Planar(tool) => AnyManipulatorState::Planar(Box::new(tool.snapshot())),
+            Self::LongPlanar(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
+            Self::Spatial(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
+            Self::Full(tool) => AnyManipulatorState::Spatial(tool.snapshot()),
+        }
+    }
+
+    /// A snapshot of another rung is not one of a tool with the same parameters; it is left alone.
+    fn restore(&mut self, state: &AnyManipulatorState) {
+        match (self, state) {
+            (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {
+                tool.restore(state);
+            }
+            (Self::Planar(tool), AnyManipulatorState::Planar(state)) => tool.restore(state),
+            (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),
+            (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),
+            (Self::Full(tool), AnyManipulatorState::Spatial(state)) => tool.restore(state),
+            _ => (),
+        }
+    }
+
+    fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
+        each!(self, tool => tool.place_base(base))
+    }
+
+    forward! {
+        parameters() -> &ManipulatorParameters;
+        base() -> &BaseMotion;
+        joint_count() -> usize;
+        joint_positions_rad() -> &[f64];
+        joint_velocities_rad_per_s() -> &[f64];
+        proxy_spheres() -> &[ProxySphere];
+        contact_results() -> &[ContactResult];
+        last_report() -> &StepReport;
+        t_world_link(link: usize) -> Isometry3<f64>;
+        t_world_tip() -> Isometry3<f64>;
+        energy_j() -> f64;
+        first_natural_frequency_hz() -> f64;
+    }
+}

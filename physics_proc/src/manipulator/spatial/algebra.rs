@@ -1,0 +1,110 @@
+//! Spatial vectors (Featherstone 2008, ch. 2) in base axes, every one referred to the base origin.
+
+use nalgebra::Vector3;
+
+/// A motion (omega, v at the base origin) or a force (moment about the base origin, f), base axes.
+pub(in crate::manipulator) type Spatial = [f64; 6];
+
+/// A symmetric 6 x 6 operator from motions to forces or back.
+pub(in crate::manipulator) type Operator = [[f64; 6]; 6];
+
+pub(super) const ZERO: Spatial = [0.0; 6];
+
+pub(super) fn dot(a: &Spatial, b: &Spatial) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
+}
+
+/// a += scale b.
+pub(super) fn add_scaled(a: &mut Spatial, scale: f64, b: &Spatial) {
+    for (a, b) in a.iter_mut().zip(b) {
+        *a += scale * b;
+    }
+}
+
+/// m v.
+pub(super) fn times(m: &Operator, v: &Spatial) -> Spatial {
+    // Columns, because m is symmetric: six lanes without a horizontal sum.
+    let mut out = ZERO;
+    for (row, x) in m.iter().zip(v) {
+        add_scaled(&mut out, *x, row);
+    }
+    out
+}
+
+/// m += scale a a'.
+pub(super) fn add_outer(m: &mut Operator, scale: f64, a: &Spatial) {
+    for (row, x) in m.iter_mut().zip(a) {
+        add_scaled(row, scale * x, a);
+    }
+}
+
+fn join(upper: Vector3<f64>, lower: Vector3<f64>) -> Spatial {
+    [upper.x, upper.y, upper.z, lower.x, lower.y, lower.z]
+}
+
+/// The part that turns: angular velocity, or moment.
+pub(super) fn upper(a: &Spatial) -> Vector3<f64> {
+    Vector3::new(a[0], a[1], a[2])
+}
+
+/// The other part: velocity of the base origin, or force.
+pub(super) fn lower(a: &Spatial) -> Vector3<f64> {
+    Vector3::new(a[3], a[4], a[5])
+}
+
+/// A unit turn about `axis` through `p`.
+pub(super) fn turn_about(p: &Vector3<f64>, axis: &Vector3<f64>) -> Spatial {
+    join(*axis, p.cross(axis))
+}
+
+/// A unit translation along `axis`.
+pub(super) fn shift_along(axis: &Vector3<f64>) -> Spatial {
+    join(Vector3::zeros(), *axis)
+}
+
+/// A force at `p` with a moment of its own.
+pub(super) fn force_at(p: &Vector3<f64>, moment: &Vector3<f64>, force: &Vector3<f64>) -> Spatial {
+    join(moment + p.cross(force), *force)
+}
+
+/// Velocity of the point `p` of a body that moves with `v`.
+pub(super) fn velocity_at(p: &Vector3<f64>, v: &Spatial) -> Vector3<f64> {
+    lower(v) + upper(v).cross(p)
+}
+
+/// Rate of change of a motion vector that moves with `v`.
+pub(super) fn cross_motion(v: &Spatial, s: &Spatial) -> Spatial {
+    let (w, o) = (upper(v), lower(v));
+    join(w.cross(&upper(s)), w.cross(&lower(s)) + o.cross(&upper(s)))
+}
+
+/// Rate of change of a momentum that moves with `v`.
+pub(super) fn cross_force(v: &Spatial, f: &Spatial) -> Spatial {
+    let (w, o) = (upper(v), lower(v));
+    join(w.cross(&upper(f)) + o.cross(&lower(f)), w.cross(&lower(f)))
+}
+
+/// Adds the inertia of a body of revolution: mass, centre, unit axis, moments about the centre across and along it.
+pub(super) fn add_body(
+    m: &mut Operator,
+    (mass, across, along): (f64, f64, f64),
+    c: &Vector3<f64>,
+    axis: &Vector3<f64>,
+) {
+    let squared = c.norm_squared();
+    for i in 0..3 {
+        for j in 0..3 {
+            let own = (along - across) * axis[i] * axis[j] - mass * c[i] * c[j];
+            m[i][j] += own + if i == j { across + mass * squared } else { 0.0 };
+        }
+        m[i + 3][i + 3] += mass;
+    }
+    // m c x, upper right; its transpose, lower left.
+    let skew = [[0.0, -c.z, c.y], [c.z, 0.0, -c.x], [-c.y, c.x, 0.0]];
+    for i in 0..3 {
+        for j in 0..3 {
+            m[i][j + 3] += mass * skew[i][j];
+            m[j + 3][i] += mass * skew[i][j];
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! O(n) factorisation of a spatial chain's implicit operator.
+//!
+//! `H = M(q) + diag` by the articulated-body recursion (Featherstone 2008, ch. 7), one elementary freedom at a time: a
+//! flexure of three or six freedoms is as many joints without mass between them, which the positive diagonal permits.
+//! Mobilities as in the planar rung (Kreutz-Delgado, Jain and Rodriguez 1992).
+
+use super::algebra::{Operator, Spatial, ZERO, add_body, add_outer, add_scaled, dot, times};
+use super::layout::{Configuration, SpatialLayout};
+
+/// The factored operator.
+#[derive(Debug, Clone)]
+pub(super) struct Articulated {
+    pub axis: Vec<Spatial>,
+    /// Articulated inertia times axis.
+    pub bias: Vec<Spatial>,
+    /// 1 / (axis . bias + diagonal).
+    pub inverse: Vec<f64>,
+    /// Mobility inward of each freedom, and at the end that of the last link.
+    mobility: Vec<Operator>,
+    torque: Vec<f64>,
+}
+
+impl Articulated {
+    pub fn new(freedoms: usize) -> Self {
+        Self {
+            axis: vec![ZERO; freedoms],
+            bias: vec![ZERO; freedoms],
+            inverse: vec![0.0; freedoms],
+            mobility: vec![[ZERO; 6]; freedoms + 1],
+            torque: vec![0.0; freedoms],
+        }
+    }
+
+    /// Factors M(configuration) + diag(`diagonal`).
+    pub fn factor<const D: usize>(
+        &mut self,
+        layout: &SpatialLayout<D>,
+        configuration: &Configuration<D>,
+        diagonal: &[f64],
+    ) {
+        let mut inertia: Operator = [ZERO; 6];
+        self.axis.copy_from_slice(&configuration.axis);
+        for link in (0..=layout.joints).rev() {
+            let body = &layout.body[link];
+            let moments = (body.mass_kg, body.inertia_kg_m2, layout.axial_inertia_kg_m2[link]);
+            let centre = configuration.point(link, body.centre_m);
+            add_body(&mut inertia, moments, &centre, &configuration.direction(link));
+            for k in layout.freedoms_of(link).rev() {
+                let bias = times(&inertia, &self.axis[k]);
+                let inverse = 1.0 / (dot(&self.axis[k], &bias) + diagonal[k]);
+                add_outer(&mut inertia, -inverse, &bias);
+                self.bias[k] = bias;
+                self.inverse[k] = inverse;
+            }
+        }
+    }
+
+    /// Solves H x = `generalised` + sum over links of `force` (at the base origin; index 0 is the shaft).
+    pub fn solve<const D: usize>(
+        &mut self,
+        layout: &SpatialLayout<D>,
+        force: Option<&[Spatial]>,
+        generalised: &[f64],
+        out: &mut [f64],
+    ) {
+        let mut sum = ZERO;
+        for link in (0..=layout.joints).rev() {
+            if let Some(force) = force {
+                add_scaled(&mut sum, 1.0, &force[link]);
+            }
+            for k in layout.freedoms_of(link).rev() {
+                let t = (generalised[k] + dot(&self.axis[k], &sum)) * self.inverse[k];
+                add_scaled(&mut sum, -t, &self.bias[k]);
+                self.torque[k] = t;
+            }
+        }
+        let mut v = ZERO;
+        for k in 0..layout.freedoms() {
+            let x = self.torque[k] - dot(&self.bias[k], &v) * self.inverse[k];
+            add_scaled(&mut v, x, &self.axis[k]);
+            out[k] = x;
+        }
+    }
+
+    /// Mobilities; needed before [`Self::mobility`] and [`Self::unit_response`].
+    pub fn update_mobility(&mut self) {
+        self.mobility[0] = [ZERO; 6];
+        for k in 0..self.axis.len() {
+            // P' W P + s s'/d with P = 1 - u s'/d  =  W - (w s' + s w')/d + s s' (u.w/d^2 + 1/d),  w = W u.
+            let (s, u, inverse) = (&self.axis[k], &self.bias[k], self.inverse[k]);
+            let mut m = self.mobility[k];
+            let w = times(&m, u);
+            let scale = (dot(u, &w) * inverse + 1.0) * inverse;
+            for i in 0..6 {
+                let (a, b) = (scale * s[i] - inverse * w[i], inverse * s[i]);
+                for j in 0..6 {
+                    m[i][j] += a * s[j] - b * w[j];
+                }
+            }
+            self.mobility[k + 1] = m;
+        }
+    }
+
+    /// Mobility of the link behind the first `freedoms` freedoms to a force on itself.
+    pub fn mobility(&self, freedoms: usize) -> &Operator {
+        &self.mobility[freedoms]
+    }
+
+    /// Velocity of freedom `k`, and motion of what is outward of it, under a unit force in it.
+    pub fn unit_response(&self, k: usize) -> (f64, Spatial) {
+        let inverse = self.inverse[k];
+        let mut v = times(&self.mobility[k], &self.bias[k]).map(|x| -x * inverse);
+        let rate = (1.0 - dot(&self.bias[k], &v)) * inverse;
+        add_scaled(&mut v, rate, &self.axis[k]);
+        (rate, v)
+    }
+
+    /// Carries a motion caused inward of freedom `k` across it: its velocity; `v` becomes the motion outward.
+    pub fn carry_outward(&self, k: usize, v: &mut Spatial) -> f64 {
+        let rate = -dot(&self.bias[k], v) * self.inverse[k];
+        add_scaled(v, rate, &self.axis[k]);
+        rate
+    }
+
+    /// Motions of all links for generalised velocities `x`.
+    pub fn link_motions<const D: usize>(&self, layout: &SpatialLayout<D>, x: &[f64], out: &mut [Spatial]) {
+        let mut v = ZERO;
+        for link in 0..=layout.joints {
+            for k in layout.freedoms_of(link) {
+                add_scaled(&mut v, x[k], &self.axis[k]);
+            }
+            out[link] = v;
+        }
+    }
+}

@@ -1,0 +1,453 @@
+//! Contacts and joint stops of a spatial chain: Gauss-Seidel on accumulated impulses that runs along the chain.
+//!
+//! The laws of a row are those of the planar rung (`manipulator::contact`). No contact matrix is formed: a sweep goes
+//! from base to tip, carries the motion that its own impulses cause across each freedom, and relaxes the rows of a link
+//! when it comes by; what they cause inward follows by one solve at the end of the sweep. A sweep so costs O(n), however
+//! many contacts there are.
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::algebra::{Spatial, ZERO, add_scaled, dot, force_at, times};
+use super::articulated::Articulated;
+use super::coupling::Coupling;
+use super::layout::{Configuration, SpatialLayout};
+use super::state::SpatialState;
+use crate::contact_plane::ContactPlane;
+use crate::manipulator::contact::{BaseDrive, Outcome, STOP_RETURN_RAD_PER_S, STOP_SHARE, previous};
+use crate::manipulator::geometry::SphereKind;
+use crate::manipulator::parameters::ManipulatorParameters;
+use crate::manipulator::row::{cone, tangents, target};
+use crate::manipulator::state::ContactResult;
+
+/// One contact.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Row {
+    pub contact: usize,
+    pub sphere: usize,
+    pub link: usize,
+    pub point: Vector3<f64>,
+    /// Normal and tangents, base axes.
+    pub direction: [Vector3<f64>; 3],
+    /// Unit forces along them at the contact point.
+    force: [Spatial; 3],
+    friction: f64,
+    /// Velocity of the contact point due to the base alone.
+    drive: [f64; 3],
+    compliance: f64,
+    target: f64,
+    inverse: f64,
+    tangential: [f64; 3],
+    pub impulse: [f64; 3],
+    shift: f64,
+    before: [f64; 3],
+    direction_of_search: [f64; 3],
+}
+
+/// One stop of a bending or lateral freedom.
+#[derive(Debug, Clone, Copy)]
+struct Stop {
+    freedom: usize,
+    sign: f64,
+    compliance: f64,
+    target: f64,
+    inverse: f64,
+    response: Spatial,
+    impulse: f64,
+    before: f64,
+    direction_of_search: f64,
+}
+
+const EMPTY_STOP: Stop = Stop {
+    freedom: 0,
+    sign: 1.0,
+    compliance: 0.0,
+    target: 0.0,
+    inverse: 0.0,
+    response: ZERO,
+    impulse: 0.0,
+    before: 0.0,
+    direction_of_search: 0.0,
+};
+
+/// Workspace of the contact solver.
+#[derive(Debug, Clone)]
+pub(super) struct ContactSolver {
+    pub row: Vec<Row>,
+    stop: Vec<Stop>,
+    pub refused: usize,
+    pub max_overlap_m: f64,
+    used: Vec<bool>,
+    /// Generalised impulses of the stops, link impulses of the contacts.
+    generalised: Vec<f64>,
+    link_impulse: Vec<Spatial>,
+    /// Generalised velocities under the impulses of now, before the sweep, and their direction of search.
+    pub velocity: Vec<f64>,
+    velocity_before: Vec<f64>,
+    velocity_direction: Vec<f64>,
+    motion: Vec<Spatial>,
+}
+
+impl ContactSolver {
+    pub fn new(freedoms: usize, links: usize, contacts: usize) -> Self {
+        Self {
+            row: Vec::with_capacity(contacts),
+            stop: Vec::with_capacity(freedoms),
+            refused: 0,
+            max_overlap_m: 0.0,
+            used: vec![false; contacts],
+            generalised: vec![0.0; freedoms],
+            link_impulse: vec![ZERO; links],
+            velocity: vec![0.0; freedoms],
+            velocity_before: vec![0.0; freedoms],
+            velocity_direction: vec![0.0; freedoms],
+            motion: vec![ZERO; links],
+        }
+    }
+
+    /// Accepts the usable contacts, ordered by sphere (then by input order).
+    pub fn collect<const D: usize>(
+        &mut self,
+        layout: &SpatialLayout<D>,
+        configuration: &Configuration<D>,
+        rotation: &UnitQuaternion<f64>,
+        contacts: &[ContactPlane],
+    ) {
+        self.row.clear();
+        self.stop.clear();
+        self.max_overlap_m = 0.0;
+        let considered = &contacts[..contacts.len().min(self.row.capacity())];
+        for (index, contact) in considered.iter().enumerate() {
+            let unit = (contact.normal.norm_squared() - 1.0).abs() < 1e-6;
+            let Some(sphere) = layout.spheres.get(contact.sphere_index) else { continue };
+            if !(unit && contact.gap_m.is_finite()) {
+                continue;
+            }
+            let normal = rotation.inverse_transform_vector(contact.normal.as_ref());
+            let [t0, t1] = tangents(&normal);
+            let point = configuration.point(sphere.link, sphere.along_m) - normal * sphere.radius_m;
+            let direction = [normal, t0, t1];
+            self.max_overlap_m = self.max_overlap_m.max(-contact.gap_m);
+            self.row.push(Row {
+                contact: index,
+                sphere: contact.sphere_index,
+                link: sphere.link,
+                point,
+                direction,
+                force: direction.map(|d| force_at(&point, &Vector3::zeros(), &d)),
+                friction: 0.0,
+                drive: [0.0; 3],
+                compliance: 0.0,
+                target: 0.0,
+                inverse: 0.0,
+                tangential: [0.0; 3],
+                impulse: [0.0; 3],
+                shift: 0.0,
+                before: [0.0; 3],
+                direction_of_search: [0.0; 3],
+            });
+        }
+        self.refused = contacts.len() - self.row.len();
+        self.row.sort_unstable_by_key(|row| (row.sphere, row.contact));
+    }
+
+    /// Adds a stop for every bending or lateral freedom that the free motion would bring near its limit.
+    pub fn collect_stops<const D: usize>(
+        &mut self,
+        p: &ManipulatorParameters,
+        layout: &SpatialLayout<D>,
+        dt: f64,
+        state: &SpatialState,
+        free: &[f64],
+    ) {
+        let (limit, stiffness) = (p.joint_limit_rad, p.joint_stop_stiffness_nm_per_rad);
+        for joint in 0..layout.joints {
+            let bend = layout.bend(joint);
+            for k in bend..=if D > 1 { bend + 1 } else { bend } {
+                let q = state.position[k];
+                let predicted = q + dt * free[k];
+                if predicted.abs().max(q.abs()) <= STOP_SHARE * limit {
+                    continue;
+                }
+                let sign = if predicted > 0.0 { -1.0 } else { 1.0 };
+                let last = (sign * state.stop_torque[k]).max(0.0);
+                self.stop.push(Stop {
+                    freedom: k,
+                    sign,
+                    compliance: 1.0 / (stiffness * dt * dt),
+                    target: target(limit + sign * q, last / stiffness, STOP_RETURN_RAD_PER_S, dt),
+                    impulse: last * dt,
+                    ..EMPTY_STOP
+                });
+            }
+        }
+    }
+
+    /// Whether there is anything to solve.
+    pub fn is_empty(&self) -> bool {
+        self.row.is_empty() && self.stop.is_empty()
+    }
+
+    /// Completes the rows once the mobilities are known, with the impulses of the last tick as the start.
+    pub fn prepare<const D: usize>(
+        &mut self,
+        p: &ManipulatorParameters,
+        layout: &SpatialLayout<D>,
+        (dt, drive): (f64, &BaseDrive),
+        contacts: &[ContactPlane],
+        (state, articulated, coupling): (&SpatialState, &Articulated, &Coupling),
+    ) {
+        self.used.fill(false);
+        let stiffness = p.contact.stiffness_n_per_m;
+        for row in &mut self.row {
+            let sphere = &layout.spheres[row.sphere];
+            let contact = &contacts[row.contact];
+            let base_velocity = drive.linear + drive.angular.cross(&row.point);
+            row.drive = row.direction.map(|d| d.dot(&base_velocity));
+            row.friction = match sphere.kind {
+                SphereKind::Burr => p.contact.burr_friction_coefficient,
+                _ => p.contact.friction_coefficient,
+            };
+            row.compliance = 1.0 / (stiffness * dt * dt);
+            let mobility = articulated.mobility(layout.freedoms_of(row.link).end);
+            let response = row.force.map(|f| times(mobility, &f));
+            let along = row.force.map(|f| [0, 1].map(|t| dot(&coupling.link_response[t][row.link], &f)));
+            let entry = |a: usize, b: usize| {
+                let coupled = if coupling.active {
+                    let w = coupling.weigh(along[b]);
+                    along[a][0] * w[0] + along[a][1] * w[1]
+                } else {
+                    0.0
+                };
+                dot(&row.force[a], &response[b]) - coupled
+            };
+            row.inverse = 1.0 / (entry(0, 0) + row.compliance);
+            row.tangential = [entry(1, 1), entry(1, 2), entry(2, 2)];
+            let mut last = 0.0;
+            let results = &state.results[..state.result_count];
+            if let Some(old) = previous(results, &mut self.used, row.sphere, contact.normal.as_ref()) {
+                let friction = drive.rotation.inverse_transform_vector(&old.friction_force_n);
+                last = old.normal_force_n;
+                row.impulse =
+                    [last * dt, friction.dot(&row.direction[1]) * dt, friction.dot(&row.direction[2]) * dt];
+            }
+            row.target = target(contact.gap_m, last / stiffness, p.contact.push_out_speed_m_per_s, dt);
+        }
+        for stop in &mut self.stop {
+            let (rate, response) = articulated.unit_response(stop.freedom);
+            let z = coupling.freedom_response(stop.freedom);
+            let w = if coupling.active { coupling.weigh(z) } else { [0.0; 2] };
+            stop.inverse = 1.0 / (rate - z[0] * w[0] - z[1] * w[1] + stop.compliance);
+            stop.response = response;
+        }
+    }
+
+    /// Sweeps until no row changes its velocity by more than the tolerance, at most so many times. Afterwards
+    /// `velocity` is the solution.
+    pub fn solve<const D: usize>(
+        &mut self,
+        layout: &SpatialLayout<D>,
+        (articulated, coupling): (&mut Articulated, &Coupling),
+        free: &[f64],
+        (max_iterations, tolerance): (usize, f64),
+    ) -> Outcome {
+        self.velocity_direction.fill(0.0);
+        self.respond(layout, articulated, coupling, free);
+        let mut outcome = Outcome { iterations: 0, residual: 0.0 };
+        let mut last = 0.0;
+        loop {
+            outcome.iterations += 1;
+            outcome.residual = 0.0;
+            self.keep();
+            self.sweep(layout, articulated, coupling, &mut outcome.residual);
+            self.respond(layout, articulated, coupling, free);
+            if outcome.residual <= tolerance || outcome.iterations >= max_iterations {
+                return outcome;
+            }
+            last = self.accelerate(last);
+            articulated.link_motions(layout, &self.velocity, &mut self.motion);
+        }
+    }
+
+    /// Velocities under the present impulses.
+    fn respond<const D: usize>(
+        &mut self,
+        layout: &SpatialLayout<D>,
+        articulated: &mut Articulated,
+        coupling: &Coupling,
+        free: &[f64],
+    ) {
+        self.link_impulse.fill(ZERO);
+        self.generalised.fill(0.0);
+        for row in &self.row {
+            for (force, impulse) in row.force.iter().zip(row.impulse) {
+                add_scaled(&mut self.link_impulse[row.link], impulse, force);
+            }
+        }
+        for stop in &self.stop {
+            self.generalised[stop.freedom] += stop.sign * stop.impulse;
+        }
+        articulated.solve(layout, Some(&self.link_impulse), &self.generalised, &mut self.velocity);
+        coupling.correct(&mut self.velocity);
+        for (v, free) in self.velocity.iter_mut().zip(free) {
+            *v += free;
+        }
+        articulated.link_motions(layout, &self.velocity, &mut self.motion);
+    }
+
+    fn keep(&mut self) {
+        self.row.iter_mut().for_each(|row| row.before = row.impulse);
+        self.stop.iter_mut().for_each(|stop| stop.before = stop.impulse);
+        self.velocity_before.copy_from_slice(&self.velocity);
+    }
+
+    /// One sweep from base to tip; `motion` and `velocity` are those before it.
+    fn sweep<const D: usize>(
+        &mut self,
+        layout: &SpatialLayout<D>,
+        articulated: &Articulated,
+        coupling: &Coupling,
+        residual: &mut f64,
+    ) {
+        let (mut carried, mut moving) = (ZERO, false);
+        let mut weight = [0.0; 2];
+        let (mut row, mut stop) = (0, 0);
+        for link in 0..=layout.joints {
+            if row == self.row.len() && stop == self.stop.len() {
+                return;
+            }
+            for k in layout.freedoms_of(link) {
+                let rate = if moving { articulated.carry_outward(k, &mut carried) } else { 0.0 };
+                if stop < self.stop.len() && self.stop[stop].freedom == k {
+                    let z = coupling.freedom_response(k);
+                    let rate = self.velocity[k] + rate - z[0] * weight[0] - z[1] * weight[1];
+                    let change = self.stop[stop].relax(rate, residual);
+                    add_scaled(&mut carried, change, &self.stop[stop].response);
+                    moving |= change != 0.0;
+                    if coupling.active {
+                        let w = coupling.weigh(z.map(|z| z * change));
+                        weight = [weight[0] + w[0], weight[1] + w[1]];
+                    }
+                    stop += 1;
+                }
+            }
+            let mobility = articulated.mobility(layout.freedoms_of(link).end);
+            while row < self.row.len() && self.row[row].link == link {
+                let mut local = self.motion[link];
+                add_scaled(&mut local, 1.0, &carried);
+                if coupling.active {
+                    for t in 0..2 {
+                        add_scaled(&mut local, -weight[t], &coupling.link_response[t][link]);
+                    }
+                }
+                let force = self.row[row].relax(&local, residual);
+                if force != ZERO {
+                    add_scaled(&mut carried, 1.0, &times(mobility, &force));
+                    moving = true;
+                    if coupling.active {
+                        let p = [0, 1].map(|t| dot(&coupling.link_response[t][link], &force));
+                        let w = coupling.weigh(p);
+                        weight = [weight[0] + w[0], weight[1] + w[1]];
+                    }
+                }
+                row += 1;
+            }
+        }
+    }
+
+    /// Goes on along the last sweeps' direction by nonsmooth nonlinear conjugate gradients (see the planar rung).
+    fn accelerate(&mut self, last: f64) -> f64 {
+        let mut squared = 0.0;
+        for row in &self.row {
+            let weight = [1.0 / row.inverse, row.tangential[0], row.tangential[2]];
+            for j in 0..3 {
+                let change = row.impulse[j] - row.before[j];
+                squared += weight[j] * change * change;
+            }
+        }
+        for stop in &self.stop {
+            let change = stop.impulse - stop.before;
+            squared += change * change / stop.inverse;
+        }
+        let beta = if last > 0.0 && squared <= last { squared / last } else { 0.0 };
+        for row in &mut self.row {
+            for j in 0..3 {
+                let change = row.impulse[j] - row.before[j];
+                row.impulse[j] += beta * row.direction_of_search[j];
+                row.direction_of_search[j] = beta * row.direction_of_search[j] + change;
+            }
+        }
+        for stop in &mut self.stop {
+            let change = stop.impulse - stop.before;
+            stop.impulse += beta * stop.direction_of_search;
+            stop.direction_of_search = beta * stop.direction_of_search + change;
+        }
+        for k in 0..self.velocity.len() {
+            let change = self.velocity[k] - self.velocity_before[k];
+            self.velocity[k] += beta * self.velocity_direction[k];
+            self.velocity_direction[k] = beta * self.velocity_direction[k] + change;
+        }
+        squared
+    }
+
+    /// Result of the `k`-th row.
+    pub fn result(&self, k: usize, dt: f64, rotation: &UnitQuaternion<f64>) -> ContactResult {
+        let row = &self.row[k];
+        let friction = row.direction[1] * row.impulse[1] + row.direction[2] * row.impulse[2];
+        ContactResult {
+            contact_index: row.contact,
+            sphere_index: row.sphere,
+            normal: rotation * row.direction[0],
+            normal_force_n: row.impulse[0] / dt,
+            friction_force_n: rotation * (friction / dt),
+        }
+    }
+
+    /// Stop torques of the solution, for the next warm start; returns how many stops carry torque.
+    pub fn stop_torques(&self, dt: f64, torque: &mut [f64]) -> usize {
+        torque.fill(0.0);
+        for stop in &self.stop {
+            torque[stop.freedom] = stop.sign * stop.impulse / dt;
+        }
+        self.stop.iter().filter(|stop| stop.impulse > 0.0).count()
+    }
+}
+
+impl Row {
+    /// Relaxes the contact on a link that moves with `motion`; the change of its impulse as a force on the link.
+    fn relax(&mut self, motion: &Spatial, residual: &mut f64) -> Spatial {
+        let old = self.impulse;
+        let velocity = dot(&self.force[0], motion) + self.drive[0];
+        let wanted = self.target - velocity - self.compliance * old[0];
+        let normal = (old[0] + wanted * self.inverse).max(0.0);
+        *residual = residual.max((normal - old[0]).abs() / self.inverse);
+        self.impulse = [normal, 0.0, 0.0];
+        let radius = self.friction * normal;
+        if radius > 0.0 {
+            let [w00, w01, w11] = self.tangential;
+            let free = [
+                dot(&self.force[1], motion) + self.drive[1] - w00 * old[1] - w01 * old[2],
+                dot(&self.force[2], motion) + self.drive[2] - w01 * old[1] - w11 * old[2],
+            ];
+            let [a, b] = cone(&self.tangential, &free, radius, &mut self.shift);
+            *residual = residual.max((w00 * (a - old[1])).abs()).max((w11 * (b - old[2])).abs());
+            (self.impulse[1], self.impulse[2]) = (a, b);
+        }
+        let mut force = ZERO;
+        for j in 0..3 {
+            add_scaled(&mut force, self.impulse[j] - old[j], &self.force[j]);
+        }
+        force
+    }
+}
+
+impl Stop {
+    /// Relaxes the stop at velocity `rate` of its freedom; the change of the freedom's impulse.
+    fn relax(&mut self, rate: f64, residual: &mut f64) -> f64 {
+        let velocity = self.sign * rate + self.compliance * self.impulse;
+        let impulse = (self.impulse + (self.target - velocity) * self.inverse).max(0.0);
+        let change = impulse - self.impulse;
+        self.impulse = impulse;
+        *residual = residual.max(change.abs() / self.inverse);
+        self.sign * change
+    }
+}

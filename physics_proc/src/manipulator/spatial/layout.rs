@@ -1,0 +1,141 @@
+//! Fixed layout of a spatial chain and its configuration in space.
+//!
+//! A flexure is a row of elementary joints. Freedoms come in the order: three of the mount (base x, y, z), then for each
+//! flexure those of its rung. One freedom: bending (about the link's y). Three: bending, lateral bending (about the x so
+//! turned), torsion (about the z so turned). Six: first the displacements along x, y and z of the link before it.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::algebra::{Spatial, shift_along, turn_about};
+use crate::manipulator::geometry::{LinkBody, SphereLayout, link_bodies, link_lengths_m, spheres};
+use crate::manipulator::parameters::ManipulatorParameters;
+
+/// Freedoms of the mount.
+pub(super) const MOUNT: usize = 3;
+
+/// What never changes after construction.
+#[derive(Debug, Clone)]
+pub(super) struct SpatialLayout<const D: usize> {
+    pub joints: usize,
+    pub first_joint_m: f64,
+    /// Length of the link behind each flexure.
+    pub length_m: Vec<f64>,
+    /// The shaft, then one a flexure. Moments of inertia across the axis.
+    pub body: Vec<LinkBody>,
+    /// Moments of inertia along the axis, kg m^2.
+    pub axial_inertia_kg_m2: Vec<f64>,
+    pub spheres: Vec<SphereLayout>,
+    pub total_mass_kg: f64,
+}
+
+impl<const D: usize> SpatialLayout<D> {
+    /// Freedoms before the bending of a flexure.
+    pub const BEND: usize = if D == 6 { 3 } else { 0 };
+
+    pub fn new(p: &ManipulatorParameters) -> Self {
+        let length_m = link_lengths_m(p);
+        let body = link_bodies(p, &length_m);
+        let [outer, inner] = p.tube_radii_m;
+        let along = |length: &f64| p.linear_density_kg_per_m * length * 0.5 * (outer * outer + inner * inner);
+        let mut axial_inertia_kg_m2 = vec![0.0];
+        axial_inertia_kg_m2.extend(length_m.iter().map(along));
+        axial_inertia_kg_m2[length_m.len()] += 0.4 * p.burr_mass_kg * p.burr_radius_m * p.burr_radius_m;
+        Self {
+            joints: length_m.len(),
+            first_joint_m: p.joint_positions_m[0],
+            spheres: spheres(p, &length_m),
+            total_mass_kg: body.iter().map(|b| b.mass_kg).sum(),
+            length_m,
+            body,
+            axial_inertia_kg_m2,
+        }
+    }
+
+    /// All freedoms.
+    pub fn freedoms(&self) -> usize {
+        MOUNT + self.joints * D
+    }
+
+    /// The freedoms that move `link` against the one before it (the mount moves link 0).
+    pub fn freedoms_of(&self, link: usize) -> core::ops::Range<usize> {
+        if link == 0 { 0..MOUNT } else { MOUNT + (link - 1) * D..MOUNT + link * D }
+    }
+
+    /// Index of the bending freedom of flexure `joint`.
+    pub fn bend(&self, joint: usize) -> usize {
+        MOUNT + joint * D + Self::BEND
+    }
+}
+
+/// Where the links are, base axes.
+#[derive(Debug, Clone)]
+pub(super) struct Configuration<const D: usize> {
+    /// Origin of each link: the displaced base origin, then the flexures behind their displacement.
+    pub origin: Vec<Vector3<f64>>,
+    /// Axes of each link as columns.
+    pub rotation: Vec<Matrix3<f64>>,
+    /// Motion of everything outward of a freedom per unit of its velocity.
+    pub axis: Vec<Spatial>,
+}
+
+impl<const D: usize> Configuration<D> {
+    pub fn new(layout: &SpatialLayout<D>) -> Self {
+        let links = layout.joints + 1;
+        Self {
+            origin: vec![Vector3::zeros(); links],
+            rotation: vec![Matrix3::identity(); links],
+            axis: vec![[0.0; 6]; layout.freedoms()],
+        }
+    }
+
+    /// Sets every link for the freedoms `q`.
+    pub fn update(&mut self, layout: &SpatialLayout<D>, q: &[f64]) {
+        let mut r = Matrix3::identity();
+        let mut p = Vector3::new(q[0], q[1], q[2]);
+        for k in 0..MOUNT {
+            self.axis[k] = shift_along(&r.column(k).into_owned());
+        }
+        self.origin[0] = p;
+        self.rotation[0] = r;
+        for i in 0..layout.joints {
+            let length = if i == 0 { layout.first_joint_m } else { layout.length_m[i - 1] };
+            p += r.column(2) * length;
+            let first = MOUNT + i * D;
+            if D == 6 {
+                for k in 0..3 {
+                    self.axis[first + k] = shift_along(&r.column(k).into_owned());
+                }
+                p += r * Vector3::new(q[first], q[first + 1], q[first + 2]);
+            }
+            let bend = layout.bend(i);
+            self.axis[bend] = turn_about(&p, &r.column(1).into_owned());
+            turn_columns(&mut r, (2, 0), q[bend]);
+            if D > 1 {
+                self.axis[bend + 1] = turn_about(&p, &r.column(0).into_owned());
+                turn_columns(&mut r, (1, 2), q[bend + 1]);
+                self.axis[bend + 2] = turn_about(&p, &r.column(2).into_owned());
+                turn_columns(&mut r, (0, 1), q[bend + 2]);
+            }
+            self.origin[i + 1] = p;
+            self.rotation[i + 1] = r;
+        }
+    }
+
+    /// The point at `along_m` on the axis of `link`.
+    pub fn point(&self, link: usize, along_m: f64) -> Vector3<f64> {
+        self.origin[link] + self.rotation[link].column(2) * along_m
+    }
+
+    /// Unit axis of `link`.
+    pub fn direction(&self, link: usize) -> Vector3<f64> {
+        self.rotation[link].column(2).into_owned()
+    }
+}
+
+/// Turns column `a` toward column `b` of a rotation by `angle`: a turn about the third column.
+fn turn_columns(r: &mut Matrix3<f64>, (a, b): (usize, usize), angle: f64) {
+    let (sin, cos) = libm::sincos(angle);
+    let (u, v) = (r.column(a).into_owned(), r.column(b).into_owned());
+    r.set_column(a, &(u * cos + v * sin));
+    r.set_column(b, &(v * cos - u * sin));
+}

@@ -1,0 +1,296 @@
+//! The spatial rungs: a chain of flexures with one, three or six freedoms each, in reduced coordinates.
+//!
+//! [`SpatialChain<3>`] bends, bends laterally and twists; [`SpatialChain<6>`] also stretches and shears, as a Timoshenko
+//! beam does; [`SpatialChain<1>`] is the planar chain again, with up to 64 links. Frames, tendons, contact laws, mount and
+//! integrators are those of the planar rung (see [`crate::manipulator`]). Every flexure has freedom coordinates of its
+//! own whose springs are `k q`, so that forces come from one potential, whatever the angles.
+//!
+//! Stiffness follows from the bending stiffness k of a flexure: lateral and torsional by the ratios of the parameters,
+//! axial `k A/I` and shear `k kappa (G/E) A/I` with A/I = 4 / (r_o^2 + r_i^2) of the tube and Cowper's coefficient of a
+//! thin tube, `kappa G/E = 1 / (4 + 3 nu)` (Cowper 1966, J. Appl. Mech. 33).
+
+mod algebra;
+mod articulated;
+mod contact;
+mod coupling;
+mod layout;
+mod loads;
+mod state;
+mod step;
+mod tendon;
+
+use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::error::ManipulatorError;
+use super::parameters::ManipulatorParameters;
+use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
+use super::{MAX_LINKS, MAX_SHAFT_SPHERES, modal};
+use articulated::Articulated;
+use contact::ContactSolver;
+use coupling::Coupling;
+use layout::{Configuration, MOUNT, SpatialLayout};
+use loads::Loads;
+use step::Work;
+use tendon::TendonLoad;
+
+pub use state::SpatialState;
+
+/// Most contacts of a step, four a sphere; further ones are refused and counted.
+const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
+
+/// A continuum manipulator whose flexures have D freedoms: 1, 3 or 6.
+#[derive(Debug, Clone)]
+pub struct SpatialChain<const D: usize> {
+    parameters: ManipulatorParameters,
+    layout: SpatialLayout<D>,
+    /// Of each freedom.
+    stiffness: Vec<f64>,
+    damping: Vec<f64>,
+    first_frequency_rad_per_s: f64,
+    /// Baseline: springs and dampers as forces only.
+    explicit: bool,
+    state: SpatialState,
+    /// Follows from `state`.
+    configuration: Configuration<D>,
+    /// Follows from `state`.
+    spheres: Vec<ProxySphere>,
+    /// Bending angles and rates, a copy out of `state`.
+    bend: [Vec<f64>; 2],
+    /// Workspace from here on.
+    trial: Configuration<D>,
+    articulated: Articulated,
+    tendon: TendonLoad,
+    coupling: Coupling,
+    loads: Loads,
+    contact: ContactSolver,
+    work: Work,
+}
+
+impl<const D: usize> SpatialChain<D> {
+    const SUPPORTED: () = assert!(D == 1 || D == 3 || D == 6, "a flexure has 1, 3 or 6 freedoms");
+
+    /// A straight tool at rest on `base`, with slack tendons.
+    ///
+    /// # Errors
+    /// A parameter that is refused, by name.
+    pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
+        let () = Self::SUPPORTED;
+        parameters.validate()?;
+        super::step::validate_base(base)?;
+        let layout = SpatialLayout::new(&parameters);
+        let (freedoms, links) = (layout.freedoms(), layout.joints + 1);
+        let bending = &parameters.joint_stiffness_nm_per_rad;
+        let first =
+            modal::first_frequency_rad_per_s(layout.first_joint_m, &layout.length_m, &layout.body, bending);
+        let stiffness = stiffnesses::<D>(&parameters);
+        let damping = (0..freedoms)
+            .map(|k| match parameters.mount_stiffness_n_per_m.get(k) {
+                Some(mount) => {
+                    2.0 * parameters.mount_damping_ratio * libm::sqrt(mount * layout.total_mass_kg)
+                }
+                None => 2.0 * parameters.damping_ratio / first * stiffness[k],
+            })
+            .collect();
+        let blank = |s: &super::geometry::SphereLayout| ProxySphere {
+            centre_m: Vector3::zeros(),
+            velocity_m_per_s: Vector3::zeros(),
+            radius_m: s.radius_m,
+            kind: s.kind,
+        };
+        let mut chain = Self {
+            spheres: layout.spheres.iter().map(blank).collect(),
+            stiffness,
+            damping,
+            first_frequency_rad_per_s: first,
+            explicit: false,
+            state: SpatialState::new(base, freedoms, MAX_CONTACTS),
+            configuration: Configuration::new(&layout),
+            bend: [vec![0.0; layout.joints], vec![0.0; layout.joints]],
+            trial: Configuration::new(&layout),
+            articulated: Articulated::new(freedoms),
+            tendon: TendonLoad::new(freedoms),
+            coupling: Coupling::new(freedoms, links),
+            loads: Loads::new(links),
+            contact: ContactSolver::new(freedoms, links, MAX_CONTACTS),
+            work: Work::new(freedoms, links),
+            layout,
+            parameters,
+        };
+        chain.update_configuration();
+        Ok(chain)
+    }
+
+    /// Baseline: semi-implicit Euler, springs and dampers enter as forces and not the operator.
+    pub(crate) fn with_explicit_springs(mut self) -> Self {
+        self.explicit = true;
+        self.parameters.integrator = super::Integrator::LinearlyImplicitEuler;
+        self
+    }
+
+    /// Links and spheres for the present state.
+    fn update_configuration(&mut self) {
+        let state = &self.state;
+        self.configuration.update(&self.layout, &state.position);
+        let pose = &state.base.t_world_base;
+        let rotation = pose.rotation.to_rotation_matrix();
+        let (mut link, mut motion, mut k) = (0, algebra::ZERO, 0);
+        let mut carry = |end: usize, motion: &mut algebra::Spatial| {
+            while k < end {
+                algebra::add_scaled(motion, state.velocity[k], &self.configuration.axis[k]);
+                k += 1;
+            }
+        };
+        carry(MOUNT, &mut motion);
+        for (sphere, fixed) in self.spheres.iter_mut().zip(&self.layout.spheres) {
+            while link < fixed.link {
+                link += 1;
+                carry(self.layout.freedoms_of(link).end, &mut motion);
+            }
+            let point = self.configuration.point(link, fixed.along_m);
+            let centre = rotation * point;
+            sphere.centre_m = pose.translation.vector + centre;
+            sphere.velocity_m_per_s = state.base.linear_velocity_m_per_s
+                + state.base.angular_velocity_rad_per_s.cross(&centre)
+                + rotation * algebra::velocity_at(&point, &motion);
+        }
+        for joint in 0..self.layout.joints {
+            self.bend[0][joint] = state.position[self.layout.bend(joint)];
+            self.bend[1][joint] = state.velocity[self.layout.bend(joint)];
+        }
+    }
+
+    /// Number of flexures.
+    pub fn joint_count(&self) -> usize {
+        self.layout.joints
+    }
+
+    /// The parameters the tool was built from.
+    pub fn parameters(&self) -> &ManipulatorParameters {
+        &self.parameters
+    }
+
+    /// First bending mode of the straight tool on a rigid mount, Hz.
+    pub fn first_natural_frequency_hz(&self) -> f64 {
+        self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
+    }
+
+    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    pub fn proxy_spheres(&self) -> &[ProxySphere] {
+        &self.spheres
+    }
+
+    /// Bending angles, base to tip, rad.
+    pub fn joint_positions_rad(&self) -> &[f64] {
+        &self.bend[0]
+    }
+
+    /// Bending rates, base to tip, rad/s.
+    pub fn joint_velocities_rad_per_s(&self) -> &[f64] {
+        &self.bend[1]
+    }
+
+    /// All freedoms: three of the mount (m), then those of the flexures (displacements in m, bending, lateral bending and
+    /// torsion in rad).
+    pub fn freedoms(&self) -> &[f64] {
+        &self.state.position
+    }
+
+    /// Pose of link `link` (0 is the shaft), z along the link. A link past the last is the last.
+    pub fn t_world_link(&self, link: usize) -> Isometry3<f64> {
+        self.t_world_point(link.min(self.layout.joints), 0.0)
+    }
+
+    /// Pose of the tip frame: origin at the burr centre, z along the last link.
+    pub fn t_world_tip(&self) -> Isometry3<f64> {
+        let n = self.layout.joints;
+        self.t_world_point(n, self.layout.length_m[n - 1])
+    }
+
+    fn t_world_point(&self, link: usize, along_m: f64) -> Isometry3<f64> {
+        let translation = Translation3::from(self.configuration.point(link, along_m));
+        let rotation = Rotation3::from_matrix_unchecked(self.configuration.rotation[link]);
+        let rotation = UnitQuaternion::from_rotation_matrix(&rotation);
+        self.state.base.t_world_base * Isometry3::from_parts(translation, rotation)
+    }
+
+    /// Base motion at the end of the last step.
+    pub fn base(&self) -> &BaseMotion {
+        &self.state.base
+    }
+
+    /// Puts the tool elsewhere at once, shape and relative motion kept: for scene set-up, not for motion.
+    ///
+    /// # Errors
+    /// A base that is not one.
+    pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
+        super::step::validate_base(base)?;
+        self.state.base = *base;
+        self.update_configuration();
+        Ok(())
+    }
+
+    /// What the tool exerted on the flange in the last step.
+    pub fn flange_wrench(&self) -> Wrench {
+        self.state.report.flange_wrench
+    }
+
+    /// Contacts of the last step, ordered by sphere.
+    pub fn contact_results(&self) -> &[ContactResult] {
+        &self.state.results[..self.state.result_count]
+    }
+
+    /// Summary of the last step.
+    pub fn last_report(&self) -> &StepReport {
+        &self.state.report
+    }
+
+    /// Kinetic energy relative to the base plus elastic energy of flexures and mount, J.
+    pub fn energy_j(&self) -> f64 {
+        let elastic: f64 =
+            self.stiffness.iter().zip(&self.state.position).map(|(k, q)| 0.5 * k * q * q).sum();
+        let mut energy = elastic;
+        let mut motion = algebra::ZERO;
+        for link in 0..=self.layout.joints {
+            for k in self.layout.freedoms_of(link) {
+                algebra::add_scaled(&mut motion, self.state.velocity[k], &self.configuration.axis[k]);
+            }
+            let body = &self.layout.body[link];
+            let moments = (body.mass_kg, body.inertia_kg_m2, self.layout.axial_inertia_kg_m2[link]);
+            let mut inertia = [algebra::ZERO; 6];
+            let centre = self.configuration.point(link, body.centre_m);
+            algebra::add_body(&mut inertia, moments, &centre, &self.configuration.direction(link));
+            energy += 0.5 * algebra::dot(&motion, &algebra::times(&inertia, &motion));
+        }
+        energy
+    }
+
+    /// A copy of the whole dynamic state.
+    pub fn snapshot(&self) -> SpatialState {
+        self.state.clone()
+    }
+
+    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    pub fn restore(&mut self, state: &SpatialState) {
+        self.state.clone_from(state);
+        self.update_configuration();
+    }
+}
+
+/// Stiffness of each freedom, N/m and N m/rad.
+fn stiffnesses<const D: usize>(p: &ManipulatorParameters) -> Vec<f64> {
+    let [outer, inner] = p.tube_radii_m;
+    let area_over_moment = 4.0 / (outer * outer + inner * inner);
+    let mut stiffness = p.mount_stiffness_n_per_m.to_vec();
+    for &k in &p.joint_stiffness_nm_per_rad {
+        if D == 6 {
+            let axial = k * area_over_moment;
+            let shear = axial / (4.0 + 3.0 * p.poisson_ratio);
+            stiffness.extend([shear, shear, axial]);
+        }
+        stiffness.push(k);
+        if D > 1 {
+            stiffness.extend([p.lateral_stiffness_ratio * k, p.torsion_stiffness_ratio * k]);
+        }
+    }
+    stiffness
+}

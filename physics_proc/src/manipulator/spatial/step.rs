@@ -1,0 +1,306 @@
+//! One step of a spatial chain: linearly implicit Euler, or ROS2 in free motion, as in the planar rung.
+
+use nalgebra::Vector3;
+
+use super::SpatialChain;
+use super::algebra::{Spatial, ZERO};
+use super::layout::SpatialLayout;
+use super::tendon;
+use crate::manipulator::contact::{BaseDrive, Outcome};
+use crate::manipulator::error::ManipulatorError;
+use crate::manipulator::geometry::SphereKind;
+use crate::manipulator::loads::Frame;
+use crate::manipulator::parameters::Integrator;
+use crate::manipulator::state::{ProxySphere, StepInput, StepReport, Wrench};
+use crate::manipulator::step::{CLEARANCE_M, FREE_SHARE, GAMMA, base_motion, validate};
+
+/// Vectors over the freedoms that a step needs.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Work {
+    before: Vec<f64>,
+    after: Vec<f64>,
+    next: Vec<f64>,
+    /// Stiffness with the tendons' own part.
+    stiffness: Vec<f64>,
+    diagonal: Vec<f64>,
+    rhs: Vec<f64>,
+    y: Vec<f64>,
+    kv1: Vec<f64>,
+    kq1: Vec<f64>,
+    q2: Vec<f64>,
+    v2: Vec<f64>,
+    kv2: Vec<f64>,
+    motions: Vec<Spatial>,
+}
+
+impl Work {
+    pub fn new(freedoms: usize, links: usize) -> Self {
+        let blank = || vec![0.0; freedoms];
+        Self {
+            before: blank(),
+            after: blank(),
+            next: blank(),
+            stiffness: blank(),
+            diagonal: blank(),
+            rhs: blank(),
+            y: blank(),
+            kv1: blank(),
+            kq1: blank(),
+            q2: blank(),
+            v2: blank(),
+            kv2: blank(),
+            motions: vec![ZERO; links],
+        }
+    }
+}
+
+/// out = f(i) for every freedom.
+fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
+    for (i, out) in out.iter_mut().enumerate() {
+        *out = f(i);
+    }
+}
+
+impl<const D: usize> SpatialChain<D> {
+    /// Advances by `dt_s` (1e-7 to 0.1 s). Refused input is an error and changes nothing; single unusable contacts are
+    /// left out and counted in the report.
+    ///
+    /// # Errors
+    /// Input that is not finite or absurd.
+    pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+        validate(dt_s, input)?;
+        let gravity = &self.parameters.gravity_m_per_s2;
+        let (drive, frame) = base_motion(&self.state.base, gravity, dt_s, input)?;
+        // Taken out and put back: no allocation.
+        let mut work = core::mem::take(&mut self.work);
+        work.before.copy_from_slice(&self.state.velocity);
+        let mut report = StepReport::none();
+        match self.rosenbrock(dt_s, input, &frame, &mut work) {
+            Ok(error) => {
+                report.integrator = Integrator::Hybrid;
+                report.error_estimate_rad = error;
+                self.state.result_count = 0;
+                self.state.stop_torque.fill(0.0);
+            }
+            Err(error) => {
+                report.error_estimate_rad = error;
+                self.linearly_implicit_euler(dt_s, input, (&drive, &frame), &mut work, &mut report);
+            }
+        }
+        self.finish(dt_s, input, &mut work, &mut report);
+        self.work = work;
+        Ok(report)
+    }
+
+    /// Tendons, factored operator and loads of one stage at `q`, `v`.
+    fn stage(
+        &mut self,
+        (q, v): (&[f64], &[f64]),
+        h: f64,
+        (input, frame): (&StepInput, &Frame),
+        trial: bool,
+        (stiffness, diagonal): (&mut [f64], &mut [f64]),
+    ) {
+        let configuration = if trial { &self.trial } else { &self.configuration };
+        let parameters = &self.parameters.tendon;
+        self.tendon.evaluate(parameters, &self.layout, (q, v), &input.tendon, &self.state.tendon);
+        fill(stiffness, |i| (self.stiffness[i] + self.tendon.stiffness[i]).max(0.0));
+        fill(diagonal, |i| h * self.damping[i] + h * h * stiffness[i]);
+        self.articulated.factor(&self.layout, configuration, diagonal);
+        self.coupling.update(&self.layout, &mut self.articulated, &self.tendon, h * h);
+        self.loads.evaluate(&self.layout, configuration, v, frame);
+    }
+
+    /// Forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
+    fn elastic_forces(&self, (q, v, y): (&[f64], &[f64], &[f64]), stiffness: &[f64], out: &mut [f64]) {
+        fill(out, |i| {
+            self.tendon.torque[i] - self.stiffness[i] * q[i] - self.damping[i] * v[i] - stiffness[i] * y[i]
+        });
+        self.coupling.subtract_stiffness(y, out);
+    }
+
+    /// out = A^-1 (f + loads).
+    fn solve_loads(&mut self, f: &[f64], out: &mut [f64]) {
+        self.articulated.solve(&self.layout, Some(&self.loads.force), f, out);
+        self.coupling.correct(out);
+    }
+
+    fn linearly_implicit_euler(
+        &mut self,
+        dt: f64,
+        input: &StepInput,
+        (drive, frame): (&BaseDrive, &Frame),
+        work: &mut Work,
+        report: &mut StepReport,
+    ) {
+        let q = core::mem::take(&mut self.state.position);
+        let Work { before, after, next, stiffness, diagonal, rhs, y, .. } = work;
+        let h = if self.explicit { 0.0 } else { dt };
+        self.stage((&q, before), h, (input, frame), false, (&mut *stiffness, diagonal));
+        fill(y, |i| h * before[i]);
+        self.elastic_forces((&q, before, y), stiffness, rhs);
+        self.solve_loads(rhs, after);
+        fill(next, |i| before[i] + dt * after[i]);
+        after.copy_from_slice(next);
+        self.state.position = q;
+        self.with_contacts(dt, input, drive, after, report);
+        fill(next, |i| self.state.position[i] + dt * after[i]);
+    }
+
+    /// Turns the free velocities into those under contact and stop impulses.
+    fn with_contacts(
+        &mut self,
+        dt: f64,
+        input: &StepInput,
+        drive: &BaseDrive,
+        velocity: &mut [f64],
+        report: &mut StepReport,
+    ) {
+        let solver = &mut self.contact;
+        solver.collect(&self.layout, &self.configuration, &drive.rotation, input.contacts);
+        solver.collect_stops(&self.parameters, &self.layout, dt, &self.state, velocity);
+        report.refused_contact_count = solver.refused;
+        report.contact_count = solver.row.len();
+        report.max_overlap_m = solver.max_overlap_m;
+        self.state.result_count = solver.row.len();
+        if solver.is_empty() {
+            self.state.stop_torque.fill(0.0);
+            return;
+        }
+        self.articulated.update_mobility();
+        let model = (&self.state, &self.articulated, &self.coupling);
+        solver.prepare(&self.parameters, &self.layout, (dt, drive), input.contacts, model);
+        let limits = (self.parameters.contact.max_iterations, self.parameters.contact.tolerance_m_per_s);
+        let Outcome { iterations, residual } =
+            solver.solve(&self.layout, (&mut self.articulated, &self.coupling), velocity, limits);
+        report.iterations = iterations;
+        report.residual_m_per_s = residual;
+        velocity.copy_from_slice(&solver.velocity);
+        report.stopped_joint_count = solver.stop_torques(dt, &mut self.state.stop_torque);
+        for k in 0..self.contact.row.len() {
+            let result = self.contact.result(k, dt, &drive.rotation);
+            let normal_force = result.normal * result.normal_force_n;
+            let force = drive.rotation.inverse_transform_vector(&(normal_force + result.friction_force_n));
+            self.loads.moment += self.contact.row[k].point.cross(&force);
+            report.active_contact_count += usize::from(result.normal_force_n > 0.0);
+            if self.layout.spheres[result.sphere_index].kind == SphereKind::Burr {
+                report.burr_normal_force_n += normal_force;
+            }
+            self.state.results[k] = result;
+        }
+    }
+
+    /// A ROS2 step in free motion into `work.next` and `work.after`; its error estimate. `Err`: not wanted (estimate 0),
+    /// not free, or the estimate is above the tolerance.
+    fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
+        let wanted = self.parameters.integrator == Integrator::Hybrid && self.contacts_far(dt, input);
+        if !wanted || self.near_stop(&self.state.position) {
+            return Err(0.0);
+        }
+        let q = core::mem::take(&mut self.state.position);
+        let error = self.rosenbrock_stages((&q, dt), input, frame, work);
+        self.state.position = q;
+        let accurate = error <= self.parameters.hybrid_tolerance_rad;
+        if !accurate || self.near_stop(&work.next) || !self.contacts_clear(&work.next, input) {
+            return Err(if error.is_finite() { error } else { f64::MAX });
+        }
+        Ok(error)
+    }
+
+    fn rosenbrock_stages(
+        &mut self,
+        (q, dt): (&[f64], f64),
+        input: &StepInput,
+        frame: &Frame,
+        work: &mut Work,
+    ) -> f64 {
+        let h = GAMMA * dt;
+        let Work { before, after, next, stiffness, diagonal, rhs, y, kv1, kq1, q2, v2, kv2, .. } = work;
+        self.stage((q, before), h, (input, frame), false, (&mut *stiffness, &mut *diagonal));
+        fill(y, |i| h * before[i]);
+        self.elastic_forces((q, before, y), stiffness, rhs);
+        self.solve_loads(rhs, kv1);
+        fill(kq1, |i| before[i] + h * kv1[i]);
+        fill(q2, |i| q[i] + dt * kq1[i]);
+        fill(v2, |i| before[i] + dt * kv1[i]);
+        self.trial.update(&self.layout, q2);
+        self.stage((q2, v2), h, (input, frame), true, (&mut *stiffness, &mut *diagonal));
+        // As in the planar rung: with x = kv2 + 2 kv1 the mass drops out of the right side.
+        fill(y, |i| h * (v2[i] - 2.0 * kq1[i]) - 2.0 * h * h * kv1[i]);
+        self.elastic_forces((q2, v2, y), stiffness, rhs);
+        for i in 0..rhs.len() {
+            rhs[i] += 2.0 * h * self.damping[i] * kv1[i];
+        }
+        self.solve_loads(rhs, kv2);
+        let mut error = 0.0f64;
+        for i in 0..kv2.len() {
+            kv2[i] -= 2.0 * kv1[i];
+            let kq2 = v2[i] - 2.0 * kq1[i] + h * kv2[i];
+            next[i] = q[i] + 1.5 * dt * kq1[i] + 0.5 * dt * kq2;
+            after[i] = before[i] + 1.5 * dt * kv1[i] + 0.5 * dt * kv2[i];
+        }
+        for joint in 0..self.layout.joints {
+            let bend = self.layout.bend(joint);
+            for i in bend..bend + D - SpatialLayout::<D>::BEND {
+                let kq2 = v2[i] - 2.0 * kq1[i] + h * kv2[i];
+                let own = (0.5 * dt * (kq1[i] + kq2)).abs();
+                // A NaN must win: it marks a step that failed.
+                error = if own > error || own.is_nan() { own } else { error };
+            }
+        }
+        error
+    }
+
+    fn near_stop(&self, q: &[f64]) -> bool {
+        let reach = FREE_SHARE * self.parameters.joint_limit_rad;
+        (0..self.layout.joints).any(|joint| {
+            let bend = self.layout.bend(joint);
+            q[bend].abs() > reach || (D > 1 && q[bend + 1].abs() > reach)
+        })
+    }
+
+    /// Whether no sphere reaches its plane within the step at its present velocity.
+    fn contacts_far(&self, dt: f64, input: &StepInput) -> bool {
+        input.contacts.iter().all(|c| {
+            let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
+            c.gap_m > CLEARANCE_M && self.spheres.get(c.sphere_index).is_some_and(far)
+        })
+    }
+
+    /// Whether every sphere is still clear of its plane in configuration `next`.
+    fn contacts_clear(&mut self, next: &[f64], input: &StepInput) -> bool {
+        if input.contacts.is_empty() {
+            return true;
+        }
+        self.trial.update(&self.layout, next);
+        input.contacts.iter().all(|c| {
+            let fixed = &self.layout.spheres[c.sphere_index];
+            let point = self.trial.point(fixed.link, fixed.along_m);
+            let world = input.base.t_world_base * nalgebra::Point3::from(point);
+            let moved = world.coords - self.spheres[c.sphere_index].centre_m;
+            c.gap_m + moved.dot(&c.normal) > 0.0
+        })
+    }
+
+    /// Reaction at the flange, then everything that follows from the new state.
+    fn finish(&mut self, dt: f64, input: &StepInput, work: &mut Work, report: &mut StepReport) {
+        let Work { before, after, next, y, motions, .. } = work;
+        fill(y, |i| after[i] - before[i]);
+        self.articulated.link_motions(&self.layout, y, motions);
+        let moment = self.loads.moment - self.loads.momentum_moment(motions) / dt;
+        self.state.position.copy_from_slice(next);
+        self.state.velocity.copy_from_slice(after);
+        let mount =
+            |k: usize| self.stiffness[k] * self.state.position[k] + self.damping[k] * self.state.velocity[k];
+        let force = Vector3::new(mount(0), mount(1), mount(2));
+        let rotation = input.base.t_world_base.rotation;
+        report.flange_wrench = Wrench { force_n: rotation * force, torque_nm: rotation * moment };
+        self.state.base = input.base;
+        self.update_configuration();
+        let tendon = &self.parameters.tendon;
+        let memory = &mut self.state.tendon;
+        (report.tendon_tension_n, report.tendon_displacement_m) =
+            tendon::advance(tendon, &self.layout, &self.state.position, &input.tendon, memory);
+        self.state.report = *report;
+    }
+}

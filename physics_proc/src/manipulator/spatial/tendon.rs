@@ -1,0 +1,168 @@
+//! The antagonist pair of tendons on a spatial chain.
+//!
+//! The law of the planar rung (see `manipulator::tendon`) with lateral bending and, in the full rung, compression: a
+//! flexure bent by q and laterally by p, its links pushed together by u, takes up
+//! `l = g (1 - cos(q/2) cos(p/2)) + 2 side d sin(q/2) + u`. A tension exerts `T dl` on every freedom. The channels lie in
+//! the bending plane; that torsion winds them is of second order in the angle of one flexure and left out.
+
+use super::layout::SpatialLayout;
+use crate::manipulator::parameters::TendonParameters;
+use crate::manipulator::state::TendonCommand;
+use crate::manipulator::tendon::{SIDE, TendonMemory, base_tension};
+
+/// Generalised forces of both tendons in one configuration, and how they change.
+#[derive(Debug, Clone)]
+pub(super) struct TendonLoad {
+    /// Force on each freedom, N m (N).
+    pub torque: Vec<f64>,
+    /// -d force_i / d q_i at constant tension.
+    pub stiffness: Vec<f64>,
+    /// d take-up / d q_i of each tendon.
+    pub slope: [Vec<f64>; 2],
+    /// -d force_i / d take-up of each tendon.
+    pub gradient: [Vec<f64>; 2],
+    /// Whether the gradient of each tendon is not zero.
+    pub coupled: [bool; 2],
+}
+
+/// How a flexure takes up a tendon: length, slopes (bending, lateral), curvatures (bending, lateral), turn of the channel.
+struct TakeUp {
+    length_m: f64,
+    slope: [f64; 2],
+    curvature: [f64; 2],
+    turn_rad: f64,
+}
+
+impl TakeUp {
+    fn of<const D: usize>(
+        p: &TendonParameters,
+        layout: &SpatialLayout<D>,
+        t: usize,
+        joint: usize,
+        q: &[f64],
+    ) -> Self {
+        let k = layout.bend(joint);
+        let lateral = if D > 1 { q[k + 1] } else { 0.0 };
+        let ((sb, cb), (sl, cl)) = (libm::sincos(0.5 * q[k]), libm::sincos(0.5 * lateral));
+        let offset = SIDE[t] * p.offset_m;
+        let straight = 0.25 * p.gap_m * cb * cl;
+        let compression = if D == 6 { -q[k - 1] } else { 0.0 };
+        Self {
+            length_m: p.gap_m * (1.0 - cb * cl) + 2.0 * offset * sb + compression,
+            slope: [offset * cb + 0.5 * p.gap_m * sb * cl, 0.5 * p.gap_m * cb * sl],
+            curvature: [straight - 0.5 * offset * sb, straight],
+            turn_rad: libm::sqrt(q[k] * q[k] + lateral * lateral),
+        }
+    }
+}
+
+impl TendonLoad {
+    pub fn new(freedoms: usize) -> Self {
+        let blank = || vec![0.0; freedoms];
+        Self {
+            torque: blank(),
+            stiffness: blank(),
+            slope: [blank(), blank()],
+            gradient: [blank(), blank()],
+            coupled: [false; 2],
+        }
+    }
+
+    /// Evaluates both tendons at `q`; the velocities `v` tell a saturated sliding state whether it is about to turn.
+    pub fn evaluate<const D: usize>(
+        &mut self,
+        p: &TendonParameters,
+        layout: &SpatialLayout<D>,
+        (q, v): (&[f64], &[f64]),
+        command: &TendonCommand,
+        memory: &[TendonMemory; 2],
+    ) {
+        self.torque.fill(0.0);
+        self.stiffness.fill(0.0);
+        for t in 0..2 {
+            let (length_m, rate) = self.update_slope(t, p, layout, (q, v));
+            let tension = base_tension(p, command, t, length_m);
+            let sliding = memory[t].sliding_at(length_m, p);
+            let saturated = sliding.abs() >= 1.0 && sliding * rate >= 0.0;
+            let elastic = match command {
+                TendonCommand::Displacement(_) if tension > 0.0 => p.stiffness_n_per_m,
+                _ => 0.0,
+            };
+            let frictional = p.friction_coefficient > 0.0 && tension > 0.0;
+            self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
+            if tension == 0.0 && !self.coupled[t] {
+                continue;
+            }
+            let mut wrap = 0.0;
+            for i in 0..layout.joints {
+                let take_up = TakeUp::of(p, layout, t, i, q);
+                wrap += 0.5 * take_up.turn_rad;
+                let mu = if frictional { p.friction_coefficient } else { 0.0 };
+                let share = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
+                let local = tension * share;
+                let friction = if saturated { 0.0 } else { local * mu * wrap / p.presliding_m };
+                wrap += 0.5 * take_up.turn_rad;
+                let bend = layout.bend(i);
+                let first = bend - SpatialLayout::<D>::BEND;
+                for k in first..first + D {
+                    let slope = self.slope[t][k];
+                    self.torque[k] += local * slope;
+                    self.gradient[t][k] = (elastic * share + friction) * slope;
+                }
+                self.stiffness[bend] -= local * take_up.curvature[0];
+                if D > 1 {
+                    self.stiffness[bend + 1] -= local * take_up.curvature[1];
+                }
+            }
+        }
+    }
+
+    /// Updates d take-up / dq of tendon `t`; returns the take-up and its rate.
+    fn update_slope<const D: usize>(
+        &mut self,
+        t: usize,
+        p: &TendonParameters,
+        layout: &SpatialLayout<D>,
+        (q, v): (&[f64], &[f64]),
+    ) -> (f64, f64) {
+        let (mut length_m, mut rate) = (0.0, 0.0);
+        for i in 0..layout.joints {
+            let take_up = TakeUp::of(p, layout, t, i, q);
+            let k = layout.bend(i);
+            length_m += take_up.length_m;
+            self.slope[t][k] = take_up.slope[0];
+            rate += take_up.slope[0] * v[k];
+            if D > 1 {
+                self.slope[t][k + 1] = take_up.slope[1];
+                rate += take_up.slope[1] * v[k + 1];
+            }
+            if D == 6 {
+                self.slope[t][k - 1] = -1.0;
+                rate -= v[k - 1];
+            }
+        }
+        (length_m, rate)
+    }
+}
+
+/// Carries the memory over to `q`; returns tension (N) and displacement (m) of both tendons there.
+pub(super) fn advance<const D: usize>(
+    p: &TendonParameters,
+    layout: &SpatialLayout<D>,
+    q: &[f64],
+    command: &TendonCommand,
+    memory: &mut [TendonMemory; 2],
+) -> ([f64; 2], [f64; 2]) {
+    let (mut tension_n, mut displacement_m) = ([0.0; 2], [0.0; 2]);
+    for t in 0..2 {
+        let take_up_m = (0..layout.joints).map(|i| TakeUp::of(p, layout, t, i, q).length_m).sum();
+        let sliding = memory[t].sliding_at(take_up_m, p);
+        memory[t] = TendonMemory { take_up_m, sliding };
+        tension_n[t] = base_tension(p, command, t, take_up_m);
+        displacement_m[t] = match command {
+            TendonCommand::Force(_) => take_up_m + tension_n[t] / p.stiffness_n_per_m,
+            TendonCommand::Displacement(pull_m) => pull_m[t],
+        };
+    }
+    (tension_n, displacement_m)
+}
