@@ -285,7 +285,7 @@ impl PixelBox {
     /// Slack of a bounding box against rounding of the projection, in pixels.
     const SLACK: f64 = 1e-3;
 
-    fn covering(low: [f64; 2], high: [f64; 2], columns: u32, rows: u32) -> Option<Self> {
+    pub(crate) fn covering(low: [f64; 2], high: [f64; 2], columns: u32, rows: u32) -> Option<Self> {
         let range = |a: f64, b: f64, n: u32| {
             // `as` saturates: a box far outside becomes an empty range.
             let first = libm::ceil(a - Self::SLACK).max(0.0) as u32;

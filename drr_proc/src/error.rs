@@ -2,6 +2,9 @@
 
 use thiserror::Error;
 
+/// Bytes of a GiB.
+const GIB: f64 = (1_u64 << 30) as f64;
+
 /// A refused input. Nothing has changed when one of these comes back.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
@@ -62,6 +65,22 @@ pub enum DrrError {
         part: usize,
         /// What is wrong and what is expected.
         reason: &'static str,
+    },
+    /// A re-ordered copy of the volume that the free memory cannot hold.
+    #[error(
+        "the re-ordered copy of a volume of {} x {} x {} voxels needs {:.2} GiB ({bytes_each} B a voxel and 32 zeros between \
+         rows), and {:.2} GiB are free: crop or resample the volume, or choose the projector `preview` or `joseph`",
+        dims[0], dims[1], dims[2], *needed_bytes as f64 / GIB, *available_bytes as f64 / GIB
+    )]
+    Memory {
+        /// Voxels along each axis.
+        dims: [usize; 3],
+        /// Bytes a voxel.
+        bytes_each: usize,
+        /// Bytes of the copy.
+        needed_bytes: u64,
+        /// Bytes free.
+        available_bytes: u64,
     },
     /// The worker threads could not be started.
     #[error("cannot start {threads} render threads ({reason}): lower `threads` or raise the process limit")]

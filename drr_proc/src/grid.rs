@@ -97,6 +97,13 @@ impl Grid {
         self.axis_steps_m
     }
 
+    /// Direction matrix, row-major: its columns are the unit world vectors of the index axes.
+    pub fn direction(&self) -> [[f64; 3]; 3] {
+        let axis = |a: usize| scale(self.axis_steps_m[a], 1.0 / self.spacing_m[a]);
+        let [x, y, z] = [axis(0), axis(1), axis(2)];
+        [0, 1, 2].map(|row| [x[row], y[row], z[row]])
+    }
+
     /// Voxel coordinates (i, j, k) of a linear index `i + nx (j + ny k)`.
     pub fn voxel_of(&self, linear: usize) -> [usize; 3] {
         let [nx, ny, _] = self.dims;

@@ -43,6 +43,7 @@ pub mod reference;
 pub mod removal;
 pub mod renderer;
 pub mod siddon;
+pub mod slice_ordered;
 pub mod tool;
 mod tool_layer;
 mod vector;

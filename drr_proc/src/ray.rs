@@ -2,7 +2,7 @@
 
 use crate::carm::CArm;
 use crate::grid::Grid;
-use crate::vector::{Vec3, add_scaled, norm, scale, sub};
+use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 
 /// A ray from the source (parameter 0) to a pixel centre (parameter 1), world metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,9 +85,76 @@ impl RayFan {
 
     /// The ray of a pixel in index coordinates.
     pub fn index_ray(&self, column: u32, row: u32) -> IndexRay {
-        let in_row = add_scaled(self.first_index, f64::from(column), self.column_step_index);
-        let direction = add_scaled(in_row, f64::from(row), self.row_step_index);
+        let direction = self.index_direction(column, row);
         let length_m = self.world_ray(column, row).length_m;
         IndexRay { origin: self.source_index, direction, length_m }
+    }
+
+    /// The source in index coordinates.
+    pub(crate) fn source_index(&self) -> Vec3 {
+        self.source_index
+    }
+
+    /// Index directions of the rays of a detector's four corner pixels.
+    pub(crate) fn corner_directions(&self, pixels: [u32; 2]) -> [Vec3; 4] {
+        let [c, r] = pixels.map(|n| n.saturating_sub(1));
+        [(0, 0), (c, 0), (0, r), (c, r)].map(|(column, row)| self.index_direction(column, row))
+    }
+
+    /// Index direction of a pixel's ray.
+    #[inline]
+    pub(crate) fn index_direction(&self, column: u32, row: u32) -> Vec3 {
+        let in_row = add_scaled(self.first_index, f64::from(column), self.column_step_index);
+        add_scaled(in_row, f64::from(row), self.row_step_index)
+    }
+
+    /// Whether a whole volume, and a voxel around it, is on the source's side of the detector's plane.
+    pub(crate) fn is_before_detector(&self, dims: [usize; 3]) -> bool {
+        let normal = cross(self.column_step_index, self.row_step_index);
+        let plane = dot(self.first_index, normal);
+        (0..8_u32).all(|corner| {
+            let p = [0, 1, 2].map(|a| if corner >> a & 1 == 1 { dims[a] as f64 } else { -1.0 });
+            // Both products have the sign of the plane's, so their quotient is the ray parameter of the corner's plane.
+            dot(sub(p, self.source_index), normal) / plane <= 1.0
+        })
+    }
+
+    /// The rays of one detector row.
+    pub(crate) fn row_steps(&self, row: u32) -> RowRays {
+        let row = f64::from(row);
+        RowRays {
+            first_index: add_scaled(self.first_index, row, self.row_step_index),
+            first_m: add_scaled(self.first_m, row, self.row_step_m),
+            step_index: self.column_step_index,
+            step_m: self.column_step_m,
+        }
+    }
+
+    /// Pixel coordinates (column, row) that a ray of this index direction meets; `None` beside or behind the source.
+    pub(crate) fn pixel_of(&self, direction: Vec3) -> Option<[f64; 2]> {
+        let (c, r, f) = (self.column_step_index, self.row_step_index, self.first_index);
+        let plane = dot(f, cross(c, r));
+        // direction = depth (f + column c + row r), by Cramer's rule.
+        let depth = dot(direction, cross(c, r)) / plane;
+        let pixel =
+            [dot(direction, cross(r, f)) / plane / depth, dot(direction, cross(f, c)) / plane / depth];
+        (depth > 0.0 && pixel.iter().all(|p| p.is_finite())).then_some(pixel)
+    }
+}
+
+/// The rays of one detector row: a column number gives index and world direction.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RowRays {
+    first_index: Vec3,
+    first_m: Vec3,
+    step_index: Vec3,
+    step_m: Vec3,
+}
+
+impl RowRays {
+    /// Index direction, and world direction in metres.
+    #[inline(always)]
+    pub(crate) fn at(&self, column: f64) -> [Vec3; 2] {
+        [add_scaled(self.first_index, column, self.step_index), add_scaled(self.first_m, column, self.step_m)]
     }
 }

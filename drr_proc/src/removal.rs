@@ -36,6 +36,14 @@ impl RemovedVoxels {
         self.words.get(linear >> 6).is_some_and(|w| w >> (linear & 63) & 1 == 1)
     }
 
+    /// The removed voxels, in ascending order.
+    pub fn iter(&self) -> impl Iterator<Item = usize> {
+        self.words.iter().enumerate().flat_map(|(n, &word)| {
+            let bits = core::iter::successors(Some(word), |w| Some(w & w.wrapping_sub(1)));
+            bits.take_while(|&w| w != 0).map(move |w| 64 * n + w.trailing_zeros() as usize)
+        })
+    }
+
     /// Number of removed voxels.
     pub fn count(&self) -> usize {
         self.count
@@ -55,7 +63,7 @@ impl RemovedVoxels {
     }
 
     /// Removes a voxel; false if it was removed already or lies outside.
-    pub(crate) fn insert(&mut self, linear: usize) -> bool {
+    pub fn insert(&mut self, linear: usize) -> bool {
         let bit = 1_u64 << (linear & 63);
         match self.words.get_mut(linear >> 6) {
             Some(word) if linear < self.voxels && *word & bit == 0 => {

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::attenuation::{ENERGY_RANGE_KEV, HuLaw, MuTable};
+use crate::attenuation::{ENERGY_RANGE_KEV, HuLaw, Material, MuTable};
 use crate::carm::{CArm, Pinhole};
 use crate::detector::{DetectorParameters, FrameSeed, blur_column_into_row, blur_row, gaussian_weights};
 use crate::display::{DisplayMode, DisplayParameters, display_value, window_limits};
@@ -10,6 +10,7 @@ use crate::error::{DrrError, check_range};
 use crate::grid::{Grid, VolumeView};
 use crate::ray::{IndexRay, RayFan};
 use crate::removal::{AttenuationField, BlockMap, RemovedVoxels};
+use crate::slice_ordered::{SliceOrdered, SliceOrderedMemory, SliceOrderedOptions, Update};
 use crate::tool::Tool;
 use crate::tool_layer::{PlacedPart, ToolLayer, place, row_span};
 use crate::vector::scale;
@@ -21,14 +22,58 @@ const PARALLEL_FROM: usize = 256;
 const REACH_JOSEPH: f64 = 1.0 + 1e-3;
 const REACH_SIDDON: f64 = 0.5 + 1e-3;
 
-/// How the anatomy's line integrals are computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// How the anatomy's line integrals are computed, from the exact to the quick.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projector {
-    /// Bilinear interpolation plane by plane ([`joseph`]).
-    #[default]
-    Joseph,
-    /// Exact for voxels of constant attenuation ([`siddon`]): the reference, several times slower.
+    /// Exact for voxels of constant attenuation ([`siddon`]): the reference, a thousand times slower than the default.
     Siddon,
+    /// Bilinear interpolation plane by plane, ray by ray ([`joseph`]).
+    Joseph,
+    /// All slices summed in the volume's own order, then warped ([`slice_ordered`](crate::slice_ordered)): as exact as Joseph beside the
+    /// error of the voxels themselves. Keeps a copy of the volume for each of two orders, made when a frame needs it.
+    SliceOrdered {
+        /// Samples for each voxel of the farthest slice, 1 to 4: more are slower, and closer to Joseph.
+        oversampling: f64,
+        /// Whether the blur of the interpolation is taken back.
+        sharpen: bool,
+    },
+    /// As `SliceOrdered` on a volume of block means in bytes.
+    Preview {
+        /// Voxels along each axis that are joined to one, 2 to 8.
+        reduction: u32,
+    },
+}
+
+impl Projector {
+    /// One sample a voxel, sharpened.
+    pub const SLICE_ORDERED: Self = Self::SliceOrdered { oversampling: 1.0, sharpen: true };
+    /// Two voxels to one along each axis.
+    pub const PREVIEW: Self = Self::Preview { reduction: 2 };
+
+    /// Options of the sum over slices; `None` where rays are traced one by one.
+    ///
+    /// # Errors
+    /// An oversampling or a reduction out of range.
+    fn slice_ordered(self) -> Result<Option<SliceOrderedOptions>, DrrError> {
+        let options = match self {
+            Self::Siddon | Self::Joseph => return Ok(None),
+            Self::SliceOrdered { oversampling, sharpen } => {
+                SliceOrderedOptions { oversampling, sharpen, ..SliceOrderedOptions::default() }
+            }
+            Self::Preview { reduction } => {
+                check_range("reduction", f64::from(reduction), 2.0, 8.0, "2 to 8")?;
+                SliceOrderedOptions { reduction, ..SliceOrderedOptions::default() }
+            }
+        };
+        options.validate()?;
+        Ok(Some(options))
+    }
+}
+
+impl Default for Projector {
+    fn default() -> Self {
+        Self::SLICE_ORDERED
+    }
 }
 
 /// Everything about the frames that is not the scene.
@@ -55,7 +100,7 @@ pub struct DrrParameters {
 impl Default for DrrParameters {
     fn default() -> Self {
         Self {
-            projector: Projector::Joseph,
+            projector: Projector::default(),
             energy_kev: 60.0,
             hu_law: HuLaw::WaterScaling,
             air_below_hu: -900,
@@ -70,9 +115,9 @@ impl Default for DrrParameters {
 /// How much of the anatomy was traced for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RenderKind {
-    /// All of it: a new C-arm.
+    /// All of it: a new C-arm, or so many removed voxels that this is quicker.
     Full,
-    /// The pixels that newly removed voxels can reach.
+    /// What newly removed voxels change.
     Incremental,
     /// Nothing had changed.
     Cached,
@@ -83,7 +128,7 @@ pub enum RenderKind {
 pub struct FrameReport {
     /// How much of the anatomy was traced.
     pub kind: RenderKind,
-    /// Anatomy rays traced.
+    /// Pixels whose anatomy was computed.
     pub rays_traced: usize,
     /// Pixels that the tool covers.
     pub tool_pixels: usize,
@@ -95,6 +140,8 @@ pub struct FrameReport {
 struct Standing {
     c_arm: CArm,
     fan: RayFan,
+    /// Whether rays are traced one by one, so that `dirty` counts.
+    traced: bool,
     /// Line integrals of the anatomy, row by row.
     anatomy: Vec<f64>,
     /// Whether a pixel is in `dirty_list`.
@@ -120,6 +167,7 @@ pub struct DrrRenderer {
     removed: RemovedVoxels,
     blur: Vec<f64>,
     pool: rayon::ThreadPool,
+    slices: Option<SliceOrdered>,
     standing: Option<Standing>,
 }
 
@@ -141,19 +189,46 @@ impl DrrRenderer {
             .build()
             .map_err(|e| DrrError::Threads { threads, reason: e.to_string() })?;
         let table = MuTable::new(parameters.hu_law, parameters.energy_kev, parameters.air_below_hu)?;
+        let fill_mu_per_m = table.mu_per_m(parameters.fill_hu);
+        // One Hounsfield unit of water scaling: that law is stored without rounding.
+        let unit_per_m = Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0;
+        let slices = match parameters.projector.slice_ordered()? {
+            Some(options) => Some(SliceOrdered::new(view, &table, unit_per_m, fill_mu_per_m, options)?),
+            None => None,
+        };
         let blocks = BlockMap::new(view, &table);
         Ok(Self {
             parameters,
             grid: *view.grid(),
-            fill_mu_per_m: table.mu_per_m(parameters.fill_hu),
+            fill_mu_per_m,
             table,
             intact_blocks: blocks.clone(),
             blocks,
             removed: RemovedVoxels::new(view.grid()),
             blur: gaussian_weights(parameters.detector.blur_sigma_px),
             pool,
+            slices,
             standing: None,
         })
+    }
+
+    /// Makes what frames of this C-arm need once (a re-ordered copy of the volume), so that the first does not wait for it.
+    ///
+    /// # Errors
+    /// A view of another grid, a bad C-arm, a volume whose copy does not fit into the free memory.
+    pub fn prepare(&mut self, view: &VolumeView<'_>, c_arm: &CArm) -> Result<(), DrrError> {
+        self.check_view(view)?;
+        c_arm.validate()?;
+        let Self { slices, removed, pool, .. } = self;
+        match slices {
+            Some(slices) => pool.install(|| slices.prepare(view, removed, c_arm)).map(|_| ()),
+            None => Ok(()),
+        }
+    }
+
+    /// Bytes of the re-ordered copies and the intermediate image; all 0 where rays are traced one by one.
+    pub fn slice_ordered_memory(&self) -> SliceOrderedMemory {
+        self.slices.as_ref().map(SliceOrdered::memory).unwrap_or_default()
     }
 
     /// The parameters.
@@ -185,8 +260,8 @@ impl DrrRenderer {
         self.check_view(view)?;
         self.removed.check(batch)?;
         let fill_attenuates = self.fill_mu_per_m > 0.0;
-        let mut marker =
-            self.standing.as_mut().map(|s| DirtyMarker::new(s, &self.grid, self.parameters.projector));
+        let traced = self.standing.as_mut().filter(|s| s.traced);
+        let mut marker = traced.map(|s| DirtyMarker::new(s, &self.grid, self.parameters.projector));
         let mut new = 0;
         for &index in batch {
             let linear = index as usize;
@@ -196,6 +271,9 @@ impl DrrRenderer {
             new += 1;
             let voxel = self.grid.voxel_of(linear);
             self.blocks.mark_drilled(voxel, fill_attenuates);
+            if let Some(slices) = &mut self.slices {
+                slices.remove(view, linear)?;
+            }
             let old_mu = view.hu().get(linear).map_or(0.0, |&hu| self.table.mu_per_m(hu));
             if let Some(marker) = marker.as_mut().filter(|_| old_mu != self.fill_mu_per_m) {
                 marker.mark(self.grid.index_to_world(voxel.map(|v| v as f64)));
@@ -205,10 +283,18 @@ impl DrrRenderer {
     }
 
     /// Puts all removed voxels back; the next frame is rendered in full.
-    pub fn restore_all(&mut self) {
+    ///
+    /// # Errors
+    /// A view of another grid.
+    pub fn restore_all(&mut self, view: &VolumeView<'_>) -> Result<(), DrrError> {
+        self.check_view(view)?;
         self.removed.clear();
+        if let Some(slices) = &mut self.slices {
+            slices.restore_all(view);
+        }
         self.blocks.clone_from(&self.intact_blocks);
         self.standing = None;
+        Ok(())
     }
 
     /// Renders a frame into `image` (rows from top to bottom, one u16 a pixel).
@@ -233,7 +319,7 @@ impl DrrRenderer {
             Some(s) if s.c_arm == *c_arm => s,
             _ => Standing::new(&self.grid, c_arm),
         };
-        let (kind, rays_traced) = self.update_anatomy(view, &mut standing);
+        let (kind, rays_traced) = self.update_anatomy(view, &mut standing)?;
         if kind != RenderKind::Cached {
             standing.window = window_limits(self.parameters.display.window, &standing.anatomy);
         }
@@ -260,13 +346,41 @@ impl DrrRenderer {
 
     fn trace(&self, field: &AttenuationField<'_>, ray: &IndexRay) -> f64 {
         match self.parameters.projector {
-            Projector::Joseph => joseph::line_integral(field, ray),
             Projector::Siddon => siddon::line_integral(field, ray, (0.0, 1.0)),
+            _ => joseph::line_integral(field, ray),
         }
     }
 
     /// Brings the anatomy's line integrals up to date.
-    fn update_anatomy(&self, view: &VolumeView<'_>, standing: &mut Standing) -> (RenderKind, usize) {
+    fn update_anatomy(
+        &mut self,
+        view: &VolumeView<'_>,
+        standing: &mut Standing,
+    ) -> Result<(RenderKind, usize), DrrError> {
+        let pixels = standing.c_arm.pixels();
+        let fresh = standing.anatomy.is_empty();
+        let Self { slices, removed, pool, .. } = self;
+        if let Some(slices) = slices.as_mut().filter(|_| fresh || !standing.traced) {
+            standing.anatomy.resize(pixels, 0.0);
+            let (c_arm, anatomy) = (&standing.c_arm, &mut standing.anatomy);
+            if let Some(update) = pool.install(|| slices.project(view, removed, c_arm, anatomy))? {
+                standing.traced = false;
+                return Ok(match update {
+                    Update::Full => (RenderKind::Full, pixels),
+                    Update::Changed(b) => {
+                        let side = |(first, end): (u32, u32)| (end - first) as usize;
+                        (RenderKind::Incremental, side(b.columns) * side(b.rows))
+                    }
+                    Update::Unchanged => (RenderKind::Cached, 0),
+                });
+            }
+            standing.anatomy.clear();
+        }
+        Ok(self.trace_anatomy(view, standing))
+    }
+
+    /// The same ray by ray.
+    fn trace_anatomy(&self, view: &VolumeView<'_>, standing: &mut Standing) -> (RenderKind, usize) {
         let field = self.field(view);
         let columns = standing.c_arm.columns;
         let fan = standing.fan;
@@ -360,6 +474,7 @@ impl Standing {
         Self {
             c_arm: *c_arm,
             fan: RayFan::new(grid, c_arm),
+            traced: true,
             anatomy: Vec::new(),
             dirty: vec![false; pixels],
             dirty_list: Vec::new(),
@@ -401,8 +516,8 @@ struct DirtyMarker<'a> {
 impl<'a> DirtyMarker<'a> {
     fn new(standing: &'a mut Standing, grid: &Grid, projector: Projector) -> Self {
         let reach = match projector {
-            Projector::Joseph => REACH_JOSEPH,
             Projector::Siddon => REACH_SIDDON,
+            _ => REACH_JOSEPH,
         };
         Self {
             dirty: &mut standing.dirty,

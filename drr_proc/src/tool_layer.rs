@@ -82,8 +82,9 @@ impl ToolLayer<'_> {
     /// Anatomy between two parameters of a ray.
     fn displaced(&self, ray: &IndexRay, range: (f64, f64)) -> f64 {
         match self.projector {
-            Projector::Joseph => joseph::interval_integral(self.field, ray, range),
             Projector::Siddon => siddon::line_integral(self.field, ray, range),
+            // Sums over slices have Joseph's samples.
+            _ => joseph::interval_integral(self.field, ray, range),
         }
     }
 }

@@ -91,8 +91,9 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let ports = ports::Ports::open(&session)?;
     let volume = ports.receive_volume(&end)?;
     let view = volume_view(volume.message(), volume.tail())?;
-    let renderer = DrrRenderer::new(&view, renderer_parameters(&drr))?;
+    let mut renderer = DrrRenderer::new(&view, renderer_parameters(&drr))?;
     let c_arm = scene_c_arm(&drr)?;
+    renderer.prepare(&view, &c_arm)?;
     service::serve(&scene, ports, &view, renderer, &c_arm, &end)
 }
 
@@ -115,8 +116,12 @@ pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'
 pub fn renderer_parameters(drr: &Drr) -> DrrParameters {
     DrrParameters {
         projector: match drr.projector {
-            SceneProjector::Joseph => Projector::Joseph,
             SceneProjector::Siddon => Projector::Siddon,
+            SceneProjector::Joseph => Projector::Joseph,
+            SceneProjector::SliceOrdered => {
+                Projector::SliceOrdered { oversampling: drr.oversampling, sharpen: true }
+            }
+            SceneProjector::Preview => Projector::PREVIEW,
         },
         energy_kev: drr.energy_kev,
         threads: drr.threads,

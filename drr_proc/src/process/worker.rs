@@ -68,7 +68,7 @@ pub fn render_job(
 ) -> Result<Rendered, DrrError> {
     let began = Instant::now();
     if job.restore_first {
-        renderer.restore_all();
+        renderer.restore_all(view)?;
     }
     renderer.remove(view, &job.removed)?;
     let tool = tool_of(&job.state, job.burr_radius_m);

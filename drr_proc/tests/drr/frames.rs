@@ -165,7 +165,7 @@ fn putting_everything_back_gives_the_first_frame_again() {
     renderer.remove(&view, &batch(&grid, 0, 500)).unwrap();
     let (drilled, _) = frame(&mut renderer, &view, &c_arm, 3);
     assert!(drilled.anatomy != first.anatomy);
-    renderer.restore_all();
+    renderer.restore_all(&view).unwrap();
     assert_eq!(renderer.removed().count(), 0);
     assert_same(&frame(&mut renderer, &view, &c_arm, 3).0, &first);
 }

@@ -15,4 +15,6 @@ mod poses;
 #[cfg(test)]
 mod projectors;
 #[cfg(test)]
+mod slice_ordered;
+#[cfg(test)]
 mod tool;

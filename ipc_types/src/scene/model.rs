@@ -343,10 +343,14 @@ pub enum Display {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Projector {
-    /// Exact for constant voxels; slow.
+    /// Exact for constant voxels; the slowest.
     Siddon,
-    /// Bilinear; fast.
+    /// Bilinear, ray by ray.
     Joseph,
+    /// Bilinear, slice by slice; the fastest of full resolution.
+    SliceOrdered,
+    /// The same with voxels joined two by two by two.
+    Preview,
 }
 
 /// X-ray frames.
@@ -387,9 +391,13 @@ pub struct Drr {
     /// Bone and metal dark, as the detector sees them, or bright.
     #[serde(default = "Drr::default_display")]
     pub display: Display,
-    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear and fast.
+    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered` is bilinear in the
+    /// volume's own order and the quickest of full resolution, `preview` is that at half the resolution.
     #[serde(default = "Drr::default_projector")]
     pub projector: Projector,
+    /// Samples of `slice_ordered` for each voxel of the farthest slice, 1 to 4; more are slower and closer to `joseph`.
+    #[serde(default = "Drr::default_oversampling")]
+    pub oversampling: f64,
     /// Threads that render, 1 to 64.
     #[serde(default = "Drr::default_threads")]
     pub threads: usize,
@@ -409,7 +417,10 @@ impl Drr {
         Display::BoneDark
     }
     fn default_projector() -> Projector {
-        Projector::Joseph
+        Projector::SliceOrdered
+    }
+    fn default_oversampling() -> f64 {
+        1.0
     }
     fn default_threads() -> usize {
         2
