@@ -5,6 +5,8 @@
 #[cfg(test)]
 mod attenuation;
 #[cfg(test)]
+mod camera;
+#[cfg(test)]
 mod detector;
 #[cfg(test)]
 mod frames;
@@ -14,5 +16,7 @@ mod geometry;
 mod poses;
 #[cfg(test)]
 mod projectors;
+#[cfg(test)]
+mod spectrum;
 #[cfg(test)]
 mod tool;
