@@ -26,6 +26,17 @@ pub enum Material {
 }
 
 impl Material {
+    /// All materials, by their [`Material::index`].
+    pub const ALL: [Self; Self::COUNT] =
+        [Self::Water, Self::SoftTissue, Self::CorticalBone, Self::Nitinol, Self::Steel316L, Self::Titanium];
+    /// Number of materials.
+    pub const COUNT: usize = 6;
+
+    /// Its place in lists of all materials.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
     /// Density in g/cm3 and mass attenuation coefficients in cm2/g at [`ENERGIES_KEV`].
     fn table(self) -> (f64, [f64; 7]) {
         match self {
@@ -47,13 +58,18 @@ impl Material {
         let (low, high) = ENERGY_RANGE_KEV;
         check_range("energy_kev", energy_kev, low, high, "30 to 120 keV")?;
         let (density, mass_mu) = self.table();
-        let above = ENERGIES_KEV.partition_point(|&e| e < energy_kev).clamp(1, ENERGIES_KEV.len() - 1);
-        let (e0, e1) = (ENERGIES_KEV[above - 1], ENERGIES_KEV[above]);
-        let (m0, m1) = (mass_mu[above - 1], mass_mu[above]);
-        let t = libm::log(energy_kev / e0) / libm::log(e1 / e0);
         // cm2/g * g/cm3 = 1/cm = 100/m.
-        Ok(100.0 * density * m0 * libm::exp(t * libm::log(m1 / m0)))
+        Ok(100.0 * density * log_log(&ENERGIES_KEV, &mass_mu, energy_kev))
     }
+}
+
+/// Interpolates a coefficient linearly in its logarithm over the logarithm of the energy, inside the table's range.
+pub(crate) fn log_log<const N: usize>(energies_kev: &[f64; N], values: &[f64; N], energy_kev: f64) -> f64 {
+    let above = energies_kev.partition_point(|&e| e < energy_kev).clamp(1, N - 1);
+    let (e0, e1) = (energies_kev[above - 1], energies_kev[above]);
+    let (m0, m1) = (values[above - 1], values[above]);
+    let t = libm::log(energy_kev / e0) / libm::log(e1 / e0);
+    m0 * libm::exp(t * libm::log(m1 / m0))
 }
 
 /// How Hounsfield units become attenuation.
@@ -98,6 +114,15 @@ impl MuTable {
             *mu = if hu < air_below_hu { 0.0 } else { (water + slope * f64::from(hu)).max(0.0) };
         }
         Ok(Self { mu_per_m })
+    }
+
+    /// Any function of the Hounsfield value that a ray is to be integrated over, 0 below `air_below_hu`.
+    pub fn of(air_below_hu: i16, value: impl Fn(f64) -> f64) -> Self {
+        let mut mu_per_m = Box::new([0.0; 65536]);
+        for (hu, mu) in (i16::MIN..=i16::MAX).zip(mu_per_m.iter_mut()) {
+            *mu = if hu < air_below_hu { 0.0 } else { value(f64::from(hu)) };
+        }
+        Self { mu_per_m }
     }
 
     /// Linear attenuation coefficient of a Hounsfield value, 1/m.

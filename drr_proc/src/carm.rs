@@ -224,6 +224,18 @@ impl Pinhole {
         self.finish(self.homogeneous(point_m))
     }
 
+    /// Where the corners `centre + sum(+-half[i])` of a box appear; bit i of a corner's number is the sign of `half[i]`.
+    pub(crate) fn corners(&self, centre_m: [f64; 3], half_m: &[[f64; 3]; 3]) -> [Option<Projection>; 8] {
+        core::array::from_fn(|corner| {
+            let sign = |axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
+            let mut p = centre_m;
+            for (axis, h) in half_m.iter().enumerate() {
+                p = add_scaled(p, sign(axis), *h);
+            }
+            self.project(p)
+        })
+    }
+
     /// Pixel rectangle that holds the projection of the convex hull of `centre + sum(+-half[i])`, clipped to the detector.
     /// The whole detector when a corner lies beside or behind the source; `None` when all do, or when nothing is hit.
     pub fn bounds(
@@ -236,12 +248,8 @@ impl Pinhole {
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
         let (mut front, mut behind) = (false, false);
-        for corner in 0..8_u32 {
-            let mut p = centre_m;
-            for (axis, h) in half_m.iter().enumerate() {
-                p = add_scaled(p, if corner >> axis & 1 == 1 { 1.0 } else { -1.0 }, *h);
-            }
-            let Some(q) = self.project(p) else {
+        for corner in self.corners(centre_m, half_m) {
+            let Some(q) = corner else {
                 behind = true;
                 continue;
             };

@@ -121,23 +121,55 @@ fn quantile(histogram: &[u32; BINS], rank: f64) -> f64 {
     BIN * BINS as f64
 }
 
-/// One pixel: share of photons detected, share that the metal alone lets through, window -> 0..=65535.
-pub fn display_value(mode: DisplayMode, window: (f64, f64), detected: f64, metal_transmission: f64) -> u16 {
-    let (low, high) = window;
-    // Half a photon in 1e6: the logarithm of nothing is deep black, not infinite.
-    let attenuation = -libm::log(detected.max(5e-7));
-    let grey = match mode {
-        DisplayMode::BoneDark => (high - attenuation) / (high - low),
-        DisplayMode::BoneBright => (attenuation - low) / (high - low),
-        DisplayMode::BoneBrightToolBlack => {
-            let metal = metal_transmission.clamp(5e-7, 1.0);
-            let anatomy = attenuation + libm::log(metal);
-            ((anatomy - low) / (high - low)).clamp(0.0, 1.0) * metal
+/// The line from a value (attenuation; in linear mode the readout) to a grey, 0 to 65535.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scale {
+    mode: DisplayMode,
+    low: f64,
+    factor: f64,
+    constant: f64,
+}
+
+impl Scale {
+    /// The line of a mode and a window.
+    pub fn new(mode: DisplayMode, (low, high): (f64, f64)) -> Self {
+        let slope = 65535.0 / (high - low);
+        // 0.5 rounds.
+        let (factor, constant) = match mode {
+            DisplayMode::BoneDark => (-slope, high * slope + 0.5),
+            DisplayMode::BoneBright | DisplayMode::BoneBrightToolBlack => (slope, 0.5 - low * slope),
+            DisplayMode::Linear => (65535.0, 0.5),
+        };
+        Self { mode, low, factor, constant }
+    }
+
+    /// The mode.
+    pub fn mode(&self) -> DisplayMode {
+        self.mode
+    }
+
+    /// The grey of a value.
+    #[inline(always)]
+    pub fn grey(&self, value: f64) -> u16 {
+        // Clamped before the conversion, which then needs no checks of its own.
+        (value * self.factor + self.constant).clamp(0.0, 65535.0) as i32 as u16
+    }
+
+    /// The greys of some values, as many as `out` takes.
+    #[inline(always)]
+    pub(crate) fn to_greys(self, values: &[f64], out: &mut [u16]) {
+        for (o, v) in out.iter_mut().zip(values) {
+            *o = self.grey(*v);
         }
-        DisplayMode::Linear => detected,
-    };
-    // `as` saturates, and the 0.5 rounds.
-    (grey * 65535.0 + 0.5) as u16
+    }
+
+    /// `BoneBrightToolBlack`: the anatomy's grey times the share that the metal alone lets through.
+    pub fn under_metal(&self, attenuation: f64, metal_transmission: f64) -> u16 {
+        let metal = metal_transmission.clamp(5e-7, 1.0);
+        let anatomy = attenuation + libm::log(metal);
+        let grey = ((anatomy - self.low) * self.factor).clamp(0.0, 65535.0) * metal;
+        (grey + 0.5) as u16
+    }
 }
 
 /// The upper byte of every pixel, for 8-bit picture files.

@@ -31,12 +31,16 @@
 //! ```
 
 pub mod attenuation;
+pub mod camera;
 pub mod carm;
 pub mod detector;
+mod displaced;
 pub mod display;
 mod error;
+pub mod exposure;
 pub mod grid;
 pub mod joseph;
+pub mod lane_math;
 pub mod process;
 pub mod ray;
 pub mod reference;
@@ -44,15 +48,19 @@ pub mod removal;
 pub mod renderer;
 pub mod siddon;
 pub mod slice_ordered;
+pub mod spectrum;
 pub mod tool;
 mod tool_layer;
 mod vector;
 
 pub use attenuation::{HuLaw, Material};
+pub use camera::{Camera, PixelCentre, Positioner};
 pub use carm::{CArm, DetectorFormat, PositionerAngles, Projection};
 pub use detector::{DetectorParameters, FrameSeed};
 pub use display::{DisplayMode, DisplayParameters, Window};
 pub use error::DrrError;
+pub use exposure::Output;
 pub use grid::{Grid, VolumeView};
 pub use renderer::{DrrParameters, DrrRenderer, FrameReport, Projector, RenderKind};
-pub use tool::{Tool, ToolPart};
+pub use spectrum::Spectrum;
+pub use tool::{Notch, Tool, ToolPart};

@@ -85,9 +85,13 @@ impl RayFan {
 
     /// The ray of a pixel in index coordinates.
     pub fn index_ray(&self, column: u32, row: u32) -> IndexRay {
+        self.index_ray_of(column, row, &self.world_ray(column, row))
+    }
+
+    /// The ray of a pixel in index coordinates, given the same ray in the world.
+    pub(crate) fn index_ray_of(&self, column: u32, row: u32, ray: &WorldRay) -> IndexRay {
         let direction = self.index_direction(column, row);
-        let length_m = self.world_ray(column, row).length_m;
-        IndexRay { origin: self.source_index, direction, length_m }
+        IndexRay { origin: self.source_index, direction, length_m: ray.length_m }
     }
 
     /// The source in index coordinates.

@@ -1,18 +1,20 @@
-//! The renderer: the cached anatomy of a standing C-arm, the tool of the frame, the detector and the display.
+//! The renderer: the cached anatomy of a standing C-arm, the tool of the frame, and their exposure.
 
 use rayon::prelude::*;
 
 use crate::attenuation::{ENERGY_RANGE_KEV, HuLaw, Material, MuTable};
 use crate::carm::{CArm, Pinhole};
-use crate::detector::{DetectorParameters, FrameSeed, blur_column_into_row, blur_row, gaussian_weights};
-use crate::display::{DisplayMode, DisplayParameters, display_value, window_limits};
+use crate::detector::{DetectorParameters, FrameSeed};
+use crate::display::{DisplayParameters, window_limits};
 use crate::error::{DrrError, check_range};
+use crate::exposure::{Anatomy, Exposure, Output};
 use crate::grid::{Grid, VolumeView};
 use crate::ray::{IndexRay, RayFan};
 use crate::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use crate::slice_ordered::{SliceOrdered, SliceOrderedMemory, SliceOrderedOptions, Update};
+use crate::spectrum::{Spectrum, SpectrumTable};
 use crate::tool::Tool;
-use crate::tool_layer::{PlacedPart, ToolLayer, place, row_span};
+use crate::tool_layer::{DisplacedBy, PlacedTool};
 use crate::vector::scale;
 use crate::{joseph, siddon};
 
@@ -85,6 +87,8 @@ pub struct DrrParameters {
     pub energy_kev: f64,
     /// Hounsfield units to attenuation.
     pub hu_law: HuLaw,
+    /// Many energies instead of one; `energy_kev` and `hu_law` then have no effect.
+    pub spectrum: Option<Spectrum>,
     /// Below this the CT is air and attenuates nothing.
     pub air_below_hu: i16,
     /// What fills a removed voxel: air by default, about 0 for irrigation.
@@ -103,6 +107,7 @@ impl Default for DrrParameters {
             projector: Projector::default(),
             energy_kev: 60.0,
             hu_law: HuLaw::WaterScaling,
+            spectrum: None,
             air_below_hu: -900,
             fill_hu: -1000,
             threads: 2,
@@ -142,32 +147,118 @@ struct Standing {
     fan: RayFan,
     /// Whether rays are traced one by one, so that `dirty` counts.
     traced: bool,
-    /// Line integrals of the anatomy, row by row.
+    /// Line integrals of the anatomy (with a spectrum, metres of tissue), row by row.
     anatomy: Vec<f64>,
+    /// Metres of cortical bone, with a spectrum.
+    bone_m: Vec<f64>,
     /// Whether a pixel is in `dirty_list`.
     dirty: Vec<bool>,
     dirty_list: Vec<u32>,
     window: (f64, f64),
-    /// Line integrals of anatomy and tool, of the metal alone, and two images of work space.
-    total: Vec<f64>,
-    metal: Vec<f64>,
-    detected: Vec<f64>,
-    work: Vec<f64>,
-    blurred_metal: Vec<f64>,
+}
+
+/// What rays are integrated over.
+struct Layer {
+    table: MuTable,
+    fill_per_m: f64,
+    blocks: BlockMap,
+    intact_blocks: BlockMap,
+    /// The sums over slices, where the projector is of that kind.
+    slices: Option<SliceOrdered>,
+}
+
+impl Layer {
+    fn new(
+        view: &VolumeView<'_>,
+        table: MuTable,
+        unit_per_m: f64,
+        parameters: &DrrParameters,
+    ) -> Result<Self, DrrError> {
+        let blocks = BlockMap::new(view, &table);
+        let fill_per_m = table.mu_per_m(parameters.fill_hu);
+        let slices = match parameters.projector.slice_ordered()? {
+            Some(options) => Some(SliceOrdered::new(view, &table, unit_per_m, fill_per_m, options)?),
+            None => None,
+        };
+        Ok(Self { fill_per_m, table, intact_blocks: blocks.clone(), blocks, slices })
+    }
+
+    fn field<'a>(&'a self, view: &VolumeView<'a>, removed: &'a RemovedVoxels) -> AttenuationField<'a> {
+        AttenuationField {
+            view: *view,
+            removed,
+            blocks: &self.blocks,
+            table: &self.table,
+            fill_mu_per_m: self.fill_per_m,
+        }
+    }
+
+    /// Notes a removed voxel; whether that changes anything.
+    fn remove(
+        &mut self,
+        view: &VolumeView<'_>,
+        linear: usize,
+        voxel: [usize; 3],
+        hu: i16,
+    ) -> Result<bool, DrrError> {
+        self.blocks.mark_drilled(voxel, self.fill_per_m > 0.0);
+        if let Some(slices) = &mut self.slices {
+            slices.remove(view, linear)?;
+        }
+        Ok(self.table.mu_per_m(hu) != self.fill_per_m)
+    }
+
+    /// Puts all voxels back.
+    fn restore(&mut self, view: &VolumeView<'_>) {
+        self.blocks.clone_from(&self.intact_blocks);
+        if let Some(slices) = &mut self.slices {
+            slices.restore_all(view);
+        }
+    }
+
+    /// Brings `image` up to date by sums over slices; `None`, and nothing written, where rays have to be traced.
+    fn project(
+        &mut self,
+        view: &VolumeView<'_>,
+        removed: &RemovedVoxels,
+        c_arm: &CArm,
+        image: &mut Vec<f64>,
+    ) -> Result<Option<(RenderKind, usize)>, DrrError> {
+        let Some(slices) = &mut self.slices else { return Ok(None) };
+        let fresh = image.is_empty();
+        image.resize(c_arm.pixels(), 0.0);
+        let update = slices.project(view, removed, c_arm, image)?;
+        if update.is_none() && fresh {
+            image.clear();
+        }
+        Ok(update.map(|update| match update {
+            Update::Full => (RenderKind::Full, c_arm.pixels()),
+            Update::Changed(b) => {
+                let side = |(first, end): (u32, u32)| (end - first) as usize;
+                (RenderKind::Incremental, side(b.columns) * side(b.rows))
+            }
+            Update::Unchanged => (RenderKind::Cached, 0),
+        }))
+    }
+}
+
+/// Of what two layers took, the larger.
+fn more_of(a: (RenderKind, usize), b: (RenderKind, usize)) -> (RenderKind, usize) {
+    if b.1 > a.1 { b } else { a }
 }
 
 /// Renders frames of one CT. Holds small data derived from it, the removed voxels, and the cache of the C-arm.
 pub struct DrrRenderer {
     parameters: DrrParameters,
     grid: Grid,
-    table: MuTable,
-    fill_mu_per_m: f64,
-    blocks: BlockMap,
-    intact_blocks: BlockMap,
+    /// Attenuation at the frame's energy; with a spectrum, metres of tissue.
+    tissue: Layer,
+    /// With a spectrum, metres of cortical bone.
+    bone: Option<Layer>,
     removed: RemovedVoxels,
-    blur: Vec<f64>,
+    exposure: Exposure,
+    tool: PlacedTool,
     pool: rayon::ThreadPool,
-    slices: Option<SliceOrdered>,
     standing: Option<Standing>,
 }
 
@@ -188,26 +279,31 @@ impl DrrRenderer {
             .thread_name(|i| format!("drr-{i}"))
             .build()
             .map_err(|e| DrrError::Threads { threads, reason: e.to_string() })?;
-        let table = MuTable::new(parameters.hu_law, parameters.energy_kev, parameters.air_below_hu)?;
-        let fill_mu_per_m = table.mu_per_m(parameters.fill_hu);
-        // One Hounsfield unit of water scaling: that law is stored without rounding.
-        let unit_per_m = Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0;
-        let slices = match parameters.projector.slice_ordered()? {
-            Some(options) => Some(SliceOrdered::new(view, &table, unit_per_m, fill_mu_per_m, options)?),
-            None => None,
+        let (law, air) = (parameters.hu_law, parameters.air_below_hu);
+        let (tissue, bone, spectrum) = match &parameters.spectrum {
+            None => (MuTable::new(law, parameters.energy_kev, air)?, None, None),
+            Some(spectrum) => {
+                let table = SpectrumTable::new(spectrum)?;
+                let mixture = table.mixture();
+                let tissue = MuTable::of(air, |hu| mixture.of(hu).0);
+                (tissue, Some(MuTable::of(air, |hu| mixture.of(hu).1)), Some(table))
+            }
         };
-        let blocks = BlockMap::new(view, &table);
+        // One Hounsfield unit of water scaling: that law is stored without rounding. A spectrum's shares lie near 1.
+        let unit_per_m = match spectrum {
+            None => Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0,
+            Some(_) => 1e-3,
+        };
+        let layer = |table| Layer::new(view, table, unit_per_m, &parameters);
         Ok(Self {
-            parameters,
             grid: *view.grid(),
-            fill_mu_per_m,
-            table,
-            intact_blocks: blocks.clone(),
-            blocks,
+            tissue: layer(tissue)?,
+            bone: bone.map(layer).transpose()?,
+            parameters,
             removed: RemovedVoxels::new(view.grid()),
-            blur: gaussian_weights(parameters.detector.blur_sigma_px),
+            exposure: Exposure::new(parameters.detector, parameters.display, spectrum),
+            tool: PlacedTool::default(),
             pool,
-            slices,
             standing: None,
         })
     }
@@ -219,16 +315,17 @@ impl DrrRenderer {
     pub fn prepare(&mut self, view: &VolumeView<'_>, c_arm: &CArm) -> Result<(), DrrError> {
         self.check_view(view)?;
         c_arm.validate()?;
-        let Self { slices, removed, pool, .. } = self;
-        match slices {
-            Some(slices) => pool.install(|| slices.prepare(view, removed, c_arm)).map(|_| ()),
-            None => Ok(()),
+        let Self { tissue, bone, removed, pool, .. } = self;
+        for slices in core::iter::once(tissue).chain(bone).filter_map(|layer| layer.slices.as_mut()) {
+            pool.install(|| slices.prepare(view, removed, c_arm))?;
         }
+        Ok(())
     }
 
-    /// Bytes of the re-ordered copies and the intermediate image; all 0 where rays are traced one by one.
+    /// Bytes of the re-ordered copies and the intermediate image; all 0 where rays are traced one by one. With a spectrum, bone has as
+    /// much again.
     pub fn slice_ordered_memory(&self) -> SliceOrderedMemory {
-        self.slices.as_ref().map(SliceOrdered::memory).unwrap_or_default()
+        self.tissue.slices.as_ref().map(SliceOrdered::memory).unwrap_or_default()
     }
 
     /// The parameters.
@@ -246,9 +343,11 @@ impl DrrRenderer {
         self.standing.as_ref().map_or(&[], |s| &s.anatomy)
     }
 
-    /// Line integrals of anatomy and tool behind the last frame, row by row; empty before the first.
-    pub fn line_integrals(&self) -> &[f64] {
-        self.standing.as_ref().map_or(&[], |s| &s.total)
+    /// Attenuation (-ln of the share that passes) of anatomy and tool behind the last frame, row by row; empty before the first.
+    pub fn line_integrals(&self) -> Vec<f64> {
+        let attenuation =
+            |s: &Standing| self.exposure.attenuations(s.images(), &self.tool, s.c_arm.columns as usize);
+        self.standing.as_ref().map_or(Vec::new(), attenuation)
     }
 
     /// Removes voxels by linear index; those already removed are ignored. Returns how many are new. The order and the grouping into
@@ -259,7 +358,6 @@ impl DrrRenderer {
     pub fn remove(&mut self, view: &VolumeView<'_>, batch: &[u32]) -> Result<usize, DrrError> {
         self.check_view(view)?;
         self.removed.check(batch)?;
-        let fill_attenuates = self.fill_mu_per_m > 0.0;
         let traced = self.standing.as_mut().filter(|s| s.traced);
         let mut marker = traced.map(|s| DirtyMarker::new(s, &self.grid, self.parameters.projector));
         let mut new = 0;
@@ -270,12 +368,12 @@ impl DrrRenderer {
             }
             new += 1;
             let voxel = self.grid.voxel_of(linear);
-            self.blocks.mark_drilled(voxel, fill_attenuates);
-            if let Some(slices) = &mut self.slices {
-                slices.remove(view, linear)?;
+            let hu = view.hu().get(linear).copied().unwrap_or(self.parameters.fill_hu);
+            let mut changed = self.tissue.remove(view, linear, voxel, hu)?;
+            if let Some(bone) = &mut self.bone {
+                changed |= bone.remove(view, linear, voxel, hu)?;
             }
-            let old_mu = view.hu().get(linear).map_or(0.0, |&hu| self.table.mu_per_m(hu));
-            if let Some(marker) = marker.as_mut().filter(|_| old_mu != self.fill_mu_per_m) {
+            if let Some(marker) = marker.as_mut().filter(|_| changed) {
                 marker.mark(self.grid.index_to_world(voxel.map(|v| v as f64)));
             }
         }
@@ -289,10 +387,9 @@ impl DrrRenderer {
     pub fn restore_all(&mut self, view: &VolumeView<'_>) -> Result<(), DrrError> {
         self.check_view(view)?;
         self.removed.clear();
-        if let Some(slices) = &mut self.slices {
-            slices.restore_all(view);
+        for layer in core::iter::once(&mut self.tissue).chain(&mut self.bone) {
+            layer.restore(view);
         }
-        self.blocks.clone_from(&self.intact_blocks);
         self.standing = None;
         Ok(())
     }
@@ -309,22 +406,47 @@ impl DrrRenderer {
         seed: FrameSeed,
         image: &mut [u16],
     ) -> Result<FrameReport, DrrError> {
+        self.render_to(view, c_arm, tool, seed, Output::Mono16(image))
+    }
+
+    /// As [`DrrRenderer::render`], for any kind of pixel.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn render_to(
+        &mut self,
+        view: &VolumeView<'_>,
+        c_arm: &CArm,
+        tool: &Tool,
+        seed: FrameSeed,
+        mut output: Output<'_>,
+    ) -> Result<FrameReport, DrrError> {
         self.check_view(view)?;
         c_arm.validate()?;
-        if image.len() != c_arm.pixels() {
-            return Err(DrrError::Length { field: "image", given: image.len(), expected: c_arm.pixels() });
+        if output.len() != c_arm.pixels() {
+            return Err(DrrError::Length { field: "image", given: output.len(), expected: c_arm.pixels() });
         }
-        let placed = place(tool, c_arm, self.parameters.energy_kev)?;
+        self.tool.place(tool, c_arm, self.parameters.energy_kev)?;
         let mut standing = match self.standing.take() {
             Some(s) if s.c_arm == *c_arm => s,
             _ => Standing::new(&self.grid, c_arm),
         };
         let (kind, rays_traced) = self.update_anatomy(view, &mut standing)?;
         if kind != RenderKind::Cached {
-            standing.window = window_limits(self.parameters.display.window, &standing.anatomy);
+            let window = self.parameters.display.window;
+            standing.window = self.exposure.with_anatomy(standing.images(), |a| window_limits(window, a));
         }
-        let tool_pixels = self.lay_tool(view, &mut standing, &placed);
-        self.pool.install(|| self.expose(&mut standing, seed, image, tool_pixels > 0));
+        let width = standing.c_arm.columns as usize;
+        let tissue = self.tissue.field(view, &self.removed);
+        let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
+        let anatomy =
+            DisplacedBy { projector: self.parameters.projector, tissue: &tissue, bone: bone.as_ref() };
+        let (tool, exposure) = (&mut self.tool, &mut self.exposure);
+        let tool_pixels = self.pool.install(|| {
+            let covered = tool.draw(&standing.fan, &anatomy);
+            exposure.expose(standing.images(), tool, width, standing.window, seed, &mut output);
+            covered
+        });
         let window = standing.window;
         self.standing = Some(standing);
         Ok(FrameReport { kind, rays_traced, tool_pixels, window })
@@ -332,16 +454,6 @@ impl DrrRenderer {
 
     fn check_view(&self, view: &VolumeView<'_>) -> Result<(), DrrError> {
         if *view.grid() == self.grid { Ok(()) } else { Err(DrrError::GridChanged) }
-    }
-
-    fn field<'a>(&'a self, view: &VolumeView<'a>) -> AttenuationField<'a> {
-        AttenuationField {
-            view: *view,
-            removed: &self.removed,
-            blocks: &self.blocks,
-            table: &self.table,
-            fill_mu_per_m: self.fill_mu_per_m,
-        }
     }
 
     fn trace(&self, field: &AttenuationField<'_>, ray: &IndexRay) -> f64 {
@@ -357,43 +469,32 @@ impl DrrRenderer {
         view: &VolumeView<'_>,
         standing: &mut Standing,
     ) -> Result<(RenderKind, usize), DrrError> {
-        let pixels = standing.c_arm.pixels();
         let fresh = standing.anatomy.is_empty();
-        let Self { slices, removed, pool, .. } = self;
-        if let Some(slices) = slices.as_mut().filter(|_| fresh || !standing.traced) {
-            standing.anatomy.resize(pixels, 0.0);
-            let (c_arm, anatomy) = (&standing.c_arm, &mut standing.anatomy);
-            if let Some(update) = pool.install(|| slices.project(view, removed, c_arm, anatomy))? {
+        if fresh || !standing.traced {
+            let Self { tissue, bone, removed, pool, .. } = self;
+            let c_arm = &standing.c_arm;
+            let first = pool.install(|| tissue.project(view, removed, c_arm, &mut standing.anatomy))?;
+            if let Some(mut done) = first {
+                if let Some(bone) = bone {
+                    let second = pool.install(|| bone.project(view, removed, c_arm, &mut standing.bone_m))?;
+                    done = second.map_or(done, |second| more_of(done, second));
+                }
                 standing.traced = false;
-                return Ok(match update {
-                    Update::Full => (RenderKind::Full, pixels),
-                    Update::Changed(b) => {
-                        let side = |(first, end): (u32, u32)| (end - first) as usize;
-                        (RenderKind::Incremental, side(b.columns) * side(b.rows))
-                    }
-                    Update::Unchanged => (RenderKind::Cached, 0),
-                });
+                return Ok(done);
             }
-            standing.anatomy.clear();
         }
         Ok(self.trace_anatomy(view, standing))
     }
 
     /// The same ray by ray.
     fn trace_anatomy(&self, view: &VolumeView<'_>, standing: &mut Standing) -> (RenderKind, usize) {
-        let field = self.field(view);
-        let columns = standing.c_arm.columns;
-        let fan = standing.fan;
+        let tissue = self.tissue.field(view, &self.removed);
+        let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
         if standing.anatomy.is_empty() {
-            standing.anatomy.resize(standing.c_arm.pixels(), 0.0);
-            let rows = standing.anatomy.par_chunks_mut(columns as usize).zip(0_u32..standing.c_arm.rows);
-            self.pool.install(|| {
-                rows.for_each(|(line, row)| {
-                    for (value, column) in line.iter_mut().zip(0_u32..) {
-                        *value = self.trace(&field, &fan.index_ray(column, row));
-                    }
-                });
-            });
+            self.trace_all(&tissue, standing.c_arm, &standing.fan, &mut standing.anatomy);
+            if let Some(bone) = &bone {
+                self.trace_all(bone, standing.c_arm, &standing.fan, &mut standing.bone_m);
+            }
             return (RenderKind::Full, standing.anatomy.len());
         }
         if standing.dirty_list.is_empty() {
@@ -402,14 +503,12 @@ impl DrrRenderer {
         let mut list = core::mem::take(&mut standing.dirty_list);
         // Neighbouring rays one after the other share cache lines; the result does not depend on the order.
         list.sort_unstable();
-        let one = |&pixel: &u32| self.trace(&field, &fan.index_ray(pixel % columns, pixel / columns));
-        let values: Vec<f64> = if list.len() < PARALLEL_FROM {
-            list.iter().map(one).collect()
-        } else {
-            self.pool.install(|| list.par_iter().with_min_len(64).map(one).collect())
-        };
-        for (&pixel, value) in list.iter().zip(values) {
-            standing.anatomy[pixel as usize] = value;
+        let (columns, fan) = (standing.c_arm.columns, standing.fan);
+        self.trace_list(&tissue, columns, &fan, &list, &mut standing.anatomy);
+        if let Some(bone) = &bone {
+            self.trace_list(bone, columns, &fan, &list, &mut standing.bone_m);
+        }
+        for &pixel in &list {
             standing.dirty[pixel as usize] = false;
         }
         let traced = list.len();
@@ -418,57 +517,43 @@ impl DrrRenderer {
         (RenderKind::Incremental, traced)
     }
 
-    /// Copies the anatomy and lays the tool over it; returns how many pixels it covers.
-    fn lay_tool(&self, view: &VolumeView<'_>, standing: &mut Standing, placed: &[PlacedPart]) -> usize {
-        standing.total.clone_from(&standing.anatomy);
-        standing.metal.fill(0.0);
-        let (first, end) = row_span(placed);
-        let width = standing.c_arm.columns as usize;
-        let span = first as usize * width..end as usize * width;
-        let field = self.field(view);
-        let layer =
-            ToolLayer { projector: self.parameters.projector, field: &field, fan: &standing.fan, placed };
-        let total = standing.total[span.clone()].par_chunks_mut(width);
-        let metal = standing.metal[span].par_chunks_mut(width);
+    fn trace_all(&self, field: &AttenuationField<'_>, c_arm: CArm, fan: &RayFan, image: &mut Vec<f64>) {
+        image.resize(c_arm.pixels(), 0.0);
+        let rows = image.par_chunks_mut(c_arm.columns as usize).zip(0_u32..c_arm.rows);
         self.pool.install(|| {
-            total
-                .zip(metal)
-                .zip(first..end)
-                .map(|((total, metal), row)| layer.draw_row(row, total, metal))
-                .sum()
-        })
+            rows.for_each(|(line, row)| {
+                for (value, column) in line.iter_mut().zip(0_u32..) {
+                    *value = self.trace(field, &fan.index_ray(column, row));
+                }
+            });
+        });
     }
 
-    /// Detector and display.
-    fn expose(&self, standing: &mut Standing, seed: FrameSeed, image: &mut [u16], with_tool: bool) {
-        let width = standing.c_arm.columns as usize;
-        let detector = self.parameters.detector;
-        standing.detected.par_chunks_mut(width).zip(standing.total.par_chunks(width)).enumerate().for_each(
-            |(row, (detected, total))| {
-                for (column, (d, &l)) in detected.iter_mut().zip(total).enumerate() {
-                    *d = detector.expose(l, seed, (row * width + column) as u64);
-                }
-            },
-        );
-        blur_image(&mut standing.detected, &mut standing.work, width, &self.blur);
-        let DisplayParameters { mode, .. } = self.parameters.display;
-        let window = standing.window;
-        if mode == DisplayMode::BoneBrightToolBlack && with_tool {
-            standing.blurred_metal.par_iter_mut().zip(&standing.metal).for_each(|(t, &l)| *t = libm::exp(-l));
-            blur_image(&mut standing.blurred_metal, &mut standing.work, width, &self.blur);
+    fn trace_list(
+        &self,
+        field: &AttenuationField<'_>,
+        columns: u32,
+        fan: &RayFan,
+        list: &[u32],
+        image: &mut [f64],
+    ) {
+        let one = |&pixel: &u32| self.trace(field, &fan.index_ray(pixel % columns, pixel / columns));
+        let values: Vec<f64> = if list.len() < PARALLEL_FROM {
+            list.iter().map(one).collect()
         } else {
-            standing.blurred_metal.fill(1.0);
+            self.pool.install(|| list.par_iter().with_min_len(64).map(one).collect())
+        };
+        for (&pixel, value) in list.iter().zip(values) {
+            image[pixel as usize] = value;
         }
-        let pixels = standing.detected.par_iter().zip(&standing.blurred_metal);
-        image
-            .par_iter_mut()
-            .zip(pixels)
-            .with_min_len(4096)
-            .for_each(|(out, (&detected, &metal))| *out = display_value(mode, window, detected, metal));
     }
 }
 
 impl Standing {
+    fn images(&self) -> Anatomy<'_> {
+        Anatomy { total: &self.anatomy, bone_m: &self.bone_m }
+    }
+
     fn new(grid: &Grid, c_arm: &CArm) -> Self {
         let pixels = c_arm.pixels();
         Self {
@@ -476,31 +561,12 @@ impl Standing {
             fan: RayFan::new(grid, c_arm),
             traced: true,
             anatomy: Vec::new(),
+            bone_m: Vec::new(),
             dirty: vec![false; pixels],
             dirty_list: Vec::new(),
             window: (0.0, 1.0),
-            total: vec![0.0; pixels],
-            metal: vec![0.0; pixels],
-            detected: vec![0.0; pixels],
-            work: vec![0.0; pixels],
-            blurred_metal: vec![1.0; pixels],
         }
     }
-}
-
-/// Blurs along rows, then along columns.
-fn blur_image(image: &mut [f64], work: &mut [f64], width: usize, weights: &[f64]) {
-    if weights.len() < 2 {
-        return;
-    }
-    work.par_chunks_mut(width)
-        .zip(image.par_chunks(width))
-        .for_each(|(out, row)| blur_row(row, weights, out));
-    let blurred_rows: &[f64] = work;
-    image
-        .par_chunks_mut(width)
-        .enumerate()
-        .for_each(|(r, out)| blur_column_into_row(blurred_rows, width, r, weights, out));
 }
 
 /// Marks the pixels that removed voxels can reach.

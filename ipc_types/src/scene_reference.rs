@@ -45,6 +45,15 @@ isocentre_mm = [0.0, 0.0, 0.0]
 columns = 16
 rows = 16
 pixel_pitch_mm = 1.0
+[drr.spectrum]
+[drr.carm]
+source_mm = [0.0, -700.0, 0.0]
+detector_centre_mm = [0.0, 300.0, 0.0]
+row_axis = [1.0, 0.0, 0.0]
+column_axis = [0.0, 0.0, -1.0]
+[drr.notch]
+width_mm = 0.5
+depth_mm = 2.0
 [[controller]]
 name = "a"
 drives = ["tendon"]
@@ -155,6 +164,7 @@ impl Reference {
         let plain = match inner(kind) {
             "f64" => "number".to_owned(),
             "[f64; 3]" => "three numbers".to_owned(),
+            "[[f64; 3]; 3]" => "three rows of three numbers".to_owned(),
             "bool" => "`true` or `false`".to_owned(),
             "String" => "text".to_owned(),
             "PathBuf" => "path".to_owned(),

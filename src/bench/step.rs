@@ -169,6 +169,8 @@ impl<'v> XRay<'v> {
             sequence: self.shown,
             request_id: 0,
             c_arm,
+            isocentre_m: [0.0; 3],
+            notch: None,
             noise_seed: self.noise_seed,
             burr_radius_m: self.burr_radius_m,
         };

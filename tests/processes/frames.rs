@@ -1,7 +1,7 @@
 //! X-ray frames are tied to ticks and are a function of volume, removed voxels and state.
 
 use drr_proc::DrrRenderer;
-use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, volume_view};
+use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, scene_isocentre_m, volume_view};
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::Scene;
 use recorder_proc::{FrameRecord, ReadOptions, frames};
@@ -82,6 +82,8 @@ fn drilled_voxels_are_gone_in_the_frames() {
             sequence: last.frame.sequence,
             request_id: 0,
             c_arm: scene_c_arm(drr).unwrap(),
+            isocentre_m: scene_isocentre_m(&scene),
+            notch: drr.notch,
             noise_seed: scene.run.seed,
             burr_radius_m: 3.25e-3,
         };

@@ -13,17 +13,19 @@ mod worker;
 
 use std::path::Path;
 
-use ipc_types::messages::{CArmGeometry, Volume};
+use ipc_types::messages::{CArmGeometry, CArmProjection, Volume};
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, session_scene};
-use ipc_types::scene::{Display, Drr, Projector as SceneProjector, Scene, SceneError};
+use ipc_types::scene::{
+    Display, Drr, PixelCentre as ScenePixelCentre, Projector as SceneProjector, Scene, SceneError,
+};
 use ipc_types::session::{Session, SessionError};
 use thiserror::Error;
 use zerocopy::FromBytes;
 
 use crate::{
-    CArm, DetectorFormat, DetectorParameters, DisplayMode, DisplayParameters, DrrError, DrrParameters,
-    DrrRenderer, Grid, PositionerAngles, Projector, VolumeView,
+    CArm, Camera, DetectorFormat, DetectorParameters, DisplayMode, DisplayParameters, DrrError,
+    DrrParameters, DrrRenderer, Grid, PixelCentre, PositionerAngles, Projector, Spectrum, VolumeView,
 };
 
 pub use tool_model::tool_of;
@@ -124,16 +126,26 @@ pub fn renderer_parameters(drr: &Drr) -> DrrParameters {
             SceneProjector::Preview => Projector::PREVIEW,
         },
         energy_kev: drr.energy_kev,
+        spectrum: drr.spectrum.as_ref().map(|spectrum| Spectrum {
+            tube_kv: spectrum.tube_kv,
+            aluminium_mm: spectrum.aluminium_mm,
+            ct_energy_kev: spectrum.ct_energy_kev,
+            bone_above_hu: spectrum.bone_above_hu,
+        }),
         threads: drr.threads,
         detector: DetectorParameters {
             photons_per_pixel: if drr.photons_per_pixel > 0.0 { drr.photons_per_pixel } else { 1.0e5 },
             quantum_noise: drr.photons_per_pixel > 0.0,
             blur_sigma_px: drr.blur_pixels,
+            gain: drr.detector.gain,
+            offset: drr.detector.offset,
+            saturation: drr.detector.saturation,
         },
         display: DisplayParameters {
             mode: match drr.display {
                 Display::BoneDark => DisplayMode::BoneDark,
                 Display::BoneBright => DisplayMode::BoneBright,
+                Display::Linear => DisplayMode::Linear,
             },
             ..DisplayParameters::default()
         },
@@ -146,6 +158,9 @@ pub fn renderer_parameters(drr: &Drr) -> DrrParameters {
 /// # Errors
 /// A value out of range, by name.
 pub fn scene_c_arm(drr: &Drr) -> Result<CArm, DrrError> {
+    if let Some(c_arm) = given_c_arm(drr)? {
+        return Ok(c_arm);
+    }
     let format = DetectorFormat {
         columns: drr.columns,
         rows: drr.rows,
@@ -160,6 +175,59 @@ pub fn scene_c_arm(drr: &Drr) -> Result<CArm, DrrError> {
         drr.source_detector_mm * 1e-3,
         format,
     )
+}
+
+/// The C-arm of `[drr.carm]`; the scene's check has seen that one of its two forms is complete.
+fn given_c_arm(drr: &Drr) -> Result<Option<CArm>, DrrError> {
+    let Some(given) = &drr.carm else { return Ok(None) };
+    let (columns, rows, pitch_m) = (drr.columns, drr.rows, drr.pixel_pitch_mm * 1e-3);
+    if let (Some(intrinsics), Some(rotation), Some(translation_mm)) =
+        (given.intrinsics, given.rotation, given.translation_mm)
+    {
+        let camera = Camera { intrinsics, rotation, translation_m: translation_mm.map(|x| x * 1e-3) };
+        let centre = match given.pixel_centre {
+            Some(ScenePixelCentre::Half) => PixelCentre::Half,
+            Some(ScenePixelCentre::Whole) | None => PixelCentre::Whole,
+        };
+        return CArm::from_camera(&camera, centre, pitch_m, columns, rows).map(Some);
+    }
+    let (Some(source), Some(detector), Some(row_axis), Some(column_axis)) =
+        (given.source_mm, given.detector_centre_mm, given.row_axis, given.column_axis)
+    else {
+        return Ok(None);
+    };
+    let c_arm = CArm {
+        source_m: source.map(|x| x * 1e-3),
+        detector_centre_m: detector.map(|x| x * 1e-3),
+        row_axis,
+        column_axis,
+        pixel_pitch_m: [pitch_m; 2],
+        columns,
+        rows,
+    };
+    c_arm.validate()?;
+    Ok(Some(c_arm))
+}
+
+/// Point about which the scene's C-arm turns; the origin for a scene without one.
+pub fn scene_isocentre_m(scene: &Scene) -> [f64; 3] {
+    scene.drr.as_ref().map_or([0.0; 3], |drr| drr.isocentre_mm.map(|x| x * 1e-3))
+}
+
+/// A C-arm as camera and positioner.
+pub fn projection_message(c_arm: &CArm, isocentre_m: [f64; 3]) -> CArmProjection {
+    let camera = c_arm.camera(PixelCentre::Whole);
+    let positioner = c_arm.positioner(isocentre_m);
+    let flat = |m: [[f64; 3]; 3]| core::array::from_fn(|i| m[i / 3][i % 3]);
+    CArmProjection {
+        intrinsics: flat(camera.intrinsics),
+        rotation: flat(camera.rotation),
+        translation_m: camera.translation_m,
+        primary_angle_rad: positioner.primary_rad,
+        secondary_angle_rad: positioner.secondary_rad,
+        source_detector_m: positioner.source_detector_m,
+        source_isocentre_m: positioner.source_isocentre_m,
+    }
 }
 
 /// A C-arm as a message.

@@ -9,13 +9,13 @@ use ipc_types::messages::{
     GEOMETRY_REQUEST, PHASE_ENDED, SEVERITY_WARNING, State,
 };
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Scene};
+use ipc_types::scene::{Mode, Notch, Scene};
 use zerocopy::FromBytes;
 
 use super::ports::Ports;
 use super::schedule::{Due, Schedule};
 use super::worker::{Job, Rendered, render_job};
-use super::{DrrProcessError, burr_radius_m, c_arm_message, c_arm_of};
+use super::{DrrProcessError, burr_radius_m, c_arm_message, c_arm_of, scene_isocentre_m};
 use crate::{CArm, DrrError, DrrRenderer, VolumeView};
 
 /// Jobs that may wait for the renderer.
@@ -57,6 +57,8 @@ struct Service {
     schedule: Schedule,
     lockstep: bool,
     c_arm: CArm,
+    isocentre_m: [f64; 3],
+    notch: Option<Notch>,
     noise_seed: u64,
     burr_radius_m: f64,
     jobs: SyncSender<Job>,
@@ -82,6 +84,8 @@ impl Service {
             schedule: Schedule::new(scene.run.mode, scene.frame_period_ticks()),
             lockstep: scene.run.mode == Mode::Lockstep,
             c_arm,
+            isocentre_m: scene_isocentre_m(scene),
+            notch: scene.drr.as_ref().and_then(|drr| drr.notch),
             noise_seed: scene.run.seed,
             burr_radius_m: burr_radius_m(scene),
             jobs,
@@ -248,6 +252,8 @@ impl Service {
             sequence: self.sequence,
             request_id: request.request_id,
             c_arm,
+            isocentre_m: self.isocentre_m,
+            notch: self.notch,
             noise_seed: self.noise_seed,
             burr_radius_m: self.burr_radius_m,
         };

@@ -3,10 +3,11 @@
 use std::time::Instant;
 
 use ipc_types::messages::{Frame, ImagePrefix, State};
+use ipc_types::scene::Notch as SceneNotch;
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
-use super::{c_arm_message, tool_of};
+use super::{c_arm_message, projection_message, tool_of};
 use crate::{CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, RenderKind, VolumeView};
 
 /// What a frame is to show.
@@ -24,10 +25,14 @@ pub struct Job {
     pub request_id: u64,
     /// C-arm.
     pub c_arm: CArm,
+    /// The scene's isocentre.
+    pub isocentre_m: [f64; 3],
     /// The scene's seed.
     pub noise_seed: u64,
     /// Radius of the burr.
     pub burr_radius_m: f64,
+    /// Notches of the links.
+    pub notch: Option<SceneNotch>,
 }
 
 /// A finished frame.
@@ -71,7 +76,7 @@ pub fn render_job(
         renderer.restore_all(view)?;
     }
     renderer.remove(view, &job.removed)?;
-    let tool = tool_of(&job.state, job.burr_radius_m);
+    let tool = tool_of(&job.state, job.burr_radius_m, job.notch.as_ref());
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
     let report = renderer.render(view, &job.c_arm, &tool, seed, &mut pixels)?;
@@ -86,6 +91,7 @@ pub fn render_job(
         noise_seed: job.noise_seed,
         t_world_burr: job.state.t_world_burr,
         geometry: c_arm_message(&job.c_arm),
+        projection: projection_message(&job.c_arm, job.isocentre_m),
     };
     let prefix = ImagePrefix::mono16(job.c_arm.columns, job.c_arm.rows, job.state.sim_time_s);
     Ok(Rendered { frame, prefix, pixels, report, render_ns: began.elapsed().as_nanos() as u64 })

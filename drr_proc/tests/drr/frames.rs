@@ -78,7 +78,7 @@ fn frame(renderer: &mut DrrRenderer, view: &VolumeView<'_>, c_arm: &CArm, step: 
     let report =
         renderer.render(view, c_arm, &tool(step), FrameSeed { seed: 7, frame: step }, &mut image).unwrap();
     let bits = |values: &[f64]| values.iter().map(|v| v.to_bits()).collect();
-    (Frame { image, anatomy: bits(renderer.anatomy()), total: bits(renderer.line_integrals()) }, report.kind)
+    (Frame { image, anatomy: bits(renderer.anatomy()), total: bits(&renderer.line_integrals()) }, report.kind)
 }
 
 fn assert_same(a: &Frame, b: &Frame) {

@@ -5,6 +5,8 @@
 #[cfg(test)]
 mod attenuation;
 #[cfg(test)]
+mod camera;
+#[cfg(test)]
 mod detector;
 #[cfg(test)]
 mod frames;
@@ -16,5 +18,7 @@ mod poses;
 mod projectors;
 #[cfg(test)]
 mod slice_ordered;
+#[cfg(test)]
+mod spectrum;
 #[cfg(test)]
 mod tool;

@@ -1,10 +1,13 @@
 //! Chords of the tool's parts, and the anatomy they displace, against closed forms.
 
+use drr_proc::attenuation::MuTable;
+use drr_proc::ray::RayFan;
 use drr_proc::ray::WorldRay;
+use drr_proc::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use drr_proc::tool::{PreparedPart, join_intervals};
 use drr_proc::{
-    DrrParameters, DrrRenderer, FrameSeed, Grid, Material, Projector, Tool, ToolPart, VolumeView,
-    detector::DetectorParameters,
+    DrrParameters, DrrRenderer, FrameSeed, Grid, HuLaw, Material, Notch, Projector, Tool, ToolPart,
+    VolumeView, detector::DetectorParameters, joseph, siddon,
 };
 use proptest::prelude::*;
 
@@ -154,6 +157,192 @@ fn a_tool_in_a_drilled_channel_displaces_nothing_more() {
     assert!((added - NITINOL.mu_per_m(60.0).unwrap() * 2e-3).abs() < 1e-12, "{added}");
 }
 
+/// A chain of 27 notched links, a shaft, a cone and a burr, bent in a plane; half a metre of shaft leaves the picture.
+fn whole_tool() -> Tool {
+    let mut at = [0.0_f64, -0.01, 0.0];
+    let along = |angle: f64| [angle.cos() * 0.8, -0.6, angle.sin() * 0.8];
+    let step = |p: [f64; 3], d: [f64; 3], length: f64| std::array::from_fn(|i| p[i] + length * d[i]);
+    let shaft = ToolPart::HollowCylinder {
+        start_m: step(at, along(0.6), -0.5),
+        end_m: at,
+        outer_radius_m: 3e-3,
+        inner_radius_m: 2e-3,
+        material: Material::Steel316L,
+    };
+    let mut parts = vec![shaft];
+    for i in 0..27 {
+        let angle = 0.6 + 0.03 * f64::from(i);
+        let next = step(at, along(angle), 1.3e-3);
+        // Perpendicular to the axis, in turns on either side.
+        let turn = if i % 2 == 0 { 1.0 } else { -1.0 };
+        let side = [-turn * angle.sin(), 0.0, turn * angle.cos()];
+        parts.push(ToolPart::NotchedTube {
+            start_m: at,
+            end_m: next,
+            outer_radius_m: 3e-3,
+            inner_radius_m: 2e-3,
+            notch: Notch { offset_m: 0.4e-3, width_m: 0.5e-3, side, depth_m: 2e-3 },
+            material: NITINOL,
+        });
+        at = next;
+    }
+    let tip = step(at, along(1.4), 4e-3);
+    let (start_radius_m, end_radius_m, material) = (2e-3, 0.5e-3, Material::Steel316L);
+    parts.push(ToolPart::Cone { start_m: at, end_m: tip, start_radius_m, end_radius_m, material });
+    parts.push(ToolPart::Sphere { centre_m: tip, radius_m: 3.25e-3, material });
+    Tool { parts }
+}
+
+/// Outlines, sweeps and the short-interval integral against every part on every pixel, and the projectors' own intervals.
+#[test]
+fn the_fast_tool_layer_is_every_part_on_every_pixel() {
+    let (s, c) = 0.3_f64.sin_cos();
+    let direction = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]];
+    let grid = Grid::new([60, 50, 55], [1.0e-3, 1.2e-3, 0.9e-3], [-0.02, -0.035, -0.02], direction).unwrap();
+    let hu: Vec<i16> = (0..grid.voxels())
+        .map(|i| if (i / 9) % 40 < 12 { -1000 } else { ((i * 7919) % 2000) as i16 - 500 })
+        .collect();
+    let removed: Vec<u32> = (0..grid.voxels() as u32).filter(|i| i % 31 == 3 && i / 1000 % 3 == 0).collect();
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let tool = whole_tool();
+    let parts: Vec<PreparedPart> = tool.parts.iter().map(|p| PreparedPart::new(p).unwrap()).collect();
+    let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    let blocks = BlockMap::new(&view, &table);
+    for (projector, primary, secondary) in [
+        (Projector::Joseph, 0.0, 0.0),
+        (Projector::Joseph, 37.0, 18.0),
+        (Projector::Joseph, 90.0, 5.0),
+        (Projector::Joseph, -120.0, 60.0),
+        (Projector::Siddon, 44.0, 35.0),
+    ] {
+        let c_arm = crate::poses::c_arm(primary, secondary, 90, 0.09);
+        let parameters = DrrParameters { projector, threads: 2, ..DrrParameters::default() };
+        let mut renderer = DrrRenderer::new(&view, parameters).unwrap();
+        renderer.remove(&view, &removed).unwrap();
+        let mut image = vec![0; c_arm.pixels()];
+        let report = renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image).unwrap();
+        let (total, anatomy) = (renderer.line_integrals(), renderer.anatomy());
+        let fan = RayFan::new(&grid, &c_arm);
+        // The renderer's own set of removed voxels; without block flags for them nothing may be skipped wrongly.
+        let gone: &RemovedVoxels = renderer.removed();
+        let mut every = vec![0; grid.voxels()];
+        every.clone_from(&hu);
+        removed.iter().for_each(|&i| every[i as usize] = -1000);
+        let drilled = VolumeView::new(grid, &every).unwrap();
+        let none = RemovedVoxels::new(&grid);
+        assert_eq!(gone.count(), removed.len());
+        let field = AttenuationField {
+            view: drilled,
+            removed: &none,
+            blocks: &blocks,
+            table: &table,
+            fill_mu_per_m: 0.0,
+        };
+        let mut covered = 0;
+        for i in 0..c_arm.pixels() {
+            let (column, row) = (i as u32 % 90, i as u32 / 90);
+            let ray = fan.world_ray(column, row);
+            let mut envelopes = Vec::new();
+            let mut metal = 0.0;
+            for part in &parts {
+                if let Some(crossing) = part.cross(&ray) {
+                    envelopes.push(crossing.envelope);
+                    metal += part.material().mu_per_m(60.0).unwrap() * crossing.metal_m;
+                }
+            }
+            let n = join_intervals(&mut envelopes);
+            let displaced = |range: &(f64, f64)| match projector {
+                Projector::Siddon => siddon::line_integral(&field, &fan.index_ray(column, row), *range),
+                _ => joseph::interval_integral(&field, &fan.index_ray(column, row), *range),
+            };
+            let displaced: f64 = envelopes[..n].iter().map(displaced).sum();
+            let want = (anatomy[i] - displaced).max(0.0) + metal;
+            let want = if n == 0 { anatomy[i] } else { want };
+            assert_eq!(total[i].to_bits(), want.to_bits(), "{projector:?} pixel {column} {row}");
+            covered += usize::from(metal > 0.0 || displaced > 0.0);
+        }
+        assert_eq!(report.tool_pixels, covered);
+        assert!(covered > 300, "{covered}");
+    }
+}
+
+#[test]
+fn a_notch_and_a_cone_by_hand() {
+    let notch = Notch { offset_m: 0.01, width_m: 5e-3, side: [0.0, 1.0, 0.0], depth_m: 2.5e-3 };
+    let link = ToolPart::NotchedTube {
+        start_m: [0.0; 3],
+        end_m: [0.0, 0.0, 0.03],
+        outer_radius_m: 3e-3,
+        inner_radius_m: 2e-3,
+        notch,
+        material: NITINOL,
+    };
+    // Rounding of parameters of a ray of 1 m.
+    let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-13, "got {got}, want {want}");
+    // Along y through the notch: the wall at -y only, as y > 0.5 mm is open; beside the notch both walls.
+    near(metal_m(&link, [0.0, -0.5, 0.012], [0.0, 0.5, 0.012]), 1e-3);
+    near(metal_m(&link, [0.0, -0.5, 0.008], [0.0, 0.5, 0.008]), 2e-3);
+    // Along x in the notch at y = 1 mm: nothing; at y = 0: both walls.
+    near(metal_m(&link, [-0.5, 1e-3, 0.012], [0.5, 1e-3, 0.012]), 0.0);
+    near(metal_m(&link, [-0.5, 0.0, 0.012], [0.5, 0.0, 0.012]), 2e-3);
+    // Along the axis in the wall: all but the notch's width.
+    near(metal_m(&link, [0.0, 2.5e-3, -0.1], [0.0, 2.5e-3, 0.1]), 0.025);
+    let cone = |start_radius_m, end_radius_m| ToolPart::Cone {
+        start_m: [0.0; 3],
+        end_m: [0.0, 0.0, 0.01],
+        start_radius_m,
+        end_radius_m,
+        material: NITINOL,
+    };
+    for part in [cone(4e-3, 2e-3), cone(4e-3, 0.0), cone(0.0, 4e-3)] {
+        let ToolPart::Cone { start_radius_m: a, end_radius_m: b, .. } = part else { unreachable!() };
+        let radius = a + (b - a) * 0.3;
+        near(metal_m(&part, [-1.0, 0.0, 3e-3], [1.0, 0.0, 3e-3]), 2.0 * radius);
+        let half = (radius * radius - 1e-6_f64).max(0.0).sqrt();
+        near(metal_m(&part, [-1.0, 1e-3, 3e-3], [1.0, 1e-3, 3e-3]), 2.0 * half);
+        // Parallel to the axis at half the wider radius: up to where the cone is that narrow.
+        let wide = a.max(b);
+        let x = 0.5 * wide;
+        let length = if a.min(b) >= x { 0.01 } else { 0.01 * (wide - x) / (wide - a.min(b)) };
+        near(metal_m(&part, [x, 0.0, -0.1], [x, 0.0, 0.1]), length);
+    }
+    // A cylinder is a cone of one radius.
+    let rod =
+        ToolPart::Cylinder { start_m: [0.0; 3], end_m: [0.0, 0.0, 0.01], radius_m: 2e-3, material: NITINOL };
+    let (from, to) = ([-0.02, 0.003, -0.01], [0.02, -0.002, 0.02]);
+    near(metal_m(&cone(2e-3, 2e-3), from, to), metal_m(&rod, from, to));
+}
+
+#[test]
+fn impossible_notches_and_cones_are_refused_with_a_reason() {
+    let notched = |offset_m, width_m, side, depth_m| {
+        let part = ToolPart::NotchedTube {
+            start_m: [0.0; 3],
+            end_m: [0.0, 0.0, 0.03],
+            outer_radius_m: 3e-3,
+            inner_radius_m: 2e-3,
+            notch: Notch { offset_m, width_m, side, depth_m },
+            material: NITINOL,
+        };
+        PreparedPart::new(&part).map(|_| ()).unwrap_err()
+    };
+    let y = [0.0, 1.0, 0.0];
+    assert!(notched(0.028, 5e-3, y, 1e-3).contains("within the tube"));
+    assert!(notched(0.01, f64::NAN, y, 1e-3).contains("within the tube"));
+    assert!(notched(0.01, 5e-3, y, 7e-3).contains("depth"));
+    assert!(notched(0.01, 5e-3, [0.0, 0.0, 1.0], 1e-3).contains("perpendicular"));
+    for radii in [(0.0, 0.0), (-1e-3, 1e-3), (f64::NAN, 1e-3)] {
+        let part = ToolPart::Cone {
+            start_m: [0.0; 3],
+            end_m: [0.0, 0.0, 0.01],
+            start_radius_m: radii.0,
+            end_radius_m: radii.1,
+            material: NITINOL,
+        };
+        assert!(PreparedPart::new(&part).is_err(), "{radii:?}");
+    }
+}
+
 proptest! {
     #[test]
     fn a_chord_agrees_with_counting_points_on_the_ray(
@@ -177,5 +366,29 @@ proptest! {
         let want = inside as f64 / f64::from(n) * ray.length_m;
         // At most four boundaries, each off by one sample.
         prop_assert!((got - want).abs() <= 4.0 * ray.length_m / f64::from(n), "{} {}", got, want);
+    }
+
+    #[test]
+    fn a_cones_chord_agrees_with_counting_points_on_the_ray(
+        from in prop::array::uniform3(-0.02..0.02_f64), to in prop::array::uniform3(-0.02..0.02_f64),
+        radii in prop::array::uniform2(0.0..0.008_f64),
+    ) {
+        let ray = WorldRay::between(from, to);
+        let [start_radius_m, end_radius_m] = radii;
+        let part = ToolPart::Cone {
+            start_m: [0.0, 0.0, -0.005], end_m: [0.0, 0.0, 0.007], start_radius_m, end_radius_m, material: NITINOL,
+        };
+        let got = PreparedPart::new(&part).unwrap().cross(&ray).map_or(0.0, |c| c.metal_m);
+        let n = 20_000;
+        let inside = (0..n).filter(|&i| {
+            let t = (f64::from(i) + 0.5) / f64::from(n);
+            let q: [f64; 3] = std::array::from_fn(|a| from[a] + t * (to[a] - from[a]));
+            let share = (q[2] + 0.005) / 0.012;
+            let radius = start_radius_m + share * (end_radius_m - start_radius_m);
+            (0.0..1.0).contains(&share) && q[0].hypot(q[1]) < radius
+        }).count();
+        let want = inside as f64 / f64::from(n) * ray.length_m;
+        // At most two boundaries, each off by one sample.
+        prop_assert!((got - want).abs() <= 2.0 * ray.length_m / f64::from(n), "{} {}", got, want);
     }
 }

@@ -27,6 +27,27 @@ message! {
 }
 
 message! {
+    /// The same C-arm as others write it. Camera: s (u, v, 1) = K (R x + t), z towards the detector, pixel centres at
+    /// whole numbers (OpenCV); fx is negative where the picture is seen from the detector's side.
+    pub struct CArmProjection = "trabecula_msgs/msg/CArmProjection" {
+        /// K in pixels, row by row.
+        intrinsics: [f64; 9],
+        /// R, row by row: rows are the camera's axes in the world.
+        rotation: [f64; 9],
+        /// t: the world's origin in the camera.
+        translation_m: [f64; 3],
+        /// DICOM (0018,1510): 0 is detector in front of the chest, positive towards the patient's left.
+        primary_angle_rad: f64,
+        /// DICOM (0018,1511): positive is cranial.
+        secondary_angle_rad: f64,
+        /// DICOM (0018,1110): source to detector, along its normal.
+        source_detector_m: f64,
+        /// DICOM (0018,1111): source to the scene's isocentre, along the detector's normal.
+        source_isocentre_m: f64,
+    }
+}
+
+message! {
     /// Asks for a frame.
     pub struct DrrRequest = "trabecula_msgs/msg/DrrRequest" {
         /// Chosen by the asker, from 1; comes back in the reply and the frame.
@@ -88,6 +109,8 @@ message! {
         t_world_burr: Pose,
         /// C-arm of the frame.
         geometry: CArmGeometry,
+        /// The same C-arm as camera and as positioner.
+        projection: CArmProjection,
     }
 }
 

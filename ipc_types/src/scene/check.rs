@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::model::{Body, Controller, CurvedDrilling, Drives, Drr, Scene, Tool, Volume};
+use super::model::{Body, CArm, Controller, CurvedDrilling, Drives, Drr, Scene, Tool, Volume};
 use crate::messages::{MAX_BODIES, MAX_CONTROLLERS};
 
 /// Why a scene is refused.
@@ -251,7 +251,43 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     checker.range("drr.photons_per_pixel", drr.photons_per_pixel, 0.0, 1e8)?;
     checker.range("drr.blur_pixels", drr.blur_pixels, 0.0, 5.0)?;
     checker.range("drr.oversampling", drr.oversampling, 1.0, 4.0)?;
+    checker.range("drr.detector.gain", drr.detector.gain, 0.01, 100.0)?;
+    checker.range("drr.detector.offset", drr.detector.offset, 0.0, 0.5)?;
+    checker.optional("drr.detector.saturation", drr.detector.saturation, 0.01, 100.0)?;
+    if let Some(spectrum) = &drr.spectrum {
+        checker.range("drr.spectrum.tube_kv", spectrum.tube_kv, 50.0, 120.0)?;
+        checker.range("drr.spectrum.aluminium_mm", spectrum.aluminium_mm, 0.0, 20.0)?;
+        checker.range("drr.spectrum.ct_energy_kev", spectrum.ct_energy_kev, 30.0, 120.0)?;
+        checker.range("drr.spectrum.bone_above_hu", spectrum.bone_above_hu, 0.0, 1000.0)?;
+    }
+    if let Some(notch) = &drr.notch {
+        checker.range("drr.notch.width_mm", notch.width_mm, 0.01, 5.0)?;
+        checker.range("drr.notch.depth_mm", notch.depth_mm, 0.01, 5.9)?;
+    }
+    if let Some(carm) = &drr.carm {
+        check_c_arm(carm, checker)?;
+    }
     checker.range("drr.threads", drr.threads as f64, 1.0, 64.0)
+}
+
+/// Exactly one of the two forms, whole. What the numbers mean is checked where they become a C-arm.
+fn check_c_arm(carm: &CArm, checker: &Checker) -> Result<(), SceneError> {
+    let camera = [carm.intrinsics.is_some(), carm.rotation.is_some(), carm.translation_mm.is_some()];
+    let points = [
+        carm.source_mm.is_some(),
+        carm.detector_centre_mm.is_some(),
+        carm.row_axis.is_some(),
+        carm.column_axis.is_some(),
+    ];
+    let (any, all) = (|keys: &[bool]| keys.contains(&true), |keys: &[bool]| !keys.contains(&false));
+    let as_camera = all(&camera) && !any(&points);
+    let as_points = all(&points) && !any(&camera) && carm.pixel_centre.is_none();
+    if as_camera || as_points {
+        return Ok(());
+    }
+    let problem = "is not one C-arm; expected either `intrinsics`, `rotation`, `translation_mm` (and `pixel_centre`), or \
+                   `source_mm`, `detector_centre_mm`, `row_axis`, `column_axis`";
+    Err(checker.invalid("drr.carm", problem))
 }
 
 fn check_controllers(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {

@@ -337,6 +337,8 @@ pub enum Display {
     BoneDark,
     /// Inverted: bone and metal bright.
     BoneBright,
+    /// The detector's readout itself, no logarithm and no window: 65535 is a readout of 1.
+    Linear,
 }
 
 /// Line integral through the volume.
@@ -351,6 +353,87 @@ pub enum Projector {
     SliceOrdered,
     /// The same with voxels joined two by two by two.
     Preview,
+}
+
+/// The C-arm, where positioner angles do not say it: either as a camera or as points; a key of neither is refused.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CArm {
+    /// Camera: K in pixels, `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`; the detector is |fx| times `pixel_pitch_mm` away.
+    pub intrinsics: Option<[[f64; 3]; 3]>,
+    /// Camera: R, rows are the camera's axes in the world, z towards the detector.
+    pub rotation: Option<[[f64; 3]; 3]>,
+    /// Camera: t, the world's origin in the camera.
+    pub translation_mm: Option<[f64; 3]>,
+    /// Camera: `whole` (OpenCV, the standard) or `half` (DeepDRR).
+    pub pixel_centre: Option<PixelCentre>,
+    /// Points: focal spot.
+    pub source_mm: Option<[f64; 3]>,
+    /// Points: centre of the detector.
+    pub detector_centre_mm: Option<[f64; 3]>,
+    /// Points: unit vector along a row, towards growing column numbers.
+    pub row_axis: Option<[f64; 3]>,
+    /// Points: unit vector along a column, towards growing row numbers.
+    pub column_axis: Option<[f64; 3]>,
+}
+
+/// Where pixel centres are counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PixelCentre {
+    /// At whole numbers.
+    Whole,
+    /// At halves.
+    Half,
+}
+
+/// Many photon energies instead of one: tissue, bone, nitinol and steel each attenuate by NIST's coefficients.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Spectrum {
+    /// Tube voltage, 50 to 120 kV.
+    pub tube_kv: f64,
+    /// Filtration, 0 to 20 mm of aluminium.
+    pub aluminium_mm: f64,
+    /// Effective photon energy of the CT, 30 to 120 keV.
+    pub ct_energy_kev: f64,
+    /// Voxels above this hold bone, 0 to 1000 HU.
+    pub bone_above_hu: f64,
+}
+
+impl Default for Spectrum {
+    fn default() -> Self {
+        Spectrum { tube_kv: 90.0, aluminium_mm: 3.0, ct_energy_kev: 70.0, bone_above_hu: 200.0 }
+    }
+}
+
+/// The detector's readout: `min(gain signal + offset, saturation)`, with a signal of 1 in the open field.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Detector {
+    /// Gain, 0.01 to 100.
+    pub gain: f64,
+    /// Dark signal, 0 to 0.5.
+    pub offset: f64,
+    /// Largest readout, 0.01 to 100; none without it.
+    pub saturation: Option<f64>,
+}
+
+impl Default for Detector {
+    fn default() -> Self {
+        Detector { gain: 1.0, offset: 0.0, saturation: None }
+    }
+}
+
+/// Notches of the manipulator's links, which the published tool does not state: one in the middle of each link, in turns on
+/// either side of the bending plane.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Notch {
+    /// Width along the tool, 0.01 to 5 mm; a shorter link has none.
+    pub width_mm: f64,
+    /// Depth from the tube's surface, 0.01 to 5.9 mm.
+    pub depth_mm: f64,
 }
 
 /// X-ray frames.
@@ -388,9 +471,18 @@ pub struct Drr {
     /// Detector blur (standard deviation), 0 to 5 pixels.
     #[serde(default)]
     pub blur_pixels: f64,
-    /// Bone and metal dark, as the detector sees them, or bright.
+    /// Bone and metal dark, as the detector sees them, or bright; or the readout without logarithm and window.
     #[serde(default = "Drr::default_display")]
     pub display: Display,
+    /// Gain, offset and saturation of the detector.
+    #[serde(default)]
+    pub detector: Detector,
+    /// Many photon energies; absent: `energy_kev` alone.
+    pub spectrum: Option<Spectrum>,
+    /// The C-arm as a camera or as points; absent: by the angles and distances above.
+    pub carm: Option<CArm>,
+    /// Notches of the links; absent: whole tubes.
+    pub notch: Option<Notch>,
     /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered` is bilinear in the
     /// volume's own order and the quickest of full resolution, `preview` is that at half the resolution.
     #[serde(default = "Drr::default_projector")]
