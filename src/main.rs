@@ -7,6 +7,7 @@ mod bench;
 mod commands;
 mod failure;
 mod launcher;
+mod replay;
 mod report;
 
 use std::process::ExitCode;

@@ -6,8 +6,8 @@
 
 use crate::layout::{Description, Message};
 use crate::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Latched, Progress, Removed,
-    RunControl, RunControlReply, RunStatus, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched, Progress,
+    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming, Volume,
 };
 
 /// Which log a service is recorded to.
@@ -45,6 +45,10 @@ pub struct Service {
 
 /// Voxels that one tick may remove: the physics carries the rest over to the next tick.
 pub const MAX_REMOVED_PER_TICK: usize = 4096;
+/// Longest keyframe; a state that needs more has none.
+pub const MAX_KEYFRAME_BYTES: usize = 1 << 20;
+/// Most bytes of it in one message.
+pub const KEYFRAME_PART_BYTES: usize = 16 << 10;
 /// Bytes of an event's text with its NUL.
 pub const MAX_EVENT_TEXT: usize = 1024;
 
@@ -70,6 +74,13 @@ pub const REMOVED: Service = Service {
     history: 0,
     max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4,
     ..fixed::<Removed>("removed", Lane::Run, 512)
+};
+/// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds the longest one.
+pub const KEYFRAME: Service = Service {
+    history: 0,
+    max_subscribers: 2,
+    max_bytes: Keyframe::DESCRIPTION.size + KEYFRAME_PART_BYTES,
+    ..fixed::<Keyframe>("keyframe", Lane::Run, MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES)
 };
 /// `Command`, one service a controller: the writer is known by the service. A recorder may be as far behind its answers
 /// as it is behind the states.
@@ -112,6 +123,7 @@ pub const ALL: &[Service] = &[
     STATE,
     LATCHED,
     REMOVED,
+    KEYFRAME,
     VOLUME,
     FRAME,
     DRR_REQUEST,

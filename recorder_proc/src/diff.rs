@@ -159,7 +159,7 @@ fn compare_frames(
 }
 
 /// A log may hold hashes instead of images: then the frames' own fields decide, the hash among them.
-fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
+pub fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
     let (tick, frame) = (a.frame.tick, Frame::DESCRIPTION);
     compare(topics::DRR_FRAME, tick, frame, a.frame.as_bytes(), b.frame.as_bytes()).or_else(|| {
         let (x, y) = (a.image.as_ref()?, b.image.as_ref()?);

@@ -12,7 +12,7 @@
 //! |---|---|
 //! | [`run_log`], [`timing_log`] | the writers |
 //! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
-//! | [`verify`](mod@verify) | re-execution of a log, compared tick by tick |
+//! | [`verify`](mod@verify), [`segments`] | re-execution of a log, compared tick by tick, and its parallel form |
 //! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
 
 pub mod cat;
@@ -30,6 +30,7 @@ pub mod process;
 pub mod reader;
 mod records;
 pub mod run_log;
+pub mod segments;
 mod sink;
 pub mod stream;
 pub mod timing_log;
@@ -44,8 +45,9 @@ pub use error::LogError;
 pub use frames::{FrameReader, FrameRecord, frames};
 pub use header::{BuildInfo, LogHeader, RunMode};
 pub use info::{LogInfo, info};
-pub use reader::{LogReader, ReadOptions, TickRecord};
+pub use reader::{LogReader, ReadOptions, SavedState, TickRecord};
 pub use run_log::RunLog;
+pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segments};
 pub use stream::{LogMessage, MessageStream};
 pub use timing_log::TimingLog;
-pub use verify::{ReplayReport, Simulation, VerifyOptions, verify};
+pub use verify::{ReplayReport, Resumable, Simulation, VerifyOptions, verify};

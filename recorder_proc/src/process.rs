@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Latched, Progress, Removed, RunControl,
-    RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Progress, Removed,
+    RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume, session_scene};
@@ -125,6 +125,7 @@ struct Ports {
     states: Subscriber<State>,
     latched: Subscriber<Latched>,
     removed: Subscriber<Removed>,
+    keyframes: Subscriber<Keyframe>,
     frames: Option<Subscriber<Frame>>,
     replies: Subscriber<DrrReply>,
     requests: Subscriber<DrrRequest>,
@@ -147,6 +148,7 @@ impl Ports {
             states: session.subscriber(&services::STATE)?,
             latched: session.subscriber(&services::LATCHED)?,
             removed: session.subscriber(&services::REMOVED)?,
+            keyframes: session.subscriber(&services::KEYFRAME)?,
             frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
             replies: session.subscriber(&services::DRR_REPLY)?,
             requests: session.subscriber(&services::DRR_REQUEST)?,
@@ -227,6 +229,9 @@ impl Recorder {
     fn take_inputs(&mut self) -> Result<(), RecorderError> {
         while let Some(latched) = self.ports.latched.receive()? {
             self.run.latched(latched.message())?;
+        }
+        while let Some(keyframe) = self.ports.keyframes.receive()? {
+            self.run.keyframe(keyframe.bytes())?;
         }
         while let Some(removed) = self.ports.removed.receive()? {
             self.run.removed(removed.bytes())?;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use ipc_types::messages::{Latched, Removed, State};
+use ipc_types::messages::{Keyframe, Latched, Removed, State};
 use zerocopy::FromBytes;
 
 use crate::end::Ending;
@@ -23,6 +23,17 @@ pub struct TickRecord {
     pub removed: Vec<u32>,
     /// After a reset: all voxels were put back and these removed again (the predrilled ones) before `removed`.
     pub restored: Option<Vec<u32>>,
+}
+
+/// A whole keyframe of a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SavedState {
+    /// `State.tick` of the state that it saves.
+    pub tick: u64,
+    /// `State.hash` of that state, low word first.
+    pub hash: [u64; 2],
+    /// The physics' own bytes.
+    pub bytes: Vec<u8>,
 }
 
 /// The ticks of a `run.mcap`, in order and without a gap, from a complete log or one cut at any byte.
@@ -46,6 +57,10 @@ struct Pending {
     removal_count: u64,
     /// `removed_total` of the last state.
     removed_total: u64,
+    /// The last keyframe, or what has come of it.
+    keyframe: Option<(SavedState, usize)>,
+    /// Number of keyframe parts so far.
+    keyframe_parts: u64,
 }
 
 impl LogReader {
@@ -98,6 +113,13 @@ impl LogReader {
     /// The stream below, for its metadata and counts.
     pub fn stream(&self) -> &MessageStream {
         &self.stream
+    }
+
+    /// The keyframe behind the tick before the last one that was read, if there is one: of the state in which the last
+    /// tick began. At the end of the log, that of the last state. Taken only once.
+    pub fn take_keyframe(&mut self) -> Option<SavedState> {
+        let whole = |(saved, total): &(SavedState, usize)| saved.bytes.len() == *total;
+        self.pending.keyframe.take_if(|keyframe| whole(keyframe)).map(|(saved, _)| saved)
     }
 
     /// `State.tick` of the last complete tick so far.
@@ -175,10 +197,34 @@ impl Pending {
                     tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
                 self.removals.push((removed, voxels));
             }
+            topics::KEYFRAME => self.take_keyframe_part(path, message.body, last)?,
             topics::STATE => return Ok(State::read_from_bytes(message.body).ok()),
             _ => (),
         }
         Ok(None)
+    }
+
+    fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<u64>) -> Result<(), LogError> {
+        let Ok((head, data)) = Keyframe::read_from_prefix(body) else { return Ok(()) };
+        self.keyframe_parts += 1;
+        let begun = match &self.keyframe {
+            Some((saved, _)) if head.offset_bytes > 0 && saved.tick == head.tick => saved.bytes.len(),
+            _ => 0,
+        };
+        let fits = begun as u64 == u64::from(head.offset_bytes)
+            && u64::from(head.offset_bytes) + data.len() as u64 <= u64::from(head.total_bytes);
+        if head.sequence != self.keyframe_parts || !fits || Some(head.tick) != last {
+            let found = format!("part {} of tick {}, byte {}", head.sequence, head.tick, head.offset_bytes);
+            return Err(gap(path, topics::KEYFRAME, head.tick, &found));
+        }
+        if begun == 0 {
+            let saved = SavedState { tick: head.tick, hash: head.hash, bytes: Vec::new() };
+            self.keyframe = Some((saved, head.total_bytes as usize));
+        }
+        if let Some((saved, _)) = &mut self.keyframe {
+            saved.bytes.extend_from_slice(data);
+        }
+        Ok(())
     }
 
     /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all

@@ -1,12 +1,12 @@
 //! The writer of `run.mcap`, the deterministic lane.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Latched, Removed, State};
+use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::end::{EndMarker, EndReason};
@@ -22,7 +22,8 @@ use crate::topics;
 /// The methods may be called in any interleaving, each topic in its own order. Ticks are written as `Latched` k,
 /// `Removed` k+1, `State` k+1 once these are there. Frames and replies take as long as the renderer takes, so they are
 /// held and written a fixed number of ticks behind the tick that they show ([`frame_lag_ticks`]): two runs with the same
-/// messages leave the same bytes. Only a frame that is later than that is written when it comes.
+/// messages leave the same bytes. Only a frame that is later than that is written when it comes. A keyframe, to be given
+/// before the next tick's messages, stands right behind its state and the frames that are due there.
 ///
 /// `log_time` is tick × dt, for a frame the tick that it shows.
 ///
@@ -31,6 +32,9 @@ pub struct RunLog<W: Write> {
     sink: Sink<W>,
     ticks: TickOrder,
     frames: FrameOrder,
+    keyframes: VecDeque<(u64, Vec<u8>)>,
+    /// Whether this is a copy: see [`RunLog::keep_places`].
+    copies: bool,
     channels: Channels,
     last: Option<State>,
     expected: Expected,
@@ -44,6 +48,7 @@ struct Channels {
     reply: usize,
     frame: usize,
     image: usize,
+    keyframe: usize,
 }
 
 /// Numbers that the next messages should carry.
@@ -53,6 +58,7 @@ struct Expected {
     state_tick: u64,
     removed_sequence: u64,
     frame_sequence: u64,
+    keyframe_sequence: u64,
 }
 
 impl RunLog<BufWriter<File>> {
@@ -79,16 +85,35 @@ impl<W: Write> RunLog<W> {
             reply: channel(3)?,
             frame: channel(4)?,
             image: channel(5)?,
+            keyframe: channel(6)?,
         };
         Ok(RunLog {
             sink,
             ticks: TickOrder::default(),
             frames: FrameOrder::new(header),
+            keyframes: VecDeque::new(),
+            copies: false,
             channels,
             last: None,
-            expected: Expected { removed_sequence: 1, frame_sequence: 1, ..Expected::default() },
+            expected: Expected {
+                removed_sequence: 1,
+                frame_sequence: 1,
+                keyframe_sequence: 1,
+                ..Expected::default()
+            },
             lost: BTreeMap::new(),
         })
+    }
+
+    /// From now on replies, frames and keyframes are written at the place at which they are given, and ticks close no
+    /// chunk ([`RunLog::close_chunk`] does): for whoever writes a log again in the order of its messages.
+    pub fn keep_places(&mut self) {
+        self.copies = true;
+    }
+
+    /// Closes the open chunk.
+    pub fn close_chunk(&mut self) -> Result<(), LogError> {
+        self.sink.close_chunk()
     }
 
     /// Takes u_k.
@@ -118,10 +143,26 @@ impl<W: Write> RunLog<W> {
         self.write_ticks(false)
     }
 
+    /// Takes the bytes of a `Keyframe` message: struct and data.
+    pub fn keyframe(&mut self, message: &[u8]) -> Result<(), LogError> {
+        let size = Keyframe::DESCRIPTION.size;
+        match Keyframe::read_from_prefix(message) {
+            Ok((head, data)) if data.len() == head.data_length as usize => {
+                self.keyframes.push_back((head.tick, message.to_vec()));
+                if self.copies { self.write_keyframes(head.tick) } else { Ok(()) }
+            }
+            Ok((head, _)) => {
+                let expected = size + head.data_length as usize;
+                Err(self.wrong_size(topics::KEYFRAME, message.len(), expected))
+            }
+            Err(_) => Err(self.wrong_size(topics::KEYFRAME, message.len(), size)),
+        }
+    }
+
     /// Takes a reply.
     pub fn drr_reply(&mut self, reply: &DrrReply) -> Result<(), LogError> {
         self.frames.reply(reply);
-        self.write_frames(false)
+        self.write_frames(self.copies)
     }
 
     /// Takes a frame as on the wire: `Frame`, `ImagePrefix`, pixels.
@@ -138,13 +179,13 @@ impl<W: Write> RunLog<W> {
             return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), expected));
         }
         self.frames.frame(&frame, Some(image));
-        self.write_frames(false)
+        self.write_frames(self.copies)
     }
 
     /// Takes a frame whose image is not to be logged: its `pixel_hash` stands for it.
     pub fn frame_without_image(&mut self, frame: &Frame) -> Result<(), LogError> {
         self.frames.frame(frame, None);
-        self.write_frames(false)
+        self.write_frames(self.copies)
     }
 
     /// The last state written.
@@ -165,6 +206,7 @@ impl<W: Write> RunLog<W> {
         lost: &BTreeMap<String, u64>,
     ) -> Result<(EndMarker, W), LogError> {
         self.write_ticks(true)?;
+        self.write_keyframes(u64::MAX)?;
         self.write_frames(true)?;
         let mut all: BTreeMap<String, u64> = self.lost.iter().map(|(k, n)| (k.to_string(), *n)).collect();
         for (topic, &count) in lost.iter().filter(|(_, count)| **count > 0) {
@@ -194,7 +236,27 @@ impl<W: Write> RunLog<W> {
         }
     }
 
+    /// Writes the keyframes of states up to this one, in a chunk of their own: whoever asks for states reads none.
+    fn write_keyframes(&mut self, tick: u64) -> Result<(), LogError> {
+        if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
+            return Ok(());
+        }
+        self.sink.close_chunk()?;
+        while self.keyframes.front().is_some_and(|(of, _)| *of <= tick)
+            && let Some((of, message)) = self.keyframes.pop_front()
+        {
+            if let Ok((head, _)) = Keyframe::read_from_prefix(&message) {
+                let missed = head.sequence.saturating_sub(self.expected.keyframe_sequence);
+                self.count_lost(topics::KEYFRAME, missed);
+                self.expected.keyframe_sequence = head.sequence.saturating_add(1);
+            }
+            self.sink.message(self.channels.keyframe, of, &[&message])?;
+        }
+        self.sink.close_chunk()
+    }
+
     fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
+        self.write_keyframes(latched.tick)?;
         let missed = latched.tick.saturating_sub(self.expected.latched_tick);
         self.count_lost(topics::LATCHED, missed);
         self.expected.latched_tick = latched.tick.saturating_add(1);
@@ -221,7 +283,11 @@ impl<W: Write> RunLog<W> {
         self.frames.tick(state.tick);
         self.write_frames(false)?;
         // Whoever opens the file of a paused run finds its initial state.
-        if first { self.sink.close_chunk() } else { self.sink.end_tick(state.tick) }
+        match (self.copies, first) {
+            (true, _) => Ok(()),
+            (false, true) => self.sink.close_chunk(),
+            (false, false) => self.sink.end_tick(state.tick),
+        }
     }
 
     fn write_frames(&mut self, last: bool) -> Result<(), LogError> {

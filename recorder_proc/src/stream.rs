@@ -34,6 +34,8 @@ pub struct LogMessage<'a> {
     pub sequence: u32,
     /// Simulated time.
     pub log_time_ns: u64,
+    /// Number of its chunk in the file, from 1.
+    pub chunk: u64,
     /// Struct and tail.
     pub body: &'a [u8],
 }
@@ -64,6 +66,7 @@ pub struct MessageStream {
     channels: BTreeMap<u16, Channel>,
     position: usize,
     in_chunk: bool,
+    chunks: u64,
     ending: Ending,
     done: bool,
 }
@@ -115,6 +118,7 @@ impl MessageStream {
             channels: BTreeMap::new(),
             position: 0,
             in_chunk: false,
+            chunks: 0,
             ending: Ending::default(),
             done: false,
         })
@@ -164,6 +168,7 @@ impl MessageStream {
             description,
             sequence: found.sequence,
             log_time_ns: found.log_time_ns,
+            chunk: self.chunks,
             body: &self.records.chunk()[found.body],
         }))
     }
@@ -180,7 +185,10 @@ impl MessageStream {
                 }
             }
             match self.records.next_record()? {
-                FileRecord::Chunk => (self.position, self.in_chunk) = (0, true),
+                FileRecord::Chunk => {
+                    (self.position, self.in_chunk) = (0, true);
+                    self.chunks += 1;
+                }
                 FileRecord::Metadata { name, entries } if name == END_RECORD => self.end_marker(&entries)?,
                 FileRecord::Metadata { .. } | FileRecord::Attachment { .. } => (),
                 FileRecord::End => self.done = true,

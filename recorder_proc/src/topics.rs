@@ -1,7 +1,9 @@
 //! Topic names of the two logs.
 
 use ipc_types::layout::{Description, Message};
-use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Latched, Removed, SENSOR_MSGS_IMAGE_SCHEMA, State};
+use ipc_types::messages::{
+    DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, SENSOR_MSGS_IMAGE_SCHEMA, State,
+};
 
 /// u_k, before the state that it leads to.
 pub const LATCHED: &str = "/latched";
@@ -9,6 +11,8 @@ pub const LATCHED: &str = "/latched";
 pub const STATE: &str = "/state";
 /// The voxels that a tick removed.
 pub const REMOVED: &str = "/removed";
+/// Everything that the physics keeps between ticks, now and then: where a replay can begin.
+pub const KEYFRAME: &str = "/keyframe";
 /// Which tick a frame will show.
 pub const DRR_REPLY: &str = "/drr/reply";
 /// What a frame shows.
@@ -40,13 +44,14 @@ pub fn command(controller: &str) -> String {
 pub const IMAGE_SCHEMA_NAME: &str = "sensor_msgs/msg/Image";
 
 /// The topics of `run.mcap` in the order in which their channels are declared.
-pub const RUN: [(&str, &Description); 6] = [
+pub const RUN: [(&str, &Description); 7] = [
     (LATCHED, Latched::DESCRIPTION),
     (STATE, State::DESCRIPTION),
     (REMOVED, Removed::DESCRIPTION),
     (DRR_REPLY, DrrReply::DESCRIPTION),
     (DRR_FRAME, Frame::DESCRIPTION),
     (DRR_IMAGE, ImagePrefix::DESCRIPTION),
+    (KEYFRAME, Keyframe::DESCRIPTION),
 ];
 
 /// Schema name and text under which a message is logged: its own, but for images that of sensor_msgs/msg/Image.

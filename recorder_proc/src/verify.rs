@@ -7,7 +7,7 @@ use zerocopy::IntoBytes;
 use crate::difference::{Divergence, compare, compare_removed};
 use crate::end::Ending;
 use crate::error::LogError;
-use crate::reader::LogReader;
+use crate::reader::{LogReader, TickRecord};
 use crate::topics;
 
 /// What a log can be replayed through: the physics, built from the log's scene.
@@ -22,6 +22,20 @@ pub trait Simulation {
     /// Voxels that the last step drilled away, in the order of the physics; not those that a reset put back or removed
     /// again.
     fn removed(&self) -> &[u32];
+}
+
+/// A simulation that a keyframe can be made of, and that can begin at one.
+pub trait Resumable: Simulation {
+    /// The present state's keyframe.
+    ///
+    /// # Errors
+    /// Why there is none, for people.
+    fn save(&mut self) -> Result<Vec<u8>, String>;
+    /// Goes to a keyframe.
+    ///
+    /// # Errors
+    /// Why it cannot, for people; the simulation is not to be used any more.
+    fn resume(&mut self, keyframe: &[u8]) -> Result<(), String>;
 }
 
 /// How far to replay.
@@ -91,8 +105,7 @@ pub fn verify(
                     report.simulation_error = Some((tick.state.tick, cause));
                     break;
                 }
-                report.divergence = compare_state(&tick.state, simulation.state())
-                    .or_else(|| compare_removed(tick.state.tick, &tick.removed, simulation.removed()));
+                report.divergence = compare_tick(&tick, simulation);
                 if report.divergence.is_none() {
                     report.identical_ticks += 1;
                     report.last_tick = tick.state.tick;
@@ -103,6 +116,12 @@ pub fn verify(
     }
     report.simulated_ns = report.identical_ticks.saturating_mul(reader.header().dt_ns);
     report
+}
+
+/// Where a simulation's last tick differs from the recorded one.
+pub fn compare_tick(recorded: &TickRecord, replayed: &impl Simulation) -> Option<Divergence> {
+    compare_state(&recorded.state, replayed.state())
+        .or_else(|| compare_removed(recorded.state.tick, &recorded.removed, replayed.removed()))
 }
 
 /// Where two states of a tick differ.

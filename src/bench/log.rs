@@ -7,13 +7,14 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
 use physics_proc::process::ct_geometry;
 use physics_proc::simulation::{CtView, Simulation};
-use recorder_proc::LogReader;
+use recorder_proc::{LogReader, SegmentOptions, verify_segments};
 
 use super::machine::Machine;
 use super::{complete_run, cut, failed, row};
 use crate::failure::Failure;
 use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source;
+use crate::replay::{OpenedLog, Overrides};
 
 /// Records the scene in lockstep to its end, or for `ticks`, and replays the log without frames.
 ///
@@ -45,8 +46,26 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     }
     let replay_s = replay(&plan.scene, &folder.path().join("run.mcap"))?;
     row("replay without frames", &format!("{replay_s:.2} s, {:.1} times real time", simulated_s / replay_s));
+    let (verify_s, threads) = verify(&folder.path().join("run.mcap"))?;
+    row(
+        &format!("replay --verify, {threads} threads"),
+        &format!("{verify_s:.2} s, {:.1} times real time", simulated_s / verify_s),
+    );
     machine.print();
     Ok(())
+}
+
+/// Seconds of a verification between keyframes, on a thread a core.
+fn verify(log: &Path) -> Result<(f64, usize), Failure> {
+    let opened = OpenedLog::open(log, &Overrides::default())?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let began = Instant::now();
+    let options = SegmentOptions { start: None, to_tick: None, threads };
+    let found = verify_segments(&mut opened.reader()?, &|| opened.world(), &options).replay;
+    if !found.is_identical() {
+        return Err(Failure::failed(format!("the replay differs behind tick {}", found.last_tick)));
+    }
+    Ok((began.elapsed().as_secs_f64(), threads))
 }
 
 /// Seconds from the first tick to the last, reading included; the end must have the log's hash.

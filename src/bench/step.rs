@@ -10,6 +10,7 @@ use drr_proc::process::{
 use drr_proc::{CArm, DrrRenderer, VolumeView};
 use ipc_types::messages::{Command, State, Volume as VolumeMessage};
 use ipc_types::scene::{Drr, Mode, Scene};
+use ipc_types::services::MAX_KEYFRAME_BYTES;
 use physics_proc::latch::Latch;
 use physics_proc::process::ct_geometry;
 use physics_proc::simulation::{CtView, Simulation};
@@ -43,10 +44,18 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
         _ => None,
     };
     let machine = Machine::watch();
-    let mut bench = Bench { simulation, x_ray, steps: Samples::default() };
+    let mut bench = Bench {
+        simulation,
+        x_ray,
+        steps: Samples::default(),
+        keyframes: Samples::default(),
+        keyframe: vec![0; MAX_KEYFRAME_BYTES],
+        keyframe_bytes: 0,
+    };
     bench.play(&scene)?;
     say!("scene {}, {} ticks of {} ms in one process\n", scene.name, scene.tick_count(), scene.run.dt_ms);
     row("physics step", &bench.steps.line());
+    row(&format!("keyframe, {} bytes at the end", bench.keyframe_bytes), &bench.keyframes.line());
     if let Some(mut x_ray) = bench.x_ray.take() {
         x_ray.render_from_elsewhere(bench.simulation.state())?;
         let what =
@@ -62,6 +71,9 @@ struct Bench<'v> {
     simulation: Simulation<'v>,
     x_ray: Option<XRay<'v>>,
     steps: Samples,
+    keyframes: Samples,
+    keyframe: Vec<u8>,
+    keyframe_bytes: usize,
 }
 
 impl Bench<'_> {
@@ -82,6 +94,11 @@ impl Bench<'_> {
             let began = Instant::now();
             self.simulation.step(&latched).map_err(failed)?;
             self.steps.add(began.elapsed().as_nanos() as u64);
+            if scene.keyframe_period_ticks().is_some_and(|period| (tick + 1).is_multiple_of(period)) {
+                let began = Instant::now();
+                self.keyframe_bytes = self.simulation.write_keyframe(&mut self.keyframe).map_err(failed)?;
+                self.keyframes.add(began.elapsed().as_nanos() as u64);
+            }
         }
         Ok(())
     }

@@ -4,67 +4,115 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
-use ipc_types::layout::hex;
-use ipc_types::messages::{Latched, State};
-use ipc_types::scene::Scene;
-use physics_proc::process::ct_geometry;
-use physics_proc::simulation::{CtView, Simulation};
-use recorder_proc::{BuildInfo, LogReader, ReadOptions, ReplayReport, VerifyOptions, verify};
+use recorder_proc::{
+    ReplayReport, Resumable as _, SavedState, SegmentOptions, Simulation as _, keyframe_before,
+    verify_segments,
+};
 
 use crate::failure::Failure;
-use crate::launcher::volume_source;
+use crate::replay::{LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
 
 /// Arguments of `replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArguments {
     /// `run.mcap`, or the folder of a run.
     pub log: PathBuf,
-    /// Compare hash, state and removed voxels at every tick; the first difference ends the replay with exit code 1.
+    /// Compare hash, state and removed voxels at every tick, and every keyframe; exit code 1 names the first difference.
     #[arg(long)]
     pub verify: bool,
-    /// Ticks to replay at most.
+    /// Where to begin: a tick, or seconds such as `1.5s`. The replay begins at the last keyframe before it.
+    #[arg(long, value_parser = Moment::parse)]
+    pub from: Option<Moment>,
+    /// Where to end: a tick, or seconds.
+    #[arg(long, value_parser = Moment::parse)]
+    pub to: Option<Moment>,
+    /// Threads of `--verify` and `--frames`; by default one a core.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
+    /// Render the X-ray frames again and compare them.
     #[arg(long)]
-    pub ticks: Option<u64>,
-    /// Replay though the log is of another build or volume; the result is labelled so.
+    pub frames: bool,
+    /// Record the replay: writes `run.mcap` into this folder, and compares the two files.
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["from", "to"])]
+    pub record: Option<PathBuf>,
+    /// Run this program as a controller of the scene, show it the log's states, compare what it answers. May be repeated.
+    #[arg(long, value_name = "[NAME=]COMMAND", conflicts_with_all = ["verify", "from", "frames", "record"])]
+    pub controller: Vec<String>,
+    /// With `--controller`: step the physics with the live answers, in lockstep.
+    #[arg(long, requires = "controller")]
+    pub closed_loop: bool,
+    /// Where the CT file of the log's scene lies now; its content must be the same.
+    #[arg(long, value_name = "PATH")]
+    pub volume: Option<PathBuf>,
+    /// Replay the commands in this scene (with `--allow-mismatch`, unless it is the same).
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+    /// Replay though the log is of another build, layout, scene or volume; the result is labelled so.
     #[arg(long)]
     pub allow_mismatch: bool,
+}
+
+/// A tick, or simulated time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Moment {
+    /// `State.tick`.
+    Tick(u64),
+    /// Seconds.
+    Seconds(f64),
+}
+
+impl Moment {
+    fn parse(text: &str) -> Result<Moment, String> {
+        let seconds = text.strip_suffix('s').and_then(|number| number.trim().parse::<f64>().ok());
+        match (seconds, text.parse()) {
+            (Some(seconds), _) if (0.0..=1e9).contains(&seconds) => Ok(Moment::Seconds(seconds)),
+            (None, Ok(tick)) => Ok(Moment::Tick(tick)),
+            _ => Err("expected a tick such as 1500, or seconds such as 1.5s".to_owned()),
+        }
+    }
+
+    fn tick(self, dt_ns: u64) -> u64 {
+        match self {
+            Moment::Tick(tick) => tick,
+            Moment::Seconds(seconds) => (seconds * 1e9 / dt_ns as f64 + 0.5) as u64,
+        }
+    }
 }
 
 /// Replays a log.
 ///
 /// # Errors
-/// Bad input (2): not a log, another build, layout or volume. A difference (1).
+/// Bad input (2): not a log, another build, layout, scene or volume. A difference (1).
 pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
-    let path = log_path(&arguments.log);
-    let options = ReadOptions { allow_other_layouts: arguments.allow_mismatch };
-    let mut reader = LogReader::open_with(&path, options).map_err(Failure::bad_input)?;
-    let mut mismatches = build_mismatch(&reader);
-    let scene = Scene::parse(&reader.header().scene_toml, &path).map_err(Failure::bad_input)?;
-    let volume = volume_source::load(&scene).map_err(Failure::bad_input)?;
-    mismatches.extend(volume_mismatch(&reader, volume.as_ref().map(|(_, hash)| hash)));
-    if !mismatches.is_empty() && !arguments.allow_mismatch {
-        let list = mismatches.join("\n  ");
-        return Err(Failure::bad_input(format!(
-            "{}: this log cannot be replayed here:\n  {list}\nuse what made it, or --allow-mismatch",
-            path.display()
-        )));
-    }
-    let ct = volume.as_ref().map(|(volume, hash)| {
-        let message = volume_source::message(volume, *hash);
-        CtView { geometry: ct_geometry(&message), hu: &volume.hu }
-    });
-    let simulation = Simulation::new(&scene, ct).map_err(|cause| Failure::failed(cause.to_string()))?;
-    let began = Instant::now();
-    let mut world = World { simulation };
-    let report = if arguments.verify {
-        verify(&mut reader, &mut world, VerifyOptions { max_ticks: arguments.ticks })
-    } else {
-        step_only(&mut reader, &mut world, arguments.ticks)?
+    let overrides = Overrides {
+        volume: arguments.volume.clone(),
+        scene: arguments.scene.clone(),
+        allow_mismatch: arguments.allow_mismatch,
     };
-    let wall_s = began.elapsed().as_secs_f64();
-    let label = if mismatches.is_empty() { "" } else { " (MISMATCH ALLOWED)" };
-    let stopped_early = arguments.ticks.is_some_and(|most| report.identical_ticks >= most);
-    tell(&report, wall_s, (arguments.verify, stopped_early), label)
+    let log = OpenedLog::open(&arguments.log, &overrides)?;
+    let dt_ns = log.reader()?.header().dt_ns;
+    let from = arguments.from.map_or(0, |moment| moment.tick(dt_ns));
+    let to = arguments.to.map(|moment| moment.tick(dt_ns));
+    if let Some(to) = to.filter(|to| *to < from) {
+        return Err(Failure::bad_input(format!("--to is tick {to}, before --from, tick {from}")));
+    }
+    if !arguments.controller.is_empty() {
+        return live(arguments, &log, to.unwrap_or(u64::MAX));
+    }
+    if let Some(folder) = &arguments.record {
+        let threads = arguments.frames.then(|| arguments.threads());
+        return tell_recorded(&record(&log, folder, threads)?, &log);
+    }
+    replay(arguments, &log, (from, to))?;
+    if arguments.frames {
+        let began = Instant::now();
+        let threads = arguments.threads();
+        let frames = verify_frames(&log, (from, to.unwrap_or(u64::MAX)), threads)?;
+        let wall_s = began.elapsed().as_secs_f64();
+        let label = log.label();
+        say!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s");
+    }
+    Ok(())
 }
 
 /// `run.mcap` of a folder, or the file itself.
@@ -72,101 +120,158 @@ pub fn log_path(given: &Path) -> PathBuf {
     if given.is_dir() { given.join("run.mcap") } else { given.to_owned() }
 }
 
-fn build_mismatch(reader: &LogReader) -> Vec<String> {
-    let (theirs, ours) = (&reader.header().build, BuildInfo::current());
-    if *theirs == ours {
-        return Vec::new();
+impl ReplayArguments {
+    fn threads(&self) -> usize {
+        let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+        self.threads.map_or_else(cores, usize::from)
     }
-    let name = |build: &BuildInfo| {
-        format!(
-            "{} for {} by {}",
-            build.version,
-            build.target,
-            build.rustc.as_deref().unwrap_or("an unknown compiler")
-        )
+}
+
+/// Steps the physics from the keyframe before `from`, or the start, to `to`, or the end.
+fn replay(
+    arguments: &ReplayArguments,
+    log: &OpenedLog,
+    (from, to): (u64, Option<u64>),
+) -> Result<(), Failure> {
+    let began = Instant::now();
+    let start = if from > 0 { keyframe_before(log.reader()?, from) } else { None };
+    let first = start.as_ref().map_or(0, |saved| saved.tick);
+    let mut told =
+        Told { verified: arguments.verify, first, keyframes: 0, to, label: log.label(), wall_s: 0.0 };
+    let report = if arguments.verify {
+        let options = SegmentOptions { start, to_tick: to, threads: arguments.threads() };
+        let found = verify_segments(&mut log.reader()?, &|| log.world(), &options);
+        told.keyframes = found.identical_keyframes;
+        found.replay
+    } else {
+        step_only(log, start, to)?
     };
-    vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
-}
-
-fn volume_mismatch(reader: &LogReader, ours: Option<&[u8; 32]>) -> Vec<String> {
-    let theirs = reader.header().volume_sha256;
-    if theirs.as_ref() == ours {
-        return Vec::new();
-    }
-    let name = |hash: Option<&[u8; 32]>| hash.map_or("none".to_owned(), |hash| hex(hash));
-    vec![format!("volume: the log's has SHA-256 {}, the scene's now {}", name(theirs.as_ref()), name(ours))]
-}
-
-/// The physics as the log library wants it.
-struct World<'v> {
-    simulation: Simulation<'v>,
-}
-
-impl recorder_proc::Simulation for World<'_> {
-    fn state(&self) -> &State {
-        self.simulation.state()
-    }
-
-    fn step(&mut self, latched: &Latched) -> Result<(), String> {
-        self.simulation.step(latched).map_err(|cause| cause.to_string())
-    }
-
-    fn removed(&self) -> &[u32] {
-        self.simulation.removed()
-    }
+    told.wall_s = began.elapsed().as_secs_f64();
+    told.tell(&report)
 }
 
 /// Steps without comparing, and says where it came out.
-fn step_only(reader: &mut LogReader, world: &mut World, ticks: Option<u64>) -> Result<ReplayReport, Failure> {
-    use recorder_proc::Simulation as _;
-    // A replay of no tick gives an empty report to fill.
-    let mut report = verify(reader, world, VerifyOptions { max_ticks: Some(0) });
-    report.divergence = None;
-    while ticks.is_none_or(|most| report.identical_ticks < most) {
-        let Some(record) = reader.next() else {
-            report.ending = reader.ending().clone();
-            break;
-        };
-        let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
-        world.step(&record.latched).map_err(Failure::failed)?;
-        report.identical_ticks += 1;
-        report.last_tick = world.state().tick;
-        report.hash = world.state().hash;
-        report.simulated_ns += reader.header().dt_ns;
+fn step_only(log: &OpenedLog, start: Option<SavedState>, to: Option<u64>) -> Result<ReplayReport, Failure> {
+    let mut reader = log.reader()?;
+    let mut world = log.world().map_err(Failure::failed)?;
+    if let Some(start) = &start {
+        world.resume(&start.bytes).map_err(Failure::failed)?;
     }
-    Ok(report)
+    let first = world.state().tick;
+    while to.is_none_or(|to| world.state().tick < to) {
+        let Some(record) = reader.next() else { break };
+        let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+        if record.latched.tick >= first {
+            world.step(&record.latched).map_err(Failure::failed)?;
+        }
+    }
+    let (tick, hash) = (world.state().tick, world.state().hash);
+    Ok(ReplayReport {
+        identical_ticks: tick - first,
+        last_tick: tick,
+        simulated_ns: (tick - first).saturating_mul(reader.header().dt_ns),
+        hash,
+        divergence: None,
+        simulation_error: None,
+        log_error: None,
+        ending: reader.ending().clone(),
+    })
 }
 
-fn tell(
-    report: &ReplayReport,
+/// What is said about a replay besides its report.
+struct Told {
+    verified: bool,
+    first: u64,
+    keyframes: u64,
+    to: Option<u64>,
+    label: String,
     wall_s: f64,
-    (verified, stopped_early): (bool, bool),
-    label: &str,
-) -> Result<(), Failure> {
-    let simulated_s = report.simulated_ns as f64 * 1e-9;
-    let hash = recorder_proc::end::hash_text(report.hash);
-    if let Some(error) = &report.log_error {
-        return Err(Failure::failed(format!(
-            "the log cannot be read further than tick {}: {error}",
-            report.last_tick
-        )));
+}
+
+impl Told {
+    fn tell(&self, report: &ReplayReport) -> Result<(), Failure> {
+        let simulated_s = report.simulated_ns as f64 * 1e-9;
+        let hash = recorder_proc::end::hash_text(report.hash);
+        let label = &self.label;
+        if let Some(error) = &report.log_error {
+            return Err(Failure::failed(format!(
+                "the log cannot be read further than tick {}: {error}",
+                report.last_tick
+            )));
+        }
+        if let Some((tick, cause)) = &report.simulation_error {
+            return Err(Failure::failed(format!("tick {tick} cannot be made: {cause}{label}")));
+        }
+        if let Some(divergence) = &report.divergence {
+            return Err(Failure::failed(format!("{divergence}{label}")));
+        }
+        let from =
+            if self.first > 0 { format!(" from the keyframe of tick {}", self.first) } else { String::new() };
+        let what = if self.verified { format!("ticks{from}, all identical") } else { format!("ticks{from}") };
+        say!(
+            "replayed {} {what}{label}; last tick {}, hash {hash}; {simulated_s:.3} s simulated in {:.3} s, {:.1} times real time",
+            report.identical_ticks,
+            report.last_tick,
+            self.wall_s,
+            simulated_s / self.wall_s.max(1e-9)
+        );
+        if self.verified {
+            say!("{} keyframes, all identical", self.keyframes);
+        }
+        // A replay that was told to stop early has not read how the log ends.
+        if self.to.is_none_or(|to| report.last_tick < to) {
+            say!("{}", report.ending.describe());
+        }
+        Ok(())
     }
-    if let Some((tick, cause)) = &report.simulation_error {
-        return Err(Failure::failed(format!("tick {tick} cannot be made: {cause}")));
+}
+
+fn tell_recorded(recorded: &crate::replay::Recorded, log: &OpenedLog) -> Result<(), Failure> {
+    let [theirs, ours] = &recorded.sha256;
+    let label = log.label();
+    say!("recorded {} ticks and {} frames again{label}", recorded.ticks, recorded.frames);
+    say!("sha256 {theirs}  {}\nsha256 {ours}  {}", log.path.display(), recorded.path.display());
+    if let Some(remark) = &recorded.remark {
+        say!("{remark}");
     }
-    if let Some(divergence) = &report.divergence {
-        return Err(Failure::failed(format!("{divergence}{label}")));
+    if theirs == ours {
+        say!("the same file");
+        return Ok(());
     }
-    let what = if verified { "ticks, all identical" } else { "ticks" };
-    say!(
-        "replayed {} {what}{label}; last tick {}, hash {hash}; {simulated_s:.3} s simulated in {wall_s:.3} s, {:.1} times real time",
-        report.identical_ticks,
-        report.last_tick,
-        simulated_s / wall_s.max(1e-9)
-    );
-    // A replay that was told to stop early has not read how the log ends.
-    if !stopped_early {
-        say!("{}", report.ending.describe());
+    Err(Failure::failed("every message is identical, the files are not: see how the log ends, above"))
+}
+
+fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: u64) -> Result<(), Failure> {
+    let controllers = arguments.controller.iter().map(|text| controller(text, log));
+    let plan = LivePlan {
+        controllers: controllers.collect::<Result<_, _>>()?,
+        closed_loop: arguments.closed_loop,
+        to_tick,
+    };
+    let label = log.label();
+    for (name, commands) in run_live(log, &plan)? {
+        say!("controller `{name}`: {commands} commands, all identical{label}");
     }
     Ok(())
+}
+
+/// `NAME=COMMAND`, or only the command if the scene has one controller. Words as a shell splits them.
+fn controller(text: &str, log: &OpenedLog) -> Result<(String, Vec<String>), Failure> {
+    let names = log.scene.controller_names();
+    let named = text.split_once('=').filter(|(name, _)| names.iter().any(|of_scene| of_scene == name));
+    let (name, command) = match (named, names.as_slice()) {
+        (Some((name, command)), _) => (name.to_owned(), command),
+        (None, [only]) => (only.clone(), text),
+        (None, _) => {
+            let names = names.join("`, `");
+            return Err(Failure::bad_input(format!(
+                "--controller {text}: expected NAME=COMMAND with a NAME of the log's scene: `{names}`"
+            )));
+        }
+    };
+    let words = shlex::split(command).filter(|words| !words.is_empty());
+    let words = words.ok_or_else(|| {
+        Failure::bad_input(format!("--controller {text}: no program, or a quote that is not closed"))
+    })?;
+    Ok((name, words))
 }

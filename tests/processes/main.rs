@@ -10,6 +10,8 @@ mod common;
 mod ends;
 mod frames;
 mod late_controllers;
+mod promise;
 mod replay;
 mod run_control;
 mod runs;
+mod schedules;

@@ -7,6 +7,7 @@ mod command;
 mod geometry;
 mod hub;
 mod image;
+mod keyframe;
 mod state;
 mod timing;
 mod volume;
@@ -15,6 +16,7 @@ pub use command::*;
 pub use geometry::*;
 pub use hub::*;
 pub use image::*;
+pub use keyframe::*;
 pub use state::*;
 pub use timing::*;
 pub use volume::*;
@@ -40,6 +42,7 @@ pub const ALL: &[&Description] = &[
     Command::DESCRIPTION,
     Latched::DESCRIPTION,
     Removed::DESCRIPTION,
+    Keyframe::DESCRIPTION,
     Volume::DESCRIPTION,
     Frame::DESCRIPTION,
     DrrRequest::DESCRIPTION,

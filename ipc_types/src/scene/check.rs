@@ -116,6 +116,9 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
     }
     check_bodies(scene, &checker)?;
     check_tool(&scene.tool, &checker)?;
+    if scene.recording.keyframe_interval_s != 0.0 {
+        checker.range("recording.keyframe_interval_s", scene.recording.keyframe_interval_s, 0.01, 3600.0)?;
+    }
     check_overrides(scene, &checker)?;
     if let Some(drr) = &scene.drr {
         check_drr(drr, &checker)?;

@@ -72,4 +72,10 @@ impl Scene {
         let rate_hz = self.drr.as_ref()?.rate_hz;
         (rate_hz > 0.0).then(|| ((1.0 / (rate_hz * self.dt_s())) + 0.5).max(1.0) as u64)
     }
+
+    /// Ticks between two keyframes; `None` without.
+    pub fn keyframe_period_ticks(&self) -> Option<u64> {
+        let interval_s = self.recording.keyframe_interval_s;
+        (interval_s > 0.0).then(|| (interval_s / self.dt_s() + 0.5).max(1.0) as u64)
+    }
 }

@@ -612,10 +612,12 @@ pub enum Images {
 pub struct Recording {
     /// Frames whole, or only their geometry and hash: they are a function of scene and state.
     pub images: Images,
+    /// Simulated time between two keyframes, from which a replay can begin; 0.01 to 3600 s, or 0 for none.
+    pub keyframe_interval_s: f64,
 }
 
 impl Default for Recording {
     fn default() -> Self {
-        Recording { images: Images::Full }
+        Recording { images: Images::Full, keyframe_interval_s: 2.0 }
     }
 }

@@ -5,6 +5,7 @@ use super::kinematics::{Joints, LinkFrames, UrGeometry, solve_rates, stack};
 use super::parameters::{ArmError, CartesianLimits, JointLimits};
 use super::trajectory::AxisLimits;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
 
 /// Intervals in which a line is looked at before it is accepted.
 const LINE_INTERVALS: usize = 32;
@@ -18,7 +19,7 @@ const SAME_LINE_TOLERANCE: f64 = 1e-9;
 const PARAMETER_CEILING: [f64; 3] = [1e4, 1e6, 1e8];
 
 /// A straight translation and a turn about a fixed axis, in proportion to one parameter: 0 at the start, 1 at the goal.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Line {
     start: Isometry3<f64>,
     translation_m: Vector3<f64>,

@@ -27,9 +27,10 @@ use line::{JointsOnLine, Line, LineFollower};
 use motion::{JointMotion, LineMotion, Motion, NextLine};
 use nalgebra::{Isometry3, Vector3};
 use planning::check_speed;
+use serde::{Deserialize, Serialize};
 
 /// Which command the arm follows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ArmMode {
     /// Stopping or standing.
     Hold,
@@ -44,7 +45,7 @@ pub enum ArmMode {
 }
 
 /// The arm after a tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArmState {
     /// Joint angles.
     pub q_rad: Joints,
@@ -67,11 +68,13 @@ pub struct ArmState {
     /// The goal is reached (for `Hold`: the arm stands) and the arm is at rest.
     pub done: bool,
     /// Why an accepted motion was given up and the arm stopped; `None` again with the next accepted command.
+    /// Nothing depends on it: it is not saved in bytes.
+    #[serde(skip)]
     pub fault: Option<ArmError>,
 }
 
 /// All of an arm's state, as plain data: see [`Arm::snapshot`].
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArmSnapshot {
     motion: Motion,
     state: ArmState,

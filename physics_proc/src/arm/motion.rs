@@ -1,10 +1,12 @@
 //! The motion in progress as plain data: with a tick count, all that a snapshot needs to continue bit for bit.
 
+use serde::{Deserialize, Serialize};
+
 use super::line::Line;
 use super::trajectory::{AxisLimits, Segment};
 
 /// What the arm is doing.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Motion {
     /// Standing still.
     Rest,
@@ -15,7 +17,7 @@ pub(super) enum Motion {
 }
 
 /// A segment of the six joints.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct JointMotion {
     pub(super) segment: Segment<6>,
     pub(super) duration_s: f64,
@@ -26,7 +28,7 @@ pub(super) struct JointMotion {
 }
 
 /// A segment of a line's parameter.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct LineMotion {
     pub(super) line: Line,
     pub(super) segment: Segment<1>,
@@ -38,7 +40,7 @@ pub(super) struct LineMotion {
 }
 
 /// A line that waits for the arm to stand still at its start.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct NextLine {
     pub(super) line: Line,
     pub(super) limits: AxisLimits<1>,

@@ -4,6 +4,7 @@ use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Joints, UrGeometry};
 use super::trajectory::TrajectoryError;
 use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use thiserror::Error;
 
@@ -137,7 +138,7 @@ pub fn place_base_for(geometry: &UrGeometry, t_world_flange: &Isometry3<f64>) ->
 /// What the arm can be told, named after CRTK. `speed_fraction` in (0, 1] scales the joints' velocity limits.
 ///
 /// A command equal to the last accepted one changes nothing, so a latched command may be given again every tick.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ArmCommand {
     /// Stop as soon as the jerk limits allow (on the line, during `MoveCp`) and stay.
     Hold,

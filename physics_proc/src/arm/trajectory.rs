@@ -13,16 +13,20 @@
 //! machine and build, and between machines with the same C library only.
 
 use ruckig::{ControlInterface, InputParameter, Ruckig, Synchronization, Trajectory};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Position, velocity and acceleration of N axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AxisState<const N: usize> {
     /// Position, in the axis' unit.
+    #[serde(with = "serde_arrays")]
     pub position: [f64; N],
     /// First derivative by time in seconds.
+    #[serde(with = "serde_arrays")]
     pub velocity: [f64; N],
     /// Second derivative.
+    #[serde(with = "serde_arrays")]
     pub acceleration: [f64; N],
 }
 
@@ -34,29 +38,32 @@ impl<const N: usize> AxisState<N> {
 }
 
 /// Where a segment ends: always at rest.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Goal<const N: usize> {
     /// At rest at this position, every axis as early as it can. An axis that can stop within its range does so.
-    Independent([f64; N]),
+    Independent(#[serde(with = "serde_arrays")] [f64; N]),
     /// At rest at this position, all axes in proportion: a straight line. Only from rest.
-    StraightLine([f64; N]),
+    StraightLine(#[serde(with = "serde_arrays")] [f64; N]),
     /// At rest anywhere, as soon as possible.
     Standstill,
 }
 
 /// Symmetric limits of N axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AxisLimits<const N: usize> {
     /// Greatest absolute velocity.
+    #[serde(with = "serde_arrays")]
     pub velocity: [f64; N],
     /// Greatest absolute acceleration.
+    #[serde(with = "serde_arrays")]
     pub acceleration: [f64; N],
     /// Greatest absolute jerk.
+    #[serde(with = "serde_arrays")]
     pub jerk: [f64; N],
 }
 
 /// One jerk-limited motion from a state to rest.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Segment<const N: usize> {
     /// State at time zero; beyond the limits it is first brought back into them.
     pub start: AxisState<N>,

@@ -62,13 +62,13 @@ pub struct BoneField {
 /// What drilling has changed in a field: enough to continue bit for bit in a field of the same CT and scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoneSnapshot {
-    voxel_count: usize,
-    predrilled_count: u64,
-    blocks: Vec<u32>,
-    spent: Vec<f64>,
-    removed: Vec<u32>,
-    waiting: Vec<u32>,
-    removed_total: u64,
+    pub(super) voxel_count: usize,
+    pub(super) predrilled_count: u64,
+    pub(super) blocks: Vec<u32>,
+    pub(super) spent: Vec<f64>,
+    pub(super) removed: Vec<u32>,
+    pub(super) waiting: Vec<u32>,
+    pub(super) removed_total: u64,
 }
 
 impl BoneField {

@@ -21,6 +21,7 @@ mod near;
 mod occupancy;
 mod predrill;
 pub mod query;
+mod saved;
 mod spline;
 mod strength;
 mod surface;

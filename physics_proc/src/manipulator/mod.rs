@@ -304,6 +304,11 @@ impl Manipulator {
         energy
     }
 
+    /// The whole dynamic state.
+    pub(crate) fn state(&self) -> &ManipulatorState {
+        &self.state
+    }
+
     /// A copy of the whole dynamic state.
     pub fn snapshot(&self) -> ManipulatorState {
         self.state.clone()

@@ -1,12 +1,13 @@
 //! Dimensions, stiffnesses, masses and solver settings of a manipulator, and the checks on them.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use super::error::{ManipulatorError, check, check_all};
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
 
 /// How a step is integrated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Integrator {
     /// First order, damps what the step does not resolve, never blew up in the stress matrix.
     LinearlyImplicitEuler,

@@ -1,6 +1,7 @@
 //! What goes into a step, what comes out, and the state between steps.
 
 use nalgebra::{Isometry3, Vector3};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
 use crate::contact_plane::ContactPlane;
 
@@ -10,7 +11,7 @@ use super::tendon::TendonMemory;
 use super::{MAX_CONTACTS, MAX_JOINTS};
 
 /// Prescribed motion of the flange.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BaseMotion {
     /// Pose of the base frame.
     pub t_world_base: Isometry3<f64>,
@@ -42,7 +43,7 @@ pub enum TendonCommand {
 }
 
 /// Force and torque, world axes.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Wrench {
     /// Force, N.
     pub force_n: Vector3<f64>,
@@ -85,7 +86,7 @@ pub struct ProxySphere {
 }
 
 /// Outcome of one contact in the last step.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ContactResult {
     /// Index into [`StepInput::contacts`].
     pub contact_index: usize,
@@ -113,7 +114,7 @@ impl ContactResult {
 }
 
 /// Summary of one step.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StepReport {
     /// The method that took the step.
     pub integrator: Integrator,
@@ -201,5 +202,47 @@ impl ManipulatorState {
             results: [ContactResult::none(); MAX_CONTACTS],
             report: StepReport::none(),
         }
+    }
+}
+
+/// The used part of the results only: what lies behind it is left over from earlier steps.
+impl Serialize for ManipulatorState {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let motion = (&self.joint_position_rad, &self.joint_velocity_rad_per_s);
+        let mount = (&self.mount_displacement_m, &self.mount_velocity_m_per_s);
+        let results = &self.results[..self.result_count];
+        (motion, mount, &self.base, &self.tendon, &self.stop_torque_nm, results, &self.report)
+            .serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for ManipulatorState {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<ManipulatorState, D::Error> {
+        type Joints = [f64; MAX_JOINTS];
+        type Whole = (
+            (Joints, Joints),
+            ([f64; 3], [f64; 3]),
+            BaseMotion,
+            [TendonMemory; 2],
+            Joints,
+            Vec<ContactResult>,
+            StepReport,
+        );
+        let (motion, mount, base, tendon, stop_torque_nm, used, report) = Whole::deserialize(deserializer)?;
+        let mut results = [ContactResult::none(); MAX_CONTACTS];
+        let place = results.get_mut(..used.len());
+        place.ok_or_else(|| D::Error::custom("more contacts than a step has"))?.copy_from_slice(&used);
+        Ok(ManipulatorState {
+            joint_position_rad: motion.0,
+            joint_velocity_rad_per_s: motion.1,
+            mount_displacement_m: mount.0,
+            mount_velocity_m_per_s: mount.1,
+            base,
+            tendon,
+            stop_torque_nm,
+            result_count: used.len(),
+            results,
+            report,
+        })
     }
 }

@@ -9,6 +9,8 @@
 //! that the discrete law is second order against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play operator on the take-up: it moves by dl / presliding
 //! and saturates at +1 (tendon pulled in) and -1 (tendon let out), which gives the hysteresis loop.
 
+use serde::{Deserialize, Serialize};
+
 use super::MAX_JOINTS;
 use super::geometry::{Configuration, Layout};
 use super::parameters::TendonParameters;
@@ -18,7 +20,7 @@ use super::state::TendonCommand;
 pub(super) const SIDE: [f64; 2] = [1.0, -1.0];
 
 /// What a tendon remembers between ticks.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct TendonMemory {
     /// Take-up at the last tick, m.
     pub take_up_m: f64,

@@ -11,11 +11,14 @@
 //! end:      publish the phase "ended", wait until the consumers have taken the last state
 //! ```
 //!
+//! While somebody records, every `recording.keyframe_interval_s` a keyframe follows the state.
+//!
 //! A deadline that has passed is not caught up silently: a tick that begins more than one period late counts as
 //! missed, and the schedule is moved by the time lost, so ticks never bunch up.
 
 mod clock;
 mod connection;
+mod keyframes;
 mod pacing;
 mod ports;
 mod tick;

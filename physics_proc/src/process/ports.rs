@@ -12,6 +12,9 @@ use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use zerocopy::IntoBytes;
 
+use super::keyframes::Keyframes;
+use crate::simulation::Simulation;
+
 pub(super) struct Ports {
     pub(super) state: Publisher<State>,
     pub(super) latched: Publisher<Latched>,
@@ -25,6 +28,8 @@ pub(super) struct Ports {
     pub(super) controllers: Vec<ControllerPort>,
     pub(super) consumers: Consumers,
     removed_messages: u64,
+    /// None without a recorder.
+    pub(super) keyframes: Option<Keyframes>,
 }
 
 /// A controller's side.
@@ -58,6 +63,10 @@ impl Ports {
             waiter: session.waiter(Reader::Physics)?,
             controllers: controllers.collect::<Result<_, SessionError>>()?,
             consumers: Consumers::open(session)?,
+            keyframes: match scene.keyframe_period_ticks().filter(|_| session.announcement().recorder) {
+                Some(period) => Some(Keyframes::new(session.publisher(&services::KEYFRAME)?, period)),
+                None => None,
+            },
             removed_messages: 0,
         })
     }
@@ -84,6 +93,12 @@ impl Ports {
             voxel_index_length: voxels.len() as u32,
         };
         self.removed.send_with_tail(&message, voxels.as_bytes())
+    }
+
+    /// Publishes the keyframe of the present state if one is due and somebody records.
+    pub(super) fn publish_keyframe(&mut self, simulation: &Simulation<'_>) -> Result<(), PortError> {
+        let due = self.keyframes.as_mut();
+        due.map_or(Ok(()), |keyframes| keyframes.publish_due(simulation, &mut self.events))
     }
 
     pub(super) fn removed_messages(&self) -> u64 {

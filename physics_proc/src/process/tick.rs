@@ -284,6 +284,7 @@ impl<'v> Runner<'v> {
         let publish_began = Instant::now();
         self.tick += 1;
         self.publish_tick(reset)?;
+        self.ports.publish_keyframe(&self.simulation)?;
         let publish_ns = elapsed_ns(publish_began);
         let disturbance = self.counters.since_last();
         let mut timing = TickTiming {

@@ -3,6 +3,8 @@
 //! The tool is stepped against planes whose gap is shortened by what the bodies are thought to move, and exerts impulses;
 //! Rapier, given these, moves the bodies. [`Descent`] brings thought and motion together.
 
+use serde::{Deserialize, Serialize};
+
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
     BaseMotion, ManipulatorError, ManipulatorModel, StepInput, StepReport, TendonCommand, Wrench,
@@ -39,7 +41,7 @@ pub struct ToolDrive {
 }
 
 /// How the coupling of a tick ended.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CouplingReport {
     /// Contact planes on free bodies.
     pub moving_planes: usize,

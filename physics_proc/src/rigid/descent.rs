@@ -9,6 +9,7 @@
 //! within a bracket.
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Line search ends when the slope has fallen to this share.
 const FLAT: f64 = 0.3;
@@ -20,7 +21,7 @@ const FIRST_STEP: f64 = 1e-3;
 const MEMORY: usize = 8;
 
 /// A body's velocity through a tick, world axes: of its centre of mass, m/s, and angular, rad/s.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Motion {
     pub linear: Vector3<f64>,
     pub angular: Vector3<f64>,
@@ -43,7 +44,7 @@ impl Motion {
 }
 
 /// A body's metric.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct Inertia {
     pub mass_kg: f64,
     /// About the centre of mass, world axes.
@@ -58,11 +59,18 @@ impl Inertia {
 }
 
 /// A step of the past: difference of motion and of the negative residual, and their inner product. A curvature.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Pair {
     step: Vec<Motion>,
     change: Vec<Motion>,
     product: f64,
+}
+
+impl Pair {
+    /// Number of bodies that it is about; none if its two halves disagree.
+    pub fn bodies(&self) -> usize {
+        if self.step.len() == self.change.len() { self.step.len() } else { 0 }
+    }
 }
 
 /// The iteration's vectors, one entry a body.

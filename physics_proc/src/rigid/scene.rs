@@ -2,6 +2,7 @@
 
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::dynamics::RigidBodyHandle;
+use serde::{Deserialize, Serialize};
 
 use super::body::{BodyMotion, BodyParameters};
 use super::coupling::{Coupling, CouplingReport, Moving};
@@ -27,7 +28,7 @@ pub(super) struct Body {
 }
 
 /// Everything that a tick changes in the rigid scene.
-#[derive(Clone)]
+#[derive(Clone, Deserialize)]
 pub struct RigidSnapshot {
     world: World,
     mean: Vec<Motion>,
@@ -39,6 +40,15 @@ pub struct RigidSnapshot {
 impl core::fmt::Debug for RigidSnapshot {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.debug_struct("RigidSnapshot").field("report", &self.report).finish_non_exhaustive()
+    }
+}
+
+/// The means of the bodies' motions, in their order.
+struct Means<'a>(&'a [Body]);
+
+impl Serialize for Means<'_> {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(|body| &body.mean))
     }
 }
 
@@ -191,6 +201,21 @@ impl RigidScene {
             touched: self.descent.inertia.clone(),
             report: self.report,
         }
+    }
+
+    /// What [`Self::snapshot`] holds, to be serialised without a copy; it reads back as a [`RigidSnapshot`].
+    pub fn serialised(&self) -> impl Serialize + '_ {
+        let mean = Means(&self.bodies);
+        (&self.world, mean, self.descent.memory(), &self.descent.inertia, &self.report)
+    }
+
+    /// Whether a snapshot that was read back is of a scene with these bodies.
+    pub fn fits(&self, snapshot: &RigidSnapshot) -> bool {
+        let bodies = self.bodies.len();
+        snapshot.world.holds(self.bodies.iter().map(|body| body.handle))
+            && snapshot.mean.len() == bodies
+            && snapshot.touched.len() == bodies
+            && snapshot.memory.iter().all(|pair| pair.bodies() == bodies)
     }
 
     /// Continues from a snapshot of a scene with the same bodies, bit for bit. Allocates.

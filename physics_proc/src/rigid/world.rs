@@ -8,6 +8,7 @@ use rapier3d_f64::dynamics::{
 use rapier3d_f64::geometry::{BroadPhaseBvh, Collider, ColliderBuilder, ColliderSet, NarrowPhase};
 use rapier3d_f64::math::Vector;
 use rapier3d_f64::pipeline::PhysicsPipeline;
+use serde::{Deserialize, Serialize};
 
 use super::body::{BodyMotion, BodyParameters, BodyShape};
 use super::descent::{Inertia, Motion};
@@ -20,7 +21,7 @@ const PREDICTION_M: f64 = 2e-3;
 const FASTEST_M_PER_S: f64 = 1e4;
 
 /// Rapier's world as far as a step changes it: a clone continues bit for bit.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub(super) struct World {
     bodies: RigidBodySet,
     colliders: ColliderSet,
@@ -110,6 +111,14 @@ impl World {
             })
             .collect();
         (world, handles)
+    }
+
+    /// Whether it holds exactly these bodies, and nothing in it is not a number.
+    pub fn holds(&self, handles: impl ExactSizeIterator<Item = RigidBodyHandle>) -> bool {
+        let finite = |v: Vector| v.is_finite();
+        let body_is_sound = |body: &RigidBody| finite(body.translation()) && finite(body.linvel());
+        self.bodies.len() == handles.len()
+            && handles.into_iter().all(|handle| self.bodies.get(handle).is_some_and(body_is_sound))
     }
 
     pub fn body(&self, handle: RigidBodyHandle) -> &RigidBody {

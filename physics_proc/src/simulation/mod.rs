@@ -11,6 +11,7 @@
 //! 6. the chained hash takes in commands, state and removed voxels.
 
 mod apply;
+mod keyframe;
 mod message;
 mod setup;
 mod tendon_drive;
@@ -33,6 +34,7 @@ use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
 use tendon_drive::{TendonDrive, TendonDriveState};
 
 pub use apply::Refusal;
+pub use keyframe::KeyframeError;
 
 /// Gap within which a contact plane takes part in a tick, beyond what the sphere can travel in it.
 const CONTACT_MARGIN_M: f64 = 1.0e-4;
@@ -64,6 +66,9 @@ pub enum SimulationError {
     /// The rigid bodies'.
     #[error("rigid bodies: {0}")]
     Rigid(#[from] RigidError),
+    /// Bytes that are no keyframe of this scene.
+    #[error("keyframe: {0}")]
+    Keyframe(#[from] KeyframeError),
 }
 
 /// Everything that a tick changes, bit for bit: see [`Simulation::snapshot`].

@@ -1,5 +1,7 @@
 //! The tendons' actuators: tension, displacement, or a displacement goal reached with limited jerk.
 
+use serde::{Deserialize, Serialize};
+
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment};
 use crate::manipulator::TendonCommand;
 
@@ -7,7 +9,7 @@ use crate::manipulator::TendonCommand;
 const LIMITS: AxisLimits<2> = AxisLimits { velocity: [0.005; 2], acceleration: [0.05; 2], jerk: [0.5; 2] };
 
 /// What the actuators follow, as plain data.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) enum TendonDriveState {
     /// Tensions.
     Force([f64; 2]),

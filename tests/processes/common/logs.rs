@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ipc_types::messages::{Latched, State};
 use recorder_proc::{
-    EndMarker, EndReason, LogReader, MessageStream, ReadOptions, RunLog, TickRecord, topics,
+    EndMarker, EndReason, LogHeader, LogReader, MessageStream, ReadOptions, RunLog, TickRecord, topics,
 };
 use zerocopy::FromBytes;
 
@@ -51,8 +51,21 @@ pub fn assert_replays(log: &Path) -> String {
 /// Writes a log again with the recorder's own writer, so that every length and CRC is right, but with changed
 /// commands and states. Frames are left out.
 pub fn rewrite(from: &Path, to: &Path, latched: impl Fn(&mut Latched), state: impl Fn(&mut State)) {
+    rewrite_as(from, to, |_| {}, latched, state);
+}
+
+/// The same with a changed header.
+pub fn rewrite_as(
+    from: &Path,
+    to: &Path,
+    header: impl Fn(&mut LogHeader),
+    latched: impl Fn(&mut Latched),
+    state: impl Fn(&mut State),
+) {
     let mut stream = MessageStream::open(from, ReadOptions::default()).unwrap();
-    let mut log = RunLog::create_file(to, &stream.header().clone()).unwrap();
+    let mut changed = stream.header().clone();
+    header(&mut changed);
+    let mut log = RunLog::create_file(to, &changed).unwrap();
     while let Some(message) = stream.next_message().unwrap() {
         match message.topic {
             topics::LATCHED => {
@@ -66,6 +79,7 @@ pub fn rewrite(from: &Path, to: &Path, latched: impl Fn(&mut Latched), state: im
                 log.state(&changed).unwrap();
             }
             topics::REMOVED => log.removed(message.body).unwrap(),
+            topics::KEYFRAME => log.keyframe(message.body).unwrap(),
             _ => {}
         }
     }

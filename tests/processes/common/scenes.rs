@@ -84,3 +84,17 @@ hold = { tension_n = 0.0 }
 ";
     format!("{}{TOOL}{controllers}", run("shared", mode, duration_s))
 }
+
+/// Keyframes every so many seconds; to be put behind a scene's text.
+pub fn keyframes(interval_s: f64) -> String {
+    format!("\n[recording]\nkeyframe_interval_s = {interval_s:?}\n")
+}
+
+/// The block in real time, driven by an external `pilot`, with or without X-ray, late commands soon replaced.
+pub fn scheduled(duration_s: f64, with_frames: bool) -> String {
+    let frames = if with_frames { DRR } else { "" };
+    let scene = piloted("realtime", duration_s, "hold_ticks = 20");
+    // A twentieth of a millimetre from the bone: whatever moves forward drills.
+    let scene = scene.replace("[0.0, 0.0, -34.0]", "[0.0, 0.0, -33.3]");
+    format!("{scene}{frames}{}", keyframes(0.3))
+}

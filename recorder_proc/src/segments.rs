@@ -1,0 +1,339 @@
+//! Verification in parallel: the ticks between two keyframes are a segment, and every segment is replayed from its own
+//! keyframe.
+//!
+//! A segment that begins at the recorded keyframe, makes every recorded tick and ends in the bytes of the next recorded
+//! keyframe proves that stretch; all of them together prove the run, as one pass from the start would. One that does not
+//! names its first tick and field; the earliest of those is the first difference of the log. Segments behind a difference
+//! that has been found are not looked at.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Mutex, PoisonError};
+
+use ipc_types::layout::Message;
+use ipc_types::messages::{Keyframe, State};
+use zerocopy::IntoBytes;
+
+use crate::difference::{Divergence, compare};
+use crate::end::Ending;
+use crate::error::LogError;
+use crate::reader::{LogReader, SavedState, TickRecord};
+use crate::topics;
+use crate::verify::{ReplayReport, Resumable, compare_state, compare_tick};
+
+/// Ticks that are handed over at once.
+const BLOCK_TICKS: usize = 64;
+/// Blocks of a segment that may wait: the default interval of 2 s, and some more.
+const SEGMENT_BLOCKS: usize = 40;
+
+/// What to verify, and how.
+#[derive(Debug, Clone)]
+pub struct SegmentOptions {
+    /// Keyframe to begin at, of this log ([`keyframe_before`]); none for the start.
+    pub start: Option<SavedState>,
+    /// Last tick (`State.tick`) to replay; none for all.
+    pub to_tick: Option<u64>,
+    /// Segments that are replayed at once, at least 1.
+    pub threads: usize,
+}
+
+/// What a parallel replay found.
+#[derive(Debug)]
+pub struct SegmentReport {
+    /// As of a replay in one go; its ticks are those behind `first_tick`.
+    pub replay: ReplayReport,
+    /// `State.tick` at which the replay began.
+    pub first_tick: u64,
+    /// Keyframes whose bytes are identical.
+    pub identical_keyframes: u64,
+}
+
+/// The last keyframe of a log at or before a tick. The reader is used up. What keeps the log from being read further is
+/// left to the replay to report.
+pub fn keyframe_before(mut reader: LogReader, tick: u64) -> Option<SavedState> {
+    let mut found = None;
+    loop {
+        let record = reader.next();
+        found = reader.take_keyframe().filter(|saved| saved.tick <= tick).or(found);
+        match record {
+            Some(Ok(record)) if record.state.tick <= tick => (),
+            _ => return found,
+        }
+    }
+}
+
+/// Where a segment begins.
+struct Start {
+    state: Box<State>,
+    keyframe: Option<SavedState>,
+}
+
+/// A segment, its ticks on their way.
+struct Segment {
+    start: Start,
+    blocks: Receiver<Block>,
+}
+
+enum Block {
+    Ticks(Vec<TickRecord>),
+    /// The last one: the keyframe of the last tick.
+    Keyframe(SavedState),
+}
+
+/// What became of a segment.
+struct Outcome {
+    start_tick: u64,
+    identical_ticks: u64,
+    keyframes: u64,
+    last_tick: u64,
+    hash: [u64; 2],
+    problem: Option<Problem>,
+}
+
+enum Problem {
+    Differs(Divergence),
+    Cannot(u64, String),
+}
+
+/// Replays a log from its start or a keyframe, on several threads, and compares hash, every byte of the state and the
+/// removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene; each
+/// thread has its own.
+pub fn verify_segments<S: Resumable>(
+    reader: &mut LogReader,
+    make: &(impl Fn() -> Result<S, String> + Sync),
+    options: &SegmentOptions,
+) -> SegmentReport {
+    let bound = AtomicU64::new(options.to_tick.unwrap_or(u64::MAX));
+    let (queue, segments) = sync_channel::<Segment>(1);
+    let segments = Mutex::new(segments);
+    let (read, outcomes) = std::thread::scope(|scope| {
+        let work = || work(make, &segments, &bound);
+        let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
+        let read = feed(reader, options, queue, &bound);
+        let outcomes = workers.into_iter().flat_map(|worker| {
+            worker.join().unwrap_or_default() //
+        });
+        (read, outcomes.collect())
+    });
+    merge(reader, options, read, outcomes)
+}
+
+/// Reads the log and hands out its segments; returns why the log could not be read further.
+fn feed(
+    reader: &mut LogReader,
+    options: &SegmentOptions,
+    queue: SyncSender<Segment>,
+    bound: &AtomicU64,
+) -> Option<LogError> {
+    let mut last = Box::new(*reader.initial());
+    let begin = |start: Start| {
+        let (blocks, receiver) = sync_channel(SEGMENT_BLOCKS);
+        // Nobody takes it once every worker has ended, and they end only when the queue does.
+        queue.send(Segment { start, blocks: receiver }).ok().map(|()| blocks)
+    };
+    let mut blocks = match &options.start {
+        None => begin(Start { state: last.clone(), keyframe: None }),
+        Some(_) => None,
+    };
+    let mut waiting = Vec::with_capacity(BLOCK_TICKS);
+    loop {
+        // A worker that has found a difference takes no more of its segment.
+        let hand_over = |blocks: &Option<SyncSender<Block>>, block| {
+            if let Some(blocks) = blocks {
+                let _ = blocks.send(block);
+            }
+        };
+        let record = if last.tick < bound.load(Ordering::Relaxed) { reader.next() } else { None };
+        let keyframe = reader.take_keyframe().filter(|saved| saved.tick == last.tick);
+        let starts_here = options.start.as_ref().is_some_and(|start| start.tick == last.tick);
+        if let Some(saved) = keyframe
+            && (blocks.is_some() || starts_here)
+        {
+            hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
+            hand_over(&blocks, Block::Keyframe(saved.clone()));
+            blocks = match record {
+                Some(Ok(_)) => begin(Start { state: last.clone(), keyframe: Some(saved) }),
+                _ => None,
+            };
+        }
+        match record {
+            Some(Ok(record)) => {
+                *last = record.state;
+                if blocks.is_some() {
+                    waiting.push(record);
+                }
+                if waiting.len() == BLOCK_TICKS {
+                    hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
+                }
+            }
+            ended => {
+                hand_over(&blocks, Block::Ticks(waiting));
+                return ended.and_then(Result::err);
+            }
+        }
+    }
+}
+
+/// Replays segments until there are no more.
+fn work<S: Resumable>(
+    make: &impl Fn() -> Result<S, String>,
+    segments: &Mutex<Receiver<Segment>>,
+    bound: &AtomicU64,
+) -> Vec<Outcome> {
+    let mut simulation = make();
+    let mut outcomes = Vec::new();
+    loop {
+        let segment = segments.lock().unwrap_or_else(PoisonError::into_inner).recv();
+        let Ok(segment) = segment else { return outcomes };
+        if segment.start.state.tick >= bound.load(Ordering::Relaxed) {
+            continue;
+        }
+        // From its initial state a simulation that has run is a new one.
+        if segment.start.keyframe.is_none() && !outcomes.is_empty() {
+            simulation = make();
+        }
+        let mut outcome = Outcome::new(&segment.start);
+        match &mut simulation {
+            Ok(it) => {
+                // A keyframe that somebody has altered may break what it is restored into.
+                let replayed = AssertUnwindSafe(|| outcome.replay(it, segment));
+                if std::panic::catch_unwind(replayed).is_err() {
+                    let cause = "the simulation panicked (its message is above)".to_owned();
+                    outcome.problem = Some(Problem::Cannot(outcome.last_tick + 1, cause.clone()));
+                    simulation = Err(cause);
+                }
+            }
+            Err(cause) => outcome.problem = Some(Problem::Cannot(outcome.start_tick, cause.clone())),
+        }
+        if let Some(problem) = &outcome.problem {
+            bound.fetch_min(problem.tick(), Ordering::Relaxed);
+        }
+        outcomes.push(outcome);
+    }
+}
+
+impl Outcome {
+    fn new(start: &Start) -> Outcome {
+        Outcome {
+            start_tick: start.state.tick,
+            identical_ticks: 0,
+            keyframes: 0,
+            last_tick: start.state.tick,
+            hash: start.state.hash,
+            problem: None,
+        }
+    }
+
+    fn replay<S: Resumable>(&mut self, simulation: &mut S, segment: Segment) {
+        let Segment { start, blocks } = segment;
+        let resumed = start.keyframe.map_or(Ok(()), |saved| simulation.resume(&saved.bytes));
+        self.problem = match resumed {
+            Ok(()) => compare_state(&start.state, simulation.state()).map(Problem::Differs),
+            Err(cause) => Some(Problem::Cannot(self.start_tick, cause)),
+        };
+        while self.problem.is_none() {
+            let Ok(block) = blocks.recv() else { return };
+            self.problem = match block {
+                Block::Ticks(ticks) => ticks.iter().find_map(|tick| self.tick(simulation, tick)),
+                Block::Keyframe(saved) => self.keyframe(simulation, &saved),
+            };
+        }
+    }
+
+    fn tick<S: Resumable>(&mut self, simulation: &mut S, recorded: &TickRecord) -> Option<Problem> {
+        if let Err(cause) = simulation.step(&recorded.latched) {
+            return Some(Problem::Cannot(recorded.state.tick, cause));
+        }
+        if let Some(divergence) = compare_tick(recorded, simulation) {
+            return Some(Problem::Differs(divergence));
+        }
+        self.identical_ticks += 1;
+        self.last_tick = recorded.state.tick;
+        self.hash = recorded.state.hash;
+        None
+    }
+
+    fn keyframe<S: Resumable>(&mut self, simulation: &mut S, recorded: &SavedState) -> Option<Problem> {
+        match simulation.save() {
+            Err(cause) => Some(Problem::Cannot(recorded.tick, cause)),
+            Ok(bytes) => {
+                let replayed =
+                    SavedState { tick: simulation.state().tick, hash: simulation.state().hash, bytes };
+                self.keyframes += u64::from(replayed == *recorded);
+                compare_keyframe(recorded, &replayed).map(Problem::Differs)
+            }
+        }
+    }
+}
+
+impl Problem {
+    fn tick(&self) -> u64 {
+        match self {
+            Problem::Differs(divergence) => divergence.tick,
+            Problem::Cannot(tick, _) => *tick,
+        }
+    }
+}
+
+/// Where two keyframes differ.
+pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<Divergence> {
+    let message = |saved: &SavedState| {
+        let head = Keyframe {
+            tick: saved.tick,
+            hash: saved.hash,
+            total_bytes: saved.bytes.len() as u32,
+            data_length: saved.bytes.len() as u32,
+            ..Keyframe::zeroed()
+        };
+        [head.as_bytes(), &saved.bytes].concat()
+    };
+    let (a, b) = (message(recorded), message(replayed));
+    compare(topics::KEYFRAME, recorded.tick, Keyframe::DESCRIPTION, &a, &b)
+}
+
+/// The segments in their order, up to the first problem.
+fn merge(
+    reader: &LogReader,
+    options: &SegmentOptions,
+    log_error: Option<LogError>,
+    mut outcomes: Vec<Outcome>,
+) -> SegmentReport {
+    outcomes.sort_by_key(|outcome| outcome.start_tick);
+    let first_tick = options.start.as_ref().map_or(0, |start| start.tick);
+    let mut report = SegmentReport {
+        replay: ReplayReport {
+            identical_ticks: 0,
+            last_tick: first_tick,
+            simulated_ns: 0,
+            hash: options.start.as_ref().map_or(reader.initial().hash, |start| start.hash),
+            divergence: None,
+            simulation_error: None,
+            log_error,
+            ending: Ending::default(),
+        },
+        first_tick,
+        identical_keyframes: 0,
+    };
+    let replay = &mut report.replay;
+    for outcome in outcomes {
+        replay.identical_ticks += outcome.identical_ticks;
+        replay.last_tick = outcome.last_tick;
+        replay.hash = outcome.hash;
+        report.identical_keyframes += outcome.keyframes;
+        if let Some(problem) = outcome.problem {
+            // What lies behind it does not matter.
+            replay.log_error = None;
+            match problem {
+                Problem::Differs(divergence) => replay.divergence = Some(divergence),
+                Problem::Cannot(tick, cause) => replay.simulation_error = Some((tick, cause)),
+            }
+            break;
+        }
+    }
+    if replay.is_identical() {
+        replay.ending = reader.ending().clone();
+    }
+    replay.simulated_ns = replay.identical_ticks.saturating_mul(reader.header().dt_ns);
+    report
+}

@@ -1,0 +1,146 @@
+//! Rendering a log's frames again.
+
+use drr_proc::process::{Job, burr_radius_m, c_arm_of, render_job, renderer_parameters, volume_view};
+use drr_proc::{DrrRenderer, VolumeView};
+use ipc_types::messages::{Frame, State};
+use recorder_proc::diff::compare_frame;
+use recorder_proc::{FrameReader, FrameRecord, LogReader, frames};
+use zerocopy::IntoBytes;
+
+use super::OpenedLog;
+use crate::failure::Failure;
+use crate::launcher::volume_source;
+
+/// The frames of a log, each with what the renderer makes of the same tick, C-arm and seed today.
+///
+/// What a frame shows is decided by the log: its tick, geometry and seed; the state and the removed voxels of that tick.
+pub struct FrameReplay<'l> {
+    log: &'l OpenedLog,
+    view: VolumeView<'l>,
+    renderer: DrrRenderer,
+    recorded: FrameReader,
+    ticks: LogReader,
+    state: Box<State>,
+    restore_first: bool,
+    removed: Vec<u32>,
+}
+
+impl<'l> FrameReplay<'l> {
+    /// The frames from the first on; none if the scene has no X-ray.
+    ///
+    /// # Errors
+    /// The renderer refuses the scene, or the file cannot be opened.
+    pub fn new(log: &'l OpenedLog, threads: usize) -> Result<Option<FrameReplay<'l>>, Failure> {
+        let (Some(drr), Some((volume, hash))) = (&log.scene.drr, &log.volume) else { return Ok(None) };
+        let message = volume_source::message(volume, *hash);
+        let failed = |cause: String| Failure::failed(cause);
+        let view = volume_view(&message, volume.hu.as_bytes()).map_err(|cause| failed(cause.to_string()))?;
+        let parameters = drr_proc::DrrParameters { threads, ..renderer_parameters(drr) };
+        let ticks = log.reader()?;
+        Ok(Some(FrameReplay {
+            renderer: DrrRenderer::new(&view, parameters).map_err(|cause| failed(cause.to_string()))?,
+            view,
+            recorded: frames(&log.path, log.options()).map_err(Failure::bad_input)?,
+            state: Box::new(*ticks.initial()),
+            restore_first: false,
+            removed: ticks.predrilled().to_vec(),
+            ticks,
+            log,
+        }))
+    }
+
+    /// The next frame as recorded, which may be skipped before it is rendered.
+    ///
+    /// # Errors
+    /// The log cannot be read further.
+    pub fn next_recorded(&mut self) -> Result<Option<FrameRecord>, Failure> {
+        self.recorded.next().transpose().map_err(|cause| Failure::failed(cause.to_string()))
+    }
+
+    /// Renders a recorded frame again.
+    ///
+    /// # Errors
+    /// The log does not hold the frame's tick, or the renderer refuses it.
+    pub fn render(&mut self, recorded: &Frame) -> Result<FrameRecord, Failure> {
+        self.advance_to(recorded)?;
+        let failed = |cause: drr_proc::DrrError| {
+            Failure::failed(format!("frame {} of tick {}: {cause}", recorded.sequence, recorded.tick))
+        };
+        let job = Job {
+            state: self.state.clone(),
+            restore_first: std::mem::take(&mut self.restore_first),
+            removed: std::mem::take(&mut self.removed),
+            sequence: recorded.sequence,
+            request_id: recorded.request_id,
+            c_arm: c_arm_of(&recorded.geometry).map_err(failed)?,
+            noise_seed: self.log.scene.run.seed,
+            burr_radius_m: burr_radius_m(&self.log.scene),
+        };
+        let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;
+        let pixels = rendered.pixels.as_bytes().to_vec();
+        Ok(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels })
+    }
+
+    /// Reads the log up to the state that the frame shows, and keeps what was removed until then.
+    fn advance_to(&mut self, frame: &Frame) -> Result<(), Failure> {
+        while self.state.tick < frame.tick {
+            let Some(record) = self.ticks.next() else { break };
+            let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+            if record.latched.reset != 0 {
+                self.restore_first = true;
+                self.removed = self.ticks.predrilled().to_vec();
+            }
+            self.removed.extend_from_slice(&record.removed);
+            *self.state = record.state;
+        }
+        if self.state.tick == frame.tick {
+            return Ok(());
+        }
+        let (sequence, tick, at) = (frame.sequence, frame.tick, self.state.tick);
+        Err(Failure::failed(format!("frame {sequence} shows tick {tick}, but the log's ticks are at {at}")))
+    }
+}
+
+/// Renders the frames of ticks in `from..=to` again and compares them; returns their number.
+///
+/// # Errors
+/// The first frame that differs (1), or a log that cannot be read.
+pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) -> Result<u64, Failure> {
+    let Some(mut replay) = FrameReplay::new(log, threads)? else { return Ok(0) };
+    let mut identical = 0;
+    while let Some(recorded) = replay.next_recorded()? {
+        if (from..=to).contains(&recorded.frame.tick) {
+            let rendered = replay.render(&recorded.frame)?;
+            compare(&recorded, &rendered).map_or(Ok(()), |difference| {
+                Err(Failure::failed(format!(
+                    "frame {}: {difference}{}",
+                    recorded.frame.sequence,
+                    log.label()
+                )))
+            })?;
+            identical += 1;
+        }
+    }
+    Ok(identical)
+}
+
+/// Where a frame differs: its fields, and the first pixel if the log holds the image.
+pub fn compare(recorded: &FrameRecord, rendered: &FrameRecord) -> Option<String> {
+    let difference = compare_frame(recorded, rendered)?;
+    let pixel = recorded.image.and_then(|image| first_pixel(image.width as usize, recorded, rendered));
+    Some(format!("{difference}{}", pixel.unwrap_or_default()))
+}
+
+fn first_pixel(columns: usize, recorded: &FrameRecord, rendered: &FrameRecord) -> Option<String> {
+    let pairs = || recorded.pixels.chunks_exact(2).zip(rendered.pixels.chunks_exact(2));
+    let first = pairs().position(|(a, b)| a != b)?;
+    let count = pairs().filter(|(a, b)| a != b).count();
+    let (a, b) = pairs().nth(first)?;
+    let value = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
+    let (row, column) = (first / columns.max(1), first % columns.max(1));
+    Some(format!(
+        "\n  {count} pixels differ, first row {row}, column {column}: {} against {}",
+        value(a),
+        value(b)
+    ))
+}

@@ -1,0 +1,413 @@
+//! Live controllers against a log: they see its states, and what they answer is compared with what was latched.
+//!
+//! Open loop: the states and frames are the log's. Closed loop: the physics is stepped with what the live controllers
+//! answer, in lockstep, and the frames are rendered. Both stop at the first difference, up to which they see the same.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use ipc_types::layout::Message;
+use ipc_types::messages::{
+    Command, DrrReply, Frame, Latched, PHASE_ENDED, PHASE_RUNNING, RunStatus, SOURCE_FRESH, State,
+};
+use ipc_types::ports::{PortError, Publisher, Subscriber};
+use ipc_types::process::EndRequest;
+use ipc_types::scene::Mode;
+use ipc_types::services;
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::{Waiter, Waker};
+use physics_proc::latch::Latch;
+use recorder_proc::difference::compare;
+use recorder_proc::verify::compare_state;
+use recorder_proc::{FrameRecord, MessageStream, RunMode, Simulation, TickRecord, topics};
+use zerocopy::{FromBytes, IntoBytes};
+
+use super::frames::FrameReplay;
+use super::{OpenedLog, World};
+use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::launcher::hub::Hub;
+use crate::launcher::part::Part;
+
+/// How long a controller may take to connect.
+const CONNECT_LIMIT: Duration = Duration::from_secs(60);
+/// How long it may take to end.
+const END_LIMIT: Duration = Duration::from_secs(5);
+const LOOK_TIME: Duration = Duration::from_millis(20);
+
+/// Who is live, and how far.
+#[derive(Debug, Clone)]
+pub struct LivePlan {
+    /// Name in the scene, program and arguments.
+    pub controllers: Vec<(String, Vec<String>)>,
+    /// Whether the physics follows the live commands.
+    pub closed_loop: bool,
+    /// Last tick (`State.tick`).
+    pub to_tick: u64,
+}
+
+/// Runs the plan; returns how many commands of each controller were identical.
+///
+/// # Errors
+/// The first difference; a controller that ends or is silent; bad input, before anything is started.
+pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failure> {
+    let indices = indices(log, plan)?;
+    let mode = log.reader()?.header().mode;
+    if mode == RunMode::RealTime && !plan.closed_loop && plan.controllers.len() > 1 {
+        return Err(Failure::bad_input(
+            "the log is of real time, where each controller saw other states: give one --controller at a time",
+        ));
+    }
+    let end = EndRequest::install()
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let answers = Answers::read(log, &indices)?;
+    let mut scene = log.scene.clone();
+    if plan.closed_loop {
+        scene.run.mode = Mode::Lockstep;
+    }
+    let hub = Hub::create(&scene, log.volume.as_ref(), false).map_err(failed)?;
+    let stage = Stage::open(&hub.host.session, &plan.controllers, &indices, scene.drr.is_some())?;
+    let start = |(name, words): &(String, Vec<String>)| hub.start_program(name, words).map_err(failed);
+    let parts = plan.controllers.iter().map(start).collect::<Result<Vec<_>, _>>()?;
+    let limit = Duration::from_secs_f64(scene.run.controller_limit_ms * 1e-3);
+    let threads = scene.drr.as_ref().map_or(1, |drr| drr.threads);
+    let frames = Frames { replay: FrameReplay::new(log, threads)?, next: None, rendered: plan.closed_loop };
+    let mut play =
+        Play { log, hub, stage, parts, answers, frames, limit, end, identical: vec![0; indices.len()] };
+    let played = match plan.closed_loop {
+        false => play.open_loop(plan.to_tick),
+        true => play.closed_loop(plan.to_tick, Latch::new(&scene)),
+    };
+    play.finish();
+    played?;
+    Ok(plan.controllers.iter().map(|(name, _)| name.clone()).zip(play.identical).collect())
+}
+
+/// Where the live controllers stand in the scene.
+fn indices(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<usize>, Failure> {
+    let names = log.scene.controller_names();
+    let find = |name: &String| {
+        names.iter().position(|of_scene| of_scene == name).ok_or_else(|| {
+            let names = names.join("`, `");
+            Failure::bad_input(format!("--controller `{name}`: the log's scene has `{names}`"))
+        })
+    };
+    plan.controllers.iter().map(|(name, _)| find(name)).collect()
+}
+
+/// What the log knows of the controllers' answers.
+struct Answers {
+    /// Of each live controller, by the state that is answered.
+    expected: Vec<BTreeMap<u64, Command>>,
+    /// By frame.
+    replies: BTreeMap<u64, DrrReply>,
+}
+
+impl Answers {
+    /// Commands as sent, if the timing lane lies beside the log: in real time not every one was latched, and a controller
+    /// is to see the states that it saw. Otherwise the latched ones.
+    fn read(log: &OpenedLog, indices: &[usize]) -> Result<Answers, Failure> {
+        let mut expected = vec![BTreeMap::new(); indices.len()];
+        let mut replies = BTreeMap::new();
+        let mut stream = MessageStream::open(&log.path, log.options()).map_err(Failure::bad_input)?;
+        let real_time = stream.header().mode == RunMode::RealTime;
+        while let Ok(Some(message)) = stream.next_message() {
+            if let (topics::LATCHED, Ok(latched)) = (message.topic, Latched::read_from_bytes(message.body)) {
+                for (expected, index) in expected.iter_mut().zip(indices) {
+                    let entry = &latched.commands[*index];
+                    if entry.source == SOURCE_FRESH {
+                        expected.insert(entry.command.state_tick, entry.command);
+                    }
+                }
+            }
+            if let (topics::DRR_REPLY, Ok(reply)) = (message.topic, DrrReply::read_from_bytes(message.body)) {
+                replies.insert(reply.frame_sequence, reply);
+            }
+        }
+        let mut answers = Answers { expected, replies };
+        if real_time {
+            answers.read_sent(log, indices);
+        }
+        Ok(answers)
+    }
+
+    fn read_sent(&mut self, log: &OpenedLog, indices: &[usize]) {
+        let timing = log.path.with_file_name("timing.mcap");
+        let Ok(mut stream) = MessageStream::open(&timing, log.options()) else { return };
+        let names = log.scene.controller_names();
+        let topics: Vec<String> = indices.iter().map(|index| topics::command(&names[*index])).collect();
+        while let Ok(Some(message)) = stream.next_message() {
+            let Some(live) = topics.iter().position(|topic| topic == message.topic) else { continue };
+            if let Ok(command) = Command::read_from_bytes(message.body) {
+                self.expected[live].entry(command.state_tick).or_insert(command);
+            }
+        }
+    }
+}
+
+/// The ports of the physics, as far as a controller sees them.
+struct Stage {
+    states: Publisher<State>,
+    latched: Publisher<Latched>,
+    status: Publisher<RunStatus>,
+    replies: Publisher<DrrReply>,
+    frames: Option<Publisher<Frame>>,
+    live: Vec<Live>,
+    waiter: Waiter,
+}
+
+/// A live controller.
+struct Live {
+    name: String,
+    index: usize,
+    commands: Subscriber<Command>,
+    waker: Waker,
+}
+
+impl Stage {
+    fn open(
+        session: &Session,
+        controllers: &[(String, Vec<String>)],
+        indices: &[usize],
+        has_frames: bool,
+    ) -> Result<Stage, Failure> {
+        let live = |((name, _), index): (&(String, Vec<String>), &usize)| {
+            Ok(Live {
+                name: name.clone(),
+                index: *index,
+                commands: session.command_subscriber(name)?,
+                waker: session.waker(Reader::Controller(*index))?,
+            })
+        };
+        let open = || -> Result<Stage, SessionError> {
+            Ok(Stage {
+                states: session.publisher(&services::STATE)?,
+                latched: session.publisher(&services::LATCHED)?,
+                status: session.publisher(&services::RUN_STATUS)?,
+                replies: session.publisher(&services::DRR_REPLY)?,
+                frames: has_frames.then(|| session.publisher(&services::FRAME)).transpose()?,
+                live: controllers.iter().zip(indices).map(live).collect::<Result<_, SessionError>>()?,
+                waiter: session.waiter(Reader::Physics)?,
+            })
+        };
+        open().map_err(failed)
+    }
+
+    fn say(&self, tick: u64, phase: u32) -> Result<(), PortError> {
+        self.status.send(&RunStatus { tick, phase, ..RunStatus::zeroed() })?;
+        self.live.iter().for_each(|live| live.waker.wake());
+        Ok(())
+    }
+
+    fn show(&self, state: &State) -> Result<(), PortError> {
+        self.states.send(state)?;
+        self.live.iter().for_each(|live| live.waker.wake());
+        Ok(())
+    }
+}
+
+/// The frames of the log on their way to the controllers.
+struct Frames<'l> {
+    replay: Option<FrameReplay<'l>>,
+    next: Option<FrameRecord>,
+    /// Whether they are rendered again though the log holds the image.
+    rendered: bool,
+}
+
+impl Frames<'_> {
+    /// The next frame of a tick up to this one.
+    fn due(&mut self, tick: u64) -> Result<Option<FrameRecord>, Failure> {
+        let Some(replay) = &mut self.replay else { return Ok(None) };
+        if self.next.is_none() {
+            self.next = replay.next_recorded()?;
+        }
+        let Some(recorded) = self.next.take_if(|record| record.frame.tick <= tick) else { return Ok(None) };
+        if recorded.image.is_some() && !self.rendered {
+            return Ok(Some(recorded));
+        }
+        let rendered = replay.render(&recorded.frame)?;
+        match super::frames::compare(&recorded, &rendered) {
+            None => Ok(Some(rendered)),
+            Some(difference) => {
+                Err(Failure::failed(format!("frame {}: {difference}", recorded.frame.sequence)))
+            }
+        }
+    }
+}
+
+struct Play<'l> {
+    log: &'l OpenedLog,
+    hub: Hub,
+    stage: Stage,
+    parts: Vec<Part>,
+    answers: Answers,
+    frames: Frames<'l>,
+    limit: Duration,
+    end: EndRequest,
+    identical: Vec<u64>,
+}
+
+impl Play<'_> {
+    /// Shows the log's states and compares the answers.
+    fn open_loop(&mut self, to_tick: u64) -> Result<(), Failure> {
+        let mut ticks = self.log.reader()?;
+        let mut state = Box::new(*ticks.initial());
+        self.stage.say(0, PHASE_RUNNING).map_err(failed)?;
+        while state.tick < to_tick {
+            self.show(&state)?;
+            for live in 0..self.stage.live.len() {
+                if let Some(expected) = self.answers.expected[live].get(&state.tick).copied() {
+                    let answer = self.await_answer(live, state.tick)?;
+                    self.compare_command(live, state.tick, &expected, &answer)?;
+                }
+            }
+            let Some(record) = ticks.next() else { return Ok(()) };
+            let record = record.map_err(failed)?;
+            self.stage.latched.send(&record.latched).map_err(failed)?;
+            *state = record.state;
+        }
+        Ok(())
+    }
+
+    /// Steps the physics with the live commands, and compares commands and states.
+    fn closed_loop(&mut self, to_tick: u64, mut latch: Latch) -> Result<(), Failure> {
+        let mut ticks = self.log.reader()?;
+        let mut world = self.log.world().map_err(Failure::failed)?;
+        if let Some(divergence) = compare_state(ticks.initial(), world.state()) {
+            return Err(self.differs(&divergence.to_string()));
+        }
+        self.stage.say(0, PHASE_RUNNING).map_err(failed)?;
+        while world.state().tick < to_tick {
+            let Some(record) = ticks.next() else { return Ok(()) };
+            let record = record.map_err(failed)?;
+            self.show(world.state())?;
+            let latched = self.latch(&record, &mut latch)?;
+            self.step(&mut world, &latched, &record)?;
+        }
+        Ok(())
+    }
+
+    /// u_k from the live answers; for controllers that are not live, from the log.
+    fn latch(&mut self, record: &TickRecord, latch: &mut Latch) -> Result<Latched, Failure> {
+        let tick = record.latched.tick;
+        for live in 0..self.stage.live.len() {
+            let answer = self.await_answer(live, tick)?;
+            let (name, index) = (&self.stage.live[live].name, self.stage.live[live].index);
+            latch.offer(index, &answer, tick).map_err(|cause| {
+                let text = format!("tick {tick}, controller `{name}`: its command is refused: {cause}");
+                Failure::failed(text)
+            })?;
+        }
+        let decided = latch.latch(tick, record.latched.reset != 0);
+        let mut latched = record.latched;
+        for live in 0..self.stage.live.len() {
+            let index = self.stage.live[live].index;
+            let (recorded, mut answered) = (record.latched.commands[index], decided.commands[index]);
+            // A controller that has started anew counts anew.
+            answered.command.sequence = recorded.command.sequence;
+            self.compare_command(live, tick, &recorded.command, &answered.command)?;
+            if (recorded.source, recorded.age_ticks) != (answered.source, answered.age_ticks) {
+                let name = &self.stage.live[live].name;
+                return Err(self.differs(&format!(
+                    "first difference: tick {tick}, controller `{name}`, source and age_ticks: {} and {} against {} and {}",
+                    recorded.source, recorded.age_ticks, answered.source, answered.age_ticks
+                )));
+            }
+            latched.commands[index] = answered;
+        }
+        Ok(latched)
+    }
+
+    fn step(&mut self, world: &mut World<'_>, latched: &Latched, record: &TickRecord) -> Result<(), Failure> {
+        self.stage.latched.send(latched).map_err(failed)?;
+        world.step(latched).map_err(Failure::failed)?;
+        match compare_state(&record.state, world.state()) {
+            None => Ok(()),
+            Some(divergence) => Err(self.differs(&divergence.to_string())),
+        }
+    }
+
+    /// Publishes a state and the frames of its tick.
+    fn show(&mut self, state: &State) -> Result<(), Failure> {
+        self.stage.show(state).map_err(failed)?;
+        while let Some(record) = self.frames.due(state.tick)? {
+            if let Some(reply) = self.answers.replies.get(&record.frame.sequence) {
+                self.stage.replies.send(reply).map_err(failed)?;
+            }
+            if let (Some(publisher), Some(image)) = (&self.stage.frames, &record.image) {
+                let parts = [record.frame.as_bytes(), image.as_bytes(), &record.pixels];
+                publisher.send_parts(&parts).map_err(failed)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// A live controller's answer to the state of this tick.
+    fn await_answer(&mut self, live: usize, tick: u64) -> Result<Command, Failure> {
+        let limit = Instant::now() + if self.identical[live] == 0 { CONNECT_LIMIT } else { self.limit };
+        loop {
+            while let Some(command) = self.stage.live[live].commands.receive().map_err(failed)? {
+                if command.message().state_tick == tick {
+                    return Ok(*command.message());
+                }
+            }
+            let name = &self.stage.live[live].name;
+            if self.end.is_set() {
+                return Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED });
+            }
+            if let Some(status) = self.parts[live].ended() {
+                let words = self.parts[live].last_words().join("\n  ");
+                let text =
+                    format!("tick {tick}: controller `{name}` ended ({status}); its last words:\n  {words}");
+                return Err(Failure::failed(text));
+            }
+            if Instant::now() >= limit {
+                let text = format!("tick {tick}: controller `{name}` does not answer its state");
+                return Err(Failure::failed(text));
+            }
+            self.hub.serve_late_joiners().map_err(failed)?;
+            self.stage.states.deliver_history().map_err(failed)?;
+            self.stage.status.deliver_history().map_err(failed)?;
+            self.stage.frames.iter().try_for_each(Publisher::deliver_history).map_err(failed)?;
+            let commands = &self.stage.live[live].commands;
+            self.stage.waiter.wait_until(Instant::now() + LOOK_TIME, || commands.has_message());
+        }
+    }
+
+    fn compare_command(
+        &mut self,
+        live: usize,
+        tick: u64,
+        expected: &Command,
+        answer: &Command,
+    ) -> Result<(), Failure> {
+        let answer = Command { sequence: expected.sequence, ..*answer };
+        let (a, b) = (expected.as_bytes(), answer.as_bytes());
+        let Some(difference) = compare(topics::LATCHED, tick, Command::DESCRIPTION, a, b) else {
+            self.identical[live] += 1;
+            return Ok(());
+        };
+        let name = &self.stage.live[live].name;
+        let mut text = format!("first difference: tick {tick}, controller `{name}`, log against live:");
+        difference.differences.iter().for_each(|field| text.push_str(&format!("\n  {field}")));
+        Err(self.differs(&text))
+    }
+
+    fn differs(&self, what: &str) -> Failure {
+        Failure::failed(format!("{what}{}", self.log.label()))
+    }
+
+    /// Ends the controllers.
+    fn finish(&mut self) {
+        // They are killed if they do not hear it.
+        let _ = self.stage.say(0, PHASE_ENDED);
+        for part in &mut self.parts {
+            if !part.wait(END_LIMIT) {
+                eprintln!("trabecula: controller `{}` did not end and was killed", part.name);
+            }
+        }
+    }
+}
+
+fn failed(cause: impl ToString) -> Failure {
+    Failure::failed(cause.to_string())
+}

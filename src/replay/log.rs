@@ -1,0 +1,163 @@
+//! A log with its scene and volume, and what of it is not what this build has.
+
+use std::path::{Path, PathBuf};
+
+use ipc_types::layout::hex;
+use ipc_types::scene::Scene;
+use physics_proc::process::ct_geometry;
+use physics_proc::simulation::{CtView, Simulation};
+use recorder_proc::header::layout_hashes;
+use recorder_proc::{BuildInfo, LogReader, ReadOptions};
+use volume_io::Volume;
+
+use super::World;
+use crate::commands::replay::log_path;
+use crate::failure::Failure;
+use crate::launcher::volume_source;
+
+/// What the user puts in the place of what the log says.
+#[derive(Debug, Clone, Default)]
+pub struct Overrides {
+    /// The CT file, where it lies now.
+    pub volume: Option<PathBuf>,
+    /// Another scene.
+    pub scene: Option<PathBuf>,
+    /// Whether to go on though something differs.
+    pub allow_mismatch: bool,
+}
+
+/// A log that may be replayed.
+pub struct OpenedLog {
+    /// `run.mcap`.
+    pub path: PathBuf,
+    /// Scene.
+    pub scene: Scene,
+    /// Volume with its hash.
+    pub volume: Option<(Volume, [u8; 32])>,
+    /// What differs from the log and has been allowed to.
+    pub mismatches: Vec<String>,
+    options: ReadOptions,
+}
+
+impl OpenedLog {
+    /// Opens a log, its scene and its volume.
+    ///
+    /// # Errors
+    /// Bad input: not a log; or another build, layout, scene or volume, by name, unless that is allowed.
+    pub fn open(given: &Path, overrides: &Overrides) -> Result<OpenedLog, Failure> {
+        let path = log_path(given);
+        let options = ReadOptions { allow_other_layouts: overrides.allow_mismatch };
+        let reader = LogReader::open_with(&path, options).map_err(Failure::bad_input)?;
+        let recorded = Scene::parse(&reader.header().scene_toml, &path).map_err(Failure::bad_input)?;
+        let mut mismatches = build_mismatch(&reader);
+        mismatches.extend(layout_mismatches(&reader));
+        let mut scene = recorded.clone();
+        if let Some(file) = &overrides.scene {
+            scene = Scene::load(file).map_err(Failure::bad_input)?;
+            mismatches.extend(scene_mismatch(&recorded, &scene, file));
+        }
+        if let Some(file) = &overrides.volume {
+            place_volume(&mut scene, file)?;
+        }
+        let volume = volume_source::load(&scene).map_err(|cause| {
+            let moved = overrides.volume.is_none() && scene.volume.as_ref().is_some_and(|v| v.path.is_some());
+            let advice = if moved { "; if the file has moved, say where with --volume" } else { "" };
+            Failure::bad_input(format!("{cause}{advice}"))
+        })?;
+        mismatches.extend(volume_mismatch(&reader, volume.as_ref().map(|(_, hash)| hash)));
+        if !mismatches.is_empty() && !overrides.allow_mismatch {
+            let list = mismatches.join("\n  ");
+            return Err(Failure::bad_input(format!(
+                "{}: this log cannot be replayed here:\n  {list}\nuse what made it, or --allow-mismatch",
+                path.display()
+            )));
+        }
+        Ok(OpenedLog { path, scene, volume, mismatches, options })
+    }
+
+    /// Reads the ticks from the start.
+    ///
+    /// # Errors
+    /// The file cannot be opened any more.
+    pub fn reader(&self) -> Result<LogReader, Failure> {
+        LogReader::open_with(&self.path, self.options).map_err(Failure::bad_input)
+    }
+
+    /// How the log is to be read.
+    pub fn options(&self) -> ReadOptions {
+        self.options
+    }
+
+    /// The physics of the scene at tick 0.
+    ///
+    /// # Errors
+    /// The physics refuses the scene.
+    pub fn world(&self) -> Result<World<'_>, String> {
+        let ct = self.volume.as_ref().map(|(volume, hash)| {
+            let message = volume_source::message(volume, *hash);
+            CtView { geometry: ct_geometry(&message), hu: &volume.hu }
+        });
+        Ok(World::new(Simulation::new(&self.scene, ct).map_err(|cause| cause.to_string())?))
+    }
+
+    /// What every result is labelled with.
+    pub fn label(&self) -> String {
+        if self.mismatches.is_empty() {
+            return String::new();
+        }
+        format!(" (MISMATCH ALLOWED: {})", self.mismatches.join("; "))
+    }
+}
+
+fn build_mismatch(reader: &LogReader) -> Vec<String> {
+    let (theirs, ours) = (&reader.header().build, BuildInfo::current());
+    if *theirs == ours {
+        return Vec::new();
+    }
+    let name = |build: &BuildInfo| {
+        format!(
+            "{} for {} by {}",
+            build.version,
+            build.target,
+            build.rustc.as_deref().unwrap_or("an unknown compiler")
+        )
+    };
+    vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
+}
+
+/// Messages whose layout is another; only a reader that allows them comes here.
+fn layout_mismatches(reader: &LogReader) -> Vec<String> {
+    let ours = layout_hashes();
+    let of_log = reader.stream().metadata().iter();
+    let of_log = of_log.filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)));
+    let other = of_log.filter(|(message, hash)| ours.get(*message) != Some(*hash));
+    other.map(|(message, hash)| format!("layout: the log's {message} is {hash}, another here")).collect()
+}
+
+fn scene_mismatch(recorded: &Scene, given: &Scene, file: &Path) -> Option<String> {
+    let differs = recorded != given;
+    differs.then(|| {
+        format!("scene: {} is not the `{}` that the log was made with", file.display(), recorded.name)
+    })
+}
+
+fn place_volume(scene: &mut Scene, file: &Path) -> Result<(), Failure> {
+    let Some(volume) = &mut scene.volume else {
+        return Err(Failure::bad_input(format!(
+            "--volume {}: the log's scene has no volume",
+            file.display()
+        )));
+    };
+    volume.phantom = None;
+    volume.path = Some(file.to_owned());
+    Ok(())
+}
+
+fn volume_mismatch(reader: &LogReader, ours: Option<&[u8; 32]>) -> Option<String> {
+    let theirs = reader.header().volume_sha256;
+    if theirs.as_ref() == ours {
+        return None;
+    }
+    let name = |hash: Option<&[u8; 32]>| hash.map_or("none".to_owned(), |hash| hex(hash));
+    Some(format!("volume: the log's has SHA-256 {}, the scene's now {}", name(theirs.as_ref()), name(ours)))
+}

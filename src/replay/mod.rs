@@ -1,0 +1,13 @@
+//! Replaying a log: opening it, checking that this build may, and the ways in which it is replayed.
+
+mod frames;
+mod live;
+mod log;
+mod recording;
+mod world;
+
+pub use frames::verify_frames;
+pub use live::{LivePlan, run as run_live};
+pub use log::{OpenedLog, Overrides};
+pub use recording::{Recorded, record};
+pub use world::World;
