@@ -1,6 +1,7 @@
 //! The ladder of manipulator models behind one trait.
 
 use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
 
 use super::constant_curvature::{ConstantCurvature, ConstantCurvatureState};
 use super::error::ManipulatorError;
@@ -168,7 +169,7 @@ pub enum AnyManipulator {
 }
 
 /// The state of an [`AnyManipulator`].
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub enum AnyManipulatorState {
     /// Of the arc.
     ConstantCurvature(ConstantCurvatureState),
@@ -176,6 +177,14 @@ pub enum AnyManipulatorState {
     Planar(Box<ManipulatorState>),
     /// Of a spatial chain, the long planar one among them.
     Spatial(SpatialState),
+}
+
+/// An [`AnyManipulatorState`] in its place, to be written without a copy: the variants are the same.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub(crate) enum AnyManipulatorStateRef<'a> {
+    ConstantCurvature(&'a ConstantCurvatureState),
+    Planar(&'a ManipulatorState),
+    Spatial(&'a SpatialState),
 }
 
 impl AnyManipulator {
@@ -197,6 +206,29 @@ impl AnyManipulator {
             Rung::Spatial => Self::Spatial(SpatialChain::new(parameters, base)?),
             Rung::Full => Self::Full(SpatialChain::new(parameters, base)?),
         })
+    }
+
+    /// The whole dynamic state.
+    pub(crate) fn state(&self) -> AnyManipulatorStateRef<'_> {
+        match self {
+            Self::ConstantCurvature(tool) => AnyManipulatorStateRef::ConstantCurvature(tool.state()),
+            Self::Planar(tool) => AnyManipulatorStateRef::Planar(tool.state()),
+            Self::LongPlanar(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
+            Self::Spatial(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
+            Self::Full(tool) => AnyManipulatorStateRef::Spatial(tool.state()),
+        }
+    }
+
+    /// Whether a state that was read back is of this rung and size.
+    pub(crate) fn fits(&self, state: &AnyManipulatorState) -> bool {
+        match (self, state) {
+            (Self::ConstantCurvature(_), AnyManipulatorState::ConstantCurvature(_))
+            | (Self::Planar(_), AnyManipulatorState::Planar(_)) => true,
+            (Self::LongPlanar(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
+            (Self::Spatial(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
+            (Self::Full(tool), AnyManipulatorState::Spatial(state)) => tool.fits(state),
+            _ => false,
+        }
     }
 
     /// Which rung it is.

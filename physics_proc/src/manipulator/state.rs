@@ -205,6 +205,13 @@ impl ManipulatorState {
     }
 }
 
+/// `count` places for results, the first taken by `used`; `None` if there are not so many.
+pub(super) fn places_from(used: &[ContactResult], count: usize) -> Option<Vec<ContactResult>> {
+    let mut places = vec![ContactResult::none(); count];
+    places.get_mut(..used.len())?.copy_from_slice(used);
+    Some(places)
+}
+
 /// The used part of the results only: what lies behind it is left over from earlier steps.
 impl Serialize for ManipulatorState {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {

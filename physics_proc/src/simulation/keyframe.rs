@@ -15,7 +15,7 @@ use zerocopy::{FromBytes, IntoBytes};
 use super::{Simulation, SimulationError, SimulationSnapshot, TendonDriveState};
 use crate::arm::ArmSnapshot;
 use crate::bone::BoneSnapshot;
-use crate::manipulator::ManipulatorState;
+use crate::manipulator::AnyManipulatorState;
 use crate::rigid::{RigidScene, RigidSnapshot};
 
 /// Why a keyframe cannot be written or read.
@@ -80,7 +80,7 @@ impl Simulation<'_> {
         type Whole<'b> = (
             &'b [u8],
             ArmSnapshot,
-            ManipulatorState,
+            AnyManipulatorState,
             Option<BoneSnapshot>,
             Option<RigidSnapshot>,
             TendonDriveState,
@@ -97,6 +97,9 @@ impl Simulation<'_> {
         let other = |what| Err(KeyframeError::OtherScene { what }.into());
         if bone.is_some() != self.bone.is_some() {
             return other("volume and strength field");
+        }
+        if !self.manipulator.fits(&manipulator) {
+            return other("the manipulator's model and links");
         }
         let bodies_fit = match (&self.rigid, &rigid) {
             (None, None) => true,

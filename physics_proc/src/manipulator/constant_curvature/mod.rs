@@ -9,11 +9,12 @@ mod arc;
 mod step;
 
 use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3, Vector4};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
 use super::error::ManipulatorError;
 use super::geometry::{SphereLayout, link_lengths_m, spheres};
 use super::parameters::ManipulatorParameters;
-use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
+use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
 use super::tendon::TendonMemory;
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
 use arc::Arc;
@@ -53,6 +54,29 @@ pub struct ConstantCurvatureState {
     result_count: usize,
     results: Vec<ContactResult>,
     report: StepReport,
+}
+
+/// The used part of the results only: what lies behind it is left over from earlier steps.
+impl Serialize for ConstantCurvatureState {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let results = &self.results[..self.result_count];
+        (&self.position, &self.velocity, &self.base, &self.tendon, self.stop_torque_nm, results, &self.report)
+            .serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for ConstantCurvatureState {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        type Coordinates = Vector4<f64>;
+        type Whole =
+            (Coordinates, Coordinates, BaseMotion, [TendonMemory; 2], f64, Vec<ContactResult>, StepReport);
+        let (position, velocity, base, tendon, stop_torque_nm, used, report) =
+            Whole::deserialize(deserializer)?;
+        let results =
+            places_from(&used, MAX_CONTACTS).ok_or_else(|| D::Error::custom("more contacts than a step has"))?;
+        let result_count = used.len();
+        Ok(Self { position, velocity, base, tendon, stop_torque_nm, result_count, results, report })
+    }
 }
 
 /// A continuum manipulator of one curvature.
@@ -265,6 +289,11 @@ impl ConstantCurvature {
     /// A copy of the whole dynamic state.
     pub fn snapshot(&self) -> ConstantCurvatureState {
         self.state.clone()
+    }
+
+    /// The whole dynamic state.
+    pub(crate) fn state(&self) -> &ConstantCurvatureState {
+        &self.state
     }
 
     /// Continues from a snapshot of a tool with the same parameters, bit for bit.

@@ -269,6 +269,17 @@ impl<const D: usize> SpatialChain<D> {
         self.state.clone()
     }
 
+    /// The whole dynamic state.
+    pub(crate) fn state(&self) -> &SpatialState {
+        &self.state
+    }
+
+    /// Whether a state that was read back has this chain's freedoms.
+    pub(crate) fn fits(&self, state: &SpatialState) -> bool {
+        let freedoms = self.state.position.len();
+        [&state.position, &state.velocity, &state.stop_torque].iter().all(|list| list.len() == freedoms)
+    }
+
     /// Continues from a snapshot of a tool with the same parameters, bit for bit.
     pub fn restore(&mut self, state: &SpatialState) {
         self.state.clone_from(state);

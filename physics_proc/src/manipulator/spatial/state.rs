@@ -1,7 +1,11 @@
 //! The state of a spatial chain between steps.
 
-use crate::manipulator::state::{BaseMotion, ContactResult, StepReport};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+use crate::manipulator::state::{BaseMotion, ContactResult, StepReport, places_from};
 use crate::manipulator::tendon::TendonMemory;
+
+use super::MAX_CONTACTS;
 
 /// The whole dynamic state, bit for bit.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,5 +34,27 @@ impl SpatialState {
             results: vec![ContactResult::none(); contacts],
             report: StepReport::none(),
         }
+    }
+}
+
+/// The used part of the results only: what lies behind it is left over from earlier steps.
+impl Serialize for SpatialState {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let results = &self.results[..self.result_count];
+        (&self.position, &self.velocity, &self.base, &self.tendon, &self.stop_torque, results, &self.report)
+            .serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for SpatialState {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        type Freedoms = Vec<f64>;
+        type Whole =
+            (Freedoms, Freedoms, BaseMotion, [TendonMemory; 2], Freedoms, Vec<ContactResult>, StepReport);
+        let (position, velocity, base, tendon, stop_torque, used, report) = Whole::deserialize(deserializer)?;
+        let results =
+            places_from(&used, MAX_CONTACTS).ok_or_else(|| D::Error::custom("more contacts than a step has"))?;
+        let result_count = used.len();
+        Ok(Self { position, velocity, base, tendon, stop_torque, result_count, results, report })
     }
 }
