@@ -3,7 +3,6 @@
 //! `pulp` proves at run time that the instructions exist; its tokens make calling them safe.
 
 use core::arch::x86_64::{__m128i, __m256i, __m512i, _MM_HINT_T0};
-use core::hint::black_box;
 
 use pulp::bytemuck::cast;
 use pulp::x86::{V3, V4};
@@ -51,8 +50,7 @@ impl Lanes for Avx512 {
         let fx_high = f._mm512_slli_epi32::<16>(fx);
         let whole = f._mm512_set1_epi32(1 << WEIGHT_BITS);
         let along = f._mm512_or_si512(f._mm512_sub_epi32(whole, fx), fx_high);
-        // Opaque, or the compiler takes the product apart into wider lanes.
-        let factor = black_box(f._mm512_slli_epi32::<2>(f._mm512_or_si512(fx, fx_high)));
+        let factor = f._mm512_slli_epi32::<2>(f._mm512_or_si512(fx, fx_high));
         let mut lines: [__m512i; LINES] = [f._mm512_setzero_si512(); LINES];
         for (line, &offset) in lines.iter_mut().zip(&rows.offsets[..rows.lines]) {
             let voxels: __m512i = cast(window(data, offset.wrapping_add_signed(place.voxel as isize)));
@@ -114,7 +112,7 @@ impl Avx2 {
         let fx_high = avx2._mm256_slli_epi32::<16>(fx);
         let whole = avx._mm256_set1_epi32(1 << WEIGHT_BITS);
         let along = avx2._mm256_or_si256(avx2._mm256_sub_epi32(whole, fx), fx_high);
-        let factor = black_box(avx2._mm256_slli_epi32::<2>(avx2._mm256_or_si256(fx, fx_high)));
+        let factor = avx2._mm256_slli_epi32::<2>(avx2._mm256_or_si256(fx, fx_high));
         let first_of_pair = avx._mm256_set1_epi32(0xFFFF);
         let mut lines: [__m256i; LINES] = [avx._mm256_setzero_si256(); LINES];
         for (line, &offset) in lines.iter_mut().zip(&rows.offsets[..rows.lines]) {
