@@ -1,5 +1,7 @@
 //! Accuracy harness: ellipsoids whose line integrals are closed, and their voxels.
 
+use rayon::prelude::*;
+
 use crate::grid::Grid;
 use crate::ray::WorldRay;
 
@@ -59,6 +61,7 @@ pub fn voxelise(grid: &Grid, shapes: &[Ellipsoid], samples: usize) -> Vec<i16> {
     let offsets: Vec<f64> = (0..samples).map(|i| (i as f64 + 0.5) / samples as f64 - 0.5).collect();
     let count = (samples * samples * samples) as f64;
     (0..grid.voxels())
+        .into_par_iter()
         .map(|linear| {
             let centre = grid.voxel_of(linear).map(|v| v as f64);
             let mut sum = 0.0;

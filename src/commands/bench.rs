@@ -6,7 +6,7 @@ use clap::Subcommand;
 
 use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
-use crate::bench::{log, memory, overhead, ping_pong, step};
+use crate::bench::{drr, log, memory, overhead, ping_pong, step};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -45,6 +45,15 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(10..=100_000))]
         ticks: u64,
     },
+    /// X-ray line integrals: milliseconds, errors, updates after removals, beside the memory's streaming rate.
+    Drr {
+        /// Voxels along i, j, k.
+        #[arg(long, default_value = "512x512x400", value_parser = memory::parse_dimensions)]
+        dimensions: [usize; 3],
+        /// Rounds, 1 to 1000.
+        #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u64).range(1..=1000))]
+        rounds: u64,
+    },
     /// The answering side of a ping-pong.
     #[command(hide = true)]
     Pong {
@@ -73,6 +82,7 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             log::run(scene, *ticks)
         }
         BenchCommand::Memory { scene, dimensions, ticks } => memory::run(scene, *dimensions, *ticks),
+        BenchCommand::Drr { dimensions, rounds } => drr::run(*dimensions, *rounds as usize),
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }
 }

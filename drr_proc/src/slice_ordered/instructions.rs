@@ -57,14 +57,14 @@ impl Instructions {
         }
     }
 
-    /// Runs plain code that the compiler may turn into vector code of this instruction set.
-    pub(super) fn run<F: FnOnce()>(self, code: F) {
+    /// Runs plain code that the compiler turns into vector code of this instruction set.
+    pub(super) fn run<C: Plain>(self, code: C) {
         match self.0 {
-            Set::Scalar => code(),
+            Set::Scalar => code.run(),
             #[cfg(target_arch = "x86_64")]
-            Set::Avx2(v3) => v3.vectorize(code),
+            Set::Avx2(v3) => v3.vectorize(Call(code)),
             #[cfg(target_arch = "x86_64")]
-            Set::Avx512(v4) => v4.vectorize(code),
+            Set::Avx512(v4) => v4.vectorize(Call(code)),
         }
     }
 
@@ -86,6 +86,25 @@ impl Instructions {
             #[cfg(target_arch = "x86_64")]
             Set::Avx512(v4) => v4.vectorize(With(super::x86::Avx512(v4), tile)),
         }
+    }
+}
+
+/// Code for [`Instructions::run`]; a closure would not be inlined into the function that enables the instructions.
+pub(super) trait Plain {
+    /// Marked `#[inline(always)]` by its implementations.
+    fn run(self);
+}
+
+#[cfg(target_arch = "x86_64")]
+struct Call<C>(C);
+
+#[cfg(target_arch = "x86_64")]
+impl<C: Plain> pulp::NullaryFnOnce for Call<C> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.0.run();
     }
 }
 

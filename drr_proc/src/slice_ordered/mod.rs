@@ -37,7 +37,7 @@ use copies::{Copy3, Voxel, copy_elements};
 use kernel::Work;
 use plan::{Plan, TILE_ROWS, WEIGHT_BITS};
 use splat::{slices_until_flush, splat};
-use warp::{Rect, Warp, pixels_of, sharpen_row};
+use warp::{Rect, SharpenRow, Warp, WarpRow, pixels_of};
 
 /// Fewer pixels than this are warped without waking the worker threads.
 const PARALLEL_FROM: usize = 1 << 14;
@@ -514,7 +514,7 @@ impl SliceOrdered {
         let alpha = self.options.alpha();
         let width = plan.columns;
         let sharpen = |(row, line): (usize, &mut [f32])| {
-            with.run(|| sharpen_row(sums, plan, row, rect.columns, alpha, line));
+            with.run(SharpenRow { sums, plan, row, columns: rect.columns, alpha, out: line });
         };
         let (first, end) = rect.rows;
         let lines = &mut floats[first * width..end * width];
@@ -531,7 +531,8 @@ impl SliceOrdered {
         let columns = c_arm.columns as usize;
         let rows = &mut image[r0 * columns..r1 * columns];
         let draw = |(n, line): (usize, &mut [f64])| {
-            with.run(|| warp.row((r0 + n) as u32, detector.columns.0, &mut line[c0..c1]));
+            let out = &mut line[c0..c1];
+            with.run(WarpRow { warp: &warp, row: (r0 + n) as u32, first_column: detector.columns.0, out });
         };
         if (r1 - r0) * (c1 - c0) < PARALLEL_FROM {
             rows.chunks_mut(columns).enumerate().for_each(draw);

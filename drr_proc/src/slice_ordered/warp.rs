@@ -7,6 +7,7 @@
 //!
 //! Plain f32 and f64 arithmetic in a fixed order without fused operations: vector code has the same bits.
 
+use super::instructions::Plain;
 use super::plan::Plan;
 use crate::carm::PixelBox;
 use crate::ray::RayFan;
@@ -20,14 +21,7 @@ pub(crate) struct Rect {
 
 /// Writes the sharpened image of one row.
 #[inline(always)]
-pub(crate) fn sharpen_row(
-    sums: &[i64],
-    plan: &Plan,
-    row: usize,
-    columns: (usize, usize),
-    alpha: f64,
-    out: &mut [f32],
-) {
+fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), alpha: f64, out: &mut [f32]) {
     let width = plan.columns;
     let line = |r: usize| sums.get(r * width..(r + 1) * width).unwrap_or(&[]);
     let (above, here, below) = (line(row.wrapping_sub(1)), line(row), line(row + 1));
@@ -201,4 +195,36 @@ pub(crate) fn pixels_of(plan: &Plan, fan: &RayFan, rect: &Rect, pixels: [u32; 2]
         }
     }
     PixelBox::covering(low, high, pixels[0], pixels[1])
+}
+
+/// One row to be sharpened, for [`Instructions::run`](super::Instructions).
+pub(crate) struct SharpenRow<'a> {
+    pub sums: &'a [i64],
+    pub plan: &'a Plan,
+    pub row: usize,
+    pub columns: (usize, usize),
+    pub alpha: f64,
+    pub out: &'a mut [f32],
+}
+
+impl Plain for SharpenRow<'_> {
+    #[inline(always)]
+    fn run(self) {
+        sharpen_row(self.sums, self.plan, self.row, self.columns, self.alpha, self.out);
+    }
+}
+
+/// One detector row to be warped.
+pub(crate) struct WarpRow<'a> {
+    pub warp: &'a Warp<'a>,
+    pub row: u32,
+    pub first_column: u32,
+    pub out: &'a mut [f64],
+}
+
+impl Plain for WarpRow<'_> {
+    #[inline(always)]
+    fn run(self) {
+        self.warp.row(self.row, self.first_column, self.out);
+    }
 }
