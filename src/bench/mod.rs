@@ -1,5 +1,6 @@
 //! What the hub costs: measurements that print tables. Times are facts about a machine, so nothing here asserts one.
 
+pub mod latency;
 pub mod log;
 mod machine;
 pub mod memory;
