@@ -80,9 +80,9 @@ pub fn run(rounds: usize, turns: usize, python: PathBuf) -> Result<(), Failure> 
             }
         }
     }
+    cores::release();
     say!();
     machine.print();
-    cores::release();
     Ok(())
 }
 
