@@ -19,13 +19,8 @@ fn main() -> Result<(), ClientError> {
     trabecula_client::run(move |state: &State, command: &mut Command| {
         let error_rad = planned_bend_rad(state.sim_time_s) - state.bend_rad;
         integral_rad_s += error_rad * TICK_S;
-        let mut tension_n = PROPORTIONAL_N_PER_RAD * error_rad + INTEGRAL_N_PER_RAD_S * integral_rad_s;
-        if tension_n < 0.0 {
-            tension_n = 0.0;
-        }
-        if tension_n > LARGEST_TENSION_N {
-            tension_n = LARGEST_TENSION_N;
-        }
+        let tension_n = PROPORTIONAL_N_PER_RAD * error_rad + INTEGRAL_N_PER_RAD_S * integral_rad_s;
+        let tension_n = tension_n.clamp(0.0, LARGEST_TENSION_N);
         if state.tick.is_multiple_of(200) {
             let [low, high] = state.hash;
             println!(
