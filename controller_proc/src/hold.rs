@@ -27,6 +27,7 @@ impl Controller for HoldController {
                 }
                 Drives::Arm => command.arm_mode = ARM_HOLD,
                 Drives::Burr => command.burr_mode = BURR_SPEED,
+                Drives::CArm => {}
             }
         }
     }

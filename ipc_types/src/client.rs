@@ -16,13 +16,15 @@ use crate::messages::Command;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, Service};
 use crate::session::{
-    Announcement, ByteService, ICEORYX2_VERSION, Reader, Session, SessionError, create_node, file_error,
-    session_id, shared_memory_prefix, transported,
+    Announcement, ByteService, CONTROLLER_VARIABLE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE, Session,
+    SessionError, create_node, file_error, session_id, shared_memory_prefix, transported,
 };
 use crate::wake::{Waiter, WakeFlags, Waker};
 
 /// How long a client waits for a session to be announced, or for a service to be there.
 const JOIN_TIME: Duration = Duration::from_secs(10);
+/// How long a service that has been announced is looked for again.
+const OPEN_TIME: Duration = Duration::from_secs(2);
 const RETRY_TIME: Duration = Duration::from_millis(5);
 
 impl Session {
@@ -31,7 +33,15 @@ impl Session {
     /// # Errors
     /// [`SessionError::NoSession`], [`SessionError::Transport`], or a transport failure.
     pub fn join(folder: &Path) -> Result<Session, SessionError> {
-        let announcement = read_announcement(folder)?;
+        Session::join_within(folder, JOIN_TIME)
+    }
+
+    /// The same with a limit of its own.
+    ///
+    /// # Errors
+    /// As [`Session::join`].
+    pub fn join_within(folder: &Path, limit: Duration) -> Result<Session, SessionError> {
+        let announcement = read_announcement(folder, limit)?;
         if announcement.iceoryx2 != ICEORYX2_VERSION {
             return Err(SessionError::Transport { path: folder.to_owned(), theirs: announcement.iceoryx2 });
         }
@@ -44,6 +54,11 @@ impl Session {
     /// The session's folder.
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// What a program's environment must say for it to be this controller.
+    pub fn how_to_connect(&self, controller: &str) -> String {
+        format!("{SESSION_VARIABLE}={} {CONTROLLER_VARIABLE}={controller}", self.folder.display())
     }
 
     /// The transport itself, for measurements beside the session's services.
@@ -162,7 +177,13 @@ impl Session {
         let attributes =
             AttributeVerifier::new().require(&key, &value).map_err(transported(name, "describing"))?;
         let builder = || self.node.service_builder(&service_name).publish_subscribe::<[u8]>();
-        let opened = builder().open_with_attributes(&attributes);
+        let end = Instant::now() + OPEN_TIME;
+        let mut opened = builder().open_with_attributes(&attributes);
+        // The host has announced it, so it is there: on a loaded machine a look at it may still fail for a moment.
+        while matches!(opened, Err(PublishSubscribeOpenError::DoesNotExist)) && Instant::now() < end {
+            std::thread::sleep(RETRY_TIME);
+            opened = builder().open_with_attributes(&attributes);
+        }
         opened.map_err(|cause| match cause {
             PublishSubscribeOpenError::IncompatibleAttributes => layout("another layout".to_owned()),
             other => transported(name, "opening")(other),
@@ -247,9 +268,9 @@ fn publisher_of(
     }
 }
 
-fn read_announcement(folder: &Path) -> Result<Announcement, SessionError> {
+fn read_announcement(folder: &Path, limit: Duration) -> Result<Announcement, SessionError> {
     let path = folder.join("session.json");
-    let end = Instant::now() + JOIN_TIME;
+    let end = Instant::now() + limit;
     loop {
         match fs::read_to_string(&path) {
             Ok(text) => {

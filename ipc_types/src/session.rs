@@ -27,6 +27,8 @@ use crate::wake::WakeFlags;
 pub const ICEORYX2_VERSION: &str = "0.10.0";
 /// Environment variable that holds the folder of the session to join.
 pub const SESSION_VARIABLE: &str = "TRABECULA_SESSION";
+/// Environment variable that holds the name of the controller that a program is.
+pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
 
 /// iceoryx2 puts sockets below the root path, whose names must fit into 108 bytes.
 const MAX_ROOT_PATH: usize = 60;
@@ -230,6 +232,22 @@ pub fn sessions_folder() -> PathBuf {
     }
 }
 
+/// The running session that was announced last, if there is one.
+pub fn newest_session() -> Option<PathBuf> {
+    let folders = fs::read_dir(sessions_folder()).into_iter().flatten().flatten().map(|entry| entry.path());
+    let announced = |folder: PathBuf| {
+        let since = fs::metadata(folder.join("session.json")).and_then(|meta| meta.modified()).ok()?;
+        host_is_alive(&session_id(&folder)).then_some((since, folder))
+    };
+    folders.filter_map(announced).max().map(|(_, folder)| folder)
+}
+
+/// Whether the host that a session's name begins with is running.
+pub fn host_is_alive(id: &str) -> bool {
+    let host = id.split('-').next().and_then(|pid| pid.parse::<u32>().ok());
+    host.is_some_and(|pid| Path::new(&format!("/proc/{pid}")).exists())
+}
+
 /// Removes a session's folder and its shared memory. What is gone already is no error.
 fn wipe(folder: &Path, prefix: &str) {
     let _ = fs::remove_dir_all(folder);
@@ -244,9 +262,7 @@ pub fn wipe_dead_sessions() -> usize {
     let mut wiped = 0;
     for entry in fs::read_dir(sessions_folder()).into_iter().flatten().flatten() {
         let Some(id) = entry.file_name().to_str().map(str::to_owned) else { continue };
-        let host = id.split('-').next().and_then(|pid| pid.parse::<u32>().ok());
-        let alive = host.is_some_and(|pid| Path::new(&format!("/proc/{pid}")).exists());
-        if !alive {
+        if !host_is_alive(&id) {
             wipe(&entry.path(), &shared_memory_prefix(&id));
             wiped += 1;
         }

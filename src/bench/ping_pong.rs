@@ -28,6 +28,8 @@ pub enum Wait {
     Hybrid,
     /// Yield for ever.
     Yield,
+    /// Look without a pause.
+    Spin,
 }
 
 /// Name of the answering side as a controller of its session.
@@ -91,6 +93,7 @@ impl Side {
                     self.waiter.wait_until(limit, || self.subscriber.has_samples().unwrap_or(true));
                 }
                 Wait::Yield => std::thread::yield_now(),
+                Wait::Spin => std::hint::spin_loop(),
             }
             if Instant::now() >= limit {
                 return Err(Failure::failed("ping-pong: the other side does not answer"));
@@ -124,6 +127,18 @@ fn open(node: &Node<ipc::Service>, name: &str) -> Result<Service, Failure> {
 /// # Errors
 /// The transport's, or the other side does not answer.
 pub fn measure(wait: Wait, rounds: usize) -> Result<Samples, Failure> {
+    measure_on(wait, rounds, |start| start())
+}
+
+/// The same; `place` starts the other side where it is to run.
+///
+/// # Errors
+/// As [`measure`].
+pub fn measure_on(
+    wait: Wait,
+    rounds: usize,
+    place: impl FnOnce(&mut dyn FnMut() -> Result<Child, Failure>) -> Result<Child, Failure>,
+) -> Result<Samples, Failure> {
     let plan =
         SessionPlan { controllers: vec![PONG.to_owned()], volume_bytes: 0, frame_bytes: 0, recorder: false };
     let host = SessionHost::create(&plan).map_err(failed)?;
@@ -131,7 +146,7 @@ pub fn measure(wait: Wait, rounds: usize) -> Result<Samples, Failure> {
     let (out, back) = (create(session.node(), PING_SERVICE)?, create(session.node(), PONG_SERVICE)?);
     let side = Side::new(session, wait, &out, &back, [Reader::Physics, Reader::Controller(0)])?;
     host.announce().map_err(failed)?;
-    let mut child = start_pong(session.folder(), wait, rounds)?;
+    let mut child = place(&mut || start_pong(session.folder(), wait, rounds))?;
     let samples = connected(&out, &back).and_then(|()| play(&side, rounds));
     if samples.is_err() {
         // It may have ended by itself.

@@ -6,7 +6,7 @@ use clap::Subcommand;
 
 use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
-use crate::bench::{drr, log, memory, overhead, ping_pong, step};
+use crate::bench::{drr, latency, log, memory, overhead, ping_pong, step};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -54,6 +54,34 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
     },
+    /// State to command and back by language and way of waiting, beside bare iceoryx2 and sockets.
+    Latency {
+        /// Round trips of a turn, 10 to 1000000.
+        #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(10..=1_000_000))]
+        rounds: u64,
+        /// Turns, 1 to 1000.
+        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+        turns: u64,
+        /// Python with NumPy.
+        #[arg(long, default_value = "python3")]
+        python: PathBuf,
+    },
+    /// The answering side of a latency measurement.
+    #[command(hide = true)]
+    Echo {
+        /// As whom.
+        #[arg(long, value_enum)]
+        peer: latency::Peer,
+        /// How both sides wait.
+        #[arg(long, value_enum)]
+        wait: Wait,
+        /// Round trips.
+        #[arg(long)]
+        rounds: usize,
+        /// Of the other side's socket.
+        #[arg(long)]
+        address: String,
+    },
     /// The answering side of a ping-pong.
     #[command(hide = true)]
     Pong {
@@ -83,6 +111,10 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         }
         BenchCommand::Memory { scene, dimensions, ticks } => memory::run(scene, *dimensions, *ticks),
         BenchCommand::Drr { dimensions, rounds } => drr::run(*dimensions, *rounds as usize),
+        BenchCommand::Latency { rounds, turns, python } => {
+            latency::run(*rounds as usize, *turns as usize, python.clone())
+        }
+        BenchCommand::Echo { peer, wait, rounds, address } => latency::answer(*peer, *wait, *rounds, address),
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }
 }

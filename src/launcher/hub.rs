@@ -7,7 +7,7 @@ use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::ports::{PortError, Publisher};
 use ipc_types::scene::Scene;
 use ipc_types::services;
-use ipc_types::session::{SESSION_VARIABLE, SessionError, SessionHost, SessionPlan};
+use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan};
 use volume_io::Volume;
 use zerocopy::IntoBytes;
 
@@ -128,7 +128,7 @@ impl Hub {
         let (program, arguments) =
             words.split_first().map_or(("", words), |(first, rest)| (first.as_str(), rest));
         let mut command = Command::new(program);
-        command.args(arguments).env("TRABECULA_CONTROLLER", name);
+        command.args(arguments).env(CONTROLLER_VARIABLE, name);
         self.spawn(name, &mut command, true)
     }
 

@@ -51,6 +51,7 @@ impl Display {
         if !self.quiet && !self.announced {
             self.announced = true;
             eprintln!("session {}", glance.session.display());
+            glance.awaited.iter().for_each(|line| eprintln!("{line}"));
         }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
         if self.quiet || self.last.elapsed() < period {

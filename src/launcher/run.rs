@@ -11,7 +11,7 @@ use ipc_types::messages::{
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::EndRequest;
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Controller, Scene};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::Waker;
@@ -88,6 +88,8 @@ pub enum RunError {
 pub struct Glance<'a> {
     /// Folder of the session, for controllers that somebody else starts.
     pub session: &'a Path,
+    /// What the run waits for that somebody else must start: see [`awaited`].
+    pub awaited: &'a [String],
     /// Newest state, if there is one.
     pub state: Option<&'a State>,
     /// Newest status.
@@ -112,11 +114,12 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     drop(volume);
     let mut eyes = Eyes::open(&hub.host.session)?;
     let mut parts = start_parts(plan, &hub)?;
+    let awaited = awaited(&plan.scene, &hub);
     let mut first_tick = None;
     let outcome = loop {
         hub.serve_late_joiners()?;
         eyes.look()?;
-        show(&eyes.glance(hub.folder()));
+        show(&eyes.glance(hub.folder(), &awaited));
         if first_tick.is_none() && eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING) {
             first_tick = Some(Instant::now());
         }
@@ -135,7 +138,7 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     let first_tick = first_tick.unwrap_or_else(Instant::now);
     let running = end_parts(plan, &outcome, &mut eyes, &mut parts).duration_since(first_tick);
     eyes.look()?;
-    show(&eyes.glance(hub.folder()));
+    show(&eyes.glance(hub.folder(), &awaited));
     let mut memory: Vec<(String, Memory)> =
         parts.iter().map(|part| (part.name.clone(), part.memory)).collect();
     own_memory.measure("self");
@@ -177,6 +180,20 @@ fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
         }
     }
     Ok(parts)
+}
+
+/// One line an external controller: how long the run waits for it, and how it connects.
+fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
+    let line = |controller: &Controller| {
+        let Controller { name, connect_limit_s, optional, .. } = controller;
+        let wait = match optional {
+            true => "may join at any time".to_owned(),
+            false => format!("is waited for, {connect_limit_s} s at most"),
+        };
+        let how = hub.host.session.how_to_connect(name);
+        format!("controller `{name}` {wait}; start it with {how}")
+    };
+    scene.controller.iter().filter(|controller| controller.external).map(line).collect()
 }
 
 /// Ends all parts in order; returns when the physics was over.
@@ -276,9 +293,10 @@ impl Eyes {
         Ok(())
     }
 
-    fn glance<'a>(&'a self, session: &'a Path) -> Glance<'a> {
+    fn glance<'a>(&'a self, session: &'a Path, awaited: &'a [String]) -> Glance<'a> {
         Glance {
             session,
+            awaited,
             state: self.state.as_deref(),
             status: self.status.as_ref(),
             timings: &self.timings,

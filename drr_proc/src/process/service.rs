@@ -9,7 +9,7 @@ use ipc_types::messages::{
     GEOMETRY_REQUEST, PHASE_ENDED, SEVERITY_WARNING, State,
 };
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Notch, Scene};
+use ipc_types::scene::{Drives, Mode, Notch, Scene};
 use zerocopy::FromBytes;
 
 use super::ports::Ports;
@@ -59,6 +59,8 @@ struct Service {
     c_arm: CArm,
     isocentre_m: [f64; 3],
     notch: Option<Notch>,
+    /// Index of the controller that alone may move the C-arm, if the scene names one.
+    c_arm_driver: Option<u32>,
     noise_seed: u64,
     burr_radius_m: f64,
     jobs: SyncSender<Job>,
@@ -86,6 +88,11 @@ impl Service {
             c_arm,
             isocentre_m: scene_isocentre_m(scene),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
+            c_arm_driver: scene
+                .controller
+                .iter()
+                .position(|controller| controller.drives.contains(&Drives::CArm))
+                .map(|index| index as u32),
             noise_seed: scene.run.seed,
             burr_radius_m: burr_radius_m(scene),
             jobs,
@@ -103,8 +110,11 @@ impl Service {
         self.ports.report_progress(0)?;
         let mut last_tick = None;
         while !end.is_set() {
-            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
+            let ports = &self.ports;
+            let arrived = || ports.states.has_message() || ports.requests.has_message();
+            ports.waiter.wait_until(Instant::now() + LOOK_TIME, arrived);
             self.take_requests()?;
+            self.serve_newest()?;
             self.take_states()?;
             self.publish_finished()?;
             // A physics process that joins later must hear of this one.
@@ -182,6 +192,9 @@ impl Service {
         while let Some(request) = self.ports.requests.receive()? {
             let request = *request.message();
             let refusal = match self.geometry_of(&request) {
+                _ if !self.may_move_c_arm(&request) => {
+                    Some((DRR_REFUSED, "the scene gives the C-arm to another controller".to_owned()))
+                }
                 Err(cause) => Some((DRR_REFUSED, cause.to_string())),
                 Ok(_) if !self.schedule.request(request) => {
                     Some((DRR_BUSY, "too many requests wait".to_owned()))
@@ -195,6 +208,21 @@ impl Service {
                 self.ports.events.send(tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
             }
         }
+        Ok(())
+    }
+
+    fn may_move_c_arm(&self, request: &DrrRequest) -> bool {
+        let moves = request.use_geometry == GEOMETRY_REQUEST;
+        !moves || self.c_arm_driver.is_none_or(|driver| driver == request.requester)
+    }
+
+    /// Serves requests that came after the state that they ask for: in lockstep none may follow before they are answered.
+    fn serve_newest(&mut self) -> Result<(), DrrProcessError> {
+        let Some(state) = self.newest.take() else { return Ok(()) };
+        while let Some(due) = self.schedule.due(state.tick, self.in_flight == 0) {
+            self.start(&state, due)?;
+        }
+        self.newest = Some(state);
         Ok(())
     }
 

@@ -325,6 +325,10 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
         let problem = "needs exactly one of `curved_drilling`, `hold`, `command`, `external`";
         return Err(checker.invalid(&format!("controller `{}`", controller.name), problem));
     }
+    checker.range("controller.connect_limit_s", controller.connect_limit_s, 1.0, 3600.0)?;
+    if controller.optional && !controller.external {
+        return Err(checker.invalid("controller.optional", "is for an `external` controller"));
+    }
     if let Some(drilling) = &controller.curved_drilling {
         check_curved_drilling(drilling, checker)?;
     }

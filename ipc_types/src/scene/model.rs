@@ -529,6 +529,8 @@ pub enum Drives {
     Arm,
     /// The burr.
     Burr,
+    /// The C-arm: only its driver may ask for frames from a pose of its own. Undriven, everybody may.
+    CArm,
 }
 
 /// Who drives the tool. Exactly one of `curved_drilling`, `hold`, `command` and `external` says what it is.
@@ -546,9 +548,21 @@ pub struct Controller {
     /// A program to start, with its arguments; it finds the session's folder in the environment variable
     /// `TRABECULA_SESSION` and its own name in `TRABECULA_CONTROLLER`.
     pub command: Option<Vec<String>>,
-    /// True if somebody else starts it, within 60 s.
+    /// True if somebody else starts it.
     #[serde(default)]
     pub external: bool,
+    /// How long the start of the run waits for it if it is external, 1 to 3600 s.
+    #[serde(default = "Controller::default_connect_limit_s")]
+    pub connect_limit_s: f64,
+    /// True if an external controller may join when it likes: the run begins without it.
+    #[serde(default)]
+    pub optional: bool,
+}
+
+impl Controller {
+    fn default_connect_limit_s() -> f64 {
+        60.0
+    }
 }
 
 /// Image-guided curved drilling: wait for a frame, advance with the burr on, pull the tendon along a ramp, and correct

@@ -71,12 +71,14 @@ pub enum PhysicsError {
         problem: String,
     },
     /// A part never connected.
-    #[error("{part} did not connect within {limit_s} s")]
+    #[error("{part} did not connect within {limit_s} s{hint}")]
     NotConnected {
         /// The part.
         part: String,
         /// Seconds waited.
         limit_s: u64,
+        /// What to do.
+        hint: String,
     },
     /// A controller did not answer in lockstep.
     #[error(

@@ -1,5 +1,7 @@
 //! Every port of the physics process.
 
+use std::time::Duration;
+
 use ipc_types::messages::{
     Command, Latched, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_DRR, SENDER_PHYSICS,
     SENDER_RECORDER, State, TickTiming,
@@ -39,16 +41,32 @@ pub(super) struct ControllerPort {
     pub(super) waker: Waker,
     /// Whether a command that answers the newest state has been timed.
     pub(super) round_trip_ns: u64,
+    /// Whether the run may begin without it.
+    pub(super) optional: bool,
+    /// How long the start waits for it.
+    pub(super) connect_limit: Duration,
+    /// How it is to connect, for the message that it has not.
+    pub(super) how_to_connect: String,
+    /// Sequence of the newest command that was taken off the queue.
+    pub(super) seen_sequence: u64,
 }
 
 impl Ports {
     pub(super) fn open(session: &Session, scene: &Scene) -> Result<Ports, SessionError> {
-        let controllers = scene.controller_names().into_iter().enumerate().map(|(index, name)| {
+        let controllers = scene.controller.iter().enumerate().map(|(index, controller)| {
             Ok(ControllerPort {
-                commands: session.command_subscriber(&name)?,
+                commands: session.command_subscriber(&controller.name)?,
                 waker: session.waker(Reader::Controller(index))?,
-                name,
+                name: controller.name.clone(),
                 round_trip_ns: 0,
+                optional: controller.optional,
+                connect_limit: Duration::from_secs_f64(controller.connect_limit_s),
+                how_to_connect: if controller.external {
+                    format!("; it is external: start it with {}", session.how_to_connect(&controller.name))
+                } else {
+                    String::new()
+                },
+                seen_sequence: 0,
             })
         });
         Ok(Ports {

@@ -4,13 +4,14 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::{
     CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
-    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_RUN, EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS,
-    PHASE_CONNECTING, PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING, RunControl, RunControlReply, RunStatus,
-    SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TickTiming,
+    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_RUN, EVENT_SAFE_COMMAND, Latched,
+    MAX_CONTROLLERS, PHASE_CONNECTING, PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING, RunControl, RunControlReply,
+    RunStatus, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TickTiming,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
+use ipc_types::services::COMMAND;
 
 use super::PhysicsError;
 use super::clock::{ThreadCounters, elapsed_ns, now_ns, sleep_until};
@@ -27,6 +28,8 @@ const LEAD_TICKS: u64 = 256;
 const CONSUMER_LIMIT: Duration = Duration::from_secs(120);
 /// The same at the end of a run that something has ended before its time.
 const ABANDONED_LIMIT: Duration = Duration::from_secs(2);
+/// Refusals of one controller that are said one by one each time its queue is read.
+const REFUSALS_SAID: u64 = 16;
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
 const PAUSE_LOOK: Duration = Duration::from_millis(20);
 
@@ -119,11 +122,12 @@ impl<'v> Runner<'v> {
     /// Publishes the initial state until everybody has answered it.
     fn connect(&mut self) -> Result<(), PhysicsError> {
         let predrilled = self.simulation.predrilled().to_vec();
-        let limit = Instant::now() + CONNECT_LIMIT;
+        let began = Instant::now();
         let mut shown = false;
         loop {
             self.ports.consumers.update()?;
-            let missing = self.ports.consumers.missing().map(|consumer| consumer.part.to_owned());
+            let missing = self.ports.consumers.missing();
+            let missing = missing.map(|consumer| (consumer.part.to_owned(), CONNECT_LIMIT, String::new()));
             if missing.is_none() && !shown {
                 // Only now, so that no consumer misses the first messages.
                 self.ports.publish_predrilled(&predrilled)?;
@@ -131,14 +135,12 @@ impl<'v> Runner<'v> {
                 shown = true;
             }
             self.collect_commands()?;
-            let silent = (0..self.ports.controllers.len()).find(|index| !self.latch.has_command(*index));
-            let silent = silent.map(|index| format!("controller `{}`", self.ports.controllers[index].name));
-            let Some(part) = missing.or(silent) else { break };
+            let Some((part, limit, hint)) = missing.or_else(|| self.awaited_controller()) else { break };
             if self.ends() {
                 break;
             }
-            if Instant::now() >= limit {
-                return Err(PhysicsError::NotConnected { part, limit_s: CONNECT_LIMIT.as_secs() });
+            if began.elapsed() >= limit {
+                return Err(PhysicsError::NotConnected { part, limit_s: limit.as_secs(), hint });
             }
             self.obey()?;
             self.send_status(PHASE_CONNECTING, false)?;
@@ -149,6 +151,19 @@ impl<'v> Runner<'v> {
         self.ports.events.inform(self.tick, EVENT_RUN, text)?;
         self.send_status(PHASE_RUNNING, true)?;
         Ok(())
+    }
+
+    /// A controller that the run does not begin without and that has not commanded yet, with what is left to say of it.
+    fn awaited_controller(&self) -> Option<(String, Duration, String)> {
+        let mut all = self.ports.controllers.iter().enumerate();
+        let (_, port) = all.find(|(index, port)| !port.optional && !self.latch.has_command(*index))?;
+        Some((format!("controller `{}`", port.name), port.connect_limit, port.how_to_connect.clone()))
+    }
+
+    /// Whether lockstep need not wait for a controller: it has answered, or may stay away and has never been here.
+    fn is_settled(&self, index: usize) -> bool {
+        let absent = self.ports.controllers[index].optional && !self.latch.has_command(index);
+        absent || self.latch.has_answer(index, self.tick)
     }
 
     /// Keeps all memory of this process resident, where the system permits it.
@@ -184,8 +199,7 @@ impl<'v> Runner<'v> {
         let limit = Instant::now() + self.controller_limit;
         loop {
             self.collect_commands()?;
-            let Some(silent) =
-                (0..self.ports.controllers.len()).find(|i| !self.latch.has_answer(*i, self.tick))
+            let Some(silent) = (0..self.ports.controllers.len()).find(|index| !self.is_settled(*index))
             else {
                 return Ok(());
             };
@@ -239,10 +253,13 @@ impl<'v> Runner<'v> {
         }
     }
 
-    /// Takes every command that has arrived; what is invalid is refused, said, and changes nothing.
+    /// Takes the commands that have arrived; what is invalid is refused, said, and changes nothing. A controller that
+    /// floods is read no longer than its queue is, so that it cannot hold up the tick, and its refusals are said together.
     fn collect_commands(&mut self) -> Result<(), PortError> {
-        for (index, port) in self.ports.controllers.iter_mut().enumerate() {
-            loop {
+        for index in 0..self.ports.controllers.len() {
+            let (mut refused, mut lost) = (0, 0);
+            for _ in 0..COMMAND.queue_length {
+                let port = &mut self.ports.controllers[index];
                 let refusal = match port.commands.receive() {
                     Ok(None) => break,
                     Ok(Some(command)) => {
@@ -251,6 +268,7 @@ impl<'v> Runner<'v> {
                         if command.state_tick == self.tick && port.round_trip_ns == 0 {
                             port.round_trip_ns = elapsed_ns(self.published).max(1);
                         }
+                        lost += overwritten(&mut port.seen_sequence, command.sequence);
                         let outcome = self.latch.offer(index, &command, self.tick);
                         outcome.err().map(|cause| format!("command {}: {cause}", command.sequence))
                     }
@@ -260,13 +278,30 @@ impl<'v> Runner<'v> {
                     Err(other) => return Err(other),
                 };
                 if let Some(reason) = refusal {
+                    refused += 1;
                     self.refused_commands += 1;
-                    let text = format!("controller `{}`: {reason}; refused", port.name);
-                    self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_COMMAND_REFUSED, &text)?;
+                    if refused <= REFUSALS_SAID {
+                        self.warn(index, EVENT_COMMAND_REFUSED, &format!("{reason}; refused"))?;
+                    }
                 }
+            }
+            if refused > REFUSALS_SAID {
+                let text = format!("{} more commands refused", refused - REFUSALS_SAID);
+                self.warn(index, EVENT_COMMAND_REFUSED, &text)?;
+            }
+            if lost > 0 {
+                let length = COMMAND.queue_length;
+                let text =
+                    format!("{lost} commands never came: a queue holds {length}, or numbers were left out");
+                self.warn(index, EVENT_MESSAGES_LOST, &text)?;
             }
         }
         Ok(())
+    }
+
+    fn warn(&mut self, controller: usize, code: u32, text: &str) -> Result<(), PortError> {
+        let text = format!("controller `{}`: {text}", self.ports.controllers[controller].name);
+        self.ports.events.send(self.tick, SEVERITY_WARNING, code, &text)
     }
 
     fn make_tick(&mut self, start: Start) -> Result<(), PhysicsError> {
@@ -430,4 +465,11 @@ impl<'v> Runner<'v> {
             std::thread::sleep(Duration::from_millis(1));
         }
     }
+}
+
+/// Commands between the one seen last and this one: a client numbers its commands without a gap, so these were overwritten.
+fn overwritten(seen: &mut u64, sequence: u64) -> u64 {
+    let gap = sequence.saturating_sub(seen.saturating_add(1));
+    *seen = sequence;
+    gap
 }

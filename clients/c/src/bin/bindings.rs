@@ -1,0 +1,24 @@
+//! Prints the generated declarations: `trabecula_client_bindings c|python`.
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use trabecula_client::bindings;
+
+fn main() -> ExitCode {
+    let text = match std::env::args().nth(1).as_deref() {
+        Some("c") => bindings::c_header(),
+        Some("python") => bindings::python_module(),
+        _ => {
+            eprintln!("usage: trabecula_client_bindings c|python");
+            return ExitCode::from(2);
+        }
+    };
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(cause) => {
+            eprintln!("standard output: {cause}");
+            ExitCode::FAILURE
+        }
+    }
+}

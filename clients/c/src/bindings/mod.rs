@@ -1,0 +1,113 @@
+//! Declarations for other languages, generated from the messages: the C header and the Python module.
+
+mod c;
+mod constants;
+mod python;
+
+pub use c::c_header;
+pub use python::python_module;
+
+use ipc_types::layout::{Description, Element};
+use ipc_types::reference::every_message;
+
+use crate::error::ClientError;
+
+/// Layouts of all messages: `State=729b226247fc0784;Command=…`.
+pub fn layouts() -> String {
+    let all = every_message();
+    let each: Vec<String> = all.iter().map(|m| format!("{}={}", m.short_name(), m.layout_hash())).collect();
+    each.join(";")
+}
+
+/// Compares the layouts that a program was built with to this library's.
+///
+/// # Errors
+/// [`ClientError::Layout`] with the first message that differs.
+pub fn check_layouts(given: &str) -> Result<(), ClientError> {
+    let all = every_message();
+    for pair in given.split(';') {
+        let (name, layout) = pair.split_once('=').unwrap_or((pair, "none"));
+        let known = all.iter().find(|message| message.short_name() == name);
+        let ours = known.map_or_else(|| "no such message".to_owned(), |message| message.layout_hash());
+        if ours != layout {
+            return Err(ClientError::Layout {
+                message: name.to_owned(),
+                given: layout.to_owned(),
+                ours,
+                version: env!("CARGO_PKG_VERSION"),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Every message, each behind those that it contains.
+fn nested_first() -> Vec<&'static Description> {
+    fn add(message: &'static Description, all: &mut Vec<&'static Description>) {
+        if all.iter().any(|known| known.name == message.name) {
+            return;
+        }
+        for field in message.fields {
+            if let Element::Message(nested) = field.element {
+                add(nested, all);
+            }
+        }
+        all.push(message);
+    }
+    let mut all = Vec::new();
+    every_message().into_iter().for_each(|message| add(message, &mut all));
+    all
+}
+
+/// `CArmGeometry` as `c_arm_geometry`.
+fn snake_case(name: &str) -> String {
+    let mut text = String::new();
+    for letter in name.chars() {
+        if letter.is_ascii_uppercase() && !text.is_empty() {
+            text.push('_');
+        }
+        text.push(letter.to_ascii_lowercase());
+    }
+    text
+}
+
+/// A doc comment as plain lines of at most `width` characters, without Rust's links.
+fn wrapped(doc: &str, width: usize) -> Vec<String> {
+    let plain = doc.replace("[`", "`").replace("`]", "`");
+    let mut lines = vec![String::new()];
+    for word in plain.split_whitespace() {
+        let last = lines.last().map_or(0, |line| line.chars().count());
+        if last > 0 && last + 1 + word.chars().count() > width {
+            lines.push(String::new());
+        }
+        if let Some(line) = lines.last_mut() {
+            if !line.is_empty() {
+                line.push(' ');
+            }
+            line.push_str(word);
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_layout_is_refused_with_the_message_and_both_layouts() {
+        assert!(check_layouts(&layouts()).is_ok());
+        let state = every_message()[0].layout_hash();
+        let changed = layouts().replace(&state, "0123456789abcdef");
+        let refusal = check_layouts(&changed).unwrap_err().to_string();
+        assert!(["State", "0123456789abcdef", &state].iter().all(|word| refusal.contains(word)), "{refusal}");
+        assert!(check_layouts("Nonsense=1").unwrap_err().to_string().contains("no such message"));
+        assert!(check_layouts("").is_err(), "no layouts at all is no agreement");
+    }
+
+    #[test]
+    fn names_and_docs_are_rewritten() {
+        assert_eq!(snake_case("CArmGeometry"), "c_arm_geometry");
+        assert_eq!(wrapped(" See [`State`]\n now", 9), ["See", "`State`", "now"]);
+    }
+}

@@ -1,0 +1,521 @@
+//! One program's connection to a session.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{
+    CONTROL_REFUSED, Command, DrrReply, DrrRequest, EVENT_CONTROLLER, Event, Frame, PHASE_ENDED, Removed,
+    RunControl, RunControlReply, RunStatus, SENDER_CONTROLLER, State, Volume,
+};
+use ipc_types::ports::{Loan, Publisher, Received, Subscriber};
+use ipc_types::process::{EventSender, session_scene};
+use ipc_types::scene::{Mode, Scene};
+use ipc_types::services;
+use ipc_types::session::{
+    CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, Session, newest_session, sessions_folder,
+};
+use ipc_types::wake::{Waiter, Waker};
+
+use crate::error::ClientError;
+
+/// How often a waiting client looks whether the hub is alive.
+const HUB_LOOK: Duration = Duration::from_millis(100);
+/// How often an observer, whom nobody wakes, looks for messages.
+const OBSERVER_LOOK: Duration = Duration::from_micros(200);
+const RETRY_TIME: Duration = Duration::from_millis(10);
+/// Longest wait that a caller may ask for; longer ones overflow clocks.
+const LONGEST_WAIT_S: f64 = 1e9;
+
+/// Which session to join, and as whom.
+#[derive(Debug, Clone)]
+pub struct Connection {
+    /// The session's folder, or its name; `None` takes the folder in `TRABECULA_SESSION`, or else the session of this
+    /// user that was announced last.
+    pub session: Option<String>,
+    /// Name of the controller in the scene, or empty for an observer that commands nothing; `None` takes the name in
+    /// `TRABECULA_CONTROLLER`, or else the scene's only external controller.
+    pub controller: Option<String>,
+    /// How long to wait for the session.
+    pub limit: Duration,
+}
+
+impl Default for Connection {
+    fn default() -> Self {
+        Connection { session: None, controller: None, limit: Duration::from_secs(10) }
+    }
+}
+
+impl Connection {
+    /// An observer of the same session.
+    pub fn observer() -> Connection {
+        Connection { controller: Some(String::new()), ..Connection::default() }
+    }
+}
+
+/// What does not change during a session.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Info {
+    /// Folder of the session.
+    pub folder: PathBuf,
+    /// Name and index of the controller that this client is; `None` for an observer.
+    pub controller: Option<(String, usize)>,
+    /// Number of the scene's controllers.
+    pub controller_count: usize,
+    /// Whether a tick waits for every controller.
+    pub lockstep: bool,
+    /// Simulated time of a tick.
+    pub dt_s: f64,
+    /// Ticks of the whole run.
+    pub tick_count: u64,
+    /// Ticks between two scheduled frames; 0 without.
+    pub frame_period_ticks: u64,
+    /// Pixel columns of a frame; 0 without X-ray.
+    pub frame_columns: u32,
+    /// Pixel rows of a frame.
+    pub frame_rows: u32,
+    /// Whether there is a CT volume.
+    pub has_volume: bool,
+}
+
+/// A connection. It belongs to the thread that made it.
+#[derive(Debug)]
+pub struct Client {
+    pub(crate) session: Session,
+    pub(crate) scene: Scene,
+    pub(crate) info: Info,
+    states: Subscriber<State>,
+    status: Subscriber<RunStatus>,
+    waiter: Option<Waiter>,
+    physics: Waker,
+    commands: Option<Publisher<Command>>,
+    state: Option<Received<State>>,
+    loan: Option<Loan<Command>>,
+    sequence: u64,
+    newest_tick: Option<u64>,
+    states_missed: u64,
+    newest_status: Option<RunStatus>,
+    hub_seen: Instant,
+    control: Option<Control>,
+    events: Option<Subscriber<Event>>,
+    pub(crate) event: Option<Received<Event>>,
+    remarks: Option<EventSender>,
+    removed: Option<Subscriber<Removed>>,
+    pub(crate) removal: Option<Received<Removed>>,
+    pub(crate) frames: Option<Subscriber<Frame>>,
+    pub(crate) frame: Option<Received<Frame>>,
+    pub(crate) requests: Option<Requests>,
+    pub(crate) volume: Option<Received<Volume>>,
+}
+
+#[derive(Debug)]
+struct Control {
+    publisher: Publisher<RunControl>,
+    replies: Subscriber<RunControlReply>,
+    next_id: u64,
+}
+
+#[derive(Debug)]
+pub(crate) struct Requests {
+    pub(crate) publisher: Publisher<DrrRequest>,
+    pub(crate) replies: Subscriber<DrrReply>,
+    pub(crate) drr: Waker,
+    pub(crate) next_id: u64,
+}
+
+/// A duration from seconds as foreign callers give it.
+pub(crate) fn limit_of(seconds: f64) -> Result<Duration, ClientError> {
+    // A NaN is in no range.
+    if !(0.0..=f64::INFINITY).contains(&seconds) {
+        let expected = "0 or more seconds";
+        return Err(ClientError::BadArgument { name: "timeout_s", value: seconds, expected });
+    }
+    Ok(Duration::from_secs_f64(seconds.min(LONGEST_WAIT_S)))
+}
+
+impl Client {
+    /// Joins a session.
+    ///
+    /// # Errors
+    /// No session within the limit, another layout or transport version (by name), a controller that the scene does not
+    /// name or that is connected already.
+    pub fn connect(connection: &Connection) -> Result<Client, ClientError> {
+        let folder = await_folder(connection)?;
+        let session = Session::join_within(&folder, connection.limit)?;
+        let scene = session_scene(&folder)?;
+        let controller = controller_of(connection, &session, &scene)?;
+        let info = Info {
+            folder,
+            controller_count: scene.controller.len(),
+            lockstep: scene.run.mode == Mode::Lockstep,
+            dt_s: scene.dt_s(),
+            tick_count: scene.tick_count(),
+            frame_period_ticks: scene.frame_period_ticks().unwrap_or(0),
+            frame_columns: scene.drr.as_ref().map_or(0, |drr| drr.columns),
+            frame_rows: scene.drr.as_ref().map_or(0, |drr| drr.rows),
+            has_volume: scene.volume.is_some(),
+            controller,
+        };
+        let index = info.controller.as_ref().map(|(_, index)| *index);
+        Ok(Client {
+            states: session.subscriber(&services::STATE)?,
+            status: session.subscriber(&services::RUN_STATUS)?,
+            waiter: index.map(|index| session.waiter(Reader::Controller(index))).transpose()?,
+            physics: session.waker(Reader::Physics)?,
+            // Last: from here on the name is taken.
+            commands: info
+                .controller
+                .as_ref()
+                .map(|(name, _)| session.command_publisher(name))
+                .transpose()?,
+            state: None,
+            loan: None,
+            sequence: 0,
+            newest_tick: None,
+            states_missed: 0,
+            newest_status: None,
+            hub_seen: Instant::now(),
+            control: None,
+            events: None,
+            event: None,
+            remarks: None,
+            removed: None,
+            removal: None,
+            frames: None,
+            frame: None,
+            requests: None,
+            volume: None,
+            session,
+            scene,
+            info,
+        })
+    }
+
+    /// What does not change during the session.
+    pub fn info(&self) -> &Info {
+        &self.info
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The newest state, if one has come since the last call; older ones are passed over and counted
+    /// ([`Client::states_missed`]). It stays in shared memory, and is not overwritten, until the next state is taken.
+    ///
+    /// # Errors
+    /// [`ClientError::Ended`] after the last state; the transport's.
+    pub fn poll_state(&mut self) -> Result<Option<&State>, ClientError> {
+        let mut came = false;
+        while self.take_state()? {
+            came = true;
+        }
+        if came {
+            self.count_missed();
+        } else {
+            self.check_end()?;
+        }
+        Ok(self.state.as_ref().filter(|_| came).map(Received::message))
+    }
+
+    /// Waits for the newest state as [`Client::poll_state`] gives it: yields for 20 µs, then sleeps until woken.
+    ///
+    /// # Errors
+    /// [`ClientError::TimedOut`], [`ClientError::Ended`] after the last state, [`ClientError::HubGone`]; the transport's.
+    pub fn wait_state(&mut self, limit: Duration) -> Result<&State, ClientError> {
+        self.await_state(limit)?;
+        while self.take_state()? {}
+        self.count_missed();
+        self.state.as_ref().map(Received::message).ok_or(ClientError::Ended)
+    }
+
+    /// Waits for the oldest state that has not been taken, for clients that want every one. The queue holds 512.
+    ///
+    /// # Errors
+    /// As [`Client::wait_state`].
+    pub fn next_state(&mut self, limit: Duration) -> Result<&State, ClientError> {
+        self.await_state(limit)?;
+        self.count_missed();
+        self.state.as_ref().map(Received::message).ok_or(ClientError::Ended)
+    }
+
+    /// Waits for a state and takes the oldest one.
+    fn await_state(&mut self, limit: Duration) -> Result<(), ClientError> {
+        let deadline = Instant::now() + limit;
+        loop {
+            if self.take_state()? {
+                return Ok(());
+            }
+            self.check_end()?;
+            let now = Instant::now();
+            if now >= deadline {
+                return Err(ClientError::TimedOut(limit));
+            }
+            let slice = deadline.min(now + HUB_LOOK);
+            let (states, status) = (&self.states, &self.status);
+            let ready = || states.has_message() || status.has_message();
+            match &self.waiter {
+                Some(waiter) => {
+                    waiter.wait_until(slice, ready);
+                }
+                None => look_until(slice, ready),
+            }
+        }
+    }
+
+    /// The last state that was taken.
+    pub fn state(&self) -> Option<&State> {
+        self.state.as_ref().map(Received::message)
+    }
+
+    /// States that were passed over or overwritten before this client took them.
+    pub fn states_missed(&self) -> u64 {
+        self.states_missed
+    }
+
+    fn take_state(&mut self) -> Result<bool, ClientError> {
+        // The one before is given back only when the new one is here: a caller may still hold on to it.
+        let Some(state) = self.states.receive()? else { return Ok(false) };
+        self.state = Some(state);
+        Ok(true)
+    }
+
+    /// Counts the states between the one that is handed out now and the one before.
+    fn count_missed(&mut self) {
+        let Some(tick) = self.state.as_ref().map(|state| state.message().tick) else { return };
+        if let Some(before) = self.newest_tick.replace(tick) {
+            self.states_missed += tick.saturating_sub(before.saturating_add(1));
+        }
+    }
+
+    /// An error if nothing will come any more.
+    fn check_end(&mut self) -> Result<(), ClientError> {
+        if let Some(status) = self.status()?
+            && status.phase == PHASE_ENDED
+        {
+            // The last state was published before the status; it may have come since the queue was looked at.
+            return if self.states.has_message() { Ok(()) } else { Err(ClientError::Ended) };
+        }
+        if self.hub_seen.elapsed() >= HUB_LOOK {
+            if !self.info.folder.join("session.json").exists() {
+                return Err(ClientError::HubGone { folder: self.info.folder.clone() });
+            }
+            self.hub_seen = Instant::now();
+        }
+        Ok(())
+    }
+
+    /// Where the run stands, if that has come.
+    ///
+    /// # Errors
+    /// The transport's.
+    pub fn status(&mut self) -> Result<Option<RunStatus>, ClientError> {
+        if let Some(status) = self.status.receive_newest()? {
+            self.newest_status = Some(*status.message());
+        }
+        Ok(self.newest_status)
+    }
+
+    /// The command that will be sent next, in shared memory: every mode at "none", `sequence` and `state_tick` filled in.
+    /// The same one until it is sent or discarded.
+    ///
+    /// # Errors
+    /// [`ClientError::Observer`]; the transport's.
+    pub fn command(&mut self) -> Result<&mut Command, ClientError> {
+        let loan = match self.loan.take() {
+            Some(loan) => loan,
+            None => {
+                let publisher = self.commands.as_ref().ok_or(ClientError::Observer)?;
+                let mut loan = publisher.loan()?;
+                let command = loan.message_mut();
+                command.sequence = self.sequence + 1;
+                command.state_tick = self.newest_tick.unwrap_or(0);
+                loan
+            }
+        };
+        Ok(self.loan.insert(loan).message_mut())
+    }
+
+    /// Sends the command that [`Client::command`] gave, and wakes the physics.
+    ///
+    /// # Errors
+    /// [`ClientError::Misuse`] if none was asked for; the transport's.
+    pub fn send(&mut self) -> Result<(), ClientError> {
+        let none = ClientError::Misuse("no command to send; ask for one first");
+        let mut loan = self.loan.take().ok_or(none)?;
+        let sequence = loan.message_mut().sequence;
+        loan.send()?;
+        self.sequence = sequence;
+        self.physics.wake();
+        Ok(())
+    }
+
+    /// Gives the command back unsent. Without one it does nothing.
+    pub fn discard_command(&mut self) {
+        self.loan = None;
+    }
+
+    /// Waits for the newest state, has it answered, and sends the answer.
+    ///
+    /// # Errors
+    /// As [`Client::wait_state`] and [`Client::send`].
+    pub fn answer(
+        &mut self,
+        limit: Duration,
+        step: impl FnOnce(&State, &mut Command),
+    ) -> Result<(), ClientError> {
+        self.wait_state(limit)?;
+        self.command()?;
+        if let (Some(state), Some(loan)) = (&self.state, &mut self.loan) {
+            step(state.message(), loan.message_mut());
+        }
+        self.send()
+    }
+
+    /// Asks run control for an action (one of the `CONTROL_` constants; `ticks` is for a step) and waits for the answer.
+    ///
+    /// # Errors
+    /// [`ClientError::ControlRefused`], [`ClientError::TimedOut`]; the transport's.
+    pub fn run_control(
+        &mut self,
+        action: u32,
+        ticks: u64,
+        limit: Duration,
+    ) -> Result<RunControlReply, ClientError> {
+        if self.control.is_none() {
+            self.control = Some(Control {
+                publisher: self.session.publisher(&services::RUN_CONTROL)?,
+                replies: self.session.subscriber(&services::RUN_CONTROL_REPLY)?,
+                next_id: own_ids(),
+            });
+        }
+        let Some(control) = &mut self.control else { return Err(ClientError::Ended) };
+        control.next_id += 1;
+        let request_id = control.next_id;
+        control.publisher.send(&RunControl { request_id, ticks, action, reserved: 0 })?;
+        self.physics.wake();
+        let deadline = Instant::now() + limit;
+        loop {
+            while let Some(reply) = control.replies.receive()? {
+                let reply = *reply.message();
+                if reply.request_id == request_id {
+                    let refused = reply.status == CONTROL_REFUSED;
+                    return if refused { Err(ClientError::ControlRefused { action }) } else { Ok(reply) };
+                }
+            }
+            if Instant::now() >= deadline {
+                return Err(ClientError::TimedOut(limit));
+            }
+            std::thread::sleep(OBSERVER_LOOK);
+        }
+    }
+
+    /// The oldest event that has not been taken. Events are kept for this client from its first call on.
+    ///
+    /// # Errors
+    /// The transport's.
+    pub fn next_event(&mut self) -> Result<Option<(&Event, &str)>, ClientError> {
+        if self.events.is_none() {
+            self.events = Some(self.session.subscriber(&services::EVENT)?);
+        }
+        self.event = self.events.as_ref().map_or(Ok(None), Subscriber::receive)?;
+        Ok(self.event.as_ref().map(|event| (event.message(), event_text(event))))
+    }
+
+    /// Writes a line to the session's events, and so into the log.
+    ///
+    /// # Errors
+    /// [`ClientError::Observer`]; the transport's.
+    pub fn remark(&mut self, severity: u32, text: &str) -> Result<(), ClientError> {
+        let (_, index) = self.info.controller.as_ref().ok_or(ClientError::Observer)?;
+        if self.remarks.is_none() {
+            self.remarks = Some(EventSender::new(&self.session, SENDER_CONTROLLER + *index as u32)?);
+        }
+        let tick = self.newest_tick.unwrap_or(0);
+        if let Some(remarks) = &mut self.remarks {
+            remarks.send(tick, severity, EVENT_CONTROLLER, text)?;
+        }
+        Ok(())
+    }
+
+    /// The oldest message about removed voxels that has not been taken, with the voxels' indices in place. They are kept
+    /// for this client from its first call on.
+    ///
+    /// # Errors
+    /// The transport's.
+    pub fn next_removed(&mut self) -> Result<Option<&Received<Removed>>, ClientError> {
+        if self.removed.is_none() {
+            self.removed = Some(self.session.subscriber(&services::REMOVED)?);
+        }
+        self.removal = self.removed.as_ref().map_or(Ok(None), Subscriber::receive)?;
+        Ok(self.removal.as_ref())
+    }
+}
+
+/// The text of an event, in place. Its sender is another process: bytes that are no text are none.
+pub(crate) fn event_text(event: &Received<Event>) -> &str {
+    let bytes = event.tail();
+    std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).unwrap_or("")
+}
+
+/// Request numbers that differ from those of other clients of the session.
+pub(crate) fn own_ids() -> u64 {
+    u64::from(std::process::id()) << 32
+}
+
+/// Looks again and again, with sleep between.
+pub(crate) fn look_until(deadline: Instant, mut ready: impl FnMut() -> bool) {
+    while !ready() && Instant::now() < deadline {
+        std::thread::sleep(OBSERVER_LOOK);
+    }
+}
+
+fn await_folder(connection: &Connection) -> Result<PathBuf, ClientError> {
+    let given = connection.session.clone().filter(|text| !text.is_empty());
+    let from_environment = || std::env::var(SESSION_VARIABLE).ok().filter(|text| !text.is_empty());
+    let named = given.or_else(from_environment).map(|text| match text.contains('/') {
+        true => PathBuf::from(text),
+        false => sessions_folder().join(text),
+    });
+    let end = Instant::now() + connection.limit;
+    loop {
+        let folder = named.clone().filter(|folder| folder.is_dir()).or_else(|| match named {
+            Some(_) => None,
+            None => newest_session(),
+        });
+        if let Some(folder) = folder {
+            return Ok(folder);
+        }
+        if Instant::now() >= end {
+            let folder = named.unwrap_or_else(sessions_folder);
+            let limit_s = connection.limit.as_secs_f64();
+            return Err(ClientError::NoSession { folder, limit_s });
+        }
+        std::thread::sleep(RETRY_TIME);
+    }
+}
+
+fn controller_of(
+    connection: &Connection,
+    session: &Session,
+    scene: &Scene,
+) -> Result<Option<(String, usize)>, ClientError> {
+    let from_environment = || std::env::var(CONTROLLER_VARIABLE).ok();
+    let name = match connection.controller.clone().or_else(from_environment) {
+        Some(name) if name.is_empty() => return Ok(None),
+        Some(name) => name,
+        None => {
+            let mut external = scene.controller.iter().filter(|controller| controller.external);
+            match (external.next(), external.count()) {
+                (Some(only), 0) => only.name.clone(),
+                (first, more) => {
+                    let external = usize::from(first.is_some()) + more;
+                    let known = scene.controller_names().join(", ");
+                    return Err(ClientError::WhichController { external, known });
+                }
+            }
+        }
+    };
+    let index = session.controller_index(&name)?;
+    Ok(Some((name, index)))
+}

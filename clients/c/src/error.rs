@@ -1,0 +1,101 @@
+use std::path::PathBuf;
+use std::time::Duration;
+
+use ipc_types::ports::PortError;
+use ipc_types::scene::SceneError;
+use ipc_types::session::SessionError;
+use thiserror::Error;
+
+/// Why a client cannot do what it was asked.
+#[derive(Debug, Error)]
+pub enum ClientError {
+    /// The session cannot be joined, or a port of it not be opened.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The session's scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A message cannot be sent or taken.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// No session was announced in time.
+    #[error("no running session in {folder} after {limit_s:.1} s; start one with `trabecula run SCENE`")]
+    NoSession {
+        /// Folder that was looked into.
+        folder: PathBuf,
+        /// Seconds waited.
+        limit_s: f64,
+    },
+    /// The client's own declarations of a message are not those of this library.
+    #[error(
+        "{message}: this program was built with layout {given}, libtrabecula_client {version} has {ours}; build both from one version"
+    )]
+    Layout {
+        /// Message.
+        message: String,
+        /// Layout that the program was built with.
+        given: String,
+        /// Layout of the library.
+        ours: String,
+        /// Version of the library.
+        version: &'static str,
+    },
+    /// The scene leaves open which controller is meant.
+    #[error(
+        "no controller named, and the scene has {external} external ones; name one of its controllers: {known}"
+    )]
+    WhichController {
+        /// Number of external controllers.
+        external: usize,
+        /// Names of the scene.
+        known: String,
+    },
+    /// The client does not command anything.
+    #[error("this client joined as an observer; name a controller when it connects to command one")]
+    Observer,
+    /// The scene has no X-ray.
+    #[error("the scene has no `[drr]`, so there are no frames")]
+    NoDrr,
+    /// The scene has no bone.
+    #[error("the scene has no `[volume]`")]
+    NoVolume,
+    /// A request for a frame was refused.
+    #[error("request {request_id} for a frame was {how}; the session's events say why")]
+    FrameRefused {
+        /// The request.
+        request_id: u64,
+        /// Refused or busy.
+        how: &'static str,
+    },
+    /// Run control refused an action.
+    #[error("run control refused action {action} (a step needs a paused run; actions are 1 to 5)")]
+    ControlRefused {
+        /// The action.
+        action: u32,
+    },
+    /// The text of an event is not UTF-8, or a command was to be sent that was not asked for.
+    #[error("{0}")]
+    Misuse(&'static str),
+    /// A number is not one that can be used.
+    #[error("`{name}` is {value}, expected {expected}")]
+    BadArgument {
+        /// Argument.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// The run is over.
+    #[error("the run has ended")]
+    Ended,
+    /// The hub is gone without an end of the run.
+    #[error("the hub of session {folder} is gone")]
+    HubGone {
+        /// Session folder.
+        folder: PathBuf,
+    },
+    /// Nothing came in time.
+    #[error("nothing came within {:.3} s", .0.as_secs_f64())]
+    TimedOut(Duration),
+}

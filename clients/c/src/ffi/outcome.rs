@@ -1,0 +1,126 @@
+//! Status codes, and the text of the last error.
+
+use std::cell::RefCell;
+use std::ffi::{CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use ipc_types::session::SessionError;
+use thiserror::Error;
+
+use crate::error::ClientError;
+
+macro_rules! statuses {
+    ($($(#[doc = $doc:literal])* $name:ident = $value:literal;)*) => {
+        $($(#[doc = $doc])* pub(super) const $name: i32 = $value;)*
+
+        /// Every status code: name, value, meaning.
+        pub const STATUSES: &[(&str, i32, &str)] = &[$((stringify!($name), $value, concat!($($doc),*))),*];
+    };
+}
+statuses! {
+    /// Done.
+    OK = 0;
+    /// Nothing came in time; not an error.
+    TIMEOUT = 1;
+    /// The run is over; not an error.
+    ENDED = 2;
+    /// A pointer that is needed is null.
+    ERROR_NULL = -1;
+    /// Not a client of this thread: never connected, disconnected, or connected by another thread.
+    ERROR_HANDLE = -2;
+    /// A number or text is not one that can be used.
+    ERROR_ARGUMENT = -3;
+    /// No session is running there.
+    ERROR_NO_SESSION = -4;
+    /// Program, library and hub are not of one version: a message's layout or the transport differs.
+    ERROR_VERSION = -5;
+    /// The scene has no such controller, or leaves open which one is meant.
+    ERROR_CONTROLLER = -6;
+    /// A controller of this name is connected already.
+    ERROR_TAKEN = -7;
+    /// A request for a frame or an action of run control was refused.
+    ERROR_REFUSED = -8;
+    /// The scene has no X-ray or no volume, or the client is an observer.
+    ERROR_ABSENT = -9;
+    /// Shared memory or the transport failed.
+    ERROR_TRANSPORT = -10;
+    /// The hub is gone.
+    ERROR_HUB_GONE = -11;
+    /// A defect of this library.
+    ERROR_DEFECT = -12;
+}
+
+/// Why a call failed.
+#[derive(Debug, Error)]
+pub(super) enum Failure {
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    #[error("`{0}` is a null pointer")]
+    Null(&'static str),
+    #[error(
+        "{0} is not a client of this thread: never connected, disconnected, or connected by another thread"
+    )]
+    Handle(u64),
+    #[error("`{0}` is not UTF-8")]
+    Text(&'static str),
+}
+
+impl Failure {
+    fn status(&self) -> i32 {
+        match self {
+            Failure::Null(_) => ERROR_NULL,
+            Failure::Handle(_) => ERROR_HANDLE,
+            Failure::Text(_) => ERROR_ARGUMENT,
+            Failure::Client(cause) => client_status(cause),
+        }
+    }
+}
+
+fn client_status(cause: &ClientError) -> i32 {
+    match cause {
+        ClientError::TimedOut(_) => TIMEOUT,
+        ClientError::Ended => ENDED,
+        ClientError::NoSession { .. } | ClientError::Session(SessionError::NoSession { .. }) => {
+            ERROR_NO_SESSION
+        }
+        ClientError::Layout { .. }
+        | ClientError::Session(SessionError::Layout { .. } | SessionError::Transport { .. }) => ERROR_VERSION,
+        ClientError::WhichController { .. }
+        | ClientError::Session(SessionError::UnknownController { .. }) => ERROR_CONTROLLER,
+        ClientError::Session(SessionError::ControllerTaken { .. }) => ERROR_TAKEN,
+        ClientError::FrameRefused { .. } | ClientError::ControlRefused { .. } => ERROR_REFUSED,
+        ClientError::Observer | ClientError::NoDrr | ClientError::NoVolume => ERROR_ABSENT,
+        ClientError::Misuse(_) | ClientError::BadArgument { .. } => ERROR_ARGUMENT,
+        ClientError::HubGone { .. } => ERROR_HUB_GONE,
+        ClientError::Session(_) | ClientError::Scene(_) | ClientError::Port(_) => ERROR_TRANSPORT,
+    }
+}
+
+thread_local! {
+    static LAST_ERROR: RefCell<CString> = RefCell::default();
+}
+
+/// Runs the body of a function; its failure becomes a status and this thread's last error.
+pub(super) fn outcome(body: impl FnOnce() -> Result<(), Failure>) -> i32 {
+    // What a panic leaves half done stays inside this library: the client's fields are plain values and ports.
+    let (status, text) = match catch_unwind(AssertUnwindSafe(body)) {
+        Ok(Ok(())) => return OK,
+        // These two come at every turn of a loop: no text is made for them.
+        Ok(Err(Failure::Client(ClientError::TimedOut(_)))) => return TIMEOUT,
+        Ok(Err(Failure::Client(ClientError::Ended))) => return ENDED,
+        Ok(Err(failure)) => (failure.status(), failure.to_string()),
+        Err(_) => {
+            (ERROR_DEFECT, "a defect of libtrabecula_client; its message is on standard error".to_owned())
+        }
+    };
+    // A thread that ends has no last error any more.
+    let _ = LAST_ERROR.try_with(|last| {
+        *last.borrow_mut() = CString::new(text.replace('\0', " ")).unwrap_or_default();
+    });
+    status
+}
+
+/// The last error's text of this thread.
+pub(super) fn last_error() -> *const c_char {
+    LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+}

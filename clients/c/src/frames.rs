@@ -1,0 +1,210 @@
+//! X-ray frames and the CT volume, in place.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::layout::Message;
+use ipc_types::messages::{
+    CArmGeometry, DRR_ACCEPTED, DRR_BUSY, DrrRequest, Frame, GEOMETRY_REQUEST, GEOMETRY_SCENE, ImagePrefix,
+    Pose, Volume,
+};
+use ipc_types::ports::Received;
+use ipc_types::scene::Drr;
+use ipc_types::services;
+use ipc_types::session::Reader;
+use zerocopy::FromBytes;
+
+use crate::client::{Client, Requests, look_until, own_ids};
+use crate::error::ClientError;
+
+/// A frame in shared memory.
+#[derive(Debug, Clone, Copy)]
+pub struct FrameView<'a> {
+    /// What it shows.
+    pub frame: &'a Frame,
+    /// Intensities, row after row from the top left; 0 is black.
+    pub pixels: &'a [u16],
+}
+
+/// The CT volume in shared memory.
+#[derive(Debug, Clone, Copy)]
+pub struct VolumeView<'a> {
+    /// Geometry.
+    pub volume: &'a Volume,
+    /// Hounsfield units, x fastest.
+    pub hu: &'a [i16],
+}
+
+impl Client {
+    /// Asks for a frame and returns the request's number. `t_world_c_arm` is where the C-arm is to stand: its origin is
+    /// the isocentre, +x runs along the picture's rows to the right, +y along its columns down, +z to the source;
+    /// distances, pixels and pitch are the scene's. `None` takes the scene's C-arm as it stands. The frame shows the
+    /// state of `tick`, or the newest one when that has passed.
+    ///
+    /// # Errors
+    /// [`ClientError::NoDrr`], [`ClientError::BadArgument`] for a pose that is none; the transport's.
+    pub fn request_frame(&mut self, t_world_c_arm: Option<&Pose>, tick: u64) -> Result<u64, ClientError> {
+        self.open_frames()?;
+        let drr = self.scene.drr.as_ref().ok_or(ClientError::NoDrr)?;
+        let geometry = t_world_c_arm.map(|pose| geometry_at(pose, drr)).transpose()?;
+        let requester = self.info.controller.as_ref().map_or(u32::MAX, |(_, index)| *index as u32);
+        if self.requests.is_none() {
+            self.requests = Some(Requests {
+                publisher: self.session.publisher(&services::DRR_REQUEST)?,
+                replies: self.session.subscriber(&services::DRR_REPLY)?,
+                drr: self.session.waker(Reader::Drr)?,
+                next_id: own_ids(),
+            });
+        }
+        let Some(requests) = &mut self.requests else { return Err(ClientError::NoDrr) };
+        requests.next_id += 1;
+        requests.publisher.send(&DrrRequest {
+            request_id: requests.next_id,
+            tick,
+            requester,
+            use_geometry: if geometry.is_some() { GEOMETRY_REQUEST } else { GEOMETRY_SCENE },
+            geometry: geometry.unwrap_or_else(CArmGeometry::zeroed),
+        })?;
+        requests.drr.wake();
+        Ok(requests.next_id)
+    }
+
+    /// Waits for a frame: the one of a request, or with 0 the next one of any kind. Frames are kept for this client
+    /// from its first call of this or [`Client::request_frame`] on, eight at most. It stays in shared memory, and is not
+    /// overwritten, until the next call.
+    ///
+    /// # Errors
+    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`]; the transport's.
+    pub fn wait_frame(&mut self, request_id: u64, limit: Duration) -> Result<FrameView<'_>, ClientError> {
+        self.open_frames()?;
+        self.frame = None;
+        let deadline = Instant::now() + limit;
+        loop {
+            self.check_replies(request_id)?;
+            let Some(frames) = &self.frames else { return Err(ClientError::NoDrr) };
+            if let Some(frame) = frames.receive()? {
+                if request_id == 0 || frame.message().request_id == request_id {
+                    self.frame = Some(frame);
+                    break;
+                }
+                continue;
+            }
+            if Instant::now() >= deadline {
+                return Err(ClientError::TimedOut(limit));
+            }
+            let slice = deadline.min(Instant::now() + Duration::from_millis(2));
+            look_until(slice, || frames.has_message());
+        }
+        let view = self.frame.as_ref().and_then(frame_view);
+        view.ok_or(ClientError::Misuse("a frame came whose pixels are not those it announces"))
+    }
+
+    fn open_frames(&mut self) -> Result<(), ClientError> {
+        if self.scene.drr.is_none() {
+            return Err(ClientError::NoDrr);
+        }
+        if self.frames.is_none() {
+            self.frames = Some(self.session.subscriber(&services::FRAME)?);
+        }
+        Ok(())
+    }
+
+    fn check_replies(&mut self, request_id: u64) -> Result<(), ClientError> {
+        let Some(requests) = &self.requests else { return Ok(()) };
+        while let Some(reply) = requests.replies.receive()? {
+            let reply = reply.message();
+            if reply.request_id == request_id && request_id != 0 && reply.status != DRR_ACCEPTED {
+                let how = if reply.status == DRR_BUSY { "turned away: too many wait" } else { "refused" };
+                return Err(ClientError::FrameRefused { request_id, how });
+            }
+        }
+        Ok(())
+    }
+
+    /// The CT volume as it was at the start, in place. It stays for as long as the client does.
+    ///
+    /// # Errors
+    /// [`ClientError::NoVolume`], [`ClientError::TimedOut`]; the transport's.
+    pub fn volume(&mut self, limit: Duration) -> Result<VolumeView<'_>, ClientError> {
+        if self.scene.volume.is_none() {
+            return Err(ClientError::NoVolume);
+        }
+        if self.volume.is_none() {
+            let subscriber = self.session.subscriber::<Volume>(&services::VOLUME)?;
+            let deadline = Instant::now() + limit;
+            look_until(deadline, || subscriber.has_message());
+            self.volume = subscriber.receive()?;
+        }
+        let volume = self.volume.as_ref().ok_or(ClientError::TimedOut(limit))?;
+        let wrong = ClientError::Misuse("the volume's voxels are not those it announces");
+        let hu = <[i16]>::ref_from_bytes(volume.tail()).map_err(|_| wrong)?;
+        Ok(VolumeView { volume: volume.message(), hu })
+    }
+}
+
+/// A frame's pixels where they lie. Its writer is another process: a picture that is none is not shown.
+pub(crate) fn frame_view(received: &Received<Frame>) -> Option<FrameView<'_>> {
+    let frame = received.message();
+    let data = received.tail().get(ImagePrefix::DESCRIPTION.size..)?;
+    let pixels = <[u16]>::ref_from_bytes(data).ok()?;
+    let expected = u64::from(frame.geometry.columns) * u64::from(frame.geometry.rows);
+    (pixels.len() as u64 == expected).then_some(FrameView { frame, pixels })
+}
+
+/// The scene's C-arm moved to a pose.
+fn geometry_at(pose: &Pose, drr: &Drr) -> Result<CArmGeometry, ClientError> {
+    let [x, y, z, w] = pose.orientation_xyzw;
+    let length = (x * x + y * y + z * z + w * w).sqrt();
+    let is_unit = (length - 1.0).abs() < 1e-6;
+    if !is_unit {
+        let expected = "the length 1 of a unit quaternion";
+        return Err(ClientError::BadArgument { name: "orientation_xyzw", value: length, expected });
+    }
+    if let Some(value) = pose.position_m.iter().find(|value| !value.is_finite()) {
+        return Err(ClientError::BadArgument { name: "position_m", value: *value, expected: "metres" });
+    }
+    // Columns of the rotation matrix of a unit quaternion.
+    let row_axis = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)];
+    let column_axis = [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)];
+    let to_source = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)];
+    let along =
+        |distance_m: f64| core::array::from_fn(|axis| pose.position_m[axis] + distance_m * to_source[axis]);
+    let pitch_m = drr.pixel_pitch_mm * 1e-3;
+    Ok(CArmGeometry {
+        source_m: along(drr.source_isocentre_mm * 1e-3),
+        detector_centre_m: along((drr.source_isocentre_mm - drr.source_detector_mm) * 1e-3),
+        row_axis,
+        column_axis,
+        pixel_pitch_m: [pitch_m, pitch_m],
+        columns: drr.columns,
+        rows: drr.rows,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// At AP the picture has the patient's right (LPS −x) on its left, the head (+z) up, the source behind the patient
+    /// (+y).
+    #[test]
+    fn the_c_arm_stands_where_its_pose_says() {
+        let text =
+            "rate_hz = 0.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 64\nrows = 32\npixel_pitch_mm = 1.5\n";
+        let scene = format!(
+            "name = \"x\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[drr]\n{text}"
+        );
+        let scene = ipc_types::scene::Scene::parse(&scene, std::path::Path::new("x.toml")).unwrap();
+        let drr = scene.drr.unwrap();
+        // Rows along +x, columns along −z: a turn by −90° about x; +z of the C-arm is then +y of the patient.
+        let half = core::f64::consts::FRAC_1_SQRT_2;
+        let pose = Pose { position_m: [0.01, 0.02, 0.03], orientation_xyzw: [-half, 0.0, 0.0, half] };
+        let geometry = geometry_at(&pose, &drr).unwrap();
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+        assert!(near(geometry.row_axis, [1.0, 0.0, 0.0]), "{geometry:?}");
+        assert!(near(geometry.column_axis, [0.0, 0.0, -1.0]), "{geometry:?}");
+        assert!(near(geometry.source_m, [0.01, 0.72, 0.03]), "{geometry:?}");
+        assert!(near(geometry.detector_centre_m, [0.01, -0.28, 0.03]), "{geometry:?}");
+        let bent = Pose { orientation_xyzw: [0.0, 0.0, 0.0, 1.1], ..pose };
+        assert!(geometry_at(&bent, &drr).unwrap_err().to_string().contains("1.1"));
+    }
+}

@@ -1,0 +1,41 @@
+// Bends the manipulator along a curve in time: the tendon's tension follows the error of the bend angle.
+//
+// Written in every language with the same operations in the same order, so that a lockstep run ends with the same hash.
+// Compile with -ffp-contract=off: a fused multiply-add rounds once where the others round twice.
+#include <cinttypes>
+#include <cstdio>
+
+#include "trabecula.hpp"
+
+constexpr double PROPORTIONAL_N_PER_RAD = 6.0;
+constexpr double INTEGRAL_N_PER_RAD_S = 40.0;
+constexpr double TICK_S = 0.001;
+constexpr double LARGEST_TENSION_N = 20.0;
+
+// 0 to 0.6 rad within 0.5 s and back to 0.3 rad within the next 0.5 s.
+static double planned_bend_rad(double time_s) {
+    return time_s < 0.5 ? 1.2 * time_s : 0.6 - 0.6 * (time_s - 0.5);
+}
+
+int main() try {
+    trabecula::Client client;
+    double integral_rad_s = 0.0;
+    while (const trb_state *state = client.wait_state(30.0)) {
+        double error_rad = planned_bend_rad(state->sim_time_s) - state->bend_rad;
+        integral_rad_s += error_rad * TICK_S;
+        double tension_n = PROPORTIONAL_N_PER_RAD * error_rad + INTEGRAL_N_PER_RAD_S * integral_rad_s;
+        if (tension_n < 0.0) tension_n = 0.0;
+        if (tension_n > LARGEST_TENSION_N) tension_n = LARGEST_TENSION_N;
+        if (state->tick % 200 == 0) {
+            std::printf("tick %4" PRIu64 "  bend %7.4f rad  tension %7.4f N  hash %016" PRIx64 "%016" PRIx64 "\n",
+                        state->tick, state->bend_rad, tension_n, state->hash[1], state->hash[0]);
+        }
+        auto command = client.command();
+        command->tendon_mode = TRB_TENDON_SERVO_JF;
+        command->tendon_force_n[0] = tension_n;
+        command.send();
+    }
+} catch (const trabecula::Error &error) {
+    std::fprintf(stderr, "error %d: %s\n", error.status(), error.what());
+    return 1;
+}

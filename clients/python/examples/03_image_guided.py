@@ -1,0 +1,65 @@
+"""Asks for an X-ray frame every 0.1 s, finds the tip in it, and steers it sideways to a target.
+
+The tip is where the tool's metal ends: of the dark pixels, the one that lies farthest along the tool; then the middle of the
+dark pixels of the last 3 mm. Its place in the picture, brought back to the plane of the tool, gives the sideways error, and
+the error the tension.
+"""
+
+import numpy as np
+
+import trabecula
+
+TICKS_BETWEEN_FRAMES = 100
+#: Below this share of full scale a pixel shows metal.
+DARK = 8000
+#: Where the burr is to go, sideways from where it started (world x).
+TARGET_M = 0.006
+GAIN_N_PER_M = 350.0
+END_LENGTH_M = 0.003
+
+
+def dot(a, b):
+    """In the order of the other languages: NumPy's own may sum in another."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def find_tip(image):
+    """Column and row of the tool's end; None if there is no metal in the picture."""
+    geometry = image.frame.geometry
+    # +z of the burr in the picture: the last column of the rotation matrix, seen along rows and columns.
+    x, y, z, w = image.frame.t_world_burr.orientation_xyzw
+    axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+    right, down = dot(geometry.row_axis, axis), dot(geometry.column_axis, axis)
+    rows, columns = np.nonzero(image.pixels < DARK)
+    if len(rows) == 0:
+        return None
+    along = columns * right + rows * down
+    at_end = along >= along.max() - END_LENGTH_M / geometry.pixel_pitch_m[0]
+    return columns[at_end].mean(), rows[at_end].mean()
+
+
+def sideways_m(geometry, column):
+    """World x of a column, in the plane of the isocentre: the picture is magnified by source-detector over
+    source-isocentre distance, 1000 to 700 mm.
+    """
+    return (column - 0.5 * (geometry.columns - 1.0)) * geometry.pixel_pitch_m[0] * 0.7
+
+
+tension_n = 0.0
+with trabecula.Client() as client:
+    last_tick = client.info.tick_count
+    for state in client.states():
+        if state.tick % TICKS_BETWEEN_FRAMES == 0 and state.tick < last_tick:
+            image = client.wait_frame(client.request_frame(state.tick))
+            tip = find_tip(image)
+            if tip is not None:
+                column, row = tip
+                error_m = TARGET_M - sideways_m(image.frame.geometry, column)
+                tension_n = max(tension_n + GAIN_N_PER_M * error_m, 0.0)
+                print(
+                    f"tick {state.tick:4}  tip at column {column:6.2f} row {row:6.2f}  "
+                    f"error {error_m * 1e3:6.3f} mm  tension {tension_n:6.3f} N"
+                )
+        with client.command() as command:
+            command.tendon_mode = trabecula.TENDON_SERVO_JF
+            command.tendon_force_n[0] = tension_n

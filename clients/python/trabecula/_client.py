@@ -1,0 +1,385 @@
+"""A connection to a session."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Iterator, NamedTuple, Optional, Sequence, Type, TypeVar
+
+import numpy as np
+
+from . import _generated as g
+from ._library import load
+from ._view import View
+
+_library = load()
+_byref = ctypes.byref
+#: Longest uninterrupted wait inside the library, so that Ctrl-C is heard.
+_SLICE_S = 0.1
+
+_V = TypeVar("_V", bound=View)
+
+
+class Error(RuntimeError):
+    """What the library refused; the text says what was given, what was expected and what to do."""
+
+    def __init__(self, status: int, text: str) -> None:
+        super().__init__(text)
+        #: One of the `ERROR_` constants.
+        self.status = status
+
+
+class Ended(Exception):
+    """The run is over."""
+
+
+def _check(status: int) -> None:
+    if status == g.OK:
+        return
+    if status == g.TIMEOUT:
+        raise TimeoutError("nothing came in time")
+    if status == g.ENDED:
+        raise Ended("the run has ended")
+    raise Error(status, _library.trb_last_error().decode())
+
+
+def _text(text: Optional[str]) -> Optional[bytes]:
+    return None if text is None else text.encode()
+
+
+class _Connection:
+    """Disconnects when the last view of its memory has gone."""
+
+    def __init__(self, session: Optional[str], controller: Optional[str], timeout_s: float) -> None:
+        self.handle = 0
+        handle = ctypes.c_uint64()
+        layouts = g.LAYOUTS.encode()
+        _check(_library.trb_connect(layouts, _text(session), _text(controller), timeout_s, _byref(handle)))
+        self.handle = handle.value
+
+    def __del__(self, disconnect=_library.trb_disconnect) -> None:
+        if self.handle:
+            # Refused in another thread than the client's own, which disconnects it at its end.
+            disconnect(self.handle)
+
+
+@dataclass(frozen=True)
+class Info:
+    """What does not change during a session."""
+
+    #: Folder of the session.
+    folder: str
+    #: Name of the controller that this client is; empty for an observer.
+    controller: str
+    #: The whole scene as TOML.
+    scene_toml: str
+    #: Simulated time of a tick.
+    dt_s: float
+    #: Ticks of the whole run.
+    tick_count: int
+    #: Ticks between two scheduled frames; 0 without.
+    frame_period_ticks: int
+    #: Index of the controller in the scene; -1 for an observer.
+    controller_index: int
+    #: Number of the scene's controllers.
+    controller_count: int
+    #: Whether a tick waits for every controller.
+    lockstep: bool
+    #: Pixel columns of a frame; 0 without X-ray.
+    frame_columns: int
+    #: Pixel rows of a frame; 0 without X-ray.
+    frame_rows: int
+    #: Whether there is a CT volume.
+    has_volume: bool
+
+
+class Image(NamedTuple):
+    """An X-ray frame in shared memory."""
+
+    #: What it shows.
+    frame: g.Frame
+    #: Intensities as uint16, shape (rows, columns), row 0 at the top; 0 is black.
+    pixels: np.ndarray
+
+
+class Ct(NamedTuple):
+    """The CT volume in shared memory."""
+
+    #: Geometry.
+    volume: g.Volume
+    #: Hounsfield units as int16, shape (z, y, x).
+    hu: np.ndarray
+
+
+class Removal(NamedTuple):
+    """Voxels that are gone from a tick on, in shared memory."""
+
+    #: The message.
+    removed: g.Removed
+    #: Flat indices as uint32, x fastest: `ct.hu.reshape(-1)[voxel_index]`.
+    voxel_index: np.ndarray
+
+
+class SessionEvent(NamedTuple):
+    """Something that happened."""
+
+    #: Tick at which it was noticed.
+    tick: int
+    #: 0 information, 1 warning, 2 error.
+    severity: int
+    #: What kind: one of the `EVENT_` constants.
+    code: int
+    #: Who says so: one of the `SENDER_` constants.
+    sender: int
+    #: What happened.
+    text: str
+
+
+class Client:
+    """A connection to a session: as a controller, or as an observer.
+
+    It belongs to the thread that made it. Everything that it hands out lies in shared memory, read-only, and shows what is
+    there until the time that each method states; `copy()` keeps it. As a context manager it closes itself.
+
+    Args:
+        session: The session's folder or name; None takes the folder in the environment variable `TRABECULA_SESSION`, or
+            else this user's session that was announced last.
+        controller: Name of the controller in the scene; "" joins as an observer that commands nothing; None takes the
+            name in `TRABECULA_CONTROLLER`, or else the scene's only external controller.
+        timeout_s: How long to wait for the session.
+
+    Raises:
+        Error: No session, another version, an unknown controller, or one that is connected already.
+    """
+
+    def __init__(
+        self, session: Optional[str] = None, controller: Optional[str] = None, timeout_s: float = 10.0
+    ) -> None:
+        self._connection: Optional[_Connection] = _Connection(session, controller, timeout_s)
+        self._handle = self._connection.handle
+        self._pointer = ctypes.c_void_p()
+        self._pointer_reference = _byref(self._pointer)
+        self._views: dict = {}
+
+    def __enter__(self) -> "Client":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leaves the session. Messages that this client has handed out are empty from here on; NumPy arrays that are still
+        held keep their memory, and with it the connection, until they are gone.
+        """
+        for view in self._views.values():
+            view._release()
+        self._views = {}
+        self._connection, self._handle = None, 0
+
+    def _bytes(self, address: int, size: int) -> memoryview:
+        memory = (ctypes.c_ubyte * size).from_address(address)
+        memory.connection = self._connection  # keeps it mapped
+        return memoryview(memory).cast("B")
+
+    def _view(self, message: Type[_V], address: int, writable: bool = False) -> _V:
+        # The samples of a queue lie at addresses that come again and again.
+        view = self._views.get((message, address))
+        if view is None:
+            buffer = self._bytes(address, message.dtype.itemsize)
+            view = message(buffer if writable else buffer.toreadonly())
+            self._views[(message, address)] = view
+        return view
+
+    def _array(self, address: int, dtype: str, count: int) -> np.ndarray:
+        size = count * np.dtype(dtype).itemsize
+        return np.frombuffer(self._bytes(address, size).toreadonly(), dtype) if count else np.empty(0, dtype)
+
+    def _await(self, function, timeout_s: float, *arguments: object) -> None:
+        """Calls a waiting function of the library in slices."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            left_s = deadline - time.monotonic()
+            status = function(*arguments[:-1], max(0.0, min(_SLICE_S, left_s)), arguments[-1])
+            if status == g.OK:
+                return
+            if status != g.TIMEOUT or left_s <= _SLICE_S:
+                _check(status)
+
+    @property
+    def info(self) -> Info:
+        """What does not change during the session."""
+        info = g.trb_session_info()
+        _check(_library.trb_get_info(self._handle, _byref(info)))
+        values = {name: getattr(info, name) for name, _ in info._fields_}
+        for name in ("folder", "controller", "scene_toml"):
+            values[name] = values[name].decode()
+        values.update(lockstep=bool(info.lockstep), has_volume=bool(info.has_volume))
+        return Info(**values)
+
+    def wait_state(self, timeout_s: float = 30.0) -> g.State:
+        """Waits for the newest state: yields for 20 µs, then sleeps until woken. It stays, unchanged, until the next state
+        is taken.
+
+        Raises:
+            TimeoutError: None came in time.
+            Ended: The run is over.
+        """
+        self._await(_library.trb_wait_state, timeout_s, self._handle, self._pointer_reference)
+        return self._view(g.State, self._pointer.value)
+
+    def next_state(self, timeout_s: float = 30.0) -> g.State:
+        """Waits for the oldest state that has not been taken, for programs that want every one; 512 are kept."""
+        self._await(_library.trb_next_state, timeout_s, self._handle, self._pointer_reference)
+        return self._view(g.State, self._pointer.value)
+
+    def poll_state(self) -> Optional[g.State]:
+        """The newest state if one has come since the last call, without waiting.
+
+        Raises:
+            Ended: The run is over.
+        """
+        status = _library.trb_poll_state(self._handle, self._pointer_reference)
+        if status == g.TIMEOUT:
+            return None
+        _check(status)
+        return self._view(g.State, self._pointer.value)
+
+    def states(self, timeout_s: float = 30.0) -> Iterator[g.State]:
+        """The newest state again and again, until the run is over."""
+        while True:
+            try:
+                state = self.wait_state(timeout_s)
+            except Ended:
+                return
+            yield state
+
+    @property
+    def states_missed(self) -> int:
+        """States that were passed over or overwritten before this client took them."""
+        count = ctypes.c_uint64()
+        _check(_library.trb_states_missed(self._handle, _byref(count)))
+        return count.value
+
+    def loan_command(self) -> g.Command:
+        """The command that `send_command` will send, in shared memory: every mode at "none", `sequence` and `state_tick`
+        filled in. It may be written until then.
+        """
+        _check(_library.trb_loan_command(self._handle, self._pointer_reference))
+        return self._view(g.Command, self._pointer.value, writable=True)
+
+    def send_command(self) -> None:
+        """Sends the loaned command. The physics checks it: what it refuses changes nothing, is counted, and said in an
+        event.
+        """
+        _check(_library.trb_send_command(self._handle))
+
+    def discard_command(self) -> None:
+        """Gives the loaned command back unsent."""
+        _check(_library.trb_discard_command(self._handle))
+
+    @contextmanager
+    def command(self) -> Iterator[g.Command]:
+        """The command that answers the state taken last, sent at the end of the `with` block; an exception discards it."""
+        command = self.loan_command()
+        try:
+            yield command
+        except BaseException:
+            self.discard_command()
+            raise
+        self.send_command()
+
+    def request_frame(
+        self,
+        tick: int = 0,
+        position_m: Optional[Sequence[float]] = None,
+        orientation_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+    ) -> int:
+        """Asks for an X-ray frame and returns the request's number.
+
+        Args:
+            tick: It shows the state of this tick, or the newest one when that has passed.
+            position_m: Isocentre of the C-arm in the world; None takes the scene's C-arm as it stands.
+            orientation_xyzw: Orientation of the C-arm in the world: +x along the picture's rows to the right, +y along its
+                columns down, +z to the source.
+        """
+        number = ctypes.c_uint64()
+        pose = None
+        if position_m is not None:
+            pose = g.Pose()
+            pose.position_m, pose.orientation_xyzw = position_m, orientation_xyzw
+        address = None if pose is None else pose.array.ctypes.data
+        _check(_library.trb_request_frame(self._handle, address, tick, _byref(number)))
+        return number.value
+
+    def wait_frame(self, request_id: int = 0, timeout_s: float = 30.0) -> Image:
+        """Waits for the frame of a request, or with 0 for the next one of any kind. Its memory is used again after the next
+        call. Frames are kept from the first call of this or `request_frame` on, eight at most.
+
+        Raises:
+            TimeoutError: None came in time.
+            Error: The request was refused, or the scene has no X-ray.
+        """
+        view = g.trb_frame_view()
+        self._await(_library.trb_wait_frame, timeout_s, self._handle, request_id, _byref(view))
+        frame = self._view(g.Frame, view.frame)
+        geometry = frame.geometry
+        pixels = self._array(view.pixels, "<u2", view.pixel_count)
+        return Image(frame, pixels.reshape(geometry.rows, geometry.columns))
+
+    def volume(self, timeout_s: float = 30.0) -> Ct:
+        """The CT volume as it was at the start, in place; it stays as long as the connection."""
+        view = g.trb_volume_view()
+        _check(_library.trb_get_volume(self._handle, timeout_s, _byref(view)))
+        volume = self._view(g.Volume, view.volume)
+        hu = self._array(view.hu, "<i2", view.voxel_count)
+        return Ct(volume, hu.reshape(volume.dimensions[::-1]))
+
+    def run_control(self, action: int, ticks: int = 0, timeout_s: float = 10.0) -> int:
+        """Asks for an action (`CONTROL_PAUSE` …; `ticks` is for `CONTROL_STEP`) and returns the tick at which it took
+        effect.
+        """
+        reply = g.RunControlReply()
+        address = reply.array.ctypes.data
+        _check(_library.trb_control_run(self._handle, action, ticks, timeout_s, address))
+        return reply.tick
+
+    @property
+    def status(self) -> Optional[g.RunStatus]:
+        """Where the run stands, if that is known: a copy."""
+        status = g.RunStatus()
+        code = _library.trb_get_status(self._handle, status.array.ctypes.data)
+        if code == g.TIMEOUT:
+            return None
+        _check(code)
+        return status
+
+    def events(self) -> list[SessionEvent]:
+        """Every event since the last call, as copies; kept from the first call on, 256 at most."""
+        events = []
+        view = g.trb_event_view()
+        while True:
+            status = _library.trb_next_event(self._handle, _byref(view))
+            if status == g.TIMEOUT:
+                return events
+            _check(status)
+            event = self._view(g.Event, view.event)
+            text = view.text.decode()
+            events.append(SessionEvent(event.tick, event.severity, event.code, event.sender, text))
+
+    def remark(self, text: str, severity: int = g.SEVERITY_INFO) -> None:
+        """Writes a line to the session's events, and so into the log."""
+        _check(_library.trb_remark(self._handle, severity, text.encode()))
+
+    def next_removed(self) -> Optional[Removal]:
+        """The oldest message about removed voxels that has not been taken, if any; kept from the first call on, 512 at
+        most. Its memory is used again after the next call.
+        """
+        view = g.trb_removed_view()
+        status = _library.trb_next_removed(self._handle, _byref(view))
+        if status == g.TIMEOUT:
+            return None
+        _check(status)
+        removed = self._view(g.Removed, view.removed)
+        return Removal(removed, self._array(view.voxel_index, "<u4", removed.voxel_index_length))

@@ -1,0 +1,45 @@
+"""Finding and loading libtrabecula_client."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from pathlib import Path
+
+from . import _generated as g
+
+NAME = "libtrabecula_client.so"
+#: Environment variable that holds the path of the library, before every other place.
+VARIABLE = "TRABECULA_CLIENT_LIBRARY"
+
+
+def _candidates() -> list[Path]:
+    given = os.environ.get(VARIABLE)
+    if given:
+        return [Path(given)]
+    here = Path(__file__).resolve().parent
+    # Beside this file in an installed package; in cargo's target folder when run from the sources.
+    return [here / NAME, here.parents[2] / "target" / "release" / NAME]
+
+
+def load() -> ctypes.CDLL:
+    """The library with the types of all its functions.
+
+    Raises:
+        ImportError: it is in none of its places, or cannot be loaded.
+    """
+    candidates = _candidates()
+    path = next((path for path in candidates if path.exists()), None)
+    if path is None:
+        places = ", ".join(str(path) for path in candidates)
+        raise ImportError(
+            f"{NAME} is in none of: {places}; `pip install ./clients/python` builds it, or name it in {VARIABLE}"
+        )
+    try:
+        library = ctypes.CDLL(str(path))
+    except OSError as cause:
+        raise ImportError(f"{path} cannot be loaded: {cause}") from cause
+    for name, result, arguments in g.FUNCTIONS:
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library

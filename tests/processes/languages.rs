@@ -1,0 +1,210 @@
+//! The clients of every language: the numbered examples, run as their README says, against a run of their own.
+//!
+//! `02_follow_curve` does the same arithmetic in the same order in every language, so a lockstep run ends with the same
+//! hash whoever commands it; all examples print the same lines.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+
+use ipc_types::session::SESSION_VARIABLE;
+
+use crate::common::logs::read;
+use crate::common::program::{Place, Run, assert_nothing_left};
+
+const EXAMPLES: [(&str, &str); 3] = [
+    ("01_hold_tension", "free_space.toml"),
+    ("02_follow_curve", "free_space.toml"),
+    ("03_image_guided", "image_guided.toml"),
+];
+const NUMPY: &str = "numpy==2.3.5";
+/// A whole compiler as a Python package.
+const ZIG: &str = "ziglang==0.14.1";
+
+pub fn clients() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("clients")
+}
+
+/// Where cargo has put what it built.
+fn built() -> PathBuf {
+    Path::new(env!("CARGO_BIN_EXE_trabecula")).parent().unwrap().to_owned()
+}
+
+/// The library, which cargo builds as a dependency of this package's tests.
+pub fn library() -> PathBuf {
+    let path = built().join("deps/libtrabecula_client.so");
+    assert!(path.exists(), "{}: not built", path.display());
+    path
+}
+
+/// Runs a program to its end and returns what it printed; anything on standard error or another exit code fails.
+pub fn output_of(command: &mut Command) -> String {
+    let output = command.stdin(Stdio::null()).output().unwrap_or_else(|cause| panic!("{command:?}: {cause}"));
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}: {}\n{error}", output.status);
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The line of a README that begins with these words, as words of its own.
+fn line_of(readme: &str, begin: &str) -> Vec<String> {
+    let text = fs::read_to_string(clients().join(readme)).unwrap();
+    let line = text.lines().find(|line| line.starts_with(begin));
+    let line = line.unwrap_or_else(|| panic!("{readme} has no line that begins with `{begin}`"));
+    line.split_whitespace().map(str::to_owned).collect()
+}
+
+/// Compiles an example by the compiler's line of the README, with only its folders and its output exchanged.
+fn compiled(language: &str, compiler: &str, name: &str, place: &Place) -> PathBuf {
+    let program = place.path(&format!("{language}_{name}"));
+    let folder = library().parent().unwrap().to_str().unwrap().to_owned();
+    let words = line_of(&format!("{language}/README.md"), compiler);
+    let words: Vec<String> = words
+        .iter()
+        .map(|word| word.replace("$PWD/", "").replace("target/release", &folder))
+        .map(|word| word.replace("02_follow_curve", name))
+        .map(|word| if word == "follow_curve" { program.to_str().unwrap().to_owned() } else { word })
+        .collect();
+    let mut command = Command::new(&words[0]);
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(&words[1..]);
+    command.args(["-Wall", "-Wextra", "-Wpedantic", "-Werror"]);
+    output_of(&mut command);
+    program
+}
+
+/// A virtual environment with NumPy and the package, made once a test run; the error is the reason why there is none.
+pub fn python() -> Result<PathBuf, String> {
+    static PYTHON: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+    PYTHON.get_or_init(make_python).clone()
+}
+
+fn make_python() -> Result<PathBuf, String> {
+    let python = environment(NUMPY, "import numpy")?;
+    // As the README says, but for the library, which is built already.
+    let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
+    let install = Command::new(&python)
+        .args(pip)
+        .arg(clients().join("python"))
+        .env("TRABECULA_CLIENT_LIBRARY", library())
+        .output()
+        .map_err(|error| error.to_string())?;
+    assert!(install.status.success(), "{}", String::from_utf8_lossy(&install.stderr));
+    Ok(python)
+}
+
+/// Makes a virtual environment with one pinned package below the target folder, once; the error is the reason.
+fn environment(package: &str, probe: &str) -> Result<PathBuf, String> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(package.replace("==", "-"));
+    let python = folder.join("bin/python3");
+    let run = |command: &mut Command| -> Result<(), String> {
+        let output = command.output().map_err(|error| error.to_string())?;
+        let text = String::from_utf8_lossy(&output.stderr);
+        if output.status.success() { Ok(()) } else { Err(text.trim().to_owned()) }
+    };
+    if run(Command::new(&python).args(["-c", probe])).is_err() {
+        run(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
+        let pip = ["-m", "pip", "install", "-q", "--retries", "1", "--timeout", "10", package];
+        run(Command::new(&python).args(pip))?;
+    }
+    Ok(python)
+}
+
+pub fn skip(reason: &str) {
+    println!("\n*** SKIPPED for Python: no environment with {NUMPY}: {reason} ***\n");
+}
+
+/// The program of an example in a language, if the language is there.
+fn program_of(language: &str, name: &str, place: &Place) -> Option<Command> {
+    match language {
+        "rust" => {
+            let program = built().join("examples").join(name);
+            let hint = "`cargo build --release --workspace --examples` builds it";
+            assert!(program.exists(), "{}: not built; {hint}", program.display());
+            Some(Command::new(program))
+        }
+        "c" => Some(Command::new(compiled("c", "cc ", name, place))),
+        "cpp" => Some(Command::new(compiled("cpp", "c++ ", name, place))),
+        "python" => match python() {
+            Ok(python) => {
+                let mut command = Command::new(python);
+                command.arg(clients().join(format!("python/examples/{name}.py")));
+                Some(command)
+            }
+            Err(reason) => {
+                skip(&reason);
+                None
+            }
+        },
+        "zig" => match environment(ZIG, "import ziglang") {
+            Ok(python) => Some(Command::new(compiled_by_zig(&python, name, place))),
+            Err(reason) => {
+                println!("\n*** SKIPPED for Zig: no environment with {ZIG}: {reason} ***\n");
+                None
+            }
+        },
+        other => panic!("no language {other}"),
+    }
+}
+
+/// Compiles an example by the compiler's line of the README; the compiler keeps what it has built before.
+fn compiled_by_zig(python: &Path, name: &str, place: &Place) -> PathBuf {
+    let program = place.path(&format!("zig_{name}"));
+    let folder = library().parent().unwrap().to_str().unwrap().to_owned();
+    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("zig-cache");
+    let words = line_of("zig/README.md", "python3 -m ziglang build-exe");
+    let words = words.iter().skip(1).map(|word| {
+        let word =
+            word.replace("$PWD/", "").replace("target/release", &folder).replace("02_follow_curve", name);
+        if word.starts_with("-femit-bin=") { format!("-femit-bin={}", program.display()) } else { word }
+    });
+    let mut command = Command::new(python);
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(words);
+    command.env("ZIG_GLOBAL_CACHE_DIR", &cache).env("ZIG_LOCAL_CACHE_DIR", &cache);
+    output_of(&mut command);
+    program
+}
+
+/// What an example printed, and the hash of the run's last tick.
+fn run_example(command: &mut Command, scene: &str, place: &Place) -> (String, [u64; 2]) {
+    let output = place.path(&format!("out_{}", fs::read_dir(place.path("")).unwrap().count()));
+    let run = Run::start(&clients().join("scenes").join(scene), output, &[]);
+    let printed = output_of(command.env(SESSION_VARIABLE, run.session()));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    let log = read(&ended.folder);
+    let last = log.ticks.last().unwrap().state;
+    assert_eq!(last.tick, 1000);
+    (printed, last.hash)
+}
+
+/// Zig compiles the one example whose hash is compared: a compiler that starts from nothing takes half a minute each.
+fn languages_of(name: &str) -> &'static [&'static str] {
+    if name == "02_follow_curve" {
+        &["rust", "c", "cpp", "python", "zig"]
+    } else {
+        &["rust", "c", "cpp", "python"]
+    }
+}
+
+#[test]
+fn every_example_prints_the_same_and_ends_with_the_same_hash_in_every_language() {
+    let place = Place::new();
+    for (name, scene) in EXAMPLES {
+        let mut results = Vec::new();
+        for language in languages_of(name) {
+            if let Some(mut command) = program_of(language, name, &place) {
+                let (printed, hash) = run_example(&mut command, scene, &place);
+                println!("{name} {language:6} {:016x}{:016x}", hash[1], hash[0]);
+                results.push((*language, printed, hash));
+            }
+        }
+        let (_, printed, hash) = &results[0];
+        assert!(printed.lines().count() >= 5, "{printed}");
+        for (language, other_printed, other_hash) in &results {
+            assert_eq!(other_printed, printed, "{name} in {language} prints something else");
+            assert_eq!(other_hash, hash, "{name} in {language} ends with another hash");
+        }
+        println!("{printed}");
+    }
+}

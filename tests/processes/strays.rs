@@ -1,0 +1,218 @@
+//! Clients that flood, stop reading, die or come late, through the client library: the run goes on.
+
+use std::process::Command;
+use std::time::Duration;
+
+use ipc_types::messages::{
+    CONTROL_STOP, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Pose, SOURCE_FRESH, TENDON_SERVO_JF,
+};
+use ipc_types::session::SESSION_VARIABLE;
+use trabecula_client::{Client, ClientError, Connection};
+
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{LIMIT, Place, Run, assert_nothing_left};
+use crate::common::scenes;
+use crate::languages::{clients, output_of, python, skip};
+
+/// Joins a run under a name.
+fn joined(run: &Run, controller: &str) -> Client {
+    let session = run.session().to_str().unwrap().to_owned();
+    Client::connect(&Connection {
+        session: Some(session),
+        controller: Some(controller.to_owned()),
+        limit: LIMIT,
+    })
+    .unwrap()
+}
+
+/// Answers the newest state with a tension.
+fn answer(client: &mut Client, tension_n: f64) {
+    let step = |_: &_, command: &mut trabecula_client::Command| {
+        command.tendon_mode = TENDON_SERVO_JF;
+        command.tendon_force_n[0] = tension_n;
+    };
+    client.answer(LIMIT, step).unwrap();
+}
+
+/// Takes events until one has these words.
+fn await_event(client: &mut Client, code: u32, words: &str) {
+    let end = std::time::Instant::now() + LIMIT;
+    loop {
+        match client.next_event().unwrap() {
+            Some((event, text)) if event.code == code && text.contains(words) => return,
+            Some(_) => {}
+            None => std::thread::sleep(Duration::from_millis(2)),
+        }
+        assert!(std::time::Instant::now() < end, "no event with `{words}`");
+    }
+}
+
+#[test]
+fn a_client_that_floods_or_stops_reading_is_counted_and_stops_nobody() {
+    let place = Place::new();
+    let run = place.start(&scenes::shared("realtime", 60.0));
+    let mut client = joined(&run, "pilot");
+    client.next_event().unwrap();
+    answer(&mut client, 1.0);
+    for _ in 0..20_000 {
+        let command = client.command().unwrap();
+        command.tendon_mode = TENDON_SERVO_JF;
+        command.tendon_force_n[0] = 3.0;
+        client.send().unwrap();
+    }
+    await_event(&mut client, EVENT_MESSAGES_LOST, "controller `pilot`: ");
+    let first = client.wait_state(LIMIT).unwrap().tick;
+    let missed = client.states_missed();
+    let mut observer = joined(&run, "");
+    while observer.wait_state(LIMIT).unwrap().tick < first + 700 {}
+    assert!(client.wait_state(LIMIT).unwrap().tick >= first + 700);
+    assert!(client.states_missed() >= missed + 699, "{} missed", client.states_missed());
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop((client, observer));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    assert_replays(&ended.folder);
+}
+
+/// An optional controller joins a lockstep run that has begun without it.
+#[test]
+fn an_optional_controller_may_join_late() {
+    let place = Place::new();
+    let scene =
+        scenes::shared("lockstep", 600.0).replace("external = true", "external = true\noptional = true");
+    let run = place.start(&scene);
+    let mut observer = joined(&run, "");
+    while observer.wait_state(LIMIT).unwrap().tick < 100 {}
+    let mut client = joined(&run, "pilot");
+    let first = client.wait_state(LIMIT).unwrap().tick;
+    assert!(first >= 100);
+    // It answers; from then on every tick waits for it.
+    for _ in 0..20 {
+        answer(&mut client, 2.0);
+    }
+    let before = client.wait_state(LIMIT).unwrap().tick;
+    for tick in before..before + 20 {
+        assert_eq!(client.state().unwrap().tick, tick);
+        answer_here(&mut client);
+        client.wait_state(LIMIT).unwrap();
+    }
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop((client, observer));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let log = read(&ended.folder);
+    assert!(log.ticks.iter().any(|tick| tick.latched.commands[0].source == SOURCE_FRESH));
+    assert_eq!(log.ticks[50].latched.commands[0].source, 0, "it was not there at the start");
+    assert_replays(&ended.folder);
+}
+
+/// Answers the state that was taken last.
+fn answer_here(client: &mut Client) {
+    let command = client.command().unwrap();
+    command.tendon_mode = TENDON_SERVO_JF;
+    command.tendon_force_n[0] = 2.0;
+    client.send().unwrap();
+}
+
+/// An external controller that does not come ends the run with a message that says how it could have.
+#[test]
+fn a_run_that_waits_in_vain_says_for_whom_and_how_to_connect() {
+    let place = Place::new();
+    let scene =
+        scenes::shared("lockstep", 1.0).replace("external = true", "external = true\nconnect_limit_s = 1.0");
+    let ended = place.start(&scene).end();
+    assert_eq!(ended.code, Some(1));
+    let words = [
+        "controller `pilot` did not connect within 1 s",
+        "TRABECULA_SESSION=/",
+        "TRABECULA_CONTROLLER=pilot",
+    ];
+    assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+}
+
+/// Only the controller that the scene gives the C-arm may ask for frames from a pose of its own.
+#[test]
+fn a_client_that_does_not_drive_the_c_arm_may_not_move_it() {
+    let place = Place::new();
+    let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
+    let other = "\n[[controller]]\nname = \"other\"\ndrives = []\nexternal = true\noptional = true\n";
+    let run = place.start(&format!("{text}{other}"));
+    let mut mine = joined(&run, "mine");
+    let mut other = joined(&run, "other");
+    mine.next_event().unwrap();
+    let tick = mine.wait_state(LIMIT).unwrap().tick;
+    let half = core::f64::consts::FRAC_1_SQRT_2;
+    let pose = Pose { position_m: [0.0, 0.0, -0.045], orientation_xyzw: [-half, 0.0, 0.0, half] };
+    let stray = other.request_frame(Some(&pose), tick).unwrap();
+    let refusal = other.wait_frame(stray, LIMIT).unwrap_err();
+    assert!(matches!(refusal, ClientError::FrameRefused { .. }), "{refusal}");
+    await_event(&mut mine, EVENT_REQUEST_REFUSED, "gives the C-arm to another controller");
+    // As it stands, everybody may look; the pose that the scene has anyway gives the same picture.
+    let request = other.request_frame(None, tick).unwrap();
+    let standing = other.wait_frame(request, LIMIT).unwrap();
+    let request = mine.request_frame(Some(&pose), tick).unwrap();
+    let moved = mine.wait_frame(request, LIMIT).unwrap();
+    let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+    assert!(near(standing.frame.geometry.source_m, moved.frame.geometry.source_m));
+    assert!(near(standing.frame.geometry.row_axis, moved.frame.geometry.row_axis));
+    assert!(near(standing.frame.geometry.column_axis, moved.frame.geometry.column_axis));
+    assert_eq!(standing.pixels.len(), 128 * 128);
+    answer_here(&mut mine);
+    mine.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop((mine, other));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_replays(&ended.folder);
+}
+
+/// The CT volume lies in shared memory once; Rust and Python see the same voxels there.
+#[test]
+fn the_volume_is_seen_in_place_by_rust_and_python() {
+    let place = Place::new();
+    let run = Run::start(&clients().join("scenes/image_guided.toml"), place.path("out"), &[]);
+    let mut observer = joined(&run, "");
+    let seen = observer.volume(LIMIT).unwrap();
+    let [columns, rows, slices] = seen.volume.dimensions;
+    assert_eq!((columns, rows, slices, seen.hu.len()), (40, 40, 60, 96_000), "the block of 40 x 40 x 60 mm");
+    let sum: i64 = seen.hu.iter().enumerate().map(|(i, hu)| (i as i64 % 7 + 1) * i64::from(*hu)).sum();
+    match python() {
+        Ok(python) => {
+            let script = "import numpy as np, trabecula
+with trabecula.Client(controller='') as client:
+    hu = client.volume().hu
+    assert not hu.flags.writeable and not hu.flags.owndata
+    print(hu.shape, int((hu.reshape(-1).astype(np.int64) * (np.arange(hu.size) % 7 + 1)).sum()))
+";
+            let mut command = Command::new(python);
+            command.args(["-c", script]).env(SESSION_VARIABLE, run.session());
+            assert_eq!(output_of(&mut command), format!("(60, 40, 40) {sum}\n"));
+        }
+        Err(reason) => skip(&reason),
+    }
+    let mut mine = joined(&run, "mine");
+    mine.wait_state(LIMIT).unwrap();
+    answer_here(&mut mine);
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop((observer, mine));
+    assert_eq!(run.end().code, Some(0));
+}
+
+#[test]
+fn every_defect_of_a_python_client_is_refused_by_name_and_the_run_goes_on() {
+    let python = match python() {
+        Ok(python) => python,
+        Err(reason) => return skip(&reason),
+    };
+    let place = Place::new();
+    let scene = scenes::shared("realtime", 120.0).replace("hold = { tension_n = 0.0 }", "external = true");
+    let run = place.start(&scene);
+    let mut command = Command::new(python);
+    command.arg(clients().join("python/tests/bad_input.py")).env(SESSION_VARIABLE, run.session());
+    assert_eq!(output_of(&mut command), "ended\n");
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    assert_replays(&ended.folder);
+}
