@@ -4,18 +4,22 @@
 mod say;
 
 mod bench;
+mod charts;
 mod commands;
 mod failure;
 mod launcher;
 mod replay;
 mod report;
+mod x_ray;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
 use commands::bench::BenchCommand;
+use commands::chart::ChartCommand;
 use commands::docs::DocsCommand;
+use commands::drr::DrrArguments;
 use commands::log::LogCommand;
 use commands::proc::ProcCommand;
 use commands::replay::ReplayArguments;
@@ -49,12 +53,17 @@ enum Command {
     Volume(VolumeCommand),
     /// Write a synthetic volume to a file.
     Phantom(PhantomArguments),
+    /// Render X-ray frames of a volume to files.
+    Drr(Box<DrrArguments>),
     /// Print generated documentation.
     #[command(subcommand)]
     Docs(DocsCommand),
     /// Measure what the hub costs on this machine.
     #[command(subcommand)]
     Bench(BenchCommand),
+    /// Measure accuracy against speed, as tables and figures.
+    #[command(subcommand)]
+    Chart(ChartCommand),
     /// Run one part of a session in this process.
     #[command(subcommand)]
     Proc(ProcCommand),
@@ -75,8 +84,10 @@ fn main() -> ExitCode {
         Command::Scene(command) => commands::scene::run(command),
         Command::Volume(command) => commands::volume::run(command),
         Command::Phantom(arguments) => commands::volume::write_phantom(arguments),
+        Command::Drr(arguments) => commands::drr::run(arguments),
         Command::Docs(command) => commands::docs::run(command),
         Command::Bench(command) => commands::bench::run(command),
+        Command::Chart(command) => commands::chart::run(command),
         Command::Proc(command) => commands::proc::run(command),
     };
     match outcome {

@@ -1,7 +1,9 @@
 //! The subcommands, one a file.
 
 pub mod bench;
+pub mod chart;
 pub mod docs;
+pub mod drr;
 pub mod log;
 pub mod proc;
 pub mod replay;

@@ -1,0 +1,50 @@
+"""RTK's Joseph forward projector on the volume and poses of `trabecula chart drr`.
+
+Input: the folder with mu.raw and poses.json; output as src/charts/drr/peers.rs says.
+"""
+import json
+import sys
+import time
+from pathlib import Path
+
+import itk
+import numpy as np
+from itk import RTK as rtk
+
+folder = Path(sys.argv[1])
+plan = json.loads((folder / "poses.json").read_text())
+nx, ny, nz = plan["dims"]
+array = np.fromfile(folder / "mu.raw", dtype="<f4").reshape(nz, ny, nx)
+volume = itk.image_from_array(array)
+volume.SetSpacing(plan["spacing_mm"])
+volume.SetOrigin(plan["origin_mm"])
+image_type = type(volume)
+
+for pose in plan["poses"]:
+    row, column = np.array(pose["row_axis"]), np.array(pose["column_axis"])
+    pitch, columns, rows = pose["pixel_pitch_mm"], pose["columns"], pose["rows"]
+    geometry = rtk.ThreeDCircularProjectionGeometry.New()
+    # A general pose: source, detector origin, and the directions of its columns' and rows' indices.
+    source, centre = np.array(pose["source_mm"]), np.array(pose["detector_centre_mm"])
+    ok = geometry.AddProjection(
+        itk.Point[itk.D, 3](source.tolist()), itk.Point[itk.D, 3](centre.tolist()),
+        itk.Vector[itk.D, 3](row.tolist()), itk.Vector[itk.D, 3](column.tolist()))
+    if not ok:
+        sys.exit(f"RTK refuses the pose {pose['name']}")
+    for threads in (1, 2):
+        best = None
+        for _ in range(plan["rounds"]):
+            blank = itk.image_from_array(np.zeros((1, rows, columns), dtype="<f4"))
+            blank.SetSpacing([pitch[0], pitch[1], 1.0])
+            blank.SetOrigin([-(columns - 1) / 2 * pitch[0], -(rows - 1) / 2 * pitch[1], 0.0])
+            projector = rtk.JosephForwardProjectionImageFilter[image_type, image_type].New()
+            projector.SetInput(0, blank)
+            projector.SetInput(1, volume)
+            projector.SetGeometry(geometry)
+            projector.SetNumberOfWorkUnits(threads)
+            projector.GetMultiThreader().SetMaximumNumberOfThreads(threads)
+            began = time.perf_counter()
+            projector.Update()
+            print(pose["name"], threads, (time.perf_counter() - began) * 1e3, flush=True)
+            best = itk.array_from_image(projector.GetOutput())
+        best.astype("<f4").tofile(folder / f"rtk_joseph_{pose['name']}_{threads}.raw")

@@ -1,0 +1,145 @@
+//! Other projectors on the same volume and poses.
+//!
+//! Each `NAME.py` of the peers' folder, with its pinned packages in `NAME.txt`, is run in a virtual environment of its own with the
+//! folder of its input: `mu.raw` (float32 attenuation per millimetre, x fastest) and `poses.json` (grid and poses, millimetres). It
+//! writes, for each pose and number of threads, `NAME_POSE_T.raw` (float32 line integrals, row by row), and prints
+//! `POSE THREADS MS` for every timed frame.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use drr_proc::Material;
+use serde_json::json;
+
+use super::{Errors, Point, PosedReference, Sample, least_and_median};
+use crate::failure::Failure;
+
+/// Runs every script; one that cannot be installed or run is a note, not a failure.
+pub fn measure(
+    folder: &Path,
+    out: &Path,
+    sample: &Sample,
+    poses: &[PosedReference],
+    rounds: usize,
+    points: &mut Vec<Point>,
+    notes: &mut Vec<String>,
+) -> Result<(), Failure> {
+    let io = |path: &Path| {
+        let path = path.to_owned();
+        move |cause: std::io::Error| Failure::failed(format!("{}: {cause}", path.display()))
+    };
+    let work = std::path::absolute(out.join("peers")).map_err(io(out))?;
+    std::fs::create_dir_all(&work).map_err(io(&work))?;
+    write_input(&work, sample, poses, rounds)?;
+    let mut scripts: Vec<PathBuf> = std::fs::read_dir(folder)
+        .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", folder.display())))?
+        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
+        .filter(|path| path.extension().is_some_and(|e| e == "py"))
+        .collect();
+    scripts.sort();
+    for script in scripts {
+        let name = script.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        match run_one(&script, &name, &work) {
+            Err(reason) => notes.push(format!("peer {name}: not measured ({reason})")),
+            Ok(printed) => collect(&name, &printed, &work, sample, poses, points, notes),
+        }
+    }
+    Ok(())
+}
+
+fn write_input(work: &Path, sample: &Sample, poses: &[PosedReference], rounds: usize) -> Result<(), Failure> {
+    let failed = |cause: std::io::Error| Failure::failed(format!("{}: {cause}", work.display()));
+    let mu_water = Material::Water.mu_per_m(60.0).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let mu = |hu: i16| (mu_water * 1e-3 * (1.0 + f64::from(hu) / 1000.0)).max(0.0) as f32;
+    let bytes: Vec<u8> = sample.hu.iter().flat_map(|&hu| mu(hu).to_le_bytes()).collect();
+    std::fs::write(work.join("mu.raw"), bytes).map_err(failed)?;
+    let mm = |v: [f64; 3]| v.map(|x| x * 1e3);
+    let list: Vec<serde_json::Value> = poses
+        .iter()
+        .map(|pose| {
+            let c = &pose.c_arm;
+            json!({
+                "name": pose.name,
+                "source_mm": mm(c.source_m),
+                "detector_centre_mm": mm(c.detector_centre_m),
+                "row_axis": c.row_axis,
+                "column_axis": c.column_axis,
+                "pixel_pitch_mm": c.pixel_pitch_m.map(|p| p * 1e3),
+                "columns": c.columns,
+                "rows": c.rows,
+            })
+        })
+        .collect();
+    let text = json!({
+        "dims": sample.grid.dims(),
+        "spacing_mm": mm(sample.grid.spacing_m()),
+        "origin_mm": mm(sample.grid.origin_m()),
+        "rounds": rounds,
+        "poses": list,
+    });
+    std::fs::write(work.join("poses.json"), text.to_string()).map_err(failed)
+}
+
+/// What a script printed.
+fn run_one(script: &Path, name: &str, work: &Path) -> Result<String, String> {
+    let call = |program: &Path, arguments: &[&std::ffi::OsStr]| {
+        let output = Command::new(program).args(arguments).output().map_err(|cause| cause.to_string())?;
+        if output.status.success() {
+            return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+        }
+        let text = String::from_utf8_lossy(&output.stderr);
+        Err(text.lines().last().unwrap_or("no message").to_owned())
+    };
+    let venv = work.join(format!("venv_{name}"));
+    let python = venv.join("bin/python3");
+    if !python.exists() {
+        call(Path::new("python3"), &["-m".as_ref(), "venv".as_ref(), venv.as_ref()])?;
+    }
+    let pins = script.with_extension("txt");
+    let install = ["-m", "pip", "install", "-q", "--retries", "1", "-r"].map(std::ffi::OsStr::new);
+    call(&python, &[&install[..], &[pins.as_ref()]].concat())?;
+    call(&python, &[script.as_ref(), work.as_ref()])
+}
+
+fn collect(
+    name: &str,
+    printed: &str,
+    work: &Path,
+    sample: &Sample,
+    poses: &[PosedReference],
+    points: &mut Vec<Point>,
+    notes: &mut Vec<String>,
+) {
+    let mut times: BTreeMap<(String, usize), Vec<f64>> = BTreeMap::new();
+    for line in printed.lines() {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        if let [pose, threads, ms] = words.as_slice()
+            && let (Ok(threads), Ok(ms)) = (threads.parse(), ms.parse())
+        {
+            times.entry(((*pose).to_owned(), threads)).or_default().push(ms);
+        }
+    }
+    for ((pose_name, threads), mut times) in times {
+        let Some(pose) = poses.iter().find(|pose| pose.name == pose_name) else { continue };
+        let path = work.join(format!("{name}_{pose_name}_{threads}.raw"));
+        let bytes = std::fs::read(&path).unwrap_or_default();
+        let image: Vec<f64> =
+            bytes.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]))).collect();
+        if image.len() != pose.c_arm.pixels() {
+            notes.push(format!("peer {name}: {} is not an image of the pose", path.display()));
+            continue;
+        }
+        let (least_ms, median_ms) = least_and_median(&mut times);
+        points.push(Point {
+            method: format!("peer:{name}"),
+            coarseness: sample.coarseness,
+            pose: pose.name,
+            threads,
+            least_ms,
+            median_ms,
+            exact: Errors::of(&image, &pose.exact),
+            siddon: Errors::of(&image, &pose.siddon),
+        });
+    }
+}

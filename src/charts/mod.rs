@@ -1,0 +1,3 @@
+//! Charts: measured figures as SVG and CSV.
+
+pub mod drr;

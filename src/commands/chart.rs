@@ -1,0 +1,47 @@
+//! `trabecula chart`: measured figures as SVG and CSV.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+use crate::charts::drr;
+use crate::failure::Failure;
+
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum ChartCommand {
+    /// X-ray frames: error against milliseconds for every projector, three poses and three resolutions.
+    Drr(DrrChartArguments),
+}
+
+/// Where to, and how much.
+#[derive(Debug, Args)]
+pub struct DrrChartArguments {
+    /// Folder of the files.
+    #[arg(long, default_value = "out/charts")]
+    out: PathBuf,
+    /// An eighth of the resolution and a detector of 128 x 128, in seconds.
+    #[arg(long)]
+    quick: bool,
+    /// Other projectors on the same volume and poses, by the scripts of this folder: each makes its own Python environment.
+    #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "charts/peers")]
+    peers: Option<PathBuf>,
+    /// Timed frames of each point, 1 to 100.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file that cannot be written (1).
+pub fn run(command: &ChartCommand) -> Result<(), Failure> {
+    match command {
+        ChartCommand::Drr(arguments) => drr::run(&drr::Plan {
+            out: arguments.out.clone(),
+            quick: arguments.quick,
+            peers: arguments.peers.clone(),
+            rounds: arguments.rounds as usize,
+        }),
+    }
+}

@@ -1,0 +1,188 @@
+//! Poses of the C-arm from TOML, JSON and CSV files: the keys of a scene's `[drr]` and `[drr.carm]`.
+
+use std::path::Path;
+
+use drr_proc::process::scene_c_arm;
+use drr_proc::{CArm, DrrError};
+use ipc_types::scene::{CArm as CameraOrPoints, Display, Drr, PixelCentre, Projector};
+use serde::Deserialize;
+
+use crate::failure::Failure;
+
+/// A pose. What is absent comes from the command line.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Pose {
+    /// DICOM positioner angles and distances.
+    pub primary_angle_deg: Option<f64>,
+    pub secondary_angle_deg: Option<f64>,
+    pub source_isocentre_mm: Option<f64>,
+    pub source_detector_mm: Option<f64>,
+    pub isocentre_mm: Option<[f64; 3]>,
+    /// Camera.
+    pub intrinsics: Option<[[f64; 3]; 3]>,
+    pub rotation: Option<[[f64; 3]; 3]>,
+    pub translation_mm: Option<[f64; 3]>,
+    pub pixel_centre: Option<PixelCentre>,
+    /// Points.
+    pub source_mm: Option<[f64; 3]>,
+    pub detector_centre_mm: Option<[f64; 3]>,
+    pub row_axis: Option<[f64; 3]>,
+    pub column_axis: Option<[f64; 3]>,
+    /// Detector.
+    pub columns: Option<u32>,
+    pub rows: Option<u32>,
+    pub pixel_pitch_mm: Option<f64>,
+}
+
+/// A file of one pose, or of a list `pose`.
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+enum PoseFile {
+    Many { pose: Vec<Pose> },
+    One(Pose),
+}
+
+/// A C-arm and the isocentre that its angles refer to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placed {
+    pub c_arm: CArm,
+    pub isocentre_m: [f64; 3],
+}
+
+impl Pose {
+    /// This pose with what it lacks from another one.
+    pub fn or(&self, other: &Pose) -> Pose {
+        Pose {
+            primary_angle_deg: self.primary_angle_deg.or(other.primary_angle_deg),
+            secondary_angle_deg: self.secondary_angle_deg.or(other.secondary_angle_deg),
+            source_isocentre_mm: self.source_isocentre_mm.or(other.source_isocentre_mm),
+            source_detector_mm: self.source_detector_mm.or(other.source_detector_mm),
+            isocentre_mm: self.isocentre_mm.or(other.isocentre_mm),
+            columns: self.columns.or(other.columns),
+            rows: self.rows.or(other.rows),
+            pixel_pitch_mm: self.pixel_pitch_mm.or(other.pixel_pitch_mm),
+            ..self.clone()
+        }
+    }
+
+    /// Whether the pose says more than angles: a camera or points.
+    pub fn is_given(&self) -> bool {
+        let camera = self.intrinsics.is_some() || self.rotation.is_some() || self.translation_mm.is_some();
+        let axes = self.row_axis.is_some() || self.column_axis.is_some();
+        camera || axes || self.source_mm.is_some() || self.detector_centre_mm.is_some()
+    }
+
+    /// The C-arm; angles turn about `centre_m` unless the pose has an isocentre.
+    pub fn place(&self, centre_m: [f64; 3]) -> Result<Placed, String> {
+        let isocentre_mm = self.isocentre_mm.unwrap_or(centre_m.map(|x| x * 1e3));
+        let carm = self.is_given().then(|| CameraOrPoints {
+            intrinsics: self.intrinsics,
+            rotation: self.rotation,
+            translation_mm: self.translation_mm,
+            pixel_centre: self.pixel_centre,
+            source_mm: self.source_mm,
+            detector_centre_mm: self.detector_centre_mm,
+            row_axis: self.row_axis,
+            column_axis: self.column_axis,
+        });
+        let camera = self.intrinsics.is_some() && self.rotation.is_some() && self.translation_mm.is_some();
+        let points = self.source_mm.is_some() && self.detector_centre_mm.is_some();
+        let points = points && self.row_axis.is_some() && self.column_axis.is_some();
+        if carm.is_some() && camera == points {
+            return Err(
+                "give either intrinsics, rotation and translation_mm, or source_mm, detector_centre_mm, \
+                        row_axis and column_axis"
+                    .to_owned(),
+            );
+        }
+        let drr = Drr {
+            rate_hz: 0.0,
+            isocentre_mm,
+            primary_angle_deg: self.primary_angle_deg.unwrap_or(0.0),
+            secondary_angle_deg: self.secondary_angle_deg.unwrap_or(0.0),
+            source_isocentre_mm: self.source_isocentre_mm.unwrap_or(700.0),
+            source_detector_mm: self.source_detector_mm.unwrap_or(1000.0),
+            columns: self.columns.unwrap_or(512),
+            rows: self.rows.unwrap_or(512),
+            pixel_pitch_mm: self.pixel_pitch_mm.unwrap_or(0.6),
+            energy_kev: 60.0,
+            photons_per_pixel: 0.0,
+            blur_pixels: 0.0,
+            display: Display::BoneDark,
+            detector: Default::default(),
+            spectrum: None,
+            carm,
+            notch: None,
+            projector: Projector::Joseph,
+            threads: 1,
+        };
+        let c_arm = scene_c_arm(&drr).map_err(|cause: DrrError| cause.to_string())?;
+        Ok(Placed { c_arm, isocentre_m: isocentre_mm.map(|x| x * 1e-3) })
+    }
+}
+
+/// The poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one number.
+///
+/// # Errors
+/// A file that cannot be read, is not one of these, or has an unknown key (2).
+pub fn read(path: &Path) -> Result<Vec<Pose>, Failure> {
+    let bad = |cause: String| Failure::bad_input(format!("{}: {cause}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|cause| bad(format!("cannot be read ({cause})")))?;
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    let poses = match extension {
+        "csv" => csv(&text).map_err(bad)?,
+        "json" => list(serde_json::from_str(&text).map_err(|cause| bad(cause.to_string()))?),
+        "toml" => list(toml::from_str(&text).map_err(|cause| bad(cause.message().to_owned()))?),
+        other => return Err(bad(format!("is {other:?}; expected a .toml, .json or .csv file of poses"))),
+    };
+    if poses.is_empty() { Err(bad("has no pose; expected at least one".to_owned())) } else { Ok(poses) }
+}
+
+fn list(file: PoseFile) -> Vec<Pose> {
+    match file {
+        PoseFile::Many { pose } => pose,
+        PoseFile::One(pose) => vec![pose],
+    }
+}
+
+fn csv(text: &str) -> Result<Vec<Pose>, String> {
+    let mut lines = text.lines().map(str::trim).enumerate().filter(|(_, line)| !line.is_empty());
+    let header: Vec<&str> =
+        lines.next().map(|(_, line)| line.split(',').map(str::trim).collect()).unwrap_or_default();
+    lines
+        .map(|(number, line)| {
+            let values: Vec<&str> = line.split(',').map(str::trim).collect();
+            if values.len() != header.len() {
+                let (given, expected) = (values.len(), header.len());
+                return Err(format!(
+                    "line {}: {given} values; expected {expected} as in the header",
+                    number + 1
+                ));
+            }
+            let mut pose = Pose::default();
+            for (key, value) in header.iter().zip(values) {
+                set(&mut pose, key, value).map_err(|cause| format!("line {}: {cause}", number + 1))?;
+            }
+            Ok(pose)
+        })
+        .collect()
+}
+
+fn set(pose: &mut Pose, key: &str, value: &str) -> Result<(), String> {
+    let number: f64 = value.parse().map_err(|_| format!("`{key}` is {value:?}, which is no number"))?;
+    let field = match key {
+        "primary_angle_deg" => &mut pose.primary_angle_deg,
+        "secondary_angle_deg" => &mut pose.secondary_angle_deg,
+        "source_isocentre_mm" => &mut pose.source_isocentre_mm,
+        "source_detector_mm" => &mut pose.source_detector_mm,
+        _ => {
+            return Err(format!(
+                "no column `{key}`; there are primary_angle_deg, secondary_angle_deg, source_isocentre_mm, \
+                 source_detector_mm"
+            ));
+        }
+    };
+    *field = Some(number);
+    Ok(())
+}

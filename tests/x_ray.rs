@@ -1,0 +1,181 @@
+//! `trabecula drr`: files of X-ray frames, and what it refuses.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use dicom_object::{Tag, open_file};
+
+struct Done {
+    code: Option<i32>,
+    err: String,
+}
+
+fn trabecula(arguments: &[&str]) -> Done {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_trabecula")).args(arguments).stdin(Stdio::null()).output().unwrap();
+    Done { code: output.status.code(), err: String::from_utf8_lossy(&output.stderr).into_owned() }
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A folder with a ball of 1 mm voxels, and a small detector's options.
+fn ball() -> (tempfile::TempDir, PathBuf) {
+    let place = tempfile::tempdir().unwrap();
+    let volume = place.path().join("ball.nrrd");
+    assert_eq!(trabecula(&["phantom", "sphere", text(&volume), "--spacing-mm", "1"]).code, Some(0));
+    (place, volume)
+}
+
+const SMALL: [&str; 6] = ["--columns", "64", "--rows", "48", "--pixel-pitch-mm", "3"];
+
+fn drr(volume: &Path, output: &Path, more: &[&str]) -> Done {
+    trabecula(&[&["drr", text(volume), "-o", text(output)], &SMALL[..], more].concat())
+}
+
+fn png(path: &Path) -> (png::OutputInfo, Vec<u8>, Option<u32>) {
+    let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap()));
+    let mut reader = decoder.read_info().unwrap();
+    let frames = reader.info().animation_control.map(|a| a.num_frames);
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    (info, bytes, frames)
+}
+
+#[test]
+fn the_same_pose_by_angles_by_camera_and_by_points_is_the_same_picture() {
+    let (place, volume) = ball();
+    let path = |name: &str| place.path().join(name);
+    // Source 700 mm behind the origin's posterior side, detector 300 mm in front of it: frontal.
+    let common = "columns = 64\nrows = 48\npixel_pitch_mm = 3.0\n";
+    let camera = "intrinsics = [[-333.3333333333333, 0.0, 31.5], [0.0, 333.3333333333333, 23.5], [0.0, 0.0, 1.0]]\n\
+                  rotation = [[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]]\n\
+                  translation_mm = [0.0, 0.0, 700.0]\n";
+    let points = "source_mm = [0.0, 700.0, 0.0]\ndetector_centre_mm = [0.0, -300.0, 0.0]\n\
+                  row_axis = [1.0, 0.0, 0.0]\ncolumn_axis = [0.0, 0.0, -1.0]\n";
+    fs::write(path("camera.toml"), [camera, common].concat()).unwrap();
+    fs::write(path("points.toml"), [points, common].concat()).unwrap();
+    let json = r#"{"pose": [{"primary_angle_deg": 0, "isocentre_mm": [0, 0, 0]}]}"#;
+    fs::write(path("angles.json"), json).unwrap();
+    let mut pictures = Vec::new();
+    for pose in ["camera.toml", "points.toml", "angles.json"] {
+        let output = path(&format!("{pose}.png"));
+        let done = drr(&volume, &output, &["--pose", text(&path(pose))]);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        let (info, bytes, _) = png(&output);
+        assert_eq!((info.width, info.height, info.bit_depth), (64, 48, png::BitDepth::Sixteen));
+        pictures.push(bytes.chunks(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect::<Vec<_>>());
+    }
+    assert!(pictures[0].iter().max() > pictures[0].iter().min());
+    for other in &pictures[1..] {
+        // The focal length of the camera is rounded in its last digit.
+        assert!(pictures[0].iter().zip(other).all(|(a, b)| a.abs_diff(*b) <= 1));
+    }
+}
+
+#[test]
+fn a_dicom_file_says_how_it_was_taken_and_an_nrrd_file_holds_the_attenuation() {
+    let (place, volume) = ball();
+    let path = |name: &str| place.path().join(name);
+    let pose = ["--primary-deg", "30", "--secondary-deg", "-20", "--source-detector-mm", "1100"];
+    assert_eq!(drr(&volume, &path("f.dcm"), &pose).code, Some(0));
+    assert_eq!(drr(&volume, &path("f.png"), &pose).code, Some(0));
+    assert_eq!(
+        drr(&volume, &path("f.nrrd"), &[&pose[..], &["--display", "bone-bright"]].concat()).code,
+        Some(0)
+    );
+    let object = open_file(path("f.dcm")).unwrap();
+    let number = |group, element| object.element(Tag(group, element)).unwrap().to_float64().unwrap();
+    for (group, element, want) in [
+        (0x0018, 0x1110, 1100.0),
+        (0x0018, 0x1111, 700.0),
+        (0x0018, 0x1510, 30.0),
+        (0x0018, 0x1511, -20.0),
+        (0x0028, 0x0010, 48.0),
+        (0x0028, 0x0011, 64.0),
+    ] {
+        assert!((number(group, element) - want).abs() < 1e-5, "{group:x} {element:x}");
+    }
+    let spacing = object.element(Tag(0x0018, 0x1164)).unwrap().to_multi_float64().unwrap();
+    assert_eq!(spacing, [3.0, 3.0]);
+    let pixels = object.element(Tag(0x7fe0, 0x0010)).unwrap().to_multi_int::<u16>().unwrap();
+    let greys: Vec<u16> = png(&path("f.png")).1.chunks(2).map(|b| u16::from_be_bytes([b[0], b[1]])).collect();
+    assert_eq!(pixels, greys);
+    let nrrd = fs::read(path("f.nrrd")).unwrap();
+    let data = &nrrd[nrrd.len() - 64 * 48 * 4..];
+    let values: Vec<f32> = data.chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
+    // Bone dark: the larger the attenuation the smaller the grey.
+    for (pair, grey) in values.windows(2).zip(greys.windows(2)) {
+        assert!(pair[0] <= pair[1] || grey[0] <= grey[1]);
+    }
+    assert!(values.iter().all(|v| (0.0..20.0).contains(v)) && values.iter().any(|v| *v > 0.5));
+}
+
+#[test]
+fn a_sweep_is_a_numbered_series_or_an_animation_and_a_csv_file_is_a_batch() {
+    let (place, volume) = ball();
+    let path = |name: &str| place.path().join(name);
+    assert_eq!(drr(&volume, &path("s.png"), &["--sweep", "180", "--frames", "3"]).code, Some(0));
+    assert!((0..3).all(|i| path(&format!("s_{i:04}.png")).exists()) && !path("s.png").exists());
+    let animated = drr(&volume, &path("a.png"), &["--sweep", "-90", "--frames", "4", "--animate"]);
+    assert_eq!(animated.code, Some(0), "{}", animated.err);
+    assert_eq!(png(&path("a.png")).2, Some(4));
+    fs::write(path("batch.csv"), "primary_angle_deg, secondary_angle_deg\n0, 0\n90, 5\n").unwrap();
+    assert_eq!(drr(&volume, &path("b.dcm"), &["--pose", text(&path("batch.csv"))]).code, Some(0));
+    assert!(path("b_0000.dcm").exists() && path("b_0001.dcm").exists());
+}
+
+#[test]
+fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
+    let (place, volume) = ball();
+    let path = |name: &str| place.path().join(name);
+    let zero_detector = "source_mm = [0.0, 700.0, 0.0]\ndetector_centre_mm = [0.0, 700.0, 0.0]\n\
+                         row_axis = [1.0, 0.0, 0.0]\ncolumn_axis = [0.0, 0.0, -1.0]\n";
+    for (name, content) in [
+        ("half.toml", "intrinsics = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n"),
+        ("unknown.toml", "primary_angle = 3.0\n"),
+        ("nan.toml", "primary_angle_deg = nan\n"),
+        ("on_it.toml", zero_detector),
+        ("bad.csv", "primary_angle_deg\n0\nsixty\n"),
+        ("column.csv", "roll\n0\n"),
+        ("empty.csv", "primary_angle_deg\n"),
+    ] {
+        fs::write(path(name), content).unwrap();
+    }
+    let before = fs::read_dir(place.path()).unwrap().count();
+    let output = path("out.png");
+    let pose = |name: &str| ["--pose".to_owned(), text(&path(name)).to_owned()].to_vec();
+    let plain = |words: &[&str]| words.iter().map(|w| (*w).to_owned()).collect::<Vec<_>>();
+    for (more, word) in [
+        (pose("half.toml"), "give either intrinsics"),
+        (pose("unknown.toml"), "unknown.toml"),
+        (pose("nan.toml"), "primary_rad is NaN"),
+        (pose("on_it.toml"), "distance of the source from the detector"),
+        (pose("bad.csv"), "line 3"),
+        (pose("column.csv"), "no column `roll`"),
+        (pose("empty.csv"), "no pose"),
+        (pose("missing.toml"), "cannot be read"),
+        (plain(&["--sweep", "0"]), "--sweep is 0"),
+        (plain(&["--energy-kev", "10"]), "energy_kev is 10"),
+        (plain(&["--tube-kv", "20"]), "tube_kv is 20"),
+        (plain(&["--source-detector-mm", "500"]), "source_detector_m is 0.5"),
+    ] {
+        let more: Vec<&str> = more.iter().map(String::as_str).collect();
+        let done = drr(&volume, &output, &more);
+        assert_eq!(done.code, Some(2), "{more:?}: {}", done.err);
+        assert!(done.err.contains(word), "{word:?} in: {}", done.err);
+    }
+    for arguments in [
+        vec!["drr", text(&volume), "-o", "picture.jpg"],
+        vec!["drr", "no_such_volume.nrrd", "-o", text(&output)],
+        vec!["drr", text(&volume), "-o", text(&output), "--columns", "0"],
+        vec!["drr", text(&volume), "-o", text(&output), "--pixel-pitch-mm", "0"],
+    ] {
+        let done = trabecula(&arguments);
+        assert_eq!(done.code, Some(2), "{arguments:?}: {}", done.err);
+    }
+    assert_eq!(fs::read_dir(place.path()).unwrap().count(), before);
+}
