@@ -4,6 +4,7 @@
 mod say;
 
 mod bench;
+mod charts;
 mod commands;
 mod failure;
 mod launcher;
@@ -14,6 +15,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use commands::bench::BenchCommand;
+use commands::chart::ChartCommand;
 use commands::docs::DocsCommand;
 use commands::log::LogCommand;
 use commands::proc::ProcCommand;
@@ -54,6 +56,9 @@ enum Command {
     /// Measure what the hub costs on this machine.
     #[command(subcommand)]
     Bench(BenchCommand),
+    /// Measure the project's figures and draw them.
+    #[command(subcommand)]
+    Chart(ChartCommand),
     /// Run one part of a session in this process.
     #[command(subcommand)]
     Proc(ProcCommand),
@@ -76,6 +81,7 @@ fn main() -> ExitCode {
         Command::Phantom(arguments) => commands::volume::write_phantom(arguments),
         Command::Docs(command) => commands::docs::run(command),
         Command::Bench(command) => commands::bench::run(command),
+        Command::Chart(command) => commands::chart::run(command),
         Command::Proc(command) => commands::proc::run(command),
     };
     match outcome {
