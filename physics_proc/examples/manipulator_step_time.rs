@@ -11,15 +11,15 @@ use std::time::Instant;
 use nalgebra::{Isometry3, Unit, Vector3};
 use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
-    BaseMotion, Integrator, Manipulator, ManipulatorError, ManipulatorParameters, StepInput, TendonCommand,
-    Wrench,
+    AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
+    StepInput, TendonCommand, Wrench,
 };
 
 const STEPS: usize = 4000;
 
 /// A tunnel of `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wave length of 12 mm: each of
 /// the `spheres` nearest the tip is offered the walls on `sides`.
-fn tunnel(m: &Manipulator, spheres: usize, sides: &[f64], clearance_m: f64, out: &mut Vec<ContactPlane>) {
+fn tunnel(m: &AnyManipulator, spheres: usize, sides: &[f64], clearance_m: f64, out: &mut Vec<ContactPlane>) {
     let wave = 2.0 * std::f64::consts::PI / 12.0e-3;
     for (sphere_index, sphere) in m.proxy_spheres().iter().enumerate().rev().take(spheres) {
         let phase = wave * (sphere.centre_m.z - 36.0e-3);
@@ -36,12 +36,12 @@ fn tunnel(m: &Manipulator, spheres: usize, sides: &[f64], clearance_m: f64, out:
 
 fn run(
     name: &str,
-    integrator: Integrator,
-    planes: impl Fn(&Manipulator, &mut Vec<ContactPlane>),
+    (rung, integrator): (Rung, Integrator),
+    planes: impl Fn(&AnyManipulator, &mut Vec<ContactPlane>),
 ) -> Result<(), ManipulatorError> {
     let base = BaseMotion::at_rest(Isometry3::identity());
     let parameters = ManipulatorParameters { integrator, ..ManipulatorParameters::jhu_27() };
-    let mut manipulator = Manipulator::new(parameters, &base)?;
+    let mut manipulator = AnyManipulator::new(rung, parameters, &base)?;
     let mut contacts = Vec::with_capacity(96);
     let mut micros = Vec::with_capacity(STEPS);
     let (mut sweeps, mut active, mut second_order, mut residual) = (0, 0, 0, 0.0f64);
@@ -78,14 +78,21 @@ fn run(
 }
 
 fn main() -> Result<(), ManipulatorError> {
-    let euler = Integrator::LinearlyImplicitEuler;
-    run("free, linearly implicit Euler", euler, |_, _| ())?;
-    run("free, hybrid", Integrator::Hybrid, |_, _| ())?;
-    for spheres in [5, 10, 15, 28] {
-        run("winding wall", euler, |m, out| tunnel(m, spheres, &[-1.0], 0.0, out))?;
-    }
-    for spheres in [5, 15, 28] {
-        run("winding tunnel", euler, |m, out| tunnel(m, spheres, &[1.0, -1.0], 20e-6, out))?;
+    for rung in Rung::ALL {
+        let euler = (rung, Integrator::LinearlyImplicitEuler);
+        let name = rung.name();
+        run(&format!("{name}, free, Euler"), euler, |_, _| ())?;
+        if rung != Rung::ConstantCurvature {
+            run(&format!("{name}, free, hybrid"), (rung, Integrator::Hybrid), |_, _| ())?;
+        }
+        for spheres in [10, 28] {
+            run(&format!("{name}, winding wall"), euler, |m, out| tunnel(m, spheres, &[-1.0], 0.0, out))?;
+        }
+        for spheres in [5, 15, 28] {
+            run(&format!("{name}, winding tunnel"), euler, |m, out| {
+                tunnel(m, spheres, &[1.0, -1.0], 20e-6, out);
+            })?;
+        }
     }
     Ok(())
 }

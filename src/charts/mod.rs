@@ -1,3 +1,6 @@
-//! Charts: measured figures as SVG and CSV.
+//! Charts: measured figures as SVG, PNG and CSV.
 
 pub mod drr;
+pub mod method;
+pub mod physics;
+pub mod stability;

@@ -1,10 +1,10 @@
-//! `trabecula chart`: measured figures as SVG and CSV.
+//! `trabecula chart`: measured figures as SVG, PNG and CSV.
 
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::charts::drr;
+use crate::charts::{drr, physics, stability};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -12,6 +12,10 @@ use crate::failure::Failure;
 pub enum ChartCommand {
     /// X-ray frames: error against milliseconds for every projector, three poses and three resolutions.
     Drr(DrrChartArguments),
+    /// Physics: error against cost for every rung, integrator and baseline.
+    Physics(ChartArguments),
+    /// Where each method converges, is wrong or blows up.
+    Stability(ChartArguments),
 }
 
 /// Where to, and how much.
@@ -31,6 +35,17 @@ pub struct DrrChartArguments {
     rounds: u32,
 }
 
+/// Where to, and how much.
+#[derive(Debug, Args)]
+pub struct ChartArguments {
+    /// Folder of the files.
+    #[arg(long, default_value = "out/charts")]
+    out: PathBuf,
+    /// A few points only, in seconds.
+    #[arg(long)]
+    quick: bool,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -43,5 +58,10 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             peers: arguments.peers.clone(),
             rounds: arguments.rounds as usize,
         }),
+        ChartCommand::Physics(arguments) => {
+            let effort = if arguments.quick { physics::Effort::Quick } else { physics::Effort::Full };
+            physics::run(&arguments.out, effort)
+        }
+        ChartCommand::Stability(arguments) => stability::run(&arguments.out, arguments.quick),
     }
 }

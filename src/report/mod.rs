@@ -11,13 +11,13 @@
 //!
 //! A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`](summary::LogSummary::notes).
 
-mod axis;
+pub mod axis;
 mod distribution;
 mod grey;
 mod live;
-mod panel;
+pub mod panel;
 mod run_lane;
-mod shapes;
+pub mod shapes;
 mod summary;
 mod timeline;
 mod timing_figure;

@@ -1,0 +1,154 @@
+//! `trabecula chart physics`: error against cost for every rung, integrator and baseline, a panel a problem.
+
+mod elastica;
+mod problems;
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use plotters::style::RGBColor;
+
+use crate::charts::method::Method;
+use crate::failure::Failure;
+use crate::report::axis::{Axis, bounds, duration_label};
+use crate::report::panel::{INK, Panel, Rect};
+use crate::report::shapes::{Anchor, Figure, Stroke};
+pub use problems::Effort;
+use problems::{Point, Problem, measure};
+
+const WIDTH: u32 = 1240;
+const HEIGHT: u32 = 1180;
+const HEAD: f64 = 44.0;
+/// Errors below this are rounding and shown at it, in each problem's unit.
+const ROUNDING: f64 = 1e-4;
+/// Okabe and Ito 2008, and greys for the baselines.
+const COLOURS: [RGBColor; 9] = [
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+    RGBColor(0, 114, 178),
+    RGBColor(150, 210, 190),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(150, 150, 150),
+    RGBColor(90, 90, 90),
+    RGBColor(213, 94, 0),
+];
+
+/// Measures and writes `accuracy-physics.svg`, `.png` and `.csv` into the folder.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn run(folder: &Path, effort: Effort) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder)
+        .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
+    let mut measured = Vec::new();
+    for problem in Problem::ALL {
+        let mut points = Vec::new();
+        for method in Method::ALL {
+            let own = measure(problem, method, effort).map_err(|cause| Failure::failed(cause.to_string()))?;
+            for point in &own {
+                say!("{}", line(problem, point));
+            }
+            points.extend(own);
+        }
+        measured.push((problem, points));
+    }
+    let path = folder.join("accuracy-physics.csv");
+    std::fs::write(&path, csv(&measured))
+        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))?;
+    let written = draw(&measured).and_then(|figure| figure.write(folder, "accuracy-physics"));
+    written.map_err(|cause| Failure::failed(cause.to_string()))
+}
+
+fn line(problem: Problem, point: &Point) -> String {
+    let more: String = point.more.iter().map(|(name, value)| format!(", {name} {value:.4}")).collect();
+    format!(
+        "{:<11} {:<19} {:>2} links, dt {:>7} ms: {:>9.2} us/ms, error {:.4}{more}",
+        problem.key(),
+        point.method.name(),
+        point.links,
+        point.dt_ms,
+        point.us_per_ms,
+        point.error
+    )
+}
+
+fn csv(measured: &[(Problem, Vec<Point>)]) -> String {
+    let mut text = String::from("problem,method,links,dt_ms,us_per_ms,figure,value\n");
+    for (problem, points) in measured {
+        for point in points {
+            let error = [(problem.axis(), point.error)];
+            for (figure, value) in error.iter().chain(&point.more) {
+                // Writing to a String cannot fail.
+                let _ = writeln!(
+                    text,
+                    "{},{},{},{},{:.3},{figure},{value:.6e}",
+                    problem.key(),
+                    point.method.name(),
+                    point.links,
+                    point.dt_ms,
+                    point.us_per_ms
+                );
+            }
+        }
+    }
+    text
+}
+
+fn draw(measured: &[(Problem, Vec<Point>)]) -> Result<Figure, crate::report::ReportError> {
+    let mut figure = Figure::new(WIDTH, HEIGHT)?;
+    let title = "Physics: error against the cost of a simulated millisecond (lower left is better)";
+    figure.text((16.0, 22.0), title, 18.0, INK, Anchor::Left);
+    let (wide, high) = (f64::from(WIDTH) / 2.0, (f64::from(HEIGHT) - HEAD) / 3.0);
+    for (place, (problem, points)) in measured.iter().enumerate() {
+        let (column, row) = (place % 2, place / 2);
+        let cell = Rect { x: column as f64 * wide, y: HEAD + row as f64 * high, width: wide, height: high };
+        draw_panel(&mut figure, cell, *problem, points);
+    }
+    let corner = (wide + 70.0, HEAD + 2.0 * high + 40.0);
+    draw_legend(&mut figure, corner);
+    Ok(figure)
+}
+
+fn shown(point: &Point) -> (f64, f64) {
+    (point.us_per_ms, point.error.max(ROUNDING))
+}
+
+fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, points: &[Point]) {
+    let sound = || points.iter().filter(|point| point.error.is_finite()).map(shown);
+    let high = bounds(sound().map(|(_, error)| error)).map_or(1.0, |(_, high)| high);
+    let label = |value: f64| {
+        if (0.01..1e5).contains(&value) { format!("{value}") } else { format!("{value:.0e}") }
+    };
+    let x = Axis::logarithmic("time of a simulated millisecond", sound().map(|(us, _)| us), duration_label);
+    // What is worse than 100 mm or the like is not told apart.
+    let y = Axis::logarithmic(problem.axis(), sound().map(|(_, error)| error).chain([high]), label);
+    let mut panel = Panel::new(figure, cell, problem.title(), x, y);
+    for (method, colour) in Method::ALL.into_iter().zip(COLOURS) {
+        let line: Vec<(f64, f64)> =
+            points.iter().filter(|p| p.method == method && p.error.is_finite()).map(shown).collect();
+        panel.line(&line, stroke(method, colour), "");
+        for value in line {
+            panel.disc(value, 4.0, colour);
+        }
+    }
+    panel.finish();
+}
+
+fn stroke(method: Method, colour: RGBColor) -> Stroke {
+    let dash: &[f64] = if method.is_ours() { &[] } else { &[5.0, 3.0] };
+    Stroke { colour, width: 2.0, dash }
+}
+
+fn draw_legend(figure: &mut Figure, (left, top): (f64, f64)) {
+    for (i, (method, colour)) in Method::ALL.into_iter().zip(COLOURS).enumerate() {
+        let y = top + 22.0 * i as f64;
+        let points = vec![(left, y), (left + 30.0, y)];
+        figure.add(crate::report::shapes::Shape::Line { points, stroke: stroke(method, colour) });
+        let centre = (left + 15.0, y);
+        figure.add(crate::report::shapes::Shape::Disc { centre, radius: 4.0, fill: colour });
+        figure.text((left + 40.0, y), &method.name(), 13.0, INK, Anchor::Left);
+    }
+    let note = "Errors below 0.0001 are shown there; a method that lost the tool has no point.";
+    figure.text((left, top + 22.0 * 9.5), note, 12.0, INK, Anchor::Left);
+}

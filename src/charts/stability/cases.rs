@@ -1,0 +1,165 @@
+//! The hard cases.
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use physics_proc::baselines::Wall;
+use physics_proc::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameters, Wrench};
+
+use crate::charts::method::{Drive, Method, Tool};
+
+/// Half of the tunnel's width: the burr's radius and 50 µm, m.
+const TUNNEL_M: f64 = 3.3e-3;
+/// Burr centre of the straight tool from the flange, m.
+const REACH_M: f64 = 0.071_470_28;
+/// Euler's load of a beam as stiff as the base of the tool (EI = 1e-3 N m², 35 mm) is 2 N: beyond it, N.
+const BUCKLING_N: f64 = 3.0;
+
+/// What happens to the tool.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Case {
+    /// Tension from 0 to 30 N at once.
+    TensionStep,
+    /// 8 N into a wall 8 mm beside the axis.
+    StiffWall,
+    /// 8 N between two walls.
+    Tunnel,
+    /// 8 N into the corner of three walls.
+    Corner,
+    /// A load along the axis beyond Euler's.
+    Buckling,
+    /// The base comes at 0.5 m/s and presses the burr on a wall across.
+    MovedBase,
+    /// The wall, 10 m from the origin and turned.
+    FarAnatomy,
+    /// Pressed on a wall that vanishes.
+    Leaving,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy)]
+pub struct Ending {
+    /// Burr centre in the frame of the base at the start, m.
+    pub tip_m: Vector3<f64>,
+    /// Whether the tool was lost.
+    pub lost: bool,
+    /// Whether energy grew over the last fifth, when nothing changes any more.
+    pub energy_grew: bool,
+}
+
+impl Case {
+    /// All of them.
+    pub const ALL: [Case; 8] = [
+        Case::TensionStep,
+        Case::StiffWall,
+        Case::Tunnel,
+        Case::Corner,
+        Case::Buckling,
+        Case::MovedBase,
+        Case::FarAnatomy,
+        Case::Leaving,
+    ];
+
+    /// Key in the CSV and label in the map.
+    pub fn key(self) -> &'static str {
+        match self {
+            Case::TensionStep => "tension step 0-30 N",
+            Case::StiffWall => "stiff wall",
+            Case::Tunnel => "two-sided tunnel",
+            Case::Corner => "corner",
+            Case::Buckling => "buckling load",
+            Case::MovedBase => "base at 0.5 m/s",
+            Case::FarAnatomy => "10 m from origin",
+            Case::Leaving => "burr leaves bone",
+        }
+    }
+
+    fn walls(self) -> Vec<Wall> {
+        let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
+        let side = Wall::new(-x, x * 8e-3);
+        match self {
+            Case::TensionStep | Case::Buckling => Vec::new(),
+            Case::StiffWall | Case::FarAnatomy | Case::Leaving => vec![side],
+            Case::Tunnel => vec![Wall::new(-x, x * TUNNEL_M), Wall::new(x, x * -TUNNEL_M)],
+            Case::Corner => {
+                vec![side, Wall::new(-z, z * (REACH_M + 3.3e-3)), Wall::new(-y, y * TUNNEL_M)]
+            }
+            Case::MovedBase => vec![Wall::new(-z, z * (REACH_M + 5e-3))],
+        }
+    }
+
+    /// Base frame of the start in the world.
+    fn place(self) -> Isometry3<f64> {
+        match self {
+            Case::FarAnatomy => Isometry3::from_parts(
+                Translation3::new(7.0, -4.5, 5.5),
+                UnitQuaternion::from_scaled_axis(Vector3::new(0.7, -1.1, 0.4)),
+            ),
+            _ => Isometry3::identity(),
+        }
+    }
+
+    fn seconds(self) -> f64 {
+        match self {
+            Case::Buckling | Case::MovedBase => 0.8,
+            _ => 0.5,
+        }
+    }
+
+    fn drive(self, t: f64, dt_s: f64, stiffness: f64) -> Drive {
+        let place = self.place();
+        let mut drive = Drive::still(BaseMotion::at_rest(place));
+        match self {
+            Case::TensionStep => drive.tension_n = 30.0,
+            // Loads grow with the stiffness where shape decides the case.
+            Case::Buckling => {
+                let force_n = Vector3::new(0.02, 0.0, -BUCKLING_N) * stiffness;
+                drive.tip = Wrench { force_n, ..Wrench::zero() };
+            }
+            Case::MovedBase => {
+                drive.tension_n = 2.0 * stiffness.min(10.0);
+                let (speed, stop) = (0.5, 8e-3);
+                let at = (speed * t).min(stop);
+                drive.base.t_world_base.translation.vector.z = at;
+                let moving = (at - (speed * (t - dt_s)).clamp(0.0, stop)) / dt_s;
+                drive.base.linear_velocity_m_per_s.z = moving;
+            }
+            _ => drive.tension_n = 8.0,
+        }
+        drive
+    }
+
+    /// Plays the case.
+    ///
+    /// # Errors
+    /// Parameters that are refused.
+    pub fn play(
+        self,
+        method: Method,
+        p: &ManipulatorParameters,
+        stiffness: f64,
+        dt_ms: f64,
+    ) -> Result<Ending, ManipulatorError> {
+        let dt_s = dt_ms * 1e-3;
+        let place = self.place();
+        let walls: Vec<Wall> = self.walls().iter().map(|wall| wall.moved(&place)).collect();
+        let mut tool = Tool::new(method, p, &BaseMotion::at_rest(place), &walls)?;
+        let steps = (self.seconds() / dt_s).round() as usize;
+        let (mut early, mut late) = (0.0f64, 0.0f64);
+        for k in 0..steps {
+            if self == Case::Leaving && k == steps / 2 {
+                tool.remove_walls();
+            }
+            tool.step(dt_s, &self.drive((k + 1) as f64 * dt_s, dt_s, stiffness));
+            if tool.is_lost() {
+                break;
+            }
+            // The largest of each half of the last fifth.
+            if k * 10 >= steps * 9 {
+                late = late.max(tool.energy_j());
+            } else if k * 10 >= steps * 8 {
+                early = early.max(tool.energy_j());
+            }
+        }
+        let tip_m = place.inverse_transform_point(&tool.tip_m().into()).coords;
+        Ok(Ending { tip_m, lost: tool.is_lost(), energy_grew: tool.is_lost() || late > early * 1.001 + 1e-9 })
+    }
+}

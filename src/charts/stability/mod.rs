@@ -1,0 +1,211 @@
+//! `trabecula chart stability`: every method over stiffness, mass, step and eight hard cases.
+
+mod cases;
+mod figure;
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use nalgebra::Vector3;
+use physics_proc::manipulator::{Integrator, ManipulatorError, ManipulatorParameters, Rung};
+
+use crate::charts::method::Method;
+use crate::failure::Failure;
+use cases::{Case, Ending};
+
+/// All stiffnesses times these.
+pub const STIFFNESS: [f64; 4] = [1.0, 10.0, 100.0, 1000.0];
+/// All masses times these.
+pub const MASS: [f64; 3] = [1.0, 0.1, 0.01];
+/// Steps, ms.
+pub const DT_MS: [f64; 5] = [0.5, 1.0, 2.0, 5.0, 10.0];
+/// A tip within this of the converged one has converged, m.
+const TOLERANCE_M: f64 = 0.2e-3;
+/// Step of the converged solutions, ms.
+const REFERENCE_DT_MS: f64 = 0.25;
+
+/// What became of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// At rest where the converged solution rests.
+    Converged,
+    /// Somewhere else, or not at rest.
+    Wrong,
+    /// Not finite, or out of any tool's reach.
+    Blown,
+}
+
+/// A cell of the map.
+#[derive(Debug, Clone, Copy)]
+pub struct Cell {
+    /// Who.
+    pub method: Method,
+    /// Which case.
+    pub case: Case,
+    /// Factor of the stiffnesses.
+    pub stiffness: f64,
+    /// Factor of the masses.
+    pub mass: f64,
+    /// Step, ms.
+    pub dt_ms: f64,
+    /// What became of it.
+    pub verdict: Verdict,
+    /// Distance of the tip from the converged one, m.
+    pub off_m: f64,
+    /// Whether energy grew after the last change of load.
+    pub energy_grew: bool,
+}
+
+/// Measures and writes `stability.svg`, `.png` and `.csv` into the folder; prints the counts.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn run(folder: &Path, quick: bool) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder)
+        .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
+    let cells = measure(quick).map_err(|cause| Failure::failed(cause.to_string()))?;
+    print_counts(&cells);
+    let path = folder.join("stability.csv");
+    std::fs::write(&path, csv(&cells))
+        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))?;
+    let written = figure::draw(&cells).and_then(|figure| figure.write(folder, "stability"));
+    written.map_err(|cause| Failure::failed(cause.to_string()))
+}
+
+/// The tool of the scenes, frictionless on its walls, its stops out of reach: Rapier's has none.
+fn tool(stiffness: f64, mass: f64) -> ManipulatorParameters {
+    let mut p = ManipulatorParameters::jhu_27();
+    p.joint_stiffness_nm_per_rad.iter_mut().for_each(|k| *k *= stiffness);
+    p.linear_density_kg_per_m *= mass;
+    p.burr_mass_kg *= mass;
+    p.shaft_mass_kg *= mass;
+    p.joint_limit_rad = 1.0;
+    p.damping_ratio = 0.1;
+    p.contact.friction_coefficient = 0.0;
+    p
+}
+
+/// Rungs are held to their own converged solution, baselines to that of the planar rung.
+fn reference_of(method: Method) -> Method {
+    match method {
+        Method::Rung(rung, _) => Method::Rung(rung, Integrator::LinearlyImplicitEuler),
+        _ => Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler),
+    }
+}
+
+/// A converged solution: method, case, stiffness, mass; burr centre, m.
+type Known = ((Method, Case, f64, f64), Vector3<f64>);
+
+fn measure(quick: bool) -> Result<Vec<Cell>, ManipulatorError> {
+    let mut cells = Vec::new();
+    let mut known: Vec<Known> = Vec::new();
+    let pick = |all: &[f64]| if quick { vec![all[0], all[all.len() - 1]] } else { all.to_vec() };
+    for method in Method::ALL {
+        for case in Case::ALL {
+            for &stiffness in &pick(&STIFFNESS) {
+                for &mass in &pick(&MASS) {
+                    let p = tool(stiffness, mass);
+                    let key = (reference_of(method), case, stiffness, mass);
+                    let converged = match known.iter().find(|(other, _)| *other == key) {
+                        Some((_, tip)) => *tip,
+                        None => {
+                            let tip = case.play(key.0, &p, stiffness, REFERENCE_DT_MS)?.tip_m;
+                            known.push((key, tip));
+                            tip
+                        }
+                    };
+                    for &dt_ms in &pick(&DT_MS) {
+                        let ending = case.play(method, &p, stiffness, dt_ms)?;
+                        let off_m = (ending.tip_m - converged).norm();
+                        let verdict = verdict(&ending, off_m);
+                        let energy_grew = ending.energy_grew;
+                        cells.push(Cell {
+                            method,
+                            case,
+                            stiffness,
+                            mass,
+                            dt_ms,
+                            verdict,
+                            off_m,
+                            energy_grew,
+                        });
+                    }
+                }
+            }
+        }
+    }
+    Ok(cells)
+}
+
+fn verdict(ending: &Ending, off_m: f64) -> Verdict {
+    // The tool is 71 mm long: what is farther than that from the converged tip has come apart.
+    if ending.lost || !off_m.is_finite() || off_m > 0.15 {
+        Verdict::Blown
+    } else if off_m <= TOLERANCE_M {
+        Verdict::Converged
+    } else {
+        Verdict::Wrong
+    }
+}
+
+fn print_counts(cells: &[Cell]) {
+    say!("{:<20} {:>9} {:>6} {:>6} {:>12}", "method", "converged", "wrong", "blown", "energy grew");
+    for method in Method::ALL {
+        let own: Vec<&Cell> = cells.iter().filter(|cell| cell.method == method).collect();
+        let count = |verdict| own.iter().filter(|cell| cell.verdict == verdict).count();
+        let grew = own.iter().filter(|cell| cell.energy_grew).count();
+        say!(
+            "{:<20} {:>9} {:>6} {:>6} {:>12}",
+            method.name(),
+            count(Verdict::Converged),
+            count(Verdict::Wrong),
+            count(Verdict::Blown),
+            grew
+        );
+    }
+}
+
+fn csv(cells: &[Cell]) -> String {
+    let mut text = String::from("method,case,stiffness,mass,dt_ms,verdict,off_mm,energy_grew\n");
+    for cell in cells {
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{},{},{},{},{},{:?},{:.6},{}",
+            cell.method.name(),
+            cell.case.key(),
+            cell.stiffness,
+            cell.mass,
+            cell.dt_ms,
+            cell.verdict,
+            cell.off_m * 1e3,
+            cell.energy_grew
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planar_euler_converges_where_the_baselines_fail() {
+        let ours = Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler);
+        for (case, stiffness, mass, dt_ms) in [
+            (Case::TensionStep, 1.0, 1.0, 1.0),
+            (Case::StiffWall, 100.0, 0.1, 5.0),
+            (Case::FarAnatomy, 1.0, 1.0, 1.0),
+        ] {
+            let p = tool(stiffness, mass);
+            let play =
+                |method, dt_ms| case.play(method, &p, stiffness, dt_ms).map(|e| (verdict(&e, 0.0), e.tip_m));
+            let (Ok((_, converged)), Ok((_, tip))) = (play(ours, REFERENCE_DT_MS), play(ours, dt_ms)) else {
+                panic!("{case:?}: a tool of the map is refused");
+            };
+            assert!((tip - converged).norm() < TOLERANCE_M, "{case:?}: {tip} {converged}");
+            let explicit = play(Method::Explicit, dt_ms).map(|(verdict, _)| verdict);
+            assert_eq!(explicit, Ok(Verdict::Blown), "{case:?}");
+        }
+    }
+}
