@@ -45,6 +45,9 @@ isocentre_mm = [0.0, 0.0, 0.0]
 columns = 16
 rows = 16
 pixel_pitch_mm = 1.0
+[arm.compliance]
+joint_stiffness_nm_per_rad = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+joint_damping_nms_per_rad = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 [[controller]]
 name = "a"
 drives = ["tendon"]
@@ -59,6 +62,19 @@ name = "b"
 drives = ["arm"]
 [controller.hold]
 tension_n = 1.0
+[[controller]]
+name = "c"
+drives = ["burr"]
+[controller.skiving]
+feed_mm_per_s = 1.0
+depth_mm = 1.0
+burr_speed_rpm = 1.0
+[[controller]]
+name = "d"
+drives = []
+[controller.tension_sweep]
+most_n = 1.0
+step_n = 1.0
 "#;
 
 const INTRODUCTION: &str = "\
@@ -155,6 +171,7 @@ impl Reference {
         let plain = match inner(kind) {
             "f64" => "number".to_owned(),
             "[f64; 3]" => "three numbers".to_owned(),
+            "[f64; 6]" => "six numbers".to_owned(),
             "bool" => "`true` or `false`".to_owned(),
             "String" => "text".to_owned(),
             "PathBuf" => "path".to_owned(),

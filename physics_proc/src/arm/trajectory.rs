@@ -33,7 +33,7 @@ impl<const N: usize> AxisState<N> {
     }
 }
 
-/// Where a segment ends: always at rest.
+/// Where a segment ends: at rest, but for [`Goal::Velocity`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal<const N: usize> {
     /// At rest at this position, every axis as early as it can. An axis that can stop within its range does so.
@@ -42,6 +42,8 @@ pub enum Goal<const N: usize> {
     StraightLine([f64; N]),
     /// At rest anywhere, as soon as possible.
     Standstill,
+    /// At these velocities, each as soon as possible, and on with them.
+    Velocity([f64; N]),
 }
 
 /// Symmetric limits of N axes.
@@ -110,10 +112,12 @@ impl<const N: usize> Planner<N> {
     /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory stays.
     pub fn plan(&mut self, segment: &Segment<N>) -> Result<f64, TrajectoryError> {
         let input = &mut self.input;
-        let (interface, synchronization, target) = match segment.goal {
-            Goal::Independent(target) => (ControlInterface::Position, Synchronization::None, target),
-            Goal::StraightLine(target) => (ControlInterface::Position, Synchronization::Phase, target),
-            Goal::Standstill => (ControlInterface::Velocity, Synchronization::None, segment.start.position),
+        let (here, rest) = (segment.start.position, [0.0; N]);
+        let (interface, synchronization, target, velocity) = match segment.goal {
+            Goal::Independent(target) => (ControlInterface::Position, Synchronization::None, target, rest),
+            Goal::StraightLine(target) => (ControlInterface::Position, Synchronization::Phase, target, rest),
+            Goal::Standstill => (ControlInterface::Velocity, Synchronization::None, here, rest),
+            Goal::Velocity(velocity) => (ControlInterface::Velocity, Synchronization::None, here, velocity),
         };
         input.control_interface = interface;
         input.synchronization = synchronization;
@@ -121,6 +125,7 @@ impl<const N: usize> Planner<N> {
         input.current_velocity.copy_from_slice(&segment.start.velocity);
         input.current_acceleration.copy_from_slice(&segment.start.acceleration);
         input.target_position.copy_from_slice(&target);
+        input.target_velocity.copy_from_slice(&velocity);
         input.max_velocity.copy_from_slice(&segment.limits.velocity);
         input.max_acceleration.copy_from_slice(&segment.limits.acceleration);
         input.max_jerk.copy_from_slice(&segment.limits.jerk);
@@ -132,7 +137,7 @@ impl<const N: usize> Planner<N> {
         std::mem::swap(&mut self.active, &mut self.candidate);
     }
 
-    /// State of the active trajectory `time_s` after its start; the end state (at rest) from its duration on.
+    /// State of the active trajectory `time_s` after its start; the end state from its duration on.
     pub fn sample(&self, time_s: f64) -> AxisState<N> {
         sample(&self.active, time_s)
     }
@@ -209,12 +214,13 @@ mod tests {
     fn no_other_file_reaches_ruckig_or_a_waypoint() {
         let folder = [
             include_str!("mod.rs"),
-            include_str!("line.rs"),
+            include_str!("path.rs"),
             include_str!("motion.rs"),
             include_str!("kinematics.rs"),
             include_str!("inverse.rs"),
             include_str!("parameters.rs"),
             include_str!("planning.rs"),
+            include_str!("velocity.rs"),
         ];
         for source in folder {
             assert!(
