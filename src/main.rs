@@ -17,6 +17,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use commands::bench::BenchCommand;
+use commands::calibrate::CalibrateArguments;
 use commands::chart::ChartCommand;
 use commands::docs::DocsCommand;
 use commands::drr::DrrArguments;
@@ -45,6 +46,8 @@ enum Command {
     /// Look into logs.
     #[command(subcommand)]
     Log(LogCommand),
+    /// Sweep a tendon and write which tension bends the tip to where.
+    Calibrate(CalibrateArguments),
     /// Check scenes.
     #[command(subcommand)]
     Scene(SceneCommand),
@@ -81,6 +84,7 @@ fn main() -> ExitCode {
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
         Command::Log(command) => commands::log::run(command),
+        Command::Calibrate(arguments) => commands::calibrate::run(arguments),
         Command::Scene(command) => commands::scene::run(command),
         Command::Volume(command) => commands::volume::run(command),
         Command::Phantom(arguments) => commands::volume::write_phantom(arguments),

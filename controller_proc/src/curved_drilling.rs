@@ -1,16 +1,18 @@
-//! The reference controller: image-guided curved drilling.
+//! The reference controller: curved drilling.
 //!
-//! It waits for the first frame, then feeds the tool at a constant speed with the burr on, and pulls tendon 0 along a
-//! ramp of the inserted length. In each frame it finds the burr, places it in the plane in which the manipulator
-//! bends, compares it with the planned path (the circular arc that leaves the insertion axis where the ramp begins and
-//! ends in the target), and corrects the tension by the sideways error. At the end it may draw the tool back, the burr
-//! still turning and the tension following the same ramp down, so that the tunnel shows in the last frames.
+//! It feeds the tool at a constant speed with the burr on, and pulls tendon 0 along a ramp of the inserted length: of the
+//! tension, or, with a calibration, of the bend up to that of the planned path (the circular arc that leaves the
+//! insertion axis where the ramp begins and ends in the target). The sideways error against that path corrects the
+//! tension: measured in X-ray frames, in each of which the burr is found and placed in the plane in which the manipulator
+//! bends (the feed waits for the first one), or on the measured shape, or not at all. At the end it may draw the tool
+//! back, the burr still turning and the tension following the same ramp down, so that the tunnel shows in the last frames.
 
-use ipc_types::messages::{ARM_MOVE_CP, BURR_SPEED, Command, Frame, Pose, State, TENDON_SERVO_JF};
-use ipc_types::scene::{CurvedDrilling, Scene};
+use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, Frame, Pose, State, TENDON_SERVO_JF};
+use ipc_types::scene::{CurvedDrilling, Feedback, Scene};
 use nalgebra::Vector3;
 
 use crate::Controller;
+use crate::calibration::{Calibration, CalibrationError};
 use crate::geometry::{back_project, position_m, rotation};
 use crate::tip_finder::find_tip;
 
@@ -18,15 +20,19 @@ use crate::tip_finder::find_tip;
 const STANDARD_BURR_RADIUS_M: f64 = 3.25e-3;
 /// Share of the measured error's correction that a single frame may add.
 const CORRECTION_SHARE: f64 = 0.5;
+/// Time between two corrections on the measured shape.
+const SHAPE_PERIOD_S: f64 = 0.05;
 /// Largest correction of the ramp's tension, either way.
 const MAX_CORRECTION_N: f64 = 8.0;
 
-/// Image-guided curved drilling.
+/// Curved drilling.
 #[derive(Debug, Clone)]
 pub struct CurvedDrillingController {
     plan: CurvedDrilling,
+    calibration: Option<Calibration>,
     burr_radius_m: f64,
     waits_for_frame: bool,
+    shape_due_s: f64,
     start: Option<Start>,
     correction_n: f64,
     phase: Phase,
@@ -60,20 +66,43 @@ struct Start {
 
 impl CurvedDrillingController {
     /// A controller for this plan in this scene.
-    pub fn new(plan: &CurvedDrilling, scene: &Scene) -> CurvedDrillingController {
-        CurvedDrillingController {
+    ///
+    /// # Errors
+    /// The plan's calibration cannot be read, or does not reach the bend of the arc to the target.
+    pub fn new(plan: &CurvedDrilling, scene: &Scene) -> Result<CurvedDrillingController, CalibrationError> {
+        let calibration = plan.calibration.as_deref().map(Calibration::load).transpose()?;
+        let controller = CurvedDrillingController {
             plan: plan.clone(),
+            calibration,
             burr_radius_m: scene.manipulator.burr_diameter_mm.map_or(STANDARD_BURR_RADIUS_M, |d| d * 0.5e-3),
-            waits_for_frame: scene.frame_period_ticks().is_some(),
+            waits_for_frame: plan.feedback == Feedback::Image && scene.frame_period_ticks().is_some(),
+            shape_due_s: 0.0,
             start: None,
             correction_n: 0.0,
             phase: Phase::Feeding,
             remark: None,
+        };
+        if let Some(calibration) = &controller.calibration {
+            let along = Vector3::from(scene.tool.direction).normalize();
+            let toward = Vector3::from(scene.tool.bend_toward);
+            let bend = (toward - along * toward.dot(&along)).normalize();
+            let burr_m = Vector3::from(scene.tool.burr_start_mm) * 1e-3;
+            calibration.tension_for_bend_n(controller.arc_deg(&burr_m, &along, &bend))?;
         }
+        Ok(controller)
+    }
+
+    /// Bend of the tip at the end of the arc to the target; 0 without a target.
+    fn arc_deg(&self, burr_m: &Vector3<f64>, along: &Vector3<f64>, bend: &Vector3<f64>) -> f64 {
+        let Some(target_mm) = self.plan.target_mm else { return 0.0 };
+        let target = Vector3::from(target_mm) * 1e-3 - burr_m;
+        let ahead = target.dot(along) - self.plan.ramp_start_mm * 1e-3;
+        // The angle at the centre is twice that between tangent and chord.
+        2.0 * libm::atan2(target.dot(bend), ahead).to_degrees()
     }
 
     fn begin(&mut self, state: &State) -> Start {
-        let turn = rotation(&state.t_world_flange);
+        let turn = rotation(&state.t_world_base);
         let start = Start {
             t_world_flange: state.t_world_flange,
             burr_m: position_m(&state.t_world_burr),
@@ -102,11 +131,18 @@ impl CurvedDrillingController {
     }
 
     /// Tension of the ramp at an inserted length.
-    fn planned_tension_n(&self, inserted_m: f64) -> f64 {
+    fn planned_tension_n(&self, start: &Start, inserted_m: f64) -> f64 {
         let plan = &self.plan;
         let ramp_mm = (plan.ramp_end_mm - plan.ramp_start_mm).max(1e-9);
         let share = ((inserted_m * 1e3 - plan.ramp_start_mm) / ramp_mm).clamp(0.0, 1.0);
-        plan.tension_n * share
+        match &self.calibration {
+            Some(calibration) => {
+                let arc_deg = self.arc_deg(&start.burr_m, &start.along, &start.bend);
+                // The end of the arc has been found within reach.
+                calibration.tension_for_bend_n(arc_deg * share).unwrap_or(0.0)
+            }
+            None => plan.tension_n.unwrap_or(0.0) * share,
+        }
     }
 
     /// Sideways place of the planned path, `along_m` from the burr's start along the insertion axis.
@@ -122,6 +158,21 @@ impl CurvedDrillingController {
         let radius = (z * z + x * x) / (2.0 * x);
         let inside = (radius * radius - ahead * ahead).max(0.0);
         Some(radius - radius.signum() * libm::sqrt(inside))
+    }
+
+    /// Corrects the tension by where the measured shape ends.
+    fn see_shape(&mut self, start: &Start, state: &State) {
+        let feeds = self.plan.feedback == Feedback::Shape && state.sim_time_s >= self.shape_due_s;
+        if !feeds {
+            return;
+        }
+        self.shape_due_s = state.sim_time_s + SHAPE_PERIOD_S;
+        let burr_m = position_m(&state.t_world_burr);
+        let ahead_m = (burr_m - start.burr_m).dot(&start.along) - self.plan.ramp_start_mm * 1e-3;
+        // Before the ramp there is no tension to correct; the error would only add up.
+        if ahead_m > 0.0 {
+            self.correct(start, &burr_m);
+        }
     }
 
     fn correct(&mut self, start: &Start, seen_m: &Vector3<f64>) -> Option<f64> {
@@ -143,22 +194,27 @@ impl Controller for CurvedDrillingController {
         let inserted_m =
             (position_m(&state.t_world_flange) - position_m(&start.t_world_flange)).dot(&start.along);
         command.tendon_mode = TENDON_SERVO_JF;
-        let planned = self.planned_tension_n(inserted_m);
+        self.see_shape(&start, state);
+        let planned = self.planned_tension_n(&start, inserted_m);
         let corrected = if planned > 0.0 { planned + self.correction_n } else { 0.0 };
         command.tendon_force_n[0] = corrected.max(0.0);
         command.burr_mode = BURR_SPEED;
-        command.arm_mode = ARM_MOVE_CP;
-        command.t_world_base = start.t_world_flange;
+        command.arm_mode = ARM_INSERT;
+        command.arm_axis = start.along.into();
+        command.arm_speed_m_per_s = self.plan.feed_mm_per_s * 1e-3;
         if self.waits_for_frame {
             return;
         }
         command.burr_speed_rad_per_s = self.plan.burr_speed_rpm * core::f64::consts::TAU / 60.0;
         let (depth_m, speed_m_per_s) = self.feed(inserted_m, state.sim_time_s);
         command.arm_speed_m_per_s = speed_m_per_s;
-        command.t_world_base.position_m = (position_m(&start.t_world_flange) + start.along * depth_m).into();
+        command.arm_depth_m = depth_m;
     }
 
     fn frame(&mut self, frame: &Frame, pixels: &[u16]) {
+        if self.plan.feedback != Feedback::Image {
+            return;
+        }
         self.waits_for_frame = false;
         let Some(start) = self.start else { return };
         // The prior is where the kinematics had the burr in the frame's own tick.

@@ -1,7 +1,7 @@
 //! From a message's plain numbers to vectors, and between the C-arm's image and the world.
 
 use ipc_types::messages::{CArmGeometry, Pose};
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// Origin of a pose.
 pub fn position_m(pose: &Pose) -> Vector3<f64> {
@@ -12,6 +12,11 @@ pub fn position_m(pose: &Pose) -> Vector3<f64> {
 pub fn rotation(pose: &Pose) -> UnitQuaternion<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
+}
+
+/// Pose as a transform.
+pub fn isometry(pose: &Pose) -> Isometry3<f64> {
+    Isometry3::from_parts(Translation3::from(position_m(pose)), rotation(pose))
 }
 
 /// Column and row (pixel centres at whole numbers) at which a point of the world is seen, and the pixels per metre

@@ -16,7 +16,7 @@ use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use thiserror::Error;
 
-use crate::{Controller, CurvedDrillingController, HoldController};
+use crate::{CalibrationError, Controller, built_in};
 
 /// Longest wait for a frame that is due, in lockstep.
 const FRAME_LIMIT: Duration = Duration::from_secs(120);
@@ -31,11 +31,16 @@ pub enum ControllerError {
     /// The session's scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// Its calibration cannot be used.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationError),
     /// A message cannot be sent or taken.
     #[error(transparent)]
     Port(#[from] PortError),
     /// The scene's controller of this name is not a built-in one.
-    #[error("controller `{name}` is not a built-in one; expected `curved_drilling` or `hold` in the scene")]
+    #[error(
+        "controller `{name}` is not a built-in one; expected `curved_drilling`, `skiving`, `tension_sweep` or `hold` in the scene"
+    )]
     NotBuiltIn {
         /// Its name.
         name: String,
@@ -57,15 +62,9 @@ pub enum ControllerError {
 /// Any [`ControllerError`].
 pub fn run(session_folder: &Path, name: &str) -> Result<(), ControllerError> {
     let scene = session_scene(session_folder)?;
-    let entry = scene.controller.iter().find(|entry| entry.name == name);
-    let not_built_in = || ControllerError::NotBuiltIn { name: name.to_owned() };
-    let entry = entry.ok_or_else(not_built_in)?;
-    if let Some(plan) = &entry.curved_drilling {
-        run_controller(session_folder, name, &mut CurvedDrillingController::new(plan, &scene))
-    } else if let Some(hold) = &entry.hold {
-        run_controller(session_folder, name, &mut HoldController::new(hold.tension_n, &entry.drives))
-    } else {
-        Err(not_built_in())
+    match built_in(&scene, name)? {
+        Some(mut controller) => run_controller(session_folder, name, controller.as_mut()),
+        None => Err(ControllerError::NotBuiltIn { name: name.to_owned() }),
     }
 }
 

@@ -3,8 +3,8 @@
 use thiserror::Error;
 
 use crate::messages::{
-    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_SERVO_CP, ARM_SERVO_JP, BURR_NONE, BURR_SPEED, Command,
-    TENDON_MOVE_JP, TENDON_NONE, TENDON_SERVO_JF, TENDON_SERVO_JP,
+    ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JP, ARM_SERVO_JV,
+    BURR_NONE, BURR_SPEED, Command, TENDON_MOVE_JP, TENDON_NONE, TENDON_SERVO_JF, TENDON_SERVO_JP,
 };
 use crate::scene::Drives;
 
@@ -18,7 +18,10 @@ pub const MAX_BURR_SPEED_RAD_PER_S: f64 = 6283.2;
 pub const MAX_POSITION_M: f64 = 10.0;
 /// Largest speed that may be asked for.
 pub const MAX_SPEED_M_PER_S: f64 = 1.0;
+/// Largest depth of an insertion, either way.
+pub const MAX_DEPTH_M: f64 = 0.5;
 const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
+const MAX_JOINT_RATE_RAD_PER_S: f64 = core::f64::consts::TAU;
 /// Quaternions are stored rounded; this is far above rounding and far below any wrong use.
 const QUATERNION_TOLERANCE: f64 = 1e-6;
 
@@ -50,6 +53,12 @@ pub enum CommandRefusal {
     /// The orientation is not a unit quaternion.
     #[error("`t_world_base.orientation_xyzw` has length {length}, expected 1")]
     NotAUnitQuaternion {
+        /// Its length.
+        length: f64,
+    },
+    /// The axis of an insertion is not a unit vector.
+    #[error("`arm_axis` has length {length}, expected 1")]
+    NotAUnitVector {
         /// Its length.
         length: f64,
     },
@@ -131,8 +140,8 @@ impl Command {
         mode(
             "arm_mode",
             self.arm_mode,
-            ARM_HOLD,
-            "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp or 5 hold",
+            ARM_RCM,
+            "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert or 8 rcm",
         )?;
         mode("burr_mode", self.burr_mode, BURR_SPEED, "0 none or 1 speed")?;
         mode("reserved", self.reserved, 0, "0")
@@ -166,12 +175,32 @@ impl Command {
                     MAX_JOINT_RAD,
                 )?;
             }
+            ARM_SERVO_JV => {
+                let limit = MAX_JOINT_RATE_RAD_PER_S;
+                ranges("arm_joint_velocity_rad_per_s", &self.arm_joint_velocity_rad_per_s, -limit, limit)?;
+            }
             ARM_SERVO_CP | ARM_MOVE_CP => self.check_pose()?,
+            ARM_INSERT => self.check_insertion()?,
+            ARM_RCM => {
+                self.check_pose()?;
+                ranges("arm_pivot_m", &self.arm_pivot_m, -MAX_POSITION_M, MAX_POSITION_M)?;
+            }
             _ => {}
         }
         range(|| "arm_speed_m_per_s".to_owned(), self.arm_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
         let field = || "burr_speed_rad_per_s".to_owned();
         range(field, self.burr_speed_rad_per_s, 0.0, MAX_BURR_SPEED_RAD_PER_S)
+    }
+
+    fn check_insertion(&self) -> Result<(), CommandRefusal> {
+        ranges("arm_axis", &self.arm_axis, -1.1, 1.1)?;
+        let length = self.arm_axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+            return Err(CommandRefusal::NotAUnitVector { length });
+        }
+        range(|| "arm_depth_m".to_owned(), self.arm_depth_m, -MAX_DEPTH_M, MAX_DEPTH_M)?;
+        // A feed of 0 would never arrive: the smallest positive number is the least.
+        range(|| "arm_speed_m_per_s".to_owned(), self.arm_speed_m_per_s, f64::MIN_POSITIVE, MAX_SPEED_M_PER_S)
     }
 
     fn check_pose(&self) -> Result<(), CommandRefusal> {

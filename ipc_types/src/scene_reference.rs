@@ -54,6 +54,9 @@ column_axis = [0.0, 0.0, -1.0]
 [drr.notch]
 width_mm = 0.5
 depth_mm = 2.0
+[arm.compliance]
+joint_stiffness_nm_per_rad = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+joint_damping_nms_per_rad = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 [[controller]]
 name = "a"
 drives = ["tendon"]
@@ -68,6 +71,19 @@ name = "b"
 drives = ["arm"]
 [controller.hold]
 tension_n = 1.0
+[[controller]]
+name = "c"
+drives = ["burr"]
+[controller.skiving]
+feed_mm_per_s = 1.0
+depth_mm = 1.0
+burr_speed_rpm = 1.0
+[[controller]]
+name = "d"
+drives = []
+[controller.tension_sweep]
+most_n = 1.0
+step_n = 1.0
 "#;
 
 const INTRODUCTION: &str = "\
@@ -165,6 +181,7 @@ impl Reference {
             "f64" => "number".to_owned(),
             "[f64; 3]" => "three numbers".to_owned(),
             "[[f64; 3]; 3]" => "three rows of three numbers".to_owned(),
+            "[f64; 6]" => "six numbers".to_owned(),
             "bool" => "`true` or `false`".to_owned(),
             "String" => "text".to_owned(),
             "PathBuf" => "path".to_owned(),

@@ -3,7 +3,7 @@
 //! `cargo run --release -p physics_proc --example arm_step_time`
 
 use nalgebra::{Isometry3, Vector3};
-use physics_proc::arm::{Arm, ArmCommand, ArmError, ArmParameters, place_base_for};
+use physics_proc::arm::{Arm, ArmCommand, ArmError, ArmParameters, COMFORTABLE_Q_RAD, place_base_for};
 use std::time::Instant;
 
 const DT_S: f64 = 1e-3;
@@ -28,14 +28,15 @@ fn report(
 
 fn arm() -> Result<Arm, ArmError> {
     let mut parameters = ArmParameters::ur5(DT_S);
-    let (base, q) = place_base_for(&parameters.geometry, &Isometry3::identity());
+    let q = COMFORTABLE_Q_RAD;
+    let base = place_base_for(&parameters.geometry, &Isometry3::identity(), &q);
     parameters.t_world_arm_base = base;
     Arm::new(parameters, &q)
 }
 
 fn insertion(length_m: f64, speed_m_s: f64) -> ArmCommand {
     ArmCommand::MoveCp {
-        t_world_flange: Isometry3::translation(0.0, 0.0, length_m),
+        t_world_tool: Isometry3::translation(0.0, 0.0, length_m),
         max_speed_m_s: Some(speed_m_s),
         max_angular_speed_rad_s: None,
     }
@@ -57,8 +58,8 @@ fn main() -> Result<(), ArmError> {
     })?;
     report("servo_cp, new target every tick", 20_000, |i| {
         let wave = 0.05 * (i as f64 * DT_S * 3.0).sin();
-        let t_world_flange = Isometry3::new(Vector3::new(0.0, wave, wave), Vector3::zeros());
-        arm.command(ArmCommand::ServoCp { t_world_flange, speed_fraction: 1.0 })?;
+        let t_world_tool = Isometry3::new(Vector3::new(0.0, wave, wave), Vector3::zeros());
+        arm.command(ArmCommand::ServoCp { t_world_tool, speed_fraction: 1.0 })?;
         arm.step();
         Ok(())
     })?;

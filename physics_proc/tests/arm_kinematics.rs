@@ -1,7 +1,9 @@
 //! UR5 kinematics against published poses, a second formulation, finite differences and its own inverse.
 
 use nalgebra::{Isometry3, Matrix3, Matrix4, Vector3, Vector6};
-use physics_proc::arm::{ArmParameters, Joints, KinematicsError, UrGeometry, place_base_for};
+use physics_proc::arm::{
+    ArmParameters, COMFORTABLE_Q_RAD, Joints, KinematicsError, UrGeometry, place_base_for,
+};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 const UR5: UrGeometry = UrGeometry::ur5();
@@ -192,7 +194,8 @@ fn unreachable_and_singular_poses_are_told_apart() {
 #[test]
 fn a_base_is_placed_where_the_flange_is_wanted() {
     let wanted = Isometry3::new(Vector3::new(0.12, -0.34, 0.56), Vector3::new(1.0, -2.0, 0.5));
-    let (base, q) = place_base_for(&UR5, &wanted);
+    let q = COMFORTABLE_Q_RAD;
+    let base = place_base_for(&UR5, &wanted, &q);
     let flange = base * UR5.forward(&q);
     assert!((flange.translation.vector - wanted.translation.vector).norm() < 1e-14);
     assert!(flange.rotation.rotation_to(&wanted.rotation).vector().norm() < 1e-15);

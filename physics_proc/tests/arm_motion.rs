@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use physics_proc::arm::{
-    Arm, ArmCommand, ArmError, ArmMode, ArmParameters, ArmState, AxisLimits, AxisState, Goal, Joints,
-    Planner, Segment, place_base_for,
+    Arm, ArmCommand, ArmError, ArmMode, ArmParameters, ArmState, AxisLimits, AxisState, COMFORTABLE_Q_RAD,
+    Goal, Joints, Planner, Segment, place_base_for,
 };
 use std::f64::consts::TAU;
 
@@ -30,7 +30,8 @@ impl Uniform {
 fn arm() -> Arm {
     let mut parameters = ArmParameters::ur5(DT_S);
     let wanted = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.4, 0.5, -0.6));
-    let (base, q) = place_base_for(&parameters.geometry, &wanted);
+    let q = COMFORTABLE_Q_RAD;
+    let base = place_base_for(&parameters.geometry, &wanted, &q);
     parameters.t_world_arm_base = base;
     let Ok(arm) = Arm::new(parameters, &q) else { unreachable!("the UR5's own parameters are valid") };
     arm
@@ -41,18 +42,18 @@ fn moved(from: &Isometry3<f64>, shift: Vector3<f64>, turn: Vector3<f64>) -> Isom
     from * Isometry3::from_parts(Translation3::from(shift), UnitQuaternion::from_scaled_axis(turn))
 }
 
-fn move_cp(t_world_flange: Isometry3<f64>) -> ArmCommand {
-    ArmCommand::MoveCp { t_world_flange, max_speed_m_s: None, max_angular_speed_rad_s: None }
+fn move_cp(t_world_tool: Isometry3<f64>) -> ArmCommand {
+    ArmCommand::MoveCp { t_world_tool, max_speed_m_s: None, max_angular_speed_rad_s: None }
 }
 
 /// Distance of the flange from the straight line `from`-`to`, and the angle by which its turn misses the fixed-axis turn.
 fn off_line(state: &ArmState, from: &Isometry3<f64>, to: &Isometry3<f64>) -> (f64, f64) {
     let way = to.translation.vector - from.translation.vector;
-    let here = state.t_world_flange.translation.vector - from.translation.vector;
+    let here = state.t_world_tool.translation.vector - from.translation.vector;
     let length = way.norm();
     let off_m = if length > 0.0 { here.cross(&way).norm() / length } else { here.norm() };
     let turn = (to.rotation * from.rotation.inverse()).scaled_axis();
-    let turned = (state.t_world_flange.rotation * from.rotation.inverse()).scaled_axis();
+    let turned = (state.t_world_tool.rotation * from.rotation.inverse()).scaled_axis();
     let share = if length > 0.0 {
         here.dot(&way) / way.norm_squared()
     } else {
@@ -231,7 +232,7 @@ fn the_flange_stays_on_its_line() {
     let mut used = Used::default();
     for _ in 0..60 {
         let mut arm = arm();
-        let from = arm.state().t_world_flange;
+        let from = arm.state().t_world_tool;
         let to = moved(&from, uniform.vector(0.12), uniform.vector(0.5));
         if arm.command(move_cp(to)).is_err() {
             continue;
@@ -249,7 +250,7 @@ fn the_flange_stays_on_its_line() {
             assert!(ticks < 100_000 && state.fault.is_none());
         }
         assert!(fastest <= 0.1 * (1.0 + 1e-9), "{fastest} m/s");
-        let end = arm.state().t_world_flange;
+        let end = arm.state().t_world_tool;
         assert!((end.translation.vector - to.translation.vector).norm() < 1e-12);
         assert!(end.rotation.rotation_to(&to.rotation).vector().norm() < 1e-12);
     }
@@ -267,7 +268,7 @@ fn from_the_placed_base_an_insertion_of_100_mm_works_in_every_direction() {
             let mut arm = arm();
             let mut shift = Vector3::zeros();
             shift[axis] = length_m;
-            let goal = moved(&arm.state().t_world_flange, shift, Vector3::zeros());
+            let goal = moved(&arm.state().t_world_tool, shift, Vector3::zeros());
             arm.command(move_cp(goal)).unwrap();
             finish(&mut arm, &mut Used::default());
         }
@@ -277,11 +278,11 @@ fn from_the_placed_base_an_insertion_of_100_mm_works_in_every_direction() {
 #[test]
 fn a_slow_insertion_keeps_its_speed() {
     let mut arm = arm();
-    let from = arm.state().t_world_flange;
+    let from = arm.state().t_world_tool;
     let to = moved(&from, Vector3::new(0.0, 0.0, 0.01), Vector3::zeros());
     let speed_m_s = 0.5e-3;
     let command = ArmCommand::MoveCp {
-        t_world_flange: to,
+        t_world_tool: to,
         max_speed_m_s: Some(speed_m_s),
         max_angular_speed_rad_s: None,
     };
@@ -297,7 +298,7 @@ fn a_slow_insertion_keeps_its_speed() {
 fn the_published_velocity_is_the_derivative_of_the_published_pose() {
     let mut arm = arm();
     let goal =
-        moved(&arm.state().t_world_flange, Vector3::new(0.05, -0.04, 0.06), Vector3::new(0.3, 0.2, -0.1));
+        moved(&arm.state().t_world_tool, Vector3::new(0.05, -0.04, 0.06), Vector3::new(0.3, 0.2, -0.1));
     let q_goal = arm.state().q_rad.map(|q| q + 0.3);
     let mut worst = [0.0f64; 3];
     for command in [move_cp(goal), ArmCommand::MoveJp { q_rad: q_goal, speed_fraction: 0.3 }] {
@@ -305,9 +306,9 @@ fn the_published_velocity_is_the_derivative_of_the_published_pose() {
         let (mut first, mut second) = (*arm.state(), *arm.step());
         while !arm.state().done {
             let third = *arm.step();
-            let linear = (third.t_world_flange.translation.vector - first.t_world_flange.translation.vector)
+            let linear = (third.t_world_tool.translation.vector - first.t_world_tool.translation.vector)
                 / (2.0 * DT_S);
-            let turn = third.t_world_flange.rotation * first.t_world_flange.rotation.inverse();
+            let turn = third.t_world_tool.rotation * first.t_world_tool.rotation.inverse();
             let angular = turn.scaled_axis() / (2.0 * DT_S);
             let acceleration = (third.linear_velocity_m_s - first.linear_velocity_m_s) / (2.0 * DT_S);
             worst[0] = worst[0].max((linear - second.linear_velocity_m_s).norm());
@@ -330,13 +331,13 @@ fn the_published_velocity_is_the_derivative_of_the_published_pose() {
 #[test]
 fn a_hold_on_a_line_stops_on_the_line() {
     let mut arm = arm();
-    let from = arm.state().t_world_flange;
+    let from = arm.state().t_world_tool;
     let to = moved(&from, Vector3::new(0.02, 0.01, 0.09), Vector3::new(0.1, 0.0, 0.0));
     arm.command(move_cp(to)).unwrap();
     for _ in 0..500 {
         arm.step();
     }
-    let at_hold = arm.state().t_world_flange;
+    let at_hold = arm.state().t_world_tool;
     arm.command(ArmCommand::Hold).unwrap();
     assert!(!arm.state().done);
     for _ in 0..1_000 {
@@ -344,7 +345,7 @@ fn a_hold_on_a_line_stops_on_the_line() {
         assert!(off.0 < 1e-12 && off.1 < 1e-12);
     }
     assert!(arm.state().done && arm.state().mode == ArmMode::Hold);
-    let rolled_m = (arm.state().t_world_flange.translation.vector - at_hold.translation.vector).norm();
+    let rolled_m = (arm.state().t_world_tool.translation.vector - at_hold.translation.vector).norm();
     // From 0.1 m/s by 0.5 m/s² and 5 m/s³: v/2 (v/a + a/j) = 15 mm.
     assert!((rolled_m - 0.015).abs() < 1e-3, "{rolled_m}");
 }
@@ -353,7 +354,7 @@ fn a_hold_on_a_line_stops_on_the_line() {
 #[test]
 fn a_line_can_be_extended_and_left() {
     let mut arm = arm();
-    let from = arm.state().t_world_flange;
+    let from = arm.state().t_world_tool;
     let far = moved(&from, Vector3::new(0.0, 0.0, 0.1), Vector3::zeros());
     arm.command(move_cp(moved(&from, Vector3::new(0.0, 0.0, 0.05), Vector3::zeros()))).unwrap();
     for _ in 0..400 {
@@ -364,7 +365,7 @@ fn a_line_can_be_extended_and_left() {
     for (speed_m_s, least_m_s) in slower {
         let speed = Some(speed_m_s);
         arm.command(ArmCommand::MoveCp {
-            t_world_flange: far,
+            t_world_tool: far,
             max_speed_m_s: speed,
             max_angular_speed_rad_s: None,
         })
@@ -384,7 +385,7 @@ fn a_line_can_be_extended_and_left() {
         assert!((arm.state().linear_velocity_m_s.norm() - speed_m_s).abs() < 1e-9);
     }
 
-    let aside = moved(&arm.state().t_world_flange, Vector3::new(0.05, 0.0, 0.0), Vector3::zeros());
+    let aside = moved(&arm.state().t_world_tool, Vector3::new(0.05, 0.0, 0.0), Vector3::zeros());
     arm.command(move_cp(aside)).unwrap();
     let mut stopped_at = None;
     while !arm.state().done {
@@ -392,21 +393,21 @@ fn a_line_can_be_extended_and_left() {
         let state = *arm.step();
         used.add(&arm, &before);
         if stopped_at.is_none() && state.linear_velocity_m_s.norm() == 0.0 {
-            stopped_at = Some(state.t_world_flange);
+            stopped_at = Some(state.t_world_tool);
         }
         match &stopped_at {
             None => assert!(off_line(&state, &from, &far).0 < 1e-9),
             Some(corner) => assert!(off_line(&state, corner, &aside).0 < 1e-12),
         }
     }
-    assert!((arm.state().t_world_flange.translation.vector - aside.translation.vector).norm() < 1e-12);
+    assert!((arm.state().t_world_tool.translation.vector - aside.translation.vector).norm() < 1e-12);
     used.check();
 }
 
 #[test]
 fn a_line_begun_in_joint_motion_waits_for_the_stop() {
     let mut arm = arm();
-    let goal = moved(&arm.state().t_world_flange, Vector3::new(0.03, 0.02, 0.05), Vector3::zeros());
+    let goal = moved(&arm.state().t_world_tool, Vector3::new(0.03, 0.02, 0.05), Vector3::zeros());
     let q_rad = arm.state().q_rad.map(|q| q + 0.5);
     let mut used = Used::default();
     arm.command(ArmCommand::ServoJp { q_rad, speed_fraction: 1.0 }).unwrap();
@@ -415,7 +416,7 @@ fn a_line_begun_in_joint_motion_waits_for_the_stop() {
     }
     arm.command(move_cp(goal)).unwrap();
     finish(&mut arm, &mut used);
-    assert!((arm.state().t_world_flange.translation.vector - goal.translation.vector).norm() < 1e-12);
+    assert!((arm.state().t_world_tool.translation.vector - goal.translation.vector).norm() < 1e-12);
     used.check();
 }
 
@@ -423,14 +424,14 @@ fn a_line_begun_in_joint_motion_waits_for_the_stop() {
 fn servo_cp_reaches_its_pose() {
     let mut uniform = Uniform(8);
     let mut arm = arm();
-    let home = arm.state().t_world_flange;
+    let home = arm.state().t_world_tool;
     for _ in 0..20 {
         let goal = moved(&home, uniform.vector(0.1), uniform.vector(0.4));
         let mut used = Used::default();
-        arm.command(ArmCommand::ServoCp { t_world_flange: goal, speed_fraction: 0.8 }).unwrap();
+        arm.command(ArmCommand::ServoCp { t_world_tool: goal, speed_fraction: 0.8 }).unwrap();
         finish(&mut arm, &mut used);
         used.check();
-        let end = arm.state().t_world_flange;
+        let end = arm.state().t_world_tool;
         assert!((end.translation.vector - goal.translation.vector).norm() < 1e-12);
         assert!(end.rotation.rotation_to(&goal.rotation).vector().norm() < 1e-12);
     }
@@ -439,8 +440,7 @@ fn servo_cp_reaches_its_pose() {
 #[test]
 fn refused_commands_leave_the_motion_as_it_was() {
     let (mut arm, mut undisturbed) = (arm(), arm());
-    let goal =
-        moved(&arm.state().t_world_flange, Vector3::new(0.02, 0.03, 0.06), Vector3::new(0.1, 0.0, 0.2));
+    let goal = moved(&arm.state().t_world_tool, Vector3::new(0.02, 0.03, 0.06), Vector3::new(0.1, 0.0, 0.2));
     let q_goal = arm.state().q_rad.map(|q| q - 0.4);
     let mut not_a_pose = goal;
     not_a_pose.translation.x = f64::NAN;
@@ -454,12 +454,12 @@ fn refused_commands_leave_the_motion_as_it_was() {
         ArmCommand::MoveJp { q_rad: wide_q, speed_fraction },
         ArmCommand::MoveJp { q_rad: q_goal, speed_fraction: 1.5 },
         ArmCommand::MoveJp { q_rad: q_goal, speed_fraction: f64::NAN },
-        ArmCommand::ServoCp { t_world_flange: not_a_pose, speed_fraction },
-        ArmCommand::ServoCp { t_world_flange: beyond, speed_fraction },
-        ArmCommand::ServoCp { t_world_flange: goal, speed_fraction: 0.0 },
+        ArmCommand::ServoCp { t_world_tool: not_a_pose, speed_fraction },
+        ArmCommand::ServoCp { t_world_tool: beyond, speed_fraction },
+        ArmCommand::ServoCp { t_world_tool: goal, speed_fraction: 0.0 },
         move_cp(not_a_pose),
         move_cp(beyond),
-        ArmCommand::MoveCp { t_world_flange: goal, max_speed_m_s: Some(9.0), max_angular_speed_rad_s: None },
+        ArmCommand::MoveCp { t_world_tool: goal, max_speed_m_s: Some(9.0), max_angular_speed_rad_s: None },
     ];
     for start in [move_cp(goal), ArmCommand::MoveJp { q_rad: q_goal, speed_fraction }] {
         arm.command(start).unwrap();
@@ -474,19 +474,19 @@ fn refused_commands_leave_the_motion_as_it_was() {
     assert!(matches!(outside, Err(ArmError::JointOutsideLimits { joint: 3, .. })));
     // 5 m away: the line is refused where it leaves the reach or at the stretched arm just before.
     let error = arm.command(move_cp(beyond));
-    assert!(matches!(error, Err(ArmError::LineUnreachable { .. } | ArmError::LineSingular { .. })));
+    assert!(matches!(error, Err(ArmError::PathUnreachable { .. } | ArmError::PathSingular { .. })));
 }
 
 /// A latched command that is given again every tick moves the arm as if it had been given once.
 #[test]
 fn a_repeated_command_changes_nothing() {
     let goal =
-        moved(&arm().state().t_world_flange, Vector3::new(0.02, 0.03, 0.06), Vector3::new(0.1, 0.0, 0.2));
+        moved(&arm().state().t_world_tool, Vector3::new(0.02, 0.03, 0.06), Vector3::new(0.1, 0.0, 0.2));
     let q_rad = arm().state().q_rad.map(|q| q - 0.4);
     let commands = [
         ArmCommand::MoveJp { q_rad, speed_fraction: 0.5 },
         move_cp(goal),
-        ArmCommand::ServoCp { t_world_flange: goal, speed_fraction: 0.9 },
+        ArmCommand::ServoCp { t_world_tool: goal, speed_fraction: 0.9 },
         ArmCommand::Hold,
     ];
     let (mut once, mut repeated) = (arm(), arm());
@@ -508,7 +508,7 @@ fn a_line_through_a_singularity_is_refused() {
     let goal = parameters.geometry.forward(&[0.0, -1.2, 1.8, -2.2, -0.3, 0.0]);
     let error = arm.command(move_cp(goal)).unwrap_err();
     println!("{error}");
-    assert!(matches!(error, ArmError::LineSingular { .. } | ArmError::LineUnreachable { .. }));
+    assert!(matches!(error, ArmError::PathSingular { .. } | ArmError::PathUnreachable { .. }));
     assert!(arm.state().done);
 }
 
@@ -539,14 +539,14 @@ fn parameters_are_checked() {
 fn random_command(uniform: &mut Uniform, state: &ArmState) -> ArmCommand {
     let near: Joints = std::array::from_fn(|i| state.q_rad[i] + uniform.between(-0.3, 0.3));
     let speed_fraction = uniform.between(0.1, 1.0);
-    let pose = moved(&state.t_world_flange, uniform.vector(0.05), uniform.vector(0.2));
+    let pose = moved(&state.t_world_tool, uniform.vector(0.05), uniform.vector(0.2));
     let ahead =
-        moved(&state.t_world_flange, Vector3::new(0.0, 0.0, uniform.between(-0.05, 0.05)), Vector3::zeros());
+        moved(&state.t_world_tool, Vector3::new(0.0, 0.0, uniform.between(-0.05, 0.05)), Vector3::zeros());
     match uniform.between(0.0, 6.0) as usize {
         0 => ArmCommand::Hold,
         1 => ArmCommand::ServoJp { q_rad: near, speed_fraction },
         2 => ArmCommand::MoveJp { q_rad: near, speed_fraction },
-        3 => ArmCommand::ServoCp { t_world_flange: pose, speed_fraction },
+        3 => ArmCommand::ServoCp { t_world_tool: pose, speed_fraction },
         4 => move_cp(pose),
         _ => move_cp(ahead),
     }
@@ -585,7 +585,7 @@ fn a_restored_arm_continues_bit_for_bit() {
 }
 
 fn bits(state: &ArmState) -> Vec<u64> {
-    let pose = &state.t_world_flange;
+    let pose = &state.t_world_tool;
     let joints = state.q_rad.iter().chain(&state.qd_rad_s).chain(&state.qdd_rad_s2);
     let flange = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
     let rates = state.linear_velocity_m_s.iter().chain(state.angular_velocity_rad_s.iter());

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use controller_proc::{Controller, CurvedDrillingController, HoldController};
+use controller_proc::{Controller, built_in};
 use drr_proc::process::{
     Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view,
 };
@@ -105,14 +105,10 @@ impl Bench<'_> {
 }
 
 fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {
-    let built_in = |entry: &ipc_types::scene::Controller| -> Result<Box<dyn Controller>, Failure> {
-        match (&entry.curved_drilling, &entry.hold) {
-            (Some(plan), _) => Ok(Box::new(CurvedDrillingController::new(plan, scene))),
-            (None, Some(hold)) => Ok(Box::new(HoldController::new(hold.tension_n, &entry.drives))),
-            (None, None) => {
-                Err(Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name)))
-            }
-        }
+    let built_in = |entry: &ipc_types::scene::Controller| {
+        built_in(scene, &entry.name)
+            .map_err(Failure::bad_input)?
+            .ok_or_else(|| Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name)))
     };
     scene.controller.iter().map(built_in).collect()
 }

@@ -1,6 +1,7 @@
 //! The subcommands, one a file.
 
 pub mod bench;
+pub mod calibrate;
 pub mod chart;
 pub mod docs;
 pub mod drr;

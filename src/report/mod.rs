@@ -12,6 +12,7 @@
 //! A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`](summary::LogSummary::notes).
 
 pub mod axis;
+pub mod calibration_figure;
 mod distribution;
 mod grey;
 mod live;

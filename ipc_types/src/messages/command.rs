@@ -22,6 +22,12 @@ pub const ARM_SERVO_CP: u32 = 3;
 pub const ARM_MOVE_CP: u32 = 4;
 /// Stop within the limits and stay.
 pub const ARM_HOLD: u32 = 5;
+/// CRTK `servo_jv`: joint rates, held until the next command; a joint stops at the end of its range.
+pub const ARM_SERVO_JV: u32 = 6;
+/// Insert along an axis at a feed, without turning.
+pub const ARM_INSERT: u32 = 7;
+/// Tool base goal about a remote centre of motion: the tool's axis goes through a pivot all the way.
+pub const ARM_RCM: u32 = 8;
 
 /// [`Command::burr_mode`]: this command does not drive the burr.
 pub const BURR_NONE: u32 = 0;
@@ -38,7 +44,7 @@ message! {
         state_tick: u64,
         /// 0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.
         tendon_mode: u32,
-        /// 0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold.
+        /// 0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.
         arm_mode: u32,
         /// 0 none, 1 speed.
         burr_mode: u32,
@@ -50,10 +56,18 @@ message! {
         tendon_displacement_m: [f64; MAX_TENDONS],
         /// Joint angles for the arm's servo_jp and move_jp.
         arm_joint_position_rad: [f64; ARM_JOINTS],
-        /// Goal of the arm's servo_cp and move_cp: the flange, where the tool base is but for the mount's deflection.
+        /// Joint rates for the arm's servo_jv.
+        arm_joint_velocity_rad_per_s: [f64; ARM_JOINTS],
+        /// Goal of the arm's servo_cp, move_cp and rcm: the tool base but for the mount's deflection.
         t_world_base: Pose,
-        /// Speed limit of move_cp; 0 takes the scene's limit.
+        /// Speed limit of move_cp and rcm; 0 takes the scene's limit. Feed of insert, above 0.
         arm_speed_m_per_s: f64,
+        /// Axis of insert, a unit vector of the patient frame.
+        arm_axis: [f64; 3],
+        /// Depth of insert from where the tool base stood when the insertion along this axis began.
+        arm_depth_m: f64,
+        /// Remote centre of motion of rcm, patient frame.
+        arm_pivot_m: [f64; 3],
         /// Angular speed of the burr.
         burr_speed_rad_per_s: f64,
     }

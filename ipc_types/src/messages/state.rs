@@ -51,6 +51,13 @@ message! {
     }
 }
 
+/// [`State::arm_status`]: on its way.
+pub const ARM_MOVING: u32 = 0;
+/// At its goal and at rest.
+pub const ARM_DONE: u32 = 1;
+/// It gave its motion up and stopped, or stopped a joint at the end of its range; an event said why.
+pub const ARM_FAULT: u32 = 2;
+
 message! {
     /// The whole simulated state after a tick. Published once a tick; `tick` 0 is the initial state.
     pub struct State = "trabecula_msgs/msg/State" {
@@ -78,6 +85,10 @@ message! {
         body_count: u32,
         /// Zero.
         reserved_bodies: u32,
+        /// What the arm follows: the values of the command's `arm_mode`, 5 while it stops or stands.
+        arm_mode: u32,
+        /// 0 moving, 1 at its goal and at rest, 2 gave its motion up or stopped a joint at the end of its range.
+        arm_status: u32,
         /// Flexure angles from base to tip, positive toward tendon 0.
         joint_position_rad: [f64; MAX_JOINTS],
         /// Flexure rates.
@@ -107,6 +118,10 @@ message! {
         arm_joint_position_rad: [f64; ARM_JOINTS],
         /// Arm joint rates.
         arm_joint_velocity_rad_per_s: [f64; ARM_JOINTS],
+        /// Elastic deflection of the arm's joints, part of `arm_joint_position_rad`; 0 without joint compliance.
+        arm_joint_deflection_rad: [f64; ARM_JOINTS],
+        /// Distance from singularity: Yoshikawa's manipulability |det J| in m³; the UR5's is mostly 0.05 to 0.1.
+        arm_manipulability_m3: f64,
         /// Pose of the arm's flange.
         t_world_flange: Pose,
         /// Wrench of the tool on the flange, about the tool base, world axes.

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::model::{Body, CArm, Controller, CurvedDrilling, Drives, Drr, Scene, Tool, Volume};
+use super::model::{
+    Arm, Body, CArm, Controller, CurvedDrilling, Drives, Drr, Scene, Skiving, TensionSweep, Tool, Volume,
+};
 use crate::messages::{MAX_BODIES, MAX_CONTROLLERS};
 
 /// Why a scene is refused.
@@ -230,9 +232,41 @@ fn check_overrides(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     checker.optional("drilling.specific_energy_j_per_mm3", drilling.specific_energy_j_per_mm3, 1e-4, 10.0)?;
     checker.optional("drilling.density_exponent", drilling.density_exponent, 0.0, 4.0)?;
     checker.optional("drilling.cutting_coefficient", drilling.cutting_coefficient, 0.01, 2.0)?;
-    checker.range("arm.max_speed_mm_per_s", scene.arm.max_speed_mm_per_s, 0.01, 1000.0)?;
-    checker.range("arm.max_acceleration_mm_per_s2", scene.arm.max_acceleration_mm_per_s2, 0.1, 1e4)?;
-    checker.range("arm.max_jerk_mm_per_s3", scene.arm.max_jerk_mm_per_s3, 1.0, 1e6)
+    check_arm(&scene.arm, checker)
+}
+
+fn check_arm(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
+    checker.range("arm.max_speed_mm_per_s", arm.max_speed_mm_per_s, 0.01, 1000.0)?;
+    checker.range("arm.max_acceleration_mm_per_s2", arm.max_acceleration_mm_per_s2, 0.1, 1e4)?;
+    checker.range("arm.max_jerk_mm_per_s3", arm.max_jerk_mm_per_s3, 1.0, 1e6)?;
+    checker.optional("arm.max_turn_deg_per_s", arm.max_turn_deg_per_s, 0.01, 360.0)?;
+    checker.optional("arm.max_turn_deg_per_s2", arm.max_turn_deg_per_s2, 0.1, 1e4)?;
+    checker.optional("arm.max_turn_deg_per_s3", arm.max_turn_deg_per_s3, 1.0, 1e6)?;
+    checker.optional("arm.max_joint_speed_deg_per_s", arm.max_joint_speed_deg_per_s, 0.01, 180.0)?;
+    let acceleration = arm.max_joint_acceleration_deg_per_s2;
+    checker.optional("arm.max_joint_acceleration_deg_per_s2", acceleration, 0.1, 1e4)?;
+    checker.optional("arm.max_joint_jerk_deg_per_s3", arm.max_joint_jerk_deg_per_s3, 1.0, 1e6)?;
+    let standard = [360.0, 360.0, 180.0, 360.0, 360.0, 360.0];
+    let lower = arm.lower_joints_deg.unwrap_or(standard.map(|angle: f64| -angle));
+    let upper = arm.upper_joints_deg.unwrap_or(standard);
+    for i in 0..6 {
+        checker.range("arm.lower_joints_deg", lower[i], -360.0, 360.0)?;
+        checker.range("arm.upper_joints_deg", upper[i], lower[i] + 1e-3, 360.0)?;
+        if let Some(start) = arm.initial_joints_deg {
+            checker.range("arm.initial_joints_deg", start[i], lower[i], upper[i])?;
+        }
+    }
+    if let Some(compliance) = &arm.compliance {
+        let key = |name: &str| format!("arm.compliance.{name}");
+        for i in 0..6 {
+            let (stiffness, damping) =
+                (compliance.joint_stiffness_nm_per_rad[i], compliance.joint_damping_nms_per_rad[i]);
+            checker.range(&key("joint_stiffness_nm_per_rad"), stiffness, 1.0, 1e7)?;
+            checker.range(&key("joint_damping_nms_per_rad"), damping, 0.0, 1e5)?;
+        }
+    }
+    checker.each("arm.tool_position_mm", &arm.tool_position_mm, -1000.0, 1000.0)?;
+    checker.each("arm.tool_rotation_vector_deg", &arm.tool_rotation_vector_deg, -360.0, 360.0)
 }
 
 fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
@@ -317,12 +351,14 @@ fn check_controllers(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
 fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), SceneError> {
     let kinds = [
         controller.curved_drilling.is_some(),
+        controller.skiving.is_some(),
+        controller.tension_sweep.is_some(),
         controller.hold.is_some(),
         controller.command.is_some(),
         controller.external,
     ];
     if kinds.iter().filter(|kind| **kind).count() != 1 {
-        let problem = "needs exactly one of `curved_drilling`, `hold`, `command`, `external`";
+        let problem = "needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `hold`, `command`, `external`";
         return Err(checker.invalid(&format!("controller `{}`", controller.name), problem));
     }
     checker.range("controller.connect_limit_s", controller.connect_limit_s, 1.0, 3600.0)?;
@@ -331,6 +367,12 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
     }
     if let Some(drilling) = &controller.curved_drilling {
         check_curved_drilling(drilling, checker)?;
+    }
+    if let Some(skiving) = &controller.skiving {
+        check_skiving(skiving, checker)?;
+    }
+    if let Some(sweep) = &controller.tension_sweep {
+        check_sweep(sweep, checker)?;
     }
     if let Some(hold) = &controller.hold {
         checker.range("controller.hold.tension_n", hold.tension_n, 0.0, 60.0)?;
@@ -341,11 +383,45 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
     Ok(())
 }
 
+fn check_skiving(skiving: &Skiving, checker: &Checker) -> Result<(), SceneError> {
+    checker.range("controller.skiving.feed_mm_per_s", skiving.feed_mm_per_s, 0.01, 20.0)?;
+    checker.range("controller.skiving.depth_mm", skiving.depth_mm, 0.1, 200.0)?;
+    checker.range("controller.skiving.tension_n", skiving.tension_n, 0.0, 60.0)?;
+    checker.range("controller.skiving.burr_speed_rpm", skiving.burr_speed_rpm, 0.0, 60_000.0)
+}
+
+fn check_sweep(sweep: &TensionSweep, checker: &Checker) -> Result<(), SceneError> {
+    let key = |name: &str| format!("controller.tension_sweep.{name}");
+    match (sweep.most_n.zip(sweep.step_n), sweep.most_mm.zip(sweep.step_mm)) {
+        (Some((most_n, step_n)), None) if sweep.most_mm.is_none() && sweep.step_mm.is_none() => {
+            checker.range(&key("most_n"), most_n, 0.1, 60.0)?;
+            checker.range(&key("step_n"), step_n, 0.01, most_n)?;
+        }
+        (None, Some((most_mm, step_mm))) if sweep.most_n.is_none() && sweep.step_n.is_none() => {
+            checker.range(&key("most_mm"), most_mm, 0.01, 20.0)?;
+            checker.range(&key("step_mm"), step_mm, 0.001, most_mm)?;
+        }
+        _ => {
+            let problem = "needs either `most_n` and `step_n` or `most_mm` and `step_mm`";
+            return Err(checker.invalid("controller.tension_sweep", problem));
+        }
+    }
+    checker.range(&key("settle_s"), sweep.settle_s, 0.02, 60.0)
+}
+
 fn check_curved_drilling(drilling: &CurvedDrilling, checker: &Checker) -> Result<(), SceneError> {
     let key = |name: &str| format!("controller.curved_drilling.{name}");
     checker.range(&key("feed_mm_per_s"), drilling.feed_mm_per_s, 0.01, 20.0)?;
     checker.range(&key("insertion_mm"), drilling.insertion_mm, 0.0, 200.0)?;
-    checker.range(&key("tension_n"), drilling.tension_n, 0.0, 60.0)?;
+    if drilling.tension_n.is_some() == drilling.calibration.is_some() {
+        return Err(
+            checker.invalid("controller.curved_drilling", "needs either `tension_n` or `calibration`")
+        );
+    }
+    if drilling.calibration.is_some() && drilling.target_mm.is_none() {
+        return Err(checker.invalid(&key("calibration"), "needs a `target_mm`, from which the bend follows"));
+    }
+    checker.optional(&key("tension_n"), drilling.tension_n, 0.0, 60.0)?;
     checker.range(&key("ramp_start_mm"), drilling.ramp_start_mm, 0.0, 200.0)?;
     checker.range(&key("ramp_end_mm"), drilling.ramp_end_mm, drilling.ramp_start_mm, 200.0)?;
     checker.range(&key("burr_speed_rpm"), drilling.burr_speed_rpm, 0.0, 60_000.0)?;

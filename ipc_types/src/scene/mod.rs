@@ -38,6 +38,14 @@ impl Scene {
     }
 
     fn resolve_paths(&mut self, folder: &Path) {
+        for controller in &mut self.controller {
+            if let Some(drilling) = &mut controller.curved_drilling
+                && let Some(path) = &mut drilling.calibration
+            {
+                let joined = folder.join(&*path);
+                *path = std::path::absolute(&joined).unwrap_or(joined);
+            }
+        }
         if let Some(volume) = &mut self.volume
             && let Some(path) = &mut volume.path
         {

@@ -38,7 +38,7 @@ pub struct Scene {
     /// Strength of bone and the burr's cutting.
     #[serde(default)]
     pub drilling: Drilling,
-    /// Limits of the arm's motion.
+    /// The arm that carries the tool.
     #[serde(default)]
     pub arm: Arm,
     /// X-ray frames; absent: none.
@@ -311,21 +311,72 @@ pub struct Drilling {
     pub cutting_coefficient: Option<f64>,
 }
 
-/// Limits of the arm's motion.
+/// The arm: a UR5, its limits and how it holds the tool.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Arm {
-    /// Fastest straight motion of the tool, 0.01 to 1000 mm/s.
+    /// Fastest motion of the tool's base on a path, 0.01 to 1000 mm/s.
     pub max_speed_mm_per_s: f64,
     /// Largest acceleration of it, 0.1 to 10000 mm/s².
     pub max_acceleration_mm_per_s2: f64,
     /// Largest jerk of it, 1 to 1e6 mm/s³.
     pub max_jerk_mm_per_s3: f64,
+    /// Fastest turn of the tool's base on a path, 0.01 to 360 deg/s; 0.5 rad/s by default.
+    pub max_turn_deg_per_s: Option<f64>,
+    /// Largest angular acceleration of it, 0.1 to 10000 deg/s²; 2.5 rad/s² by default.
+    pub max_turn_deg_per_s2: Option<f64>,
+    /// Largest angular jerk of it, 1 to 1e6 deg/s³; 25 rad/s³ by default.
+    pub max_turn_deg_per_s3: Option<f64>,
+    /// Fastest turn of each joint, 0.01 to 180 deg/s; 180 by default, Universal Robots' figure.
+    pub max_joint_speed_deg_per_s: Option<f64>,
+    /// Largest acceleration of each joint, 0.1 to 10000 deg/s²; 5 rad/s² by default.
+    pub max_joint_acceleration_deg_per_s2: Option<f64>,
+    /// Largest jerk of each joint, 1 to 1e6 deg/s³; 50 rad/s³ by default.
+    pub max_joint_jerk_deg_per_s3: Option<f64>,
+    /// Least angles of the six joints, each −360 to 360 deg; −360, elbow −180 by default.
+    pub lower_joints_deg: Option<[f64; 6]>,
+    /// Greatest angles of the six joints, each above the least, to 360 deg; 360, elbow 180 by default.
+    pub upper_joints_deg: Option<[f64; 6]>,
+    /// Joint angles at the start, each within its range. The arm's base stands where the tool then is as `[tool]` says.
+    /// Far from every singularity by default.
+    pub initial_joints_deg: Option<[f64; 6]>,
+    /// Place of the tool's base in the flange's frame, each −1000 to 1000 mm.
+    pub tool_position_mm: [f64; 3],
+    /// Orientation of the tool's base in the flange's frame: axis times angle, each −360 to 360 deg.
+    pub tool_rotation_vector_deg: [f64; 3],
+    /// Elastic joints; absent: stiff, at no cost.
+    pub compliance: Option<ArmCompliance>,
+}
+
+/// A spring and a damper in each joint of the arm.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArmCompliance {
+    /// Stiffness of the joints, base to wrist, each 1 to 1e7 N m/rad.
+    pub joint_stiffness_nm_per_rad: [f64; 6],
+    /// Damping of the joints, base to wrist, each 0 to 1e5 N m s/rad.
+    pub joint_damping_nms_per_rad: [f64; 6],
 }
 
 impl Default for Arm {
     fn default() -> Self {
-        Arm { max_speed_mm_per_s: 50.0, max_acceleration_mm_per_s2: 200.0, max_jerk_mm_per_s3: 2000.0 }
+        Arm {
+            max_speed_mm_per_s: 50.0,
+            max_acceleration_mm_per_s2: 200.0,
+            max_jerk_mm_per_s3: 2000.0,
+            max_turn_deg_per_s: None,
+            max_turn_deg_per_s2: None,
+            max_turn_deg_per_s3: None,
+            max_joint_speed_deg_per_s: None,
+            max_joint_acceleration_deg_per_s2: None,
+            max_joint_jerk_deg_per_s3: None,
+            lower_joints_deg: None,
+            upper_joints_deg: None,
+            initial_joints_deg: None,
+            tool_position_mm: [0.0; 3],
+            tool_rotation_vector_deg: [0.0; 3],
+            compliance: None,
+        }
     }
 }
 
@@ -533,7 +584,8 @@ pub enum Drives {
     CArm,
 }
 
-/// Who drives the tool. Exactly one of `curved_drilling`, `hold`, `command` and `external` says what it is.
+/// Who drives the tool. Exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `hold`, `command` and `external`
+/// says what it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Controller {
@@ -541,8 +593,12 @@ pub struct Controller {
     pub name: String,
     /// What it drives; no part has two drivers.
     pub drives: Vec<Drives>,
-    /// The built-in image-guided curved drilling.
+    /// The built-in curved drilling.
     pub curved_drilling: Option<CurvedDrilling>,
+    /// The built-in test of skiving: a straight feed that reports how far the burr leaves its line.
+    pub skiving: Option<Skiving>,
+    /// The built-in sweep of the tendon, from which `trabecula calibrate` writes a calibration.
+    pub tension_sweep: Option<TensionSweep>,
     /// The built-in controller that holds a tension.
     pub hold: Option<Hold>,
     /// A program to start, with its arguments; it finds the session's folder in the environment variable
@@ -565,8 +621,20 @@ impl Controller {
     }
 }
 
-/// Image-guided curved drilling: wait for a frame, advance with the burr on, pull the tendon along a ramp, and correct
-/// the tension by the tip seen in later frames.
+/// What corrects the tension of curved drilling toward the planned path.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Feedback {
+    /// The burr seen in X-ray frames; the feed waits for the first frame.
+    #[default]
+    Image,
+    /// The measured shape (as by fibre Bragg gratings), 20 times a simulated second.
+    Shape,
+    /// Nothing: open loop.
+    None,
+}
+
+/// Curved drilling: advance with the burr on, pull the tendon along a ramp, and correct the tension by what is measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurvedDrilling {
@@ -574,8 +642,14 @@ pub struct CurvedDrilling {
     pub feed_mm_per_s: f64,
     /// Length of the feed, 0 to 200 mm.
     pub insertion_mm: f64,
-    /// Tension at the end of the ramp, 0 to 60 N.
-    pub tension_n: f64,
+    /// Tension at the end of the ramp, 0 to 60 N; either this or `calibration`.
+    pub tension_n: Option<f64>,
+    /// A file of `trabecula calibrate`, from the scene file's folder: the ramp is then one of the bend up to that of the
+    /// arc to `target_mm`, and the tension follows from the calibration. Either this or `tension_n`.
+    pub calibration: Option<PathBuf>,
+    /// What corrects the tension.
+    #[serde(default)]
+    pub feedback: Feedback,
     /// Inserted length at which the ramp begins, 0 to 200 mm.
     #[serde(default)]
     pub ramp_start_mm: f64,
@@ -583,9 +657,9 @@ pub struct CurvedDrilling {
     pub ramp_end_mm: f64,
     /// Burr speed, 0 to 60000 rpm.
     pub burr_speed_rpm: f64,
-    /// Where the burr is to end, patient frame; the image guidance corrects the tension toward it.
+    /// Where the burr is to end, patient frame; the feedback corrects the tension toward the arc to it.
     pub target_mm: Option<[f64; 3]>,
-    /// Tension per millimetre of sideways error seen in a frame, 0 to 10 N/mm.
+    /// Tension per millimetre of sideways error measured, 0 to 10 N/mm.
     #[serde(default)]
     pub guidance_gain_n_per_mm: f64,
     /// Length by which the tool is drawn back at the end, so that the tunnel shows, 0 to 200 mm.
@@ -599,6 +673,45 @@ pub struct CurvedDrilling {
 impl CurvedDrilling {
     fn default_retraction_mm_per_s() -> f64 {
         10.0
+    }
+}
+
+/// A straight feed with the burr on. Where the bone is denser on one side, the burr skives: it leaves its line.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Skiving {
+    /// Feed of the tool base, 0.01 to 20 mm/s.
+    pub feed_mm_per_s: f64,
+    /// Length of the feed, 0.1 to 200 mm.
+    pub depth_mm: f64,
+    /// Tension of both tendons, which stiffens the tool, 0 to 60 N.
+    #[serde(default)]
+    pub tension_n: f64,
+    /// Burr speed, 0 to 60000 rpm.
+    pub burr_speed_rpm: f64,
+}
+
+/// Pulls tendon 0 in steps up and down again, with the arm held and the burr at rest. By tension (`most_n`, `step_n`) or
+/// by displacement (`most_mm`, `step_mm`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TensionSweep {
+    /// Greatest tension, 0.1 to 60 N.
+    pub most_n: Option<f64>,
+    /// Step of the tension, 0.01 N to the greatest.
+    pub step_n: Option<f64>,
+    /// Greatest displacement, 0.01 to 20 mm.
+    pub most_mm: Option<f64>,
+    /// Step of the displacement, 0.001 mm to the greatest.
+    pub step_mm: Option<f64>,
+    /// Time of each level: half of it to go there, half to settle; 0.02 to 60 s.
+    #[serde(default = "TensionSweep::default_settle_s")]
+    pub settle_s: f64,
+}
+
+impl TensionSweep {
+    fn default_settle_s() -> f64 {
+        0.5
     }
 }
 

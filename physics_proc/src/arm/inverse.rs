@@ -14,7 +14,7 @@ const WRIST_SINGULAR_SIN: f64 = 1e-7;
 /// A cosine may exceed 1 by this much, from rounding, before a pose counts as out of reach (2e-10 rad² of joint angle).
 const COSINE_SLACK: f64 = 1e-10;
 
-/// Why a flange pose has no joint angles.
+/// Why a pose of the tool's base has no joint angles.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum KinematicsError {
     /// A number of the pose is NaN or infinite, or its quaternion is not of length one.
@@ -84,11 +84,15 @@ impl InverseSolutions {
 }
 
 impl UrGeometry {
-    /// All solutions (2 to 8) for the flange at `t_base_flange`, analytically. A shoulder branch in which the wrist is
+    /// All solutions (2 to 8) for the tool's base at `t_base_tool`, analytically. A shoulder branch in which the wrist is
     /// singular is left out.
-    pub fn inverse(&self, t_base_flange: &Isometry3<f64>) -> Result<InverseSolutions, KinematicsError> {
-        check_pose(t_base_flange)?;
-        let flange = FlangeAxes::new(t_base_flange, self.d6_m);
+    pub fn inverse(&self, t_base_tool: &Isometry3<f64>) -> Result<InverseSolutions, KinematicsError> {
+        check_pose(t_base_tool)?;
+        let t_base_flange = match &self.t_flange_tool {
+            Some(tool) => t_base_tool * tool.inverse(),
+            None => *t_base_tool,
+        };
+        let flange = FlangeAxes::new(&t_base_flange, self.d6_m);
         let radius_m = libm::hypot(flange.wrist_m.x, flange.wrist_m.y);
         if radius_m < self.d4_m {
             return Err(KinematicsError::TooCloseToBase { distance_m: radius_m, minimum_m: self.d4_m });
@@ -115,12 +119,12 @@ impl UrGeometry {
     /// the shoulder branch that is nearer to the reference: the other shoulder's solutions would be a flip of the arm.
     pub fn inverse_nearest(
         &self,
-        t_base_flange: &Isometry3<f64>,
+        t_base_tool: &Isometry3<f64>,
         q_reference_rad: &Joints,
         lower_rad: &Joints,
         upper_rad: &Joints,
     ) -> Result<Joints, KinematicsError> {
-        let solutions = self.inverse(t_base_flange)?;
+        let solutions = self.inverse(t_base_tool)?;
         let mut best: Option<(f64, Joints)> = None;
         for solution in solutions.as_slice() {
             let Some(q) = unwrap_towards(solution, q_reference_rad, lower_rad, upper_rad) else { continue };

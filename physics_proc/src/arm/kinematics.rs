@@ -28,15 +28,25 @@ pub struct UrGeometry {
     pub d5_m: f64,
     /// Wrist 2 to the flange (d6).
     pub d6_m: f64,
+    /// Where the tool's base sits on the flange; `None`: in the flange's frame.
+    pub t_flange_tool: Option<Isometry3<f64>>,
 }
 
 impl UrGeometry {
     /// The UR5, from Universal Robots' published "DH Parameters for calculations of kinematics and dynamics".
     pub const fn ur5() -> Self {
-        Self { d1_m: 0.089159, a2_m: -0.425, a3_m: -0.39225, d4_m: 0.10915, d5_m: 0.09465, d6_m: 0.0823 }
+        Self {
+            d1_m: 0.089159,
+            a2_m: -0.425,
+            a3_m: -0.39225,
+            d4_m: 0.10915,
+            d5_m: 0.09465,
+            d6_m: 0.0823,
+            t_flange_tool: None,
+        }
     }
 
-    /// All link frames at the joint angles `q_rad`.
+    /// All link frames at the joint angles `q_rad`, the last one moved to the tool's base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         let d = [self.d1_m, 0.0, 0.0, self.d4_m, self.d5_m, self.d6_m];
         let a = [0.0, self.a2_m, self.a3_m, 0.0, 0.0, 0.0];
@@ -54,10 +64,14 @@ impl UrGeometry {
             origin_m[i + 1] = origin_m[i] + rotation[i] * Vector3::new(a[i] * cos, a[i] * sin, d[i]);
             rotation[i + 1] = rotation[i] * link;
         }
+        if let Some(tool) = &self.t_flange_tool {
+            origin_m[6] += rotation[6] * tool.translation.vector;
+            rotation[6] *= tool.rotation.to_rotation_matrix().matrix();
+        }
         LinkFrames { rotation, origin_m }
     }
 
-    /// Pose of the flange in the arm's base frame, `T_base_flange`.
+    /// Pose of the tool's base in the arm's base frame, `T_base_tool`; without a tool transform that of the flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
         self.frames(q_rad).t_base_link(6)
     }
@@ -92,7 +106,7 @@ pub struct SingularityFactors {
     pub shoulder_m: f64,
 }
 
-/// The frames of the base (index 0), the links (1..=5) and the flange (6), in the arm's base frame.
+/// The frames of the base (index 0), the links (1..=5) and the tool's base (6), in the arm's base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkFrames {
     /// Rotation of each frame.
@@ -102,7 +116,7 @@ pub struct LinkFrames {
 }
 
 impl LinkFrames {
-    /// `T_base_link` of frame `index` (0 = base, 6 = flange); the flange for any larger index.
+    /// `T_base_link` of frame `index` (0 = base, 6 = tool's base); the tool's base for any larger index.
     pub fn t_base_link(&self, index: usize) -> Isometry3<f64> {
         let i = index.min(6);
         let rotation =
@@ -115,8 +129,8 @@ impl LinkFrames {
         self.rotation[i].column(2).into_owned()
     }
 
-    /// Geometric Jacobian of the flange: rows 0..3 the linear velocity of the flange's origin (m/rad), rows 3..6 the
-    /// angular velocity (rad/rad), both along the base frame's axes.
+    /// Geometric Jacobian of the tool's base: rows 0..3 the linear velocity of its origin (m/rad), rows 3..6 the angular
+    /// velocity (rad/rad), both along the base frame's axes.
     pub fn jacobian(&self) -> Matrix6<f64> {
         let mut jacobian = Matrix6::zeros();
         for i in 0..6 {
@@ -129,7 +143,7 @@ impl LinkFrames {
         jacobian
     }
 
-    /// `J̇ q̇`: the flange's spatial acceleration at joint velocities `qd_rad_s` when all joint accelerations are zero
+    /// `J̇ q̇`: the tool base's spatial acceleration at joint velocities `qd_rad_s` when all joint accelerations are zero
     /// (linear m/s², angular rad/s², base axes). Propagated link by link.
     pub fn bias_acceleration(&self, qd_rad_s: &Joints) -> Vector6<f64> {
         let mut angular = Vector3::zeros();
@@ -151,7 +165,7 @@ pub(super) fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f6
     Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
 }
 
-/// Joint rates that give the flange the spatial velocity `twist` (base axes); `None` where the Jacobian is singular.
+/// Joint rates that give the tool's base the spatial velocity `twist` (base axes); `None` where the Jacobian is singular.
 pub(super) fn solve_rates(jacobian: &Matrix6<f64>, twist: &Vector6<f64>) -> Option<Joints> {
     let rates = jacobian.lu().solve(twist)?;
     rates.iter().all(|x| x.is_finite()).then(|| rates.into())

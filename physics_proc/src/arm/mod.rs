@@ -1,21 +1,25 @@
 //! The arm that carries the tool: UR5 kinematics and jerk-limited motion, one tick at a time.
 //!
-//! An [`Arm`] is given [`ArmCommand`]s and stepped. After each tick its [`ArmState`] has the joints and the flange's pose,
-//! velocity and acceleration in the patient frame; the velocity is the exact derivative of the pose's path (J q̇).
-//! The arm follows its trajectory exactly: no drive dynamics, no deflection.
+//! An [`Arm`] is given [`ArmCommand`]s and stepped. After each tick its [`ArmState`] has the joints and the tool base's
+//! pose, velocity and acceleration in the patient frame; the velocity is the exact derivative of the pose's path (J q̇).
+//! The tool's base is the flange's frame moved by [`UrGeometry::t_flange_tool`]; every pose of a command is one of it.
+//! The arm follows its trajectory exactly: no drive dynamics. [`Compliance`] adds the deflection of its joints.
 //!
 //! The numeric core is pure: the state after n ticks is a function of the parameters, the commands and the ticks they
 //! came at. A motion is stored as its start, goal and age, never as an accumulated state, so errors do not grow with time
 //! and a snapshot continues bit for bit.
 
+mod compliance;
 mod inverse;
 mod kinematics;
-mod line;
 mod motion;
 mod parameters;
+mod path;
 mod planning;
 mod trajectory;
+mod velocity;
 
+pub use compliance::{Compliance, ComplianceParameters, ComplianceState, DeflectedBase, mass_matrix};
 pub use inverse::{InverseSolutions, KinematicsError};
 pub use kinematics::{Joints, LinkFrames, SingularityFactors, UrGeometry};
 pub use parameters::{
@@ -23,10 +27,10 @@ pub use parameters::{
 };
 pub use trajectory::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryError};
 
-use line::{JointsOnLine, Line, LineFollower};
-use motion::{JointMotion, LineMotion, Motion, NextLine};
+use motion::{JointMotion, Motion, NextPath, PathMotion};
 use nalgebra::{Isometry3, Vector3};
-use planning::check_speed;
+use path::{JointsOnPath, Path, PathFollower};
+use planning::{Aim, Insertion, PathGoal, check_speed};
 use serde::{Deserialize, Serialize};
 
 /// Which command the arm follows.
@@ -36,12 +40,18 @@ pub enum ArmMode {
     Hold,
     /// Following a joint target.
     ServoJp,
+    /// Turning the joints at given rates.
+    ServoJv,
     /// Going to a joint goal.
     MoveJp,
-    /// Following a flange target through the joints.
+    /// Following a target of the tool's base through the joints.
     ServoCp,
-    /// Moving the flange on a straight line.
+    /// Moving the tool's base on a straight line.
     MoveCp,
+    /// Moving the tool's base along an axis without turning it.
+    Insert,
+    /// Moving the tool's base about a remote centre of motion.
+    Rcm,
 }
 
 /// The arm after a tick.
@@ -53,22 +63,22 @@ pub struct ArmState {
     pub qd_rad_s: Joints,
     /// Joint accelerations.
     pub qdd_rad_s2: Joints,
-    /// Pose of the flange in the patient frame.
-    pub t_world_flange: Isometry3<f64>,
-    /// Velocity of the flange's origin, world axes.
+    /// Pose of the tool's base in the patient frame.
+    pub t_world_tool: Isometry3<f64>,
+    /// Velocity of the tool base's origin, world axes.
     pub linear_velocity_m_s: Vector3<f64>,
-    /// Angular velocity of the flange, world axes.
+    /// Angular velocity of the tool's base, world axes.
     pub angular_velocity_rad_s: Vector3<f64>,
-    /// Acceleration of the flange's origin, world axes.
+    /// Acceleration of the tool base's origin, world axes.
     pub linear_acceleration_m_s2: Vector3<f64>,
-    /// Angular acceleration of the flange, world axes.
+    /// Angular acceleration of the tool's base, world axes.
     pub angular_acceleration_rad_s2: Vector3<f64>,
     /// The command being followed.
     pub mode: ArmMode,
     /// The goal is reached (for `Hold`: the arm stands) and the arm is at rest.
     pub done: bool,
-    /// Why an accepted motion was given up and the arm stopped; `None` again with the next accepted command.
-    /// Nothing depends on it: it is not saved in bytes.
+    /// Why an accepted motion was given up and the arm stopped, or why a joint of `ServoJv` stopped; `None` again with the
+    /// next accepted command. Nothing depends on it: it is not saved in bytes.
     #[serde(skip)]
     pub fault: Option<ArmError>,
 }
@@ -77,6 +87,7 @@ pub struct ArmState {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArmSnapshot {
     motion: Motion,
+    insertion: Option<Insertion>,
     state: ArmState,
     last_command: ArmCommand,
 }
@@ -87,8 +98,9 @@ pub struct ArmSnapshot {
 pub struct Arm {
     parameters: ArmParameters,
     joint_planner: Planner<6>,
-    line_planner: Planner<1>,
+    path_planner: Planner<1>,
     motion: Motion,
+    insertion: Option<Insertion>,
     state: ArmState,
     last_command: ArmCommand,
 }
@@ -101,13 +113,14 @@ impl Arm {
         let mut arm = Self {
             parameters,
             joint_planner: Planner::new(),
-            line_planner: Planner::new(),
+            path_planner: Planner::new(),
             motion: Motion::Rest,
+            insertion: None,
             state: ArmState {
                 q_rad: *initial_q_rad,
                 qd_rad_s: [0.0; 6],
                 qdd_rad_s2: [0.0; 6],
-                t_world_flange: Isometry3::identity(),
+                t_world_tool: Isometry3::identity(),
                 linear_velocity_m_s: Vector3::zeros(),
                 angular_velocity_rad_s: Vector3::zeros(),
                 linear_acceleration_m_s2: Vector3::zeros(),
@@ -132,7 +145,15 @@ impl Arm {
         &self.state
     }
 
-    /// Geometric Jacobian at the current joint angles: rows linear velocity of the flange's origin, angular velocity;
+    /// Pose of the flange in the patient frame.
+    pub fn t_world_flange(&self) -> Isometry3<f64> {
+        match &self.parameters.geometry.t_flange_tool {
+            Some(tool) => self.state.t_world_tool * tool.inverse(),
+            None => self.state.t_world_tool,
+        }
+    }
+
+    /// Geometric Jacobian at the current joint angles: rows linear velocity of the tool base's origin, angular velocity;
     /// world axes.
     pub fn jacobian(&self) -> nalgebra::Matrix6<f64> {
         let mut jacobian = self.parameters.geometry.frames(&self.state.q_rad).jacobian();
@@ -161,6 +182,10 @@ impl Arm {
                 self.go_to_joints(Goal::Independent(q_rad), &q_rad, speed_fraction)?;
                 ArmMode::ServoJp
             }
+            ArmCommand::ServoJv { qd_rad_s } => {
+                self.turn_joints(&qd_rad_s)?;
+                ArmMode::ServoJv
+            }
             ArmCommand::MoveJp { q_rad, speed_fraction } => {
                 // In proportion only from rest: a synchronised profile from motion could swing beyond a joint's range.
                 let from_rest = matches!(self.motion, Motion::Rest);
@@ -168,12 +193,12 @@ impl Arm {
                 self.go_to_joints(goal, &q_rad, speed_fraction)?;
                 ArmMode::MoveJp
             }
-            ArmCommand::ServoCp { t_world_flange, speed_fraction } => {
-                let q_rad = self.joints_for(&t_world_flange)?;
+            ArmCommand::ServoCp { t_world_tool, speed_fraction } => {
+                let q_rad = self.joints_for(&t_world_tool)?;
                 self.go_to_joints(Goal::Independent(q_rad), &q_rad, speed_fraction)?;
                 ArmMode::ServoCp
             }
-            ArmCommand::MoveCp { t_world_flange, max_speed_m_s, max_angular_speed_rad_s } => {
+            ArmCommand::MoveCp { t_world_tool, max_speed_m_s, max_angular_speed_rad_s } => {
                 let limits = &self.parameters.cartesian_limits;
                 let linear = check_speed("max_speed_m_s", max_speed_m_s, limits.speed_m_s)?;
                 let angular = check_speed(
@@ -181,10 +206,32 @@ impl Arm {
                     max_angular_speed_rad_s,
                     limits.angular_speed_rad_s,
                 )?;
-                self.go_straight(&t_world_flange, (linear, angular))?;
+                self.go_straight(&self.t_base_tool(&t_world_tool)?, (linear, angular))?;
                 ArmMode::MoveCp
             }
+            ArmCommand::Insert { axis_world, depth_m, feed_m_s } => {
+                self.insert(&axis_world, depth_m, feed_m_s)?;
+                ArmMode::Insert
+            }
+            ArmCommand::Rcm { t_world_tool, pivot_world_m, max_speed_m_s } => {
+                let limits = &self.parameters.cartesian_limits;
+                let speed = (
+                    check_speed("max_speed_m_s", max_speed_m_s, limits.speed_m_s)?,
+                    limits.angular_speed_rad_s,
+                );
+                let pivot = self
+                    .parameters
+                    .t_world_arm_base
+                    .inverse_transform_point(&nalgebra::Point3::from(pivot_world_m));
+                let t_base_tool = self.t_base_tool(&t_world_tool)?;
+                let aim = Aim::About { t_base_tool, pivot_m: pivot.coords };
+                self.stop_then(Some(PathGoal { aim, speed }))?;
+                ArmMode::Rcm
+            }
         };
+        if !matches!(mode, ArmMode::Insert | ArmMode::Hold) {
+            self.insertion = None;
+        }
         self.last_command = command;
         self.state.mode = mode;
         self.state.done = matches!(self.motion, Motion::Rest);
@@ -197,14 +244,19 @@ impl Arm {
         match self.motion {
             Motion::Rest => {}
             Motion::Joint(motion) => self.step_joints(motion),
-            Motion::Line(motion) => self.step_line(motion),
+            Motion::Path(motion) => self.step_path(motion),
         }
         &self.state
     }
 
     /// The whole state, motion in progress included.
     pub fn snapshot(&self) -> ArmSnapshot {
-        ArmSnapshot { motion: self.motion, state: self.state, last_command: self.last_command }
+        ArmSnapshot {
+            motion: self.motion,
+            insertion: self.insertion,
+            state: self.state,
+            last_command: self.last_command,
+        }
     }
 
     /// Continues from `snapshot`, bit for bit, on an arm of the same parameters.
@@ -215,19 +267,20 @@ impl Arm {
                 self.joint_planner.plan(&motion.segment)?;
                 self.joint_planner.commit();
             }
-            Motion::Line(motion) => {
-                self.line_planner.plan(&motion.segment)?;
-                self.line_planner.commit();
+            Motion::Path(motion) => {
+                self.path_planner.plan(&motion.segment)?;
+                self.path_planner.commit();
             }
         }
         self.motion = snapshot.motion;
+        self.insertion = snapshot.insertion;
         self.state = snapshot.state;
         self.last_command = snapshot.last_command;
         Ok(())
     }
 
-    fn follower(&self) -> LineFollower<'_> {
-        LineFollower {
+    fn follower(&self) -> PathFollower<'_> {
+        PathFollower {
             geometry: &self.parameters.geometry,
             joint_limits: &self.parameters.joint_limits,
             cartesian_limits: &self.parameters.cartesian_limits,
@@ -256,13 +309,16 @@ impl Arm {
     }
 
     fn step_joints(&mut self, mut motion: JointMotion) {
+        if let Goal::Velocity(rates) = motion.segment.goal {
+            return self.step_rates(motion, rates);
+        }
         motion.tick += 1;
         let time_s = self.time_s(motion.tick);
         let ended = time_s >= motion.duration_s;
         let joints = if ended {
             AxisState::at_rest(match motion.segment.goal {
                 Goal::Independent(goal) | Goal::StraightLine(goal) => goal,
-                Goal::Standstill => self.joint_planner.sample(motion.duration_s).position,
+                Goal::Standstill | Goal::Velocity(_) => self.joint_planner.sample(motion.duration_s).position,
             })
         } else {
             self.joint_planner.sample(time_s)
@@ -274,27 +330,27 @@ impl Arm {
         }
     }
 
-    fn step_line(&mut self, mut motion: LineMotion) {
+    fn step_path(&mut self, mut motion: PathMotion) {
         motion.tick += 1;
         let time_s = self.time_s(motion.tick);
         let ended = time_s >= motion.duration_s;
         let parameter = match motion.segment.goal {
             Goal::Independent(goal) | Goal::StraightLine(goal) if ended => AxisState::at_rest(goal),
             Goal::Standstill if ended => {
-                AxisState::at_rest(self.line_planner.sample(motion.duration_s).position)
+                AxisState::at_rest(self.path_planner.sample(motion.duration_s).position)
             }
-            _ => self.line_planner.sample(time_s),
+            _ => self.path_planner.sample(time_s),
         };
-        match self.next_on_line(&motion.line, &parameter) {
-            Ok(on_line) => {
+        match self.next_on_path(&motion.path, &parameter) {
+            Ok(on_path) => {
                 let (rate, change) = (parameter.velocity[0], parameter.acceleration[0]);
-                let mut joints = AxisState::at_rest(on_line.q_rad);
+                let mut joints = AxisState::at_rest(on_path.q_rad);
                 for i in 0..6 {
-                    joints.velocity[i] = on_line.first[i] * rate;
-                    joints.acceleration[i] = on_line.first[i] * change + on_line.second[i] * rate * rate;
+                    joints.velocity[i] = on_path.first[i] * rate;
+                    joints.acceleration[i] = on_path.first[i] * change + on_path.second[i] * rate * rate;
                 }
-                self.publish(&on_line.frames, &joints);
-                self.motion = Motion::Line(motion);
+                self.publish(&on_path.frames, &joints);
+                self.motion = Motion::Path(motion);
                 if ended {
                     self.begin(motion.next);
                 }
@@ -303,34 +359,34 @@ impl Arm {
         }
     }
 
-    /// The joints at the line's parameter, unless one of them would jump or run at more than 1.5 times its limit there.
-    fn next_on_line(&self, line: &Line, parameter: &AxisState<1>) -> Result<JointsOnLine, ArmError> {
+    /// The joints at the path's parameter, unless one of them would jump or run at more than 1.5 times its limit there.
+    fn next_on_path(&self, path: &Path, parameter: &AxisState<1>) -> Result<JointsOnPath, ArmError> {
         let [fraction] = parameter.position;
-        let on_line = self
+        let on_path = self
             .follower()
-            .joints_at(line, fraction, &self.state.q_rad)
-            .map_err(|reason| ArmError::LineUnreachable { fraction, reason })?;
+            .joints_at(path, fraction, &self.state.q_rad)
+            .map_err(|reason| ArmError::PathUnreachable { fraction, reason })?;
         let swings = (0..6).any(|i| {
-            let most = LINE_FAULT_FACTOR * self.parameters.joint_limits.velocity_rad_s[i];
-            let step_rad = on_line.q_rad[i] - self.state.q_rad[i];
+            let most = PATH_FAULT_FACTOR * self.parameters.joint_limits.velocity_rad_s[i];
+            let step_rad = on_path.q_rad[i] - self.state.q_rad[i];
             step_rad.abs() > most * self.parameters.dt_s
-                || (on_line.first[i] * parameter.velocity[0]).abs() > most
+                || (on_path.first[i] * parameter.velocity[0]).abs() > most
         });
         if swings {
-            let manipulability_m3 = self.parameters.geometry.manipulability_m3(&on_line.q_rad);
-            return Err(ArmError::LineSingular { fraction, manipulability_m3 });
+            let manipulability_m3 = self.parameters.geometry.manipulability_m3(&on_path.q_rad);
+            return Err(ArmError::PathSingular { fraction, manipulability_m3 });
         }
-        Ok(on_line)
+        Ok(on_path)
     }
 
-    /// At rest: starts the line that waited for it, or stays.
-    fn begin(&mut self, next: Option<NextLine>) {
+    /// At rest: starts the path that waited for it, or stays.
+    fn begin(&mut self, next: Option<NextPath>) {
         self.motion = Motion::Rest;
         if let Some(next) = next {
-            match self.plan_line(next.line, AxisState::at_rest([0.0]), 1.0, next.limits) {
+            match self.plan_path(next.path, AxisState::at_rest([0.0]), 1.0, next.limits) {
                 Ok(motion) => {
-                    self.line_planner.commit();
-                    self.motion = Motion::Line(motion);
+                    self.path_planner.commit();
+                    self.motion = Motion::Path(motion);
                 }
                 Err(error) => self.give_up(error),
             }
@@ -342,6 +398,7 @@ impl Arm {
     /// (near a singularity they may be far beyond), and the reason in the state.
     fn give_up(&mut self, reason: ArmError) {
         self.state.fault = Some(reason);
+        self.insertion = None;
         self.state.mode = ArmMode::Hold;
         self.last_command = ArmCommand::Hold;
         let limits = self.joint_axis_limits(1.0);
@@ -365,7 +422,7 @@ impl Arm {
         }
     }
 
-    /// Writes joints and flange into the state.
+    /// Writes joints and tool base into the state.
     fn publish(&mut self, frames: &LinkFrames, joints: &AxisState<6>) {
         let base = &self.parameters.t_world_arm_base;
         let jacobian = frames.jacobian();
@@ -376,7 +433,7 @@ impl Arm {
         state.q_rad = joints.position;
         state.qd_rad_s = joints.velocity;
         state.qdd_rad_s2 = joints.acceleration;
-        state.t_world_flange = base * frames.t_base_link(6);
+        state.t_world_tool = base * frames.t_base_link(6);
         state.linear_velocity_m_s = base.rotation * velocity.fixed_rows::<3>(0).into_owned();
         state.angular_velocity_rad_s = base.rotation * velocity.fixed_rows::<3>(3).into_owned();
         state.linear_acceleration_m_s2 = base.rotation * acceleration.fixed_rows::<3>(0).into_owned();
@@ -384,8 +441,8 @@ impl Arm {
     }
 }
 
-/// A line is given up where a joint would run at this many times its velocity limit.
-const LINE_FAULT_FACTOR: f64 = 1.5;
+/// A path is given up where a joint would run at this many times its velocity limit.
+const PATH_FAULT_FACTOR: f64 = 1.5;
 
 #[cfg(test)]
 mod tests {
@@ -397,12 +454,12 @@ mod tests {
     fn a_line_that_breaks_on_the_way_ends_in_a_stop_and_a_fault() {
         let parameters = ArmParameters::ur5(1e-3);
         let mut arm = Arm::new(parameters, &COMFORTABLE_Q_RAD).unwrap();
-        let goal = arm.state.t_world_flange * Isometry3::translation(0.0, 0.0, 3.0);
-        let line = Line::between(&arm.state.t_world_flange, &goal);
+        let goal = arm.state.t_world_tool * Isometry3::translation(0.0, 0.0, 3.0);
+        let path = Path::straight(&arm.state.t_world_tool, &goal);
         let limits = AxisLimits { velocity: [0.05], acceleration: [0.2], jerk: [2.0] };
-        let motion = arm.plan_line(line, AxisState::at_rest([0.0]), 1.0, limits).unwrap();
-        arm.line_planner.commit();
-        arm.motion = Motion::Line(motion);
+        let motion = arm.plan_path(path, AxisState::at_rest([0.0]), 1.0, limits).unwrap();
+        arm.path_planner.commit();
+        arm.motion = Motion::Path(motion);
         arm.state.done = false;
         let mut ticks_of_fault = 0;
         for _ in 0..40_000 {
@@ -421,7 +478,7 @@ mod tests {
         assert!(arm.state.done && arm.state.qd_rad_s == [0.0; 6] && arm.state.mode == ArmMode::Hold);
         let fault = arm.state.fault;
         assert!(
-            matches!(fault, Some(ArmError::LineUnreachable { .. } | ArmError::LineSingular { .. })),
+            matches!(fault, Some(ArmError::PathUnreachable { .. } | ArmError::PathSingular { .. })),
             "{fault:?}"
         );
         arm.command(ArmCommand::MoveJp { q_rad: COMFORTABLE_Q_RAD, speed_fraction: 1.0 }).unwrap();

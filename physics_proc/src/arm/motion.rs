@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::line::Line;
+use super::path::Path;
 use super::trajectory::{AxisLimits, Segment};
 
 /// What the arm is doing.
@@ -12,8 +12,8 @@ pub(super) enum Motion {
     Rest,
     /// The joints follow a jerk-limited segment.
     Joint(JointMotion),
-    /// The flange follows a straight line, its parameter a jerk-limited segment.
-    Line(LineMotion),
+    /// The tool's base follows a path, its parameter a jerk-limited segment.
+    Path(PathMotion),
 }
 
 /// A segment of the six joints.
@@ -23,25 +23,25 @@ pub(super) struct JointMotion {
     pub(super) duration_s: f64,
     /// Ticks since the segment's start.
     pub(super) tick: u64,
-    /// A line that begins at this segment's end.
-    pub(super) next: Option<NextLine>,
+    /// A path that begins at this segment's end.
+    pub(super) next: Option<NextPath>,
 }
 
-/// A segment of a line's parameter.
+/// A segment of a path's parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct LineMotion {
-    pub(super) line: Line,
+pub(super) struct PathMotion {
+    pub(super) path: Path,
     pub(super) segment: Segment<1>,
     pub(super) duration_s: f64,
     /// Ticks since the segment's start.
     pub(super) tick: u64,
-    /// A line that begins at this segment's end.
-    pub(super) next: Option<NextLine>,
+    /// A path that begins at this segment's end.
+    pub(super) next: Option<NextPath>,
 }
 
-/// A line that waits for the arm to stand still at its start.
+/// A path that waits for the arm to stand still at its start.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct NextLine {
-    pub(super) line: Line,
+pub(super) struct NextPath {
+    pub(super) path: Path,
     pub(super) limits: AxisLimits<1>,
 }

@@ -3,7 +3,7 @@
 use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Joints, UrGeometry};
 use super::trajectory::TrajectoryError;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use thiserror::Error;
@@ -23,20 +23,20 @@ pub struct JointLimits {
     pub jerk_rad_s3: Joints,
 }
 
-/// Limits of the flange on a straight line (`move_cp`).
+/// Limits of the tool's base on a path (`move_cp`, `insert`, `rcm`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartesianLimits {
-    /// Greatest speed of the flange's origin.
+    /// Greatest speed of its origin.
     pub speed_m_s: f64,
-    /// Greatest acceleration of the flange's origin.
+    /// Greatest acceleration of its origin.
     pub acceleration_m_s2: f64,
-    /// Greatest jerk of the flange's origin.
+    /// Greatest jerk of its origin.
     pub jerk_m_s3: f64,
-    /// Greatest turning rate of the flange.
+    /// Greatest turning rate.
     pub angular_speed_rad_s: f64,
-    /// Greatest angular acceleration of the flange.
+    /// Greatest angular acceleration.
     pub angular_acceleration_rad_s2: f64,
-    /// Greatest angular jerk of the flange.
+    /// Greatest angular jerk.
     pub angular_jerk_rad_s3: f64,
 }
 
@@ -49,7 +49,7 @@ pub struct ArmParameters {
     pub t_world_arm_base: Isometry3<f64>,
     /// Limits of the joints.
     pub joint_limits: JointLimits,
-    /// Limits of the flange on straight lines.
+    /// Limits of the tool's base on paths.
     pub cartesian_limits: CartesianLimits,
     /// Length of a tick.
     pub dt_s: f64,
@@ -58,7 +58,7 @@ pub struct ArmParameters {
 impl ArmParameters {
     /// A UR5 at the world's origin. Angles ±360° (elbow ±180°) and 180°/s are Universal Robots' figures
     /// (Universal_Robots_ROS2_Description, `config/ur5/joint_limits.yaml`); accelerations and jerks are not published:
-    /// 5 rad/s² and 50 rad/s³ here, reached in 0.1 s. The flange's limits on a line are those of a careful insertion.
+    /// 5 rad/s² and 50 rad/s³ here, reached in 0.1 s. The limits on a path are those of a careful insertion.
     pub fn ur5(dt_s: f64) -> Self {
         let range_rad = [TAU, TAU, PI, TAU, TAU, TAU];
         Self {
@@ -127,12 +127,16 @@ impl ArmParameters {
 /// A comfortable configuration: far from every singularity and limit (manipulability 0.093 m³ for the UR5).
 pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0];
 
-/// Stands the arm where it holds its flange at `t_world_flange` in the comfortable configuration.
+/// Stands the arm where it holds the tool's base at `t_world_tool` with the joint angles `q_rad`: `T_world_arm_base`.
 ///
-/// Returns `(T_world_arm_base, joint angles)`. The base takes whatever orientation that needs: an arm on a cart, a wall
-/// or a ceiling. The flange then moves 100 mm and more in every direction (tested).
-pub fn place_base_for(geometry: &UrGeometry, t_world_flange: &Isometry3<f64>) -> (Isometry3<f64>, Joints) {
-    (t_world_flange * geometry.forward(&COMFORTABLE_Q_RAD).inverse(), COMFORTABLE_Q_RAD)
+/// The base takes whatever orientation that needs: an arm on a cart, a wall or a ceiling. In the comfortable
+/// configuration the tool then moves 100 mm and more in every direction (tested).
+pub fn place_base_for(
+    geometry: &UrGeometry,
+    t_world_tool: &Isometry3<f64>,
+    q_rad: &Joints,
+) -> Isometry3<f64> {
+    t_world_tool * geometry.forward(q_rad).inverse()
 }
 
 /// What the arm can be told, named after CRTK. `speed_fraction` in (0, 1] scales the joints' velocity limits.
@@ -140,7 +144,7 @@ pub fn place_base_for(geometry: &UrGeometry, t_world_flange: &Isometry3<f64>) ->
 /// A command equal to the last accepted one changes nothing, so a latched command may be given again every tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ArmCommand {
-    /// Stop as soon as the jerk limits allow (on the line, during `MoveCp`) and stay.
+    /// Stop as soon as the jerk limits allow (on the path, if on one) and stay.
     Hold,
     /// Follow a joint target that may change every tick; each joint as early as its limits allow.
     ServoJp {
@@ -149,6 +153,11 @@ pub enum ArmCommand {
         /// Share of the joints' velocity limits.
         speed_fraction: f64,
     },
+    /// Turn the joints at these rates until told otherwise; a joint whose range ends stops there and the others go on.
+    ServoJv {
+        /// Target rates.
+        qd_rad_s: Joints,
+    },
     /// Go to a joint goal and stay; from rest, all joints in proportion.
     MoveJp {
         /// Goal angles.
@@ -156,22 +165,43 @@ pub enum ArmCommand {
         /// Share of the joints' velocity limits.
         speed_fraction: f64,
     },
-    /// Follow a flange target through the joints: the nearest solution of the inverse kinematics.
+    /// Follow a target of the tool's base through the joints: the nearest solution of the inverse kinematics.
     ServoCp {
-        /// Target of the flange in the patient frame.
-        t_world_flange: Isometry3<f64>,
+        /// Target of the tool's base in the patient frame.
+        t_world_tool: Isometry3<f64>,
         /// Share of the joints' velocity limits.
         speed_fraction: f64,
     },
-    /// Move the flange on a straight line with a turn about a fixed axis. From motion, the arm stops first, except along
-    /// the line it is already on: then goal and speed change smoothly.
+    /// Move the tool's base on a straight line with a turn about a fixed axis. From motion, the arm stops first, except
+    /// along the line it is already on: then goal and speed change smoothly.
     MoveCp {
-        /// Goal of the flange in the patient frame.
-        t_world_flange: Isometry3<f64>,
-        /// Speed of the flange's origin, up to the arm's limit, which `None` stands for.
+        /// Goal of the tool's base in the patient frame.
+        t_world_tool: Isometry3<f64>,
+        /// Speed of its origin, up to the arm's limit, which `None` stands for.
         max_speed_m_s: Option<f64>,
-        /// Turning rate of the flange, up to the arm's limit, which `None` stands for.
+        /// Turning rate, up to the arm's limit, which `None` stands for.
         max_angular_speed_rad_s: Option<f64>,
+    },
+    /// Insert: move the tool's base along an axis without turning it. The depth counts from where the tool stood when the
+    /// insertion along this axis began; a later `Insert` along the same axis changes depth and feed on the same line, and
+    /// a `Hold` between them does not end it. From another motion, the arm stops first.
+    Insert {
+        /// Unit vector in the patient frame.
+        axis_world: Vector3<f64>,
+        /// Depth to go to, ±0.5 m.
+        depth_m: f64,
+        /// Speed, above 0, up to the arm's limit.
+        feed_m_s: f64,
+    },
+    /// Move to a pose about a remote centre of motion: the tool's axis (its +z) goes through the pivot all the way. At the
+    /// start and at the goal it must do so within 1 µm. From motion, the arm stops first.
+    Rcm {
+        /// Goal of the tool's base in the patient frame.
+        t_world_tool: Isometry3<f64>,
+        /// The pivot in the patient frame.
+        pivot_world_m: Vector3<f64>,
+        /// Speed of the tool base's origin, up to the arm's limit, which `None` stands for.
+        max_speed_m_s: Option<f64>,
     },
 }
 
@@ -225,28 +255,82 @@ pub enum ArmError {
         /// Greatest accepted value.
         maximum: f64,
     },
+    /// A joint rate is NaN or above its limit.
+    #[error(
+        "joint {joint} was given {given_rad_s} rad/s, allowed is ±{maximum_rad_s}; send a rate within that"
+    )]
+    JointRateOutsideLimits {
+        /// Joint, 1 to 6.
+        joint: usize,
+        /// Given rate.
+        given_rad_s: f64,
+        /// Greatest rate.
+        maximum_rad_s: f64,
+    },
+    /// A joint would leave its range before it can stop.
+    #[error(
+        "joint {joint} reaches the end of its range {lower_rad} to {upper_rad} rad; send a rate that leads back, or another goal"
+    )]
+    JointRangeEnds {
+        /// Joint, 1 to 6.
+        joint: usize,
+        /// Lower limit.
+        lower_rad: f64,
+        /// Upper limit.
+        upper_rad: f64,
+    },
+    /// The axis is not a unit vector or the depth is out of range.
+    #[error(
+        "insertion: the axis has length {axis_length}, expected 1; the depth is {depth_m} m, allowed is ±{maximum_m} m"
+    )]
+    InvalidInsertion {
+        /// Length of the axis.
+        axis_length: f64,
+        /// Depth.
+        depth_m: f64,
+        /// Greatest depth.
+        maximum_m: f64,
+    },
+    /// The tool's axis does not go through the pivot.
+    #[error(
+        "at the {end} the tool's axis misses the pivot by {missed_m} m, allowed is {allowed_m} m; \
+         align the tool with move_cp first, and send a goal whose +z axis goes through the pivot"
+    )]
+    PivotMissed {
+        /// Start or goal.
+        end: &'static str,
+        /// Distance of the pivot from the axis.
+        missed_m: f64,
+        /// Greatest allowed distance.
+        allowed_m: f64,
+    },
     /// The goal pose has no joint angles.
-    #[error("flange goal: {0}")]
+    #[error("goal of the tool's base: {0}")]
     Goal(KinematicsError),
-    /// The straight line has a pose without joint angles.
-    #[error("at {fraction} of the straight line: {reason}")]
-    LineUnreachable {
-        /// Share of the line, 0 to 1.
+    /// The path has a pose without joint angles.
+    #[error("at {fraction} of the path: {reason}")]
+    PathUnreachable {
+        /// Share of the path, 0 to 1.
         fraction: f64,
         /// Why.
         reason: KinematicsError,
     },
-    /// The straight line passes a singularity, or so close to one that the joints would swing.
+    /// The path passes a singularity, or so close to one that the joints would swing.
     #[error(
-        "at {fraction} of the straight line the arm passes a singularity (manipulability {manipulability_m3} m³); \
-         choose another line, go there by joints, or place the base elsewhere"
+        "at {fraction} of the path the arm passes a singularity (manipulability {manipulability_m3} m³); \
+         choose another path, go there by joints, or place the base elsewhere"
     )]
-    LineSingular {
-        /// Share of the line, 0 to 1.
+    PathSingular {
+        /// Share of the path, 0 to 1.
         fraction: f64,
         /// |det J| there.
         manipulability_m3: f64,
     },
+    /// The elastic joints' operator is not positive definite: a state that is not finite.
+    #[error(
+        "the elastic joints cannot be stepped: their state is not finite; make joints or tool softer, or dt shorter"
+    )]
+    ComplianceFailed,
     /// No jerk-limited trajectory.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),

@@ -3,30 +3,85 @@
 
 use super::inverse;
 use super::kinematics::Joints;
-use super::line::Line;
-use super::motion::{JointMotion, LineMotion, Motion, NextLine};
+use super::motion::{JointMotion, Motion, NextPath, PathMotion};
+use super::path::Path;
 use super::trajectory::{AxisLimits, AxisState, Goal, Segment};
 use super::{Arm, ArmError};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3, Vector3};
+use serde::{Deserialize, Serialize};
 
+/// Farthest that an insertion may lead either way.
+const MAX_DEPTH_M: f64 = 0.5;
 /// Samples at which a changed goal on the same line is checked for turning back.
 const RETARGET_SAMPLES: usize = 64;
 
-/// Where a line shall lead, and at what speed (m/s, rad/s).
+/// The axis of the tool may miss the pivot by this at the ends of a motion about it.
+const PIVOT_TOLERANCE_M: f64 = 1e-6;
+
+/// Where a path shall lead, and at what speed (m/s, rad/s). Base frame.
 #[derive(Clone, Copy)]
-pub(super) struct LineGoal {
-    t_base_flange: Isometry3<f64>,
-    speed: (f64, f64),
+pub(super) struct PathGoal {
+    pub(super) aim: Aim,
+    pub(super) speed: (f64, f64),
+}
+
+/// The ways to say where.
+#[derive(Clone, Copy)]
+pub(super) enum Aim {
+    /// Straight to a pose.
+    Pose(Isometry3<f64>),
+    /// To a pose, the tool's axis through a pivot all the way.
+    About { t_base_tool: Isometry3<f64>, pivot_m: Vector3<f64> },
+    /// Along a unit vector by a length from where the arm stands.
+    Along { axis: Vector3<f64>, depth_m: f64 },
+}
+
+/// The line of an insertion: kept while insertions along the same axis follow each other.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Insertion {
+    axis_world: Vector3<f64>,
+    /// Where the depth is zero, base frame.
+    start: Isometry3<f64>,
 }
 
 impl Arm {
-    fn t_base_flange(&self, t_world_flange: &Isometry3<f64>) -> Result<Isometry3<f64>, ArmError> {
-        inverse::check_pose(t_world_flange).map_err(ArmError::Goal)?;
-        Ok(self.parameters.t_world_arm_base.inv_mul(t_world_flange))
+    pub(super) fn t_base_tool(&self, t_world_tool: &Isometry3<f64>) -> Result<Isometry3<f64>, ArmError> {
+        inverse::check_pose(t_world_tool).map_err(ArmError::Goal)?;
+        Ok(self.parameters.t_world_arm_base.inv_mul(t_world_tool))
     }
 
-    pub(super) fn joints_for(&self, t_world_flange: &Isometry3<f64>) -> Result<Joints, ArmError> {
-        let goal = self.t_base_flange(t_world_flange)?;
+    /// Begins an insertion, or goes to another depth of the one that stands.
+    pub(super) fn insert(
+        &mut self,
+        axis_world: &Vector3<f64>,
+        depth_m: f64,
+        feed_m_s: f64,
+    ) -> Result<(), ArmError> {
+        let length = axis_world.norm();
+        if !((length - 1.0).abs() <= 1e-6 && depth_m.abs() <= MAX_DEPTH_M) {
+            return Err(ArmError::InvalidInsertion { axis_length: length, depth_m, maximum_m: MAX_DEPTH_M });
+        }
+        let limits = self.parameters.cartesian_limits;
+        let speed = (check_speed("feed_m_s", Some(feed_m_s), limits.speed_m_s)?, limits.angular_speed_rad_s);
+        let base = &self.parameters.t_world_arm_base;
+        let axis = base.rotation.inverse_transform_vector(axis_world) / length;
+        match self.insertion.filter(|insertion| insertion.axis_world == *axis_world) {
+            Some(insertion) => {
+                let mut goal = insertion.start;
+                goal.translation.vector += axis * depth_m;
+                self.go_straight(&goal, speed)?;
+            }
+            None => {
+                let aim = Aim::Along { axis, depth_m };
+                let begin = self.stop_then(Some(PathGoal { aim, speed }))?;
+                self.insertion = begin.map(|start| Insertion { axis_world: *axis_world, start });
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn joints_for(&self, t_world_tool: &Isometry3<f64>) -> Result<Joints, ArmError> {
+        let goal = self.t_base_tool(t_world_tool)?;
         let limits = &self.parameters.joint_limits;
         self.parameters
             .geometry
@@ -41,6 +96,9 @@ impl Arm {
         speed_fraction: f64,
     ) -> Result<(), ArmError> {
         self.parameters.check_joints(q_rad)?;
+        if matches!(self.motion, Motion::Path(_)) {
+            self.check_stop()?;
+        }
         let speed_fraction = check_speed("speed_fraction", Some(speed_fraction), 1.0)?;
         let segment =
             Segment { start: self.joint_state(), goal, limits: self.joint_axis_limits(speed_fraction) };
@@ -50,17 +108,18 @@ impl Arm {
         Ok(())
     }
 
-    /// Stops: on the line if on a line, else in the joints. `next` begins where the arm comes to rest.
-    pub(super) fn stop_then(&mut self, goal_after: Option<LineGoal>) -> Result<(), ArmError> {
-        let stop = match self.motion {
+    /// Stops: on the path if on a path, else in the joints. What comes after begins where the arm comes to rest: returned.
+    pub(super) fn stop_then(
+        &mut self,
+        goal_after: Option<PathGoal>,
+    ) -> Result<Option<Isometry3<f64>>, ArmError> {
+        let (motion, next) = match self.motion {
             Motion::Rest => {
-                if let Some(goal) = goal_after {
-                    let next = self.line_from(&self.state.q_rad, &goal)?;
-                    let motion = self.plan_line(next.line, AxisState::at_rest([0.0]), 1.0, next.limits)?;
-                    self.line_planner.commit();
-                    self.motion = Motion::Line(motion);
-                }
-                return Ok(());
+                let Some(goal) = goal_after else { return Ok(None) };
+                let next = self.path_from(&self.state.q_rad, &goal)?;
+                let motion = self.plan_path(next.path, AxisState::at_rest([0.0]), 1.0, next.limits)?;
+                self.path_planner.commit();
+                (Motion::Path(motion), Some(next))
             }
             Motion::Joint(_) => {
                 let segment = Segment {
@@ -70,88 +129,107 @@ impl Arm {
                 };
                 let duration_s = self.joint_planner.plan(&segment)?;
                 let end = self.joint_planner.sample_candidate(duration_s).position;
-                let next = goal_after.map(|goal| self.line_from(&end, &goal)).transpose()?;
+                let next = goal_after.map(|goal| self.path_from(&end, &goal)).transpose()?;
                 self.joint_planner.commit();
-                Motion::Joint(JointMotion { segment, duration_s, tick: 0, next })
+                (Motion::Joint(JointMotion { segment, duration_s, tick: 0, next }), next)
             }
-            Motion::Line(old) => {
-                let start = self.line_planner.sample(self.time_s(old.tick));
+            Motion::Path(old) => {
+                let start = self.path_planner.sample(self.time_s(old.tick));
                 let segment = Segment { start, goal: Goal::Standstill, limits: old.segment.limits };
-                let duration_s = self.line_planner.plan(&segment)?;
-                let end = self.line_planner.sample_candidate(duration_s).position[0];
-                let unreachable = |reason| ArmError::LineUnreachable { fraction: end, reason };
+                let duration_s = self.path_planner.plan(&segment)?;
+                let end = self.path_planner.sample_candidate(duration_s).position[0];
+                let unreachable = |reason| ArmError::PathUnreachable { fraction: end, reason };
                 let end =
-                    self.follower().joints_at(&old.line, end, &self.state.q_rad).map_err(unreachable)?;
-                let next = goal_after.map(|goal| self.line_from(&end.q_rad, &goal)).transpose()?;
-                self.line_planner.commit();
-                Motion::Line(LineMotion { line: old.line, segment, duration_s, tick: 0, next })
+                    self.follower().joints_at(&old.path, end, &self.state.q_rad).map_err(unreachable)?;
+                let next = goal_after.map(|goal| self.path_from(&end.q_rad, &goal)).transpose()?;
+                self.path_planner.commit();
+                (Motion::Path(PathMotion { path: old.path, segment, duration_s, tick: 0, next }), next)
             }
         };
-        self.motion = stop;
-        Ok(())
+        self.motion = motion;
+        Ok(next.map(|next| next.path.pose(0.0)))
     }
 
-    /// A line from the flange's pose at `q_rad`, looked at and found passable.
-    fn line_from(&self, q_rad: &Joints, goal: &LineGoal) -> Result<NextLine, ArmError> {
-        let line = Line::between(&self.parameters.geometry.forward(q_rad), &goal.t_base_flange);
-        let limits = self.follower().limits_along(&line, (0.0, 1.0), q_rad, goal.speed)?;
-        Ok(NextLine { line, limits })
+    /// A path from the tool base's pose at `q_rad`, looked at and found passable.
+    fn path_from(&self, q_rad: &Joints, goal: &PathGoal) -> Result<NextPath, ArmError> {
+        let start = self.parameters.geometry.forward(q_rad);
+        let path = match &goal.aim {
+            Aim::Pose(t_base_tool) => Path::straight(&start, t_base_tool),
+            Aim::About { t_base_tool, pivot_m } => {
+                for (end, pose) in [("start", &start), ("goal", t_base_tool)] {
+                    let in_tool = pose.inverse_transform_point(&Point3::from(*pivot_m));
+                    let missed_m = libm::hypot(in_tool.x, in_tool.y);
+                    // A NaN is in no range.
+                    if !(0.0..=PIVOT_TOLERANCE_M).contains(&missed_m) {
+                        return Err(ArmError::PivotMissed { end, missed_m, allowed_m: PIVOT_TOLERANCE_M });
+                    }
+                }
+                Path::about(&start, t_base_tool, pivot_m)
+            }
+            Aim::Along { axis, depth_m } => {
+                let mut end = start;
+                end.translation.vector += axis * *depth_m;
+                Path::straight(&start, &end)
+            }
+        };
+        let limits = self.follower().limits_along(&path, (0.0, 1.0), q_rad, goal.speed)?;
+        Ok(NextPath { path, limits })
     }
 
+    /// Straight to `t_base_tool`; without a stop if it lies ahead on the line that the tool is on.
     pub(super) fn go_straight(
         &mut self,
-        t_world_flange: &Isometry3<f64>,
+        t_base_tool: &Isometry3<f64>,
         speed: (f64, f64),
     ) -> Result<(), ArmError> {
-        let t_base_flange = self.t_base_flange(t_world_flange)?;
-        if let Motion::Line(old) = self.motion {
-            let start = self.line_planner.sample(self.time_s(old.tick));
-            if let Some(motion) = self.extend_line(&old, start, &t_base_flange, speed)? {
-                self.line_planner.commit();
-                self.motion = Motion::Line(motion);
+        if let Motion::Path(old) = self.motion {
+            let start = self.path_planner.sample(self.time_s(old.tick));
+            if let Some(motion) = self.extend_path(&old, start, t_base_tool, speed)? {
+                self.path_planner.commit();
+                self.motion = Motion::Path(motion);
                 return Ok(());
             }
         }
-        self.stop_then(Some(LineGoal { t_base_flange, speed }))
+        self.stop_then(Some(PathGoal { aim: Aim::Pose(*t_base_tool), speed })).map(drop)
     }
 
-    /// The motion to a goal further along the line the flange is on; `None` if the goal lies elsewhere, or if the flange
+    /// The motion to a goal further along the line the tool is on; `None` if the goal lies elsewhere, or if the tool
     /// would turn back on the way (goal nearer than the stopping distance, or a speed cut so sharp that Ruckig's braking
     /// undershoots through zero).
-    fn extend_line(
+    fn extend_path(
         &mut self,
-        old: &LineMotion,
+        old: &PathMotion,
         start: AxisState<1>,
         goal: &Isometry3<f64>,
         speed: (f64, f64),
-    ) -> Result<Option<LineMotion>, ArmError> {
+    ) -> Result<Option<PathMotion>, ArmError> {
         let from = start.position[0];
-        let Some(to) = old.line.parameter_of(goal, from) else { return Ok(None) };
+        let Some(to) = old.path.parameter_of(goal, from) else { return Ok(None) };
         let direction = if to < from { -1.0 } else { 1.0 };
-        let limits = self.follower().limits_along(&old.line, (from, to), &self.state.q_rad, speed)?;
-        let motion = self.plan_line(old.line, start, to, limits)?;
+        let limits = self.follower().limits_along(&old.path, (from, to), &self.state.q_rad, speed)?;
+        let motion = self.plan_path(old.path, start, to, limits)?;
         // All braking, and so any turning back, is over after this time; a sample every few milliseconds finds it.
         let (a, j) = (limits.acceleration[0], limits.jerk[0]);
         let brake_s = start.velocity[0].abs() / a + start.acceleration[0].abs() / j + 3.0 * a / j;
         let goes_on = (0..=RETARGET_SAMPLES).all(|i| {
             let time_s = brake_s.min(motion.duration_s) * i as f64 / RETARGET_SAMPLES as f64;
-            let sample = self.line_planner.sample_candidate(time_s);
+            let sample = self.path_planner.sample_candidate(time_s);
             (to - sample.position[0]) * direction >= -1e-9 && sample.velocity[0] * direction >= -1e-9
         });
         Ok(goes_on.then_some(motion))
     }
 
-    /// Plans the parameter's way to `to` as the candidate of the line planner.
-    pub(super) fn plan_line(
+    /// Plans the parameter's way to `to` as the candidate of the path planner.
+    pub(super) fn plan_path(
         &mut self,
-        line: Line,
+        path: Path,
         start: AxisState<1>,
         to: f64,
         limits: AxisLimits<1>,
-    ) -> Result<LineMotion, ArmError> {
+    ) -> Result<PathMotion, ArmError> {
         let segment = Segment { start, goal: Goal::Independent([to]), limits };
-        let duration_s = self.line_planner.plan(&segment)?;
-        Ok(LineMotion { line, segment, duration_s, tick: 0, next: None })
+        let duration_s = self.path_planner.plan(&segment)?;
+        Ok(PathMotion { path, segment, duration_s, tick: 0, next: None })
     }
 }
 

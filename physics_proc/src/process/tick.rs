@@ -379,10 +379,10 @@ impl<'v> Runner<'v> {
 
     fn report_refusals(&mut self) -> Result<(), PhysicsError> {
         for refusal in self.simulation.refusals() {
-            self.refused_commands += 1;
+            self.refused_commands += u64::from(!refusal.stopped_later);
             let name = &self.ports.controllers[refusal.controller_index as usize].name;
-            let text =
-                format!("controller `{name}`: command {}: {}; refused", refusal.sequence, refusal.reason);
+            let end = if refusal.stopped_later { "" } else { "; refused" };
+            let text = format!("controller `{name}`: command {}: {}{end}", refusal.sequence, refusal.reason);
             self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_COMMAND_REFUSED, &text)?;
         }
         Ok(())

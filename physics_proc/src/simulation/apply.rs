@@ -1,16 +1,18 @@
 //! What the latched commands do to the actuators.
 
 use ipc_types::messages::{
-    ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_SERVO_CP, ARM_SERVO_JP, BURR_SPEED, Command, Latched,
-    Pose, SOURCE_FRESH, SOURCE_SAFE, TENDON_MOVE_JP, TENDON_SERVO_JF, TENDON_SERVO_JP,
+    ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JP,
+    ARM_SERVO_JV, BURR_SPEED, Command, Latched, Pose, SOURCE_FRESH, SOURCE_SAFE, TENDON_MOVE_JP,
+    TENDON_SERVO_JF, TENDON_SERVO_JP,
 };
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::Simulation;
 use crate::arm::ArmCommand;
 use crate::manipulator::ManipulatorModel;
 
-/// A valid command that the model could not follow (an unreachable goal); nothing has changed by it.
+/// A valid command that the model could not follow (an unreachable goal), by which nothing has changed; or an accepted arm
+/// motion that was given up later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
     /// Index of the controller in the scene.
@@ -19,6 +21,8 @@ pub struct Refusal {
     pub sequence: u64,
     /// Why.
     pub reason: String,
+    /// The command had been accepted: the arm gave its motion up, or stopped a joint, on the way.
+    pub stopped_later: bool,
 }
 
 impl Simulation<'_> {
@@ -30,6 +34,9 @@ impl Simulation<'_> {
                 continue;
             }
             let outcome = self.apply_tendon(&entry.command).and_then(|()| self.apply_arm(&entry.command));
+            if entry.command.arm_mode != ARM_NONE {
+                self.arm_driver = (entry.controller_index, entry.command.sequence);
+            }
             if entry.command.burr_mode == BURR_SPEED {
                 self.burr_speed_rad_per_s = entry.command.burr_speed_rad_per_s;
             }
@@ -38,6 +45,7 @@ impl Simulation<'_> {
                     controller_index: entry.controller_index,
                     sequence: entry.command.sequence,
                     reason,
+                    stopped_later: false,
                 });
             }
         }
@@ -69,17 +77,44 @@ impl Simulation<'_> {
             }
             ARM_MOVE_JP => ArmCommand::MoveJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 },
             ARM_SERVO_CP => {
-                ArmCommand::ServoCp { t_world_flange: isometry(&command.t_world_base), speed_fraction: 1.0 }
+                ArmCommand::ServoCp { t_world_tool: isometry(&command.t_world_base), speed_fraction: 1.0 }
             }
             ARM_MOVE_CP => ArmCommand::MoveCp {
-                t_world_flange: isometry(&command.t_world_base),
+                t_world_tool: isometry(&command.t_world_base),
                 max_speed_m_s: speed_m_per_s,
                 max_angular_speed_rad_s: None,
             },
             ARM_HOLD => ArmCommand::Hold,
+            ARM_SERVO_JV => ArmCommand::ServoJv { qd_rad_s: command.arm_joint_velocity_rad_per_s },
+            ARM_INSERT => ArmCommand::Insert {
+                axis_world: Vector3::from(command.arm_axis),
+                depth_m: command.arm_depth_m,
+                feed_m_s: command.arm_speed_m_per_s,
+            },
+            ARM_RCM => ArmCommand::Rcm {
+                t_world_tool: isometry(&command.t_world_base),
+                pivot_world_m: Vector3::from(command.arm_pivot_m),
+                max_speed_m_s: speed_m_per_s,
+            },
             other => return Err(format!("arm_mode is {other}")),
         };
         self.arm.command(wanted).map_err(|cause| format!("arm: {cause}"))
+    }
+}
+
+impl Simulation<'_> {
+    /// Says once why the arm gave a motion up or stopped a joint, to whoever drove it last.
+    pub(super) fn report_arm_fault(&mut self) {
+        let fault = self.arm.state().fault;
+        if fault == self.arm_fault {
+            return;
+        }
+        self.arm_fault = fault;
+        if let Some(cause) = fault {
+            let (controller_index, sequence) = self.arm_driver;
+            let reason = format!("arm: stopped on its way: {cause}");
+            self.refusals.push(Refusal { controller_index, sequence, reason, stopped_later: true });
+        }
     }
 }
 

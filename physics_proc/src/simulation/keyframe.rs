@@ -13,7 +13,7 @@ use thiserror::Error;
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::{Simulation, SimulationError, SimulationSnapshot, TendonDriveState};
-use crate::arm::ArmSnapshot;
+use crate::arm::{ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::BoneSnapshot;
 use crate::manipulator::AnyManipulatorState;
 use crate::rigid::{RigidScene, RigidSnapshot};
@@ -60,7 +60,7 @@ impl Simulation<'_> {
         let given = buffer.len();
         let whole = (
             Bytes(self.state.as_bytes()),
-            self.arm.snapshot(),
+            (self.arm.snapshot(), self.compliance.as_ref().map(Compliance::state)),
             self.manipulator.state(),
             self.bone.as_ref().map(|bone| bone.field.serialised()),
             self.rigid.as_ref().map(RigidScene::serialised),
@@ -79,7 +79,7 @@ impl Simulation<'_> {
     pub fn restore_keyframe(&mut self, bytes: &[u8]) -> Result<(), SimulationError> {
         type Whole<'b> = (
             &'b [u8],
-            ArmSnapshot,
+            (ArmSnapshot, Option<ComplianceState>),
             AnyManipulatorState,
             Option<BoneSnapshot>,
             Option<RigidSnapshot>,
@@ -89,7 +89,7 @@ impl Simulation<'_> {
         let unreadable = |cause: String| KeyframeError::Unreadable { cause };
         let (whole, rest): (Whole<'_>, _) =
             postcard::take_from_bytes(bytes).map_err(|cause| unreadable(cause.to_string()))?;
-        let (state, arm, manipulator, bone, rigid, tendon, (burr_speed_rad_per_s, cutting_energy_j)) = whole;
+        let (state, (arm, compliance), manipulator, bone, rigid, tendon, (burr_speed_rad_per_s, cutting_energy_j)) = whole;
         let state = State::read_from_bytes(state).map_err(|_| unreadable("its state".to_owned()))?;
         if !rest.is_empty() {
             return Err(unreadable(format!("{} bytes too many", rest.len())).into());
@@ -97,6 +97,9 @@ impl Simulation<'_> {
         let other = |what| Err(KeyframeError::OtherScene { what }.into());
         if bone.is_some() != self.bone.is_some() {
             return other("volume and strength field");
+        }
+        if compliance.is_some() != self.compliance.is_some() {
+            return other("the arm's joints, rigid or elastic,");
         }
         if !self.manipulator.fits(&manipulator) {
             return other("the manipulator's model and links");
@@ -111,6 +114,7 @@ impl Simulation<'_> {
         }
         self.restore(&SimulationSnapshot {
             arm,
+            compliance,
             manipulator,
             bone,
             rigid,

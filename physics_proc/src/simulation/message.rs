@@ -1,11 +1,14 @@
 //! The state as a message.
 
 use ipc_types::messages::{
-    AppliedCommand, Contact, Latched, PART_BURR, PART_SEGMENT, PART_SHAFT, Pose, Wrench,
+    ARM_DONE, ARM_FAULT, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_MOVING, ARM_RCM, ARM_SERVO_CP,
+    ARM_SERVO_JP, ARM_SERVO_JV, AppliedCommand, Contact, Latched, PART_BURR, PART_SEGMENT, PART_SHAFT, Pose,
+    Wrench,
 };
 use nalgebra::{Isometry3, Vector3};
 
 use super::{Simulation, numbers};
+use crate::arm::ArmMode;
 use crate::manipulator::{ManipulatorModel, SphereKind};
 
 impl Simulation<'_> {
@@ -96,7 +99,38 @@ impl Simulation<'_> {
         let arm = self.arm.state();
         self.state.arm_joint_position_rad = arm.q_rad;
         self.state.arm_joint_velocity_rad_per_s = arm.qd_rad_s;
-        self.state.t_world_flange = pose(&arm.t_world_flange);
+        self.state.arm_mode = mode_number(arm.mode);
+        self.state.arm_status = match (arm.fault, arm.done) {
+            (Some(_), _) => ARM_FAULT,
+            (None, true) => ARM_DONE,
+            (None, false) => ARM_MOVING,
+        };
+        self.state.arm_manipulability_m3 = self.arm.parameters().geometry.manipulability_m3(&arm.q_rad);
+        self.state.t_world_flange = pose(&self.arm.t_world_flange());
+        if let Some(compliance) = &self.compliance {
+            let (deflected, elastic) = (compliance.base(&self.arm), compliance.state());
+            for i in 0..6 {
+                self.state.arm_joint_position_rad[i] += elastic.deflection_rad[i];
+                self.state.arm_joint_velocity_rad_per_s[i] += elastic.rate_rad_s[i];
+            }
+            self.state.arm_joint_deflection_rad = elastic.deflection_rad;
+            let tool = self.arm.parameters().geometry.t_flange_tool.unwrap_or_else(Isometry3::identity);
+            self.state.t_world_flange = pose(&(deflected.t_world_tool * tool.inverse()));
+        }
+    }
+}
+
+/// The command's `arm_mode` of what the arm follows.
+fn mode_number(mode: ArmMode) -> u32 {
+    match mode {
+        ArmMode::Hold => ARM_HOLD,
+        ArmMode::ServoJp => ARM_SERVO_JP,
+        ArmMode::ServoJv => ARM_SERVO_JV,
+        ArmMode::MoveJp => ARM_MOVE_JP,
+        ArmMode::ServoCp => ARM_SERVO_CP,
+        ArmMode::MoveCp => ARM_MOVE_CP,
+        ArmMode::Insert => ARM_INSERT,
+        ArmMode::Rcm => ARM_RCM,
     }
 }
 

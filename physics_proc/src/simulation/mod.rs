@@ -23,7 +23,7 @@ use thiserror::Error;
 use xxhash_rust::xxh3::Xxh3;
 use zerocopy::IntoBytes;
 
-use crate::arm::{Arm, ArmError, ArmSnapshot};
+use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
 use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry};
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
@@ -75,6 +75,7 @@ pub enum SimulationError {
 #[derive(Debug, Clone)]
 pub struct SimulationSnapshot {
     arm: ArmSnapshot,
+    compliance: Option<ComplianceState>,
     manipulator: AnyManipulatorState,
     bone: Option<BoneSnapshot>,
     rigid: Option<RigidSnapshot>,
@@ -88,6 +89,7 @@ pub struct SimulationSnapshot {
 pub struct Simulation<'v> {
     dt_s: f64,
     arm: Arm,
+    compliance: Option<Compliance>,
     manipulator: AnyManipulator,
     bone: Option<Bone<'v>>,
     rigid: Option<RigidScene>,
@@ -98,6 +100,10 @@ pub struct Simulation<'v> {
     state: State,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
+    /// Controller and sequence number of the last arm command.
+    arm_driver: (u32, u64),
+    /// The arm's fault that has been reported.
+    arm_fault: Option<ArmError>,
     initial: Option<Box<SimulationSnapshot>>,
 }
 
@@ -148,12 +154,8 @@ impl<'v> Simulation<'v> {
             self.reset()?;
         }
         self.apply(latched);
-        let arm = self.arm.step();
-        let base = BaseMotion {
-            t_world_base: arm.t_world_flange,
-            linear_velocity_m_per_s: arm.linear_velocity_m_s,
-            angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
-        };
+        let base = self.move_arm()?;
+        self.report_arm_fault();
         self.find_contacts();
         let tendon = self.tendon.step(self.dt_s);
         let tip_wrench = Wrench::zero();
@@ -171,6 +173,24 @@ impl<'v> Simulation<'v> {
         self.update_state(latched, removed);
         self.update_hash(latched);
         Ok(())
+    }
+
+    /// Moves the arm; where that carries the tool's base, the deflection of elastic joints included.
+    fn move_arm(&mut self) -> Result<BaseMotion, SimulationError> {
+        let arm = self.arm.step();
+        let rigid = BaseMotion {
+            t_world_base: arm.t_world_tool,
+            linear_velocity_m_per_s: arm.linear_velocity_m_s,
+            angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
+        };
+        let Some(compliance) = &mut self.compliance else { return Ok(rigid) };
+        let wrench = self.manipulator.flange_wrench();
+        let deflected = compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
+        Ok(BaseMotion {
+            t_world_base: deflected.t_world_tool,
+            linear_velocity_m_per_s: deflected.linear_velocity_m_s,
+            angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
+        })
     }
 
     fn find_contacts(&mut self) {
@@ -231,6 +251,7 @@ impl<'v> Simulation<'v> {
     pub fn snapshot(&self) -> SimulationSnapshot {
         SimulationSnapshot {
             arm: self.arm.snapshot(),
+            compliance: self.compliance.as_ref().map(|compliance| *compliance.state()),
             manipulator: self.manipulator.snapshot(),
             bone: self.bone.as_ref().map(|bone| bone.field.snapshot()),
             rigid: self.rigid.as_ref().map(RigidScene::snapshot),
@@ -247,6 +268,9 @@ impl<'v> Simulation<'v> {
     /// The snapshot is of another scene.
     pub fn restore(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
         self.arm.restore(&snapshot.arm)?;
+        if let (Some(compliance), Some(saved)) = (&mut self.compliance, &snapshot.compliance) {
+            compliance.restore(saved);
+        }
         self.manipulator.restore(&snapshot.manipulator);
         if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
             bone.field.restore(saved)?;

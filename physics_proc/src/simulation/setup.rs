@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 
 use super::tendon_drive::TendonDrive;
 use super::{Bone, CtView, Simulation, SimulationError};
-use crate::arm::{Arm, ArmParameters, place_base_for};
+use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
 use crate::bone::{BoneField, BoneParameters, ContactBuffer};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
@@ -16,13 +16,16 @@ use crate::manipulator::{
 };
 use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
+const RAD_PER_DEG: f64 = core::f64::consts::PI / 180.0;
+
 pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
     let parameters = manipulator_parameters(scene)?;
     let t_world_base = tool_base(&scene.tool, &parameters);
     let arm = arm(scene, &t_world_base)?;
     // The arm's own forward kinematics, so that tick 1 does not begin with a jump of one rounding.
-    let base = BaseMotion::at_rest(arm.state().t_world_flange);
+    let base = BaseMotion::at_rest(arm.state().t_world_tool);
     let max_burr_radius_m = parameters.burr_radius_m;
+    let compliance = compliance(scene, &parameters)?;
     let manipulator = AnyManipulator::new(rung(scene), parameters, &base)?;
     let (bone, predrilled) = match (&scene.volume, ct) {
         (None, _) => (None, Vec::new()),
@@ -43,6 +46,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
     Ok(Simulation {
         dt_s: scene.dt_s(),
         arm,
+        compliance,
         manipulator,
         bone,
         rigid,
@@ -52,7 +56,9 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         cutting_energy_j: 0.0,
         state: State::zeroed(),
         predrilled,
-        refusals: Vec::with_capacity(ipc_types::messages::MAX_CONTROLLERS),
+        refusals: Vec::with_capacity(ipc_types::messages::MAX_CONTROLLERS + 1),
+        arm_driver: (0, 0),
+        arm_fault: None,
         initial: None,
     })
 }
@@ -142,7 +148,7 @@ fn body(body: &Body) -> BodyParameters {
         // A scene's body has one shape; a radius of 0 is refused.
         BodyShape::Ball { radius_m: body.ball.as_ref().map_or(0.0, |ball| ball.radius_mm * 1e-3) }
     };
-    let turn_rad = Vector3::from(body.rotation_vector_deg) * (core::f64::consts::PI / 180.0);
+    let turn_rad = Vector3::from(body.rotation_vector_deg) * RAD_PER_DEG;
     let t_world_body = Isometry3::from_parts(
         Translation3::from(Vector3::from(body.position_mm) * 1e-3),
         UnitQuaternion::from_scaled_axis(turn_rad),
@@ -155,14 +161,53 @@ fn body(body: &Body) -> BodyParameters {
     BodyParameters { name: body.name.clone(), shape, t_world_body, motion, density_kg_per_m3, friction }
 }
 
-fn arm(scene: &Scene, t_world_flange: &Isometry3<f64>) -> Result<Arm, SimulationError> {
+fn arm(scene: &Scene, t_world_tool: &Isometry3<f64>) -> Result<Arm, SimulationError> {
+    let given = &scene.arm;
     let mut parameters = ArmParameters::ur5(scene.dt_s());
-    let (t_world_arm_base, joints) = place_base_for(&parameters.geometry, t_world_flange);
-    parameters.t_world_arm_base = t_world_arm_base;
-    parameters.cartesian_limits.speed_m_s = scene.arm.max_speed_mm_per_s * 1e-3;
-    parameters.cartesian_limits.acceleration_m_s2 = scene.arm.max_acceleration_mm_per_s2 * 1e-3;
-    parameters.cartesian_limits.jerk_m_s3 = scene.arm.max_jerk_mm_per_s3 * 1e-3;
+    if given.tool_position_mm != [0.0; 3] || given.tool_rotation_vector_deg != [0.0; 3] {
+        parameters.geometry.t_flange_tool = Some(Isometry3::new(
+            Vector3::from(given.tool_position_mm) * 1e-3,
+            Vector3::from(given.tool_rotation_vector_deg) * RAD_PER_DEG,
+        ));
+    }
+    let joints = given.initial_joints_deg.map_or(COMFORTABLE_Q_RAD, |q| q.map(|angle| angle * RAD_PER_DEG));
+    parameters.t_world_arm_base = place_base_for(&parameters.geometry, t_world_tool, &joints);
+    let path = &mut parameters.cartesian_limits;
+    path.speed_m_s = given.max_speed_mm_per_s * 1e-3;
+    path.acceleration_m_s2 = given.max_acceleration_mm_per_s2 * 1e-3;
+    path.jerk_m_s3 = given.max_jerk_mm_per_s3 * 1e-3;
+    let set = |limit: &mut f64, deg: Option<f64>| *limit = deg.map_or(*limit, |deg| deg * RAD_PER_DEG);
+    set(&mut path.angular_speed_rad_s, given.max_turn_deg_per_s);
+    set(&mut path.angular_acceleration_rad_s2, given.max_turn_deg_per_s2);
+    set(&mut path.angular_jerk_rad_s3, given.max_turn_deg_per_s3);
+    let limits = &mut parameters.joint_limits;
+    for i in 0..6 {
+        set(&mut limits.velocity_rad_s[i], given.max_joint_speed_deg_per_s);
+        set(&mut limits.acceleration_rad_s2[i], given.max_joint_acceleration_deg_per_s2);
+        set(&mut limits.jerk_rad_s3[i], given.max_joint_jerk_deg_per_s3);
+        set(&mut limits.lower_rad[i], given.lower_joints_deg.map(|q| q[i]));
+        set(&mut limits.upper_rad[i], given.upper_joints_deg.map(|q| q[i]));
+    }
     Ok(Arm::new(parameters, &joints)?)
+}
+
+/// Contacts that may answer a displacement of the tool's base at once: two on either side of a tunnel.
+const CONTACTS_AT_ONCE: f64 = 4.0;
+
+fn compliance(scene: &Scene, tool: &ManipulatorParameters) -> Result<Option<Compliance>, SimulationError> {
+    let Some(given) = &scene.arm.compliance else { return Ok(None) };
+    let mount = tool.mount_stiffness_n_per_m.into_iter().fold(0.0, f64::max);
+    let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);
+    let last_m = tool.joint_positions_m.last().copied().unwrap_or(0.0);
+    let mass_kg = tool.shaft_mass_kg + tool.burr_mass_kg + tool.linear_density_kg_per_m * (last_m - first_m);
+    let parameters = ComplianceParameters {
+        stiffness_nm_per_rad: given.joint_stiffness_nm_per_rad,
+        damping_nms_per_rad: given.joint_damping_nms_per_rad,
+        tool_stiffness_n_per_m: mount + CONTACTS_AT_ONCE * tool.contact.stiffness_n_per_m,
+        tool_damping_n_s_per_m: 2.0 * tool.mount_damping_ratio * libm::sqrt(mount * mass_kg),
+        tool_length_m: last_m + tool.tip_offset_m,
+    };
+    Ok(Some(Compliance::new(parameters)?))
 }
 
 fn bone<'v>(

@@ -1,0 +1,103 @@
+//! The test of skiving: a straight feed with the burr on, and how far the burr leaves its line.
+
+use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
+use ipc_types::scene::Skiving;
+use nalgebra::Vector3;
+
+use crate::Controller;
+use crate::geometry::{position_m, rotation};
+
+/// Depth between two reports.
+const REPORT_M: f64 = 1e-3;
+
+/// Where the burr is, seen from the line of the feed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SkivingPoint {
+    /// Feed of the tool's base.
+    pub depth_m: f64,
+    /// Burr's distance from the line toward the side to which tendon 0 bends.
+    pub toward_bend_m: f64,
+    /// Burr's distance from the line across that.
+    pub across_m: f64,
+}
+
+/// Feeds straight on and reports.
+#[derive(Debug, Clone)]
+pub struct SkivingController {
+    plan: Skiving,
+    start: Option<Start>,
+    points: Vec<SkivingPoint>,
+    remark: Option<String>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Start {
+    flange_m: Vector3<f64>,
+    burr_m: Vector3<f64>,
+    bend: Vector3<f64>,
+    across: Vector3<f64>,
+    along: Vector3<f64>,
+}
+
+impl SkivingController {
+    /// A controller for this plan.
+    pub fn new(plan: &Skiving) -> SkivingController {
+        SkivingController { plan: plan.clone(), start: None, points: Vec::new(), remark: None }
+    }
+
+    /// What has been reported so far: one point a millimetre, and one at the end.
+    pub fn points(&self) -> &[SkivingPoint] {
+        &self.points
+    }
+
+    fn look(&mut self, start: &Start, state: &State) {
+        let depth_m = (position_m(&state.t_world_flange) - start.flange_m).dot(&start.along);
+        let end_m = self.plan.depth_mm * 1e-3;
+        let due_m = (self.points.len() as f64 * REPORT_M).min(end_m);
+        let reported_m = self.points.last().map_or(-1.0, |point| point.depth_m);
+        // A nanometre: the arm ends exactly, but for rounding.
+        if depth_m < due_m - 1e-9 || reported_m >= end_m - 1e-9 {
+            return;
+        }
+        let off = position_m(&state.t_world_burr) - start.burr_m;
+        let point =
+            SkivingPoint { depth_m, toward_bend_m: off.dot(&start.bend), across_m: off.dot(&start.across) };
+        self.points.push(point);
+        self.remark = Some(format!(
+            "skiving: at {:.2} mm the burr is {:+.3} mm off its line toward the bend, {:+.3} mm across; bend {:+.2} deg, \
+             force {:.2} N",
+            depth_m * 1e3,
+            point.toward_bend_m * 1e3,
+            point.across_m * 1e3,
+            state.bend_rad.to_degrees(),
+            state.burr_force_n
+        ));
+    }
+}
+
+impl Controller for SkivingController {
+    fn step(&mut self, state: &State, command: &mut Command) {
+        let turn = rotation(&state.t_world_base);
+        let begin = Start {
+            flange_m: position_m(&state.t_world_flange),
+            burr_m: position_m(&state.t_world_burr),
+            bend: turn * Vector3::x(),
+            across: turn * Vector3::y(),
+            along: turn * Vector3::z(),
+        };
+        let start = *self.start.get_or_insert(begin);
+        self.look(&start, state);
+        command.tendon_mode = TENDON_SERVO_JF;
+        command.tendon_force_n[..2].fill(self.plan.tension_n);
+        command.burr_mode = BURR_SPEED;
+        command.burr_speed_rad_per_s = self.plan.burr_speed_rpm * core::f64::consts::TAU / 60.0;
+        command.arm_mode = ARM_INSERT;
+        command.arm_axis = start.along.into();
+        command.arm_depth_m = self.plan.depth_mm * 1e-3;
+        command.arm_speed_m_per_s = self.plan.feed_mm_per_s * 1e-3;
+    }
+
+    fn remark(&mut self) -> Option<String> {
+        self.remark.take()
+    }
+}

@@ -1,0 +1,203 @@
+//! Elastic joints: a spring and a damper between each gear and its link, for scenes whose question needs them.
+//!
+//! The links move by `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`: d and v deflection of the joints and its rate, q̈ the commanded
+//! acceleration, w the tool's wrench on its base, M the mass matrix of the UR5's links. One step is linearly implicit
+//! Euler, as the manipulator's: `(M + A + h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`.
+//! At rest `d = K⁻¹ Jᵀ w`, and to first order the tool's base has moved by `J K⁻¹ Jᵀ w`.
+//!
+//! The manipulator's own implicit solve takes the base's motion as given and answers with w in the same tick; the links
+//! see it one tick later. The mass `A = h² Jᵀ Z J` makes that exchange stable: a force that follows a displacement by one
+//! tick with stiffness Z is stable in this scheme if the mass is at least h² Z / 4. Z is what the tool can answer with at
+//! most: its mount (stiffness and damping) and a contact, at its base and at its tip. A vanishes with h² and does not
+//! enter statics.
+//!
+//! Left out: gravity on the links (the commanded angles are those of the loaded arm), and velocity products, of the order
+//! of 1e-4 of the acceleration terms at the speeds of drilling.
+
+use super::kinematics::{Joints, LinkFrames, UrGeometry, stack};
+use super::{Arm, ArmError};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about its axes there.
+struct Link {
+    mass_kg: f64,
+    centre_m: [f64; 3],
+    inertia_kg_m2: [f64; 3],
+}
+
+const fn link(mass_kg: f64, centre_m: [f64; 3], inertia_kg_m2: [f64; 3]) -> Link {
+    Link { mass_kg, centre_m, inertia_kg_m2 }
+}
+
+/// Links 1 to 6 of the UR5: Universal_Robots_ROS2_Description, `config/ur5/physical_parameters.yaml`. Masses and centres
+/// are Universal Robots' own, inertias that file's approximation by cylinders; its axes are turned to ours.
+const UR5_LINKS: [Link; 6] = [
+    link(3.7, [0.0, -0.02561, 0.00193], [0.014_972_358, 0.010_406_25, 0.014_972_358]),
+    link(8.393, [0.2125, 0.0, 0.11336], [0.015_107_4, 0.133_885_835, 0.133_885_835]),
+    link(2.33, [0.15, 0.0, 0.0265], [0.004_095, 0.031_216_804, 0.031_216_804]),
+    link(1.219, [0.0, -0.0018, 0.01634], [0.002_013_890, 0.002_194_2, 0.002_013_890]),
+    link(1.219, [0.0, 0.0018, 0.01634], [0.001_831_040, 0.002_194_2, 0.001_831_040]),
+    link(0.1879, [0.0, 0.0, -0.001159], [8.062_476e-5, 8.062_476e-5, 1.321_172e-4]),
+];
+
+/// Springs and dampers of the joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ComplianceParameters {
+    /// Stiffness of each joint, N m/rad.
+    pub stiffness_nm_per_rad: Joints,
+    /// Damping of each joint, N m s/rad.
+    pub damping_nms_per_rad: Joints,
+    /// Most that the tool answers a displacement with: its mount and a contact, N/m.
+    pub tool_stiffness_n_per_m: f64,
+    /// Damping of the tool's mount, N s/m.
+    pub tool_damping_n_s_per_m: f64,
+    /// Length of the tool along its +z, m.
+    pub tool_length_m: f64,
+}
+
+/// Deflection of the joints and its rate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ComplianceState {
+    /// Deflection, in the sense of the joint angle, rad.
+    pub deflection_rad: Joints,
+    /// Its rate, rad/s.
+    pub rate_rad_s: Joints,
+}
+
+/// Motion of the tool's base, patient frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeflectedBase {
+    /// Pose of the tool's base.
+    pub t_world_tool: Isometry3<f64>,
+    /// Velocity of its origin, m/s.
+    pub linear_velocity_m_s: Vector3<f64>,
+    /// Angular velocity, rad/s.
+    pub angular_velocity_rad_s: Vector3<f64>,
+}
+
+/// The elastic joints of an arm.
+#[derive(Clone, Debug)]
+pub struct Compliance {
+    parameters: ComplianceParameters,
+    state: ComplianceState,
+}
+
+impl Compliance {
+    /// Joints at rest without deflection.
+    ///
+    /// # Errors
+    /// A stiffness that is not positive, or a damping or a figure of the tool that is negative.
+    pub fn new(parameters: ComplianceParameters) -> Result<Self, ArmError> {
+        let check = |name: &'static str, values: &[f64], least: f64| match values
+            .iter()
+            .find(|x| !(**x >= least && x.is_finite()))
+        {
+            Some(given) => Err(ArmError::InvalidParameter { name, given: *given }),
+            None => Ok(()),
+        };
+        let p = &parameters;
+        check("stiffness_nm_per_rad", &p.stiffness_nm_per_rad, f64::MIN_POSITIVE)?;
+        check("damping_nms_per_rad", &p.damping_nms_per_rad, 0.0)?;
+        let tool = [p.tool_stiffness_n_per_m, p.tool_damping_n_s_per_m, p.tool_length_m];
+        check("compliance of the tool", &tool, 0.0)?;
+        Ok(Self { parameters, state: ComplianceState::default() })
+    }
+
+    /// Deflection and rate.
+    pub fn state(&self) -> &ComplianceState {
+        &self.state
+    }
+
+    /// Continues from a state.
+    pub fn restore(&mut self, state: &ComplianceState) {
+        self.state = *state;
+    }
+
+    /// Takes one tick of the arm's length after [`Arm::step`], under the tool's force (N) and torque (N m) on its base,
+    /// about the base's origin, patient axes.
+    ///
+    /// # Errors
+    /// The mass matrix cannot be factored: the state is not finite.
+    pub fn step(
+        &mut self,
+        arm: &Arm,
+        force_n: &Vector3<f64>,
+        torque_nm: &Vector3<f64>,
+    ) -> Result<DeflectedBase, ArmError> {
+        let h = arm.parameters().dt_s;
+        let frames = self.frames(arm);
+        let mass = mass_matrix(&arm.parameters().geometry, &self.joints(arm));
+        let turn = arm.parameters().t_world_arm_base.rotation.inverse();
+        let wrench = stack(&(turn * force_n), &(turn * torque_nm));
+        let jacobian = frames.jacobian();
+        let (d, v) = (Vector6::from(self.state.deflection_rad), Vector6::from(self.state.rate_rad_s));
+        let stiffness = Vector6::from(self.parameters.stiffness_nm_per_rad);
+        let damping = Vector6::from(self.parameters.damping_nms_per_rad);
+        let springs = stiffness.component_mul(&(d + v * h)) + damping.component_mul(&v);
+        let commanded = mass * Vector6::from(arm.state().qdd_rad_s2);
+        let rhs = (jacobian.transpose() * wrench - springs - commanded) * h;
+        let mut operator = mass + self.added_mass(&frames, &jacobian, h);
+        for i in 0..6 {
+            operator[(i, i)] += h * damping[i] + h * h * stiffness[i];
+        }
+        let factored = operator.cholesky().ok_or(ArmError::ComplianceFailed)?;
+        let v = v + factored.solve(&rhs);
+        self.state.rate_rad_s = v.into();
+        self.state.deflection_rad = (d + v * h).into();
+        Ok(self.base(arm))
+    }
+
+    /// Motion of the tool's base with the present deflection.
+    pub fn base(&self, arm: &Arm) -> DeflectedBase {
+        let frames = self.frames(arm);
+        let base = &arm.parameters().t_world_arm_base;
+        let rates = Vector6::from(arm.state().qd_rad_s) + Vector6::from(self.state.rate_rad_s);
+        let velocity = frames.jacobian() * rates;
+        DeflectedBase {
+            t_world_tool: base * frames.t_base_link(6),
+            linear_velocity_m_s: base.rotation * velocity.fixed_rows::<3>(0).into_owned(),
+            angular_velocity_rad_s: base.rotation * velocity.fixed_rows::<3>(3).into_owned(),
+        }
+    }
+
+    /// Angles of the links: commanded ones plus deflection.
+    fn joints(&self, arm: &Arm) -> Joints {
+        std::array::from_fn(|i| arm.state().q_rad[i] + self.state.deflection_rad[i])
+    }
+
+    fn frames(&self, arm: &Arm) -> LinkFrames {
+        arm.parameters().geometry.frames(&self.joints(arm))
+    }
+
+    /// h² Jᵀ Z J: the tool's greatest answer at its base and at its tip.
+    fn added_mass(&self, frames: &LinkFrames, jacobian: &Matrix6<f64>, h: f64) -> Matrix6<f64> {
+        let p = &self.parameters;
+        let mass_kg = h * h * p.tool_stiffness_n_per_m + h * p.tool_damping_n_s_per_m;
+        let along = frames.rotation[6].column(2) * p.tool_length_m;
+        let linear = jacobian.fixed_rows::<3>(0);
+        let at_tip = linear - along.cross_matrix() * jacobian.fixed_rows::<3>(3);
+        (linear.transpose() * linear + at_tip.transpose() * at_tip) * mass_kg
+    }
+}
+
+/// Mass matrix of the UR5's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. The tool is not in it.
+pub fn mass_matrix(geometry: &UrGeometry, q_rad: &Joints) -> Matrix6<f64> {
+    let frames = UrGeometry { t_flange_tool: None, ..*geometry }.frames(q_rad);
+    let mut mass = Matrix6::zeros();
+    for (index, link) in UR5_LINKS.iter().enumerate() {
+        let rotation = frames.rotation[index + 1];
+        let centre = frames.origin_m[index + 1] + rotation * Vector3::from(link.centre_m);
+        let mut linear = nalgebra::Matrix3x6::zeros();
+        let mut angular = nalgebra::Matrix3x6::zeros();
+        for joint in 0..=index {
+            let axis: Vector3<f64> = frames.rotation[joint].column(2).into_owned();
+            linear.set_column(joint, &axis.cross(&(centre - frames.origin_m[joint])));
+            angular.set_column(joint, &axis);
+        }
+        let inertia =
+            rotation * Matrix3::from_diagonal(&Vector3::from(link.inertia_kg_m2)) * rotation.transpose();
+        mass += linear.transpose() * linear * link.mass_kg + angular.transpose() * inertia * angular;
+    }
+    mass
+}

@@ -1,0 +1,254 @@
+//! Paths of the tool's base (a straight line, a turn about a pivot), and the limits of the path parameter that keep tool
+//! and joints within theirs.
+
+use super::inverse::KinematicsError;
+use super::kinematics::{Joints, LinkFrames, UrGeometry, solve_rates, stack};
+use super::parameters::{ArmError, CartesianLimits, JointLimits};
+use super::trajectory::AxisLimits;
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// Intervals in which a path is looked at before it is accepted.
+const PATH_INTERVALS: usize = 32;
+/// A path on which |det J| falls below this is refused as singular (UR5: typically 0.05 to 0.1 m³).
+const LEAST_MANIPULABILITY_M3: f64 = 1e-4;
+/// Joint angles at the next sample may differ by this from their trapezoidal prediction before the path counts as singular.
+const PREDICTION_TOLERANCE_RAD: f64 = 0.05;
+/// A goal this near to the extended line lies on it: 1e-9 m and 1e-9 rad, a thousandth of the promised micrometre.
+const SAME_LINE_TOLERANCE: f64 = 1e-9;
+/// Ceilings of the path parameter's rates (1/s, 1/s², 1/s³), so that a path of almost no length stays well-scaled.
+const PARAMETER_CEILING: [f64; 3] = [1e4, 1e6, 1e8];
+
+/// How the tool's base goes along a path.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+enum Course {
+    /// Its origin on a straight line.
+    Straight { translation_m: Vector3<f64> },
+    /// A point of the tool stays at `pivot_m`; in the tool's frame it is first at `in_tool_m` and shifts by `shift_m`.
+    Pivot { pivot_m: Vector3<f64>, in_tool_m: Vector3<f64>, shift_m: Vector3<f64> },
+}
+
+/// A translation and a turn about a fixed axis, in proportion to one parameter: 0 at the start, 1 at the goal. Base frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Path {
+    start: Isometry3<f64>,
+    rotation_rad: Vector3<f64>,
+    course: Course,
+}
+
+impl Path {
+    /// From `start` straight to `goal`, by the shorter turn.
+    pub(super) fn straight(start: &Isometry3<f64>, goal: &Isometry3<f64>) -> Self {
+        let turn = goal.rotation * start.rotation.inverse();
+        let translation_m = goal.translation.vector - start.translation.vector;
+        Self { start: *start, rotation_rad: turn.scaled_axis(), course: Course::Straight { translation_m } }
+    }
+
+    /// From `start` to `goal` about a pivot that the tool slides through. The pivot's place in the tool's frame goes in
+    /// proportion from that at the start to that at the goal.
+    pub(super) fn about(start: &Isometry3<f64>, goal: &Isometry3<f64>, pivot_m: &Vector3<f64>) -> Self {
+        let pivot = Point3::from(*pivot_m);
+        let in_tool_m = start.inverse_transform_point(&pivot).coords;
+        let shift_m = goal.inverse_transform_point(&pivot).coords - in_tool_m;
+        let turn = goal.rotation * start.rotation.inverse();
+        let course = Course::Pivot { pivot_m: *pivot_m, in_tool_m, shift_m };
+        Self { start: *start, rotation_rad: turn.scaled_axis(), course }
+    }
+
+    /// The tool base's pose at `parameter`, also beyond [0, 1].
+    pub(super) fn pose(&self, parameter: f64) -> Isometry3<f64> {
+        let turn = UnitQuaternion::from_scaled_axis(self.rotation_rad * parameter);
+        let rotation = turn * self.start.rotation;
+        let position = match &self.course {
+            Course::Straight { translation_m } => self.start.translation.vector + translation_m * parameter,
+            Course::Pivot { pivot_m, in_tool_m, shift_m } => {
+                pivot_m - rotation * (in_tool_m + shift_m * parameter)
+            }
+        };
+        Isometry3::from_parts(Translation3::from(position), rotation)
+    }
+
+    /// First and second derivative of the pose by the parameter (linear m, angular rad; base axes).
+    fn derivatives(&self, parameter: f64, pose: &Isometry3<f64>) -> (Vector6<f64>, Vector6<f64>) {
+        let w = &self.rotation_rad;
+        match &self.course {
+            Course::Straight { translation_m } => (stack(translation_m, w), Vector6::zeros()),
+            Course::Pivot { in_tool_m, shift_m, .. } => {
+                let to_pivot = pose.rotation * (in_tool_m + shift_m * parameter);
+                let shift = pose.rotation * shift_m;
+                let first = -w.cross(&to_pivot) - shift;
+                let second = -w.cross(&w.cross(&to_pivot)) - w.cross(&shift) * 2.0;
+                (stack(&first, w), stack(&second, &Vector3::zeros()))
+            }
+        }
+    }
+
+    /// The parameter at which this line, extended, passes `goal`; `None` if it does not, or is not straight.
+    pub(super) fn parameter_of(&self, goal: &Isometry3<f64>, now: f64) -> Option<f64> {
+        let Course::Straight { translation_m } = &self.course else { return None };
+        let here = self.pose(now);
+        let ahead_m = goal.translation.vector - here.translation.vector;
+        let ahead_rad = (goal.rotation * here.rotation.inverse()).scaled_axis();
+        let length_squared = translation_m.norm_squared() + self.rotation_rad.norm_squared();
+        let along = translation_m.dot(&ahead_m) + self.rotation_rad.dot(&ahead_rad);
+        let step = along / length_squared;
+        let missed_m = (ahead_m - translation_m * step).norm();
+        let missed_rad = (ahead_rad - self.rotation_rad * step).norm();
+        (missed_m <= SAME_LINE_TOLERANCE && missed_rad <= SAME_LINE_TOLERANCE).then_some(now + step)
+    }
+}
+
+/// Joint angles on a path, with their first and second derivative by the path parameter.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct JointsOnPath {
+    pub(super) q_rad: Joints,
+    pub(super) first: Joints,
+    pub(super) second: Joints,
+    pub(super) frames: LinkFrames,
+    /// Derivatives of the origin of the tool's base by the path parameter, m.
+    origin_m: [Vector3<f64>; 2],
+}
+
+/// What following a path needs to know about the arm.
+#[derive(Clone, Copy)]
+pub(super) struct PathFollower<'a> {
+    pub(super) geometry: &'a UrGeometry,
+    pub(super) joint_limits: &'a JointLimits,
+    pub(super) cartesian_limits: &'a CartesianLimits,
+}
+
+impl PathFollower<'_> {
+    /// Joint angles that put the tool's base exactly on the path, on the branch nearest to `q_near_rad`.
+    pub(super) fn joints_at(
+        &self,
+        path: &Path,
+        parameter: f64,
+        q_near_rad: &Joints,
+    ) -> Result<JointsOnPath, KinematicsError> {
+        let limits = self.joint_limits;
+        let pose = path.pose(parameter);
+        let q_rad = self.geometry.inverse_nearest(&pose, q_near_rad, &limits.lower_rad, &limits.upper_rad)?;
+        let frames = self.geometry.frames(&q_rad);
+        let jacobian = frames.jacobian();
+        let singular = KinematicsError::WristSingular { sin_q5: libm::sin(q_rad[4]).abs(), minimum: 0.0 };
+        let (twist, curve) = path.derivatives(parameter, &pose);
+        let first = solve_rates(&jacobian, &twist).ok_or(singular)?;
+        let second = solve_rates(&jacobian, &(curve - frames.bias_acceleration(&first))).ok_or(singular)?;
+        let origin_m = [&twist, &curve].map(|derivative| derivative.fixed_rows::<3>(0).into_owned());
+        Ok(JointsOnPath { q_rad, first, second, frames, origin_m })
+    }
+
+    /// Looks at the path from parameter `from` to `to`, refuses it if the arm cannot follow it, and returns limits of the
+    /// path parameter that keep the tool's base within its limits and `speed` (m/s, rad/s), and the joints within theirs.
+    ///
+    /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's acceleration limit is
+    /// shared half and half, its jerk limit in thirds; likewise those of the tool base's origin where its way is curved.
+    /// q''' is the difference quotient of q''.
+    pub(super) fn limits_along(
+        &self,
+        path: &Path,
+        (from, to): (f64, f64),
+        q_start_rad: &Joints,
+        speed: (f64, f64),
+    ) -> Result<AxisLimits<1>, ArmError> {
+        let bend = self.bend_along(path, (from, to), q_start_rad)?;
+        let ([length_m, curve_m, twist_m], angle_rad) = (bend.origin_m, path.rotation_rad.norm());
+        let c = self.cartesian_limits;
+        let (half, third) = if curve_m > 0.0 { (0.5, 1.0 / 3.0) } else { (1.0, 1.0) };
+        let cap =
+            |ceiling: f64, linear: f64, angular: f64| ceiling.min(linear / length_m).min(angular / angle_rad);
+        let mut velocity = cap(PARAMETER_CEILING[0], speed.0, speed.1)
+            .min(libm::sqrt(half * c.acceleration_m_s2 / curve_m))
+            .min(libm::cbrt(third * c.jerk_m_s3 / twist_m));
+        let mut acceleration =
+            cap(PARAMETER_CEILING[1], half * c.acceleration_m_s2, c.angular_acceleration_rad_s2);
+        let mut jerk = cap(PARAMETER_CEILING[2], third * c.jerk_m_s3, c.angular_jerk_rad_s3);
+        let j = self.joint_limits;
+        for i in 0..6 {
+            velocity = velocity
+                .min(j.velocity_rad_s[i] / bend.first[i])
+                .min(libm::sqrt(0.5 * j.acceleration_rad_s2[i] / bend.second[i]))
+                .min(libm::cbrt(j.jerk_rad_s3[i] / (3.0 * bend.third[i])));
+            acceleration = acceleration.min(0.5 * j.acceleration_rad_s2[i] / bend.first[i]);
+            jerk = jerk.min(j.jerk_rad_s3[i] / (3.0 * bend.first[i]));
+        }
+        for i in 0..6 {
+            acceleration = acceleration.min(j.jerk_rad_s3[i] / (9.0 * bend.second[i] * velocity));
+        }
+        acceleration = acceleration.min(c.jerk_m_s3 / (9.0 * curve_m * velocity));
+        Ok(AxisLimits { velocity: [velocity], acceleration: [acceleration], jerk: [jerk] })
+    }
+
+    /// The greatest derivatives of the joint angles and of the tool base's origin along the path.
+    fn bend_along(
+        &self,
+        path: &Path,
+        (from, to): (f64, f64),
+        q_start_rad: &Joints,
+    ) -> Result<Bend, ArmError> {
+        let step = (to - from) / PATH_INTERVALS as f64;
+        let signs = self.signs(q_start_rad);
+        let mut bend = Bend { first: [0.0; 6], second: [0.0; 6], third: [0.0; 6], origin_m: [0.0; 3] };
+        let mut previous: Option<JointsOnPath> = None;
+        for sample in 0..=PATH_INTERVALS {
+            let fraction = sample as f64 / PATH_INTERVALS as f64;
+            let near = previous.map_or(*q_start_rad, |p| p.q_rad);
+            let here = self
+                .joints_at(path, from + (to - from) * fraction, &near)
+                .map_err(|reason| ArmError::PathUnreachable { fraction, reason })?;
+            let manipulability_m3 = self.geometry.manipulability_m3(&here.q_rad);
+            let leaves_branch =
+                self.signs(&here.q_rad) != signs || manipulability_m3 < LEAST_MANIPULABILITY_M3;
+            if leaves_branch || previous.is_some_and(|p| !p.predicts(&here, step)) {
+                return Err(ArmError::PathSingular { fraction, manipulability_m3 });
+            }
+            bend.include(&here, previous.as_ref(), step);
+            previous = Some(here);
+        }
+        Ok(bend)
+    }
+
+    /// The signs that name a branch of the inverse kinematics.
+    fn signs(&self, q_rad: &Joints) -> [bool; 3] {
+        let f = self.geometry.singularity_factors(q_rad);
+        [f.elbow > 0.0, f.wrist > 0.0, f.shoulder_m > 0.0]
+    }
+}
+
+impl JointsOnPath {
+    /// Is `next` where the mean of both slopes leads in `step`?
+    fn predicts(&self, next: &Self, step: f64) -> bool {
+        (0..6).all(|i| {
+            let predicted = self.q_rad[i] + 0.5 * step * (self.first[i] + next.first[i]);
+            (next.q_rad[i] - predicted).abs() <= PREDICTION_TOLERANCE_RAD
+        })
+    }
+}
+
+/// Greatest absolute derivatives by the path parameter.
+struct Bend {
+    first: Joints,
+    second: Joints,
+    third: Joints,
+    /// First, second and third of the tool base's origin.
+    origin_m: [f64; 3],
+}
+
+impl Bend {
+    fn include(&mut self, here: &JointsOnPath, previous: Option<&JointsOnPath>, step: f64) {
+        for (greatest, derivative) in self.origin_m.iter_mut().zip(&here.origin_m) {
+            *greatest = greatest.max(derivative.norm());
+        }
+        for i in 0..6 {
+            self.first[i] = self.first[i].max(here.first[i].abs());
+            self.second[i] = self.second[i].max(here.second[i].abs());
+        }
+        let Some(previous) = previous.filter(|_| step != 0.0) else { return };
+        let third_m = (here.origin_m[1] - previous.origin_m[1]).norm() / step.abs();
+        self.origin_m[2] = self.origin_m[2].max(third_m);
+        for i in 0..6 {
+            let third = (here.second[i] - previous.second[i]) / step;
+            self.third[i] = self.third[i].max(third.abs());
+        }
+    }
+}
