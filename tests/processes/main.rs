@@ -10,6 +10,8 @@ mod common;
 mod ends;
 mod frames;
 mod late_controllers;
+mod log_tools;
 mod replay;
 mod run_control;
 mod runs;
+mod survival;

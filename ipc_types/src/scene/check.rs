@@ -116,6 +116,7 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
     }
     check_bodies(scene, &checker)?;
     check_tool(&scene.tool, &checker)?;
+    checker.range("recording.image_every", scene.recording.image_every as f64, 1.0, 1e6)?;
     check_overrides(scene, &checker)?;
     if let Some(drr) = &scene.drr {
         check_drr(drr, &checker)?;

@@ -479,18 +479,29 @@ pub enum Images {
     Full,
     /// Only their geometry and hash: they can be rendered again.
     HashOnly,
+    /// None, and no hash either.
+    None,
 }
 
 /// What is recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Recording {
-    /// Frames whole, or only their geometry and hash: they are a function of scene and state.
+    /// Frames whole; only their geometry and hash, from which they can be rendered again; or nothing of them.
     pub images: Images,
+    /// With `images = "full"`, every how many frames the image is recorded, 1 to 1000000; of the others the hash.
+    pub image_every: u64,
+}
+
+impl Recording {
+    /// Whether the image of a frame (`Frame.sequence`, from 1) is recorded.
+    pub fn keeps_image(&self, sequence: u64) -> bool {
+        self.images == Images::Full && sequence.saturating_sub(1) % self.image_every.max(1) == 0
+    }
 }
 
 impl Default for Recording {
     fn default() -> Self {
-        Recording { images: Images::Full }
+        Recording { images: Images::Full, image_every: 1 }
     }
 }
