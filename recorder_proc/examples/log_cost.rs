@@ -55,6 +55,7 @@ fn main() {
 fn write(path: &std::path::Path, seconds: u64, with_images: bool) -> (f64, Vec<f64>) {
     let header = LogHeader {
         scene_toml: String::new(),
+        calibration_json: None,
         scene_name: "cost".to_string(),
         volume_sha256: None,
         volume_dimensions: [0; 3],

@@ -26,19 +26,35 @@ pub struct CatOptions {
     pub first_tick: u64,
     /// Last tick, included.
     pub last_tick: Option<u64>,
+    /// First simulated time, in nanoseconds.
+    pub first_ns: u64,
+    /// Last simulated time, included.
+    pub last_ns: Option<u64>,
     /// How strict the reader is.
     pub read: ReadOptions,
 }
 
+impl CatOptions {
+    fn takes(&self, tick: u64, time_ns: u64) -> bool {
+        tick >= self.first_tick
+            && self.last_tick.is_none_or(|last| tick <= last)
+            && time_ns >= self.first_ns
+            && self.last_ns.is_none_or(|last| time_ns <= last)
+    }
+}
+
 /// Writes the selected messages. Floats have as many digits as identify them; infinities and NaN are strings.
 pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<Ending, LogError> {
-    check_fields(options)?;
-    let mut stream = MessageStream::open(path, options.read)?;
+    check_fields(&options.fields)?;
+    let mut stream = match options.topics.as_slice() {
+        [] => MessageStream::open(path, options.read)?,
+        topics => MessageStream::open_topics(path, topics, options.read)?,
+    };
     let dt_ns = stream.header().dt_ns.max(1);
     while let Some(message) = stream.next_message()? {
         let tick = message.log_time_ns / dt_ns;
         let chosen = options.topics.is_empty() || options.topics.iter().any(|topic| topic == message.topic);
-        if !chosen || tick < options.first_tick || options.last_tick.is_some_and(|last| tick > last) {
+        if !chosen || !options.takes(tick, message.log_time_ns) {
             continue;
         }
         let Some(content) = content(&message, &options.fields) else { continue };
@@ -53,8 +69,8 @@ pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<End
 }
 
 /// A field that no message has is a mistake of whoever asks, not an empty answer.
-fn check_fields(options: &CatOptions) -> Result<(), LogError> {
-    for field in &options.fields {
+pub(crate) fn check_fields(fields: &[String]) -> Result<(), LogError> {
+    for field in fields {
         let mut attempts = ALL.iter().map(|description| find(description, field));
         if attempts.all(|attempt| attempt.is_err()) {
             let name = field.split(['.', '[']).next().unwrap_or_default();

@@ -9,6 +9,9 @@ use crate::header::Entries;
 /// Name of the metadata record that a clean finish writes last.
 pub const END_RECORD: &str = "end";
 
+/// Name of the metadata record near the start of a repaired log.
+pub const REPAIR_RECORD: &str = "repair";
+
 /// Why a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndReason {
@@ -18,6 +21,8 @@ pub enum EndReason {
     Interrupted,
     /// A part died; its name.
     PartDied(String),
+    /// The log was damaged or cut, and repaired; the reason that it gave before, if that could be read.
+    Repaired(Option<Box<EndReason>>),
 }
 
 impl EndReason {
@@ -27,6 +32,8 @@ impl EndReason {
             EndReason::Completed => "completed".to_string(),
             EndReason::Interrupted => "interrupted".to_string(),
             EndReason::PartDied(part) => format!("part died: {part}"),
+            EndReason::Repaired(None) => "repaired".to_string(),
+            EndReason::Repaired(Some(before)) => format!("repaired, before: {}", before.text()),
         }
     }
 
@@ -34,6 +41,12 @@ impl EndReason {
         match text {
             "completed" => Some(EndReason::Completed),
             "interrupted" => Some(EndReason::Interrupted),
+            "repaired" => Some(EndReason::Repaired(None)),
+            _ if text.starts_with("repaired, before: ") => {
+                let before =
+                    text.strip_prefix("repaired, before: ").filter(|rest| !rest.starts_with("repaired"));
+                Some(EndReason::Repaired(Some(Box::new(EndReason::parse(before?)?))))
+            }
             _ => text.strip_prefix("part died: ").map(|part| EndReason::PartDied(part.to_string())),
         }
     }
@@ -53,6 +66,8 @@ pub struct EndMarker {
     /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that
     /// its owner counted. Topics without a loss are absent.
     pub lost: BTreeMap<String, u64>,
+    /// Messages that were in the log and that a damage took, by topic; only in a repaired log.
+    pub damaged: BTreeMap<String, u64>,
 }
 
 impl EndMarker {
@@ -66,7 +81,17 @@ impl EndMarker {
         let named = |prefix: &str, (topic, n): (&String, &u64)| (format!("{prefix}{topic}"), n.to_string());
         entries.extend(self.counts.iter().map(|entry| named("count", entry)));
         entries.extend(self.lost.iter().map(|entry| named("lost", entry)));
+        entries.extend(self.damaged.iter().map(|entry| named("damaged", entry)));
         entries
+    }
+
+    /// What is missing, for people; empty if nothing is.
+    fn losses(&self) -> String {
+        let list = |what: &str, counts: &BTreeMap<String, u64>| {
+            let each: Vec<String> = counts.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
+            if each.is_empty() { String::new() } else { format!("; {what}: {}", each.join(", ")) }
+        };
+        list("lost by the recorder", &self.lost) + &list("lost to damage", &self.damaged)
     }
 
     pub(crate) fn from_metadata(path: &Path, map: &BTreeMap<String, String>) -> Result<EndMarker, LogError> {
@@ -90,7 +115,8 @@ impl EndMarker {
             let keys = keys.filter(|(_, topic)| topic.starts_with('/'));
             keys.map(|(key, topic)| Ok((topic.to_string(), entries.number(key, "a number")?))).collect()
         };
-        Ok(EndMarker { reason, last_tick, hash, counts: numbers("count")?, lost: numbers("lost")? })
+        let (counts, lost, damaged) = (numbers("count")?, numbers("lost")?, numbers("damaged")?);
+        Ok(EndMarker { reason, last_tick, hash, counts, lost, damaged })
     }
 }
 
@@ -126,7 +152,7 @@ impl Ending {
     /// One line for people.
     pub fn describe(&self) -> String {
         let marker = match &self.marker {
-            Some(marker) => format!("end marker: {}", marker.reason.text()),
+            Some(marker) => format!("end marker: {}{}", marker.reason.text(), marker.losses()),
             None => "no end marker: the recorder did not finish, later ticks may be missing".to_string(),
         };
         match self.cut {

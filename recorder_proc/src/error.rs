@@ -76,6 +76,28 @@ pub enum LogError {
         /// Where the search ended.
         offset: u64,
     },
+    /// The file holds several runs.
+    #[error("{}: holds {runs} runs; `trabecula log split` makes a log of each", path.display())]
+    SeveralRuns {
+        /// The file.
+        path: PathBuf,
+        /// How many.
+        runs: String,
+    },
+    /// What a log is to be written to is there already.
+    #[error("{}: is there already; name a file that is not", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Only a whole log can be handled so.
+    #[error("{}: {cause}; `trabecula log repair` first", path.display())]
+    NotWhole {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        cause: String,
+    },
     /// The header or end marker holds a value that cannot be read.
     #[error("{}: {record}.{key} is '{value}', expected {expected}", path.display())]
     Metadata {
@@ -134,6 +156,16 @@ pub enum LogError {
     NoInitialState {
         /// The file.
         path: PathBuf,
+    },
+    /// A topic that the log has not.
+    #[error("{}: no topic {topic}; it has {topics}", path.display())]
+    NoSuchTopic {
+        /// The file.
+        path: PathBuf,
+        /// The topic asked for.
+        topic: String,
+        /// What there is.
+        topics: String,
     },
     /// A field path names nothing.
     #[error("no field '{field}' in any selected topic; {reason}")]

@@ -15,6 +15,11 @@ pub const FORMAT_VERSION: u32 = 1;
 pub const HEADER_RECORD: &str = "trabecula";
 /// Name of the attachment that holds the scene.
 pub const SCENE_ATTACHMENT: &str = "scene.toml";
+/// Name of the attachment that holds the scene's C-arm, and of the file in the session's folder that it comes from.
+pub const CALIBRATION_ATTACHMENT: &str = "calibration.json";
+
+/// Name of the metadata record of a file that holds several runs (`join`): their number and names.
+pub const RUNS_RECORD: &str = "runs";
 
 /// How ticks followed each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,7 +68,9 @@ impl BuildInfo {
 pub struct LogHeader {
     /// The scene file's text, as run.
     pub scene_toml: String,
-    /// Its name.
+    /// The scene's C-arm as JSON, with the fields of `CArmGeometry`; none without X-ray.
+    pub calibration_json: Option<String>,
+    /// The scene's name.
     pub scene_name: String,
     /// SHA-256 of the CT volume; none if the scene has no volume.
     pub volume_sha256: Option<[u8; 32]>,
@@ -115,11 +122,12 @@ impl LogHeader {
         entries
     }
 
-    /// Reads the header back. The scene text comes from the attachment.
+    /// Reads the header back. The scene's text and the calibration come from the attachments.
     pub fn from_metadata(
         path: &Path,
         entries: &BTreeMap<String, String>,
         scene_toml: String,
+        calibration_json: Option<String>,
     ) -> Result<LogHeader, LogError> {
         let entries = Entries { path, record: HEADER_RECORD, entries };
         let version: u32 = entries.number("format_version", "a number")?;
@@ -128,6 +136,7 @@ impl LogHeader {
         }
         let header = LogHeader {
             scene_toml,
+            calibration_json,
             scene_name: entries.text("scene_name")?.to_string(),
             volume_sha256: entries.digest("volume_sha256")?,
             volume_dimensions: entries.dimensions("volume_dimensions")?,

@@ -56,6 +56,14 @@ impl LogInfo {
         (self.end_ns > 0).then(|| self.file_bytes as f64 / (self.end_ns as f64 * 1e-9))
     }
 
+    /// Messages of a topic that are known to be missing: lost by the recorder and lost to damage.
+    pub fn lost(&self, topic: &str) -> u64 {
+        let Some(marker) = &self.ending.marker else {
+            return self.topics.get(topic).map_or(0, |count| count.missing);
+        };
+        marker.lost.get(topic).unwrap_or(&0) + marker.damaged.get(topic).unwrap_or(&0)
+    }
+
     /// Writes the summary for people.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         let header = &self.header;
@@ -86,9 +94,11 @@ impl LogInfo {
         let rate = self.bytes_per_second().unwrap_or(0.0);
         writeln!(out, "size        {} bytes, {rate:.0} bytes per simulated second", self.file_bytes)?;
         for (topic, count) in &self.topics {
+            let lost = self.lost(topic);
+            let gap = if lost > 0 { format!("  {lost} MISSING") } else { String::new() };
             writeln!(
                 out,
-                "  {topic:<22} {:>10} messages {:>14} bytes unpacked",
+                "  {topic:<22} {:>10} messages {:>14} bytes unpacked{gap}",
                 count.messages, count.bytes
             )?;
         }
@@ -98,7 +108,10 @@ impl LogInfo {
             let hash = marker.hash.map(hash_text).unwrap_or_else(|| "none".to_string());
             writeln!(out, "  last tick {tick}, hash {hash}")?;
             for (topic, count) in &marker.lost {
-                writeln!(out, "  lost {count} messages of {topic}")?;
+                writeln!(out, "  lost {count} messages of {topic}: they never reached the log")?;
+            }
+            for (topic, count) in &marker.damaged {
+                writeln!(out, "  lost {count} messages of {topic} to damage of the file")?;
             }
         }
         if let Some(error) = &self.log_error {

@@ -14,21 +14,32 @@
 //! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
 //! | [`verify`](mod@verify), [`segments`] | re-execution of a log, compared tick by tick, and its parallel form |
 //! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
+//! | [`repair`](mod@repair), [`join`] | logs made of logs: repaired, packed, joined, split |
+//! | [`columns`], [`export`] | a topic as a table: CSV and Parquet |
+//! | [`background`] | the thread that writes |
 
+pub mod background;
 pub mod cat;
+pub mod columns;
 pub mod diff;
 pub mod difference;
 pub mod end;
 pub mod error;
+pub mod export;
 pub mod fields;
 pub mod frame_order;
 pub mod frames;
+mod gaps;
 pub mod header;
+mod index;
 pub mod info;
+pub mod join;
 mod order;
 pub mod process;
 pub mod reader;
 mod records;
+pub mod repair;
+pub mod rewrite;
 pub mod run_log;
 pub mod segments;
 mod sink;
@@ -36,6 +47,7 @@ pub mod stream;
 pub mod timing_log;
 pub mod topics;
 pub mod verify;
+mod walk;
 
 pub use cat::{CatOptions, cat};
 pub use diff::{DiffReport, diff};
@@ -45,7 +57,10 @@ pub use error::LogError;
 pub use frames::{FrameReader, FrameRecord, frames};
 pub use header::{BuildInfo, LogHeader, RunMode};
 pub use info::{LogInfo, info};
+pub use join::{cat_files, compress, split};
 pub use reader::{LogReader, ReadOptions, SavedState, TickRecord};
+pub use repair::{RepairReport, repair};
+pub use rewrite::Packing;
 pub use run_log::RunLog;
 pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segments};
 pub use stream::{LogMessage, MessageStream};

@@ -1,12 +1,14 @@
 //! The recorder process: takes every message of every service and writes the two logs.
 //!
-//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold half a second; the physics in lockstep
-//! waits for its `Progress`, in real time a gap is counted by the sequence numbers and written into the log's end.
+//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold half a second; one thread takes from them
+//! and puts the log together, another writes the files ([`background`](crate::background)), with as much again between
+//! them. The physics in lockstep waits for its `Progress`, in real time a gap is counted by the sequence numbers and
+//! written into the log's end.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
@@ -16,13 +18,16 @@ use ipc_types::messages::{
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume, session_scene};
-use ipc_types::scene::{Images, Mode, Scene, SceneError};
+use ipc_types::scene::{Images, Mode, Recording, Scene, SceneError};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use thiserror::Error;
 
-use crate::{BuildInfo, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, topics};
+use crate::background::{BackgroundFile, BackgroundOptions};
+use crate::gaps::Gaps;
+use crate::header::CALIBRATION_ATTACHMENT;
+use crate::{BuildInfo, EndMarker, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, topics};
 
 /// Longest time between two looks at the queues: a small part of the half second that they hold.
 const LOOK_TIME: Duration = Duration::from_millis(2);
@@ -71,24 +76,31 @@ pub enum RecorderError {
 /// Any [`RecorderError`].
 pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let end = EndRequest::install().map_err(RecorderError::Signals)?;
+    // A file that reaches the process's size limit is an error to tell, not a death.
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
+        .map_err(RecorderError::Signals)?;
     let scene = session_scene(session_folder)?;
     let session = Session::join(session_folder)?;
     let header = header(&session, &scene, &end)?;
     let ports = Ports::open(&session, &scene)?;
+    let (run, timing) = (output.join("run.mcap"), output.join("timing.mcap"));
     let mut recorder = Recorder {
-        run: RunLog::create_file(&output.join("run.mcap"), &header)?,
-        timing: TimingLog::create_file(&output.join("timing.mcap"), &header)?,
-        images: scene.recording.images,
+        run: RunLog::create_named(create(&run, BackgroundOptions::RUN)?, &run, &header)?,
+        timing: TimingLog::create_named(create(&timing, BackgroundOptions::TIMING)?, &timing, &header)?,
+        recording: scene.recording.clone(),
         newest_tick: 0,
         reported_tick: 0,
-        timed_ticks: 0,
-        lost: BTreeMap::new(),
+        gaps: Gaps::default(),
         ports,
     };
     let recorded = recorder.record(&end);
     // Whatever went wrong, what has been taken is kept.
     let finished = recorder.finish(output, recorded.is_err());
     recorded.and(finished)
+}
+
+fn create(path: &Path, options: BackgroundOptions) -> Result<BackgroundFile, LogError> {
+    BackgroundFile::create(path, options).map_err(|source| LogError::Create { path: path.into(), source })
 }
 
 /// What the logs say about the run.
@@ -105,6 +117,8 @@ fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeade
         std::fs::read_to_string(&path).map_err(|cause| RecorderError::SceneText { path, cause })?;
     Ok(LogHeader {
         scene_toml,
+        // The launcher lays it there if the scene has an X-ray.
+        calibration_json: std::fs::read_to_string(session.folder().join(CALIBRATION_ATTACHMENT)).ok(),
         scene_name: scene.name.clone(),
         volume_sha256,
         volume_dimensions,
@@ -170,16 +184,14 @@ impl Ports {
     }
 }
 
-type FileLog = BufWriter<File>;
-
 struct Recorder {
-    run: RunLog<FileLog>,
-    timing: TimingLog<FileLog>,
-    images: Images,
+    run: RunLog<BackgroundFile>,
+    timing: TimingLog<BackgroundFile>,
+    recording: Recording,
     newest_tick: u64,
     reported_tick: u64,
-    timed_ticks: u64,
-    lost: BTreeMap<String, u64>,
+    /// Of the timing lane.
+    gaps: Gaps,
     ports: Ports,
 }
 
@@ -245,9 +257,11 @@ impl Recorder {
         }
         let Some(frames) = &self.ports.frames else { return Ok(()) };
         while let Some(frame) = frames.receive()? {
-            match self.images {
-                Images::Full => self.run.frame(frame.bytes())?,
-                Images::HashOnly => self.run.frame_without_image(frame.message())?,
+            let sequence = frame.message().sequence;
+            match self.recording.images {
+                Images::Full if self.recording.keeps_image(sequence) => self.run.frame(frame.bytes())?,
+                Images::Full | Images::HashOnly => self.run.frame_without_image(frame.message())?,
+                Images::None => self.gaps.see(topics::DRR_FRAME, 0, sequence),
             }
         }
         Ok(())
@@ -256,23 +270,21 @@ impl Recorder {
     fn take_timing(&mut self) -> Result<(), RecorderError> {
         let (ports, timing, tick) = (&self.ports, &mut self.timing, self.newest_tick);
         while let Some(message) = ports.tick_timing.receive()? {
-            let missed = message.message().tick.saturating_sub(self.timed_ticks);
-            self.timed_ticks = message.message().tick + 1;
-            if missed > 0 {
-                *self.lost.entry(topics::TICK_TIMING.to_owned()).or_default() += missed;
-            }
-            timing.message(
-                topics::TICK_TIMING,
-                TickTiming::DESCRIPTION,
-                message.message().tick,
-                message.bytes(),
-            )?;
+            let of_tick = message.message().tick;
+            self.gaps.see(topics::TICK_TIMING, 0, of_tick + 1);
+            timing.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, of_tick, message.bytes())?;
         }
         for (topic, commands) in &ports.commands {
             copy_all(commands, timing, topic, tick)?;
         }
-        copy_all(&ports.frame_timing, timing, topics::FRAME_TIMING, tick)?;
-        copy_all(&ports.events, timing, topics::EVENT, tick)?;
+        while let Some(message) = ports.frame_timing.receive()? {
+            self.gaps.see(topics::FRAME_TIMING, 0, message.message().frame_sequence);
+            timing.message(topics::FRAME_TIMING, FrameTiming::DESCRIPTION, tick, message.bytes())?;
+        }
+        while let Some(message) = ports.events.receive()? {
+            self.gaps.see(topics::EVENT, message.message().sender, message.message().sequence);
+            timing.message(topics::EVENT, Event::DESCRIPTION, tick, message.bytes())?;
+        }
         copy_all(&ports.controls, timing, topics::RUN_CONTROL, tick)?;
         copy_all(&ports.control_replies, timing, topics::RUN_CONTROL_REPLY, tick)?;
         copy_all(&ports.status, timing, topics::RUN_STATUS, tick)?;
@@ -281,7 +293,7 @@ impl Recorder {
 
     fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {
         self.reported_tick = tick;
-        let lost_messages = self.run.lost().values().sum::<u64>() + self.lost.values().sum::<u64>();
+        let lost_messages = self.run.lost().values().sum::<u64>() + self.gaps.lost().values().sum::<u64>();
         self.ports.progress.send(&Progress {
             tick,
             lost_messages,
@@ -304,16 +316,27 @@ impl Recorder {
         };
         // It has done its work, and may be absent.
         let _ = std::fs::remove_file(&reason_path);
-        self.run.finish(reason.clone(), &BTreeMap::new())?;
-        self.timing.finish(reason, &self.lost)?;
+        let lost = self.gaps.lost();
+        let run = finish_file(self.run.path().to_owned(), self.run.finish(reason.clone(), &BTreeMap::new()));
+        let timing = finish_file(self.timing.path().to_owned(), self.timing.finish(reason, lost));
+        run.and(timing)?;
         Ok(())
     }
+}
+
+/// Waits until the finished log is in its file.
+fn finish_file(
+    path: PathBuf,
+    finished: Result<(EndMarker, BackgroundFile), LogError>,
+) -> Result<(), LogError> {
+    let (_, file) = finished?;
+    file.close().map_err(|source| LogError::Write { path, source })
 }
 
 /// Copies all that waits on a service into the timing lane.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
-    timing: &mut TimingLog<FileLog>,
+    timing: &mut TimingLog<BackgroundFile>,
     topic: &str,
     tick: u64,
 ) -> Result<(), RecorderError> {

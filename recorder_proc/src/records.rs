@@ -4,8 +4,9 @@
 //! parser panics on short records, and they do not say at which byte a file stops.
 //! Format: <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
 
-use std::collections::BTreeMap;
-use std::io::Read;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::MAGIC;
@@ -16,8 +17,10 @@ use crate::error::LogError;
 use crate::sink::MAX_MESSAGE_BYTES;
 
 /// Longest record or unpacked chunk: the longest message with some room for its neighbours.
-const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
-const RECORD_HEADER: usize = 9;
+pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
+pub(crate) const RECORD_HEADER: usize = 9;
+/// A log being written ends in fewer zeros than this (`background::BLOCK`).
+const PADDING_BYTES: u64 = 4096;
 
 /// What a file-level record is, as far as a log needs it.
 pub(crate) enum FileRecord {
@@ -26,29 +29,70 @@ pub(crate) enum FileRecord {
     /// A metadata record.
     Metadata { name: String, entries: BTreeMap<String, String> },
     /// An attachment.
-    Attachment { name: String, data: Vec<u8> },
+    Attachment(Attached),
     /// The file is whole.
     End,
     /// The file stops in the middle.
     Cut(Cut),
 }
 
+/// An attachment whose checksum is right.
+pub(crate) struct Attached {
+    pub log_time: u64,
+    pub create_time: u64,
+    pub name: String,
+    pub media_type: String,
+    pub data: Vec<u8>,
+}
+
+/// Where records come from.
+pub(crate) trait Source: Read + Send {
+    /// Goes on so many bytes later. A file's end may be passed; the next read finds nothing then.
+    fn skip(&mut self, bytes: u64) -> io::Result<()>;
+}
+
+impl Source for BufReader<File> {
+    fn skip(&mut self, bytes: u64) -> io::Result<()> {
+        self.seek_relative(i64::try_from(bytes).unwrap_or(i64::MAX))
+    }
+}
+
+impl Source for Box<dyn Read + Send> {
+    fn skip(&mut self, bytes: u64) -> io::Result<()> {
+        io::copy(&mut self.take(bytes), &mut io::sink()).map(|_| ())
+    }
+}
+
+/// What became of a record.
+enum Loaded {
+    /// It lies in `record`; its type.
+    Record(u8),
+    /// It is a chunk that nobody wants.
+    PassedOver,
+    /// The file has only so many bytes of it.
+    Incomplete(u64),
+}
+
 /// The records of a file.
 pub(crate) struct Records {
-    source: Box<dyn Read + Send>,
+    source: Box<dyn Source>,
     path: PathBuf,
     /// Start of the next record.
     offset: u64,
-    /// CRC of everything before it; none once the data section is over.
+    /// CRC of everything before it; none once the data section is over, or if not all of it is read.
     data_crc: Option<crc32fast::Hasher>,
+    /// Before the end of the data section.
+    in_data: bool,
     record: Vec<u8>,
     chunk: Vec<u8>,
     finished: bool,
+    /// Offsets of chunks that nobody wants.
+    unwanted: BTreeSet<u64>,
 }
 
 impl Records {
     /// Checks the magic number.
-    pub fn new(mut source: Box<dyn Read + Send>, path: &Path) -> Result<Records, LogError> {
+    pub fn new(mut source: Box<dyn Source>, path: &Path) -> Result<Records, LogError> {
         let mut magic = Vec::new();
         let read = source.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic);
         read.map_err(|source| LogError::Read { path: path.into(), offset: 0, source })?;
@@ -64,9 +108,11 @@ impl Records {
             path: path.into(),
             offset: MAGIC.len() as u64,
             data_crc: Some(crc),
+            in_data: true,
             record: Vec::new(),
             chunk: Vec::new(),
             finished: false,
+            unwanted: BTreeSet::new(),
         })
     }
 
@@ -85,6 +131,13 @@ impl Records {
         &self.chunk
     }
 
+    /// Passes over these chunks from now on. The checksum of the whole file can then not be told; those of the chunks
+    /// that are read can.
+    pub fn pass_over(&mut self, chunks: BTreeSet<u64>) {
+        self.data_crc = self.data_crc.take().filter(|_| chunks.is_empty());
+        self.unwanted = chunks;
+    }
+
     /// The next record that a log needs.
     pub fn next_record(&mut self) -> Result<FileRecord, LogError> {
         loop {
@@ -93,8 +146,9 @@ impl Records {
             }
             let start = self.offset;
             let opcode = match self.load()? {
-                Ok(opcode) => opcode,
-                Err(incomplete_bytes) => {
+                Loaded::Record(opcode) => opcode,
+                Loaded::PassedOver => continue,
+                Loaded::Incomplete(incomplete_bytes) => {
                     self.finished = true;
                     return Ok(FileRecord::Cut(Cut { offset: start, incomplete_bytes }));
                 }
@@ -112,13 +166,19 @@ impl Records {
         }
     }
 
-    /// Reads a record; `Err` holds the number of bytes that the file still had of it.
-    fn load(&mut self) -> Result<Result<u8, u64>, LogError> {
+    /// Reads a record.
+    fn load(&mut self) -> Result<Loaded, LogError> {
         let mut header = Vec::with_capacity(RECORD_HEADER);
         self.read_up_to(RECORD_HEADER as u64, |bytes| std::mem::swap(bytes, &mut header))?;
         let Ok(fixed) = <[u8; RECORD_HEADER]>::try_from(header.as_slice()) else {
-            return Ok(Err(header.len() as u64));
+            return Ok(Loaded::Incomplete(header.len() as u64));
         };
+        if fixed == [0; RECORD_HEADER]
+            && let Some(zeros) = self.zeros_to_the_end()?
+        {
+            // The rest of a block that a killed recorder was writing.
+            return Ok(Loaded::Incomplete(RECORD_HEADER as u64 + zeros));
+        }
         let mut length = [0u8; 8];
         length.copy_from_slice(&fixed[1..]);
         let length = u64::from_le_bytes(length);
@@ -126,9 +186,20 @@ impl Records {
             let cause = format!("a record of {length} bytes, expected at most {MAX_RECORD_BYTES}");
             return Err(LogError::Damaged { path: self.path.clone(), offset: self.offset, cause });
         }
+        if fixed[0] == op::CHUNK && self.unwanted.contains(&self.offset) {
+            self.record.clear();
+            let skipped = self.source.skip(length);
+            skipped.map_err(|source| LogError::Read {
+                path: self.path.clone(),
+                offset: self.offset,
+                source,
+            })?;
+            self.offset += RECORD_HEADER as u64 + length;
+            return Ok(Loaded::PassedOver);
+        }
         self.read_up_to(length, |_| ())?;
         if (self.record.len() as u64) < length {
-            return Ok(Err((RECORD_HEADER + self.record.len()) as u64));
+            return Ok(Loaded::Incomplete((RECORD_HEADER + self.record.len()) as u64));
         }
         if fixed[0] != op::DATA_END
             && let Some(crc) = &mut self.data_crc
@@ -136,7 +207,14 @@ impl Records {
             crc.update(&fixed);
             crc.update(&self.record);
         }
-        Ok(Ok(fixed[0]))
+        Ok(Loaded::Record(fixed[0]))
+    }
+
+    /// Number of zeros up to the end of the file; none if there is anything else, or more than a block of them.
+    fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
+        self.read_up_to(PADDING_BYTES, |_| ())?;
+        let few = (self.record.len() as u64) < PADDING_BYTES;
+        Ok((few && self.record.iter().all(|byte| *byte == 0)).then_some(self.record.len() as u64))
     }
 
     fn read_up_to(&mut self, count: u64, then: impl FnOnce(&mut Vec<u8>)) -> Result<(), LogError> {
@@ -162,8 +240,9 @@ impl Records {
                 Record::Metadata(m) => Ok(Some(FileRecord::Metadata { name: m.name, entries: m.metadata })),
                 _ => Err("a metadata record that is none".to_string()),
             },
-            op::ATTACHMENT => attachment(&self.record).map(Some),
+            op::ATTACHMENT => attachment(&self.record).map(|found| Some(FileRecord::Attachment(found))),
             op::DATA_END => {
+                self.in_data = false;
                 let calculated = self.data_crc.take().map(crc32fast::Hasher::finalize);
                 match mcap::parse_record(opcode, &self.record).map_err(|error| error.to_string())? {
                     Record::DataEnd(end) if end.data_section_crc == 0 => Ok(None),
@@ -174,7 +253,7 @@ impl Records {
                         .to_string()),
                 }
             }
-            op::MESSAGE | op::SCHEMA | op::CHANNEL if self.data_crc.is_some() => {
+            op::MESSAGE | op::SCHEMA | op::CHANNEL if self.in_data => {
                 Err(format!("record type {opcode:#04x} outside of a chunk"))
             }
             0 => Err("record type 0".to_string()),
@@ -198,7 +277,7 @@ impl Records {
 }
 
 /// Unpacks a chunk and checks its CRC before anyone sees a record of it.
-fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
+pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
     let size = header.uncompressed_size;
     if size > MAX_RECORD_BYTES {
         return Err(format!("a chunk of {size} bytes unpacked, expected at most {MAX_RECORD_BYTES}"));
@@ -212,7 +291,13 @@ fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), St
             let unpacked = decoder.take(size + 1).read_to_end(out);
             unpacked.map_err(|error| format!("cannot unpack a chunk: {error}"))?;
         }
-        other => return Err(format!("a chunk packed with '{other}', expected lz4 or nothing")),
+        "zstd" => {
+            let decoder =
+                zstd::Decoder::new(data).map_err(|error| format!("cannot unpack a chunk: {error}"))?;
+            let unpacked = decoder.take(size + 1).read_to_end(out);
+            unpacked.map_err(|error| format!("cannot unpack a chunk: {error}"))?;
+        }
+        other => return Err(format!("a chunk packed with '{other}', expected lz4, zstd or nothing")),
     }
     if out.len() as u64 != size {
         return Err(format!("a chunk of {} bytes unpacked, its header says {size}", out.len()));
@@ -229,22 +314,30 @@ fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), St
 
 /// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length each),
 /// 8 bytes of data length, data, CRC of all before it.
-fn attachment(record: &[u8]) -> Result<FileRecord, String> {
-    let parse = || -> Option<(String, &[u8], u32)> {
+pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
+    let parse = || -> Option<(Attached, u32)> {
         let (body, crc) = record.split_at_checked(record.len().checked_sub(4)?)?;
-        let rest = body.get(16..)?;
-        let (name, rest) = string(rest)?;
-        let (_, rest) = string(rest)?;
+        let word = |at: usize| Some(u64::from_le_bytes(body.get(at..at + 8)?.try_into().ok()?));
+        let (name, rest) = string(body.get(16..)?)?;
+        let (media_type, rest) = string(rest)?;
         let (length, data) = rest.split_at_checked(8)?;
         let length = u64::from_le_bytes(length.try_into().ok()?);
+        let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
+        let attached = Attached {
+            log_time: word(0)?,
+            create_time: word(8)?,
+            name: text(name),
+            media_type: text(media_type),
+            data: data.to_vec(),
+        };
         let crc = u32::from_le_bytes(crc.try_into().ok()?);
-        (length == data.len() as u64).then(|| (String::from_utf8_lossy(name).into_owned(), data, crc))
+        (length == data.len() as u64).then_some((attached, crc))
     };
-    let (name, data, crc) = parse().ok_or("an attachment whose lengths do not fit")?;
+    let (attached, crc) = parse().ok_or("an attachment whose lengths do not fit")?;
     if crc32fast::hash(&record[..record.len() - 4]) != crc {
-        return Err(format!("CRC of the attachment '{name}' is wrong"));
+        return Err(format!("CRC of the attachment '{}' is wrong", attached.name));
     }
-    Ok(FileRecord::Attachment { name, data: data.to_vec() })
+    Ok(attached)
 }
 
 fn string(bytes: &[u8]) -> Option<(&[u8], &[u8])> {

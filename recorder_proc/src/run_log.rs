@@ -188,6 +188,11 @@ impl<W: Write> RunLog<W> {
         self.write_frames(self.copies)
     }
 
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        self.sink.path()
+    }
+
     /// The last state written.
     pub fn last_state(&self) -> Option<&State> {
         self.last.as_ref()
@@ -215,7 +220,14 @@ impl<W: Write> RunLog<W> {
         }
         let last_tick = self.last.as_ref().map(|state| state.tick);
         let hash = self.last.as_ref().map(|state| state.hash);
-        let marker = EndMarker { reason, last_tick, hash, counts: self.sink.counts(), lost: all };
+        let marker = EndMarker {
+            reason,
+            last_tick,
+            hash,
+            counts: self.sink.counts(),
+            lost: all,
+            damaged: BTreeMap::new(),
+        };
         let w = self.sink.finish(&marker)?;
         Ok((marker, w))
     }

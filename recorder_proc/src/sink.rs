@@ -12,9 +12,11 @@ use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use crate::end::{END_RECORD, EndMarker};
 use crate::error::LogError;
-use crate::header::{HEADER_RECORD, LogHeader, SCENE_ATTACHMENT};
+use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTACHMENT};
 use crate::topics;
 
+/// Says that all channels are `cdr` of `ros2msg` schemas; `rosbags` opens no file without it.
+pub(crate) const PROFILE: &str = "ros2";
 /// A chunk is closed after this much simulated time, so that a killed recorder loses no more.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.
@@ -50,23 +52,27 @@ pub(crate) fn create_file(path: &Path) -> Result<BufWriter<File>, LogError> {
 }
 
 impl<W: Write> Sink<W> {
-    /// Writes the header: the scene as an attachment, everything else as metadata.
+    /// Writes the header: scene and calibration as attachments, everything else as metadata.
     pub fn create(w: W, path: &Path, header: &LogHeader, lane: &str) -> Result<Sink<W>, LogError> {
         let fail = |error| encode_error(path, error);
         let options = WriteOptions::new()
             .library(concat!("trabecula ", env!("CARGO_PKG_VERSION")))
+            .profile(PROFILE)
             .compression(Some(Compression::Lz4))
             .chunk_size(None)
             .disable_seeking(true);
         let mut writer = options.create(NoSeek::new(w)).map_err(fail)?;
-        let scene = Attachment {
-            log_time: 0,
-            create_time: 0,
-            name: SCENE_ATTACHMENT.to_string(),
-            media_type: "application/toml".to_string(),
-            data: header.scene_toml.as_bytes().into(),
-        };
-        writer.attach(&scene).map_err(fail)?;
+        let attachments = [
+            (SCENE_ATTACHMENT, "application/toml", Some(&header.scene_toml)),
+            (CALIBRATION_ATTACHMENT, "application/json", header.calibration_json.as_ref()),
+        ];
+        for (name, media_type, text) in attachments {
+            let Some(text) = text else { continue };
+            let (name, media_type) = (name.to_string(), media_type.to_string());
+            let data = text.as_bytes().into();
+            let attachment = Attachment { log_time: 0, create_time: 0, name, media_type, data };
+            writer.attach(&attachment).map_err(fail)?;
+        }
         let entries = header.to_metadata(lane);
         writer
             .write_metadata(&Metadata { name: HEADER_RECORD.to_string(), metadata: entries })
@@ -90,7 +96,7 @@ impl<W: Write> Sink<W> {
     }
 
     /// The channel of a topic, declared on first use.
-    pub fn channel(&mut self, topic: &str, description: &Description) -> Result<usize, LogError> {
+    pub fn channel(&mut self, topic: &str, description: &'static Description) -> Result<usize, LogError> {
         if let Some(index) = self.channels.iter().position(|channel| channel.topic == topic) {
             return Ok(index);
         }
@@ -98,7 +104,8 @@ impl<W: Write> Sink<W> {
         let path = &self.path;
         let fail = |error| encode_error(path, error);
         let schema = self.writer.add_schema(name, "ros2msg", text.as_bytes()).map_err(fail)?;
-        let id = self.writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).map_err(fail)?;
+        let facts = topics::channel_metadata(description);
+        let id = self.writer.add_channel(schema, topic, "cdr", &facts).map_err(fail)?;
         self.channels.push(Channel { topic: topic.to_string(), id, count: 0 });
         Ok(self.channels.len() - 1)
     }
@@ -160,7 +167,7 @@ impl<W: Write> Sink<W> {
     }
 }
 
-fn encode_error(path: &Path, error: McapError) -> LogError {
+pub(crate) fn encode_error(path: &Path, error: McapError) -> LogError {
     match error {
         McapError::Io(source) => LogError::Write { path: path.into(), source },
         source => LogError::Encode { path: path.into(), source },

@@ -9,11 +9,14 @@ use std::path::Path;
 use ipc_types::layout::{CDR_LITTLE_ENDIAN, Description};
 use mcap::records::{Record, op};
 
-use crate::end::{END_RECORD, EndMarker, Ending};
+use crate::end::{END_RECORD, EndMarker, Ending, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::fields::message_size;
-use crate::header::{HEADER_RECORD, LogHeader, SCENE_ATTACHMENT, layout_hashes};
-use crate::records::{FileRecord, Records, chunk_record};
+use crate::header::{
+    CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, RUNS_RECORD, SCENE_ATTACHMENT, layout_hashes,
+};
+use crate::index::chunks_without;
+use crate::records::{FileRecord, Records, Source, chunk_record};
 use crate::topics;
 
 /// How strict a reader is.
@@ -46,6 +49,8 @@ struct Channel {
     schema: String,
     count: u64,
     bytes: u64,
+    /// Messages that a damage took, as the numbers show; only in a repaired log.
+    missing: u64,
 }
 
 /// Messages and bytes of one topic so far.
@@ -55,6 +60,8 @@ pub struct TopicCount {
     pub messages: u64,
     /// Their bytes, without framing, before compression.
     pub bytes: u64,
+    /// Messages between them that a damage took; 0 but in a repaired log, since others are not read beyond a gap.
+    pub missing: u64,
 }
 
 /// The messages of a log in the order in which they were written. Holds one chunk in memory.
@@ -68,6 +75,9 @@ pub struct MessageStream {
     in_chunk: bool,
     chunks: u64,
     ending: Ending,
+    repaired: bool,
+    /// Topics that are handed out; none for all.
+    wanted: Option<Vec<String>>,
     done: bool,
 }
 
@@ -83,7 +93,28 @@ impl MessageStream {
     /// Opens a log and reads its header.
     pub fn open(path: &Path, options: ReadOptions) -> Result<MessageStream, LogError> {
         let file = File::open(path).map_err(|source| LogError::Open { path: path.into(), source })?;
-        MessageStream::from_reader(Box::new(BufReader::with_capacity(1 << 16, file)), path, options)
+        MessageStream::from_source(Box::new(BufReader::with_capacity(1 << 16, file)), path, options)
+    }
+
+    /// Opens a log for some topics only. Chunks that hold none of them are not read if the log's index tells them, so
+    /// that states cost the same with images beside them as without; the checksum of the whole file is then not
+    /// checked, those of the chunks read are.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_topics(
+        path: &Path,
+        topics: &[String],
+        options: ReadOptions,
+    ) -> Result<MessageStream, LogError> {
+        let mut stream = MessageStream::open(path, options)?;
+        if let Ok(mut file) = File::open(path)
+            && let Some(chunks) = chunks_without(&mut file, topics)
+        {
+            stream.records.pass_over(chunks);
+        }
+        stream.wanted = Some(topics.to_vec());
+        Ok(stream)
     }
 
     /// Reads the header of a log from any source; errors will name `path`.
@@ -92,13 +123,28 @@ impl MessageStream {
         path: &Path,
         options: ReadOptions,
     ) -> Result<MessageStream, LogError> {
+        MessageStream::from_source(Box::new(source), path, options)
+    }
+
+    fn from_source(
+        source: Box<dyn Source>,
+        path: &Path,
+        options: ReadOptions,
+    ) -> Result<MessageStream, LogError> {
         let mut records = Records::new(source, path)?;
-        let mut scene = None;
+        let (mut scene, mut calibration) = (None, None);
         let metadata = loop {
             match records.next_record()? {
-                FileRecord::Attachment { name, data } if name == SCENE_ATTACHMENT => scene = Some(data),
-                FileRecord::Attachment { .. } => (),
+                FileRecord::Attachment(found) if found.name == SCENE_ATTACHMENT => scene = Some(found.data),
+                FileRecord::Attachment(found) if found.name == CALIBRATION_ATTACHMENT => {
+                    calibration = Some(String::from_utf8_lossy(&found.data).into_owned());
+                }
+                FileRecord::Attachment(_) => (),
                 FileRecord::Metadata { name, entries } if name == HEADER_RECORD => break entries,
+                FileRecord::Metadata { name, entries } if name == RUNS_RECORD => {
+                    let runs = entries.get("count").cloned().unwrap_or_default();
+                    return Err(LogError::SeveralRuns { path: path.into(), runs });
+                }
                 FileRecord::Metadata { .. } => (),
                 FileRecord::Chunk | FileRecord::End | FileRecord::Cut(_) => {
                     return Err(LogError::NoHeader { path: path.into(), offset: records.offset() });
@@ -106,7 +152,7 @@ impl MessageStream {
             }
         };
         let scene = String::from_utf8_lossy(&scene.unwrap_or_default()).into_owned();
-        let header = LogHeader::from_metadata(path, &metadata, scene)?;
+        let header = LogHeader::from_metadata(path, &metadata, scene, calibration)?;
         if !options.allow_other_layouts {
             check_layouts(path, &metadata, &header)?;
         }
@@ -120,6 +166,8 @@ impl MessageStream {
             in_chunk: false,
             chunks: 0,
             ending: Ending::default(),
+            repaired: false,
+            wanted: None,
             done: false,
         })
     }
@@ -146,7 +194,10 @@ impl MessageStream {
 
     /// Messages and bytes so far, by topic.
     pub fn counts(&self) -> BTreeMap<String, TopicCount> {
-        let count = |channel: &Channel| TopicCount { messages: channel.count, bytes: channel.bytes };
+        let count = |channel: &Channel| {
+            let Channel { count, bytes, missing, .. } = *channel;
+            TopicCount { messages: count, bytes, missing }
+        };
         self.channels.values().map(|channel| (channel.topic.clone(), count(channel))).collect()
     }
 
@@ -173,6 +224,10 @@ impl MessageStream {
         }))
     }
 
+    fn wants(&self, topic: &str) -> bool {
+        self.wanted.as_ref().is_none_or(|wanted| wanted.iter().any(|name| name == topic))
+    }
+
     fn find(&mut self) -> Result<Option<Found>, LogError> {
         loop {
             if self.done {
@@ -190,7 +245,8 @@ impl MessageStream {
                     self.chunks += 1;
                 }
                 FileRecord::Metadata { name, entries } if name == END_RECORD => self.end_marker(&entries)?,
-                FileRecord::Metadata { .. } | FileRecord::Attachment { .. } => (),
+                FileRecord::Metadata { name, .. } if name == REPAIR_RECORD => self.repaired = true,
+                FileRecord::Metadata { .. } | FileRecord::Attachment(_) => (),
                 FileRecord::End => self.done = true,
                 FileRecord::Cut(cut) => {
                     self.ending.cut = Some(cut);
@@ -203,11 +259,13 @@ impl MessageStream {
     fn end_marker(&mut self, entries: &BTreeMap<String, String>) -> Result<(), LogError> {
         let marker = EndMarker::from_metadata(self.records.path(), entries)?;
         for (topic, &written) in &marker.counts {
-            let read = self.channels.values().find(|channel| channel.topic == *topic).map_or(0, |c| c.count);
-            if read != written {
-                return Err(
-                    self.damaged(format!("{topic} has {read} messages, the end marker says {written}"))
-                );
+            let channel = self.channels.values().find(|channel| channel.topic == *topic);
+            let (read, missing) = channel.map_or((0, 0), |channel| (channel.count, channel.missing));
+            let damaged = marker.damaged.get(topic).copied().unwrap_or(0);
+            if self.wants(topic) && (read != written || missing > damaged) {
+                return Err(self.damaged(format!(
+                    "{topic} has {read} messages and misses {missing}, the end marker says {written} and {damaged}"
+                )));
             }
         }
         self.ending.marker = Some(marker);
@@ -236,7 +294,9 @@ impl MessageStream {
                 Ok(Record::Channel(channel)) => self.declare(channel)?,
                 Ok(Record::Message { header, data }) => {
                     let body = end - data.len().min(end - start)..end;
-                    return self.message(&header, body).map(Some);
+                    if let Some(found) = self.message(&header, body)? {
+                        return Ok(Some(found));
+                    }
                 }
                 Ok(_) => (),
                 Err(error) => return Err(self.damaged(error.to_string())),
@@ -253,7 +313,7 @@ impl MessageStream {
             return Err(self.damaged(format!("{} has no schema", channel.topic)));
         };
         let description = topics::description_of(&schema);
-        let entry = Channel { topic: channel.topic, description, schema, count: 0, bytes: 0 };
+        let entry = Channel { topic: channel.topic, description, schema, count: 0, bytes: 0, missing: 0 };
         self.channels.insert(channel.id, entry);
         Ok(())
     }
@@ -262,20 +322,28 @@ impl MessageStream {
         &mut self,
         header: &mcap::records::MessageHeader,
         data: Range<usize>,
-    ) -> Result<Found, LogError> {
+    ) -> Result<Option<Found>, LogError> {
         let Some(channel) = self.channels.get(&header.channel_id) else {
+            // Declared in a chunk that was passed over; a channel that is wanted is counted at the end.
+            if self.wanted.is_some() {
+                return Ok(None);
+            }
             return Err(self.damaged(format!("a message of the undeclared channel {}", header.channel_id)));
         };
+        // Of other topics not all chunks are read: their numbers say nothing.
+        if !self.wants(&channel.topic) {
+            return Ok(None);
+        }
         let Some(description) = channel.description else {
             return Err(
                 self.damaged(format!("{} holds {}, unknown to this build", channel.topic, channel.schema))
             );
         };
-        if header.sequence != channel.count as u32 {
-            let cause = format!(
-                "message {} of {}, expected {}",
-                header.sequence, channel.topic, channel.count as u32
-            );
+        let expected = (channel.count + channel.missing) as u32;
+        let jump = header.sequence.wrapping_sub(expected);
+        // A repaired log says so at its start and counts what is missing at its end.
+        if jump != 0 && !(self.repaired && jump < u32::MAX / 2) {
+            let cause = format!("message {} of {}, expected {expected}", header.sequence, channel.topic);
             return Err(self.damaged(cause));
         }
         let bytes = &self.records.chunk()[data.clone()];
@@ -294,10 +362,11 @@ impl MessageStream {
         let body = data.end - body.len()..data.end;
         if let Some(channel) = self.channels.get_mut(&header.channel_id) {
             channel.count += 1;
+            channel.missing += u64::from(jump);
             channel.bytes += body.len() as u64;
         }
         let (sequence, log_time_ns) = (header.sequence, header.log_time);
-        Ok(Found { channel: header.channel_id, sequence, log_time_ns, body })
+        Ok(Some(Found { channel: header.channel_id, sequence, log_time_ns, body }))
     }
 
     fn damaged(&self, cause: String) -> LogError {

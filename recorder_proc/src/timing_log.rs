@@ -63,6 +63,11 @@ impl<W: Write> TimingLog<W> {
         self.sink.end_tick(tick)
     }
 
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        self.sink.path()
+    }
+
     /// Hands everything so far to the operating system. The owner calls it when no tick will come for a while (pause).
     pub fn flush(&mut self) -> Result<(), LogError> {
         self.sink.close_chunk()
@@ -72,7 +77,14 @@ impl<W: Write> TimingLog<W> {
     pub fn finish(self, reason: EndReason, lost: &BTreeMap<String, u64>) -> Result<(EndMarker, W), LogError> {
         let lost = lost.iter().filter(|(_, n)| **n > 0).map(|(topic, n)| (topic.clone(), *n)).collect();
         let counts = self.sink.counts();
-        let marker = EndMarker { reason, last_tick: self.last_tick, hash: None, counts, lost };
+        let marker = EndMarker {
+            reason,
+            last_tick: self.last_tick,
+            hash: None,
+            counts,
+            lost,
+            damaged: BTreeMap::new(),
+        };
         let w = self.sink.finish(&marker)?;
         Ok((marker, w))
     }

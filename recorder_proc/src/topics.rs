@@ -1,6 +1,8 @@
 //! Topic names of the two logs.
 
-use ipc_types::layout::{Description, Message};
+use std::collections::BTreeMap;
+
+use ipc_types::layout::{Description, Element, Message};
 use ipc_types::messages::{
     DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, SENSOR_MSGS_IMAGE_SCHEMA, State,
 };
@@ -60,6 +62,47 @@ pub fn schema_of(description: &Description) -> (&'static str, String) {
         (IMAGE_SCHEMA_NAME, SENSOR_MSGS_IMAGE_SCHEMA.to_string())
     } else {
         (description.name, description.schema())
+    }
+}
+
+/// Units by the end of a field's name, the longer ends first.
+const UNITS: [(&str, &str); 10] = [
+    ("_rad_per_s", "rad/s"),
+    ("_m_per_s", "m/s"),
+    ("_n_m", "N m"),
+    ("_rad", "rad"),
+    ("_ns", "ns"),
+    ("_kg", "kg"),
+    ("_m", "m"),
+    ("_n", "N"),
+    ("_j", "J"),
+    ("_s", "s"),
+];
+
+/// What stands in a channel's metadata: the layout's hash, the unit of every field that has one, and the frame.
+pub fn channel_metadata(description: &'static Description) -> BTreeMap<String, String> {
+    let mut units = BTreeMap::new();
+    collect_units(description, "", &mut units);
+    let units: Vec<String> = units.iter().map(|(field, unit)| format!("{field}: {unit}")).collect();
+    BTreeMap::from([
+        ("layout_hash".to_string(), description.layout_hash()),
+        ("units".to_string(), units.join("\n")),
+        ("frame".to_string(), FRAME.to_string()),
+    ])
+}
+
+/// Of all poses, points and vectors whose name does not say otherwise (`t_world_x`: x in the world).
+const FRAME: &str =
+    "world: patient, LPS (+x left, +y posterior, +z head), right-handed, metres; quaternions x y z w";
+
+fn collect_units(description: &'static Description, prefix: &str, out: &mut BTreeMap<String, &'static str>) {
+    for field in description.fields {
+        let name = format!("{prefix}{}", field.name);
+        if let Element::Message(nested) = field.element {
+            collect_units(nested, &format!("{name}."), out);
+        } else if let Some((_, unit)) = UNITS.iter().find(|(end, _)| field.name.ends_with(end)) {
+            out.insert(name, unit);
+        }
     }
 }
 

@@ -3,9 +3,10 @@
 
 mod common;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
+use common::python::environment;
 use common::*;
 use ipc_types::layout::{Description, Element, Message};
 use ipc_types::messages::*;
@@ -13,29 +14,6 @@ use recorder_proc::*;
 use zerocopy::{FromBytes, IntoBytes};
 
 const PACKAGES: [&str; 2] = ["mcap==1.6.0", "mcap-ros2-support==0.6.0"];
-
-/// A virtual environment with the pinned packages below the target folder; made once. The error is the reason.
-fn python() -> Result<PathBuf, String> {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("mcap-ros2-support-0.6.0");
-    let python = folder.join("bin/python3");
-    let run = |program: &Path, arguments: &[&str]| -> Result<(), String> {
-        let output = Command::new(program).args(arguments).output().map_err(|error| error.to_string())?;
-        let text = String::from_utf8_lossy(&output.stderr);
-        if output.status.success() {
-            Ok(())
-        } else {
-            Err(text.lines().last().unwrap_or_default().to_string())
-        }
-    };
-    if run(&python, &["-c", "import mcap_ros2.decoder"]).is_ok() {
-        return Ok(python);
-    }
-    run(Path::new("python3"), &["-m", "venv", folder.to_str().unwrap()])?;
-    let install =
-        ["-m", "pip", "install", "-q", "--retries", "1", "--timeout", "10", PACKAGES[0], PACKAGES[1]];
-    run(&python, &install)?;
-    Ok(python)
-}
 
 /// The scalars of a message as the Python script prints them, read from the struct's bytes by its description.
 fn expected(description: &'static Description, bytes: &[u8], prefix: &str, out: &mut BTreeSet<String>) {
@@ -76,7 +54,7 @@ fn add(out: &mut BTreeSet<String>, prefix: &str, fields: BTreeSet<String>) {
 
 #[test]
 fn python_decodes_every_field_of_states_removals_and_images() {
-    let python = match python() {
+    let python = match environment("mcap-ros2-support-0.6.0", &PACKAGES, "mcap_ros2.decoder") {
         Ok(python) => python,
         Err(reason) => {
             println!("\n*** SKIPPED: no Python environment with {PACKAGES:?}: {reason} ***\n");

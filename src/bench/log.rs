@@ -69,7 +69,10 @@ fn verify(log: &Path) -> Result<(f64, usize), Failure> {
 }
 
 /// Seconds from the first tick to the last, reading included; the end must have the log's hash.
-fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
+///
+/// # Errors
+/// A log that cannot be read, a tick whose hash differs.
+pub(super) fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
     let volume = volume_source::load(scene).map_err(failed)?;
     let ct = volume.as_ref().map(|(volume, hash)| {
         let geometry = ct_geometry(&volume_source::message(volume, *hash));

@@ -7,7 +7,9 @@ mod machine;
 pub mod memory;
 pub mod overhead;
 pub mod ping_pong;
+pub mod recorder;
 mod samples;
+pub mod soak;
 pub mod step;
 
 use ipc_types::process::EndRequest;

@@ -6,7 +6,7 @@ use clap::Subcommand;
 
 use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
-use crate::bench::{drr, latency, log, memory, overhead, ping_pong, step};
+use crate::bench::{drr, latency, log, memory, overhead, ping_pong, recorder, soak, step};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -82,6 +82,30 @@ pub enum BenchCommand {
         #[arg(long)]
         address: String,
     },
+    /// What the recorder costs the physics: the scene in real time without and with it, in turn.
+    Recorder {
+        /// Scene.
+        #[arg(default_value = DEFAULT_SCENE)]
+        scene: PathBuf,
+        /// Seconds of a run, 1 to 3600.
+        #[arg(long, default_value_t = 10.0)]
+        seconds: f64,
+        /// Rounds, 1 to 1000.
+        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+        rounds: u64,
+    },
+    /// A long run in real time with frames: misses, memory of each process, log verified and replayed.
+    Soak {
+        /// Scene.
+        #[arg(default_value = DEFAULT_SCENE)]
+        scene: PathBuf,
+        /// Minutes, up to 60.
+        #[arg(long, default_value_t = 10.0)]
+        minutes: f64,
+        /// Folder that keeps the logs; without it they are removed.
+        #[arg(long)]
+        output: Option<PathBuf>,
+    },
     /// The answering side of a ping-pong.
     #[command(hide = true)]
     Pong {
@@ -115,6 +139,21 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             latency::run(*rounds as usize, *turns as usize, python.clone())
         }
         BenchCommand::Echo { peer, wait, rounds, address } => latency::answer(*peer, *wait, *rounds, address),
+        BenchCommand::Recorder { scene, seconds, rounds } => {
+            in_range("--seconds", *seconds, 1.0, 3600.0)?;
+            recorder::run(scene, *seconds, *rounds as usize)
+        }
+        BenchCommand::Soak { scene, minutes, output } => {
+            in_range("--minutes", *minutes, 0.05, 60.0)?;
+            soak::run(scene, *minutes, output.as_deref())
+        }
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }
+}
+
+fn in_range(option: &str, value: f64, lowest: f64, highest: f64) -> Result<(), Failure> {
+    if (lowest..=highest).contains(&value) {
+        return Ok(());
+    }
+    Err(Failure::bad_input(format!("{option} is {value}, allowed is {lowest} to {highest}")))
 }

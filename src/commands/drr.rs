@@ -60,7 +60,7 @@ pub struct DrrArguments {
     #[arg(long)]
     pub animate: bool,
     /// Line integral.
-    #[arg(long, value_enum, default_value = "joseph")]
+    #[arg(long, value_enum, default_value = "slice-ordered")]
     pub projector: ProjectorName,
     /// Which way round the greys are.
     #[arg(long, value_enum, default_value = "bone-dark")]
@@ -90,8 +90,12 @@ pub struct DrrArguments {
 pub enum ProjectorName {
     /// Exact for constant voxels; slow.
     Siddon,
-    /// Bilinear.
+    /// Bilinear, ray by ray.
     Joseph,
+    /// Bilinear, slice by slice; the fastest of full resolution.
+    SliceOrdered,
+    /// The same with voxels joined two by two by two.
+    Preview,
 }
 
 /// Displays.
@@ -220,6 +224,8 @@ fn parameters(arguments: &DrrArguments) -> DrrParameters {
         projector: match arguments.projector {
             ProjectorName::Siddon => Projector::Siddon,
             ProjectorName::Joseph => Projector::Joseph,
+            ProjectorName::SliceOrdered => Projector::SLICE_ORDERED,
+            ProjectorName::Preview => Projector::PREVIEW,
         },
         energy_kev: arguments.energy_kev,
         spectrum: arguments.tube_kv.map(|tube_kv| Spectrum { tube_kv, ..Spectrum::default() }),

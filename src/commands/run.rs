@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Scene};
+use ipc_types::scene::{Images, Mode, Scene};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
@@ -34,6 +34,12 @@ pub struct RunArguments {
     /// Record nothing.
     #[arg(long)]
     pub no_record: bool,
+    /// What is recorded of X-ray frames, instead of what the scene says.
+    #[arg(long, value_enum)]
+    pub images: Option<ImagesArgument>,
+    /// Every how many frames the image is recorded, of the others the hash; needs whole images.
+    #[arg(long, value_name = "N")]
+    pub image_every: Option<u64>,
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,
@@ -46,6 +52,17 @@ pub enum ModeArgument {
     Lockstep,
     /// By the wall clock.
     Realtime,
+}
+
+/// What is recorded of X-ray frames.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum ImagesArgument {
+    /// Whole.
+    Full,
+    /// Geometry and hash.
+    HashOnly,
+    /// Nothing.
+    None,
 }
 
 /// Runs a scene.
@@ -90,6 +107,20 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
         Some(ModeArgument::Lockstep) => scene.run.mode = Mode::Lockstep,
         Some(ModeArgument::Realtime) => scene.run.mode = Mode::Realtime,
         None => {}
+    }
+    match arguments.images {
+        Some(ImagesArgument::Full) => scene.recording.images = Images::Full,
+        Some(ImagesArgument::HashOnly) => scene.recording.images = Images::HashOnly,
+        Some(ImagesArgument::None) => scene.recording.images = Images::None,
+        None => {}
+    }
+    if let Some(every) = arguments.image_every {
+        if !(1..=1_000_000).contains(&every) || scene.recording.images != Images::Full {
+            return Err(Failure::bad_input(format!(
+                "--image-every is {every}, allowed is 1 to 1000000, with whole images (--images full)"
+            )));
+        }
+        scene.recording.image_every = every;
     }
     if let Some(duration_s) = arguments.duration_s {
         if !(0.001..=3600.0).contains(&duration_s) {

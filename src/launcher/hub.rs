@@ -3,11 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use ipc_types::messages::Volume as VolumeMessage;
+use drr_proc::process::{c_arm_message, scene_c_arm};
+use ipc_types::layout::Message;
+use ipc_types::messages::{CArmGeometry, Volume as VolumeMessage};
 use ipc_types::ports::{PortError, Publisher};
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan};
+use recorder_proc::cat::whole;
+use recorder_proc::header::CALIBRATION_ATTACHMENT;
 use volume_io::Volume;
 use zerocopy::IntoBytes;
 
@@ -79,6 +83,13 @@ impl Hub {
         let file_error = |cause: String| HubError::File { path: path.clone(), cause };
         let text = toml::to_string(scene).map_err(|cause| file_error(cause.to_string()))?;
         std::fs::write(&path, text).map_err(|cause| file_error(cause.to_string()))?;
+        if let Some(c_arm) = scene.drr.as_ref().and_then(|drr| scene_c_arm(drr).ok()) {
+            let json = whole(CArmGeometry::DESCRIPTION, c_arm_message(&c_arm).as_bytes());
+            let path = host.session.folder().join(CALIBRATION_ATTACHMENT);
+            let error =
+                |cause: std::io::Error| HubError::File { path: path.clone(), cause: cause.to_string() };
+            std::fs::write(&path, format!("{json:#}\n")).map_err(error)?;
+        }
         let publisher = match volume {
             Some((volume, sha256)) => {
                 let publisher = host.session.publisher::<VolumeMessage>(&services::VOLUME)?;

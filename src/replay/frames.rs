@@ -1,6 +1,8 @@
 //! Rendering a log's frames again.
 
-use drr_proc::process::{Job, burr_radius_m, c_arm_of, render_job, renderer_parameters, volume_view};
+use drr_proc::process::{
+    Job, burr_radius_m, c_arm_of, render_job, renderer_parameters, scene_isocentre_m, volume_view,
+};
 use drr_proc::{DrrRenderer, VolumeView};
 use ipc_types::messages::{Frame, State};
 use recorder_proc::diff::compare_frame;
@@ -73,8 +75,10 @@ impl<'l> FrameReplay<'l> {
             sequence: recorded.sequence,
             request_id: recorded.request_id,
             c_arm: c_arm_of(&recorded.geometry).map_err(failed)?,
+            isocentre_m: scene_isocentre_m(&self.log.scene),
             noise_seed: self.log.scene.run.seed,
             burr_radius_m: burr_radius_m(&self.log.scene),
+            notch: self.log.scene.drr.as_ref().and_then(|drr| drr.notch),
         };
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;
         let pixels = rendered.pixels.as_bytes().to_vec();

@@ -114,7 +114,8 @@ impl Pose {
             spectrum: None,
             carm,
             notch: None,
-            projector: Projector::Joseph,
+            projector: Projector::SliceOrdered,
+            oversampling: 1.0,
             threads: 1,
         };
         let c_arm = scene_c_arm(&drr).map_err(|cause: DrrError| cause.to_string())?;

@@ -29,12 +29,13 @@ extern "C" {
 
 /* Layouts of the messages below: what a program passes to trb_connect. */
 #define TRB_LAYOUTS \
-    "State=729b226247fc0784;" \
-    "Command=065fcafe79b85cce;" \
-    "Latched=82a475dbcc649818;" \
+    "State=3fba658789554a47;" \
+    "Command=c8d0cd083b5f99f6;" \
+    "Latched=b309d74dc575e148;" \
     "Removed=5ce3babf608d61af;" \
+    "Keyframe=e1b9ba2b5a994f57;" \
     "Volume=c5a2aacd347a5ea0;" \
-    "Frame=215ffdf730153d0c;" \
+    "Frame=228045ff193eb24b;" \
     "DrrRequest=83e13cf10f38aa91;" \
     "DrrReply=b006c57b42626708;" \
     "RunControl=7627fd0f1a183199;" \
@@ -49,8 +50,9 @@ extern "C" {
     "Wrench=bf570e10fd89ea10;" \
     "Contact=c84e06f445b86662;" \
     "AppliedCommand=116d7b58e2c912bb;" \
-    "LatchedCommand=4481fb06ac035ef3;" \
-    "CArmGeometry=7864e87c0e8671ed"
+    "LatchedCommand=614dac6c95076e87;" \
+    "CArmGeometry=7864e87c0e8671ed;" \
+    "CArmProjection=46e6726030fe2f0e"
 
 /* Status codes. */
 #define TRB_OK (0) /* Done. */
@@ -221,6 +223,11 @@ typedef struct trb_state {
     uint32_t body_count;
     /* Zero. */
     uint32_t reserved_bodies;
+    /* What the arm follows: the values of the command's `arm_mode`, 5 while it stops or stands. */
+    uint32_t arm_mode;
+    /* 0 moving, 1 at its goal and at rest, 2 gave its motion up or stopped a joint at the end of its
+     * range. */
+    uint32_t arm_status;
     /* Flexure angles from base to tip, positive toward tendon 0. */
     double joint_position_rad[32];
     /* Flexure rates. */
@@ -250,6 +257,12 @@ typedef struct trb_state {
     double arm_joint_position_rad[6];
     /* Arm joint rates. */
     double arm_joint_velocity_rad_per_s[6];
+    /* Elastic deflection of the arm's joints, part of `arm_joint_position_rad`; 0 without joint
+     * compliance. */
+    double arm_joint_deflection_rad[6];
+    /* Distance from singularity: Yoshikawa's manipulability |det J| in m³; the UR5's is mostly 0.05 to
+     * 0.1. */
+    double arm_manipulability_m3;
     /* Pose of the arm's flange. */
     trb_pose t_world_flange;
     /* Wrench of the tool on the flange, about the tool base, world axes. */
@@ -273,26 +286,30 @@ TRB_ASSERT(offsetof(trb_state, contact_total) == 56, "trb_state.contact_total");
 TRB_ASSERT(offsetof(trb_state, controller_count) == 60, "trb_state.controller_count");
 TRB_ASSERT(offsetof(trb_state, body_count) == 64, "trb_state.body_count");
 TRB_ASSERT(offsetof(trb_state, reserved_bodies) == 68, "trb_state.reserved_bodies");
-TRB_ASSERT(offsetof(trb_state, joint_position_rad) == 72, "trb_state.joint_position_rad");
-TRB_ASSERT(offsetof(trb_state, joint_velocity_rad_per_s) == 328, "trb_state.joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, bend_rad) == 584, "trb_state.bend_rad");
-TRB_ASSERT(offsetof(trb_state, burr_speed_rad_per_s) == 592, "trb_state.burr_speed_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, burr_force_n) == 600, "trb_state.burr_force_n");
-TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 608, "trb_state.cutting_energy_j");
-TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 616, "trb_state.tendon_tension_n");
-TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 648, "trb_state.tendon_displacement_m");
-TRB_ASSERT(offsetof(trb_state, t_world_base) == 680, "trb_state.t_world_base");
-TRB_ASSERT(offsetof(trb_state, t_world_tip) == 736, "trb_state.t_world_tip");
-TRB_ASSERT(offsetof(trb_state, t_world_burr) == 792, "trb_state.t_world_burr");
-TRB_ASSERT(offsetof(trb_state, t_world_link) == 848, "trb_state.t_world_link");
-TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2640, "trb_state.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2688, "trb_state.arm_joint_velocity_rad_per_s");
-TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2736, "trb_state.t_world_flange");
-TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2792, "trb_state.flange_wrench");
-TRB_ASSERT(offsetof(trb_state, t_world_body) == 2840, "trb_state.t_world_body");
-TRB_ASSERT(offsetof(trb_state, contacts) == 3064, "trb_state.contacts");
-TRB_ASSERT(offsetof(trb_state, applied) == 6904, "trb_state.applied");
-TRB_ASSERT(sizeof(trb_state) == 7000, "trb_state");
+TRB_ASSERT(offsetof(trb_state, arm_mode) == 72, "trb_state.arm_mode");
+TRB_ASSERT(offsetof(trb_state, arm_status) == 76, "trb_state.arm_status");
+TRB_ASSERT(offsetof(trb_state, joint_position_rad) == 80, "trb_state.joint_position_rad");
+TRB_ASSERT(offsetof(trb_state, joint_velocity_rad_per_s) == 336, "trb_state.joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, bend_rad) == 592, "trb_state.bend_rad");
+TRB_ASSERT(offsetof(trb_state, burr_speed_rad_per_s) == 600, "trb_state.burr_speed_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, burr_force_n) == 608, "trb_state.burr_force_n");
+TRB_ASSERT(offsetof(trb_state, cutting_energy_j) == 616, "trb_state.cutting_energy_j");
+TRB_ASSERT(offsetof(trb_state, tendon_tension_n) == 624, "trb_state.tendon_tension_n");
+TRB_ASSERT(offsetof(trb_state, tendon_displacement_m) == 656, "trb_state.tendon_displacement_m");
+TRB_ASSERT(offsetof(trb_state, t_world_base) == 688, "trb_state.t_world_base");
+TRB_ASSERT(offsetof(trb_state, t_world_tip) == 744, "trb_state.t_world_tip");
+TRB_ASSERT(offsetof(trb_state, t_world_burr) == 800, "trb_state.t_world_burr");
+TRB_ASSERT(offsetof(trb_state, t_world_link) == 856, "trb_state.t_world_link");
+TRB_ASSERT(offsetof(trb_state, arm_joint_position_rad) == 2648, "trb_state.arm_joint_position_rad");
+TRB_ASSERT(offsetof(trb_state, arm_joint_velocity_rad_per_s) == 2696, "trb_state.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_state, arm_joint_deflection_rad) == 2744, "trb_state.arm_joint_deflection_rad");
+TRB_ASSERT(offsetof(trb_state, arm_manipulability_m3) == 2792, "trb_state.arm_manipulability_m3");
+TRB_ASSERT(offsetof(trb_state, t_world_flange) == 2800, "trb_state.t_world_flange");
+TRB_ASSERT(offsetof(trb_state, flange_wrench) == 2856, "trb_state.flange_wrench");
+TRB_ASSERT(offsetof(trb_state, t_world_body) == 2904, "trb_state.t_world_body");
+TRB_ASSERT(offsetof(trb_state, contacts) == 3128, "trb_state.contacts");
+TRB_ASSERT(offsetof(trb_state, applied) == 6968, "trb_state.applied");
+TRB_ASSERT(sizeof(trb_state) == 7064, "trb_state");
 
 /* What one controller asks for. Verbs follow CRTK. A part whose mode is 0 keeps what it was told
  * before; a controller may drive only the parts that the scene gives it. */
@@ -303,7 +320,7 @@ typedef struct trb_command {
     uint64_t state_tick;
     /* 0 none, 1 servo_jf, 2 servo_jp, 3 move_jp. */
     uint32_t tendon_mode;
-    /* 0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold. */
+    /* 0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm. */
     uint32_t arm_mode;
     /* 0 none, 1 speed. */
     uint32_t burr_mode;
@@ -315,11 +332,18 @@ typedef struct trb_command {
     double tendon_displacement_m[4];
     /* Joint angles for the arm's servo_jp and move_jp. */
     double arm_joint_position_rad[6];
-    /* Goal of the arm's servo_cp and move_cp: the flange, where the tool base is but for the mount's
-     * deflection. */
+    /* Joint rates for the arm's servo_jv. */
+    double arm_joint_velocity_rad_per_s[6];
+    /* Goal of the arm's servo_cp, move_cp and rcm: the tool base but for the mount's deflection. */
     trb_pose t_world_base;
-    /* Speed limit of move_cp; 0 takes the scene's limit. */
+    /* Speed limit of move_cp and rcm; 0 takes the scene's limit. Feed of insert, above 0. */
     double arm_speed_m_per_s;
+    /* Axis of insert, a unit vector of the patient frame. */
+    double arm_axis[3];
+    /* Depth of insert from where the tool base stood when the insertion along this axis began. */
+    double arm_depth_m;
+    /* Remote centre of motion of rcm, patient frame. */
+    double arm_pivot_m[3];
     /* Angular speed of the burr. */
     double burr_speed_rad_per_s;
 } trb_command;
@@ -332,10 +356,14 @@ TRB_ASSERT(offsetof(trb_command, reserved) == 28, "trb_command.reserved");
 TRB_ASSERT(offsetof(trb_command, tendon_force_n) == 32, "trb_command.tendon_force_n");
 TRB_ASSERT(offsetof(trb_command, tendon_displacement_m) == 64, "trb_command.tendon_displacement_m");
 TRB_ASSERT(offsetof(trb_command, arm_joint_position_rad) == 96, "trb_command.arm_joint_position_rad");
-TRB_ASSERT(offsetof(trb_command, t_world_base) == 144, "trb_command.t_world_base");
-TRB_ASSERT(offsetof(trb_command, arm_speed_m_per_s) == 200, "trb_command.arm_speed_m_per_s");
-TRB_ASSERT(offsetof(trb_command, burr_speed_rad_per_s) == 208, "trb_command.burr_speed_rad_per_s");
-TRB_ASSERT(sizeof(trb_command) == 216, "trb_command");
+TRB_ASSERT(offsetof(trb_command, arm_joint_velocity_rad_per_s) == 144, "trb_command.arm_joint_velocity_rad_per_s");
+TRB_ASSERT(offsetof(trb_command, t_world_base) == 192, "trb_command.t_world_base");
+TRB_ASSERT(offsetof(trb_command, arm_speed_m_per_s) == 248, "trb_command.arm_speed_m_per_s");
+TRB_ASSERT(offsetof(trb_command, arm_axis) == 256, "trb_command.arm_axis");
+TRB_ASSERT(offsetof(trb_command, arm_depth_m) == 280, "trb_command.arm_depth_m");
+TRB_ASSERT(offsetof(trb_command, arm_pivot_m) == 288, "trb_command.arm_pivot_m");
+TRB_ASSERT(offsetof(trb_command, burr_speed_rad_per_s) == 312, "trb_command.burr_speed_rad_per_s");
+TRB_ASSERT(sizeof(trb_command) == 320, "trb_command");
 
 /* One controller's part of u_k. */
 typedef struct trb_latched_command {
@@ -352,7 +380,7 @@ TRB_ASSERT(offsetof(trb_latched_command, source) == 0, "trb_latched_command.sour
 TRB_ASSERT(offsetof(trb_latched_command, controller_index) == 4, "trb_latched_command.controller_index");
 TRB_ASSERT(offsetof(trb_latched_command, age_ticks) == 8, "trb_latched_command.age_ticks");
 TRB_ASSERT(offsetof(trb_latched_command, command) == 16, "trb_latched_command.command");
-TRB_ASSERT(sizeof(trb_latched_command) == 232, "trb_latched_command");
+TRB_ASSERT(sizeof(trb_latched_command) == 336, "trb_latched_command");
 
 /* u_k: everything that tick k takes from outside. Published before the state that it leads to; the
  * only non-deterministic input of a run. */
@@ -370,7 +398,7 @@ TRB_ASSERT(offsetof(trb_latched, tick) == 0, "trb_latched.tick");
 TRB_ASSERT(offsetof(trb_latched, controller_count) == 8, "trb_latched.controller_count");
 TRB_ASSERT(offsetof(trb_latched, reset) == 12, "trb_latched.reset");
 TRB_ASSERT(offsetof(trb_latched, commands) == 16, "trb_latched.commands");
-TRB_ASSERT(sizeof(trb_latched) == 944, "trb_latched");
+TRB_ASSERT(sizeof(trb_latched) == 1360, "trb_latched");
 
 /* Voxels that are gone from this tick on, published before the state of the tick, and only for ticks
  * that removed some. Messages of tick 0 hold the holes that the scene predrills, which `removed_total`
@@ -393,6 +421,34 @@ TRB_ASSERT(offsetof(trb_removed, removed_total) == 16, "trb_removed.removed_tota
 TRB_ASSERT(offsetof(trb_removed, restore_first) == 24, "trb_removed.restore_first");
 TRB_ASSERT(offsetof(trb_removed, voxel_index_length) == 28, "trb_removed.voxel_index_length");
 TRB_ASSERT(sizeof(trb_removed) == 32, "trb_removed");
+
+/* A part of a keyframe: everything that the physics keeps between ticks, so that a replay can begin
+ * here. The bytes are the physics' own (`physics_proc::simulation`, `write_keyframe`) and belong to
+ * one build. Published behind the state that they save. */
+typedef struct trb_keyframe {
+    /* `State.tick` of that state. */
+    uint64_t tick;
+    /* `State.hash` of that state, low word first. */
+    uint64_t hash[2];
+    /* Counts the parts of all keyframes, from 1, rising by one. */
+    uint64_t sequence;
+    /* Length of the whole keyframe in bytes. */
+    uint32_t total_bytes;
+    /* Where this part begins in it. */
+    uint32_t offset_bytes;
+    /* Always 0. */
+    uint32_t reserved;
+    /* Bytes of this part. */
+    uint32_t data_length;
+} trb_keyframe;
+TRB_ASSERT(offsetof(trb_keyframe, tick) == 0, "trb_keyframe.tick");
+TRB_ASSERT(offsetof(trb_keyframe, hash) == 8, "trb_keyframe.hash");
+TRB_ASSERT(offsetof(trb_keyframe, sequence) == 24, "trb_keyframe.sequence");
+TRB_ASSERT(offsetof(trb_keyframe, total_bytes) == 32, "trb_keyframe.total_bytes");
+TRB_ASSERT(offsetof(trb_keyframe, offset_bytes) == 36, "trb_keyframe.offset_bytes");
+TRB_ASSERT(offsetof(trb_keyframe, reserved) == 40, "trb_keyframe.reserved");
+TRB_ASSERT(offsetof(trb_keyframe, data_length) == 44, "trb_keyframe.data_length");
+TRB_ASSERT(sizeof(trb_keyframe) == 48, "trb_keyframe");
 
 /* The CT volume: geometry, then Hounsfield units, x fastest. Published once; late joiners receive it. */
 typedef struct trb_volume {
@@ -443,6 +499,34 @@ TRB_ASSERT(offsetof(trb_c_arm_geometry, columns) == 112, "trb_c_arm_geometry.col
 TRB_ASSERT(offsetof(trb_c_arm_geometry, rows) == 116, "trb_c_arm_geometry.rows");
 TRB_ASSERT(sizeof(trb_c_arm_geometry) == 120, "trb_c_arm_geometry");
 
+/* The same C-arm as others write it. Camera: s (u, v, 1) = K (R x + t), z towards the detector, pixel
+ * centres at whole numbers (OpenCV); fx is negative where the picture is seen from the detector's
+ * side. */
+typedef struct trb_c_arm_projection {
+    /* K in pixels, row by row. */
+    double intrinsics[9];
+    /* R, row by row: rows are the camera's axes in the world. */
+    double rotation[9];
+    /* t: the world's origin in the camera. */
+    double translation_m[3];
+    /* DICOM (0018,1510): 0 is detector in front of the chest, positive towards the patient's left. */
+    double primary_angle_rad;
+    /* DICOM (0018,1511): positive is cranial. */
+    double secondary_angle_rad;
+    /* DICOM (0018,1110): source to detector, along its normal. */
+    double source_detector_m;
+    /* DICOM (0018,1111): source to the scene's isocentre, along the detector's normal. */
+    double source_isocentre_m;
+} trb_c_arm_projection;
+TRB_ASSERT(offsetof(trb_c_arm_projection, intrinsics) == 0, "trb_c_arm_projection.intrinsics");
+TRB_ASSERT(offsetof(trb_c_arm_projection, rotation) == 72, "trb_c_arm_projection.rotation");
+TRB_ASSERT(offsetof(trb_c_arm_projection, translation_m) == 144, "trb_c_arm_projection.translation_m");
+TRB_ASSERT(offsetof(trb_c_arm_projection, primary_angle_rad) == 168, "trb_c_arm_projection.primary_angle_rad");
+TRB_ASSERT(offsetof(trb_c_arm_projection, secondary_angle_rad) == 176, "trb_c_arm_projection.secondary_angle_rad");
+TRB_ASSERT(offsetof(trb_c_arm_projection, source_detector_m) == 184, "trb_c_arm_projection.source_detector_m");
+TRB_ASSERT(offsetof(trb_c_arm_projection, source_isocentre_m) == 192, "trb_c_arm_projection.source_isocentre_m");
+TRB_ASSERT(sizeof(trb_c_arm_projection) == 200, "trb_c_arm_projection");
+
 /* What a frame shows; on the wire an `ImagePrefix` and the pixels follow. */
 typedef struct trb_frame {
     /* Counts the frames, from 1, rising by one. */
@@ -463,6 +547,8 @@ typedef struct trb_frame {
     trb_pose t_world_burr;
     /* C-arm of the frame. */
     trb_c_arm_geometry geometry;
+    /* The same C-arm as camera and as positioner. */
+    trb_c_arm_projection projection;
 } trb_frame;
 TRB_ASSERT(offsetof(trb_frame, sequence) == 0, "trb_frame.sequence");
 TRB_ASSERT(offsetof(trb_frame, request_id) == 8, "trb_frame.request_id");
@@ -473,7 +559,8 @@ TRB_ASSERT(offsetof(trb_frame, pixel_hash) == 40, "trb_frame.pixel_hash");
 TRB_ASSERT(offsetof(trb_frame, noise_seed) == 56, "trb_frame.noise_seed");
 TRB_ASSERT(offsetof(trb_frame, t_world_burr) == 64, "trb_frame.t_world_burr");
 TRB_ASSERT(offsetof(trb_frame, geometry) == 120, "trb_frame.geometry");
-TRB_ASSERT(sizeof(trb_frame) == 240, "trb_frame");
+TRB_ASSERT(offsetof(trb_frame, projection) == 240, "trb_frame.projection");
+TRB_ASSERT(sizeof(trb_frame) == 440, "trb_frame");
 
 /* Asks for a frame. */
 typedef struct trb_drr_request {

@@ -11,12 +11,13 @@ from ._view import View, field, nested
 VERSION = "0.1.0"
 
 LAYOUTS = (
-    "State=729b226247fc0784;"
-    "Command=065fcafe79b85cce;"
-    "Latched=82a475dbcc649818;"
+    "State=3fba658789554a47;"
+    "Command=c8d0cd083b5f99f6;"
+    "Latched=b309d74dc575e148;"
     "Removed=5ce3babf608d61af;"
+    "Keyframe=e1b9ba2b5a994f57;"
     "Volume=c5a2aacd347a5ea0;"
-    "Frame=215ffdf730153d0c;"
+    "Frame=228045ff193eb24b;"
     "DrrRequest=83e13cf10f38aa91;"
     "DrrReply=b006c57b42626708;"
     "RunControl=7627fd0f1a183199;"
@@ -31,8 +32,9 @@ LAYOUTS = (
     "Wrench=bf570e10fd89ea10;"
     "Contact=c84e06f445b86662;"
     "AppliedCommand=116d7b58e2c912bb;"
-    "LatchedCommand=4481fb06ac035ef3;"
-    "CArmGeometry=7864e87c0e8671ed"
+    "LatchedCommand=614dac6c95076e87;"
+    "CArmGeometry=7864e87c0e8671ed;"
+    "CArmProjection=46e6726030fe2f0e"
 )
 
 OK = 0
@@ -194,10 +196,10 @@ class State(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "reserved_bodies", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "burr_force_n", "cutting_energy_j", "tendon_tension_n", "tendon_displacement_m", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
-            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (6,)), ("<f8", (6,)), Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
-            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 328, 584, 592, 600, 608, 616, 648, 680, 736, 792, 848, 2640, 2688, 2736, 2792, 2840, 3064, 6904],
-            "itemsize": 7000,
+            "names": ["tick", "sim_time_s", "hash", "removed_total", "removed_in_tick", "joint_count", "tendon_count", "contact_count", "contact_total", "controller_count", "body_count", "reserved_bodies", "arm_mode", "arm_status", "joint_position_rad", "joint_velocity_rad_per_s", "bend_rad", "burr_speed_rad_per_s", "burr_force_n", "cutting_energy_j", "tendon_tension_n", "tendon_displacement_m", "t_world_base", "t_world_tip", "t_world_burr", "t_world_link", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "arm_joint_deflection_rad", "arm_manipulability_m3", "t_world_flange", "flange_wrench", "t_world_body", "contacts", "applied"],
+            "formats": ["<u8", "<f8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", ("<f8", (32,)), ("<f8", (32,)), "<f8", "<f8", "<f8", "<f8", ("<f8", (4,)), ("<f8", (4,)), Pose.dtype, Pose.dtype, Pose.dtype, (Pose.dtype, (32,)), ("<f8", (6,)), ("<f8", (6,)), ("<f8", (6,)), "<f8", Pose.dtype, Wrench.dtype, (Pose.dtype, (4,)), (Contact.dtype, (40,)), (AppliedCommand.dtype, (4,))],
+            "offsets": [0, 8, 16, 32, 40, 44, 48, 52, 56, 60, 64, 68, 72, 76, 80, 336, 592, 600, 608, 616, 624, 656, 688, 744, 800, 856, 2648, 2696, 2744, 2792, 2800, 2856, 2904, 3128, 6968],
+            "itemsize": 7064,
         }
     )
     tick: int = field("tick", "<Q", 0, "Number of ticks made since the run began; a reset does not set it back.")
@@ -212,25 +214,29 @@ class State(View):
     controller_count: int = field("controller_count", "<I", 60, "Number of entries of `applied` in use.")
     body_count: int = field("body_count", "<I", 64, "Number of entries of `t_world_body` in use.")
     reserved_bodies: int = field("reserved_bodies", "<I", 68, "Zero.")
-    joint_position_rad: np.ndarray = field("joint_position_rad", None, 72, "Flexure angles from base to tip, positive toward tendon 0.")
-    joint_velocity_rad_per_s: np.ndarray = field("joint_velocity_rad_per_s", None, 328, "Flexure rates.")
-    bend_rad: float = field("bend_rad", "<d", 584, "Sum of the flexure angles: the bend of the tip against the base.")
-    burr_speed_rad_per_s: float = field("burr_speed_rad_per_s", "<d", 592, "Angular speed of the burr.")
-    burr_force_n: float = field("burr_force_n", "<d", 600, "Normal force with which the burr presses on bone.")
-    cutting_energy_j: float = field("cutting_energy_j", "<d", 608, "Energy that the burr has put into cutting since the start.")
-    tendon_tension_n: np.ndarray = field("tendon_tension_n", None, 616, "Tension at the proximal end of each tendon.")
-    tendon_displacement_m: np.ndarray = field("tendon_displacement_m", None, 648, "Pull of each tendon from its straight, unloaded length; positive is pulled.")
-    t_world_base: Pose = nested(Pose, 680, "Tool base (start of the rigid shaft), the mount's deflection included; +z along the straight tool, +x toward tendon 0.")
-    t_world_tip: Pose = nested(Pose, 736, "Front of the burr: its centre plus its radius along the last link's +z.")
-    t_world_burr: Pose = nested(Pose, 792, "Burr centre, axes of the last link.")
-    t_world_link: np.ndarray = field("t_world_link", None, 848, "Pose of each link behind its flexure, base to tip.")
-    arm_joint_position_rad: np.ndarray = field("arm_joint_position_rad", None, 2640, "Arm joint angles, base to wrist.")
-    arm_joint_velocity_rad_per_s: np.ndarray = field("arm_joint_velocity_rad_per_s", None, 2688, "Arm joint rates.")
-    t_world_flange: Pose = nested(Pose, 2736, "Pose of the arm's flange.")
-    flange_wrench: Wrench = nested(Wrench, 2792, "Wrench of the tool on the flange, about the tool base, world axes.")
-    t_world_body: np.ndarray = field("t_world_body", None, 2840, "Pose of each rigid body of the scene, in its order.")
-    contacts: np.ndarray = field("contacts", None, 3064, "Contacts that carry force, in the order of the spheres.")
-    applied: np.ndarray = field("applied", None, 6904, "The command of each controller that this tick applied.")
+    arm_mode: int = field("arm_mode", "<I", 72, "What the arm follows: the values of the command's `arm_mode`, 5 while it stops or stands.")
+    arm_status: int = field("arm_status", "<I", 76, "0 moving, 1 at its goal and at rest, 2 gave its motion up or stopped a joint at the end of its range.")
+    joint_position_rad: np.ndarray = field("joint_position_rad", None, 80, "Flexure angles from base to tip, positive toward tendon 0.")
+    joint_velocity_rad_per_s: np.ndarray = field("joint_velocity_rad_per_s", None, 336, "Flexure rates.")
+    bend_rad: float = field("bend_rad", "<d", 592, "Sum of the flexure angles: the bend of the tip against the base.")
+    burr_speed_rad_per_s: float = field("burr_speed_rad_per_s", "<d", 600, "Angular speed of the burr.")
+    burr_force_n: float = field("burr_force_n", "<d", 608, "Normal force with which the burr presses on bone.")
+    cutting_energy_j: float = field("cutting_energy_j", "<d", 616, "Energy that the burr has put into cutting since the start.")
+    tendon_tension_n: np.ndarray = field("tendon_tension_n", None, 624, "Tension at the proximal end of each tendon.")
+    tendon_displacement_m: np.ndarray = field("tendon_displacement_m", None, 656, "Pull of each tendon from its straight, unloaded length; positive is pulled.")
+    t_world_base: Pose = nested(Pose, 688, "Tool base (start of the rigid shaft), the mount's deflection included; +z along the straight tool, +x toward tendon 0.")
+    t_world_tip: Pose = nested(Pose, 744, "Front of the burr: its centre plus its radius along the last link's +z.")
+    t_world_burr: Pose = nested(Pose, 800, "Burr centre, axes of the last link.")
+    t_world_link: np.ndarray = field("t_world_link", None, 856, "Pose of each link behind its flexure, base to tip.")
+    arm_joint_position_rad: np.ndarray = field("arm_joint_position_rad", None, 2648, "Arm joint angles, base to wrist.")
+    arm_joint_velocity_rad_per_s: np.ndarray = field("arm_joint_velocity_rad_per_s", None, 2696, "Arm joint rates.")
+    arm_joint_deflection_rad: np.ndarray = field("arm_joint_deflection_rad", None, 2744, "Elastic deflection of the arm's joints, part of `arm_joint_position_rad`; 0 without joint compliance.")
+    arm_manipulability_m3: float = field("arm_manipulability_m3", "<d", 2792, "Distance from singularity: Yoshikawa's manipulability |det J| in m³; the UR5's is mostly 0.05 to 0.1.")
+    t_world_flange: Pose = nested(Pose, 2800, "Pose of the arm's flange.")
+    flange_wrench: Wrench = nested(Wrench, 2856, "Wrench of the tool on the flange, about the tool base, world axes.")
+    t_world_body: np.ndarray = field("t_world_body", None, 2904, "Pose of each rigid body of the scene, in its order.")
+    contacts: np.ndarray = field("contacts", None, 3128, "Contacts that carry force, in the order of the spheres.")
+    applied: np.ndarray = field("applied", None, 6968, "The command of each controller that this tick applied.")
 
 
 class Command(View):
@@ -242,24 +248,28 @@ class Command(View):
 
     dtype = np.dtype(
         {
-            "names": ["sequence", "state_tick", "tendon_mode", "arm_mode", "burr_mode", "reserved", "tendon_force_n", "tendon_displacement_m", "arm_joint_position_rad", "t_world_base", "arm_speed_m_per_s", "burr_speed_rad_per_s"],
-            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (6,)), Pose.dtype, "<f8", "<f8"],
-            "offsets": [0, 8, 16, 20, 24, 28, 32, 64, 96, 144, 200, 208],
-            "itemsize": 216,
+            "names": ["sequence", "state_tick", "tendon_mode", "arm_mode", "burr_mode", "reserved", "tendon_force_n", "tendon_displacement_m", "arm_joint_position_rad", "arm_joint_velocity_rad_per_s", "t_world_base", "arm_speed_m_per_s", "arm_axis", "arm_depth_m", "arm_pivot_m", "burr_speed_rad_per_s"],
+            "formats": ["<u8", "<u8", "<u4", "<u4", "<u4", "<u4", ("<f8", (4,)), ("<f8", (4,)), ("<f8", (6,)), ("<f8", (6,)), Pose.dtype, "<f8", ("<f8", (3,)), "<f8", ("<f8", (3,)), "<f8"],
+            "offsets": [0, 8, 16, 20, 24, 28, 32, 64, 96, 144, 192, 248, 256, 280, 288, 312],
+            "itemsize": 320,
         }
     )
     sequence: int = field("sequence", "<Q", 0, "Counts the commands of this controller, from 1, rising by one.")
     state_tick: int = field("state_tick", "<Q", 8, "`tick` of the state that this command answers.")
     tendon_mode: int = field("tendon_mode", "<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.")
-    arm_mode: int = field("arm_mode", "<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold.")
+    arm_mode: int = field("arm_mode", "<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.")
     burr_mode: int = field("burr_mode", "<I", 24, "0 none, 1 speed.")
     reserved: int = field("reserved", "<I", 28, "Always 0.")
     tendon_force_n: np.ndarray = field("tendon_force_n", None, 32, "Tensions for servo_jf, 0 or more.")
     tendon_displacement_m: np.ndarray = field("tendon_displacement_m", None, 64, "Displacements for servo_jp and move_jp; positive pulls.")
     arm_joint_position_rad: np.ndarray = field("arm_joint_position_rad", None, 96, "Joint angles for the arm's servo_jp and move_jp.")
-    t_world_base: Pose = nested(Pose, 144, "Goal of the arm's servo_cp and move_cp: the flange, where the tool base is but for the mount's deflection.")
-    arm_speed_m_per_s: float = field("arm_speed_m_per_s", "<d", 200, "Speed limit of move_cp; 0 takes the scene's limit.")
-    burr_speed_rad_per_s: float = field("burr_speed_rad_per_s", "<d", 208, "Angular speed of the burr.")
+    arm_joint_velocity_rad_per_s: np.ndarray = field("arm_joint_velocity_rad_per_s", None, 144, "Joint rates for the arm's servo_jv.")
+    t_world_base: Pose = nested(Pose, 192, "Goal of the arm's servo_cp, move_cp and rcm: the tool base but for the mount's deflection.")
+    arm_speed_m_per_s: float = field("arm_speed_m_per_s", "<d", 248, "Speed limit of move_cp and rcm; 0 takes the scene's limit. Feed of insert, above 0.")
+    arm_axis: np.ndarray = field("arm_axis", None, 256, "Axis of insert, a unit vector of the patient frame.")
+    arm_depth_m: float = field("arm_depth_m", "<d", 280, "Depth of insert from where the tool base stood when the insertion along this axis began.")
+    arm_pivot_m: np.ndarray = field("arm_pivot_m", None, 288, "Remote centre of motion of rcm, patient frame.")
+    burr_speed_rad_per_s: float = field("burr_speed_rad_per_s", "<d", 312, "Angular speed of the burr.")
 
 
 class LatchedCommand(View):
@@ -272,7 +282,7 @@ class LatchedCommand(View):
             "names": ["source", "controller_index", "age_ticks", "command"],
             "formats": ["<u4", "<u4", "<u8", Command.dtype],
             "offsets": [0, 4, 8, 16],
-            "itemsize": 232,
+            "itemsize": 336,
         }
     )
     source: int = field("source", "<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.")
@@ -293,7 +303,7 @@ class Latched(View):
             "names": ["tick", "controller_count", "reset", "commands"],
             "formats": ["<u8", "<u4", "<u4", (LatchedCommand.dtype, (4,))],
             "offsets": [0, 8, 12, 16],
-            "itemsize": 944,
+            "itemsize": 1360,
         }
     )
     tick: int = field("tick", "<Q", 0, "k: the tick that takes `State.tick` from k to k+1.")
@@ -323,6 +333,31 @@ class Removed(View):
     removed_total: int = field("removed_total", "<Q", 16, "Voxels drilled since the start or the last reset, these included.")
     restore_first: int = field("restore_first", "<I", 24, "1 if all drilled voxels, not the predrilled ones, are put back before these are removed (a reset).")
     voxel_index_length: int = field("voxel_index_length", "<I", 28, "Number of entries of `voxel_index`.")
+
+
+class Keyframe(View):
+    """A part of a keyframe: everything that the physics keeps between ticks, so that a replay
+    can begin here. The bytes are the physics' own (`physics_proc::simulation`,
+    `write_keyframe`) and belong to one build. Published behind the state that they save.
+    """
+
+    __slots__ = ()
+
+    dtype = np.dtype(
+        {
+            "names": ["tick", "hash", "sequence", "total_bytes", "offset_bytes", "reserved", "data_length"],
+            "formats": ["<u8", ("<u8", (2,)), "<u8", "<u4", "<u4", "<u4", "<u4"],
+            "offsets": [0, 8, 24, 32, 36, 40, 44],
+            "itemsize": 48,
+        }
+    )
+    tick: int = field("tick", "<Q", 0, "`State.tick` of that state.")
+    hash: np.ndarray = field("hash", None, 8, "`State.hash` of that state, low word first.")
+    sequence: int = field("sequence", "<Q", 24, "Counts the parts of all keyframes, from 1, rising by one.")
+    total_bytes: int = field("total_bytes", "<I", 32, "Length of the whole keyframe in bytes.")
+    offset_bytes: int = field("offset_bytes", "<I", 36, "Where this part begins in it.")
+    reserved: int = field("reserved", "<I", 40, "Always 0.")
+    data_length: int = field("data_length", "<I", 44, "Bytes of this part.")
 
 
 class Volume(View):
@@ -372,6 +407,31 @@ class CArmGeometry(View):
     rows: int = field("rows", "<I", 116, "Number of pixel rows.")
 
 
+class CArmProjection(View):
+    """The same C-arm as others write it. Camera: s (u, v, 1) = K (R x + t), z towards the
+    detector, pixel centres at whole numbers (OpenCV); fx is negative where the picture is
+    seen from the detector's side.
+    """
+
+    __slots__ = ()
+
+    dtype = np.dtype(
+        {
+            "names": ["intrinsics", "rotation", "translation_m", "primary_angle_rad", "secondary_angle_rad", "source_detector_m", "source_isocentre_m"],
+            "formats": [("<f8", (9,)), ("<f8", (9,)), ("<f8", (3,)), "<f8", "<f8", "<f8", "<f8"],
+            "offsets": [0, 72, 144, 168, 176, 184, 192],
+            "itemsize": 200,
+        }
+    )
+    intrinsics: np.ndarray = field("intrinsics", None, 0, "K in pixels, row by row.")
+    rotation: np.ndarray = field("rotation", None, 72, "R, row by row: rows are the camera's axes in the world.")
+    translation_m: np.ndarray = field("translation_m", None, 144, "t: the world's origin in the camera.")
+    primary_angle_rad: float = field("primary_angle_rad", "<d", 168, "DICOM (0018,1510): 0 is detector in front of the chest, positive towards the patient's left.")
+    secondary_angle_rad: float = field("secondary_angle_rad", "<d", 176, "DICOM (0018,1511): positive is cranial.")
+    source_detector_m: float = field("source_detector_m", "<d", 184, "DICOM (0018,1110): source to detector, along its normal.")
+    source_isocentre_m: float = field("source_isocentre_m", "<d", 192, "DICOM (0018,1111): source to the scene's isocentre, along the detector's normal.")
+
+
 class Frame(View):
     """What a frame shows; on the wire an `ImagePrefix` and the pixels follow."""
 
@@ -379,10 +439,10 @@ class Frame(View):
 
     dtype = np.dtype(
         {
-            "names": ["sequence", "request_id", "tick", "removed_total", "sim_time_s", "pixel_hash", "noise_seed", "t_world_burr", "geometry"],
-            "formats": ["<u8", "<u8", "<u8", "<u8", "<f8", ("<u8", (2,)), "<u8", Pose.dtype, CArmGeometry.dtype],
-            "offsets": [0, 8, 16, 24, 32, 40, 56, 64, 120],
-            "itemsize": 240,
+            "names": ["sequence", "request_id", "tick", "removed_total", "sim_time_s", "pixel_hash", "noise_seed", "t_world_burr", "geometry", "projection"],
+            "formats": ["<u8", "<u8", "<u8", "<u8", "<f8", ("<u8", (2,)), "<u8", Pose.dtype, CArmGeometry.dtype, CArmProjection.dtype],
+            "offsets": [0, 8, 16, 24, 32, 40, 56, 64, 120, 240],
+            "itemsize": 440,
         }
     )
     sequence: int = field("sequence", "<Q", 0, "Counts the frames, from 1, rising by one.")
@@ -394,6 +454,7 @@ class Frame(View):
     noise_seed: int = field("noise_seed", "<Q", 56, "Seed of the quantum noise.")
     t_world_burr: Pose = nested(Pose, 64, "Burr centre in this state, axes of the last link.")
     geometry: CArmGeometry = nested(CArmGeometry, 120, "C-arm of the frame.")
+    projection: CArmProjection = nested(CArmProjection, 240, "The same C-arm as camera and as positioner.")
 
 
 class DrrRequest(View):
@@ -702,8 +763,10 @@ __all__ = [
     "LatchedCommand",
     "Latched",
     "Removed",
+    "Keyframe",
     "Volume",
     "CArmGeometry",
+    "CArmProjection",
     "Frame",
     "DrrRequest",
     "DrrReply",

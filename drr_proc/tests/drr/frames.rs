@@ -91,7 +91,7 @@ fn assert_same(a: &Frame, b: &Frame) {
 fn a_cache_after_many_removals_equals_a_full_render_bit_for_bit() {
     let (grid, hu) = volume();
     let view = VolumeView::new(grid, &hu).unwrap();
-    for projector in [Projector::Joseph, Projector::Siddon] {
+    for projector in [Projector::SLICE_ORDERED, Projector::PREVIEW, Projector::Joseph, Projector::Siddon] {
         for (primary, secondary) in [(0.0, 0.0), (37.0, 18.0), (90.0, 5.0), (46.0, -44.0), (5.0, 85.0)] {
             let c_arm = close_up(primary, secondary);
             let mut kept = DrrRenderer::new(&view, parameters(projector, 2)).unwrap();
@@ -102,7 +102,10 @@ fn a_cache_after_many_removals_equals_a_full_render_bit_for_bit() {
                 kept.remove(&view, &new).unwrap();
                 all.extend(new);
                 let (incremental, kind) = frame(&mut kept, &view, &c_arm, step);
-                assert_ne!(kind, RenderKind::Full);
+                // Sums over slices are updated or made anew, whichever is quicker.
+                if matches!(projector, Projector::Joseph | Projector::Siddon) {
+                    assert_ne!(kind, RenderKind::Full);
+                }
                 let mut fresh = DrrRenderer::new(&view, parameters(projector, 1)).unwrap();
                 fresh.remove(&view, &all).unwrap();
                 let (full, kind) = frame(&mut fresh, &view, &c_arm, step);
@@ -178,7 +181,7 @@ fn a_removed_voxel_is_what_fills_it() {
     let mut filled = hu.clone();
     removed.iter().for_each(|&i| filled[i as usize] = 0);
     let (view, filled) = (VolumeView::new(grid, &hu).unwrap(), VolumeView::new(grid, &filled).unwrap());
-    for projector in [Projector::Joseph, Projector::Siddon] {
+    for projector in [Projector::SLICE_ORDERED, Projector::PREVIEW, Projector::Joseph, Projector::Siddon] {
         let with_water = DrrParameters { fill_hu: 0, ..parameters(projector, 2) };
         let mut a = DrrRenderer::new(&view, with_water).unwrap();
         a.remove(&view, &removed).unwrap();

@@ -121,6 +121,7 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
     if scene.recording.keyframe_interval_s != 0.0 {
         checker.range("recording.keyframe_interval_s", scene.recording.keyframe_interval_s, 0.01, 3600.0)?;
     }
+    checker.range("recording.image_every", scene.recording.image_every as f64, 1.0, 1e6)?;
     check_overrides(scene, &checker)?;
     if let Some(drr) = &scene.drr {
         check_drr(drr, &checker)?;

@@ -731,20 +731,31 @@ pub enum Images {
     Full,
     /// Only their geometry and hash: they can be rendered again.
     HashOnly,
+    /// None, and no hash either.
+    None,
 }
 
 /// What is recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Recording {
-    /// Frames whole, or only their geometry and hash: they are a function of scene and state.
+    /// Frames whole; only their geometry and hash, from which they can be rendered again; or nothing of them.
     pub images: Images,
     /// Simulated time between two keyframes, from which a replay can begin; 0.01 to 3600 s, or 0 for none.
     pub keyframe_interval_s: f64,
+    /// With `images = "full"`, every how many frames the image is recorded, 1 to 1000000; of the others the hash.
+    pub image_every: u64,
+}
+
+impl Recording {
+    /// Whether the image of a frame (`Frame.sequence`, from 1) is recorded.
+    pub fn keeps_image(&self, sequence: u64) -> bool {
+        self.images == Images::Full && sequence.saturating_sub(1) % self.image_every.max(1) == 0
+    }
 }
 
 impl Default for Recording {
     fn default() -> Self {
-        Recording { images: Images::Full, keyframe_interval_s: 2.0 }
+        Recording { images: Images::Full, keyframe_interval_s: 2.0, image_every: 1 }
     }
 }

@@ -89,7 +89,15 @@ impl Simulation<'_> {
         let unreadable = |cause: String| KeyframeError::Unreadable { cause };
         let (whole, rest): (Whole<'_>, _) =
             postcard::take_from_bytes(bytes).map_err(|cause| unreadable(cause.to_string()))?;
-        let (state, (arm, compliance), manipulator, bone, rigid, tendon, (burr_speed_rad_per_s, cutting_energy_j)) = whole;
+        let (
+            state,
+            (arm, compliance),
+            manipulator,
+            bone,
+            rigid,
+            tendon,
+            (burr_speed_rad_per_s, cutting_energy_j),
+        ) = whole;
         let state = State::read_from_bytes(state).map_err(|_| unreadable("its state".to_owned()))?;
         if !rest.is_empty() {
             return Err(unreadable(format!("{} bytes too many", rest.len())).into());

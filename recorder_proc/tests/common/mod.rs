@@ -7,6 +7,8 @@
     reason = "each test file uses a part of this"
 )]
 
+pub mod python;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -17,6 +19,7 @@ use zerocopy::IntoBytes;
 pub fn header() -> LogHeader {
     LogHeader {
         scene_toml: "name = \"toy\"\n# µ-scene\n".to_string(),
+        calibration_json: Some("{\"columns\": 32}".to_string()),
         scene_name: "toy".to_string(),
         volume_sha256: Some([7; 32]),
         volume_dimensions: [512, 400, 3],

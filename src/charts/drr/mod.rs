@@ -73,7 +73,16 @@ pub struct PosedReference {
 
 /// The projectors of the chart, from exact to fast.
 fn projectors() -> Vec<(&'static str, Projector)> {
-    vec![("siddon", Projector::Siddon), ("joseph", Projector::Joseph)]
+    let slices = |oversampling, sharpen| Projector::SliceOrdered { oversampling, sharpen };
+    vec![
+        ("siddon", Projector::Siddon),
+        ("joseph", Projector::Joseph),
+        ("slice_ordered 1, unsharpened", slices(1.0, false)),
+        ("slice_ordered 1", slices(1.0, true)),
+        ("slice_ordered 1.5", slices(1.5, true)),
+        ("slice_ordered 2", slices(2.0, true)),
+        ("preview 2", Projector::PREVIEW),
+    ]
 }
 
 /// Frontal, oblique and lateral.

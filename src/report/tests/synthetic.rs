@@ -70,6 +70,7 @@ impl Random {
 pub fn header() -> LogHeader {
     LogHeader {
         scene_toml: SCENE.to_string(),
+        calibration_json: None,
         scene_name: "synthetic".to_string(),
         volume_sha256: Some([7; 32]),
         volume_dimensions: [200, 200, 200],

@@ -72,8 +72,8 @@ impl<'de> Deserialize<'de> for ConstantCurvatureState {
             (Coordinates, Coordinates, BaseMotion, [TendonMemory; 2], f64, Vec<ContactResult>, StepReport);
         let (position, velocity, base, tendon, stop_torque_nm, used, report) =
             Whole::deserialize(deserializer)?;
-        let results =
-            places_from(&used, MAX_CONTACTS).ok_or_else(|| D::Error::custom("more contacts than a step has"))?;
+        let results = places_from(&used, MAX_CONTACTS)
+            .ok_or_else(|| D::Error::custom("more contacts than a step has"))?;
         let result_count = used.len();
         Ok(Self { position, velocity, base, tendon, stop_torque_nm, result_count, results, report })
     }

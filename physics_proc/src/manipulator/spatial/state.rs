@@ -52,8 +52,8 @@ impl<'de> Deserialize<'de> for SpatialState {
         type Whole =
             (Freedoms, Freedoms, BaseMotion, [TendonMemory; 2], Freedoms, Vec<ContactResult>, StepReport);
         let (position, velocity, base, tendon, stop_torque, used, report) = Whole::deserialize(deserializer)?;
-        let results =
-            places_from(&used, MAX_CONTACTS).ok_or_else(|| D::Error::custom("more contacts than a step has"))?;
+        let results = places_from(&used, MAX_CONTACTS)
+            .ok_or_else(|| D::Error::custom("more contacts than a step has"))?;
         let result_count = used.len();
         Ok(Self { position, velocity, base, tendon, stop_torque, result_count, results, report })
     }

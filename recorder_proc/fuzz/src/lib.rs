@@ -1,0 +1,3 @@
+//! Fuzz targets of the log reader, the repair and the scene reader.
+
+pub mod targets;

@@ -1,0 +1,100 @@
+//! What is fuzzed: functions of bytes that must end without a panic, whatever the bytes are.
+//!
+//! Each checks what must hold besides. `recorder_proc/tests/fuzz.rs` runs them with stable Rust over mutated logs;
+//! the binaries of this folder run them under libFuzzer.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use recorder_proc::repair::survey;
+use recorder_proc::{FrameReader, LogError, LogReader, MessageStream, ReadOptions};
+
+fn stream(data: &[u8]) -> Result<MessageStream, LogError> {
+    let source = Box::new(Cursor::new(data.to_vec()));
+    MessageStream::from_reader(source, Path::new("fuzz.mcap"), ReadOptions { allow_other_layouts: true })
+}
+
+/// Ticks, frames and messages of a file. Ticks come without a gap, and nothing comes after an error.
+pub fn log_reader(data: &[u8]) {
+    if let Ok(mut reader) = stream(data).and_then(LogReader::from_stream) {
+        let mut ticks = 0;
+        while let Some(item) = reader.next() {
+            let Ok(tick) = item else { break };
+            ticks += 1;
+            assert_eq!(tick.state.tick, ticks);
+        }
+        assert!(reader.next().is_none());
+        assert_eq!(reader.last_complete_tick(), ticks);
+    }
+    if let Ok(stream) = stream(data) {
+        let frames = FrameReader::from_stream(stream).map_while(Result::ok);
+        frames.zip(1..).for_each(|(frame, number)| assert_eq!(frame.frame.sequence, number));
+    }
+}
+
+/// The records of a chunk whose checksum is right: what the checksum otherwise keeps the fuzzer from.
+pub fn chunk_content(data: &[u8]) {
+    log_reader(&with_chunk(data));
+    log_repair(&with_chunk(data));
+}
+
+/// The survey of a repair. What it leaves out lies in the file.
+pub fn log_repair(data: &[u8]) {
+    let Ok(report) = survey(Cursor::new(data), Path::new("fuzz.mcap")) else { return };
+    let mut end = 0;
+    for piece in &report.pieces {
+        assert!(piece.offset >= end && piece.bytes > 0);
+        end = piece.offset + piece.bytes;
+    }
+    assert!(end <= data.len() as u64);
+}
+
+/// A scene's text.
+pub fn scene(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let _ = ipc_types::scene::Scene::parse(text, Path::new("/scene.toml"));
+}
+
+/// A file with the header of a log and one uncompressed chunk of these records.
+fn with_chunk(records: &[u8]) -> Vec<u8> {
+    let mut file = header();
+    let mut body = [0_u8; 16].to_vec();
+    body.extend((records.len() as u64).to_le_bytes());
+    body.extend(crc32fast::hash(records).to_le_bytes());
+    body.extend(0_u32.to_le_bytes());
+    body.extend((records.len() as u64).to_le_bytes());
+    body.extend(records);
+    file.push(6);
+    file.extend((body.len() as u64).to_le_bytes());
+    file.extend(body);
+    file
+}
+
+/// All of an empty log up to its first chunk.
+fn header() -> Vec<u8> {
+    let header = recorder_proc::LogHeader {
+        scene_toml: String::new(),
+        calibration_json: None,
+        scene_name: "fuzz".to_string(),
+        volume_sha256: None,
+        volume_dimensions: [0; 3],
+        dt_ns: 1_000_000,
+        mode: recorder_proc::RunMode::Lockstep,
+        controllers: Vec::new(),
+        build: recorder_proc::BuildInfo::current(),
+    };
+    let log = recorder_proc::RunLog::create(Vec::new(), &header);
+    let whole = log.and_then(|log| log.finish(recorder_proc::EndReason::Completed, &Default::default()));
+    let (_, bytes) = whole.unwrap_or_else(|error| unreachable!("a log in memory: {error}"));
+    let mut at = 8;
+    // An attachment (9) and a header (1) precede the metadata record (12) that is the log's header.
+    while bytes.get(at).is_some_and(|opcode| *opcode != 12) {
+        at += record_length(&bytes, at);
+    }
+    bytes[..at + record_length(&bytes, at)].to_vec()
+}
+
+fn record_length(bytes: &[u8], at: usize) -> usize {
+    let length = bytes.get(at + 1..at + 9).and_then(|length| length.try_into().ok());
+    9 + length.map_or(0, |length| u64::from_le_bytes(length) as usize)
+}

@@ -1,0 +1,305 @@
+//! The records of a file that may be damaged anywhere: what can be trusted, and what lies between.
+//!
+//! [`Records`](crate::records::Records) stops at the first damage, as a reader that promises ticks without a gap must.
+//! This walk goes on behind it: where a chunk's checksum is wrong but its length leads to a record, at that record;
+//! where a length is wrong, at the next byte that begins a chunk whose checksum is right, or the end marker.
+
+use std::collections::BTreeMap;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use mcap::MAGIC;
+use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
+
+use crate::end::END_RECORD;
+use crate::error::LogError;
+use crate::records::{Attached, MAX_RECORD_BYTES, RECORD_HEADER, attachment, chunk_record, unpack};
+
+/// Bytes that a search for the next chunk looks at together.
+const WINDOW: usize = 1 << 20;
+/// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
+const LOOK: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
+
+/// What a walk meets, in the order of the file.
+pub(crate) enum Piece<'a> {
+    Attachment(Attached),
+    Metadata {
+        name: String,
+        entries: BTreeMap<String, String>,
+    },
+    Schema {
+        header: SchemaHeader,
+        data: &'a [u8],
+    },
+    Channel(Channel),
+    Message {
+        header: MessageHeader,
+        data: &'a [u8],
+    },
+    ChunkEnd,
+    /// Bytes that are no record, or a record whose checksum is wrong.
+    Lost(Lost),
+    /// The file stops here before the format's own end, with so many bytes of an incomplete record.
+    Cut {
+        offset: u64,
+        incomplete_bytes: u64,
+    },
+}
+
+/// A piece of a file that cannot be trusted.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Lost {
+    /// First byte.
+    pub offset: u64,
+    /// Bytes.
+    pub bytes: u64,
+    /// What is wrong.
+    pub cause: String,
+}
+
+/// Calls `visit` for every piece.
+///
+/// # Errors
+/// The file cannot be read or is no MCAP file; what `visit` returns.
+pub(crate) fn walk<R: Read + Seek>(
+    source: R,
+    path: &Path,
+    visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+) -> Result<(), LogError> {
+    let mut walker = Walker { source, at: 0, length: 0, record: Vec::new(), chunk: Vec::new() };
+    let read_error = |at: u64, source| LogError::Read { path: path.into(), offset: at, source };
+    walker.open().map_err(|source| read_error(0, source))?;
+    if walker.record != MAGIC {
+        let found = walker.record.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
+        let found = if found.is_empty() { "nothing".to_string() } else { found };
+        return Err(LogError::NotMcap { path: path.into(), found });
+    }
+    loop {
+        let at = walker.at;
+        let (opcode, next) = match walker.load().map_err(|source| read_error(at, source))? {
+            Loaded::Record(opcode, next) => (opcode, next),
+            Loaded::End => return Ok(()),
+            Loaded::Incomplete | Loaded::Implausible => {
+                let found = walker.search(at + 1).map_err(|source| read_error(at, source))?;
+                let Some(found) = found else {
+                    return visit(Piece::Cut { offset: at, incomplete_bytes: walker.length - at });
+                };
+                let cause = "bytes that begin no record".to_string();
+                visit(Piece::Lost(Lost { offset: at, bytes: found - at, cause }))?;
+                walker.at = found;
+                continue;
+            }
+        };
+        if opcode == op::FOOTER {
+            return Ok(());
+        }
+        let bytes = next - at;
+        match walker.pieces(opcode, visit)? {
+            Ok(()) => walker.at = next,
+            Err(cause) => {
+                let follows = walker.begins_record(next).map_err(|source| read_error(next, source))?;
+                let next = match follows {
+                    true => next,
+                    false => {
+                        let found = walker.search(at + 1).map_err(|source| read_error(at, source))?;
+                        found.unwrap_or(walker.length)
+                    }
+                };
+                let bytes = if follows { bytes } else { next - at };
+                visit(Piece::Lost(Lost { offset: at, bytes, cause }))?;
+                walker.at = next;
+            }
+        }
+    }
+}
+
+struct Walker<R> {
+    source: R,
+    at: u64,
+    length: u64,
+    record: Vec<u8>,
+    chunk: Vec<u8>,
+}
+
+enum Loaded {
+    /// Its type and the start of the next one.
+    Record(u8, u64),
+    /// The file ends before it does.
+    Incomplete,
+    Implausible,
+    End,
+}
+
+impl<R: Read + Seek> Walker<R> {
+    fn open(&mut self) -> io::Result<()> {
+        self.length = self.source.seek(SeekFrom::End(0))?;
+        self.read(0, MAGIC.len() as u64)?;
+        self.at = MAGIC.len() as u64;
+        Ok(())
+    }
+
+    /// Reads up to so many bytes into `record`.
+    fn read(&mut self, at: u64, count: u64) -> io::Result<()> {
+        self.record.clear();
+        self.source.seek(SeekFrom::Start(at))?;
+        self.source.by_ref().take(count).read_to_end(&mut self.record)?;
+        Ok(())
+    }
+
+    /// The type and length of what would be a record.
+    fn header(&mut self, at: u64) -> io::Result<Option<(u8, u64)>> {
+        self.read(at, RECORD_HEADER as u64)?;
+        let mut length = [0; 8];
+        let Some(bytes) = self.record.get(1..RECORD_HEADER) else { return Ok(None) };
+        length.copy_from_slice(bytes);
+        Ok(Some((self.record[0], u64::from_le_bytes(length))))
+    }
+
+    fn load(&mut self) -> io::Result<Loaded> {
+        if self.at == self.length {
+            return Ok(Loaded::Incomplete);
+        }
+        let Some((opcode, length)) = self.header(self.at)? else { return Ok(Loaded::Incomplete) };
+        if !plausible(opcode, length) {
+            return Ok(Loaded::Implausible);
+        }
+        let body = self.at + RECORD_HEADER as u64;
+        if length > self.length - body {
+            return Ok(Loaded::Incomplete);
+        }
+        self.read(body, length)?;
+        let next = body + length;
+        if opcode == op::FOOTER {
+            self.read(next, MAGIC.len() as u64 + 1)?;
+            return Ok(if self.record == MAGIC { Loaded::End } else { Loaded::Incomplete });
+        }
+        Ok(Loaded::Record(opcode, next))
+    }
+
+    fn begins_record(&mut self, at: u64) -> io::Result<bool> {
+        let header = self.header(at)?;
+        Ok(header.is_some_and(|(opcode, length)| {
+            plausible(opcode, length) && length <= self.length - at - RECORD_HEADER as u64
+        }))
+    }
+
+    /// Hands out the loaded record; the inner error says what is wrong with it.
+    fn pieces(
+        &mut self,
+        opcode: u8,
+        visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+    ) -> Result<Result<(), String>, LogError> {
+        match opcode {
+            op::CHUNK => match mcap::parse_record(opcode, &self.record) {
+                Ok(Record::Chunk { header, data }) => {
+                    if let Err(cause) = unpack(&header, &data, &mut self.chunk) {
+                        return Ok(Err(cause));
+                    }
+                    of_chunk(&self.chunk, visit)
+                }
+                _ => Ok(Err("a chunk that is none".to_string())),
+            },
+            op::METADATA => match mcap::parse_record(opcode, &self.record) {
+                Ok(Record::Metadata(m)) => {
+                    visit(Piece::Metadata { name: m.name, entries: m.metadata }).map(Ok)
+                }
+                _ => Ok(Err("a metadata record that is none".to_string())),
+            },
+            op::ATTACHMENT => match attachment(&self.record) {
+                Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
+                Err(cause) => Ok(Err(cause)),
+            },
+            _ => Ok(Ok(())),
+        }
+    }
+
+    /// The first byte from `from` on that begins a chunk whose checksum is right, or the end marker.
+    fn search(&mut self, from: u64) -> io::Result<Option<u64>> {
+        let mut start = from;
+        let mut window = Vec::new();
+        while start < self.length {
+            window.clear();
+            self.source.seek(SeekFrom::Start(start))?;
+            self.source.by_ref().take((WINDOW + LOOK) as u64).read_to_end(&mut window)?;
+            for i in 0..window.len().min(WINDOW) {
+                let candidate = begins_chunk(&window[i..]) || begins_end_marker(&window[i..]);
+                if candidate && self.is_whole(start + i as u64)? {
+                    return Ok(Some(start + i as u64));
+                }
+            }
+            start += WINDOW as u64;
+        }
+        Ok(None)
+    }
+
+    fn is_whole(&mut self, at: u64) -> io::Result<bool> {
+        let before = std::mem::replace(&mut self.at, at);
+        let loaded = self.load();
+        self.at = before;
+        let Loaded::Record(opcode, _) = loaded? else { return Ok(false) };
+        Ok(match mcap::parse_record(opcode, &self.record) {
+            Ok(Record::Chunk { header, data }) => unpack(&header, &data, &mut self.chunk).is_ok(),
+            Ok(Record::Metadata(metadata)) => metadata.name == END_RECORD,
+            _ => false,
+        })
+    }
+}
+
+/// Hands out a chunk's records, whose checksum is right.
+fn of_chunk(
+    mut rest: &[u8],
+    visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+) -> Result<Result<(), String>, LogError> {
+    while !rest.is_empty() {
+        let Some((opcode, body, length)) = chunk_record(rest) else {
+            return Ok(Err("a record that reaches beyond its chunk".to_string()));
+        };
+        rest = &rest[length..];
+        if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+            continue;
+        }
+        match mcap::parse_record(opcode, body) {
+            Ok(Record::Schema { header, data }) => visit(Piece::Schema { header, data: &data })?,
+            Ok(Record::Channel(channel)) => visit(Piece::Channel(channel))?,
+            Ok(Record::Message { header, data }) => visit(Piece::Message { header, data: &data })?,
+            Ok(_) => {}
+            Err(error) => return Ok(Err(error.to_string())),
+        }
+    }
+    visit(Piece::ChunkEnd).map(Ok)
+}
+
+/// Types of the format (0x01 to 0x0f) and private ones.
+fn plausible(opcode: u8, length: u64) -> bool {
+    (matches!(opcode, 1..=0x0f) || opcode >= 0x80) && length <= MAX_RECORD_BYTES
+}
+
+fn number(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
+    let mut buffer = [0; 8];
+    buffer.get_mut(..width)?.copy_from_slice(bytes.get(at..at + width)?);
+    Some(u64::from_le_bytes(buffer))
+}
+
+/// Whether bytes look like the start of a chunk: a length that fits its own fields and a known compression.
+fn begins_chunk(bytes: &[u8]) -> bool {
+    let fits = || {
+        let length = number(bytes, 1, 8)?;
+        let fields = RECORD_HEADER + 28;
+        let name = number(bytes, fields, 4)? as usize;
+        let known = matches!(bytes.get(fields + 4..fields + 4 + name)?, b"" | b"lz4" | b"zstd");
+        let records = number(bytes, fields + 4 + name, 8)?;
+        Some(known && length <= MAX_RECORD_BYTES && records.checked_add(40 + name as u64)? == length)
+    };
+    bytes.first() == Some(&op::CHUNK) && name_is_short(bytes) && fits().unwrap_or(false)
+}
+
+/// A compression's name has at most 4 bytes; a longer one would read beyond the window.
+fn name_is_short(bytes: &[u8]) -> bool {
+    number(bytes, RECORD_HEADER + 28, 4).is_some_and(|length| length <= 4)
+}
+
+fn begins_end_marker(bytes: &[u8]) -> bool {
+    bytes.first() == Some(&op::METADATA)
+        && number(bytes, RECORD_HEADER, 4) == Some(END_RECORD.len() as u64)
+        && bytes.get(RECORD_HEADER + 4..RECORD_HEADER + 4 + END_RECORD.len()) == Some(END_RECORD.as_bytes())
+}

@@ -1,0 +1,370 @@
+//! Logs that are cut or damaged anywhere, repaired: what is there is kept, what is gone is counted.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
+mod common;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use common::*;
+use recorder_proc::*;
+
+/// Messages of a whole file by the mcap crate's own reader: topic, number, bytes.
+fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
+    let read = mcap::MessageStream::new(bytes).unwrap().map(Result::unwrap);
+    read.map(|m| (m.channel.topic.clone(), m.sequence, m.data.to_vec())).collect()
+}
+
+/// Chunks of a whole file: start, end, and number of messages by topic.
+fn chunks(bytes: &[u8]) -> Vec<(usize, usize, BTreeMap<String, u64>)> {
+    let summary = mcap::Summary::read(bytes).unwrap().unwrap();
+    let count = |chunk: &mcap::records::ChunkIndex| {
+        let mut counts = BTreeMap::new();
+        for message in summary.stream_chunk(bytes, chunk).unwrap() {
+            *counts.entry(message.unwrap().channel.topic.clone()).or_default() += 1;
+        }
+        let (start, length) = (chunk.chunk_start_offset as usize, chunk.chunk_length as usize);
+        (start, start + length, counts)
+    };
+    summary.chunk_indexes.iter().map(count).collect()
+}
+
+struct Repaired {
+    report: RepairReport,
+    bytes: Vec<u8>,
+}
+
+fn repaired(folder: &Path, bytes: &[u8]) -> Result<Repaired, LogError> {
+    let input = save(folder, "in.mcap", bytes);
+    let output = folder.join("out.mcap");
+    let _ = std::fs::remove_file(&output);
+    let report = repair(&input, &output)?;
+    Ok(Repaired { report, bytes: std::fs::read(&output).unwrap() })
+}
+
+fn ticks_of(bytes: &[u8]) -> (u64, LogReader, Option<LogError>) {
+    let mut reader = open_bytes(bytes).unwrap();
+    let mut error = None;
+    let mut ticks = 0;
+    for item in reader.by_ref() {
+        match item {
+            Ok(_) => ticks += 1,
+            Err(cause) => error = Some(cause),
+        }
+    }
+    (ticks, reader, error)
+}
+
+/// Whatever is left of a log is a whole log after its repair: other readers find an index, every tick that the cut log
+/// had is there, and the end marker says what happened.
+#[test]
+fn a_cut_log_is_whole_after_its_repair() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_log(&run_messages(600, Some(333)));
+    let all = messages(&bytes);
+    let mut random = Random(21);
+    let mut repaired_count = 0;
+    for round in 0..120 {
+        let cut = if round == 0 { bytes.len() - 1 } else { random.below(bytes.len()) };
+        let Ok(mut reader) = open_bytes(&bytes[..cut]) else {
+            // Without its first state a log may still have a header; without that it is none.
+            match repaired(folder.path(), &bytes[..cut]) {
+                Ok(found) => assert_eq!(found.report.complete_tick, None),
+                Err(LogError::NotMcap { .. } | LogError::NoHeader { .. }) => {}
+                Err(other) => panic!("cut at {cut}: {other}"),
+            }
+            assert!(round == 0 || folder.path().join("in.mcap").exists());
+            continue;
+        };
+        let ticks = reader.by_ref().map(Result::unwrap).count() as u64;
+        let found = repaired(folder.path(), &bytes[..cut]).unwrap();
+        assert_eq!(found.report.complete_tick, Some(ticks), "cut at {cut}");
+        let kept = messages(&found.bytes);
+        assert!(all.starts_with(&kept), "cut at {cut}");
+        let summary = mcap::Summary::read(&found.bytes).unwrap().expect("an index");
+        assert_eq!(summary.stats.unwrap().message_count, kept.len() as u64);
+        let (again, reader, error) = ticks_of(&found.bytes);
+        assert!(error.is_none() && again == ticks, "cut at {cut}: {error:?}");
+        let marker = reader.ending().marker.clone().unwrap();
+        assert!(matches!(marker.reason, EndReason::Repaired(_)), "{marker:?}");
+        assert!(reader.ending().describe().starts_with("end marker: repaired"));
+        assert_eq!(marker.last_tick, Some(ticks));
+        assert!(found.report.lost().is_empty() && found.report.cut.is_some());
+        repaired_count += 1;
+    }
+    assert!(repaired_count > 80, "{repaired_count}");
+}
+
+/// A chunk whose bytes have changed is left out; what it held is counted by topic, what follows it is kept, and no
+/// reader takes the gap for nothing.
+#[test]
+fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_log(&run_messages(800, None));
+    let chunks = chunks(&bytes);
+    for (index, damage) in [(3, 0), (5, 1), (chunks.len() - 2, 0)] {
+        let (start, end, counts) = &chunks[index];
+        let mut changed = bytes.clone();
+        match damage {
+            // In its data, or in its length.
+            0 => changed[(start + end) / 2] ^= 0x10,
+            _ => changed[start + 3] ^= 0x40,
+        }
+        let found = repaired(folder.path(), &changed).unwrap();
+        assert_eq!(&found.report.lost(), counts, "chunk {index}");
+        let before = found.report.marker.as_ref().expect("the marker is still there");
+        for (topic, written) in &before.counts {
+            let count = found.report.topics[topic];
+            assert_eq!(count.recovered + count.lost, *written, "{topic}");
+        }
+        assert!(matches!(&found.report.pieces[..], [piece] if piece.offset == *start as u64));
+
+        let (ticks, reader, error) = ticks_of(&found.bytes);
+        let (_, _, first_counts) = &chunks[index];
+        if first_counts.contains_key("/state") {
+            assert!(matches!(error, Some(LogError::Gap { .. })), "{error:?}");
+            assert_eq!(found.report.complete_tick, Some(ticks));
+        } else {
+            assert!(error.is_none() && ticks == 800);
+            let marker = reader.ending().marker.clone().unwrap();
+            assert_eq!(marker.reason, EndReason::Repaired(Some(Box::new(EndReason::Completed))));
+        }
+        let path = folder.path().join("out.mcap");
+        let info = info(&path, ReadOptions::default()).unwrap();
+        assert!(info.log_error.is_none(), "{:?}", info.log_error);
+        let mut text = Vec::new();
+        info.write(&mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        for (topic, count) in counts {
+            assert_eq!(info.lost(topic), *count);
+            let line = text.lines().find(|line| line.trim_start().starts_with(&format!("{topic} "))).unwrap();
+            assert!(line.ends_with(&format!("{count} MISSING")), "{text}");
+            assert!(text.contains(&format!("{count} messages of {topic} to damage")), "{text}");
+        }
+        // A repaired log is not repaired further.
+        let again = repaired(folder.path(), &found.bytes).unwrap();
+        assert!(again.report.was_whole() && again.report.lost() == *counts, "{:?}", again.report);
+        assert!(messages(&again.bytes) == messages(&found.bytes));
+    }
+}
+
+/// Without the repair's note at its start, a jump in the numbers is damage.
+#[test]
+fn a_gap_that_no_repair_has_told_is_damage() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_log(&run_messages(500, None));
+    let (start, end, _) = chunks(&bytes)[2].clone();
+    // The chunk is cut out cleanly: every length and every chunk's checksum is right.
+    let spliced = [&bytes[..start], &bytes[end..]].concat();
+    let (_, _, error) = ticks_of(&spliced);
+    assert!(matches!(error, Some(LogError::Damaged { .. })), "{error:?}");
+    let found = repaired(folder.path(), &spliced).unwrap();
+    assert!(found.report.pieces.is_empty() && !found.report.lost().is_empty());
+    let (_, _, error) = ticks_of(&found.bytes);
+    assert!(matches!(error, Some(LogError::Gap { .. })), "{error:?}");
+}
+
+/// Any bytes changed, moved or left out: the repair ends, what it keeps was in the log, and what it says adds up.
+#[test]
+fn any_damage_is_repaired_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_log(&run_messages(150, None));
+    let all = messages(&bytes);
+    let mut random = Random(77);
+    let (mut refused, mut kept_all) = (0, 0);
+    for _ in 0..400 {
+        let mut changed = bytes.clone();
+        for _ in 0..1 + random.below(4) {
+            let at = random.below(changed.len());
+            match random.below(4) {
+                0 => changed[at] ^= 1 << random.below(8),
+                1 => {
+                    let end = (at + random.below(60)).min(changed.len());
+                    changed.drain(at..end);
+                }
+                2 => {
+                    let noise: Vec<u8> = (0..random.below(60)).map(|_| random.word() as u8).collect();
+                    changed.splice(at..at, noise);
+                }
+                _ => changed.truncate(changed.len() - random.below(60)),
+            }
+        }
+        let found = match repaired(folder.path(), &changed) {
+            Ok(found) => found,
+            Err(LogError::NotMcap { .. } | LogError::NoHeader { .. }) => {
+                assert!(!folder.path().join("out.mcap").exists(), "a refused repair leaves nothing");
+                refused += 1;
+                continue;
+            }
+            Err(other) => panic!("{other}"),
+        };
+        let kept = messages(&found.bytes);
+        let mut rest = all.iter();
+        assert!(kept.iter().all(|message| rest.any(|original| original == message)));
+        if found.report.marker.is_some() {
+            let lost: u64 = found.report.lost().values().sum();
+            assert_eq!(kept.len() as u64 + lost, all.len() as u64);
+        }
+        kept_all += u32::from(kept.len() == all.len());
+    }
+    println!("400 damaged logs: {refused} without a header refused, {kept_all} kept every message");
+    assert!(refused < 150 && kept_all > 20);
+}
+
+/// 1000 cuts and 1000 flipped bits of a small log: never a panic, never a tick that was not in the log, never silence.
+#[test]
+fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
+    let bytes = write_log(&run_messages(60, None));
+    let whole: Vec<TickRecord> = open_bytes(&bytes).unwrap().map(Result::unwrap).collect();
+    let summary_start = {
+        let footer = bytes.len() - 8 - 20;
+        u64::from_le_bytes(bytes[footer..footer + 8].try_into().unwrap()) as usize
+    };
+    let mut random = Random(4);
+    let read = |changed: &[u8], what: &str| {
+        let Ok(mut reader) = open_bytes(changed) else { return false };
+        let mut error = None;
+        let mut ticks = Vec::new();
+        for item in reader.by_ref() {
+            match item {
+                Ok(tick) => ticks.push(tick),
+                Err(cause) => error = Some(cause),
+            }
+        }
+        assert!(ticks[..] == whole[..ticks.len()], "{what}");
+        assert_eq!(reader.last_complete_tick(), ticks.len() as u64, "{what}");
+        let told = error.is_some() || !reader.ending().is_complete();
+        assert!(told || ticks.len() == whole.len(), "{what}");
+        told
+    };
+    for _ in 0..1000 {
+        let cut = random.below(bytes.len());
+        let what = format!("cut at {cut}");
+        let opened = open_bytes(&bytes[..cut]).is_ok();
+        assert_eq!(read(&bytes[..cut], &what), opened, "{what}: a cut is always told");
+    }
+    for _ in 0..1000 {
+        let at = random.below(bytes.len());
+        let mut changed = bytes.clone();
+        changed[at] ^= 1 << random.below(8);
+        let opened = open_bytes(&changed).is_ok();
+        let told = read(&changed, &format!("byte {at} flipped"));
+        assert!(told || !opened || at >= summary_start, "byte {at}");
+    }
+}
+
+#[test]
+fn a_packed_log_holds_the_same_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = save(folder.path(), "in.mcap", &write_log(&run_messages(700, Some(200))));
+    let mut sizes = Vec::new();
+    for packing in [Packing::None, Packing::Lz4(0), Packing::Lz4(9), Packing::Zstd(1), Packing::Zstd(19)] {
+        let output = folder.path().join(format!("{packing:?}.mcap"));
+        let (before, after) = compress(&input, &output, packing).unwrap();
+        assert_eq!(after, std::fs::metadata(&output).unwrap().len());
+        sizes.push((packing, before, after));
+        let report = diff(&input, &output, ReadOptions::default()).unwrap();
+        assert!(report.same_run() && report.header.is_empty() && report.identical_ticks == 700);
+        let mut reader = LogReader::open(&output).unwrap();
+        let replayed = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
+        assert!(replayed.is_identical() && replayed.last_tick == 700);
+        assert_eq!(replayed.ending.describe(), "end marker: completed");
+        let bytes = std::fs::read(&output).unwrap();
+        assert!(messages(&bytes) == messages(&std::fs::read(&input).unwrap()));
+        assert!(matches!(compress(&input, &output, packing), Err(LogError::Exists { .. })));
+    }
+    println!("{sizes:?}");
+    assert!(sizes[4].2 < sizes[0].2);
+    // The recorder's own packing gives the recorder's own bytes: nothing else was changed on the way.
+    assert!(std::fs::read(folder.path().join("Lz4(0).mcap")).unwrap() == std::fs::read(&input).unwrap());
+}
+
+#[test]
+fn a_log_that_is_not_whole_is_not_packed_or_joined() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_log(&run_messages(200, None));
+    let cut = save(folder.path(), "cut.mcap", &bytes[..bytes.len() - 30]);
+    let whole = save(folder.path(), "whole.mcap", &bytes);
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() / 2] ^= 1;
+    let flipped = save(folder.path(), "flipped.mcap", &flipped);
+    let output = folder.path().join("out.mcap");
+    for input in [&cut, &flipped] {
+        let error = compress(input, &output, Packing::None).unwrap_err();
+        assert!(
+            matches!(error, LogError::NotWhole { .. }) && error.to_string().contains("repair"),
+            "{error}"
+        );
+        let error = cat_files(&[whole.clone(), input.clone()], &output).unwrap_err();
+        assert!(matches!(error, LogError::NotWhole { .. }), "{error}");
+        assert!(!output.exists(), "a failed command leaves nothing");
+    }
+}
+
+#[test]
+fn joined_logs_split_into_what_they_were() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = [write_log(&run_messages(300, None)), write_log(&run_messages(450, Some(100)))];
+    let inputs = [save(folder.path(), "a.mcap", &runs[0]), save(folder.path(), "b.mcap", &runs[1])];
+    let joined = folder.path().join("joined.mcap");
+    cat_files(&inputs, &joined).unwrap();
+
+    // Another reader sees both runs beside each other.
+    let bytes = std::fs::read(&joined).unwrap();
+    let states = |prefix: &str| {
+        messages(&bytes).iter().filter(|(topic, _, _)| *topic == format!("{prefix}/state")).count()
+    };
+    assert_eq!((states("/run1"), states("/run2")), (301, 451));
+    // Ours does not take it for one run.
+    let error = LogReader::open(&joined).err().unwrap();
+    assert!(
+        matches!(error, LogError::SeveralRuns { .. }) && error.to_string().contains("log split"),
+        "{error}"
+    );
+    let error = cat_files(&[joined.clone(), inputs[0].clone()], &folder.path().join("c.mcap")).unwrap_err();
+    assert!(matches!(error, LogError::SeveralRuns { .. }), "{error}");
+
+    let out = folder.path().join("runs");
+    let paths = split(&joined, &out).unwrap();
+    assert_eq!(paths, [out.join("run1.mcap"), out.join("run2.mcap")]);
+    for (path, original) in paths.iter().zip(&runs) {
+        assert!(std::fs::read(path).unwrap() == *original, "{}", path.display());
+    }
+    assert!(matches!(split(&inputs[0], &out), Err(LogError::NotWhole { .. })));
+}
+
+/// Reading one topic passes over the other chunks and gives the same messages; a gap in it is still damage.
+#[test]
+fn one_topic_is_read_without_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_log(&run_messages(900, None));
+    let path = save(folder.path(), "run.mcap", &bytes);
+    let all = messages(&bytes);
+    for topic in ["/state", "/drr/image", "/drr/frame", "/removed", "/no/such/topic"] {
+        let wanted = [topic.to_owned()];
+        let mut stream = MessageStream::open_topics(&path, &wanted, ReadOptions::default()).unwrap();
+        let mut found = Vec::new();
+        while let Some(message) = stream.next_message().unwrap() {
+            found.push((message.topic.to_owned(), message.sequence, [&[0, 1, 0, 0], message.body].concat()));
+        }
+        assert!(found.iter().eq(all.iter().filter(|(name, _, _)| name == topic)), "{topic}");
+        assert!(stream.ending().is_complete(), "{topic}");
+    }
+    let (start, end, counts) = chunks(&bytes).into_iter().find(|c| c.2.contains_key("/drr/image")).unwrap();
+    assert_eq!(counts.len(), 1);
+    let mut flipped = bytes.clone();
+    flipped[(start + end) / 2] ^= 1;
+    let path = save(folder.path(), "flipped.mcap", &flipped);
+    let read = |topic: &str| {
+        let mut stream =
+            MessageStream::open_topics(&path, &[topic.to_owned()], ReadOptions::default()).unwrap();
+        loop {
+            match stream.next_message() {
+                Ok(Some(_)) => {}
+                Ok(None) => break true,
+                Err(_) => break false,
+            }
+        }
+    };
+    assert!(read("/state"), "the damage lies in a chunk that is not read");
+    assert!(!read("/drr/image"));
+}

@@ -1,0 +1,59 @@
+//! `trabecula log cat`: messages as JSON lines.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use recorder_proc::{CatOptions, ReadOptions, cat};
+
+use super::{Out, quiet_pipe};
+use crate::commands::replay::log_path;
+use crate::failure::Failure;
+
+/// Arguments of `log cat`.
+#[derive(Debug, Args)]
+pub struct CatArguments {
+    /// Log file, or the folder of a run.
+    log: PathBuf,
+    /// Only this topic (may be repeated); chunks that hold none of them are not read.
+    #[arg(long = "topic")]
+    topics: Vec<String>,
+    /// Only this field, such as `t_world_tip.position_m` (may be repeated).
+    #[arg(long = "field")]
+    fields: Vec<String>,
+    /// First tick.
+    #[arg(long, default_value_t = 0)]
+    from: u64,
+    /// Last tick, included.
+    #[arg(long)]
+    to: Option<u64>,
+    /// First simulated time in seconds.
+    #[arg(long, default_value_t = 0.0)]
+    from_s: f64,
+    /// Last simulated time in seconds, included.
+    #[arg(long)]
+    to_s: Option<f64>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Not a log, no such field (2); a log that is damaged (1), behind the messages before the damage.
+pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    let options = CatOptions {
+        topics: arguments.topics.clone(),
+        fields: arguments.fields.clone(),
+        first_tick: arguments.from,
+        last_tick: arguments.to,
+        first_ns: nanoseconds("--from-s", arguments.from_s)?,
+        last_ns: arguments.to_s.map(|time_s| nanoseconds("--to-s", time_s)).transpose()?,
+        read: ReadOptions::default(),
+    };
+    quiet_pipe(cat(&log_path(&arguments.log), &options, out).map(|_ending| ()))
+}
+
+fn nanoseconds(option: &str, time_s: f64) -> Result<u64, Failure> {
+    if (0.0..=1e9).contains(&time_s) {
+        return Ok((time_s * 1e9 + 0.5) as u64);
+    }
+    Err(Failure::bad_input(format!("{option} is {time_s}, allowed is 0 to 1e9")))
+}

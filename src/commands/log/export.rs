@@ -1,0 +1,121 @@
+//! `trabecula log export`: a topic as a table, or the frames as pictures.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use recorder_proc::columns::{columns, description_of_topic, read_rows};
+use recorder_proc::export::{Csv, Parquet, ending_of};
+use recorder_proc::{Ending, FrameRecord, LogError, ReadOptions, frames, topics};
+
+use super::{Out, failure};
+use crate::commands::replay::log_path;
+use crate::failure::Failure;
+
+/// Arguments of `log export`.
+#[derive(Debug, Args)]
+pub struct ExportArguments {
+    /// Log file, or the folder of a run.
+    log: PathBuf,
+    /// A new `.csv` or `.parquet` file; with `--frames` a folder for the pictures.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// The topic of the table.
+    #[arg(long, default_value = topics::STATE)]
+    topic: String,
+    /// A field of it (may be repeated); none for all. An array becomes a column an element.
+    #[arg(long = "field")]
+    fields: Vec<String>,
+    /// First tick.
+    #[arg(long, default_value_t = 0)]
+    from: u64,
+    /// Last tick, included.
+    #[arg(long)]
+    to: Option<u64>,
+    /// A PNG a frame, 16 bits a pixel as recorded, instead of a table.
+    #[arg(long, conflicts_with_all = ["fields"])]
+    frames: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Not a log, no such topic or field, another ending, an output that is there already (2); a log that is damaged,
+/// behind the rows before the damage, or a full disk (1).
+pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    let log = log_path(&arguments.log);
+    let (what, ending) = match arguments.frames {
+        true => pictures(&log, arguments)?,
+        false => table(&log, arguments)?,
+    };
+    // Whoever closes the pipe has had enough.
+    let _ = writeln!(out, "{}: {what}\n{}", arguments.output.display(), ending.describe());
+    Ok(())
+}
+
+fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Ending), Failure> {
+    let ending = ending_of(&arguments.output);
+    if !matches!(ending.as_str(), "csv" | "parquet") {
+        let given = arguments.output.display();
+        return Err(Failure::bad_input(format!("--output is {given}, expected a .csv or .parquet file")));
+    }
+    let description = description_of_topic(log, &arguments.topic).map_err(failure)?;
+    let columns = columns(description, &arguments.fields).map_err(failure)?;
+    let file = BufWriter::new(new_file(&arguments.output)?);
+    let range = (arguments.from, arguments.to);
+    let read = if ending == "csv" {
+        let mut rows = Csv::new(file, &columns).map_err(failure)?;
+        read_rows(log, &arguments.topic, &columns, range, &mut rows)
+            .and_then(|end| rows.finish().map(|()| end))
+    } else {
+        let mut rows = Parquet::new(file, &columns).map_err(failure)?;
+        read_rows(log, &arguments.topic, &columns, range, &mut rows)
+            .and_then(|end| rows.finish().map(|()| end))
+    };
+    Ok((format!("{} columns of {}", columns.len() + 2, arguments.topic), read.map_err(failure)?))
+}
+
+fn new_file(path: &Path) -> Result<File, Failure> {
+    File::create_new(path).map_err(|source| match source.kind() {
+        std::io::ErrorKind::AlreadyExists => failure(LogError::Exists { path: path.into() }),
+        _ => failure(LogError::Create { path: path.into(), source }),
+    })
+}
+
+fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Ending), Failure> {
+    let mut reader = frames(log, ReadOptions::default()).map_err(failure)?;
+    let folder = &arguments.output;
+    std::fs::create_dir_all(folder)
+        .map_err(|source| failure(LogError::Create { path: folder.clone(), source }))?;
+    let (mut written, mut without) = (0_u64, 0_u64);
+    for record in reader.by_ref() {
+        let record = record.map_err(failure)?;
+        let tick = record.frame.tick;
+        if tick < arguments.from || arguments.to.is_some_and(|last| tick > last) {
+            continue;
+        }
+        if record.image.is_none() {
+            without += 1;
+            continue;
+        }
+        let path = folder.join(format!("frame_{:06}_tick_{tick:08}.png", record.frame.sequence));
+        write_png(&path, &record)?;
+        written += 1;
+    }
+    Ok((format!("{written} pictures, {without} frames without one in the log"), reader.ending().clone()))
+}
+
+/// Grey, 16 bits, the values as recorded; PNG keeps the high byte first.
+fn write_png(path: &Path, record: &FrameRecord) -> Result<(), Failure> {
+    let Some(image) = record.image else { return Ok(()) };
+    let swapped: Vec<u8> = record.pixels.chunks_exact(2).flat_map(|pixel| [pixel[1], pixel[0]]).collect();
+    let mut encoder = png::Encoder::new(BufWriter::new(new_file(path)?), image.width, image.height);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    let write = encoder.write_header().and_then(|mut writer| {
+        writer.write_image_data(&swapped)?;
+        writer.finish()
+    });
+    write.map_err(|cause| Failure::failed(format!("{}: {cause}", path.display())))
+}

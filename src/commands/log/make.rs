@@ -1,0 +1,130 @@
+//! `trabecula log repair|compress|cat-files|split`: logs made of logs.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use recorder_proc::{Packing, cat_files, compress, repair, split};
+
+use super::{Out, failure};
+use crate::commands::replay::log_path;
+use crate::failure::Failure;
+
+/// Arguments of `log repair`.
+#[derive(Debug, Args)]
+pub struct RepairArguments {
+    /// Log file, or the folder of a run.
+    log: PathBuf,
+    /// The new log.
+    #[arg(short, long)]
+    output: PathBuf,
+}
+
+/// Repairs a log and says what is lost.
+///
+/// # Errors
+/// Not a log, no header, or an output that is there already (2); what the disk says (1).
+pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    let report = repair(&log_path(&arguments.log), &arguments.output).map_err(failure)?;
+    super::quiet_pipe(report.write(out))
+}
+
+/// How to pack chunks.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum Method {
+    /// Not at all.
+    None,
+    /// LZ4: fast.
+    Lz4,
+    /// Zstandard: dense.
+    Zstd,
+}
+
+/// Arguments of `log compress`.
+#[derive(Debug, Args)]
+pub struct CompressArguments {
+    /// Log file, or the folder of a run.
+    log: PathBuf,
+    /// The new log.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// How to pack.
+    #[arg(long, value_enum, default_value = "zstd")]
+    method: Method,
+    /// Level: 0 to 12 for lz4, 1 to 22 for zstd.
+    #[arg(long)]
+    level: Option<u32>,
+}
+
+/// Packs a log anew.
+///
+/// # Errors
+/// A level that the method has not, not a log, an output that is there already (2); a log that is not whole (1).
+pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    let packing = packing(arguments.method, arguments.level)?;
+    let (before, after) = compress(&log_path(&arguments.log), &arguments.output, packing).map_err(failure)?;
+    let share = 100.0 * after as f64 / before.max(1) as f64;
+    // Whoever closes the pipe has had enough.
+    let _ = writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages");
+    Ok(())
+}
+
+fn packing(method: Method, level: Option<u32>) -> Result<Packing, Failure> {
+    let (lowest, highest, usual) = match method {
+        Method::None => (0, 0, 0),
+        Method::Lz4 => (0, 12, 9),
+        Method::Zstd => (1, 22, 9),
+    };
+    let level = level.unwrap_or(usual);
+    if !(lowest..=highest).contains(&level) {
+        return Err(Failure::bad_input(format!("--level is {level}, allowed is {lowest} to {highest}")));
+    }
+    Ok(match method {
+        Method::None => Packing::None,
+        Method::Lz4 => Packing::Lz4(level),
+        Method::Zstd => Packing::Zstd(level),
+    })
+}
+
+/// Arguments of `log cat-files`.
+#[derive(Debug, Args)]
+pub struct CatFilesArguments {
+    /// Log files, or folders of runs.
+    #[arg(required = true, num_args = 2..)]
+    logs: Vec<PathBuf>,
+    /// The new file. Topics of the first log begin with /run1, of the second with /run2, …
+    #[arg(short, long)]
+    output: PathBuf,
+}
+
+/// Puts logs into one file.
+///
+/// # Errors
+/// Not a log, an output that is there already (2); a log that is not whole (1).
+pub fn cat_files_log(arguments: &CatFilesArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    let inputs: Vec<PathBuf> = arguments.logs.iter().map(|log| log_path(log)).collect();
+    cat_files(&inputs, &arguments.output).map_err(failure)?;
+    let _ = writeln!(out, "{}: {} runs", arguments.output.display(), inputs.len());
+    Ok(())
+}
+
+/// Arguments of `log split`.
+#[derive(Debug, Args)]
+pub struct SplitArguments {
+    /// A file of several runs.
+    log: PathBuf,
+    /// Folder for run1.mcap, run2.mcap, …
+    #[arg(short, long)]
+    output: PathBuf,
+}
+
+/// Makes a log of each run.
+///
+/// # Errors
+/// Not a log, an output that is there already (2); a file that is not whole or holds one run (1).
+pub fn split_log(arguments: &SplitArguments, out: &mut Out<'_>) -> Result<(), Failure> {
+    for path in split(&arguments.log, &arguments.output).map_err(failure)? {
+        let _ = writeln!(out, "{}", path.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,101 @@
+//! `trabecula log`: what people ask of a log, and logs made of logs.
+
+mod cat;
+mod export;
+mod make;
+
+use std::io::{BufWriter, StdoutLock, Write, stdout};
+use std::path::PathBuf;
+
+use clap::Subcommand;
+use recorder_proc::{LogError, ReadOptions, diff, info};
+
+use super::replay::log_path;
+use crate::failure::Failure;
+
+/// What to do with a log.
+#[derive(Debug, Subcommand)]
+pub enum LogCommand {
+    /// Summary: scene, build, ticks, topics, sizes, what is missing, how it ends.
+    Info {
+        /// Log file, or the folder of a run.
+        log: PathBuf,
+    },
+    /// Messages as JSON lines.
+    Cat(cat::CatArguments),
+    /// First difference between two logs; exit code 1 if there is one.
+    Diff {
+        /// Log file, or the folder of a run.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+    },
+    /// Make a whole log of a cut or damaged one, and say what is lost.
+    Repair(make::RepairArguments),
+    /// Pack a log more densely, or not at all; the same messages.
+    Compress(make::CompressArguments),
+    /// A topic's fields as a table (.csv, .parquet), or a PNG a frame.
+    Export(export::ExportArguments),
+    /// Put several whole logs into one file.
+    CatFiles(make::CatFilesArguments),
+    /// Make a log of each run of a file of several.
+    Split(make::SplitArguments),
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Not a log, or an output that is there already (2); two logs that differ, a log that is damaged or cut, a full disk
+/// (1).
+pub fn run(command: &LogCommand) -> Result<(), Failure> {
+    let mut out = BufWriter::new(stdout().lock());
+    let read = ReadOptions::default();
+    match command {
+        LogCommand::Info { log } => {
+            let summary = info(&log_path(log), read).map_err(failure)?;
+            quiet_pipe(summary.write(&mut out))?;
+        }
+        LogCommand::Cat(arguments) => cat::run(arguments, &mut out)?,
+        LogCommand::Diff { first, second } => {
+            let report = diff(&log_path(first), &log_path(second), read).map_err(failure)?;
+            quiet_pipe(report.write(&mut out))?;
+            if !report.same_run() {
+                // The report has said where.
+                let _ = out.flush();
+                return Err(Failure::failed("the logs differ"));
+            }
+        }
+        LogCommand::Repair(arguments) => make::repair_log(arguments, &mut out)?,
+        LogCommand::Compress(arguments) => make::compress_log(arguments, &mut out)?,
+        LogCommand::Export(arguments) => export::run(arguments, &mut out)?,
+        LogCommand::CatFiles(arguments) => make::cat_files_log(arguments, &mut out)?,
+        LogCommand::Split(arguments) => make::split_log(arguments, &mut out)?,
+    }
+    // A reader that has had enough (`| head`) is no failure.
+    let _ = out.flush();
+    Ok(())
+}
+
+/// Standard output, buffered.
+type Out<'a> = BufWriter<StdoutLock<'a>>;
+
+/// What the caller can mend by another argument is bad input; damage and a full disk are not.
+fn failure(error: LogError) -> Failure {
+    match error {
+        LogError::Damaged { .. }
+        | LogError::Gap { .. }
+        | LogError::NotWhole { .. }
+        | LogError::NoInitialState { .. }
+        | LogError::Write { .. }
+        | LogError::Encode { .. }
+        | LogError::Read { .. } => Failure::failed(error.to_string()),
+        other => Failure::bad_input(other),
+    }
+}
+
+fn quiet_pipe(result: Result<(), LogError>) -> Result<(), Failure> {
+    match result {
+        Err(LogError::Output { source }) if source.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => other.map_err(failure),
+    }
+}

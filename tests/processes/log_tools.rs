@@ -1,0 +1,98 @@
+//! `trabecula log …` and the recording options, on logs of real runs.
+
+use std::fs;
+
+use recorder_proc::{ReadOptions, frames};
+
+use crate::common::logs::{assert_replays, counts};
+use crate::common::program::{Place, Run, trabecula};
+use crate::common::scenes;
+
+#[test]
+fn images_are_recorded_as_asked_and_states_cost_the_same() {
+    let place = Place::new();
+    let scene = place.scene(&scenes::drill("lockstep", 0.5));
+    let options: [&[&str]; 4] =
+        [&[], &["--image-every", "2"], &["--images", "hash-only"], &["--images", "none"]];
+    let mut images = Vec::new();
+    let mut states = Vec::new();
+    for (index, more) in options.iter().enumerate() {
+        let ended = Run::start(&scene, place.path(&format!("out{index}")), more).end();
+        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        assert_replays(&ended.folder);
+        let count = counts(&ended.folder.join("run.mcap"));
+        images.push((count["/drr/frame"], count["/drr/image"]));
+        let done = trabecula(&[&"log", &"cat", &ended.folder, &"--topic", &"/state"]);
+        states.push(done.out);
+        let hashes: Vec<[u64; 2]> = frames(&ended.folder.join("run.mcap"), ReadOptions::default())
+            .unwrap()
+            .map(|frame| frame.unwrap().frame.pixel_hash)
+            .collect();
+        assert!(hashes.iter().all(|hash| *hash != [0, 0]));
+    }
+    let all = images[0].0;
+    assert!(all >= 5, "{images:?}");
+    assert_eq!(images, [(all, all), (all, all.div_ceil(2)), (all, 0), (0, 0)]);
+    assert!(states.iter().all(|text| *text == states[0]) && states[0].lines().count() == 501);
+
+    let done = trabecula(&[&"run", &scene, &"--images", &"none", &"--image-every", &"3", &"--quiet"]);
+    assert_eq!(done.code, Some(2));
+    assert!(done.err.contains("--image-every is 3"), "{}", done.err);
+}
+
+#[test]
+fn logs_are_packed_joined_split_and_exported() {
+    let place = Place::new();
+    let folder = place.complete(&scenes::drill("lockstep", 0.4)).folder;
+    let path = |name: &str| place.path(name);
+    let run = |arguments: &[&dyn AsRef<std::ffi::OsStr>]| {
+        let done = trabecula(arguments);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+        done.out
+    };
+    let packed = path("packed.mcap");
+    let said = run(&[&"log", &"compress", &folder, &"-o", &packed, &"--method", &"zstd", &"--level", &"3"]);
+    assert!(said.contains("the same messages"), "{said}");
+    assert_replays(&packed);
+    assert!(run(&[&"log", &"diff", &folder, &packed]).contains("identical"));
+
+    run(&[&"log", &"cat-files", &folder, &packed, &"-o", &path("both.mcap")]);
+    run(&[&"log", &"split", &path("both.mcap"), &"-o", &path("runs")]);
+    assert_replays(&path("runs/run2.mcap"));
+    assert_eq!(fs::read(path("runs/run1.mcap")).unwrap(), fs::read(folder.join("run.mcap")).unwrap());
+    let done = trabecula(&[&"log", &"info", &path("both.mcap")]);
+    assert!(done.code == Some(2) && done.err.contains("holds 2 runs"), "{}", done.err);
+
+    let field: [&str; 2] = ["--field", "t_world_tip.position_m"];
+    run(&[&"log", &"export", &folder, &"-o", &path("tip.csv"), &field[0], &field[1]]);
+    assert_eq!(fs::read_to_string(path("tip.csv")).unwrap().lines().count(), 402);
+    run(&[&"log", &"export", &folder, &"-o", &path("tip.parquet"), &field[0], &field[1]]);
+    assert!(fs::read(path("tip.parquet")).unwrap().starts_with(b"PAR1"));
+    run(&[&"log", &"export", &folder, &"-o", &path("pictures"), &"--frames"]);
+    let recorded: Vec<_> =
+        frames(&folder.join("run.mcap"), ReadOptions::default()).unwrap().map(Result::unwrap).collect();
+    let mut names: Vec<_> = fs::read_dir(path("pictures")).unwrap().map(|e| e.unwrap().path()).collect();
+    names.sort();
+    assert_eq!(names.len(), recorded.len());
+    for (name, frame) in names.iter().zip(&recorded) {
+        let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(name).unwrap()));
+        let mut reader = decoder.read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut pixels).unwrap();
+        let wanted = frame.pixels.chunks_exact(2).map(|p| u16::from_le_bytes([p[0], p[1]]));
+        assert!(pixels.chunks_exact(2).map(|p| u16::from_be_bytes([p[0], p[1]])).eq(wanted));
+    }
+
+    let lines =
+        run(&[&"log", &"cat", &folder, &"--topic", &"/state", &"--from-s", &"0.1", &"--to-s", &"0.105"]);
+    assert_eq!(lines.lines().count(), 6);
+    for bad in [
+        &["cat", "--from-s", "-1"][..],
+        &["export", "-o", "x.xls"],
+        &["compress", "-o", "y", "--level", "40"],
+    ] {
+        let mut arguments: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"log", &bad[0], &folder];
+        bad[1..].iter().for_each(|word| arguments.push(word));
+        assert_eq!(trabecula(&arguments).code, Some(2), "{bad:?}");
+    }
+}

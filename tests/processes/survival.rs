@@ -1,0 +1,126 @@
+//! What a log survives: killed processes, a full disk, a folder that cannot be written.
+
+use std::path::Path;
+use std::time::Duration;
+
+use ipc_types::messages::{CONTROL_PAUSE, Progress, SENDER_RECORDER};
+use ipc_types::services;
+use recorder_proc::EndReason;
+use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
+
+use crate::common::client::Client;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Ended, Place, Run, assert_nothing_left, signal, trabecula, wait_for};
+use crate::common::scenes;
+
+/// Pauses a run behind tick 700, so that the last published tick is known, waits until the recorder has taken it, and
+/// does something. Returns that tick.
+fn paused(place: &Place, scene: &str, disturb: impl FnOnce(&Run)) -> (u64, Ended) {
+    let run = place.start(scene);
+    let client = Client::join(&run.session());
+    let progress = client.session.subscriber::<Progress>(&services::PROGRESS).unwrap();
+    client.wait_for_state(|state| state.tick >= 700);
+    let published = client.ask(CONTROL_PAUSE, 0).tick;
+    wait_for("the recorder's progress", || {
+        let newest = progress.receive().unwrap().map(|message| *message.message());
+        newest.filter(|newest| newest.consumer == SENDER_RECORDER && newest.tick >= published)
+    });
+    // What it has taken is on the disk 100 ms later.
+    std::thread::sleep(Duration::from_millis(100));
+    drop(client);
+    disturb(&run);
+    (published, run.end())
+}
+
+#[test]
+fn a_killed_process_other_than_the_recorder_loses_nothing_that_was_published() {
+    for part in ["physics", "controller", "drr"] {
+        let place = Place::new();
+        let scene =
+            if part == "drr" { scenes::drill("realtime", 60.0) } else { scenes::hold("realtime", 60.0) };
+        let (published, ended) = paused(&place, &scene, |run| signal(run.part(part), Signal::KILL));
+        assert_eq!(ended.code, Some(1), "{part}: {}", ended.err);
+        let log = read(&ended.folder);
+        // A part that dies lets the physics go on for a moment; the pause is over with it.
+        assert!(log.ticks.len() as u64 >= published, "{part}: {} of {published}", log.ticks.len());
+        let marker = log.marker.expect("an end marker");
+        assert!(marker.lost.is_empty() && matches!(marker.reason, EndReason::PartDied(_)), "{marker:?}");
+        assert_replays(&ended.folder);
+        assert_nothing_left(ended.pid);
+    }
+}
+
+/// Repairs a log; the result must be whole and replay to the same tick. Returns what the command said.
+fn assert_repairs(place: &Place, folder: &Path) -> String {
+    let before = read(folder).ticks.len();
+    let whole = place.path("whole.mcap");
+    let done = trabecula(&[&"log", &"repair", &folder, &"-o", &whole]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    assert!(done.out.contains(&format!("ticks       complete up to {before}\n")), "{}", done.out);
+    let said = assert_replays(&whole);
+    assert!(
+        said.contains(&format!("last tick {before},")) && said.contains("end marker: repaired"),
+        "{said}"
+    );
+    let info = trabecula(&[&"log", &"info", &whole]);
+    assert!(info.code == Some(0) && info.out.contains("end marker: repaired"), "{}", info.out);
+    // It never overwrites.
+    assert_eq!(trabecula(&[&"log", &"repair", &folder, &"-o", &whole]).code, Some(2));
+    done.out
+}
+
+#[test]
+fn a_killed_recorder_loses_at_most_100_ms_and_its_log_can_be_repaired() {
+    let place = Place::new();
+    let scene = scenes::hold("realtime", 60.0);
+    let (published, ended) = paused(&place, &scene, |run| signal(run.part("recorder"), Signal::KILL));
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    let log = read(&ended.folder);
+    assert!(log.marker.is_none());
+    // A tick is a millisecond.
+    let lost = published - log.ticks.len() as u64;
+    assert!(lost <= 100, "{lost} of {published} ticks lost");
+    let said = assert_repairs(&place, &ended.folder);
+    assert!(said.contains("no end marker"), "{said}");
+}
+
+#[test]
+fn a_full_disk_is_told_and_the_log_is_valid_up_to_then() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 60.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 200);
+    drop(client);
+    // No privilege is needed to limit the size of the files of a process of one's own.
+    let recorder = Pid::from_raw(run.part("recorder") as i32).unwrap();
+    let limit = Rlimit { current: Some(1_500_000), maximum: Some(1_500_000) };
+    prlimit(Some(recorder), Resource::Fsize, limit).unwrap();
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    assert!(ended.err.contains("part `recorder` died"), "{}", ended.err);
+    assert!(
+        ended.err.contains("run.mcap: cannot write the log: File too large")
+            && ended.err.contains("free space or choose another folder"),
+        "{}",
+        ended.err
+    );
+    assert_nothing_left(ended.pid);
+    let bytes = std::fs::metadata(ended.folder.join("run.mcap")).unwrap().len();
+    assert!(bytes <= 1_500_000 && read(&ended.folder).ticks.len() > 200);
+    assert_replays(&ended.folder);
+    assert_repairs(&place, &ended.folder);
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_told_before_anything_starts() {
+    let place = Place::new();
+    let scene = place.scene(&scenes::hold("lockstep", 0.1));
+    // Below a file, and in a file system in which even root makes no folder.
+    for output in [scene.join("out"), Path::new("/proc/self/out").to_owned()] {
+        let before = place.entries();
+        let done = trabecula(&[&"run", &scene, &"--output", &output, &"--quiet"]);
+        assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
+        assert!(done.err.contains("--output") && done.err.contains(output.to_str().unwrap()), "{}", done.err);
+        assert_eq!(place.entries(), before);
+    }
+}
