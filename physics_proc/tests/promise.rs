@@ -79,21 +79,21 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "b4d5a48fbe2726c6d66d60fde975398c",
+        hash: "f984c6811c58202a5bceccf88a0beab2",
     },
     Golden {
         scene: BODIES,
         in_bone: false,
         command: feed,
         ticks: 600,
-        hash: "1058ac32e2d0f2a5c365f33a667eb0d3",
+        hash: "14194d18ec02dae792bbeca7d52cf538",
     },
     Golden {
         scene: FREE,
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "61f9bdc68fe27b33264b02313db6b393",
+        hash: "a9163bc0e533d3a4eec60d124cbce7a1",
     },
 ];
 

@@ -253,7 +253,10 @@ impl<W: Write> RunLog<W> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());
         }
-        self.sink.close_chunk()?;
+        // A copy takes its chunks from the log.
+        if !self.copies {
+            self.sink.close_chunk()?;
+        }
         while self.keyframes.front().is_some_and(|(of, _)| *of <= tick)
             && let Some((of, message)) = self.keyframes.pop_front()
         {
@@ -264,7 +267,7 @@ impl<W: Write> RunLog<W> {
             }
             self.sink.message(self.channels.keyframe, of, &[&message])?;
         }
-        self.sink.close_chunk()
+        if self.copies { Ok(()) } else { self.sink.close_chunk() }
     }
 
     fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {

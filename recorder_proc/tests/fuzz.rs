@@ -96,7 +96,9 @@ fn the_scene_reader_takes_any_text() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
     let scenes: Vec<Vec<u8>> = std::fs::read_dir(folder)
         .unwrap()
-        .map(|entry| std::fs::read(entry.unwrap().path()).unwrap())
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.is_file())
+        .map(|path| std::fs::read(path).unwrap())
         .collect();
     assert!(!scenes.is_empty());
     run(targets::scene, &scenes, 3000, 4);

@@ -40,7 +40,7 @@ pub struct Pose {
 #[serde(untagged)]
 enum PoseFile {
     Many { pose: Vec<Pose> },
-    One(Pose),
+    One(Box<Pose>),
 }
 
 /// A C-arm and the isocentre that its angles refer to.
@@ -76,7 +76,7 @@ impl Pose {
     /// The C-arm; angles turn about `centre_m` unless the pose has an isocentre.
     pub fn place(&self, centre_m: [f64; 3]) -> Result<Placed, String> {
         let isocentre_mm = self.isocentre_mm.unwrap_or(centre_m.map(|x| x * 1e3));
-        let carm = self.is_given().then(|| CameraOrPoints {
+        let carm = self.is_given().then_some(CameraOrPoints {
             intrinsics: self.intrinsics,
             rotation: self.rotation,
             translation_mm: self.translation_mm,
@@ -143,7 +143,7 @@ pub fn read(path: &Path) -> Result<Vec<Pose>, Failure> {
 fn list(file: PoseFile) -> Vec<Pose> {
     match file {
         PoseFile::Many { pose } => pose,
-        PoseFile::One(pose) => vec![pose],
+        PoseFile::One(pose) => vec![*pose],
     }
 }
 

@@ -56,7 +56,7 @@ fn notch_between(notch: &SceneNotch, number: usize, start: &Pose, end: &Pose) ->
     let along: f64 = axis.iter().zip(&x).map(|(a, b)| a * b).sum();
     let across: [f64; 3] = core::array::from_fn(|i| x[i] - along * axis[i]);
     let size = libm::sqrt(across.iter().map(|a| a * a).sum());
-    let turn = if number % 2 == 0 { 1.0 } else { -1.0 };
+    let turn = if number.is_multiple_of(2) { 1.0 } else { -1.0 };
     let side = across.map(|a| turn * a / size);
     (size > 0.1).then_some(Notch {
         offset_m: 0.5 * (length_m - width_m),

@@ -750,7 +750,7 @@ pub struct Recording {
 impl Recording {
     /// Whether the image of a frame (`Frame.sequence`, from 1) is recorded.
     pub fn keeps_image(&self, sequence: u64) -> bool {
-        self.images == Images::Full && sequence.saturating_sub(1) % self.image_every.max(1) == 0
+        self.images == Images::Full && sequence.saturating_sub(1).is_multiple_of(self.image_every.max(1))
     }
 }
 

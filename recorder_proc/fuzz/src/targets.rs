@@ -18,7 +18,7 @@ fn stream(data: &[u8]) -> Result<MessageStream, LogError> {
 pub fn log_reader(data: &[u8]) {
     if let Ok(mut reader) = stream(data).and_then(LogReader::from_stream) {
         let mut ticks = 0;
-        while let Some(item) = reader.next() {
+        for item in reader.by_ref() {
             let Ok(tick) = item else { break };
             ticks += 1;
             assert_eq!(tick.state.tick, ticks);
