@@ -266,6 +266,7 @@ fn promise_1_replay_of_random_schedules_is_identical_at_every_tick() {
         all.ticks += row.ticks;
         all.held += row.held;
         all.safe += row.safe;
+        all.removed += row.removed;
         all.lost += row.lost;
     }
     println!("{count} schedules, {disturbed} with late commands: {all:?}");
