@@ -7,30 +7,16 @@ use std::process::{Command, Stdio};
 
 use physics_proc::arm::{ArmParameters, Joints, UrGeometry};
 
+#[path = "../../recorder_proc/tests/common/python.rs"]
+#[allow(clippy::unwrap_used, reason = "helpers of tests")]
+mod python;
+
 const PACKAGES: [&str; 2] = ["modern_robotics==1.1.1", "numpy==2.4.6"];
 const POSES: usize = 1_000;
 
-/// A virtual environment with the pinned packages below the target folder; made once. The error is the reason.
+/// The interpreter; the error is the reason why there is none.
 fn python() -> Result<PathBuf, String> {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("modern-robotics-1.1.1");
-    let python = folder.join("bin/python3");
-    let run = |program: &Path, arguments: &[&str]| -> Result<(), String> {
-        let output = Command::new(program).args(arguments).output().map_err(|error| error.to_string())?;
-        let text = String::from_utf8_lossy(&output.stderr);
-        if output.status.success() {
-            Ok(())
-        } else {
-            Err(text.lines().last().unwrap_or_default().to_string())
-        }
-    };
-    if run(&python, &["-c", "import modern_robotics"]).is_ok() {
-        return Ok(python);
-    }
-    run(Path::new("python3"), &["-m", "venv", folder.to_str().unwrap()])?;
-    let install =
-        ["-m", "pip", "install", "-q", "--retries", "1", "--timeout", "10", PACKAGES[0], PACKAGES[1]];
-    run(&python, &install)?;
-    Ok(python)
+    python::environment("modern-robotics-1.1.1", &PACKAGES, "modern_robotics")
 }
 
 /// SplitMix64: a fixed stream of uniform numbers.

@@ -1,6 +1,6 @@
 //! C-arms as cameras and as positioner angles: round trips, refusals, and OpenCV's own projection.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
 
 use drr_proc::{CArm, Camera, DetectorFormat, PixelCentre, PositionerAngles};
@@ -116,29 +116,15 @@ proptest! {
     }
 }
 
+#[path = "../../../recorder_proc/tests/common/python.rs"]
+#[allow(clippy::unwrap_used, reason = "helpers of tests")]
+mod python;
+
 const PACKAGES: [&str; 2] = ["numpy==2.2.6", "opencv-python-headless==4.12.0.88"];
 
-/// A virtual environment with the pinned packages below the target folder; made once. The error is the reason.
+/// The interpreter; the error is the reason why there is none.
 fn python() -> Result<PathBuf, String> {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("opencv-4.12.0.88");
-    let python = folder.join("bin/python3");
-    let run = |program: &Path, arguments: &[&str]| -> Result<(), String> {
-        let output = Command::new(program).args(arguments).output().map_err(|error| error.to_string())?;
-        let text = String::from_utf8_lossy(&output.stderr);
-        if output.status.success() {
-            Ok(())
-        } else {
-            Err(text.lines().last().unwrap_or_default().to_string())
-        }
-    };
-    if run(&python, &["-c", "import cv2"]).is_ok() {
-        return Ok(python);
-    }
-    run(Path::new("python3"), &["-m", "venv", folder.to_str().unwrap()])?;
-    let install =
-        ["-m", "pip", "install", "-q", "--retries", "1", "--timeout", "10", PACKAGES[0], PACKAGES[1]];
-    run(&python, &install)?;
-    Ok(python)
+    python::environment("opencv-4.12.0.88", &PACKAGES, "cv2")
 }
 
 /// OpenCV projects the points with K, R and t; this C-arm must see them within 1e-6 pixel of it.
