@@ -137,6 +137,7 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
     for (name, content) in [
         ("half.toml", "intrinsics = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]\n"),
         ("unknown.toml", "primary_angle = 3.0\n"),
+        ("unknown.json", "{\"pose\": [{\"columns\": 64}, {\"roll_deg\": 3.0}]}"),
         ("nan.toml", "primary_angle_deg = nan\n"),
         ("on_it.toml", zero_detector),
         ("bad.csv", "primary_angle_deg\n0\nsixty\n"),
@@ -151,7 +152,8 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
     let plain = |words: &[&str]| words.iter().map(|w| (*w).to_owned()).collect::<Vec<_>>();
     for (more, word) in [
         (pose("half.toml"), "give either intrinsics"),
-        (pose("unknown.toml"), "unknown.toml"),
+        (pose("unknown.toml"), "unknown field `primary_angle`"),
+        (pose("unknown.json"), "unknown field `roll_deg`"),
         (pose("nan.toml"), "primary_rad is NaN"),
         (pose("on_it.toml"), "distance of the source from the detector"),
         (pose("bad.csv"), "line 3"),

@@ -35,12 +35,11 @@ pub struct Pose {
     pub pixel_pitch_mm: Option<f64>,
 }
 
-/// A file of one pose, or of a list `pose`.
+/// A file of a list `pose`.
 #[derive(Debug, Deserialize)]
-#[serde(untagged)]
-enum PoseFile {
-    Many { pose: Vec<Pose> },
-    One(Box<Pose>),
+#[serde(deny_unknown_fields)]
+struct PoseList {
+    pose: Vec<Pose>,
 }
 
 /// A C-arm and the isocentre that its angles refer to.
@@ -133,18 +132,27 @@ pub fn read(path: &Path) -> Result<Vec<Pose>, Failure> {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     let poses = match extension {
         "csv" => csv(&text).map_err(bad)?,
-        "json" => list(serde_json::from_str(&text).map_err(|cause| bad(cause.to_string()))?),
-        "toml" => list(toml::from_str(&text).map_err(|cause| bad(cause.message().to_owned()))?),
+        "json" => json(&text).map_err(|cause| bad(cause.to_string()))?,
+        "toml" => toml(&text).map_err(|cause| bad(cause.to_string()))?,
         other => return Err(bad(format!("is {other:?}; expected a .toml, .json or .csv file of poses"))),
     };
     if poses.is_empty() { Err(bad("has no pose; expected at least one".to_owned())) } else { Ok(poses) }
 }
 
-fn list(file: PoseFile) -> Vec<Pose> {
-    match file {
-        PoseFile::Many { pose } => pose,
-        PoseFile::One(pose) => vec![*pose],
+// Looked at before it is read, not an untagged enum: its error would not name the key that is wrong.
+fn json(text: &str) -> Result<Vec<Pose>, serde_json::Error> {
+    let table: serde_json::Map<String, serde_json::Value> = serde_json::from_str(text)?;
+    if table.contains_key("pose") {
+        return serde_json::from_str::<PoseList>(text).map(|list| list.pose);
     }
+    serde_json::from_str(text).map(|pose| vec![pose])
+}
+
+fn toml(text: &str) -> Result<Vec<Pose>, toml::de::Error> {
+    if toml::from_str::<toml::Table>(text)?.contains_key("pose") {
+        return toml::from_str::<PoseList>(text).map(|list| list.pose);
+    }
+    toml::from_str(text).map(|pose| vec![pose])
 }
 
 fn csv(text: &str) -> Result<Vec<Pose>, String> {

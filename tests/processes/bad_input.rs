@@ -88,6 +88,15 @@ fn two_controllers_that_drive_one_part_are_refused() {
     );
 }
 
+/// With bright bone the darkest end is air: the controller steered by a burr that it had not seen.
+#[test]
+fn image_feedback_on_bright_frames_is_refused() {
+    assert_refused(
+        |scene| scene.replace("[drr]\n", "[drr]\ndisplay = \"bone_bright\"\n"),
+        &["scene.toml", "`controller.curved_drilling.feedback`", "`drr.display = \"bone_dark\"`"],
+    );
+}
+
 #[test]
 fn a_missing_scene_file_is_named() {
     let place = Place::new();

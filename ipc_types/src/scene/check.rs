@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::model::{
-    Arm, Body, CArm, Controller, CurvedDrilling, Drives, Drr, Scene, Skiving, TensionSweep, Tool, Volume,
+    Arm, Body, CArm, Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, Skiving,
+    TensionSweep, Tool, Volume,
 };
 use crate::messages::{MAX_BODIES, MAX_CONTROLLERS};
 
@@ -345,8 +346,29 @@ fn check_controllers(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
             driven.push((*part, &controller.name));
         }
         check_controller(controller, checker)?;
+        check_image_feedback(controller, scene.drr.as_ref(), checker)?;
     }
     Ok(())
+}
+
+/// The burr is found as the darkest end of the tool, so a controller that looks needs frames in which metal is dark.
+fn check_image_feedback(
+    controller: &Controller,
+    drr: Option<&Drr>,
+    checker: &Checker,
+) -> Result<(), SceneError> {
+    let Some(drilling) = &controller.curved_drilling else { return Ok(()) };
+    let problem = match drr {
+        _ if drilling.feedback != Feedback::Image => return Ok(()),
+        None if drilling.guidance_gain_n_per_mm > 0.0 => {
+            "is `image` with a gain, but there is no `[drr]`; expected `[drr]`, or `shape` or `none`"
+        }
+        Some(drr) if drr.display != Display::BoneDark => {
+            "is `image`, which finds the burr as the darkest; expected `drr.display = \"bone_dark\"`, or `shape` or `none`"
+        }
+        _ => return Ok(()),
+    };
+    Err(checker.invalid("controller.curved_drilling.feedback", problem))
 }
 
 fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), SceneError> {
