@@ -10,6 +10,7 @@ mod failure;
 mod launcher;
 mod replay;
 mod report;
+mod stress;
 mod x_ray;
 
 use std::process::ExitCode;
@@ -20,12 +21,14 @@ use commands::bench::BenchCommand;
 use commands::calibrate::CalibrateArguments;
 use commands::chart::ChartCommand;
 use commands::docs::DocsCommand;
+use commands::doctor::DoctorArguments;
 use commands::drr::DrrArguments;
 use commands::log::LogCommand;
 use commands::proc::ProcCommand;
 use commands::replay::ReplayArguments;
 use commands::run::RunArguments;
 use commands::scene::SceneCommand;
+use commands::stress::{LoadArguments, StressArguments};
 use commands::volume::{PhantomArguments, VolumeCommand};
 use failure::Failure;
 
@@ -64,9 +67,16 @@ enum Command {
     /// Measure what the hub costs on this machine.
     #[command(subcommand)]
     Bench(BenchCommand),
+    /// Run a scene on limited cores beside neighbours, and say why ticks were late.
+    Stress(StressArguments),
+    /// Say what this machine permits, what that costs, and what would grant it.
+    Doctor(DoctorArguments),
     /// Measure accuracy against speed, as tables and figures.
     #[command(subcommand)]
     Chart(ChartCommand),
+    /// A neighbour of a stress test.
+    #[command(hide = true)]
+    Load(LoadArguments),
     /// Run one part of a session in this process.
     #[command(subcommand)]
     Proc(ProcCommand),
@@ -91,6 +101,9 @@ fn main() -> ExitCode {
         Command::Drr(arguments) => commands::drr::run(arguments),
         Command::Docs(command) => commands::docs::run(command),
         Command::Bench(command) => commands::bench::run(command),
+        Command::Stress(arguments) => commands::stress::run(arguments),
+        Command::Doctor(arguments) => commands::doctor::run(arguments),
+        Command::Load(arguments) => commands::stress::disturb(arguments),
         Command::Chart(command) => commands::chart::run(command),
         Command::Proc(command) => commands::proc::run(command),
     };

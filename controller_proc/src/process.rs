@@ -9,8 +9,8 @@ use ipc_types::messages::{
     SENDER_CONTROLLER, SEVERITY_WARNING, State,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
-use ipc_types::process::{EndRequest, EventSender, session_scene};
-use ipc_types::scene::{Mode, Scene, SceneError};
+use ipc_types::process::{EndRequest, EventSender, Role, prioritise, session_scene};
+use ipc_types::scene::{Mode, Policy, Scene, SceneError};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
@@ -79,6 +79,9 @@ pub fn run_controller(
 ) -> Result<(), ControllerError> {
     let end = EndRequest::install().map_err(ControllerError::Signals)?;
     let mut ports = Ports::open(session_folder, name)?;
+    if !ports.lockstep {
+        prioritise(Role::Controller, ports.policy);
+    }
     let mut sequence = 0;
     let mut newest_tick = 0;
     while !end.is_set() && !ports.run_has_ended()? {
@@ -108,6 +111,7 @@ struct Ports {
     physics: Waker,
     waiter: Waiter,
     lockstep: bool,
+    policy: Policy,
 }
 
 impl Ports {
@@ -128,6 +132,7 @@ impl Ports {
             physics: session.waker(Reader::Physics)?,
             commands: session.command_publisher(name)?,
             lockstep: scene.run.mode == Mode::Lockstep,
+            policy: scene.run.policy,
         })
     }
 

@@ -19,7 +19,7 @@ use crate::session::{
     Announcement, ByteService, CONTROLLER_VARIABLE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE, Session,
     SessionError, create_node, file_error, session_id, shared_memory_prefix, transported,
 };
-use crate::wake::{Waiter, WakeFlags, Waker};
+use crate::wake::{Crowd, Waiter, WakeFlags, Waker, Way, allowed_cores};
 
 /// How long a client waits for a session to be announced, or for a service to be there.
 const JOIN_TIME: Duration = Duration::from_secs(10);
@@ -138,7 +138,21 @@ impl Session {
         let service =
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
-        Ok(Waiter { listener, flags: self.flags.clone(), reader: reader.slot() })
+        let way = match reader {
+            // They look at their queues in intervals: nobody waits for them.
+            Reader::Recorder | Reader::Drr => Way::Hybrid,
+            Reader::Physics | Reader::Controller(_) => {
+                let spinning = 1 + self.announcement.controllers.len();
+                Way::of(self.announcement.wait, self.announcement.policy, spinning, allowed_cores())
+            }
+        };
+        Ok(Waiter {
+            listener,
+            flags: self.flags.clone(),
+            reader: reader.slot(),
+            way,
+            crowd: Crowd::default(),
+        })
     }
 
     /// Wakes another process.

@@ -12,7 +12,7 @@ use zerocopy::IntoBytes;
 
 use crate::messages::{Event, SEVERITY_INFO, Volume};
 use crate::ports::{PortError, Publisher, Received, Subscriber};
-use crate::scene::{Scene, SceneError};
+use crate::scene::{Policy, Scene, SceneError};
 use crate::services::{self, MAX_EVENT_TEXT};
 use crate::session::{Session, SessionError};
 
@@ -97,6 +97,68 @@ pub fn bind_to_parent(command: &mut Command) -> &mut Command {
     }
 }
 
+/// What a part is to the run, the most urgent first. Under overload a later one gives way to an earlier one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// Keeps the tick.
+    Physics,
+    /// Commands for the next tick.
+    Controller,
+    /// Late for nobody, but its queues hold half a second: it may be delayed, never starved.
+    Recorder,
+    /// Frames: their rate may fall.
+    Drr,
+    /// Progress for people.
+    Viewer,
+}
+
+/// How the scheduler treats a part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Priority {
+    /// `SCHED_FIFO` priority; none: time-shared.
+    pub fifo: Option<i32>,
+    /// Nice value, where it is time-shared: a step is a quarter more or less of the core's time (sched(7)).
+    pub nice: i32,
+}
+
+impl Role {
+    /// What a part of this role should have. The numbers below 50 stay below the kernel's own interrupt threads.
+    pub fn priority(self, policy: Policy) -> Priority {
+        let (fifo, nice) = match self {
+            Role::Physics => (Some(40), -15),
+            Role::Controller => (Some(30), -10),
+            Role::Recorder => (None, -5),
+            Role::Drr => (None, 5),
+            Role::Viewer => (None, 10),
+        };
+        Priority { fifo: fifo.filter(|_| policy == Policy::Fifo), nice }
+    }
+}
+
+/// Gives this thread, and those that it starts from now on, the priority of a role, or what the system permits of it:
+/// more weight than others needs a right (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), less does not. Returns what
+/// it has got.
+pub fn prioritise(role: Role, policy: Policy) -> Priority {
+    let wanted = role.priority(policy);
+    let own = |nice: i32| rustix::process::setpriority_process(None, nice).is_ok();
+    let nice = if own(wanted.nice) { wanted.nice } else { 0 };
+    let fifo = wanted.fifo.filter(|priority| set_fifo(*priority).is_ok());
+    Priority { fifo, nice }
+}
+
+/// Puts this thread under `SCHED_FIFO`; threads that it starts later are not (`SCHED_RESET_ON_FORK`).
+///
+/// # Errors
+/// The system does not permit it.
+pub fn set_fifo(priority: i32) -> std::io::Result<()> {
+    let parameters = libc::sched_param { sched_priority: priority };
+    // SAFETY: 0 names the calling thread; the second pointer is to a whole sched_param that outlives the call, and the
+    // kernel only reads it.
+    let outcome =
+        unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, &parameters) };
+    if outcome == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+}
+
 /// The scene of a session, as the launcher laid it into the session's folder.
 ///
 /// # Errors
@@ -149,5 +211,28 @@ impl EventSender {
     /// The transport's.
     pub fn inform(&mut self, tick: u64, code: u32, text: &str) -> Result<(), PortError> {
         self.send(tick, SEVERITY_INFO, code, text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_part_gives_way_to_those_before_it() {
+        let order = [Role::Physics, Role::Controller, Role::Recorder, Role::Drr, Role::Viewer];
+        for pair in order.windows(2) {
+            let nice = |role: Role| role.priority(Policy::Other).nice;
+            assert!(nice(pair[0]) < nice(pair[1]), "{pair:?}");
+            let fifo = |role: Role| role.priority(Policy::Fifo).fifo.unwrap_or(0);
+            assert!(fifo(pair[0]) >= fifo(pair[1]), "{pair:?}");
+        }
+        assert!(order.iter().all(|role| role.priority(Policy::Other).fifo.is_none()));
+    }
+
+    #[test]
+    fn less_weight_is_always_permitted() {
+        let got = std::thread::spawn(|| prioritise(Role::Viewer, Policy::Fifo)).join().unwrap();
+        assert_eq!(got, Priority { fifo: None, nice: 10 });
     }
 }

@@ -20,6 +20,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::scene::{Policy, Wait};
 use crate::services::{self, Service};
 use crate::wake::WakeFlags;
 
@@ -145,6 +146,10 @@ pub struct Announcement {
     pub frame_bytes: usize,
     /// Whether a recorder takes part; the physics then waits for it.
     pub recorder: bool,
+    /// How physics and controllers wait for each other.
+    pub wait: Wait,
+    /// How the scheduler treats them.
+    pub policy: Policy,
 }
 
 /// A session seen by one process: its node and the way to its services.
@@ -311,6 +316,10 @@ pub struct SessionPlan {
     pub frame_bytes: usize,
     /// Whether a recorder takes part; the physics then waits for it.
     pub recorder: bool,
+    /// How physics and controllers wait for each other.
+    pub wait: Wait,
+    /// How the scheduler treats them.
+    pub policy: Policy,
 }
 
 impl SessionHost {
@@ -345,6 +354,8 @@ impl SessionHost {
             volume_bytes: plan.volume_bytes,
             frame_bytes: plan.frame_bytes,
             recorder: plan.recorder,
+            wait: plan.wait,
+            policy: plan.policy,
         };
         let session = Session { folder, announcement, node, flags };
         Ok(SessionHost {

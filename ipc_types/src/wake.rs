@@ -1,4 +1,8 @@
-//! Waiting for messages: yield for a short while, then sleep until woken.
+//! Waiting for messages: look for a short while, then sleep until woken.
+//!
+//! How long a reader looks before it sleeps is its [`Way`]. None of them holds a core that another part needs: a reader
+//! spins only while there are more cores than spinning parts; otherwise it yields between two looks, and where a yield
+//! shows that somebody else had the core, it sleeps, this time and the next times ([`Crowd`]).
 //!
 //! A writer must not pay for waking a reader that is awake, and a reader must not burn a core that another part
 //! needs. So a reader that is about to sleep says so in a flag that it shares with its writers, looks at its queues
@@ -8,6 +12,7 @@
 //! Why no wake-up is lost: the reader stores the flag before it looks at the queue, the writer stores into the queue
 //! before it reads the flag, and both put a sequentially consistent fence between. At least one sees the other's.
 
+use std::cell::Cell;
 use std::fs::OpenOptions;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,6 +23,8 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ipc;
 use memmap2::MmapRaw;
+
+use crate::scene::{Policy, Wait};
 
 /// How long a reader yields before it sleeps. Measured: pure spinning collapses a thousandfold when spinners outnumber
 /// cores; yielding for 20 µs costs nothing there and catches nearly every answer of a running peer.
@@ -86,9 +93,74 @@ impl Waker {
     }
 }
 
+/// Cores that this thread may use; 1 where the system does not say.
+pub fn allowed_cores() -> usize {
+    rustix::thread::sched_getaffinity(None).map_or(1, |cores| cores.count().max(1) as usize)
+}
+
+/// What a waiting thread does before it sleeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// Looks again and again, and never sleeps.
+    Spin,
+    /// The same, but offers its core in between.
+    Yield,
+    /// Looks for [`YIELD_TIME`], offering its core in between, while nobody takes it.
+    Hybrid,
+    /// Sleeps at once.
+    Sleep,
+}
+
+impl Way {
+    /// The way of one of `spinning` parts on `cores` cores. On one core nothing spins. Where there are no more cores than
+    /// parts that spin they yield, and under `SCHED_FIFO`, where a yield lets no other part run, they sleep.
+    pub fn of(wait: Wait, policy: Policy, spinning: usize, cores: usize) -> Way {
+        match (wait, policy) {
+            (Wait::Event, _) => Way::Sleep,
+            (Wait::Hybrid, _) => Way::Hybrid,
+            (Wait::Spin, _) if cores <= 1 => Way::Sleep,
+            (Wait::Spin, _) if spinning < cores => Way::Spin,
+            (Wait::Spin, Policy::Other) => Way::Yield,
+            (Wait::Spin, Policy::Fifo) => Way::Sleep,
+        }
+    }
+}
+
+/// Whether others want this thread's core, as its yields show.
+#[derive(Debug, Default)]
+pub struct Crowd {
+    /// Waits for which it is still taken for granted.
+    believed: Cell<u32>,
+}
+
+impl Crowd {
+    /// Waits after a yield that somebody else used in which there is none.
+    const PATIENCE: u32 = 64;
+
+    /// Whether this wait may begin with yields.
+    pub fn core_seems_free(&self) -> bool {
+        let believed = self.believed.get();
+        self.believed.set(believed.saturating_sub(1));
+        believed == 0
+    }
+
+    /// Offers the core; false if somebody else had it for longer than a peer takes to answer.
+    pub fn offer_core(&self) -> bool {
+        let began = Instant::now();
+        std::thread::yield_now();
+        let is_free = began.elapsed() < 4 * YIELD_TIME;
+        if !is_free {
+            self.believed.set(Self::PATIENCE);
+        }
+        is_free
+    }
+}
+
 /// Lets a reader wait for its messages.
 #[derive(Debug)]
 pub struct Waiter {
+    pub(crate) way: Way,
+    pub(crate) crowd: Crowd,
     pub(crate) listener: Listener<ipc::Service>,
     pub(crate) flags: WakeFlags,
     pub(crate) reader: usize,
@@ -99,15 +171,8 @@ impl Waiter {
     pub fn wait_until(&self, deadline: Instant, mut ready: impl FnMut() -> bool) -> bool {
         let flag = self.flags.flag(self.reader);
         flag.store(0, Ordering::Relaxed);
-        let yield_end = Instant::now() + YIELD_TIME;
-        loop {
-            if ready() {
-                return true;
-            }
-            if Instant::now() >= yield_end {
-                break;
-            }
-            std::thread::yield_now();
+        if self.look(deadline, &mut ready) {
+            return true;
         }
         loop {
             flag.store(1, Ordering::Relaxed);
@@ -124,8 +189,62 @@ impl Waiter {
         }
     }
 
+    /// Looks without sleeping, as its way is; returns whether it is ready.
+    fn look(&self, deadline: Instant, ready: &mut impl FnMut() -> bool) -> bool {
+        let end = match self.way {
+            Way::Sleep => return ready(),
+            Way::Hybrid if !self.crowd.core_seems_free() => return ready(),
+            Way::Hybrid => Instant::now() + YIELD_TIME,
+            Way::Spin | Way::Yield => deadline,
+        };
+        loop {
+            if ready() {
+                return true;
+            }
+            if Instant::now() >= end {
+                return false;
+            }
+            match self.way {
+                Way::Spin => std::hint::spin_loop(),
+                Way::Yield => std::thread::yield_now(),
+                Way::Hybrid | Way::Sleep => {
+                    if !self.crowd.offer_core() {
+                        return ready();
+                    }
+                }
+            }
+        }
+    }
+
     fn drain(&self) {
         // Left-over notifications would only end the next sleep early.
         let _ = self.listener.try_wait(|_| {});
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_spins_on_one_core_and_spinning_parts_leave_others_a_core() {
+        for policy in [Policy::Other, Policy::Fifo] {
+            for (wait, one) in
+                [(Wait::Spin, Way::Sleep), (Wait::Event, Way::Sleep), (Wait::Hybrid, Way::Hybrid)]
+            {
+                assert_eq!(Way::of(wait, policy, 2, 1), one);
+            }
+            assert_eq!(Way::of(Wait::Spin, policy, 2, 3), Way::Spin);
+        }
+        assert_eq!(Way::of(Wait::Spin, Policy::Other, 2, 2), Way::Yield);
+        assert_eq!(Way::of(Wait::Spin, Policy::Fifo, 2, 2), Way::Sleep);
+    }
+
+    #[test]
+    fn a_core_that_was_taken_is_not_waited_on_for_a_while() {
+        let crowd = Crowd::default();
+        assert!(crowd.core_seems_free());
+        crowd.believed.set(2);
+        assert_eq!([(); 4].map(|()| crowd.core_seems_free()), [false, false, true, true]);
     }
 }

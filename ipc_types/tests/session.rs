@@ -5,12 +5,20 @@
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{Command, Event, Removed, State};
+use ipc_types::scene::{Policy, Wait};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError, SessionHost, SessionPlan};
 
 fn plan(controllers: &[&str]) -> SessionPlan {
     let controllers = controllers.iter().map(|name| (*name).to_owned()).collect();
-    SessionPlan { controllers, volume_bytes: 4096, frame_bytes: 1024, recorder: true }
+    SessionPlan {
+        controllers,
+        volume_bytes: 4096,
+        frame_bytes: 1024,
+        recorder: true,
+        wait: Wait::Hybrid,
+        policy: Policy::Other,
+    }
 }
 
 fn shared_memory_of(session: &Session) -> usize {

@@ -4,10 +4,15 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use ipc_types::messages::TickTiming;
+use zerocopy::FromBytes;
+
 use crate::end::{Ending, hash_text};
 use crate::error::LogError;
-use crate::header::LogHeader;
+use crate::header::{LogHeader, RunMode};
+use crate::misses::Misses;
 use crate::stream::{MessageStream, ReadOptions, TopicCount};
+use crate::topics;
 
 /// Summary of a log.
 #[derive(Debug)]
@@ -22,6 +27,8 @@ pub struct LogInfo {
     pub end_ns: u64,
     /// Bytes of the file that could be read.
     pub file_bytes: u64,
+    /// Ticks that began late, of a timing lane.
+    pub misses: Misses,
     /// How the file ends.
     pub ending: Ending,
     /// Why it could not be read further (damage).
@@ -31,10 +38,17 @@ pub struct LogInfo {
 /// Reads a whole log of either lane and sums it up. Damage is part of the summary.
 pub fn info(path: &Path, options: ReadOptions) -> Result<LogInfo, LogError> {
     let mut stream = MessageStream::open(path, options)?;
-    let mut end_ns = 0;
+    let (mut end_ns, mut misses) = (0, Misses::default());
     let log_error = loop {
         match stream.next_message() {
-            Ok(Some(message)) => end_ns = message.log_time_ns.max(end_ns),
+            Ok(Some(message)) => {
+                end_ns = message.log_time_ns.max(end_ns);
+                if message.topic == topics::TICK_TIMING
+                    && let Ok(timing) = TickTiming::read_from_bytes(message.body)
+                {
+                    misses.add(&timing);
+                }
+            }
             Ok(None) => break None,
             Err(error) => break Some(error),
         }
@@ -45,6 +59,7 @@ pub fn info(path: &Path, options: ReadOptions) -> Result<LogInfo, LogError> {
         topics: stream.counts(),
         end_ns,
         file_bytes: stream.offset(),
+        misses,
         ending: stream.ending().clone(),
         log_error,
     })
@@ -62,6 +77,14 @@ impl LogInfo {
             return self.topics.get(topic).map_or(0, |count| count.missing);
         };
         marker.lost.get(topic).unwrap_or(&0) + marker.damaged.get(topic).unwrap_or(&0)
+    }
+
+    /// Says why ticks began late, if this is the timing lane of a run in real time.
+    pub fn write_misses(&self, out: &mut dyn Write) -> Result<(), LogError> {
+        if self.misses.ticks > 0 && self.header.mode == RunMode::RealTime {
+            writeln!(out, "late ticks  {}", self.misses.describe())?;
+        }
+        Ok(())
     }
 
     /// Writes the summary for people.
@@ -102,6 +125,7 @@ impl LogInfo {
                 count.messages, count.bytes
             )?;
         }
+        self.write_misses(out)?;
         writeln!(out, "end         {}", self.ending.describe())?;
         if let Some(marker) = &self.ending.marker {
             let tick = marker.last_tick.map_or("none".to_string(), |tick| tick.to_string());

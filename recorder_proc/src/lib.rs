@@ -14,6 +14,7 @@
 //! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
 //! | [`verify`](mod@verify), [`segments`] | re-execution of a log, compared tick by tick, and its parallel form |
 //! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
+//! | [`misses`] | why ticks began late |
 //! | [`repair`](mod@repair), [`join`] | logs made of logs: repaired, packed, joined, split |
 //! | [`columns`], [`export`] | a topic as a table: CSV and Parquet |
 //! | [`background`] | the thread that writes |
@@ -34,6 +35,7 @@ pub mod header;
 mod index;
 pub mod info;
 pub mod join;
+pub mod misses;
 mod order;
 pub mod process;
 pub mod reader;
@@ -58,6 +60,7 @@ pub use frames::{FrameReader, FrameRecord, frames};
 pub use header::{BuildInfo, LogHeader, RunMode};
 pub use info::{LogInfo, info};
 pub use join::{cat_files, compress, split};
+pub use misses::{Cause, LostTime, Misses};
 pub use reader::{LogReader, ReadOptions, SavedState, TickRecord};
 pub use repair::{RepairReport, repair};
 pub use rewrite::Packing;

@@ -17,7 +17,7 @@ use ipc_types::messages::{
     RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
-use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume, session_scene};
+use ipc_types::process::{EndRequest, Role, VOLUME_LIMIT, await_volume, prioritise, session_scene};
 use ipc_types::scene::{Images, Mode, Recording, Scene, SceneError};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
@@ -80,6 +80,10 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
         .map_err(RecorderError::Signals)?;
     let scene = session_scene(session_folder)?;
+    if scene.run.mode == Mode::Realtime {
+        // Before the writing threads start, which are to have it too.
+        prioritise(Role::Recorder, scene.run.policy);
+    }
     let session = Session::join(session_folder)?;
     let header = header(&session, &scene, &end)?;
     let ports = Ports::open(&session, &scene)?;

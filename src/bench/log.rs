@@ -56,7 +56,10 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
 }
 
 /// Seconds of a verification between keyframes, on a thread a core.
-fn verify(log: &Path) -> Result<(f64, usize), Failure> {
+///
+/// # Errors
+/// A log that cannot be read, or of which a tick has another hash.
+pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
     let opened = OpenedLog::open(log, &Overrides::default())?;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let began = Instant::now();

@@ -37,18 +37,24 @@ impl Machine {
         Machine { began: Instant::now(), before: CpuTimes::now() }
     }
 
-    /// The measurement is over: prints cores, load and steal.
-    pub fn print(&self) {
+    /// Percent of all cores' time that was busy, and that was stolen, since the measurement began.
+    pub fn shares_percent(&self) -> (f64, f64) {
         let now = CpuTimes::now();
         let all = now.all.saturating_sub(self.before.all).max(1) as f64;
         let percent = |now: u64, before: u64| 100.0 * now.saturating_sub(before) as f64 / all;
+        (100.0 - percent(now.idle, self.before.idle), percent(now.stolen, self.before.stolen))
+    }
+
+    /// Seconds since it began.
+    pub fn seconds(&self) -> f64 {
+        self.began.elapsed().as_secs_f64()
+    }
+
+    /// The measurement is over: prints cores, load and steal.
+    pub fn print(&self) {
+        let (busy, stolen) = self.shares_percent();
         let cores = std::thread::available_parallelism().map_or(0, usize::from);
-        let text = format!(
-            "{cores} cores, {:.0} % busy, {:.2} % stolen, {:.1} s",
-            100.0 - percent(now.idle, self.before.idle),
-            percent(now.stolen, self.before.stolen),
-            self.began.elapsed().as_secs_f64()
-        );
+        let text = format!("{cores} cores, {busy:.0} % busy, {stolen:.2} % stolen, {:.1} s", self.seconds());
         row("machine during the measurement", &text);
     }
 }

@@ -3,10 +3,11 @@
 pub mod drr;
 pub mod latency;
 pub mod log;
-mod machine;
+pub mod machine;
 pub mod memory;
 pub mod overhead;
 pub mod ping_pong;
+pub mod readings;
 pub mod recorder;
 mod samples;
 pub mod soak;

@@ -13,9 +13,9 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use ipc_types::layout::Message;
 use ipc_types::messages::{Command, State};
 use ipc_types::process::{bind_to_parent, end_with_parent};
-use ipc_types::services;
 use ipc_types::session::{Reader, SESSION_VARIABLE, Session, SessionHost, SessionPlan};
 use ipc_types::wake::{Waiter, Waker};
+use ipc_types::{scene, services};
 
 use super::failed;
 use super::samples::Samples;
@@ -139,8 +139,14 @@ pub fn measure_on(
     rounds: usize,
     place: impl FnOnce(&mut dyn FnMut() -> Result<Child, Failure>) -> Result<Child, Failure>,
 ) -> Result<Samples, Failure> {
-    let plan =
-        SessionPlan { controllers: vec![PONG.to_owned()], volume_bytes: 0, frame_bytes: 0, recorder: false };
+    let plan = SessionPlan {
+        controllers: vec![PONG.to_owned()],
+        volume_bytes: 0,
+        frame_bytes: 0,
+        recorder: false,
+        wait: scene::Wait::Hybrid,
+        policy: scene::Policy::Other,
+    };
     let host = SessionHost::create(&plan).map_err(failed)?;
     let session = &host.session;
     let (out, back) = (create(session.node(), PING_SERVICE)?, create(session.node(), PONG_SERVICE)?);

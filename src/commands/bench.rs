@@ -6,7 +6,7 @@ use clap::Subcommand;
 
 use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
-use crate::bench::{drr, latency, log, memory, overhead, ping_pong, recorder, soak, step};
+use crate::bench::{drr, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -82,6 +82,12 @@ pub enum BenchCommand {
         #[arg(long)]
         address: String,
     },
+    /// What the readings cost that say why a tick was late.
+    Readings {
+        /// Ticks, 100 to 1000000.
+        #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
+        ticks: u64,
+    },
     /// What the recorder costs the physics: the scene in real time without and with it, in turn.
     Recorder {
         /// Scene.
@@ -139,6 +145,10 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             latency::run(*rounds as usize, *turns as usize, python.clone())
         }
         BenchCommand::Echo { peer, wait, rounds, address } => latency::answer(*peer, *wait, *rounds, address),
+        BenchCommand::Readings { ticks } => {
+            readings::run(*ticks);
+            Ok(())
+        }
         BenchCommand::Recorder { scene, seconds, rounds } => {
             in_range("--seconds", *seconds, 1.0, 3600.0)?;
             recorder::run(scene, *seconds, *rounds as usize)

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use ipc_types::process::EndRequest;
-use ipc_types::scene::{Images, Mode, Scene};
+use ipc_types::process::{EndRequest, Role, prioritise};
+use ipc_types::scene::{Images, Mode, Policy, Scene, Wait};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
@@ -40,6 +40,12 @@ pub struct RunArguments {
     /// Every how many frames the image is recorded, of the others the hash; needs whole images.
     #[arg(long, value_name = "N")]
     pub image_every: Option<u64>,
+    /// How physics and controllers wait, instead of what the scene says.
+    #[arg(long, value_enum)]
+    pub wait: Option<WaitArgument>,
+    /// How the scheduler treats physics and controllers, instead of what the scene says.
+    #[arg(long, value_enum)]
+    pub policy: Option<PolicyArgument>,
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,
@@ -65,6 +71,45 @@ pub enum ImagesArgument {
     None,
 }
 
+/// How physics and controllers wait.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum WaitArgument {
+    /// Never sleeping, while there are more cores than parts that spin.
+    Spin,
+    /// Sleeping at once.
+    Event,
+    /// Looking for a short while, as long as nobody else needs the core.
+    Hybrid,
+}
+
+impl From<WaitArgument> for Wait {
+    fn from(wait: WaitArgument) -> Wait {
+        match wait {
+            WaitArgument::Spin => Wait::Spin,
+            WaitArgument::Event => Wait::Event,
+            WaitArgument::Hybrid => Wait::Hybrid,
+        }
+    }
+}
+
+/// How the scheduler treats physics and controllers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PolicyArgument {
+    /// As other programs, with more weight.
+    Other,
+    /// Before all other programs, `SCHED_FIFO`.
+    Fifo,
+}
+
+impl From<PolicyArgument> for Policy {
+    fn from(policy: PolicyArgument) -> Policy {
+        match policy {
+            PolicyArgument::Other => Policy::Other,
+            PolicyArgument::Fifo => Policy::Fifo,
+        }
+    }
+}
+
 /// Runs a scene.
 ///
 /// # Errors
@@ -83,7 +128,14 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     };
     let plan = RunPlan { scene, output };
     let mut display = Display::new(arguments.quiet)?;
-    let result = run_scene(&plan, &end, |glance| display.show(glance));
+    let mut shown = false;
+    let result = run_scene(&plan, &end, |glance| {
+        // The parts have started: what follows is for people, and gives way to them.
+        if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
+            prioritise(Role::Viewer, plan.scene.run.policy);
+        }
+        display.show(glance);
+    });
     display.end();
     let result = result.map_err(|error| {
         // Nothing was recorded: leave no empty folder that was not there.
@@ -114,6 +166,8 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
         Some(ImagesArgument::None) => scene.recording.images = Images::None,
         None => {}
     }
+    scene.run.wait = arguments.wait.map_or(scene.run.wait, Wait::from);
+    scene.run.policy = arguments.policy.map_or(scene.run.policy, Policy::from);
     if let Some(every) = arguments.image_every {
         if !(1..=1_000_000).contains(&every) || scene.recording.images != Images::Full {
             return Err(Failure::bad_input(format!(
@@ -141,6 +195,7 @@ fn write_report(result: &RunResult, output: &Path) -> Result<(), Failure> {
         startup_s: result.starting.as_secs_f64(),
         outcome: outcome_text(&result.outcome),
         peak_memory_bytes: memory_by_name(&result.memory),
+        processor_s: result.processor.iter().map(|(name, time)| (name.clone(), time.as_secs_f64())).collect(),
         replay_command: replay_command.clone(),
     };
     let summary = report::write(output, &facts).map_err(|error| Failure::failed(error.to_string()))?;

@@ -77,6 +77,8 @@ impl Hub {
             volume_bytes: volume.map_or(0, |(volume, _)| volume_source::message_bytes(volume)),
             frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
             recorder,
+            wait: scene.run.wait,
+            policy: scene.run.policy,
         };
         let host = SessionHost::create(&plan)?;
         let path = host.session.folder().join("scene.toml");

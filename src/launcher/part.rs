@@ -22,6 +22,8 @@ pub struct Part {
     status: Option<ExitStatus>,
     /// Most memory it has had so far.
     pub memory: Memory,
+    /// Processor time it has used so far.
+    pub processor: Duration,
 }
 
 /// Memory of a process in bytes.
@@ -47,6 +49,17 @@ impl Memory {
     }
 }
 
+/// Processor time of all threads of a process, a number or `self`, in steps of 10 ms.
+pub fn processor_time(process: &str) -> Option<Duration> {
+    let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    // Behind the name in brackets, which may hold anything: state is the first, utime the 12th, stime the 13th
+    // (proc_pid_stat(5)), both in hundredths of a second.
+    let (_, fields) = text.rsplit_once(')')?;
+    let hundredths =
+        fields.split_whitespace().skip(11).take(2).map(|field| field.parse::<u64>().unwrap_or(0));
+    Some(Duration::from_millis(hundredths.sum::<u64>() * 10))
+}
+
 impl Part {
     /// Starts a program. Its output is kept as its last words; `echo` also shows it.
     ///
@@ -63,7 +76,14 @@ impl Part {
         if let Some(output) = child.stderr.take() {
             listen(output, Arc::clone(&words), shown_as);
         }
-        Ok(Part { name: name.to_owned(), child, words, status: None, memory: Memory::default() })
+        Ok(Part {
+            name: name.to_owned(),
+            child,
+            words,
+            status: None,
+            memory: Memory::default(),
+            processor: Duration::ZERO,
+        })
     }
 
     /// How it ended, if it has.
@@ -81,9 +101,11 @@ impl Part {
         self.words.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
-    /// Reads its memory.
-    pub fn measure_memory(&mut self) {
-        self.memory.measure(&self.child.id().to_string());
+    /// Reads its memory and its processor time.
+    pub fn measure(&mut self) {
+        let process = self.child.id().to_string();
+        self.memory.measure(&process);
+        self.processor = processor_time(&process).unwrap_or(self.processor);
     }
 
     /// Asks it to end (SIGTERM).
@@ -109,7 +131,7 @@ impl Part {
                 self.status = self.child.wait().ok();
                 return false;
             }
-            self.measure_memory();
+            self.measure();
             std::thread::sleep(Duration::from_millis(2));
         }
         true

@@ -17,7 +17,7 @@ use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::Waker;
 
 use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
-use super::part::{Memory, Part};
+use super::part::{Memory, Part, processor_time};
 use super::volume_source;
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
@@ -64,6 +64,8 @@ pub struct RunResult {
     pub starting: Duration,
     /// Most memory of each process, by name.
     pub memory: Vec<(String, Memory)>,
+    /// Processor time of each process from its start to its end, by name.
+    pub processor: Vec<(String, Duration)>,
 }
 
 /// Why a run could not be made.
@@ -123,7 +125,7 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
         if first_tick.is_none() && eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING) {
             first_tick = Some(Instant::now());
         }
-        parts.iter_mut().for_each(Part::measure_memory);
+        parts.iter_mut().for_each(Part::measure);
         if end.is_set() {
             break Outcome::Interrupted;
         }
@@ -143,7 +145,10 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
         parts.iter().map(|part| (part.name.clone(), part.memory)).collect();
     own_memory.measure("self");
     memory.push(("launcher".to_owned(), own_memory));
-    Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory })
+    let mut processor: Vec<(String, Duration)> =
+        parts.iter().map(|part| (part.name.clone(), part.processor)).collect();
+    processor.push(("launcher".to_owned(), processor_time("self").unwrap_or_default()));
+    Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory, processor })
 }
 
 /// A part has ended. When the run is over, DRR and controllers may leave a moment before the physics does; the physics

@@ -20,6 +20,8 @@ pub struct Quantiles {
     pub count: u64,
     /// Median.
     pub p50: f64,
+    /// 90 % are no longer.
+    pub p90: f64,
     /// 99 % are no longer.
     pub p99: f64,
     /// 99.9 % are no longer.
@@ -55,7 +57,14 @@ impl Distribution {
         let at = |quantile: f64| self.0.value_at_quantile(quantile) as f64 / unit_ns;
         let max = self.0.max() as f64 / unit_ns;
         let count = self.count();
-        (count > 0).then(|| Quantiles { count, p50: at(0.5), p99: at(0.99), p99_9: at(0.999), max })
+        (count > 0).then(|| Quantiles {
+            count,
+            p50: at(0.5),
+            p90: at(0.9),
+            p99: at(0.99),
+            p99_9: at(0.999),
+            max,
+        })
     }
 
     /// Value and number of its samples, rising, without empty ones.

@@ -132,7 +132,7 @@ mod tests {
 
     #[test]
     fn a_line_stays_below_160_columns() {
-        let quantiles = |v: f64| Some(Quantiles { count: 1, p50: v, p99: v, p99_9: v, max: v });
+        let quantiles = |v: f64| Some(Quantiles { count: 1, p50: v, p90: v, p99: v, p99_9: v, max: v });
         for value in
             [0.0, -12.345, 1e-9, 3599.999, -99999.9, 123456.7, f64::NAN, f64::NEG_INFINITY, -1.79e308]
         {

@@ -13,15 +13,15 @@
 
 pub mod axis;
 pub mod calibration_figure;
-mod distribution;
+pub mod distribution;
 mod grey;
 mod live;
 pub mod panel;
 mod run_lane;
 pub mod shapes;
 mod summary;
-mod timeline;
-mod timing_figure;
+pub mod timeline;
+pub mod timing_figure;
 mod timing_lane;
 mod tip_figure;
 
@@ -33,7 +33,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
-pub use summary::{NOT_SHARED, Summary};
+pub use summary::{MissSummary, NOT_SHARED, Summary};
 
 use run_lane::RunLane;
 use timing_lane::TimingLane;
@@ -49,6 +49,8 @@ pub struct RunFacts {
     pub outcome: String,
     /// Peak memory (VmHWM) of each process by its name, bytes.
     pub peak_memory_bytes: BTreeMap<String, u64>,
+    /// Processor time of each process, from its start, by its name, s.
+    pub processor_s: BTreeMap<String, f64>,
     /// Command line that replays the run.
     pub replay_command: String,
 }

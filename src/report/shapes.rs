@@ -154,7 +154,8 @@ impl Figure {
         write_png(path, columns as u32, rows as u32, png::ColorType::Rgb, &shrunk)
     }
 
-    fn write_svg(&self, path: &Path) -> Result<(), ReportError> {
+    /// Writes an SVG file.
+    pub fn write_svg(&self, path: &Path) -> Result<(), ReportError> {
         let size = (self.width * SCALE as u32, self.height * SCALE as u32);
         let mut text = String::new();
         self.draw(SVGBackend::with_string(&mut text, size), false)

@@ -8,7 +8,7 @@ use ipc_types::messages::{
     EVENT_RUN, EVENT_SAFE_COMMAND, Event, FrameTiming, SENDER_CONTROLLER, SENDER_DRR, SENDER_LAUNCHER,
     SENDER_PHYSICS, SENDER_RECORDER, SEVERITY_WARNING, TickTiming,
 };
-use recorder_proc::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, topics};
+use recorder_proc::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, topics};
 use zerocopy::FromBytes;
 
 use super::ReportError;
@@ -36,8 +36,8 @@ pub struct TimingLane {
     pub lateness: Distribution,
     /// From state to command, per controller in the header's order.
     pub round_trips: Vec<Distribution>,
-    /// Ticks that began more than a period late.
-    pub missed: u64,
+    /// Ticks that began more than a period late, and why.
+    pub misses: Misses,
     /// The same over simulated time.
     pub missed_over_time: Timeline<u64>,
     /// Page faults of the physics process after its first tick.
@@ -87,7 +87,7 @@ impl TimingLane {
             step_over_time: Timeline::new(TIME_BINS, BIN_TICKS.saturating_mul(dt_ns), Distribution::new(2)?),
             lateness: duration.clone(),
             round_trips: vec![duration.clone(); controllers],
-            missed: 0,
+            misses: Misses::default(),
             missed_over_time: Timeline::new(2 * TIME_BINS, dt_ns, 0),
             page_faults: 0,
             render: duration,
@@ -146,8 +146,8 @@ impl TimingLane {
                 distribution.add(round_trip_ns);
             }
         }
+        self.misses.add(timing);
         if timing.missed != 0 {
-            self.missed += 1;
             *self.missed_over_time.bin(time_ns) += 1;
         }
         if self.step.count() > 1 {

@@ -18,4 +18,5 @@ mod run_control;
 mod runs;
 mod schedules;
 mod strays;
+mod stress;
 mod survival;

@@ -43,7 +43,7 @@ extern "C" {
     "RunStatus=8edbaf551a7c3eea;" \
     "Event=cac67533cfe9d682;" \
     "Progress=df90c4e6342d1729;" \
-    "TickTiming=a9dbad10ae2d4d96;" \
+    "TickTiming=f0002491977599d0;" \
     "FrameTiming=45350c0366698d5a;" \
     "ImagePrefix=ffa8696deb0340eb;" \
     "Pose=e9b8da2ec2f8cc8c;" \
@@ -723,16 +723,42 @@ typedef struct trb_tick_timing {
     uint64_t step_ns;
     /* Time of hashing and publishing. */
     uint64_t publish_ns;
-    /* Time in which the kernel had this thread wait for a core since the last tick. */
+    /* Time in which the kernel had this thread wait for a core, from the beginning of the last tick to
+     * that of this one. */
     uint64_t run_queue_wait_ns;
+    /* Wall time of the last tick's work: from its beginning until the thread went to sleep for this one
+     * (real time). */
+    uint64_t work_ns;
+    /* Processor time of this thread in it, without what a hypervisor stole (real time). */
+    uint64_t work_cpu_ns;
+    /* How long after this tick's deadline the last tick's work ended; negative: so long before (real
+     * time). */
+    int64_t overrun_ns;
+    /* Time of taking the controllers' commands before this tick began (real time). */
+    uint64_t collect_ns;
+    /* Steal of the core that the thread is on, since it was looked at last, at most 100 ms before, in
+     * steps of 10 ms. It is looked at in late ticks only; 0 otherwise. */
+    uint64_t stolen_ns;
     /* From the publication of the state until the command that answers it was taken, per controller; 0 if
      * none came. In real time commands are taken when the next tick begins, so most of a period is waiting
      * for that. */
     uint64_t round_trip_ns[4];
-    /* Page faults of the physics process since the last tick. */
+    /* Page faults of this thread from the beginning of the last tick to that of this one. */
     uint32_t page_faults;
+    /* Those of them that waited for a disk. */
+    uint32_t major_page_faults;
+    /* How often in this time the thread gave its core away by itself: it sleeps once a tick in real time. */
+    uint32_t voluntary_switches;
+    /* How often its core was taken from it. */
+    uint32_t involuntary_switches;
     /* 1 if this tick began more than one period late. */
     uint32_t missed;
+    /* Bit i: the command of controller i was late, so that its last or the safe one held. */
+    uint32_t late_controllers;
+    /* 1 if the machine is a virtual one. */
+    uint32_t virtual_machine;
+    /* Always 0. */
+    uint32_t reserved;
 } trb_tick_timing;
 TRB_ASSERT(offsetof(trb_tick_timing, tick) == 0, "trb_tick_timing.tick");
 TRB_ASSERT(offsetof(trb_tick_timing, start_ns) == 8, "trb_tick_timing.start_ns");
@@ -741,10 +767,21 @@ TRB_ASSERT(offsetof(trb_tick_timing, latch_ns) == 24, "trb_tick_timing.latch_ns"
 TRB_ASSERT(offsetof(trb_tick_timing, step_ns) == 32, "trb_tick_timing.step_ns");
 TRB_ASSERT(offsetof(trb_tick_timing, publish_ns) == 40, "trb_tick_timing.publish_ns");
 TRB_ASSERT(offsetof(trb_tick_timing, run_queue_wait_ns) == 48, "trb_tick_timing.run_queue_wait_ns");
-TRB_ASSERT(offsetof(trb_tick_timing, round_trip_ns) == 56, "trb_tick_timing.round_trip_ns");
-TRB_ASSERT(offsetof(trb_tick_timing, page_faults) == 88, "trb_tick_timing.page_faults");
-TRB_ASSERT(offsetof(trb_tick_timing, missed) == 92, "trb_tick_timing.missed");
-TRB_ASSERT(sizeof(trb_tick_timing) == 96, "trb_tick_timing");
+TRB_ASSERT(offsetof(trb_tick_timing, work_ns) == 56, "trb_tick_timing.work_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, work_cpu_ns) == 64, "trb_tick_timing.work_cpu_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, overrun_ns) == 72, "trb_tick_timing.overrun_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, collect_ns) == 80, "trb_tick_timing.collect_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, stolen_ns) == 88, "trb_tick_timing.stolen_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, round_trip_ns) == 96, "trb_tick_timing.round_trip_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, page_faults) == 128, "trb_tick_timing.page_faults");
+TRB_ASSERT(offsetof(trb_tick_timing, major_page_faults) == 132, "trb_tick_timing.major_page_faults");
+TRB_ASSERT(offsetof(trb_tick_timing, voluntary_switches) == 136, "trb_tick_timing.voluntary_switches");
+TRB_ASSERT(offsetof(trb_tick_timing, involuntary_switches) == 140, "trb_tick_timing.involuntary_switches");
+TRB_ASSERT(offsetof(trb_tick_timing, missed) == 144, "trb_tick_timing.missed");
+TRB_ASSERT(offsetof(trb_tick_timing, late_controllers) == 148, "trb_tick_timing.late_controllers");
+TRB_ASSERT(offsetof(trb_tick_timing, virtual_machine) == 152, "trb_tick_timing.virtual_machine");
+TRB_ASSERT(offsetof(trb_tick_timing, reserved) == 156, "trb_tick_timing.reserved");
+TRB_ASSERT(sizeof(trb_tick_timing) == 160, "trb_tick_timing");
 
 /* Wall-clock facts of one DRR frame. Written to the timing lane only. */
 typedef struct trb_frame_timing {

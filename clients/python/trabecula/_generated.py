@@ -25,7 +25,7 @@ LAYOUTS = (
     "RunStatus=8edbaf551a7c3eea;"
     "Event=cac67533cfe9d682;"
     "Progress=df90c4e6342d1729;"
-    "TickTiming=a9dbad10ae2d4d96;"
+    "TickTiming=f0002491977599d0;"
     "FrameTiming=45350c0366698d5a;"
     "ImagePrefix=ffa8696deb0340eb;"
     "Pose=e9b8da2ec2f8cc8c;"
@@ -613,10 +613,10 @@ class TickTiming(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "start_ns", "wake_lateness_ns", "latch_ns", "step_ns", "publish_ns", "run_queue_wait_ns", "round_trip_ns", "page_faults", "missed"],
-            "formats": ["<u8", "<u8", "<i8", "<u8", "<u8", "<u8", "<u8", ("<u8", (4,)), "<u4", "<u4"],
-            "offsets": [0, 8, 16, 24, 32, 40, 48, 56, 88, 92],
-            "itemsize": 96,
+            "names": ["tick", "start_ns", "wake_lateness_ns", "latch_ns", "step_ns", "publish_ns", "run_queue_wait_ns", "work_ns", "work_cpu_ns", "overrun_ns", "collect_ns", "stolen_ns", "round_trip_ns", "page_faults", "major_page_faults", "voluntary_switches", "involuntary_switches", "missed", "late_controllers", "virtual_machine", "reserved"],
+            "formats": ["<u8", "<u8", "<i8", "<u8", "<u8", "<u8", "<u8", "<u8", "<u8", "<i8", "<u8", "<u8", ("<u8", (4,)), "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4"],
+            "offsets": [0, 8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 128, 132, 136, 140, 144, 148, 152, 156],
+            "itemsize": 160,
         }
     )
     tick: int = field("tick", "<Q", 0, "k: the tick that these facts are about.")
@@ -625,10 +625,21 @@ class TickTiming(View):
     latch_ns: int = field("latch_ns", "<Q", 24, "Time spent latching: waiting for commands in lockstep, collecting them in real time.")
     step_ns: int = field("step_ns", "<Q", 32, "Time of the physics step alone.")
     publish_ns: int = field("publish_ns", "<Q", 40, "Time of hashing and publishing.")
-    run_queue_wait_ns: int = field("run_queue_wait_ns", "<Q", 48, "Time in which the kernel had this thread wait for a core since the last tick.")
-    round_trip_ns: np.ndarray = field("round_trip_ns", None, 56, "From the publication of the state until the command that answers it was taken, per controller; 0 if none came. In real time commands are taken when the next tick begins, so most of a period is waiting for that.")
-    page_faults: int = field("page_faults", "<I", 88, "Page faults of the physics process since the last tick.")
-    missed: int = field("missed", "<I", 92, "1 if this tick began more than one period late.")
+    run_queue_wait_ns: int = field("run_queue_wait_ns", "<Q", 48, "Time in which the kernel had this thread wait for a core, from the beginning of the last tick to that of this one.")
+    work_ns: int = field("work_ns", "<Q", 56, "Wall time of the last tick's work: from its beginning until the thread went to sleep for this one (real time).")
+    work_cpu_ns: int = field("work_cpu_ns", "<Q", 64, "Processor time of this thread in it, without what a hypervisor stole (real time).")
+    overrun_ns: int = field("overrun_ns", "<q", 72, "How long after this tick's deadline the last tick's work ended; negative: so long before (real time).")
+    collect_ns: int = field("collect_ns", "<Q", 80, "Time of taking the controllers' commands before this tick began (real time).")
+    stolen_ns: int = field("stolen_ns", "<Q", 88, "Steal of the core that the thread is on, since it was looked at last, at most 100 ms before, in steps of 10 ms. It is looked at in late ticks only; 0 otherwise.")
+    round_trip_ns: np.ndarray = field("round_trip_ns", None, 96, "From the publication of the state until the command that answers it was taken, per controller; 0 if none came. In real time commands are taken when the next tick begins, so most of a period is waiting for that.")
+    page_faults: int = field("page_faults", "<I", 128, "Page faults of this thread from the beginning of the last tick to that of this one.")
+    major_page_faults: int = field("major_page_faults", "<I", 132, "Those of them that waited for a disk.")
+    voluntary_switches: int = field("voluntary_switches", "<I", 136, "How often in this time the thread gave its core away by itself: it sleeps once a tick in real time.")
+    involuntary_switches: int = field("involuntary_switches", "<I", 140, "How often its core was taken from it.")
+    missed: int = field("missed", "<I", 144, "1 if this tick began more than one period late.")
+    late_controllers: int = field("late_controllers", "<I", 148, "Bit i: the command of controller i was late, so that its last or the safe one held.")
+    virtual_machine: int = field("virtual_machine", "<I", 152, "1 if the machine is a virtual one.")
+    reserved: int = field("reserved", "<I", 156, "Always 0.")
 
 
 class FrameTiming(View):

@@ -15,7 +15,7 @@ use std::path::Path;
 
 use ipc_types::messages::{CArmGeometry, CArmProjection, Volume};
 use ipc_types::ports::PortError;
-use ipc_types::process::{EndRequest, session_scene};
+use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
 use ipc_types::scene::{
     Display, Drr, PixelCentre as ScenePixelCentre, Projector as SceneProjector, Scene, SceneError,
 };
@@ -87,8 +87,8 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let end = EndRequest::install().map_err(DrrProcessError::Signals)?;
     let scene = session_scene(session_folder)?;
     let drr = scene.drr.clone().ok_or(DrrProcessError::NoDrr)?;
-    // Frames may wait, ticks may not. Where the kernel refuses, all parts have the same weight.
-    let _ = rustix::process::nice(5);
+    // Frames may wait, ticks may not.
+    prioritise(Role::Drr, scene.run.policy);
     let session = Session::join(session_folder)?;
     let ports = ports::Ports::open(&session)?;
     let volume = ports.receive_volume(&end)?;

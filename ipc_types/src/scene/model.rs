@@ -61,6 +61,30 @@ pub enum Mode {
     Realtime,
 }
 
+/// How the physics waits for its tick, and physics and controllers for each other.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Wait {
+    /// Never sleeps, while there are more cores than parts that spin.
+    Spin,
+    /// Sleeps at once.
+    Event,
+    /// Looks for a short while, as long as nobody else needs the core, and then sleeps.
+    #[default]
+    Hybrid,
+}
+
+/// How the system's scheduler treats the physics and the controllers in real time, where it is permitted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Policy {
+    /// As other programs, with more weight.
+    #[default]
+    Other,
+    /// Before all other programs (`SCHED_FIFO`).
+    Fifo,
+}
+
 /// How the scene runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -81,6 +105,12 @@ pub struct Run {
     /// Seed of everything random: the noise of frames.
     #[serde(default)]
     pub seed: u64,
+    /// How the physics waits for its tick, and physics and controllers for each other: see docs/timing.md.
+    #[serde(default)]
+    pub wait: Wait,
+    /// Real time: how the scheduler treats physics and controllers, where the system permits it.
+    #[serde(default)]
+    pub policy: Policy,
 }
 
 impl Run {

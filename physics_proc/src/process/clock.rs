@@ -1,10 +1,10 @@
-//! What the kernel says about this thread: time, waiting, faults.
+//! Clocks, and sleeping by them.
 
-use std::fs::File;
-use std::os::unix::fs::FileExt;
+use std::num::NonZeroU64;
 use std::time::Instant;
 
-use nix::sys::resource::{UsageWho, getrusage};
+use ipc_types::scene::Wait;
+use ipc_types::wake::{Crowd, allowed_cores};
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 /// Monotonic clock in nanoseconds.
@@ -13,8 +13,58 @@ pub(super) fn now_ns() -> u64 {
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
 }
 
-/// Sleeps until the monotonic clock shows `deadline_ns`. A signal ends the sleep early.
-pub(super) fn sleep_until(deadline_ns: u64) {
+/// Processor time of this thread in nanoseconds; the kernel leaves out what a hypervisor stole, where it is told.
+pub(super) fn thread_cpu_ns() -> u64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
+}
+
+/// Before its deadline a hybrid wait stops sleeping by this much: two wake-ups of a halted virtual core.
+const SPIN_TIME_NS: u64 = 100_000;
+
+/// Waits for deadlines.
+#[derive(Debug)]
+pub(super) struct Sleeper {
+    wait: Wait,
+    cores: usize,
+    crowd: Crowd,
+}
+
+impl Sleeper {
+    /// For this thread, with the cores that it may use now.
+    pub(super) fn new(wait: Wait) -> Sleeper {
+        Sleeper { wait, cores: allowed_cores(), crowd: Crowd::default() }
+    }
+
+    /// Waits until the monotonic clock shows `deadline_ns`. A signal ends the wait early. Nothing spins on one core, and
+    /// a hybrid wait not while its yields show that somebody else has the core.
+    pub(super) fn wait_until(&self, deadline_ns: u64) {
+        match self.wait {
+            Wait::Event => sleep_until(deadline_ns),
+            _ if self.cores <= 1 => sleep_until(deadline_ns),
+            Wait::Spin => {
+                while now_ns() < deadline_ns {
+                    std::hint::spin_loop();
+                }
+            }
+            Wait::Hybrid if !self.crowd.core_seems_free() => sleep_until(deadline_ns),
+            Wait::Hybrid => {
+                let awake_ns = deadline_ns.saturating_sub(SPIN_TIME_NS);
+                if now_ns() < awake_ns {
+                    sleep_until(awake_ns);
+                }
+                while now_ns() < deadline_ns && self.crowd.offer_core() {}
+                sleep_until(deadline_ns);
+            }
+        }
+    }
+}
+
+/// Sleeps until the monotonic clock shows `deadline_ns`.
+fn sleep_until(deadline_ns: u64) {
+    if now_ns() >= deadline_ns {
+        return;
+    }
     let request = Timespec {
         tv_sec: (deadline_ns / 1_000_000_000) as i64,
         tv_nsec: (deadline_ns % 1_000_000_000) as i64,
@@ -23,57 +73,10 @@ pub(super) fn sleep_until(deadline_ns: u64) {
     let _ = rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &request);
 }
 
-/// Per-thread counters that the kernel keeps.
-#[derive(Debug)]
-pub(super) struct ThreadCounters {
-    schedstat: Option<File>,
-    wait_ns: u64,
-    switches: u64,
-    page_faults: u64,
-}
-
-/// What has happened to this thread since the last look; 0 where the kernel does not say.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) struct Disturbance {
-    /// Time for which it waited for a core.
-    pub(super) run_queue_wait_ns: u64,
-    /// Page faults.
-    pub(super) page_faults: u32,
-}
-
-impl ThreadCounters {
-    pub(super) fn new() -> ThreadCounters {
-        let schedstat = File::open("/proc/thread-self/schedstat").ok();
-        let mut counters = ThreadCounters { schedstat, wait_ns: 0, switches: u64::MAX, page_faults: 0 };
-        counters.since_last();
-        counters
-    }
-
-    /// Looks at the counters.
-    pub(super) fn since_last(&mut self) -> Disturbance {
-        let Ok(usage) = getrusage(UsageWho::RUSAGE_THREAD) else { return Disturbance::default() };
-        let faults = (usage.minor_page_faults() + usage.major_page_faults()) as u64;
-        let switches = (usage.voluntary_context_switches() + usage.involuntary_context_switches()) as u64;
-        let page_faults = (faults - self.page_faults.min(faults)) as u32;
-        self.page_faults = faults;
-        // A thread that was never taken off its core has not waited for one: the file, a microsecond to read, is
-        // looked at only after a switch.
-        let mut run_queue_wait_ns = 0;
-        if switches != self.switches {
-            self.switches = switches;
-            let total_ns = self.total_wait_ns().unwrap_or(self.wait_ns);
-            run_queue_wait_ns = total_ns.saturating_sub(self.wait_ns);
-            self.wait_ns = total_ns;
-        }
-        Disturbance { run_queue_wait_ns, page_faults }
-    }
-
-    fn total_wait_ns(&self) -> Option<u64> {
-        let mut text = [0; 96];
-        let length = self.schedstat.as_ref()?.read_at(&mut text, 0).ok()?;
-        let second = text[..length].split(|byte| *byte == b' ').nth(1)?;
-        Some(second.iter().fold(0_u64, |sum, digit| sum * 10 + u64::from(digit.wrapping_sub(b'0'))))
-    }
+/// Has the kernel end this thread's sleeps when they are due, not up to 50 µs later.
+pub(super) fn wake_exactly() {
+    // Where it refuses, sleeps are that much less exact, which the lateness of ticks shows.
+    let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
 }
 
 /// Nanoseconds since an instant.

@@ -18,6 +18,7 @@
 
 mod clock;
 mod connection;
+mod disturbance;
 mod keyframes;
 mod pacing;
 mod ports;
@@ -37,6 +38,7 @@ use ports::Ports;
 use tick::Runner;
 
 pub use connection::ct_geometry;
+pub use disturbance::Disturbances;
 
 /// Why the physics process ends early.
 #[derive(Debug, Error)]

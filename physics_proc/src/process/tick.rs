@@ -9,12 +9,13 @@ use ipc_types::messages::{
     RunStatus, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TickTiming,
 };
 use ipc_types::ports::PortError;
-use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Scene};
+use ipc_types::process::{EndRequest, Role, prioritise};
+use ipc_types::scene::{Mode, Policy, Scene};
 use ipc_types::services::COMMAND;
 
 use super::PhysicsError;
-use super::clock::{ThreadCounters, elapsed_ns, now_ns, sleep_until};
+use super::clock::{Sleeper, elapsed_ns, now_ns, wake_exactly};
+use super::disturbance::Disturbances;
 use super::pacing::{Schedule, Start};
 use super::ports::Ports;
 use crate::latch::Latch;
@@ -39,6 +40,7 @@ pub(super) struct Runner<'v> {
     end: EndRequest,
     latch: Latch,
     mode: Mode,
+    policy: Policy,
     period_ns: u64,
     tick_count: u64,
     controller_limit: Duration,
@@ -51,7 +53,10 @@ pub(super) struct Runner<'v> {
     refused_commands: u64,
     missed_ticks: u64,
     status_sent: Option<Instant>,
-    counters: ThreadCounters,
+    sleeper: Sleeper,
+    disturbances: Disturbances,
+    /// Facts of the tick that comes or is being made.
+    timing: TickTiming,
     sources: [u32; MAX_CONTROLLERS],
 }
 
@@ -68,6 +73,7 @@ impl<'v> Runner<'v> {
             end,
             latch: Latch::new(scene),
             mode: scene.run.mode,
+            policy: scene.run.policy,
             period_ns: scene.dt_ns(),
             tick_count: scene.tick_count(),
             controller_limit: Duration::from_micros((scene.run.controller_limit_ms * 1e3) as u64),
@@ -80,7 +86,9 @@ impl<'v> Runner<'v> {
             refused_commands: 0,
             missed_ticks: 0,
             status_sent: None,
-            counters: ThreadCounters::new(),
+            sleeper: Sleeper::new(scene.run.wait),
+            disturbances: Disturbances::new(),
+            timing: TickTiming::zeroed(),
             sources: [0; MAX_CONTROLLERS],
         }
     }
@@ -88,6 +96,7 @@ impl<'v> Runner<'v> {
     pub(super) fn run(mut self) -> Result<(), PhysicsError> {
         self.connect()?;
         self.lock_memory()?;
+        self.prioritise()?;
         let mut schedule = Schedule::new(self.period_ns, now_ns());
         while self.tick < self.tick_count && !self.ends() {
             self.obey()?;
@@ -176,20 +185,42 @@ impl<'v> Runner<'v> {
         Ok(())
     }
 
+    /// In real time the tick comes first; what the scheduler grants is said.
+    fn prioritise(&mut self) -> Result<(), PhysicsError> {
+        if self.mode == Mode::Lockstep {
+            return Ok(());
+        }
+        wake_exactly();
+        let (wanted, got) = (Role::Physics.priority(self.policy), prioritise(Role::Physics, self.policy));
+        if got != wanted {
+            let text = format!(
+                "priority: {wanted:?} is not permitted, the physics has {got:?}: see `trabecula doctor`"
+            );
+            self.ports.events.inform(self.tick, EVENT_RUN, &text)?;
+        }
+        Ok(())
+    }
+
     fn await_start(&mut self, schedule: &mut Schedule) -> Result<Start, PhysicsError> {
         match self.mode {
             Mode::Realtime => {
+                self.disturbances.work_ends();
                 while now_ns() < schedule.deadline_ns() && !self.ends() {
-                    sleep_until(schedule.deadline_ns());
+                    self.sleeper.wait_until(schedule.deadline_ns());
                 }
+                let woken_ns = now_ns();
                 self.collect_commands()?;
-                let start = schedule.begin(now_ns());
+                let start_ns = now_ns();
+                let start = schedule.begin(start_ns);
                 self.missed_ticks = schedule.missed();
+                self.timing.collect_ns = start_ns - woken_ns;
+                self.disturbances.tick_begins(start_ns, start.lateness_ns, start.missed, &mut self.timing);
                 Ok(start)
             }
             Mode::Lockstep => {
                 self.await_consumers(self.tick.saturating_sub(LEAD_TICKS))?;
                 self.await_answers()?;
+                self.disturbances.count(&mut self.timing);
                 Ok(Start { lateness_ns: 0, missed: false })
             }
         }
@@ -321,7 +352,6 @@ impl<'v> Runner<'v> {
         self.publish_tick(reset)?;
         self.ports.publish_keyframe(&self.simulation)?;
         let publish_ns = elapsed_ns(publish_began);
-        let disturbance = self.counters.since_last();
         let mut timing = TickTiming {
             tick: latched.tick,
             start_ns,
@@ -329,10 +359,9 @@ impl<'v> Runner<'v> {
             latch_ns,
             step_ns,
             publish_ns,
-            run_queue_wait_ns: disturbance.run_queue_wait_ns,
-            page_faults: disturbance.page_faults,
             missed: u32::from(start.missed),
-            ..TickTiming::zeroed()
+            late_controllers: late_controllers(&latched),
+            ..self.timing
         };
         for (slot, port) in timing.round_trip_ns.iter_mut().zip(&mut self.ports.controllers) {
             *slot = std::mem::take(&mut port.round_trip_ns);
@@ -432,6 +461,7 @@ impl<'v> Runner<'v> {
             return Ok(());
         }
         self.status_sent = Some(Instant::now());
+        self.disturbances.note_steal();
         self.ports.status.send(&RunStatus {
             tick: self.tick,
             tick_count: self.tick_count,
@@ -465,6 +495,13 @@ impl<'v> Runner<'v> {
             std::thread::sleep(Duration::from_millis(1));
         }
     }
+}
+
+/// Bit i: controller i's command is not of this tick.
+fn late_controllers(latched: &Latched) -> u32 {
+    let count = (latched.controller_count as usize).min(MAX_CONTROLLERS);
+    let late = latched.commands[..count].iter().enumerate();
+    late.filter(|(_, command)| command.source != SOURCE_FRESH).fold(0, |bits, (index, _)| bits | 1 << index)
 }
 
 /// Commands between the one seen last and this one: a client numbers its commands without a gap, so these were overwritten.

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::State;
 use ipc_types::process::bind_to_parent;
-use ipc_types::services;
 use ipc_types::session::{CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, SessionHost, SessionPlan};
+use ipc_types::{scene, services};
 
 use super::super::failed;
 use super::super::ping_pong::Wait;
@@ -42,8 +42,14 @@ pub(super) fn measure(
     rounds: usize,
     cores: Cores,
 ) -> Result<Samples, Failure> {
-    let plan =
-        SessionPlan { controllers: vec![NAME.to_owned()], volume_bytes: 0, frame_bytes: 0, recorder: false };
+    let plan = SessionPlan {
+        controllers: vec![NAME.to_owned()],
+        volume_bytes: 0,
+        frame_bytes: 0,
+        recorder: false,
+        wait: scene::Wait::Hybrid,
+        policy: scene::Policy::Other,
+    };
     let host = SessionHost::create(&plan).map_err(failed)?;
     let session = &host.session;
     std::fs::write(session.folder().join("scene.toml"), SCENE).map_err(failed)?;

@@ -54,6 +54,12 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         LogCommand::Info { log } => {
             let summary = info(&log_path(log), read).map_err(failure)?;
             quiet_pipe(summary.write(&mut out))?;
+            // Of a run's folder both lanes are asked for.
+            let timing = log.join("timing.mcap");
+            if log.is_dir() && timing.exists() {
+                let lane = info(&timing, read).map_err(failure)?;
+                quiet_pipe(lane.write_misses(&mut out))?;
+            }
         }
         LogCommand::Cat(arguments) => cat::run(arguments, &mut out)?,
         LogCommand::Diff { first, second } => {

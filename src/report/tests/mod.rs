@@ -17,6 +17,7 @@ fn facts() -> RunFacts {
         startup_s: 0.5,
         outcome: "completed".to_string(),
         peak_memory_bytes: BTreeMap::from([("physics".to_string(), 40_000_000)]),
+        processor_s: BTreeMap::from([("physics".to_string(), 2.5)]),
         replay_command: "trabecula replay runs/x/run.mcap".to_string(),
     }
 }

@@ -1,0 +1,52 @@
+//! `trabecula doctor`: what this machine permits, what that costs, and what would grant it.
+
+use std::time::Duration;
+
+use clap::Args;
+
+use crate::bench::machine::Machine;
+use crate::failure::Failure;
+use crate::stress::machine::{Finding, Grade, facts};
+
+/// Arguments of `doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArguments {
+    /// As JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Seconds for which the machine's steal is watched, 0 to 600.
+    #[arg(long, default_value_t = 1.0)]
+    pub seconds: f64,
+}
+
+/// Looks at the machine.
+///
+/// # Errors
+/// A time out of range (2).
+pub fn run(arguments: &DoctorArguments) -> Result<(), Failure> {
+    if !(0.0..=600.0).contains(&arguments.seconds) {
+        return Err(Failure::bad_input(format!("--seconds is {}, allowed is 0 to 600", arguments.seconds)));
+    }
+    let machine = Machine::watch();
+    std::thread::sleep(Duration::from_secs_f64(arguments.seconds));
+    let facts = facts(&machine);
+    if arguments.json {
+        let text =
+            serde_json::to_string_pretty(&facts).map_err(|cause| Failure::failed(cause.to_string()))?;
+        say!("{text}");
+        return Ok(());
+    }
+    say!("processor    {}\ncores        {}\nkernel       {}\n", facts.processor, facts.cores, facts.kernel);
+    for Finding { name, grade, found, cost, grant } in &facts.findings {
+        let mark = match grade {
+            Grade::Good => "good   ",
+            Grade::Limited => "limited",
+            Grade::Missing => "MISSING",
+        };
+        say!("{mark}  {name}: {found}");
+        if *grade != Grade::Good {
+            say!("         costs: {cost}\n         granted by: {grant}");
+        }
+    }
+    Ok(())
+}

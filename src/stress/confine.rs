@@ -1,0 +1,126 @@
+//! Limiting a run: to some cores by affinity, and to a share of them by a CPU quota where a control group can be made.
+//!
+//! Affinity and group are this thread's; what it starts meanwhile inherits both. They go back when the guard is dropped.
+
+use std::path::{Path, PathBuf};
+
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+/// Period over which a quota counts: the kernel's default.
+const PERIOD_US: u64 = 100_000;
+
+/// This thread, confined.
+#[derive(Debug)]
+pub struct Confinement {
+    before: CpuSet,
+    group: Option<Group>,
+    /// What has been asked for and is not permitted.
+    pub remark: Option<String>,
+}
+
+/// A control group of our own.
+#[derive(Debug)]
+struct Group {
+    folder: PathBuf,
+    /// File that takes threads (version 1) or processes (version 2), of the group and of where we came from.
+    members: PathBuf,
+    home: PathBuf,
+}
+
+/// Numbers of the cores that this thread may use.
+///
+/// # Errors
+/// The system does not say.
+pub fn allowed() -> std::io::Result<Vec<usize>> {
+    let set = sched_getaffinity(None)?;
+    Ok((0..CpuSet::MAX_CPU).filter(|core| set.is_set(*core)).collect())
+}
+
+impl Confinement {
+    /// Confines this thread to the first `cores` of its cores, and to `quota_percent` of one core if that is given.
+    ///
+    /// # Errors
+    /// The affinity cannot be set. A quota that is not permitted is a remark.
+    pub fn enter(cores: usize, quota_percent: Option<u64>) -> std::io::Result<Confinement> {
+        let before = sched_getaffinity(None)?;
+        let mut set = CpuSet::new();
+        allowed()?.into_iter().take(cores.max(1)).for_each(|core| set.set(core));
+        sched_setaffinity(None, &set)?;
+        let mut confined = Confinement { before, group: None, remark: None };
+        if let Some(percent) = quota_percent {
+            match Group::enter(percent) {
+                Ok(group) => confined.group = Some(group),
+                Err(cause) => confined.remark = Some(format!("no CPU quota: {cause}")),
+            }
+        }
+        Ok(confined)
+    }
+}
+
+impl Drop for Confinement {
+    fn drop(&mut self) {
+        // Back to what it was, which was permitted.
+        let _ = sched_setaffinity(None, &self.before);
+    }
+}
+
+impl Group {
+    fn enter(percent: u64) -> Result<Group, String> {
+        let (parent, first_version) =
+            cpu_group().ok_or("no control group with the `cpu` controller is mounted")?;
+        let folder = parent.join(format!("trabecula-stress-{}", std::process::id()));
+        let told = |path: &Path, cause: std::io::Error| format!("{}: {cause}", path.display());
+        std::fs::create_dir(&folder).map_err(|cause| told(&folder, cause))?;
+        let file = if first_version { "tasks" } else { "cgroup.procs" };
+        let group = Group { members: folder.join(file), home: parent.join(file), folder };
+        let quota_us = percent * PERIOD_US / 100;
+        let write = |name: &str, text: String| {
+            let path = group.folder.join(name);
+            std::fs::write(&path, text).map_err(|cause| told(&path, cause))
+        };
+        if first_version {
+            write("cpu.cfs_period_us", PERIOD_US.to_string())?;
+            write("cpu.cfs_quota_us", quota_us.to_string())?;
+            // Without it the group may not have SCHED_FIFO threads; kernels without group scheduling have no such file.
+            let _ = write("cpu.rt_runtime_us", "900000".to_owned());
+        } else {
+            write("cpu.max", format!("{quota_us} {PERIOD_US}"))?;
+        }
+        std::fs::write(&group.members, "0").map_err(|cause| told(&group.members, cause))?;
+        Ok(group)
+    }
+}
+
+impl Drop for Group {
+    fn drop(&mut self) {
+        // Our own way back, and an empty group: both fail only if somebody else has removed them.
+        let _ = std::fs::write(&self.home, "0");
+        let _ = std::fs::remove_dir(&self.folder);
+    }
+}
+
+/// Folder of our control group with the `cpu` controller, and whether it is one of version 1.
+pub fn cpu_group() -> Option<(PathBuf, bool)> {
+    let mounts = std::fs::read_to_string("/proc/self/mounts").ok()?;
+    let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
+    let has_cpu = |list: &str| list.split([',', ' ', '\n']).any(|name| name == "cpu");
+    for line in mounts.lines() {
+        let mut words = line.split(' ');
+        let (_, point, kind, options) = (words.next()?, words.next()?, words.next()?, words.next()?);
+        let point = Path::new(point);
+        let first_version = kind == "cgroup" && has_cpu(options);
+        let controllers = || std::fs::read_to_string(point.join("cgroup.controllers")).unwrap_or_default();
+        if !first_version && !(kind == "cgroup2" && has_cpu(&controllers())) {
+            continue;
+        }
+        // hierarchy:controllers:path; version 2 has an empty list (cgroups(7)).
+        let path = own.lines().find_map(|line| {
+            let mut fields = line.splitn(3, ':');
+            let (_, list, path) = (fields.next()?, fields.next()?, fields.next()?);
+            (if first_version { has_cpu(list) } else { list.is_empty() }).then_some(path)
+        })?;
+        let folder = point.join(path.trim_start_matches('/'));
+        return Some((if folder.is_dir() { folder } else { point.to_owned() }, first_version));
+    }
+    None
+}

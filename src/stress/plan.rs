@@ -1,0 +1,246 @@
+//! Which combinations are run.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::str::FromStr;
+
+use ipc_types::scene::{Policy, Wait};
+use serde::{Deserialize, Serialize};
+
+/// What a neighbour on the hub's cores does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LoadKind {
+    /// Computes without end.
+    Spin,
+    /// Reads and writes all over 64 MiB of memory.
+    Memory,
+    /// Writes to the disk of the output folder and waits for it.
+    Disk,
+    /// Starts a process, waits for its end, starts the next.
+    Fork,
+}
+
+impl LoadKind {
+    /// All, by name.
+    pub const ALL: [(LoadKind, &'static str); 4] = [
+        (LoadKind::Spin, "spin"),
+        (LoadKind::Memory, "memory"),
+        (LoadKind::Disk, "disk"),
+        (LoadKind::Fork, "fork"),
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::ALL.into_iter().find(|(kind, _)| *kind == self).map_or("", |(_, name)| name)
+    }
+}
+
+/// Neighbours on the hub's cores: `none`, or a kind and how many of it, `spin:2`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Load {
+    /// What they do; none: there are none.
+    pub kind: Option<LoadKind>,
+    /// How many.
+    pub count: usize,
+}
+
+/// Most neighbours of a combination.
+const MAX_COUNT: usize = 64;
+
+impl FromStr for Load {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Load, String> {
+        if text == "none" {
+            return Ok(Load { kind: None, count: 0 });
+        }
+        let (name, count) = text.split_once(':').unwrap_or((text, "1"));
+        let kind = LoadKind::ALL.into_iter().find(|(_, known)| *known == name).map(|(kind, _)| kind);
+        let count = count.parse::<usize>().ok().filter(|count| (1..=MAX_COUNT).contains(count));
+        match (kind, count) {
+            (Some(kind), Some(count)) => Ok(Load { kind: Some(kind), count }),
+            _ => Err(format!(
+                "`{text}` is no load; expected `none`, `spin`, `memory`, `disk` or `fork`, with `:N` for N of them, 1 to {MAX_COUNT}"
+            )),
+        }
+    }
+}
+
+impl fmt::Display for Load {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.kind, self.count) {
+            (None, _) => out.write_str("none"),
+            (Some(kind), 1) => out.write_str(kind.name()),
+            (Some(kind), count) => write!(out, "{}:{count}", kind.name()),
+        }
+    }
+}
+
+impl From<Load> for String {
+    fn from(load: Load) -> String {
+        load.to_string()
+    }
+}
+
+impl TryFrom<String> for Load {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Load, String> {
+        text.parse()
+    }
+}
+
+/// One combination.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Combination {
+    /// Cores of the whole hub and its neighbours.
+    pub cores: usize,
+    /// Neighbours.
+    pub load: Load,
+    /// How the scheduler treats physics and controllers.
+    pub policy: Policy,
+    /// How they wait.
+    pub wait: Wait,
+}
+
+/// `other` or `fifo`.
+pub fn policy_name(policy: Policy) -> &'static str {
+    match policy {
+        Policy::Other => "other",
+        Policy::Fifo => "fifo",
+    }
+}
+
+/// `spin`, `event` or `hybrid`.
+pub fn wait_name(wait: Wait) -> &'static str {
+    match wait {
+        Wait::Spin => "spin",
+        Wait::Event => "event",
+        Wait::Hybrid => "hybrid",
+    }
+}
+
+impl fmt::Display for Combination {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let cores = if self.cores == 1 { "1 core".to_owned() } else { format!("{} cores", self.cores) };
+        let (policy, wait) = (policy_name(self.policy), wait_name(self.wait));
+        write!(out, "{cores}, load {}, {policy}, {wait}", self.load)
+    }
+}
+
+/// All combinations of the levels, the last factor fastest; a level that stands twice counts once.
+pub fn all(cores: &[usize], loads: &[Load], policies: &[Policy], waits: &[Wait]) -> Vec<Combination> {
+    let mut combinations = Vec::new();
+    for &cores in cores {
+        for &load in loads {
+            for &policy in policies {
+                for &wait in waits {
+                    let combination = Combination { cores, load, policy, wait };
+                    if !combinations.contains(&combination) {
+                        combinations.push(combination);
+                    }
+                }
+            }
+        }
+    }
+    combinations
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+#[derive(Debug, Clone)]
+pub struct Random(pub u64);
+
+impl Random {
+    /// The next 64 bits.
+    pub fn word(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+}
+
+/// A pair of levels of two factors, by the factors' numbers and the levels' names.
+type Pair = (usize, String, usize, String);
+
+fn pairs(combination: &Combination) -> Vec<Pair> {
+    let Combination { cores, load, policy, wait } = combination;
+    let levels =
+        [cores.to_string(), load.to_string(), policy_name(*policy).to_owned(), wait_name(*wait).to_owned()];
+    let mut pairs = Vec::new();
+    for first in 0..levels.len() {
+        for second in first + 1..levels.len() {
+            pairs.push((first, levels[first].clone(), second, levels[second].clone()));
+        }
+    }
+    pairs
+}
+
+/// `count` of the combinations, in their order, chosen so that few combinations hold as many pairs of levels as they
+/// can: each next one is the one with the most pairs that no chosen one has; the seed decides between equals.
+pub fn subset(combinations: &[Combination], count: usize, seed: u64) -> Vec<Combination> {
+    let mut random = Random(seed);
+    let mut left: Vec<(u64, usize)> = (0..combinations.len()).map(|index| (random.word(), index)).collect();
+    left.sort_unstable();
+    let mut seen: BTreeSet<Pair> = BTreeSet::new();
+    let mut chosen: BTreeSet<usize> = BTreeSet::new();
+    while chosen.len() < count.min(combinations.len()) {
+        let fresh =
+            |index: usize| pairs(&combinations[index]).into_iter().filter(|p| !seen.contains(p)).count();
+        let counts = left.iter().enumerate().map(|(at, (_, index))| (fresh(*index), at));
+        // Of equals the first in the seed's order.
+        let Some((_, at)) = counts.max_by_key(|(fresh, at)| (*fresh, std::cmp::Reverse(*at))) else { break };
+        let (_, index) = left.remove(at);
+        seen.extend(pairs(&combinations[index]));
+        chosen.insert(index);
+    }
+    chosen.into_iter().map(|index| combinations[index]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn loads(text: &[&str]) -> Vec<Load> {
+        text.iter().map(|load| load.parse().unwrap()).collect()
+    }
+
+    #[test]
+    fn loads_are_read_and_written() {
+        for text in ["none", "spin", "spin:2", "memory", "disk:3", "fork"] {
+            assert_eq!(text.parse::<Load>().unwrap().to_string(), text);
+        }
+        for text in ["", "spin:0", "spin:65", "spin:x", "none:1", "burn", "spin:-1"] {
+            assert!(text.parse::<Load>().unwrap_err().contains("expected `none`, `spin`"), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_subset_of_two_thirds_of_a_factorial_holds_every_pair() {
+        let loads = loads(&["none", "spin:2", "disk"]);
+        let waits = [Wait::Spin, Wait::Event, Wait::Hybrid];
+        let whole = all(&[1, 2], &loads, &[Policy::Other, Policy::Fifo], &waits);
+        assert_eq!(whole.len(), 36);
+        let every: BTreeSet<Pair> = whole.iter().flat_map(pairs).collect();
+        for seed in 0..20 {
+            let some = subset(&whole, 12, seed);
+            let held: BTreeSet<Pair> = some.iter().flat_map(pairs).collect();
+            assert_eq!((some.len(), held.len()), (12, every.len()), "seed {seed}");
+            assert_eq!(some, subset(&whole, 12, seed), "the seed decides");
+            assert!(some.windows(2).all(|pair| {
+                let place = |c: &Combination| whole.iter().position(|other| other == c).unwrap();
+                place(&pair[0]) < place(&pair[1])
+            }));
+        }
+        assert_ne!(subset(&whole, 12, 1), subset(&whole, 12, 2));
+        assert_eq!(subset(&whole, 99, 1), whole);
+    }
+
+    #[test]
+    fn a_level_that_stands_twice_counts_once() {
+        let twice = loads(&["none", "none"]);
+        assert_eq!(all(&[1, 1], &twice, &[Policy::Other], &[Wait::Event, Wait::Event]).len(), 1);
+    }
+}
