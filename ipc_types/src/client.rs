@@ -16,8 +16,8 @@ use crate::messages::Command;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, Service};
 use crate::session::{
-    Announcement, ByteService, CONTROLLER_VARIABLE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE, Session,
-    SessionError, create_node, file_error, session_id, shared_memory_prefix, transported,
+    Announcement, ByteService, CONTROLLER_VARIABLE, FLAGS_FILE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE,
+    Session, SessionError, create_node, file_error, session_id, shared_memory_prefix, transported,
 };
 use crate::wake::{Crowd, Waiter, WakeFlags, Waker, Way, allowed_cores};
 
@@ -26,6 +26,8 @@ const JOIN_TIME: Duration = Duration::from_secs(10);
 /// How long a service that has been announced is looked for again.
 const OPEN_TIME: Duration = Duration::from_secs(2);
 const RETRY_TIME: Duration = Duration::from_millis(5);
+/// Where shared memory lies.
+const SHARED_MEMORY: &str = "/dev/shm";
 
 impl Session {
     /// Joins the session in a folder; waits up to ten seconds for its announcement.
@@ -46,7 +48,7 @@ impl Session {
             return Err(SessionError::Transport { path: folder.to_owned(), theirs: announcement.iceoryx2 });
         }
         let node = create_node(folder, &session_id(folder))?;
-        let flags_path = folder.join("wake.flags");
+        let flags_path = folder.join(FLAGS_FILE);
         let flags = WakeFlags::open(&flags_path, false).map_err(file_error(&flags_path))?;
         Ok(Session { folder: folder.to_owned(), announcement, node, flags })
     }
@@ -119,6 +121,14 @@ impl Session {
         self.named_subscriber(service.name, &Service { queue_length: 1, ..*service })
     }
 
+    /// A subscriber with the longest queue, for whoever must not lose a message when it stands still for seconds.
+    ///
+    /// # Errors
+    /// As [`Session::subscriber`].
+    pub fn lossless_subscriber<M: Message>(&self, service: &Service) -> Result<Subscriber<M>, SessionError> {
+        self.named_subscriber(service.name, &lossless(service))
+    }
+
     /// The subscriber of a controller's commands.
     ///
     /// # Errors
@@ -126,6 +136,15 @@ impl Session {
     pub fn command_subscriber(&self, controller: &str) -> Result<Subscriber<Command>, SessionError> {
         self.controller_index(controller)?;
         self.named_subscriber(&services::command_name(controller), &services::COMMAND)
+    }
+
+    /// The same with the longest queue.
+    ///
+    /// # Errors
+    /// As [`Session::command_subscriber`].
+    pub fn lossless_command_subscriber(&self, controller: &str) -> Result<Subscriber<Command>, SessionError> {
+        self.controller_index(controller)?;
+        self.named_subscriber(&services::command_name(controller), &lossless(&services::COMMAND))
     }
 
     /// Lets this process sleep until somebody wakes it.
@@ -173,7 +192,7 @@ impl Session {
         self.node.try_cleanup_dead_nodes();
     }
 
-    fn open<M: Message>(&self, name: &str) -> Result<ByteService, SessionError> {
+    pub(crate) fn open<M: Message>(&self, name: &str) -> Result<ByteService, SessionError> {
         let ours = M::DESCRIPTION.layout_hash();
         let theirs = self.announcement.layouts.get(name).cloned().unwrap_or_default();
         let layout = |theirs: String| SessionError::Layout {
@@ -214,6 +233,7 @@ impl Session {
             announced if announced == services::FRAME.name => self.announcement.frame_bytes,
             _ => service.max_bytes,
         };
+        require_free_memory(name, (service.samples() * (max_bytes + SAMPLE_HEADER)) as u64)?;
         let mut builder = self.open::<M>(name)?;
         let raw = publisher_of(&mut builder, max_bytes, service).map_err(|cause| match cause {
             PublisherCreateError::ExceedsMaxSupportedPublishers if service.name == services::COMMAND.name => {
@@ -231,6 +251,7 @@ impl Session {
         name: &str,
         service: &Service,
     ) -> Result<Subscriber<M>, SessionError> {
+        require_free_memory(name, 0)?;
         let raw = self
             .open::<M>(name)?
             .subscriber_builder()
@@ -244,7 +265,7 @@ impl Session {
     /// SIGBUS in the first write.
     fn reserve_shared_memory(&self, service: &str) -> Result<(), SessionError> {
         let prefix = shared_memory_prefix(&session_id(&self.folder));
-        for entry in fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
+        for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
             if !(name.starts_with(&prefix) && name.ends_with(".data")) {
                 continue;
@@ -262,6 +283,29 @@ impl Session {
     }
 }
 
+fn lossless(service: &Service) -> Service {
+    Service { queue_length: service.lossless_length, ..*service }
+}
+
+/// What a sample needs beside its payload, at most.
+const SAMPLE_HEADER: usize = 64;
+/// What a port needs beside its samples: its connections, and what the others make at the same time.
+const CONNECTIONS_BYTES: u64 = 2 << 20;
+
+/// The transport touches memory before it is reserved; where there is none that is a SIGBUS, so a port is made only
+/// where there is enough.
+fn require_free_memory(service: &str, bytes: u64) -> Result<(), SessionError> {
+    let bytes = bytes + CONNECTIONS_BYTES;
+    match rustix::fs::statvfs(SHARED_MEMORY) {
+        Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {
+            let cause = rustix::io::Errno::NOSPC.into();
+            Err(SessionError::SharedMemory { service: service.to_owned(), bytes, cause })
+        }
+        // A file system that does not say may have enough.
+        _ => Ok(()),
+    }
+}
+
 type RawPublisher = iceoryx2::port::publisher::Publisher<iceoryx2::prelude::ipc::Service, [u8], ()>;
 
 fn publisher_of(
@@ -274,12 +318,9 @@ fn publisher_of(
         .initial_max_slice_len(max_bytes)
         .allocation_strategy(AllocationStrategy::Static)
         .max_loaned_samples(1);
-    if service.name == services::VOLUME.name {
-        // Published once: room for one volume, not for one per subscriber's queue entry.
-        builder.override_sample_preallocation(|_| 1).create()
-    } else {
-        builder.create()
-    }
+    // Published once: room for one volume, not for one per subscriber's queue entry.
+    let samples = if service.name == services::VOLUME.name { 1 } else { service.samples() };
+    builder.override_sample_preallocation(move |_| samples).create()
 }
 
 fn read_announcement(folder: &Path, limit: Duration) -> Result<Announcement, SessionError> {

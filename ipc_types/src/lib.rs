@@ -24,6 +24,7 @@
 //! | [`messages`], [`layout`] | the messages; one declaration gives struct, schema, field table and layout hash |
 //! | [`services`] | names, queues, lanes |
 //! | [`session`], [`ports`], [`wake`] | creating and joining a session, sending and receiving, waiting and waking |
+//! | [`identity`] | which controller a message comes from, as the transport knows it |
 //! | [`command_check`] | what a command must be before it may reach the model |
 //! | [`scene`] | scene files |
 //! | [`process`] | signals, exit codes, events: what every process does alike |
@@ -31,6 +32,7 @@
 
 mod client;
 pub mod command_check;
+pub mod identity;
 pub mod layout;
 pub mod messages;
 pub mod ports;

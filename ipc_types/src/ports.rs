@@ -196,6 +196,23 @@ impl<M: Message> Subscriber<M> {
         sample.map(|sample| Received::new(sample, &self.name)).transpose()
     }
 
+    /// The oldest message of a right length that waits, if any, for services that every client may write: others are
+    /// taken off the queue and handed to `refused`.
+    ///
+    /// # Errors
+    /// [`PortError::Receive`].
+    pub fn receive_valid(
+        &self,
+        mut refused: impl FnMut(&PortError),
+    ) -> Result<Option<Received<M>>, PortError> {
+        loop {
+            match self.receive() {
+                Err(error @ PortError::Length { .. }) => refused(&error),
+                other => return other,
+            }
+        }
+    }
+
     /// The newest message that waits, if any; older ones are dropped.
     pub fn receive_newest(&self) -> Result<Option<Received<M>>, PortError> {
         let mut newest = None;
@@ -214,7 +231,7 @@ impl<M: Message> Subscriber<M> {
 /// A message in shared memory. Whoever decides on its content first copies it: its writer is another process.
 #[derive(Debug)]
 pub struct Received<M> {
-    sample: Sample<ipc::Service, [u8], ()>,
+    pub(crate) sample: Sample<ipc::Service, [u8], ()>,
     /// The message, if it does not lie aligned in shared memory.
     copy: Option<Box<M>>,
 }

@@ -45,8 +45,8 @@ pub fn every_message() -> Vec<&'static Description> {
 pub fn message_reference() -> String {
     let mut text = INTRODUCTION.to_owned();
     text.push_str("\n## Services\n\n");
-    text.push_str("| service | message | lane | queue | history | publishers | subscribers | most bytes |\n");
-    text.push_str("|---|---|---|---|---|---|---|---|\n");
+    text.push_str("| service | message | lane | queue | recorder's queue | history | publishers | subscribers | most bytes |\n");
+    text.push_str("|---|---|---|---|---|---|---|---|---|\n");
     for service in every_service() {
         text.push_str(&service_row(&service));
     }
@@ -84,11 +84,12 @@ fn service_row(service: &Service) -> String {
         if service.max_bytes == 0 { "by the scene".to_owned() } else { service.max_bytes.to_string() };
     let message = service.description.short_name();
     format!(
-        "| `{}` | [{message}](#{}) | {} | {} | {} | {} | {} | {most_bytes} |\n",
+        "| `{}` | [{message}](#{}) | {} | {} | {} | {} | {} | {} | {most_bytes} |\n",
         service_name(service),
         message.to_lowercase(),
         lane_name(service.lane),
         service.queue_length,
+        service.lossless_length,
         service.history,
         service.max_publishers,
         service.max_subscribers,

@@ -32,6 +32,8 @@ pub struct Service {
     pub lane: Lane,
     /// Entries that a slow subscriber may lag behind before its oldest are overwritten.
     pub queue_length: usize,
+    /// The same for whoever must not lose any: the recorder, and the DRR for removed voxels.
+    pub lossless_length: usize,
     /// Newest messages that a late joiner receives.
     pub history: usize,
     /// Most publishers at a time.
@@ -58,6 +60,7 @@ const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) 
         description: M::DESCRIPTION,
         lane,
         queue_length,
+        lossless_length: 8 * queue_length,
         history: 1,
         max_publishers: 1,
         max_subscribers: 8,
@@ -65,7 +68,7 @@ const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) 
     }
 }
 
-/// `State`, once a tick. Half a second of queue at 1 kHz.
+/// `State`, once a tick. Half a second of queue at 1 kHz, four seconds for the recorder.
 pub const STATE: Service = fixed::<State>("state", Lane::Run, 512);
 /// `Latched`, once a tick, before the state that it leads to.
 pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, 512);
@@ -86,7 +89,8 @@ pub const KEYFRAME: Service = Service {
 /// as it is behind the states.
 pub const COMMAND: Service = Service { history: 0, ..fixed::<Command>("command", Lane::Timing, 512) };
 /// `Volume`, once; `max_bytes` is that of the scene's volume.
-pub const VOLUME: Service = Service { max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, 1) };
+pub const VOLUME: Service =
+    Service { lossless_length: 1, max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, 1) };
 /// `Frame` with its image; `max_bytes` is that of the scene's detector.
 pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, 8) };
 /// `DrrRequest`.
@@ -117,6 +121,17 @@ pub const TICK_TIMING: Service =
 /// `FrameTiming`.
 pub const FRAME_TIMING: Service =
     Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, 64) };
+
+impl Service {
+    /// Samples that a publisher needs, loans of its own aside. A queue holds the newest messages, so what lies in all
+    /// queues together is what lies in the longest; besides, every subscriber may hold two.
+    pub fn samples(&self) -> usize {
+        self.lossless_length.max(self.history) + SAMPLES_HELD * (self.max_subscribers + 1)
+    }
+}
+
+/// Samples that a subscriber may hold at a time.
+pub(crate) const SAMPLES_HELD: usize = 2;
 
 /// Every service but the commands, of which there is one a controller.
 pub const ALL: &[Service] = &[

@@ -17,11 +17,12 @@ use iceoryx2::prelude::{
 };
 use iceoryx2::service::attribute::AttributeSpecifier;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
+use rustix::fs::FlockOperation;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::scene::{Policy, Wait};
-use crate::services::{self, Service};
+use crate::services::{self, SAMPLES_HELD, Service};
 use crate::wake::WakeFlags;
 
 /// The iceoryx2 version that the hub speaks; another version does not join.
@@ -34,6 +35,8 @@ pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
 /// iceoryx2 puts sockets below the root path, whose names must fit into 108 bytes.
 const MAX_ROOT_PATH: usize = 60;
 const MAX_NODES: usize = 64;
+/// The file of wake flags in a session's folder.
+pub(crate) const FLAGS_FILE: &str = "wake.flags";
 
 pub(crate) type ByteService = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
 pub(crate) type EventService = event::PortFactory<ipc::Service>;
@@ -61,6 +64,14 @@ pub enum SessionError {
     )]
     PathTooLong {
         /// The path.
+        path: PathBuf,
+    },
+    /// Somebody else could read or change the sessions of this user.
+    #[error(
+        "{path} is not a folder that only this user may enter; remove it, or set XDG_RUNTIME_DIR to one that is"
+    )]
+    NotPrivate {
+        /// Folder of all sessions.
         path: PathBuf,
     },
     /// The hub speaks another version of the transport.
@@ -169,6 +180,8 @@ pub struct SessionHost {
     _byte_services: Vec<ByteService>,
     _event_services: Vec<EventService>,
     _cleanup: Cleanup,
+    /// Locked while the host lives; the kernel frees it however the host ends.
+    _alive: fs::File,
 }
 
 #[derive(Debug)]
@@ -242,15 +255,29 @@ pub fn newest_session() -> Option<PathBuf> {
     let folders = fs::read_dir(sessions_folder()).into_iter().flatten().flatten().map(|entry| entry.path());
     let announced = |folder: PathBuf| {
         let since = fs::metadata(folder.join("session.json")).and_then(|meta| meta.modified()).ok()?;
-        host_is_alive(&session_id(&folder)).then_some((since, folder))
+        (is_private(folder.parent()?) && host_is_alive(&folder)).then_some((since, folder))
     };
     folders.filter_map(announced).max().map(|(_, folder)| folder)
 }
 
-/// Whether the host that a session's name begins with is running.
-pub fn host_is_alive(id: &str) -> bool {
-    let host = id.split('-').next().and_then(|pid| pid.parse::<u32>().ok());
-    host.is_some_and(|pid| Path::new(&format!("/proc/{pid}")).exists())
+/// Whether the host of a session's folder is running: it holds the lock of `wake.flags`. Its process number alone may
+/// be another's by now, or mean another process to a container.
+fn host_is_alive(folder: &Path) -> bool {
+    match fs::File::open(folder.join(FLAGS_FILE)) {
+        Ok(file) => rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_err(),
+        // A session in the making has none yet.
+        Err(_) => {
+            let host = session_id(folder).split('-').next().and_then(|pid| pid.parse::<u32>().ok());
+            host.is_some_and(|pid| Path::new(&format!("/proc/{pid}")).exists())
+        }
+    }
+}
+
+/// Whether this is a folder of this user that nobody else may enter.
+fn is_private(folder: &Path) -> bool {
+    let user = rustix::process::geteuid().as_raw();
+    let meta = fs::symlink_metadata(folder);
+    meta.is_ok_and(|meta| meta.is_dir() && meta.uid() == user && meta.mode() & 0o077 == 0)
 }
 
 /// Removes a session's folder and its shared memory. What is gone already is no error.
@@ -267,7 +294,7 @@ pub fn wipe_dead_sessions() -> usize {
     let mut wiped = 0;
     for entry in fs::read_dir(sessions_folder()).into_iter().flatten().flatten() {
         let Some(id) = entry.file_name().to_str().map(str::to_owned) else { continue };
-        if !host_is_alive(&id) {
+        if !host_is_alive(&entry.path()) {
             wipe(&entry.path(), &shared_memory_prefix(&id));
             wiped += 1;
         }
@@ -332,8 +359,11 @@ impl SessionHost {
         let (folder, id) = new_session_folder()?;
         let cleanup = Cleanup { folder: folder.clone(), prefix: shared_memory_prefix(&id) };
         let node = create_node(&folder, &id)?;
-        let flags_path = folder.join("wake.flags");
+        let flags_path = folder.join(FLAGS_FILE);
         let flags = WakeFlags::open(&flags_path, true).map_err(file_error(&flags_path))?;
+        let alive = fs::File::open(&flags_path).map_err(file_error(&flags_path))?;
+        rustix::fs::flock(&alive, FlockOperation::LockExclusive)
+            .map_err(|cause| file_error(&flags_path)(cause.into()))?;
         let mut layouts = BTreeMap::new();
         let mut byte_services = Vec::new();
         for (name, service) in plan.services() {
@@ -363,6 +393,7 @@ impl SessionHost {
             _byte_services: byte_services,
             _event_services: event_services,
             _cleanup: cleanup,
+            _alive: alive,
         })
     }
 
@@ -398,6 +429,9 @@ impl SessionPlan {
 fn new_session_folder() -> Result<(PathBuf, String), SessionError> {
     let parent = sessions_folder();
     fs::DirBuilder::new().recursive(true).mode(0o700).create(&parent).map_err(file_error(&parent))?;
+    if !is_private(&parent) {
+        return Err(SessionError::NotPrivate { path: parent });
+    }
     for attempt in 0u32.. {
         let id = format!("{}-{attempt}", std::process::id());
         let folder = parent.join(&id);
@@ -427,8 +461,8 @@ fn create_byte_service(
     node.service_builder(&service_name)
         .publish_subscribe::<[u8]>()
         .enable_safe_overflow(true)
-        .subscriber_max_buffer_size(service.queue_length)
-        .subscriber_max_borrowed_samples(2)
+        .subscriber_max_buffer_size(service.lossless_length)
+        .subscriber_max_borrowed_samples(SAMPLES_HELD)
         .history_size(service.history)
         .max_publishers(service.max_publishers)
         .max_subscribers(service.max_subscribers)

@@ -171,9 +171,24 @@ fn a_wait_ends_however_near_its_deadline_is() {
 fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     // No process has this number: the largest one allowed is 4194304.
     let stale = ipc_types::session::sessions_folder().join("4194305-0");
+    // Makes the folder of all sessions, if this is the first.
+    drop(SessionHost::create(&plan(&[])).unwrap());
     std::fs::create_dir_all(&stale).unwrap();
     let segment = std::path::Path::new("/dev/shm/trabecula010_4194305-0_x.data");
     std::fs::write(segment, b"left behind").unwrap();
     let _host = SessionHost::create(&plan(&[])).unwrap();
     assert!(!stale.exists() && !segment.exists());
+}
+
+/// A process number says little: it may be another's by now, or another process in a container's view.
+#[test]
+fn a_session_whose_host_is_gone_is_wiped_though_its_number_lives() {
+    let first = SessionHost::create(&plan(&[])).unwrap();
+    // Process 1 always runs; it holds no lock on this session.
+    let stale = ipc_types::session::sessions_folder().join("1-0");
+    std::fs::create_dir_all(&stale).unwrap();
+    std::fs::write(stale.join("wake.flags"), [0; 2048]).unwrap();
+    let _second = SessionHost::create(&plan(&[])).unwrap();
+    assert!(!stale.exists());
+    assert!(first.session.folder().join("wake.flags").exists(), "a living host's session is not touched");
 }

@@ -1,6 +1,6 @@
 //! The recorder process: takes every message of every service and writes the two logs.
 //!
-//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold half a second; one thread takes from them
+//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold four seconds; one thread takes from them
 //! and puts the log together, another writes the files ([`background`](crate::background)), with as much again between
 //! them. The physics in lockstep waits for its `Progress`, in real time a gap is counted by the sequence numbers and
 //! written into the log's end.
@@ -29,7 +29,7 @@ use crate::gaps::Gaps;
 use crate::header::CALIBRATION_ATTACHMENT;
 use crate::{BuildInfo, EndMarker, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, topics};
 
-/// Longest time between two looks at the queues: a small part of the half second that they hold.
+/// Longest time between two looks at the queues: a small part of the four seconds that they hold.
 const LOOK_TIME: Duration = Duration::from_millis(2);
 /// States after which progress is reported in between.
 const PROGRESS_TICKS: u64 = 64;
@@ -161,26 +161,27 @@ struct Ports {
 
 impl Ports {
     fn open(session: &Session, scene: &Scene) -> Result<Ports, SessionError> {
-        let command = |name: String| Ok((topics::command(&name), session.command_subscriber(&name)?));
+        let command =
+            |name: String| Ok((topics::command(&name), session.lossless_command_subscriber(&name)?));
         Ok(Ports {
-            states: session.subscriber(&services::STATE)?,
-            latched: session.subscriber(&services::LATCHED)?,
-            removed: session.subscriber(&services::REMOVED)?,
-            keyframes: session.subscriber(&services::KEYFRAME)?,
-            frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
-            replies: session.subscriber(&services::DRR_REPLY)?,
-            requests: session.subscriber(&services::DRR_REQUEST)?,
+            states: session.lossless_subscriber(&services::STATE)?,
+            latched: session.lossless_subscriber(&services::LATCHED)?,
+            removed: session.lossless_subscriber(&services::REMOVED)?,
+            keyframes: session.lossless_subscriber(&services::KEYFRAME)?,
+            frames: scene.drr.as_ref().map(|_| session.lossless_subscriber(&services::FRAME)).transpose()?,
+            replies: session.lossless_subscriber(&services::DRR_REPLY)?,
+            requests: session.lossless_subscriber(&services::DRR_REQUEST)?,
             commands: scene
                 .controller_names()
                 .into_iter()
                 .map(command)
                 .collect::<Result<_, SessionError>>()?,
-            controls: session.subscriber(&services::RUN_CONTROL)?,
-            control_replies: session.subscriber(&services::RUN_CONTROL_REPLY)?,
-            status: session.subscriber(&services::RUN_STATUS)?,
-            events: session.subscriber(&services::EVENT)?,
-            tick_timing: session.subscriber(&services::TICK_TIMING)?,
-            frame_timing: session.subscriber(&services::FRAME_TIMING)?,
+            controls: session.lossless_subscriber(&services::RUN_CONTROL)?,
+            control_replies: session.lossless_subscriber(&services::RUN_CONTROL_REPLY)?,
+            status: session.lossless_subscriber(&services::RUN_STATUS)?,
+            events: session.lossless_subscriber(&services::EVENT)?,
+            tick_timing: session.lossless_subscriber(&services::TICK_TIMING)?,
+            frame_timing: session.lossless_subscriber(&services::FRAME_TIMING)?,
             progress: session.publisher(&services::PROGRESS)?,
             waiter: session.waiter(Reader::Recorder)?,
             physics: session.waker(Reader::Physics)?,
@@ -285,7 +286,7 @@ impl Recorder {
             self.gaps.see(topics::FRAME_TIMING, 0, message.message().frame_sequence);
             timing.message(topics::FRAME_TIMING, FrameTiming::DESCRIPTION, tick, message.bytes())?;
         }
-        while let Some(message) = ports.events.receive()? {
+        while let Some(message) = ports.events.receive_valid(|_| {})? {
             self.gaps.see(topics::EVENT, message.message().sender, message.message().sequence);
             timing.message(topics::EVENT, Event::DESCRIPTION, tick, message.bytes())?;
         }
@@ -337,14 +338,15 @@ fn finish_file(
     file.close().map_err(|source| LogError::Write { path, source })
 }
 
-/// Copies all that waits on a service into the timing lane.
+/// Copies all that waits on a service into the timing lane. What a client sends in a wrong length is no message: it has
+/// no place in the log, and whom it was meant for has said so in an event.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
     timing: &mut TimingLog<BackgroundFile>,
     topic: &str,
     tick: u64,
 ) -> Result<(), RecorderError> {
-    while let Some(message) = subscriber.receive()? {
+    while let Some(message) = subscriber.receive_valid(|_| {})? {
         timing.message(topic, M::DESCRIPTION, tick, message.bytes())?;
     }
     Ok(())

@@ -228,9 +228,9 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
     match &result.outcome {
         Outcome::Completed => Ok(()),
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
-        Outcome::PartDied { name, how, last_words } => {
-            let words = if last_words.is_empty() { "nothing".to_owned() } else { last_words.join("\n  ") };
-            Err(Failure::failed(format!("part `{name}` died ({how}); its last words:\n  {words}")))
+        // The launcher has said how.
+        Outcome::PartDied { name, .. } => {
+            Err(Failure::failed(format!("the run ended early because `{name}` did")))
         }
     }
 }

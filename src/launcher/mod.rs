@@ -4,4 +4,5 @@ pub mod hub;
 pub mod part;
 pub mod progress;
 pub mod run;
+mod understudy;
 pub mod volume_source;

@@ -18,6 +18,7 @@ use ipc_types::wake::Waker;
 
 use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
 use super::part::{Memory, Part, processor_time};
+use super::understudy::Understudies;
 use super::volume_source;
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
@@ -51,6 +52,15 @@ pub enum Outcome {
         /// The last lines it said.
         last_words: Vec<String>,
     },
+}
+
+impl Outcome {
+    /// Which part died, how, and what it said last.
+    fn death(&self) -> Option<String> {
+        let Outcome::PartDied { name, how, last_words } = self else { return None };
+        let words = if last_words.is_empty() { "nothing".to_owned() } else { last_words.join("\n  ") };
+        Some(format!("part `{name}` died ({how}); its last words:\n  {words}"))
+    }
 }
 
 /// What a run tells its caller when it is over.
@@ -116,6 +126,7 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     drop(volume);
     let mut eyes = Eyes::open(&hub.host.session)?;
     let mut parts = start_parts(plan, &hub)?;
+    let mut understudies = Understudies::new(&hub.host.session)?;
     let awaited = awaited(&plan.scene, &hub);
     let mut first_tick = None;
     let outcome = loop {
@@ -133,20 +144,29 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
             // What the physics said before is on its way or here.
             eyes.look()?;
             let run_has_ended = eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
+            let tick = eyes.state.as_ref().map_or(0, |state| state.tick);
+            if !run_has_ended && understudies.replace(plan, &hub, &mut parts, index, tick)? {
+                continue;
+            }
             break judge(&mut parts[index], run_has_ended);
         }
         std::thread::sleep(LOOK_TIME);
     };
+    if let Some(death) = outcome.death() {
+        // At once: the others may take a while to end.
+        eprintln!("trabecula: {death}");
+    }
     let first_tick = first_tick.unwrap_or_else(Instant::now);
     let running = end_parts(plan, &outcome, &mut eyes, &mut parts).duration_since(first_tick);
+    let outcome = with_log(outcome, &mut parts);
     eyes.look()?;
     show(&eyes.glance(hub.folder(), &awaited));
     let mut memory: Vec<(String, Memory)> =
-        parts.iter().map(|part| (part.name.clone(), part.memory)).collect();
+        parts.iter().chain(&understudies.gone).map(|part| (part.name.clone(), part.memory)).collect();
     own_memory.measure("self");
     memory.push(("launcher".to_owned(), own_memory));
     let mut processor: Vec<(String, Duration)> =
-        parts.iter().map(|part| (part.name.clone(), part.processor)).collect();
+        parts.iter().chain(&understudies.gone).map(|part| (part.name.clone(), part.processor)).collect();
     processor.push(("launcher".to_owned(), processor_time("self").unwrap_or_default()));
     Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory, processor })
 }
@@ -232,7 +252,23 @@ fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Pa
             }
         }
     }
+    if let Some(output) = &plan.output {
+        // A recorder that died has not taken it.
+        let _ = std::fs::remove_file(output.join(recorder_proc::process::REASON_FILE));
+    }
     over
+}
+
+/// A run whose log could not be finished has not succeeded, though all its ticks were made.
+fn with_log(outcome: Outcome, parts: &mut [Part]) -> Outcome {
+    let recorder = parts.iter_mut().find(|part| part.name == RECORDER);
+    let Some(part) = recorder.filter(|_| outcome.death().is_none()) else { return outcome };
+    if part.ended().is_none_or(|status| status.success()) {
+        return outcome;
+    }
+    let died = judge(part, false);
+    died.death().iter().for_each(|death| eprintln!("trabecula: {death}"));
+    died
 }
 
 /// Tells the recorder what to write into the log's end.

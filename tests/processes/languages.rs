@@ -20,14 +20,14 @@ const EXAMPLES: [(&str, &str); 3] = [
 ];
 const NUMPY: &str = "numpy==2.3.5";
 /// A whole compiler as a Python package.
-const ZIG: &str = "ziglang==0.14.1";
+pub const ZIG: &str = "ziglang==0.14.1";
 
 pub fn clients() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("clients")
 }
 
 /// Where cargo has put what it built.
-fn built() -> PathBuf {
+pub fn built() -> PathBuf {
     Path::new(env!("CARGO_BIN_EXE_trabecula")).parent().unwrap().to_owned()
 }
 
@@ -93,7 +93,7 @@ fn make_python() -> Result<PathBuf, String> {
 }
 
 /// Makes a virtual environment with one pinned package below the target folder, once; the error is the reason.
-fn environment(package: &str, probe: &str) -> Result<PathBuf, String> {
+pub fn environment(package: &str, probe: &str) -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(package.replace("==", "-"));
     let python = folder.join("bin/python3");
     let run = |command: &mut Command| -> Result<(), String> {

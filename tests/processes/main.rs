@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod bad_input;
+mod calibrate;
 mod clients;
 mod common;
 mod ends;
@@ -13,10 +14,13 @@ mod languages;
 mod late_controllers;
 mod log_tools;
 mod promise;
+mod readmes;
 mod replay;
+mod restarts;
 mod run_control;
 mod runs;
 mod schedules;
+mod security;
 mod strays;
 mod stress;
 mod survival;

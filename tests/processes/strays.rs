@@ -4,13 +4,15 @@ use std::process::Command;
 use std::time::Duration;
 
 use ipc_types::messages::{
-    CONTROL_STOP, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Pose, SOURCE_FRESH, TENDON_SERVO_JF,
+    CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Pose,
+    SOURCE_FRESH, TENDON_SERVO_JF,
 };
-use ipc_types::session::SESSION_VARIABLE;
+use ipc_types::services;
+use ipc_types::session::{SESSION_VARIABLE, Session};
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{LIMIT, Place, Run, assert_nothing_left};
+use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, wait_for};
 use crate::common::scenes;
 use crate::languages::{clients, output_of, python, skip};
 
@@ -162,6 +164,46 @@ fn a_client_that_does_not_drive_the_c_arm_may_not_move_it() {
     answer_here(&mut mine);
     mine.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
     drop((mine, other));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_replays(&ended.folder);
+}
+
+/// Who asks is what the transport says, not what the request says: an observer that calls itself the C-arm's driver, and
+/// another controller that does, are refused.
+#[test]
+fn a_request_that_names_another_controller_is_refused() {
+    let place = Place::new();
+    let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
+    let other = "\n[[controller]]\nname = \"other\"\ndrives = []\nexternal = true\noptional = true\n";
+    let run = place.start(&format!("{text}{other}"));
+    let mut mine = joined(&run, "mine");
+    mine.next_event().unwrap();
+    let tick = mine.wait_state(LIMIT).unwrap().tick;
+    for liar in ["", "other"] {
+        let session = Session::join(&run.session()).unwrap();
+        let _port = (!liar.is_empty()).then(|| session.command_publisher(liar).unwrap());
+        let replies = session.subscriber::<DrrReply>(&services::DRR_REPLY).unwrap();
+        let requests = session.publisher::<DrrRequest>(&services::DRR_REQUEST).unwrap();
+        // Index 0 is `mine`, which drives the C-arm.
+        let request = DrrRequest { request_id: 5, tick, requester: 0, ..DrrRequest::zeroed() };
+        requests.send(&request).unwrap();
+        let reply = wait_for("the refusal", || {
+            let reply = replies.receive().unwrap().map(|reply| *reply.message());
+            reply.filter(|reply| reply.request_id == 5)
+        });
+        assert_eq!(reply.status, DRR_REFUSED, "`{liar}`");
+        await_event(
+            &mut mine,
+            EVENT_REQUEST_REFUSED,
+            "says that controller 0 asks, but another program sent it",
+        );
+    }
+    let request = mine.request_frame(None, tick).unwrap();
+    mine.wait_frame(request, LIMIT).unwrap();
+    answer_here(&mut mine);
+    mine.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(mine);
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_replays(&ended.folder);

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use ipc_types::messages::{CONTROL_PAUSE, Progress, SENDER_RECORDER};
+use ipc_types::messages::{CONTROL_PAUSE, CONTROL_STOP, Progress, SENDER_RECORDER};
 use ipc_types::services;
 use recorder_proc::EndReason;
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
@@ -109,6 +109,28 @@ fn a_full_disk_is_told_and_the_log_is_valid_up_to_then() {
     assert!(bytes <= 1_500_000 && read(&ended.folder).ticks.len() > 200);
     assert_replays(&ended.folder);
     assert_repairs(&place, &ended.folder);
+}
+
+/// The last write of a log fails: the run said "completed" and ended with exit code 0.
+#[test]
+fn a_log_that_cannot_be_finished_is_told() {
+    let place = Place::new();
+    let (published, ended) = paused(&place, &scenes::hold("realtime", 60.0), |run| {
+        let folder = std::fs::read_dir(place.path("out")).unwrap().flatten().next().unwrap().path();
+        let bytes = std::fs::metadata(folder.join("run.mcap")).unwrap().len();
+        let recorder = Pid::from_raw(run.part("recorder") as i32).unwrap();
+        // What has been published is there; the index and the end marker are not.
+        let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
+        prlimit(Some(recorder), Resource::Fsize, limit).unwrap();
+        Client::join(&run.session()).ask(CONTROL_STOP, 0);
+    });
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    let words = ["part `recorder` died", "run.mcap: cannot write the log"];
+    assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    let log = read(&ended.folder);
+    assert!(log.marker.is_none() && log.ticks.len() as u64 >= published - 100, "{}", log.ticks.len());
+    assert_replays(&ended.folder);
 }
 
 #[test]

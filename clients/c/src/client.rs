@@ -418,7 +418,7 @@ impl Client {
         if self.events.is_none() {
             self.events = Some(self.session.subscriber(&services::EVENT)?);
         }
-        self.event = self.events.as_ref().map_or(Ok(None), Subscriber::receive)?;
+        self.event = self.events.as_ref().map_or(Ok(None), |events| events.receive_valid(|_| {}))?;
         Ok(self.event.as_ref().map(|event| (event.message(), event_text(event))))
     }
 

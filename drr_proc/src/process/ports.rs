@@ -1,5 +1,6 @@
 //! Every port of the DRR process.
 
+use ipc_types::identity::Requesters;
 use ipc_types::messages::{
     DrrReply, DrrRequest, Frame, FrameTiming, Progress, Removed, RunStatus, SENDER_DRR, State, Volume,
 };
@@ -16,6 +17,7 @@ pub(super) struct Ports {
     pub(super) states: Subscriber<State>,
     pub(super) removed: Subscriber<Removed>,
     pub(super) requests: Subscriber<DrrRequest>,
+    pub(super) requesters: Requesters,
     pub(super) status: Subscriber<RunStatus>,
     pub(super) replies: Publisher<DrrReply>,
     pub(super) frames: Publisher<Frame>,
@@ -31,8 +33,9 @@ impl Ports {
         Ok(Ports {
             volume: session.subscriber(&services::VOLUME)?,
             states: session.subscriber(&services::STATE)?,
-            removed: session.subscriber(&services::REMOVED)?,
+            removed: session.lossless_subscriber(&services::REMOVED)?,
             requests: session.subscriber(&services::DRR_REQUEST)?,
+            requesters: session.requesters()?,
             status: session.subscriber(&services::RUN_STATUS)?,
             replies: session.publisher(&services::DRR_REPLY)?,
             frames: session.publisher(&services::FRAME)?,

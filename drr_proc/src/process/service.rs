@@ -189,9 +189,23 @@ impl Service {
     }
 
     fn take_requests(&mut self) -> Result<(), DrrProcessError> {
-        while let Some(request) = self.ports.requests.receive()? {
+        loop {
+            let mut malformed = Vec::new();
+            let request = self.ports.requests.receive_valid(|error| malformed.push(error.to_string()))?;
+            for reason in malformed {
+                self.warn(&format!("{reason}; refused"))?;
+            }
+            let Some(request) = request else { return Ok(()) };
+            let sender = self.ports.requesters.controller_of(&request).map_or(u32::MAX, |index| index as u32);
             let request = *request.message();
             let refusal = match self.geometry_of(&request) {
+                _ if request.requester != sender => {
+                    let claim = request.requester;
+                    Some((
+                        DRR_REFUSED,
+                        format!("it says that controller {claim} asks, but another program sent it"),
+                    ))
+                }
                 _ if !self.may_move_c_arm(&request) => {
                     Some((DRR_REFUSED, "the scene gives the C-arm to another controller".to_owned()))
                 }
@@ -203,12 +217,14 @@ impl Service {
             };
             if let Some((status, reason)) = refusal {
                 self.reply(&request, 0, request.tick, status, &self.c_arm)?;
-                let tick = self.newest.as_ref().map_or(0, |state| state.tick);
-                let text = format!("request {} for a frame: {reason}; refused", request.request_id);
-                self.ports.events.send(tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+                self.warn(&format!("request {} for a frame: {reason}; refused", request.request_id))?;
             }
         }
-        Ok(())
+    }
+
+    fn warn(&mut self, text: &str) -> Result<(), DrrProcessError> {
+        let tick = self.newest.as_ref().map_or(0, |state| state.tick);
+        Ok(self.ports.events.send(tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, text)?)
     }
 
     fn may_move_c_arm(&self, request: &DrrRequest) -> bool {

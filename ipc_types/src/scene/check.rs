@@ -385,8 +385,13 @@ fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), Sc
         return Err(checker.invalid(&format!("controller `{}`", controller.name), problem));
     }
     checker.range("controller.connect_limit_s", controller.connect_limit_s, 1.0, 3600.0)?;
-    if controller.optional && !controller.external {
-        return Err(checker.invalid("controller.optional", "is for an `external` controller"));
+    if controller.optional && !controller.external && controller.command.is_none() {
+        let problem = "is for a controller with `external` or `command`";
+        return Err(checker.invalid("controller.optional", problem));
+    }
+    checker.range("controller.restarts", f64::from(controller.restarts), 0.0, 1000.0)?;
+    if controller.restarts > 0 && controller.command.is_none() {
+        return Err(checker.invalid("controller.restarts", "is for a controller with `command`"));
     }
     if let Some(drilling) = &controller.curved_drilling {
         check_curved_drilling(drilling, checker)?;

@@ -640,9 +640,13 @@ pub struct Controller {
     /// How long the start of the run waits for it if it is external, 1 to 3600 s.
     #[serde(default = "Controller::default_connect_limit_s")]
     pub connect_limit_s: f64,
-    /// True if an external controller may join when it likes: the run begins without it.
+    /// True if a controller with `external` or `command` may join and leave when it likes: the run begins without it, and
+    /// a `command` that ends does not end the run.
     #[serde(default)]
     pub optional: bool,
+    /// How often a `command` that ends before the run does is started again, 0 to 1000.
+    #[serde(default)]
+    pub restarts: u32,
 }
 
 impl Controller {

@@ -156,7 +156,7 @@ impl Consumers {
 
     /// Takes in what the consumers have reported.
     pub(super) fn update(&mut self) -> Result<(), PortError> {
-        while let Some(report) = self.progress.receive()? {
+        while let Some(report) = self.progress.receive_valid(|_| {})? {
             let report = report.message();
             for consumer in self.list.iter_mut().filter(|consumer| consumer.sender == report.consumer) {
                 consumer.tick = Some(report.tick);

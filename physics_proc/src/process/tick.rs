@@ -4,9 +4,10 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::{
     CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
-    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_RUN, EVENT_SAFE_COMMAND, Latched,
-    MAX_CONTROLLERS, PHASE_CONNECTING, PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING, RunControl, RunControlReply,
-    RunStatus, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TickTiming,
+    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, EVENT_RUN,
+    EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS, PHASE_CONNECTING, PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING,
+    RunControl, RunControlReply, RunStatus, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD,
+    SOURCE_SAFE, TickTiming,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise};
@@ -419,8 +420,7 @@ impl<'v> Runner<'v> {
 
     /// Does what run control asks for.
     fn obey(&mut self) -> Result<(), PortError> {
-        while let Some(request) = self.ports.control.receive()? {
-            let request = *request.message();
+        while let Some(request) = self.next_request()? {
             let status = if self.obey_one(&request) { CONTROL_DONE } else { CONTROL_REFUSED };
             let reply = RunControlReply {
                 request_id: request.request_id,
@@ -433,6 +433,17 @@ impl<'v> Runner<'v> {
             self.send_status(phase, true)?;
         }
         Ok(())
+    }
+
+    /// The next request to run control; a message of a wrong length is none.
+    fn next_request(&mut self) -> Result<Option<RunControl>, PortError> {
+        let mut malformed = None;
+        let request = self.ports.control.receive_valid(|error| malformed = Some(error.to_string()))?;
+        if let Some(reason) = malformed {
+            let text = format!("run control: {reason}; refused");
+            self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+        }
+        Ok(request.map(|request| *request.message()))
     }
 
     fn obey_one(&mut self, request: &RunControl) -> bool {

@@ -116,12 +116,27 @@ pub struct Ended {
 
 impl Run {
     pub fn start(scene: &Path, output: PathBuf, more: &[&str]) -> Run {
-        let words = tempfile::tempdir().unwrap();
-        let file = |name: &str| File::create(words.path().join(name)).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.arg("run").arg(scene).arg("--output").arg(&output).arg("--quiet").args(more);
+        Run::of(command, output)
+    }
+
+    /// Starts a command that becomes the launcher of a run with this output.
+    pub fn of(mut command: Command, output: PathBuf) -> Run {
+        let words = tempfile::tempdir().unwrap();
+        let file = |name: &str| File::create(words.path().join(name)).unwrap();
         let command = command.stdin(Stdio::null()).stdout(file("out")).stderr(file("err"));
         Run { child: command.spawn().unwrap(), output, words }
+    }
+
+    /// What the launcher has said on standard error so far.
+    pub fn said(&self) -> String {
+        fs::read_to_string(self.words.path().join("err")).unwrap()
+    }
+
+    /// Whether the launcher has ended.
+    pub fn is_over(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_some()
     }
 
     /// Process of the launcher.

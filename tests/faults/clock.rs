@@ -1,0 +1,80 @@
+//! Clocks: which ones the program reads, and a wall clock that steps.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+/// A library that makes the wall clock of whoever preloads it step; the error is the reason why there is none.
+pub fn stepping_clock() -> Result<PathBuf, String> {
+    static LIBRARY: OnceLock<Result<PathBuf, String>> = OnceLock::new();
+    LIBRARY.get_or_init(build).clone()
+}
+
+fn build() -> Result<PathBuf, String> {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults/clock_step.c");
+    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join("libclock_step.so");
+    let output = Command::new("cc")
+        .args(["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", "-o"])
+        .args([&library, &source])
+        .output()
+        .map_err(|cause| format!("cc: {cause}"))?;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Ok(library)
+}
+
+/// The wall clock of a program that preloads the library is an hour off.
+#[test]
+fn the_stepping_clock_steps() {
+    let Ok(library) = stepping_clock() else { return println!("*** SKIPPED: no C compiler ***") };
+    let seconds = |command: &mut Command| -> i64 {
+        let output = command.arg("+%s").output().unwrap();
+        String::from_utf8(output.stdout).unwrap().trim().parse().unwrap()
+    };
+    let off = seconds(Command::new("date").env("LD_PRELOAD", library)) - seconds(&mut Command::new("date"));
+    assert!((off.abs() - 3600).abs() < 60, "{off} s");
+}
+
+/// Every mention of a wall clock in the program's sources, with the reason why a step of it does no harm.
+const WALL_CLOCK: [(&str, &str, &str); 2] = [
+    ("src/launcher/run.rs", "Zoned::now", "the name of a run's folder; a name that is taken gets a suffix"),
+    ("ipc_types/src/session.rs", ".modified()", "which session was announced last, when none is named"),
+];
+
+/// Loops run by the monotonic clock (`Instant`, `CLOCK_MONOTONIC`): nobody reads another one.
+#[test]
+fn no_loop_reads_the_wall_clock() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut folders: Vec<PathBuf> =
+        ["src", "ipc_types/src", "volume_io/src", "physics_proc/src", "drr_proc/src"]
+            .into_iter()
+            .chain(["controller_proc/src", "recorder_proc/src", "clients/c/src"])
+            .map(|folder| root.join(folder))
+            .collect();
+    let mut found = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap().flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let text = std::fs::read_to_string(&path).unwrap();
+            let words = [
+                "SystemTime",
+                "Zoned::now",
+                "Timestamp::now",
+                "ClockId::Realtime",
+                ".modified()",
+                "CLOCK_REALTIME",
+            ];
+            for word in words.iter().filter(|word| text.contains(**word)) {
+                found.push((path.strip_prefix(root).unwrap().to_str().unwrap().to_owned(), *word));
+            }
+        }
+    }
+    for (file, word) in &found {
+        let known = WALL_CLOCK.iter().any(|(known, reads, _)| known == file && reads == word);
+        assert!(known, "{file} reads a wall clock: {word}");
+    }
+    assert_eq!(found.len(), WALL_CLOCK.len(), "{found:?}");
+}

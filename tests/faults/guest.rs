@@ -1,0 +1,195 @@
+//! The external controller in a process of its own, well behaved or not.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command as Program, Stdio};
+use std::time::Duration;
+
+use ipc_types::messages::{Command, DrrRequest, Event, Progress, RunControl};
+use ipc_types::services;
+use ipc_types::session::{SESSION_VARIABLE, Session, SessionError};
+use rustix::process::Signal;
+use trabecula_client::{Client, Connection};
+
+use crate::common::program::signal;
+use crate::random::Random;
+
+const BEHAVIOUR: &str = "TRABECULA_TEST_GUEST";
+const NAME: &str = "TRABECULA_TEST_GUEST_NAME";
+const SEED: &str = "TRABECULA_TEST_GUEST_SEED";
+/// What the guest prints once it is at it.
+const READY: &str = "guest is ready";
+const LIMIT: Duration = Duration::from_secs(20);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Behaviour {
+    Steady,
+    Slow,
+    Flood,
+    Garbage,
+    Loan,
+    OtherVersion,
+}
+
+impl Behaviour {
+    const ALL: [Behaviour; 6] = [
+        Behaviour::Steady,
+        Behaviour::Slow,
+        Behaviour::Flood,
+        Behaviour::Garbage,
+        Behaviour::Loan,
+        Behaviour::OtherVersion,
+    ];
+
+    /// One that makes trouble for others.
+    pub fn bad(random: &mut Random) -> Behaviour {
+        [Behaviour::Slow, Behaviour::Flood, Behaviour::Garbage, Behaviour::Loan][random.below(4) as usize]
+    }
+}
+
+/// A guest under way; it is killed when dropped.
+#[derive(Debug)]
+pub struct Guest {
+    child: Child,
+    lines: Option<BufReader<std::process::ChildStdout>>,
+}
+
+impl Guest {
+    pub fn start(session: &Path, name: &str, behaviour: Behaviour, seed: u64) -> Guest {
+        Guest::of(Program::new(std::env::current_exe().unwrap()), session, name, behaviour, seed)
+    }
+
+    /// The same by a program that starts this one with the arguments that follow.
+    pub fn of(mut program: Program, session: &Path, name: &str, behaviour: Behaviour, seed: u64) -> Guest {
+        program.args(["--exact", "guest::guest_program", "--nocapture"]);
+        program.env(SESSION_VARIABLE, session).env(NAME, name).env(SEED, seed.to_string());
+        program.env(BEHAVIOUR, format!("{behaviour:?}"));
+        let mut child =
+            program.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let lines = child.stdout.take().map(BufReader::new);
+        Guest { child, lines }
+    }
+
+    /// Waits until it is at what it is to do; the error is what it said instead.
+    pub fn ready(&mut self) -> Result<(), String> {
+        let mut said = String::new();
+        for line in self.lines.take().unwrap().lines().map_while(Result::ok) {
+            if line.contains(READY) {
+                return Ok(());
+            }
+            said += &line;
+            said += "\n";
+        }
+        Err(said)
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub fn kill(&mut self) {
+        signal(self.pid(), Signal::KILL);
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Guest {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+/// Not a test by itself: the program of a guest, which [`Guest`] starts from this test's own file.
+#[test]
+fn guest_program() {
+    let Ok(behaviour) = std::env::var(BEHAVIOUR) else { return };
+    let behaviour = Behaviour::ALL.into_iter().find(|known| format!("{known:?}") == behaviour).unwrap();
+    let session = PathBuf::from(std::env::var_os(SESSION_VARIABLE).unwrap());
+    let name = std::env::var(NAME).unwrap();
+    let seed = std::env::var(SEED).unwrap().parse().unwrap();
+    let said = match behaviour {
+        Behaviour::Garbage => garbage(&session, &name, seed).map_err(|error| error.to_string()),
+        Behaviour::OtherVersion => other_version(&session),
+        other => controller(&session, &name, other).map_err(|error| error.to_string()),
+    };
+    println!("guest ends: {said:?}");
+}
+
+fn controller(session: &Path, name: &str, behaviour: Behaviour) -> Result<(), trabecula_client::ClientError> {
+    let mut client = Client::connect(&Connection {
+        session: Some(session.to_str().unwrap().to_owned()),
+        controller: Some(name.to_owned()),
+        limit: LIMIT,
+    })?;
+    client.wait_state(LIMIT)?;
+    client.command()?;
+    client.send()?;
+    if behaviour == Behaviour::Loan {
+        client.command()?.burr_mode = 77;
+    }
+    println!("\n{READY}");
+    loop {
+        match behaviour {
+            Behaviour::Loan => std::thread::sleep(LIMIT),
+            Behaviour::Flood => {
+                client.poll_state()?;
+                for _ in 0..2000 {
+                    client.command()?;
+                    client.send()?;
+                }
+            }
+            _ => {
+                if behaviour == Behaviour::Slow {
+                    std::thread::sleep(Duration::from_millis(100));
+                }
+                // A stopped hub is silent for a while.
+                match client.answer(LIMIT, |_, _| {}) {
+                    Err(trabecula_client::ClientError::TimedOut(_)) | Ok(()) => {}
+                    Err(other) => return Err(other),
+                }
+            }
+        }
+    }
+}
+
+/// Random bytes to every service that a client may write.
+fn garbage(folder: &Path, name: &str, seed: u64) -> Result<(), Box<dyn std::error::Error>> {
+    let session = Session::join(folder)?;
+    let commands = session.command_publisher(name)?;
+    let control = session.publisher::<RunControl>(&services::RUN_CONTROL)?;
+    let requests = session.publisher::<DrrRequest>(&services::DRR_REQUEST)?;
+    let events = session.publisher::<Event>(&services::EVENT)?;
+    let progress = session.publisher::<Progress>(&services::PROGRESS)?;
+    let mut random = Random(seed);
+    println!("\n{READY}");
+    loop {
+        let mut bytes = |most: usize| -> Vec<u8> {
+            // One in four has the right length.
+            let length = if random.one_in(4) { most } else { random.below(most as u64) as usize };
+            (0..length).map(|_| random.next() as u8).collect()
+        };
+        commands.send_parts(&[&bytes(size_of::<Command>())])?;
+        control.send_parts(&[&bytes(size_of::<RunControl>())])?;
+        requests.send_parts(&[&bytes(size_of::<DrrRequest>())])?;
+        events.send_parts(&[&bytes(size_of::<Event>())])?;
+        progress.send_parts(&[&bytes(size_of::<Progress>())])?;
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Joins as a program with other layouts, then as one with another transport; both must be refused by name.
+fn other_version(folder: &Path) -> Result<(), String> {
+    let session = Session::join(folder).map_err(|error| error.to_string())?;
+    let layout = session.subscriber::<Command>(&services::STATE).err();
+    let Some(SessionError::Layout { .. }) = layout else { return Err(format!("another layout: {layout:?}")) };
+    let copy = tempfile::tempdir().unwrap();
+    let mut announcement = session.announcement().clone();
+    announcement.iceoryx2 = "0.9.0".to_owned();
+    std::fs::write(copy.path().join("session.json"), serde_json::to_string(&announcement).unwrap()).unwrap();
+    let transport = Session::join(copy.path()).err();
+    let Some(SessionError::Transport { .. }) = transport else {
+        return Err(format!("another transport: {transport:?}"));
+    };
+    println!("\n{READY}");
+    Ok(())
+}

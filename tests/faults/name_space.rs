@@ -1,0 +1,64 @@
+//! A mount namespace with file systems of its own, so that a full one disturbs nobody else.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// Kept by a sleeping process; gone with it.
+#[derive(Debug)]
+pub struct NameSpace(Child);
+
+impl NameSpace {
+    /// A tmpfs of some bytes at a place that only this namespace sees; the error is the reason why there is none.
+    pub fn with_tmpfs(at: &Path, bytes: u64) -> Result<NameSpace, String> {
+        let script = format!("mount -t tmpfs -o size={bytes} tmpfs \"$0\" && echo mounted && exec sleep 600");
+        let mut unshare = Command::new("unshare");
+        unshare.args(["--mount", "sh", "-c", &script]).arg(at);
+        let mut child = unshare
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .map_err(|cause| format!("unshare: {cause}"))?;
+        let mut said = String::new();
+        std::io::BufRead::read_line(&mut std::io::BufReader::new(child.stdout.take().unwrap()), &mut said)
+            .unwrap();
+        if said.trim() == "mounted" {
+            return Ok(NameSpace(child));
+        }
+        let _ = child.wait();
+        Err("this user may not mount in a namespace of its own".to_owned())
+    }
+
+    /// A command whose program is the rest of its arguments, seen by nobody outside.
+    pub fn command(&self) -> Command {
+        let mut command = Command::new("nsenter");
+        command.arg(format!("--mount=/proc/{}/ns/mnt", self.0.id())).arg("--");
+        command
+    }
+
+    /// Where a path of the namespace is seen from outside.
+    pub fn path(&self, inside: &Path) -> PathBuf {
+        Path::new(&format!("/proc/{}/root", self.0.id())).join(inside.strip_prefix("/").unwrap())
+    }
+
+    /// Gives its tmpfs another size.
+    pub fn resize(&self, at: &Path, bytes: u64) {
+        let status = self.command().args(["mount", "-o", &format!("remount,size={bytes}")]).arg(at).status();
+        assert!(status.unwrap().success());
+    }
+
+    /// Fills a folder's file system to the last byte, and says when it is done.
+    pub fn fill(&self, folder: &Path) -> PathBuf {
+        let path = self.path(folder).join("filler");
+        let mut file = std::fs::File::create(&path).unwrap();
+        while std::io::Write::write_all(&mut file, &[1; 4096]).is_ok() {}
+        path
+    }
+}
+
+impl Drop for NameSpace {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}

@@ -1,0 +1,98 @@
+//! What came of all trials.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use crate::fault::Fault;
+
+/// What came of one trial.
+#[derive(Debug, Default)]
+pub struct Outcome {
+    /// The machine does not permit this fault.
+    pub skipped: bool,
+    /// The run went on until the test stopped it; otherwise it ended with an error that names the cause.
+    pub went_on: bool,
+    /// From the fault to the error, in milliseconds.
+    pub named_after_ms: Option<u64>,
+    /// From the fault to the end of the last process, in milliseconds; of runs that ended.
+    pub over_after_ms: Option<u64>,
+    /// Ticks in the log.
+    pub ticks: u64,
+    /// Ticks that had been published before the fault and are not in the log.
+    pub lost_before: u64,
+    /// Messages that the log's end says were lost.
+    pub lost_counted: u64,
+}
+
+#[derive(Debug, Default)]
+struct Row {
+    trials: u64,
+    skipped: u64,
+    went_on: u64,
+    named: u64,
+    slowest_name_ms: u64,
+    slowest_end_ms: u64,
+    ticks: u64,
+    lost_before: u64,
+    lost_counted: u64,
+}
+
+/// Rows by fault, in the order of their first trial.
+#[derive(Debug, Default)]
+pub struct Table(BTreeMap<String, Row>);
+
+impl Table {
+    pub fn add(&mut self, fault: Fault, outcome: Outcome) {
+        let row = self.0.entry(fault.name()).or_default();
+        row.trials += 1;
+        if outcome.skipped {
+            row.skipped += 1;
+            return;
+        }
+        row.went_on += u64::from(outcome.went_on);
+        row.named += u64::from(!outcome.went_on);
+        row.slowest_name_ms = row.slowest_name_ms.max(outcome.named_after_ms.unwrap_or(0));
+        row.slowest_end_ms = row.slowest_end_ms.max(outcome.over_after_ms.unwrap_or(0));
+        row.ticks += outcome.ticks;
+        row.lost_before = row.lost_before.max(outcome.lost_before);
+        row.lost_counted += outcome.lost_counted;
+    }
+
+    pub fn text(&self) -> String {
+        let mut text = String::from(
+            "\n| fault | trials | skipped | run went on | run ended | slowest error ms | slowest end ms | \
+             ticks replayed | most published ticks lost | messages lost in all |\n|---|---|---|---|---|---|---|---|---|---|\n",
+        );
+        let mut sum = Row::default();
+        for (name, row) in &self.0 {
+            write_row(&mut text, name, row);
+            sum.trials += row.trials;
+            sum.skipped += row.skipped;
+            sum.went_on += row.went_on;
+            sum.named += row.named;
+            sum.slowest_name_ms = sum.slowest_name_ms.max(row.slowest_name_ms);
+            sum.slowest_end_ms = sum.slowest_end_ms.max(row.slowest_end_ms);
+            sum.ticks += row.ticks;
+            sum.lost_before = sum.lost_before.max(row.lost_before);
+            sum.lost_counted += row.lost_counted;
+        }
+        write_row(&mut text, "all", &sum);
+        text
+    }
+}
+
+fn write_row(text: &mut String, name: &str, row: &Row) {
+    let _ = writeln!(
+        text,
+        "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+        row.trials,
+        row.skipped,
+        row.went_on,
+        row.named,
+        row.slowest_name_ms,
+        row.slowest_end_ms,
+        row.ticks,
+        row.lost_before,
+        row.lost_counted
+    );
+}

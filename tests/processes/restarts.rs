@@ -1,0 +1,90 @@
+//! Controller programs that end before the run does: started again, done without, or the end of the run.
+
+use std::time::Duration;
+
+use ipc_types::messages::EVENT_RUN;
+use ipc_types::session::CONTROLLER_VARIABLE;
+use trabecula_client::{Client as Controller, ClientError, Connection};
+
+use crate::common::client::Client;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{LIMIT, Place, assert_nothing_left, wait_for};
+use crate::common::scenes;
+
+const NAME: &str = "short_lived";
+
+/// Not a test by itself: a controller that answers a hundred states and then dies. The launcher starts it from this
+/// test's own file.
+#[test]
+fn short_lived_program() {
+    if std::env::var(CONTROLLER_VARIABLE).as_deref() != Ok(NAME) {
+        return;
+    }
+    let mut client = Controller::connect(&Connection { limit: LIMIT, ..Connection::default() }).unwrap();
+    for _ in 0..100 {
+        match client.answer(Duration::from_secs(5), |_, _| {}) {
+            Ok(()) => {}
+            Err(ClientError::Ended) => return,
+            Err(other) => panic!("{other}"),
+        }
+    }
+    eprintln!("the gripper is empty");
+    std::process::exit(7);
+}
+
+/// The hold scene with one more controller.
+fn scene(duration_s: f64, command: &str, more: &str) -> String {
+    let hold = scenes::hold("realtime", duration_s);
+    format!("{hold}\n[[controller]]\nname = \"{NAME}\"\ndrives = []\ncommand = {command}\n{more}\n")
+}
+
+fn short_lived() -> String {
+    let program = std::env::current_exe().unwrap();
+    format!("[{program:?}, \"--exact\", \"restarts::short_lived_program\", \"--nocapture\"]")
+}
+
+#[test]
+fn a_controller_program_that_dies_is_started_again_and_the_run_goes_on() {
+    let place = Place::new();
+    let run = place.start(&scene(2.0, &short_lived(), "restarts = 1000"));
+    let client = Client::join(&run.session());
+    let mut said = Vec::new();
+    wait_for("two new starts", || {
+        said.extend(client.events().into_iter().filter(|(code, _)| *code == EVENT_RUN).map(|(_, text)| text));
+        said.iter().any(|text| text.contains("start 2 of 1000 follows")).then_some(())
+    });
+    drop(client);
+    assert!(said.iter().any(|text| text.contains("`short_lived` ended (exit status: 7)")), "{said:?}");
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    assert_eq!(read(&ended.folder).ticks.len(), 2000);
+    assert_replays(&ended.folder);
+}
+
+#[test]
+fn a_controller_program_that_dies_too_often_ends_the_run_and_is_named() {
+    let place = Place::new();
+    let ended = place.start(&scene(60.0, &short_lived(), "restarts = 1")).end();
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    let words = ["part `short_lived` died (exit status: 7)", "the gripper is empty"];
+    assert!(words.iter().all(|word| ended.err.contains(word)), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    assert_replays(&ended.folder);
+}
+
+#[test]
+fn an_optional_controller_program_may_end_and_the_run_goes_on() {
+    let place = Place::new();
+    let run = place.start(&scene(0.5, "[\"sh\", \"-c\", \"sleep 0.3; exit 3\"]", "optional = true"));
+    let client = Client::join(&run.session());
+    let text = wait_for("the event", || {
+        let events = client.events().into_iter().map(|(_, text)| text);
+        events.filter(|text| text.contains(NAME)).last()
+    });
+    drop(client);
+    assert!(text.contains("ended (exit status: 3); the run goes on without it"), "{text}");
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(read(&ended.folder).ticks.len(), 500);
+}
