@@ -3,10 +3,12 @@
 use std::collections::VecDeque;
 
 use ipc_types::messages::{Latched, Removed, State};
+use ipc_types::services::STATE;
 use zerocopy::FromBytes;
 
 /// A message whose partner has not come is written alone once this many of its kind wait: its partner is lost.
-const MAX_WAITING: usize = 1024;
+/// More than a queue holds: after a pause of the recorder one queue may come whole before the next is looked at.
+const MAX_WAITING: usize = 2 * STATE.lossless_length;
 
 /// One message in the order of the log.
 #[derive(Debug, Clone, PartialEq)]
