@@ -40,6 +40,7 @@ mod error;
 pub mod exposure;
 pub mod grid;
 pub mod joseph;
+pub mod ladder;
 pub mod lane_math;
 pub mod process;
 pub mod ray;

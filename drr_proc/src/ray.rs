@@ -156,9 +156,15 @@ pub(crate) struct RowRays {
 }
 
 impl RowRays {
-    /// Index direction, and world direction in metres.
+    /// Index direction along an axis: at the first column, and for each further one.
     #[inline(always)]
-    pub(crate) fn at(&self, column: f64) -> [Vec3; 2] {
-        [add_scaled(self.first_index, column, self.step_index), add_scaled(self.first_m, column, self.step_m)]
+    pub(crate) fn index(&self, axis: usize) -> (f64, f64) {
+        (self.first_index[axis], self.step_index[axis])
+    }
+
+    /// The same of the world direction, metres.
+    #[inline(always)]
+    pub(crate) fn world_m(&self, axis: usize) -> (f64, f64) {
+        (self.first_m[axis], self.step_m[axis])
     }
 }

@@ -223,20 +223,24 @@ impl Layer {
         removed: &RemovedVoxels,
         c_arm: &CArm,
         image: &mut Vec<f64>,
+        pool: &rayon::ThreadPool,
     ) -> Result<Option<(RenderKind, usize)>, DrrError> {
         let Some(slices) = &mut self.slices else { return Ok(None) };
         let fresh = image.is_empty();
         image.resize(c_arm.pixels(), 0.0);
-        let update = slices.project(view, removed, c_arm, image)?;
+        if fresh {
+            slices.forget();
+        }
+        let update = match slices.refresh(c_arm, image) {
+            None => pool.install(|| slices.project(view, removed, c_arm, image))?,
+            some => some,
+        };
         if update.is_none() && fresh {
             image.clear();
         }
         Ok(update.map(|update| match update {
             Update::Full => (RenderKind::Full, c_arm.pixels()),
-            Update::Changed(b) => {
-                let side = |(first, end): (u32, u32)| (end - first) as usize;
-                (RenderKind::Incremental, side(b.columns) * side(b.rows))
-            }
+            Update::Changed(pixels) => (RenderKind::Incremental, pixels),
             Update::Unchanged => (RenderKind::Cached, 0),
         }))
     }
@@ -452,6 +456,34 @@ impl DrrRenderer {
         Ok(FrameReport { kind, rays_traced, tool_pixels, window })
     }
 
+    /// As [`DrrRenderer::render`] for a C-arm that does not stay: what is cached of the standing one survives, so its next frame costs
+    /// what it would have cost without this one.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn render_aside(
+        &mut self,
+        view: &VolumeView<'_>,
+        c_arm: &CArm,
+        tool: &Tool,
+        seed: FrameSeed,
+        image: &mut [u16],
+    ) -> Result<FrameReport, DrrError> {
+        if self.standing.as_ref().is_some_and(|standing| standing.c_arm == *c_arm) {
+            return self.render(view, c_arm, tool, seed, image);
+        }
+        let standing = self.standing.take();
+        self.layers_slices().for_each(SliceOrdered::step_aside);
+        let report = self.render(view, c_arm, tool, seed, image);
+        self.layers_slices().for_each(SliceOrdered::step_back);
+        self.standing = standing;
+        report
+    }
+
+    fn layers_slices(&mut self) -> impl Iterator<Item = &mut SliceOrdered> {
+        core::iter::once(&mut self.tissue).chain(&mut self.bone).filter_map(|layer| layer.slices.as_mut())
+    }
+
     fn check_view(&self, view: &VolumeView<'_>) -> Result<(), DrrError> {
         if *view.grid() == self.grid { Ok(()) } else { Err(DrrError::GridChanged) }
     }
@@ -473,10 +505,10 @@ impl DrrRenderer {
         if fresh || !standing.traced {
             let Self { tissue, bone, removed, pool, .. } = self;
             let c_arm = &standing.c_arm;
-            let first = pool.install(|| tissue.project(view, removed, c_arm, &mut standing.anatomy))?;
+            let first = tissue.project(view, removed, c_arm, &mut standing.anatomy, pool)?;
             if let Some(mut done) = first {
                 if let Some(bone) = bone {
-                    let second = pool.install(|| bone.project(view, removed, c_arm, &mut standing.bone_m))?;
+                    let second = bone.project(view, removed, c_arm, &mut standing.bone_m, pool)?;
                     done = second.map_or(done, |second| more_of(done, second));
                 }
                 standing.traced = false;

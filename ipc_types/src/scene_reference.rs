@@ -1,12 +1,13 @@
 //! The reference of scene files, made of their declaration: `docs/scene.md` is what [`scene_reference`] returns.
 //!
-//! Names, types and meanings come from the text of `scene/model.rs`; defaults from a scene that says only what it must.
+//! Names, types and meanings come from the text of `scene/`; defaults from a scene that says only what it must.
 
 use std::path::Path;
 
 use crate::scene::{Scene, SceneError};
 
-const MODEL: &str = include_str!("scene/model.rs");
+const MODEL: &str =
+    concat!(include_str!("scene/model.rs"), include_str!("scene/drr.rs"), include_str!("scene/tolerance.rs"));
 
 /// A scene with every table that has required keys, and in them nothing else.
 const LEAST: &str = r#"
@@ -54,6 +55,7 @@ column_axis = [0.0, 0.0, -1.0]
 [drr.notch]
 width_mm = 0.5
 depth_mm = 2.0
+[tolerance]
 [arm.compliance]
 joint_stiffness_nm_per_rad = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
 joint_damping_nms_per_rad = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]

@@ -26,21 +26,21 @@ const ENERGY_KEV: f64 = 60.0;
 
 /// Times of one thing over rounds.
 #[derive(Debug, Clone, Default)]
-struct Times(Vec<f64>);
+pub(super) struct Times(Vec<f64>);
 
 impl Times {
-    fn add<T>(&mut self, what: impl FnOnce() -> T) -> T {
+    pub(super) fn add<T>(&mut self, what: impl FnOnce() -> T) -> T {
         let began = Instant::now();
         let result = what();
         self.0.push(began.elapsed().as_secs_f64() * 1e3);
         result
     }
 
-    fn least(&self) -> f64 {
+    pub(super) fn least(&self) -> f64 {
         self.0.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    fn text(&self) -> String {
+    pub(super) fn text(&self) -> String {
         format!("{:8.3} ({:.3})", self.least(), super::samples::median(&self.0))
     }
 }
@@ -49,7 +49,7 @@ fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(failed)
 }
 
-fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrError> {
+pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrError> {
     let format = DetectorFormat { columns: side, rows: side, pixel_pitch_m: [FIELD_M / f64::from(side); 2] };
     let angles = PositionerAngles::from_degrees(primary, secondary);
     CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
@@ -75,6 +75,7 @@ pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
     }
     errors(&view)?;
     removals(&view)?;
+    super::drr_layers::run(&view, rounds)?;
     machine.print();
     Ok(())
 }
@@ -120,12 +121,14 @@ fn frames(
     // Times by pose, number of threads, side of the detector. The pose changes from frame to frame, so each is a full one.
     let cases = [(1, 512), (2, 512), (1, 1024), (2, 1024)];
     let mut times = vec![Times::default(); POSES.len() * cases.len()];
+    let pools = [pool(1)?, pool(2)?];
     for _ in 0..rounds {
         for (case, (threads, side)) in cases.into_iter().enumerate() {
-            let pool = pool(threads)?;
+            let pool = &pools[threads - 1];
+            // As in the running hub, the image lies in memory that has been written before.
+            let mut image = vec![1.0; side as usize * side as usize];
             for (which, (_, primary, secondary)) in POSES.into_iter().enumerate() {
                 let c_arm = pose(primary, secondary, side).map_err(failed)?;
-                let mut image = vec![0.0; c_arm.pixels()];
                 let project = || slices.project(view, &removed, &c_arm, &mut image);
                 let update =
                     times[which * cases.len() + case].add(|| pool.install(project)).map_err(failed)?;
@@ -136,6 +139,10 @@ fn frames(
         }
     }
     let memory = slices.memory();
+    row(
+        &format!("{}: memory with the intermediate image", instructions.name()),
+        &format!("{:.1} MB", memory.total() as f64 * 1e-6),
+    );
     row(
         &format!("{}: copies", instructions.name()),
         &format!("{:.1} + {:.1} MB", memory.along_x as f64 * 1e-6, memory.along_y as f64 * 1e-6),
@@ -226,8 +233,15 @@ fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
                         slices.remove(view, linear).map_err(failed)?;
                     }
                 }
-                let project = || slices.project(view, &removed, &c_arm, &mut image);
-                kind = pool.install(project).map_err(failed)?.unwrap_or(Update::Unchanged);
+                // As the renderer does: few changes are worked in without waking the worker threads.
+                let update = match slices.refresh(&c_arm, &mut image) {
+                    None => {
+                        let project = || slices.project(view, &removed, &c_arm, &mut image);
+                        pool.install(project).map_err(failed)?
+                    }
+                    some => some,
+                };
+                kind = update.unwrap_or(Update::Unchanged);
                 Ok(())
             })?;
         }

@@ -1,6 +1,7 @@
 //! What the hub costs: measurements that print tables. Times are facts about a machine, so nothing here asserts one.
 
 pub mod drr;
+mod drr_layers;
 pub mod latency;
 pub mod log;
 pub mod machine;

@@ -9,7 +9,7 @@ use drr_proc::process::{
 };
 use drr_proc::{CArm, DrrRenderer, VolumeView};
 use ipc_types::messages::{Command, State, Volume as VolumeMessage};
-use ipc_types::scene::{Drr, Mode, Scene};
+use ipc_types::scene::{Drr, Mode, Notch, Scene};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
 use physics_proc::latch::Latch;
 use physics_proc::process::ct_geometry;
@@ -121,6 +121,7 @@ struct XRay<'v> {
     threads: usize,
     noise_seed: u64,
     burr_radius_m: f64,
+    notch: Option<Notch>,
     removed: Vec<u32>,
     shown: u64,
     newest: Option<Rendered>,
@@ -138,12 +139,14 @@ impl<'v> XRay<'v> {
     ) -> Result<XRay<'v>, Failure> {
         let view = volume_view(message, hu.as_bytes()).map_err(failed)?;
         Ok(XRay {
-            renderer: DrrRenderer::new(&view, renderer_parameters(drr)).map_err(failed)?,
+            renderer: DrrRenderer::new(&view, renderer_parameters(drr, scene.tolerance.as_ref()))
+                .map_err(failed)?,
             view,
             c_arm: scene_c_arm(drr).map_err(Failure::bad_input)?,
             threads: drr.threads,
             noise_seed: scene.run.seed,
             burr_radius_m: burr_radius_m(scene),
+            notch: drr.notch,
             removed: predrilled.to_vec(),
             shown: 0,
             newest: None,
@@ -182,8 +185,9 @@ impl<'v> XRay<'v> {
             sequence: self.shown,
             request_id: 0,
             c_arm,
+            aside: false,
             isocentre_m: [0.0; 3],
-            notch: None,
+            notch: self.notch,
             noise_seed: self.noise_seed,
             burr_radius_m: self.burr_radius_m,
         };

@@ -46,5 +46,8 @@ pub fn run(command: &SceneCommand) -> Result<(), Failure> {
             None => "no scheduled frames".to_owned(),
         }
     );
+    if let Some(choice) = drr_proc::process::tolerance_text(&scene) {
+        say!("{choice}");
+    }
     Ok(())
 }

@@ -37,7 +37,8 @@ impl<'l> FrameReplay<'l> {
         let message = volume_source::message(volume, *hash);
         let failed = |cause: String| Failure::failed(cause);
         let view = volume_view(&message, volume.hu.as_bytes()).map_err(|cause| failed(cause.to_string()))?;
-        let parameters = drr_proc::DrrParameters { threads, ..renderer_parameters(drr) };
+        let parameters =
+            drr_proc::DrrParameters { threads, ..renderer_parameters(drr, log.scene.tolerance.as_ref()) };
         let ticks = log.reader()?;
         Ok(Some(FrameReplay {
             renderer: DrrRenderer::new(&view, parameters).map_err(|cause| failed(cause.to_string()))?,
@@ -75,6 +76,7 @@ impl<'l> FrameReplay<'l> {
             sequence: recorded.sequence,
             request_id: recorded.request_id,
             c_arm: c_arm_of(&recorded.geometry).map_err(failed)?,
+            aside: false,
             isocentre_m: scene_isocentre_m(&self.log.scene),
             noise_seed: self.log.scene.run.seed,
             burr_radius_m: burr_radius_m(&self.log.scene),

@@ -115,6 +115,7 @@ impl Pose {
             notch: None,
             projector: Projector::SliceOrdered,
             oversampling: 1.0,
+            reduction: 2,
             threads: 1,
         };
         let c_arm = scene_c_arm(&drr).map_err(|cause: DrrError| cause.to_string())?;

@@ -17,7 +17,7 @@ use ipc_types::messages::{CArmGeometry, CArmProjection, Volume};
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
 use ipc_types::scene::{
-    Display, Drr, PixelCentre as ScenePixelCentre, Projector as SceneProjector, Scene, SceneError,
+    Display, Drr, PixelCentre as ScenePixelCentre, Projector as SceneProjector, Scene, SceneError, Tolerance,
 };
 use ipc_types::session::{Session, SessionError};
 use thiserror::Error;
@@ -25,7 +25,7 @@ use zerocopy::FromBytes;
 
 use crate::{
     CArm, Camera, DetectorFormat, DetectorParameters, DisplayMode, DisplayParameters, DrrError,
-    DrrParameters, DrrRenderer, Grid, PixelCentre, PositionerAngles, Projector, Spectrum, VolumeView,
+    DrrParameters, DrrRenderer, Grid, PixelCentre, PositionerAngles, Projector, Spectrum, VolumeView, ladder,
 };
 
 pub use tool_model::tool_of;
@@ -93,7 +93,7 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let ports = ports::Ports::open(&session)?;
     let volume = ports.receive_volume(&end)?;
     let view = volume_view(volume.message(), volume.tail())?;
-    let mut renderer = DrrRenderer::new(&view, renderer_parameters(&drr))?;
+    let mut renderer = DrrRenderer::new(&view, renderer_parameters(&drr, scene.tolerance.as_ref()))?;
     let c_arm = scene_c_arm(&drr)?;
     renderer.prepare(&view, &c_arm)?;
     service::serve(&scene, ports, &view, renderer, &c_arm, &end)
@@ -114,17 +114,39 @@ pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'
     Ok(VolumeView::new(grid, hu)?)
 }
 
+/// The projector of `[drr]`.
+fn given_projector(drr: &Drr) -> Projector {
+    match drr.projector {
+        SceneProjector::Siddon => Projector::Siddon,
+        SceneProjector::Joseph => Projector::Joseph,
+        SceneProjector::SliceOrdered => {
+            Projector::SliceOrdered { oversampling: drr.oversampling, sharpen: true }
+        }
+        SceneProjector::Preview => Projector::Preview { reduction: drr.reduction },
+    }
+}
+
+/// What `tolerance.drr_rel` chooses, in words; `None` for a scene without it or without X-ray.
+pub fn tolerance_text(scene: &Scene) -> Option<String> {
+    let wanted = scene.drr.as_ref().and(scene.tolerance)?.drr_rel?;
+    let rung = ladder::choose(wanted);
+    let projector = match rung.projector {
+        Projector::Siddon => "siddon".to_owned(),
+        Projector::Joseph => "joseph".to_owned(),
+        Projector::SliceOrdered { oversampling, .. } => format!("slice_ordered, oversampling {oversampling}"),
+        Projector::Preview { reduction } => format!("preview, reduction {reduction}"),
+    };
+    Some(format!(
+        "tolerance.drr_rel = {wanted:e}: X-ray by {projector} (measured error {:.1e})",
+        rung.error_rel
+    ))
+}
+
 /// The renderer's parameters of a scene.
-pub fn renderer_parameters(drr: &Drr) -> DrrParameters {
+pub fn renderer_parameters(drr: &Drr, tolerance: Option<&Tolerance>) -> DrrParameters {
+    let wanted = tolerance.and_then(|tolerance| tolerance.drr_rel);
     DrrParameters {
-        projector: match drr.projector {
-            SceneProjector::Siddon => Projector::Siddon,
-            SceneProjector::Joseph => Projector::Joseph,
-            SceneProjector::SliceOrdered => {
-                Projector::SliceOrdered { oversampling: drr.oversampling, sharpen: true }
-            }
-            SceneProjector::Preview => Projector::PREVIEW,
-        },
+        projector: wanted.map_or_else(|| given_projector(drr), |wanted| ladder::choose(wanted).projector),
         energy_kev: drr.energy_kev,
         spectrum: drr.spectrum.as_ref().map(|spectrum| Spectrum {
             tube_kv: spectrum.tube_kv,

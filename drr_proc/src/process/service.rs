@@ -56,6 +56,8 @@ struct Service {
     ports: Ports,
     schedule: Schedule,
     lockstep: bool,
+    /// Whether frames come by themselves.
+    scheduled: bool,
     c_arm: CArm,
     isocentre_m: [f64; 3],
     notch: Option<Notch>,
@@ -85,6 +87,7 @@ impl Service {
             ports,
             schedule: Schedule::new(scene.run.mode, scene.frame_period_ticks()),
             lockstep: scene.run.mode == Mode::Lockstep,
+            scheduled: scene.frame_period_ticks().is_some(),
             c_arm,
             isocentre_m: scene_isocentre_m(scene),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
@@ -296,6 +299,8 @@ impl Service {
             sequence: self.sequence,
             request_id: request.request_id,
             c_arm,
+            // Without a schedule, the requests are all there is: their C-arm may well stand.
+            aside: self.scheduled && c_arm != self.c_arm,
             isocentre_m: self.isocentre_m,
             notch: self.notch,
             noise_seed: self.noise_seed,

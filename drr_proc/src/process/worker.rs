@@ -25,6 +25,8 @@ pub struct Job {
     pub request_id: u64,
     /// C-arm.
     pub c_arm: CArm,
+    /// Whether the C-arm is that of one frame only, while the scene's stands.
+    pub aside: bool,
     /// The scene's isocentre.
     pub isocentre_m: [f64; 3],
     /// The scene's seed.
@@ -79,7 +81,11 @@ pub fn render_job(
     let tool = tool_of(&job.state, job.burr_radius_m, job.notch.as_ref());
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
-    let report = renderer.render(view, &job.c_arm, &tool, seed, &mut pixels)?;
+    let report = if job.aside {
+        renderer.render_aside(view, &job.c_arm, &tool, seed, &mut pixels)?
+    } else {
+        renderer.render(view, &job.c_arm, &tool, seed, &mut pixels)?
+    };
     let hash = xxh3_128(pixels.as_bytes());
     let frame = Frame {
         sequence: job.sequence,

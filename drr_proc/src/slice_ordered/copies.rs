@@ -1,24 +1,43 @@
-//! The volume in the orders in which slices are read: rows of small integers with zeros between them.
+//! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector loads.
 //!
 //! Two copies are enough for all three axes: slices across z and across y are read in rows along x, slices across x in rows
-//! along y. A copy is made when the first frame needs it. It takes `(nx + 32) ny nz` values (along x), or
-//! `nx (ny + 32) nz` (along y), and one bit for every 32 voxels.
+//! along y. A copy is made when the first frame needs it. A row takes a whole number of cells, and each cell one bit, which tells
+//! whether there is anything in it.
 
 use rayon::prelude::*;
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-/// Zeros between rows: a window of 32 voxels may begin 32 before a row's first voxel or at its last.
-const PAD: usize = 32;
-/// Voxels that one load takes.
-pub(crate) const WINDOW: usize = 32;
+/// Voxels of a cell.
+pub(crate) const CELL: usize = 32;
 /// Side of the squares that are transposed at a time.
 const SQUARE: usize = 32;
-/// Voxels that a window beginning in one cell of 32 may reach before the cell (none) and behind it.
-const REACH: usize = super::plan::GROUP;
+/// Cells of a page of 4096 bytes in 16-bit voxels, and where in it the planes begin, one after the other. Rows of the planes one behind
+/// the other are read at the same time, and must not meet in the same places of a cache.
+const PAGE_CELLS: usize = 64;
+const PLANE_SHIFT: usize = 5;
+/// Bits by which a byte is shifted, so that rounding between two rows is small beside its steps.
+const BYTE_SHIFT: u32 = 4;
+
+/// 32 voxels of 16 bits.
+#[derive(Debug, Clone, Copy, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C, align(64))]
+pub(crate) struct Cell16(pub [i16; CELL]);
+
+/// 32 voxels of 8 bits.
+#[derive(Debug, Clone, Copy, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C, align(32))]
+pub(crate) struct Cell8(pub [u8; CELL]);
 
 /// What a voxel is stored as.
-pub(crate) trait Voxel: Copy + Default + Send + Sync + PartialEq + 'static {
-    /// A window as the 16-bit numbers that are multiplied.
-    fn widen(window: &[Self; WINDOW]) -> [i16; WINDOW];
+pub(crate) trait Voxel:
+    Copy + Default + Send + Sync + PartialEq + FromBytes + IntoBytes + Immutable + 'static
+{
+    /// 32 of them.
+    type Cell: Copy + Default + PartialEq + Send + Sync + FromBytes + IntoBytes + Immutable;
+    /// What one unit of the stored values is multiplied with by [`Voxel::widen`].
+    const UNIT: i16;
+    /// A cell as the 16-bit numbers that are summed.
+    fn widen(cell: &Self::Cell) -> [i16; CELL];
     /// Stores a value that is in range.
     fn store(value: i16) -> Self;
     /// The value.
@@ -26,9 +45,12 @@ pub(crate) trait Voxel: Copy + Default + Send + Sync + PartialEq + 'static {
 }
 
 impl Voxel for i16 {
+    type Cell = Cell16;
+    const UNIT: i16 = 1;
+
     #[inline(always)]
-    fn widen(window: &[Self; WINDOW]) -> [i16; WINDOW] {
-        *window
+    fn widen(cell: &Cell16) -> [i16; CELL] {
+        cell.0
     }
     #[inline(always)]
     fn store(value: i16) -> Self {
@@ -41,9 +63,12 @@ impl Voxel for i16 {
 }
 
 impl Voxel for u8 {
+    type Cell = Cell8;
+    const UNIT: i16 = 1 << BYTE_SHIFT;
+
     #[inline(always)]
-    fn widen(window: &[Self; WINDOW]) -> [i16; WINDOW] {
-        window.map(i16::from)
+    fn widen(cell: &Cell8) -> [i16; CELL] {
+        cell.0.map(|v| i16::from(v) << BYTE_SHIFT)
     }
     #[inline(always)]
     fn store(value: i16) -> Self {
@@ -56,44 +81,60 @@ impl Voxel for u8 {
     }
 }
 
+/// The voxels of cells, one after the other.
+#[inline(always)]
+pub(crate) fn voxels<T: Voxel>(cells: &[T::Cell]) -> &[T] {
+    // Cells are aligned more strictly than voxels and a whole number of them: this cannot fail.
+    <[T]>::ref_from_bytes(cells.as_bytes()).unwrap_or(&[])
+}
+
+#[inline(always)]
+fn voxels_mut<T: Voxel>(cells: &mut [T::Cell]) -> &mut [T] {
+    <[T]>::mut_from_bytes(cells.as_mut_bytes()).unwrap_or(&mut [])
+}
+
 /// One order of the volume.
-pub(crate) struct Copy3<T> {
-    data: Vec<T>,
+pub(crate) struct Copy3<T: Voxel> {
+    /// A row of zeros, which stands for rows beyond the volume; then the planes of equal z.
+    data: Vec<T::Cell>,
     dims: [usize; 3],
-    /// Offset of voxel (0, 0, 0).
-    origin: usize,
-    /// Distance in `data` along each axis.
-    strides: [usize; 3],
     /// The axis along which rows are contiguous.
     fast: usize,
-    /// Bits of the rows: bit b is set if a window that begins in voxels 32 (b - 1).. 32 b of the row can meet something.
+    /// Cells of a row, and cells from plane to plane.
+    row_cells: usize,
+    plane_cells: usize,
+    /// One bit for each cell of each row: set if something in it attenuates, or did.
     occupancy: Vec<u64>,
     words_per_row: usize,
 }
 
+/// Cells of a row and of a plane of a copy with rows along `fast`.
+fn extents(dims: [usize; 3], fast: usize) -> (usize, usize) {
+    let row = dims[fast].div_ceil(CELL);
+    let used = row * dims[1 - fast];
+    (row, used.next_multiple_of(PAGE_CELLS) + PLANE_SHIFT)
+}
+
 /// Elements of a copy with rows along `fast`.
 pub(crate) fn copy_elements(dims: [usize; 3], fast: usize) -> u64 {
-    let rows = dims.iter().map(|&n| n as u64).product::<u64>() / dims[fast] as u64;
-    rows * (dims[fast] + PAD) as u64 + 2 * (dims[fast] + 2 * PAD) as u64
+    let (row, plane) = extents(dims, fast);
+    (row as u64 + plane as u64 * dims[2] as u64) * CELL as u64
 }
 
 impl<T: Voxel> Copy3<T> {
     /// Makes the copy with rows along `fast` (0 or 1). `fill_row(y, z, row)` writes the voxels of a row along x.
     pub fn new(dims: [usize; 3], fast: usize, fill_row: impl Fn(usize, usize, &mut [T]) + Sync) -> Self {
         let [nx, ny, nz] = dims;
-        // A row of zeros in front stands for the rows beyond the volume.
-        let head = dims[fast] + 2 * PAD;
-        let width = dims[fast] + PAD;
-        let strides = if fast == 0 { [1, width, width * ny] } else { [width, 1, width * nx] };
-        let plane = strides[2];
-        let mut data = vec![T::default(); head + plane * nz + 2 * PAD];
-        let words_per_row = (dims[fast].div_ceil(WINDOW) + 1).div_ceil(64);
-        data[head..head + plane * nz].par_chunks_mut(plane).enumerate().for_each_init(
+        let (row_cells, plane_cells) = extents(dims, fast);
+        let width = row_cells * CELL;
+        let mut data = vec![T::Cell::default(); row_cells + plane_cells * nz];
+        data[row_cells..].par_chunks_mut(plane_cells).enumerate().for_each_init(
             || vec![T::default(); if fast == 0 { 0 } else { nx * ny }],
-            |flat, (z, out)| {
+            |flat, (z, plane)| {
+                let out = voxels_mut::<T>(plane);
                 if fast == 0 {
-                    for (y, row) in out.chunks_mut(width).enumerate() {
-                        fill_row(y, z, &mut row[PAD..]);
+                    for (y, row) in out.chunks_mut(width).take(ny).enumerate() {
+                        fill_row(y, z, &mut row[..nx]);
                     }
                 } else {
                     for (y, row) in flat.chunks_mut(nx).enumerate() {
@@ -103,26 +144,22 @@ impl<T: Voxel> Copy3<T> {
                 }
             },
         );
+        let words_per_row = row_cells.div_ceil(64);
         let mut copy =
-            Self { data, dims, origin: head + PAD, strides, fast, occupancy: Vec::new(), words_per_row };
-        copy.occupancy = copy.occupied_rows(head, width);
+            Self { data, dims, fast, row_cells, plane_cells, occupancy: Vec::new(), words_per_row };
+        copy.occupancy = copy.occupied_rows();
         copy
     }
 
-    fn occupied_rows(&self, head: usize, width: usize) -> Vec<u64> {
-        let rows = (self.dims[0] * self.dims[1] * self.dims[2]) / self.dims[self.fast];
-        let mut bits = vec![0_u64; rows * self.words_per_row];
-        let zero = T::default();
-        let lines = self.data[head..head + rows * width].par_chunks(width);
-        bits.par_chunks_mut(self.words_per_row).zip(lines).for_each(|(words, row)| {
-            let voxels = &row[PAD..];
-            for (cell, voxels) in voxels.chunks(WINDOW).enumerate() {
-                if voxels.iter().any(|&v| v != zero) {
-                    mark(words, cell + 1);
-                }
-                if voxels.iter().take(REACH).any(|&v| v != zero) {
-                    mark(words, cell);
-                }
+    fn occupied_rows(&self) -> Vec<u64> {
+        let rows = self.dims[1 - self.fast];
+        let mut bits = vec![0_u64; rows * self.dims[2] * self.words_per_row];
+        let planes = self.data[self.row_cells..].par_chunks(self.plane_cells);
+        let zero = T::Cell::default();
+        bits.par_chunks_mut(rows * self.words_per_row).zip(planes).for_each(|(bits, plane)| {
+            let lines = plane.chunks(self.row_cells);
+            for (words, row) in bits.chunks_mut(self.words_per_row).zip(lines) {
+                row.iter().enumerate().filter(|(_, cell)| **cell != zero).for_each(|(c, _)| mark(words, c));
             }
         });
         bits
@@ -130,61 +167,75 @@ impl<T: Voxel> Copy3<T> {
 
     /// Largest value.
     pub fn largest(&self) -> i16 {
-        self.data
-            .par_chunks(1 << 16)
-            .map(|c| c.iter().map(|v| v.value()).max().unwrap_or(0))
-            .max()
-            .unwrap_or(0)
+        let largest = |cells: &[T::Cell]| voxels::<T>(cells).iter().map(|v| v.value()).max().unwrap_or(0);
+        self.data.par_chunks(1 << 11).map(largest).max().unwrap_or(0)
+    }
+
+    /// Number of the cell of `data` that a voxel lies in.
+    #[inline(always)]
+    fn cell_of(&self, voxel: [usize; 3]) -> usize {
+        let row = voxel[1 - self.fast] * self.row_cells + voxel[self.fast] / CELL;
+        self.row_cells + voxel[2] * self.plane_cells + row
     }
 
     /// Changes a voxel.
     pub fn set(&mut self, voxel: [usize; 3], value: i16) {
-        let [x, y, z] = voxel;
-        let offset = self.origin + x * self.strides[0] + y * self.strides[1] + z * self.strides[2];
-        if let Some(v) = self.data.get_mut(offset) {
+        let at = self.cell_of(voxel);
+        let Some(cell) = self.data.get_mut(at..=at) else { return };
+        if let Some(v) = voxels_mut::<T>(cell).get_mut(voxel[self.fast] % CELL) {
             *v = T::store(value);
         }
         if value != 0 {
-            let row = self.row_number(voxel) * self.words_per_row;
-            let cell = voxel[self.fast] / WINDOW;
+            let row = (voxel[1 - self.fast] + self.dims[1 - self.fast] * voxel[2]) * self.words_per_row;
             if let Some(words) = self.occupancy.get_mut(row..row + self.words_per_row) {
-                mark(words, cell + 1);
-                if voxel[self.fast] % WINDOW < REACH {
-                    mark(words, cell);
-                }
+                mark(words, voxel[self.fast] / CELL);
             }
         }
     }
 
-    fn row_number(&self, voxel: [usize; 3]) -> usize {
-        let other = 1 - self.fast;
-        voxel[other] + self.dims[other] * voxel[2]
+    /// The number that is summed for a voxel.
+    #[inline(always)]
+    pub fn wide(&self, voxel: [usize; 3]) -> i16 {
+        let cell = self.data.get(self.cell_of(voxel)..).and_then(|cells| cells.first_chunk::<1>());
+        let voxel = cell.and_then(|cell| voxels::<T>(cell).get(voxel[self.fast] % CELL));
+        voxel.map_or(0, |v| v.value() * T::UNIT)
     }
 
-    /// All values, with the zeros around them.
+    /// The same, 0 beyond the volume.
     #[inline(always)]
-    pub fn data(&self) -> &[T] {
+    pub fn wide_or_zero(&self, voxel: [usize; 3]) -> i16 {
+        if (0..3).all(|axis| voxel[axis] < self.dims[axis]) { self.wide(voxel) } else { 0 }
+    }
+
+    /// All cells.
+    #[inline(always)]
+    pub fn data(&self) -> &[T::Cell] {
         &self.data
     }
 
-    /// Distance between neighbours along an axis.
+    /// Cells of a row.
     #[inline(always)]
-    pub fn stride(&self, axis: usize) -> usize {
-        self.strides[axis]
+    pub fn row_cells(&self) -> usize {
+        self.row_cells
     }
 
-    /// Offset of the first voxel of a row of slice `k` across `slow`, or of zeros beyond the volume; and its occupancy.
+    /// Cells from one slice across an axis to the next.
+    #[inline(always)]
+    pub fn stride(&self, slow: usize) -> usize {
+        if slow == 2 { self.plane_cells } else { self.row_cells }
+    }
+
+    /// First cell of a row of slice `k` across `slow`, or of zeros beyond the volume; and its occupancy.
     #[inline(always)]
     pub fn row(&self, slow: usize, k: usize, v_axis: usize, v: i64) -> (usize, &[u64]) {
         if v < 0 || v >= self.dims[v_axis] as i64 {
-            return (PAD, &[]);
+            return (0, &[]);
         }
         let v = v as usize;
-        let offset = self.origin + k * self.strides[slow] + v * self.strides[v_axis];
-        let other = 1 - self.fast;
-        let (o, z) = if slow == 2 { (v, k) } else { (k, v) };
-        let row = (o + self.dims[other] * z) * self.words_per_row;
-        (offset, self.occupancy.get(row..row + self.words_per_row).unwrap_or(&[]))
+        let (row, z) = if slow == 2 { (v, k) } else { (k, v) };
+        let bits = (row + self.dims[1 - self.fast] * z) * self.words_per_row;
+        let first = self.row_cells * (1 + row) + self.plane_cells * z;
+        (first, self.occupancy.get(bits..bits + self.words_per_row).unwrap_or(&[]))
     }
 
     /// Words of a row's occupancy.
@@ -194,12 +245,12 @@ impl<T: Voxel> Copy3<T> {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        self.data.len() * size_of::<T>() + self.occupancy.len() * 8
+        size_of_val(self.data.as_slice()) + self.occupancy.len() * 8
     }
 
-    /// Share of the cells of 32 voxels in which something attenuates.
+    /// Share of the cells in which something attenuates.
     pub fn occupied_share(&self) -> f64 {
-        let cells = self.occupancy.len() / self.words_per_row * (self.dims[self.fast].div_ceil(WINDOW) + 1);
+        let cells = self.occupancy.len() / self.words_per_row * self.row_cells;
         let set: u64 = self.occupancy.iter().map(|w| u64::from(w.count_ones())).sum();
         set as f64 / cells.max(1) as f64
     }
@@ -212,13 +263,13 @@ fn mark(words: &mut [u64], bit: usize) {
     }
 }
 
-/// `out[x width + PAD + y] = flat[x + nx y]`, square by square.
+/// `out[x width + y] = flat[x + nx y]`, square by square.
 fn transpose<T: Copy>(flat: &[T], [nx, ny]: [usize; 2], out: &mut [T], width: usize) {
     for y0 in (0..ny).step_by(SQUARE) {
         let y1 = (y0 + SQUARE).min(ny);
         for x0 in (0..nx).step_by(SQUARE) {
             for x in x0..(x0 + SQUARE).min(nx) {
-                let line = &mut out[x * width + PAD + y0..x * width + PAD + y1];
+                let line = &mut out[x * width + y0..x * width + y1];
                 for (o, row) in line.iter_mut().zip(flat[y0 * nx..].chunks(nx)) {
                     *o = row[x];
                 }

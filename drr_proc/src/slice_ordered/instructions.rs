@@ -108,7 +108,7 @@ impl<C: Plain> pulp::NullaryFnOnce for Call<C> {
     }
 }
 
-struct Tile<'a, T> {
+struct Tile<'a, T: Voxel> {
     copy: &'a Copy3<T>,
     plan: &'a Plan,
     flush_after: usize,
@@ -126,7 +126,7 @@ impl<T: Voxel> Tile<'_, T> {
 
 /// A call that must be inlined into the function that enables the instructions.
 #[cfg(target_arch = "x86_64")]
-struct With<'a, L, T>(L, Tile<'a, T>);
+struct With<'a, L, T: Voxel>(L, Tile<'a, T>);
 
 #[cfg(target_arch = "x86_64")]
 impl<L: super::kernel::Lanes, T: Voxel> pulp::NullaryFnOnce for With<'_, L, T> {

@@ -1,41 +1,32 @@
 //! The sum over slices, eight rows of the intermediate image at a time.
 //!
-//! For each slice, groups of 16 samples are interpolated with integer weights and added to 32-bit sums, which go over into
-//! 64-bit ones before they can overflow. [`Lanes`] is the part that instruction sets do differently; all of them compute the
-//! same integers.
+//! In each slice the rows of voxels are first blended into the eight rows that the image has there, as 16-bit integers, 32 voxels at a
+//! time; then groups of 16 samples are interpolated along these rows and added to 32-bit sums, which go over into 64-bit ones
+//! before they can overflow. Cells in which nothing attenuates are left out. [`Lanes`] is the part that instruction sets do differently;
+//! all of them compute the same integers.
 
-use super::copies::{Copy3, Voxel, WINDOW};
-use super::plan::{FRACTION_MASK, GROUP, LANE_BITS, Plan, Slice, TILE_ROWS, WEIGHT_BITS, weights};
+use super::copies::{CELL, Cell16, Copy3, Voxel, voxels};
+use super::plan::{FRACTION_MASK, GROUP, LANE_BITS, Plan, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS};
 
 /// 32-bit sums of one group: eight rows of 16 samples.
 pub(crate) type GroupSums = [[i32; GROUP]; TILE_ROWS];
 
 /// Most rows of voxels that the eight image rows of a tile read: the step is at most one voxel.
 const MAX_LINES: usize = TILE_ROWS + 2;
+/// Runs of cells with fewer empty ones between them are joined: a group of samples then reads one run only.
+const JOINED: usize = 2;
+/// Voxels that a group's window holds from the one on in which the group begins.
+pub(crate) const WINDOW: usize = 32;
 
-/// How a tile's rows lie in a slice.
-#[derive(Debug)]
-pub(crate) struct TileRows {
-    /// Image rows of the tile that meet the slice, half open.
-    pub rows: (usize, usize),
-    /// For each image row its first line, and its 14-bit fraction in every lane.
-    pub line: [usize; TILE_ROWS],
-    pub fraction: [[u16; 2 * GROUP]; TILE_ROWS],
-    /// Offsets in the copy of the first voxel of each line.
-    pub offsets: [usize; MAX_LINES],
-    pub lines: usize,
-    /// Step between samples, 27 bits.
-    pub lane_step: u32,
-    /// Distance in the copy to the next slice.
-    pub next_slice: usize,
-}
-
-/// One group of samples in a slice: voxel (may be negative) and 27-bit fraction at which it begins.
+/// One group of samples in a slice: the blended voxel and the 27-bit fraction at which it begins.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GroupPlace {
-    pub voxel: i64,
+    pub first: usize,
     pub fraction: u32,
 }
+
+/// The blended rows of a tile, of equal length.
+pub(crate) type BlendedRows<'a> = [&'a [i16]; TILE_ROWS];
 
 /// An instruction set.
 pub(crate) trait Lanes: Copy {
@@ -43,12 +34,13 @@ pub(crate) trait Lanes: Copy {
     type PerSlice: Copy;
     /// Works out the constants of a slice.
     fn per_slice(self, lane_step: u32) -> Self::PerSlice;
-    /// Adds one group of samples to its sums.
-    fn add_group<T: Voxel>(
+    /// Writes the row at a 15-bit fraction between two rows of voxels.
+    fn blend<T: Voxel>(self, upper: &[T::Cell], lower: &[T::Cell], fraction: i16, out: &mut [Cell16]);
+    /// Adds one group of samples of eight rows to its sums.
+    fn add_group(
         self,
         constants: Self::PerSlice,
-        data: &[T],
-        rows: &TileRows,
+        rows: &BlendedRows<'_>,
         place: GroupPlace,
         sums: &mut GroupSums,
     );
@@ -56,13 +48,12 @@ pub(crate) trait Lanes: Copy {
     fn prefetch<T>(self, data: &[T], offset: usize);
 }
 
-/// The window of 32 voxels at an offset; zeros where there is none, which the zeros between rows rule out.
+/// A voxel between two rows: `a + (b - a) fraction`, rounded to the nearest integer, halves up.
 #[inline(always)]
-pub(crate) fn window<T: Voxel>(data: &[T], offset: usize) -> [i16; WINDOW] {
-    match data.get(offset..).and_then(|rest| rest.first_chunk::<WINDOW>()) {
-        Some(window) => T::widen(window),
-        None => [0; WINDOW],
-    }
+pub(crate) fn between(a: i16, b: i16, fraction: i16) -> i16 {
+    // Values are 0 to 32767, so the difference fits.
+    let product = i32::from(b.wrapping_sub(a)) * i32::from(fraction);
+    a.wrapping_add(((product + (1 << (ROW_BITS - 1))) >> ROW_BITS) as i16)
 }
 
 /// No special instructions.
@@ -78,33 +69,31 @@ impl Lanes for Scalar {
     }
 
     #[inline(always)]
-    fn add_group<T: Voxel>(
-        self,
-        lane_step: u32,
-        data: &[T],
-        rows: &TileRows,
-        place: GroupPlace,
-        sums: &mut GroupSums,
-    ) {
-        let mut offsets = [0_usize; GROUP];
-        let mut fractions = [0_u32; GROUP];
-        for (lane, (offset, fraction)) in offsets.iter_mut().zip(&mut fractions).enumerate() {
-            let position = place.fraction + lane as u32 * lane_step;
-            *offset = (position >> LANE_BITS) as usize;
-            *fraction = (position >> (LANE_BITS - WEIGHT_BITS)) & FRACTION_MASK;
+    fn blend<T: Voxel>(self, upper: &[T::Cell], lower: &[T::Cell], fraction: i16, out: &mut [Cell16]) {
+        for ((out, upper), lower) in out.iter_mut().zip(upper).zip(lower) {
+            let (a, b) = (T::widen(upper), T::widen(lower));
+            for n in 0..CELL {
+                out.0[n] = between(a[n], b[n], fraction);
+            }
         }
-        for (row, sums) in sums.iter_mut().enumerate().take(rows.rows.1).skip(rows.rows.0) {
-            let line = rows.line[row];
-            let at = |line: usize| window(data, rows.offsets[line].wrapping_add_signed(place.voxel as isize));
-            let (upper, lower) = (at(line), at(line + 1));
-            let fy = u32::from(rows.fraction[row][0]);
-            for (lane, sum) in sums.iter_mut().enumerate() {
-                let (x, w) = (offsets[lane], weights(fractions[lane], fy));
-                let voxel = |row: &[i16; WINDOW], x: usize| i32::from(row[x & (WINDOW - 1)]);
-                *sum += voxel(&upper, x) * w[0]
-                    + voxel(&upper, x + 1) * w[1]
-                    + voxel(&lower, x) * w[2]
-                    + voxel(&lower, x + 1) * w[3];
+    }
+
+    #[inline(always)]
+    fn add_group(self, lane_step: u32, rows: &BlendedRows<'_>, place: GroupPlace, sums: &mut GroupSums) {
+        let mut offsets = [0_usize; GROUP];
+        let mut weights = [[0_i32; 2]; GROUP];
+        for lane in 0..GROUP {
+            let position = place.fraction + lane as u32 * lane_step;
+            let fraction = (position >> (LANE_BITS - WEIGHT_BITS)) & FRACTION_MASK;
+            // Within the window: the step is at most one voxel.
+            offsets[lane] = ((position >> LANE_BITS) as usize).min(GROUP);
+            weights[lane] = [(1 << WEIGHT_BITS) - fraction as i32, fraction as i32];
+        }
+        for (row, sums) in rows.iter().zip(sums) {
+            let Some(window) = window(row, place.first) else { return };
+            for lane in 0..GROUP {
+                let (x, w) = (offsets[lane], weights[lane]);
+                sums[lane] += i32::from(window[x]) * w[0] + i32::from(window[x + 1]) * w[1];
             }
         }
     }
@@ -113,27 +102,39 @@ impl Lanes for Scalar {
     fn prefetch<T>(self, _data: &[T], _offset: usize) {}
 }
 
+/// The window of a group in a blended row; the cells before and behind the row rule out that there is none.
+#[inline(always)]
+pub(crate) fn window(row: &[i16], first: usize) -> Option<&[i16; WINDOW]> {
+    row.get(first..).and_then(|rest| rest.first_chunk())
+}
+
+/// How a tile's rows lie in a slice.
+#[derive(Debug, Default)]
+struct TileRows {
+    /// For each image row its first line, and the 15-bit fraction to the next.
+    line: [usize; TILE_ROWS],
+    fraction: [i16; TILE_ROWS],
+    /// First cells of the lines in the copy.
+    offsets: [usize; MAX_LINES],
+    lines: usize,
+}
+
 /// Work space of a thread.
 pub(crate) struct Work {
     sums: Vec<GroupSums>,
+    /// Eight rows of cells, with one of zeros on either side.
+    blended: Vec<Cell16>,
     occupied: Vec<u64>,
     rows: TileRows,
 }
 
 impl Work {
-    pub fn new(plan: &Plan, words_per_row: usize) -> Self {
+    pub fn new<T: Voxel>(plan: &Plan, copy: &Copy3<T>) -> Self {
         Self {
             sums: vec![[[0; GROUP]; TILE_ROWS]; plan.columns / GROUP],
-            occupied: vec![0; words_per_row],
-            rows: TileRows {
-                rows: (0, 0),
-                line: [0; TILE_ROWS],
-                fraction: [[0; 2 * GROUP]; TILE_ROWS],
-                offsets: [0; MAX_LINES],
-                lines: 0,
-                lane_step: 0,
-                next_slice: 0,
-            },
+            blended: vec![Cell16::default(); TILE_ROWS * (copy.row_cells() + 2)],
+            occupied: vec![0; copy.words_per_row()],
+            rows: TileRows::default(),
         }
     }
 }
@@ -158,11 +159,10 @@ pub(crate) fn sum_tile<T: Voxel, L: Lanes>(
         if low >= high || slice.groups.0 >= slice.groups.1 {
             continue;
         }
-        if !place_rows(copy, plan, slice, first_row, (low, high), work) {
+        if !place_rows(copy, plan, slice, first_row, work) {
             continue;
         }
-        touched = (touched.0.min(slice.groups.0), touched.1.max(slice.groups.1));
-        sum_slice(lanes, copy.data(), slice, work);
+        sum_slice(lanes, copy, plan, slice, work, &mut touched);
         summed += 1;
         if summed == flush_after {
             flush(work, plan.columns, touched, out);
@@ -179,11 +179,10 @@ fn place_rows<T: Voxel>(
     plan: &Plan,
     slice: &Slice,
     first_row: usize,
-    (low, high): (usize, usize),
     work: &mut Work,
 ) -> bool {
-    let (first_line, _) = slice.row(low);
-    let (last_line, _) = slice.row(high - 1);
+    let (first_line, _) = slice.row(first_row);
+    let (last_line, _) = slice.row(first_row + TILE_ROWS - 1);
     let rows = &mut work.rows;
     rows.lines = ((last_line - first_line) as usize + 2).min(MAX_LINES);
     work.occupied.fill(0);
@@ -197,44 +196,93 @@ fn place_rows<T: Voxel>(
     if work.occupied.iter().all(|&word| word == 0) {
         return false;
     }
-    rows.rows = (low - first_row, high - first_row);
-    for row in low..high {
-        let (line, fraction) = slice.row(row);
-        rows.line[row - first_row] = ((line - first_line) as usize).min(MAX_LINES - 2);
-        rows.fraction[row - first_row] = [fraction as u16; 2 * GROUP];
+    for row in 0..TILE_ROWS {
+        let (line, fraction) = slice.row(first_row + row);
+        rows.line[row] = ((line - first_line) as usize).min(MAX_LINES - 2);
+        rows.fraction[row] = fraction;
     }
-    rows.lane_step = slice.lane_step();
-    rows.next_slice = copy.stride(plan.axes.slow);
     true
 }
 
+/// The first run of occupied cells from `from` on, half open.
 #[inline(always)]
-fn sum_slice<T: Voxel, L: Lanes>(lanes: L, data: &[T], slice: &Slice, work: &mut Work) {
-    let constants = lanes.per_slice(work.rows.lane_step);
-    let line_voxels = 64 / size_of::<T>();
-    let mut asked = i64::MIN;
-    for group in slice.groups.0..slice.groups.1 {
-        let place = slice.group(group);
-        // Bit 0 stands for windows that begin before the row.
-        let cell = ((place.voxel + WINDOW as i64) >> 5) as usize;
-        let word = work.occupied.get(cell / 64).copied().unwrap_or(0);
-        if word >> (cell % 64) & 1 == 0 {
+fn next_run(occupied: &[u64], from: usize) -> Option<(usize, usize)> {
+    let next = |from: usize, wanted: bool| {
+        let mut word = from / 64;
+        let mut skip = u64::MAX << (from % 64);
+        while let Some(&bits) = occupied.get(word) {
+            let found = if wanted { bits } else { !bits } & skip;
+            if found != 0 {
+                return word * 64 + found.trailing_zeros() as usize;
+            }
+            word += 1;
+            skip = u64::MAX;
+        }
+        occupied.len() * 64
+    };
+    let first = next(from, true);
+    if first >= occupied.len() * 64 {
+        return None;
+    }
+    let mut end = next(first, false);
+    loop {
+        let again = next(end, true);
+        if again >= occupied.len() * 64 || again - end > JOINED {
+            return Some((first, end));
+        }
+        end = next(again, false);
+    }
+}
+
+#[inline(always)]
+fn sum_slice<T: Voxel, L: Lanes>(
+    lanes: L,
+    copy: &Copy3<T>,
+    plan: &Plan,
+    slice: &Slice,
+    work: &mut Work,
+    touched: &mut (usize, usize),
+) {
+    let Work { sums, blended, occupied, rows } = work;
+    let (data, row_cells) = (copy.data(), copy.row_cells());
+    let stride = row_cells + 2;
+    let next_slice = copy.stride(plan.axes.slow);
+    let constants = lanes.per_slice(slice.lane_step());
+    let mut from = 0;
+    while let Some((first, end)) = next_run(occupied, from) {
+        from = end;
+        let end = end.min(row_cells);
+        let (low, high) = slice.groups_reading((first * CELL) as i64, (end * CELL) as i64);
+        if low >= high {
             continue;
         }
-        if place.voxel >= asked {
-            // The same lines of the next slice: the positions there differ by less than a voxel or two.
-            asked = place.voxel + line_voxels as i64;
-            for &offset in &work.rows.offsets[..work.rows.lines] {
-                lanes.prefetch(
-                    data,
-                    (offset + work.rows.next_slice).wrapping_add_signed(place.voxel as isize),
-                );
+        // The same lines of the next slice: the positions there differ by less than a voxel or two.
+        for &offset in &rows.offsets[..rows.lines] {
+            for cell in first..end {
+                lanes.prefetch(data, offset + next_slice + cell);
             }
         }
-        let place = GroupPlace { voxel: place.voxel, fraction: place.fraction };
-        if let Some(sums) = work.sums.get_mut(group) {
-            lanes.add_group(constants, data, &work.rows, place, sums);
+        for (row, out) in blended.chunks_exact_mut(stride).enumerate() {
+            let line = |line: usize| {
+                let start = rows.offsets[rows.line[row] + line] + first;
+                data.get(start..start + (end - first)).unwrap_or(&[])
+            };
+            out[first] = Cell16::default();
+            out[end + 1] = Cell16::default();
+            lanes.blend::<T>(line(0), line(1), rows.fraction[row], &mut out[first + 1..=end]);
         }
+        let blended = voxels::<i16>(blended);
+        let length = stride * CELL;
+        let rows: BlendedRows<'_> =
+            core::array::from_fn(|row| blended.get(row * length..(row + 1) * length).unwrap_or(&[]));
+        let groups = sums.get_mut(low..high).unwrap_or(&mut []);
+        for (n, sums) in groups.iter_mut().enumerate() {
+            let start = slice.group(low + n);
+            // One cell of zeros lies before the row.
+            let place = GroupPlace { first: (start.voxel + CELL as i64) as usize, fraction: start.fraction };
+            lanes.add_group(constants, &rows, place, sums);
+        }
+        *touched = (touched.0.min(low), touched.1.max(high));
     }
 }
 

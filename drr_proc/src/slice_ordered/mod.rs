@@ -1,10 +1,11 @@
 //! Line integrals in the volume's own memory order: all slices are summed, as the source sees them, into an intermediate image
 //! of integers, and that is warped once onto the detector.
 //!
-//! - Every sample is Joseph's (bilinear in a slice), with 14-bit weights that add up to 2^14 exactly. The sums are exact
-//!   integers, so neither instruction set nor number of threads nor order changes a bit.
-//! - The integers are linear in the voxels: a removed voxel is taken out of them with the weights it was added with, and the
-//!   image equals that of a full render of the drilled volume.
+//! - Every sample is Joseph's (bilinear in a slice): two rows of voxels are blended into one of 16-bit integers, rounded, and two
+//!   neighbours in it are added with 14-bit weights whose sum is 2^14 exactly. All are exact integers, so neither instruction set
+//!   nor number of threads nor order changes a bit.
+//! - A sample depends on four voxels: a removed one is worked into the sums by the difference that it makes to the samples around
+//!   it, and the image equals that of a full render of the drilled volume.
 //! - Values are multiples of a thousandth of water's attenuation (clamped at 32767 of them); previews use coarser multiples
 //!   that fit a byte, on a volume of block means.
 //! - The line integral begins at the source: what lies behind it, or within one slice of it, is not in the picture. A source inside
@@ -36,11 +37,13 @@ use crate::removal::RemovedVoxels;
 use copies::{Copy3, Voxel, copy_elements};
 use kernel::Work;
 use plan::{Plan, TILE_ROWS, WEIGHT_BITS};
-use splat::{slices_until_flush, splat};
+use splat::{Dirty, Splatter, slices_until_flush};
 use warp::{Rect, SharpenRow, Warp, WarpRow, pixels_of};
 
 /// Fewer pixels than this are warped without waking the worker threads.
 const PARALLEL_FROM: usize = 1 << 14;
+/// Most changed voxels that are worked in without the worker threads.
+const ALONE_UP_TO: usize = 4096;
 /// Updates by which a measured cost is averaged.
 const SMOOTHING: f64 = 0.25;
 
@@ -83,8 +86,8 @@ impl SliceOrderedOptions {
 pub enum Update {
     /// All slices were summed.
     Full,
-    /// Changed voxels were taken out of the cached sums; these pixels were written.
-    Changed(PixelBox),
+    /// Changed voxels were taken out of the cached sums, and this number of pixels was written.
+    Changed(usize),
     /// Nothing had changed.
     Unchanged,
 }
@@ -98,7 +101,7 @@ pub struct SliceOrderedMemory {
     pub along_y: usize,
     /// Sums of the blocks of a preview.
     pub preview_sums: usize,
-    /// Intermediate image, as integers and as floats.
+    /// Intermediate images, as integers and as floats: one, and another once a frame was rendered aside.
     pub image: usize,
 }
 
@@ -125,8 +128,11 @@ impl UpdateCost {
     }
 }
 
+/// A voxel of the store by linear index, and what it becomes.
+type Change = (u32, i16);
+
 /// The two copies.
-struct Copies<T> {
+struct Copies<T: Voxel> {
     dims: [usize; 3],
     by_fast: [Option<Copy3<T>>; 2],
     largest: i16,
@@ -138,7 +144,33 @@ impl<T: Voxel> Copies<T> {
     }
 
     fn set(&mut self, voxel: [usize; 3], value: i16) {
+        self.largest = self.largest.max(value);
         self.by_fast.iter_mut().flatten().for_each(|copy| copy.set(voxel, value));
+    }
+
+    /// Works changes into the sums of a C-arm, and into the copies.
+    fn splat(&mut self, standing: &mut Standing, changes: &[Change]) {
+        let Standing { plan, sums, dirty, .. } = standing;
+        let mut splatter = Splatter::default();
+        for &(linear, value) in changes {
+            let voxel = self.voxel_of(linear);
+            if let Some(copy) = &self.by_fast[plan.axes.u] {
+                splatter.splat(copy, plan, sums, (voxel, value), dirty);
+            }
+            self.set(voxel, value);
+        }
+    }
+
+    fn voxel_of(&self, linear: u32) -> [usize; 3] {
+        let [nx, ny, _] = self.dims;
+        let linear = linear as usize;
+        [linear % nx, linear / nx % ny, linear / nx / ny]
+    }
+
+    fn set_all(&mut self, changes: &[Change]) {
+        for &(linear, value) in changes {
+            self.set(self.voxel_of(linear), value);
+        }
     }
 
     /// Makes a copy if it is missing; `changed` are the voxels that differ from `fill_row`'s.
@@ -163,9 +195,9 @@ impl<T: Voxel> Copies<T> {
         // Every tile is written whole.
         sums.resize(plan.pixels(), 0);
         let Some(copy) = &self.by_fast[plan.axes.u] else { return };
-        let flush_after = slices_until_flush(self.largest);
+        let flush_after = slices_until_flush(self.largest * T::UNIT);
         sums.par_chunks_mut((TILE_ROWS * plan.columns).max(1)).enumerate().for_each_init(
-            || Work::new(plan, copy.words_per_row()),
+            || Work::new(plan, copy),
             |work, (tile, out)| with.sum_tile(copy, plan, flush_after, tile * TILE_ROWS, work, out),
         );
     }
@@ -232,6 +264,8 @@ struct Standing {
     plan: Plan,
     sums: Vec<i64>,
     image: Vec<f32>,
+    /// What has changed in the sums and not yet in the image.
+    dirty: Dirty,
 }
 
 /// Projects one volume by summing its slices, and keeps the sums of the last C-arm for changes.
@@ -245,8 +279,10 @@ pub struct SliceOrdered {
     unit_per_m: f64,
     store: Store,
     standing: Option<Standing>,
-    /// Voxels changed since the sums were made, and by how much.
-    waiting: Vec<(u32, i32)>,
+    /// What stood before [`SliceOrdered::step_aside`]; otherwise the memory of what was rendered aside.
+    aside: Option<Standing>,
+    /// Voxels changed since the last frame, in their order; the copies do not have them yet.
+    waiting: Vec<Change>,
     cost: UpdateCost,
 }
 
@@ -291,6 +327,7 @@ impl SliceOrdered {
             unit_per_m,
             store,
             standing: None,
+            aside: None,
             waiting: Vec::new(),
             cost: UpdateCost::default(),
         })
@@ -312,7 +349,8 @@ impl SliceOrdered {
             Store::Whole(copies) => (copies.bytes(), 0),
             Store::Preview { copies, blocks } => (copies.bytes(), blocks.sums.len() * 4),
         };
-        let image = self.standing.as_ref().map_or(0, |s| s.sums.len() * 8 + s.image.len() * 4);
+        let of = |standing: &Standing| standing.sums.len() * 8 + standing.image.len() * 4;
+        let image = self.standing.iter().chain(&self.aside).map(of).sum();
         SliceOrderedMemory { along_x, along_y, preview_sums, image }
     }
 
@@ -341,7 +379,32 @@ impl SliceOrdered {
             }
         }
         self.standing = None;
+        self.aside = None;
         self.waiting.clear();
+    }
+
+    /// Forgets the sums of the C-arm: the next frame is a full one.
+    pub fn forget(&mut self) {
+        self.standing = None;
+    }
+
+    /// Keeps the sums of the standing C-arm while frames of others are rendered, until [`SliceOrdered::step_back`]. Voxels removed in
+    /// between reach the standing C-arm only if they are removed before or after.
+    pub fn step_aside(&mut self) {
+        if self.cost.prefers_full(self.waiting.len()) {
+            self.standing = None;
+        }
+        self.settle();
+        core::mem::swap(&mut self.standing, &mut self.aside);
+        // Its sums lack what has been removed since.
+        if let Some(standing) = &mut self.standing {
+            standing.c_arm.columns = 0;
+        }
+    }
+
+    /// Returns to the C-arm that stood before [`SliceOrdered::step_aside`].
+    pub fn step_back(&mut self) {
+        core::mem::swap(&mut self.standing, &mut self.aside);
     }
 
     /// A voxel becomes what fills removed ones. The caller makes sure that it had not been removed.
@@ -357,27 +420,18 @@ impl SliceOrdered {
         if old == self.fill {
             return Ok(());
         }
-        let voxel = self.grid.voxel_of(linear);
         let change = match &mut self.store {
-            Store::Whole(copies) => {
-                copies.set(voxel, self.fill);
-                copies.largest = copies.largest.max(self.fill);
-                Some((linear, i32::from(self.fill) - i32::from(old)))
-            }
-            Store::Preview { copies, blocks } => {
-                let block = voxel.map(|v| v / blocks.side);
+            Store::Whole(_) => Some((linear, self.fill)),
+            Store::Preview { blocks, .. } => {
+                let block = self.grid.voxel_of(linear).map(|v| v / blocks.side);
                 let at = block[0] + blocks.dims[0] * (block[1] + blocks.dims[1] * block[2]);
                 let before = blocks.value(blocks.sums[at]);
                 blocks.sums[at] = blocks.sums[at] + u32::from(self.fill as u16) - u32::from(old as u16);
                 let after = blocks.value(blocks.sums[at]);
-                copies.set(block, after);
-                copies.largest = copies.largest.max(after);
-                (before != after).then(|| (at, i32::from(after) - i32::from(before)))
+                (before != after).then_some((at, after))
             }
         };
-        if let (Some((linear, delta)), Some(_)) = (change, &self.standing) {
-            self.waiting.push((linear as u32, delta));
-        }
+        self.waiting.extend(change.map(|(linear, value)| (linear as u32, value)));
         Ok(())
     }
 
@@ -431,6 +485,21 @@ impl SliceOrdered {
         }
     }
 
+    /// As [`SliceOrdered::project`], where that needs no worker threads: the C-arm stands and few voxels have changed. `None`, and
+    /// nothing written, otherwise.
+    pub fn refresh(&mut self, c_arm: &CArm, image: &mut [f64]) -> Option<Update> {
+        if image.len() != c_arm.pixels() { None } else { self.refresh_on(c_arm, image, ALONE_UP_TO) }
+    }
+
+    fn refresh_on(&mut self, c_arm: &CArm, image: &mut [f64], most: usize) -> Option<Update> {
+        let changes = self.waiting.len();
+        let known = self.standing.as_ref().is_some_and(|s| s.c_arm == *c_arm);
+        if !known || changes > most || self.cost.prefers_full(changes) {
+            return None;
+        }
+        Some(self.update(image, most > ALONE_UP_TO))
+    }
+
     /// Brings the line integrals of a C-arm up to date: `image` holds those of the last call with this C-arm, or is written whole. `None`
     /// if the rays have to be traced one by one (see [`SliceOrdered::prepare`]); then nothing is written. Runs on the threads of
     /// the caller's pool.
@@ -447,69 +516,93 @@ impl SliceOrdered {
         if image.len() != c_arm.pixels() {
             return Err(DrrError::Length { field: "image", given: image.len(), expected: c_arm.pixels() });
         }
-        let known = self.standing.as_ref().is_some_and(|s| s.c_arm == *c_arm);
-        if known && self.waiting.is_empty() {
-            return Ok(Some(Update::Unchanged));
-        }
-        if known && !self.cost.prefers_full(self.waiting.len()) {
-            return Ok(Some(self.update(image)));
+        if let Some(update) = self.refresh_on(c_arm, image, usize::MAX) {
+            return Ok(Some(update));
         }
         let fan = RayFan::new(&self.store_grid, c_arm);
         let pixels = [c_arm.columns, c_arm.rows];
+        // The sums are made anew, in the same memory.
+        let memory = self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
+        self.settle();
         let Some(plan) = Plan::new(&self.store_grid, &fan, pixels, self.options.oversampling) else {
-            self.standing = None;
-            self.waiting.clear();
             return Ok(None);
         };
         self.ensure(view, removed, plan.axes.u)?;
         let began = Instant::now();
-        let (mut sums, floats) = self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
+        let (mut sums, floats): (Vec<i64>, Vec<f32>) = memory;
         match &self.store {
             Store::Whole(copies) => copies.sum(&plan, self.options.instructions, &mut sums),
             Store::Preview { copies, .. } => copies.sum(&plan, self.options.instructions, &mut sums),
         }
         self.cost.full_ns = began.elapsed().as_nanos() as f64;
-        self.waiting.clear();
-        let mut standing = Standing { c_arm: *c_arm, fan, plan, sums, image: floats };
+        let mut standing =
+            Standing { c_arm: *c_arm, fan, plan, sums, image: floats, dirty: Dirty::default() };
         standing.image.resize(standing.plan.pixels(), 0.0);
         let all = Rect { columns: (0, standing.plan.columns), rows: (0, standing.plan.rows) };
         let detector = PixelBox { columns: (0, c_arm.columns), rows: (0, c_arm.rows) };
-        self.show(&mut standing, &all, &detector, image);
+        self.show(&mut standing, &all, &detector, image, true);
         self.standing = Some(standing);
         Ok(Some(Update::Full))
     }
 
-    /// Takes the waiting changes out of the sums.
-    fn update(&mut self, image: &mut [f64]) -> Update {
-        let Some(mut standing) = self.standing.take() else { return Update::Unchanged };
-        let began = Instant::now();
-        let count = self.waiting.len();
-        let mut dirty = Rect::EMPTY;
-        for (linear, delta) in self.waiting.drain(..) {
-            let voxel = self.store_grid.voxel_of(linear as usize);
-            splat(&standing.plan, &mut standing.sums, voxel, delta, &mut dirty);
+    /// Works the waiting changes into the sums of the standing C-arm, or into the copies alone.
+    fn settle(&mut self) {
+        if self.waiting.is_empty() {
+            return;
         }
-        let each_ns = began.elapsed().as_nanos() as f64 / count.max(1) as f64;
-        let before = self.cost.voxel_ns;
-        self.cost.voxel_ns = if before == 0.0 { each_ns } else { before + SMOOTHING * (each_ns - before) };
+        let began = Instant::now();
+        match (&mut self.standing, &mut self.store) {
+            (Some(standing), Store::Whole(copies)) => copies.splat(standing, &self.waiting),
+            (Some(standing), Store::Preview { copies, .. }) => copies.splat(standing, &self.waiting),
+            (None, Store::Whole(copies)) => copies.set_all(&self.waiting),
+            (None, Store::Preview { copies, .. }) => copies.set_all(&self.waiting),
+        }
+        if self.standing.is_some() {
+            let each_ns = began.elapsed().as_nanos() as f64 / self.waiting.len() as f64;
+            let before = self.cost.voxel_ns;
+            self.cost.voxel_ns =
+                if before == 0.0 { each_ns } else { before + SMOOTHING * (each_ns - before) };
+        }
+        self.waiting.clear();
+    }
+
+    /// Works the waiting changes in and shows what has changed.
+    fn update(&mut self, image: &mut [f64], parallel: bool) -> Update {
+        self.settle();
+        let Some(mut standing) = self.standing.take() else { return Update::Unchanged };
+        let dirty = core::mem::take(&mut standing.dirty);
         let (columns, rows) = (standing.plan.columns, standing.plan.rows);
         let pixels = [standing.c_arm.columns, standing.c_arm.rows];
-        let changed = match dirty.is_empty() {
-            true => None,
-            false => pixels_of(&standing.plan, &standing.fan, &dirty, pixels),
-        };
-        if !dirty.is_empty() {
-            let floats = dirty.grown(1, columns, rows);
-            let none = PixelBox { columns: (0, 0), rows: (0, 0) };
-            self.show(&mut standing, &floats, &changed.unwrap_or(none), image);
+        let mut written = 0;
+        for rect in dirty.rects() {
+            let changed = pixels_of(&standing.plan, &standing.fan, rect, pixels);
+            let changed = changed.unwrap_or(PixelBox { columns: (0, 0), rows: (0, 0) });
+            let side = |(first, end): (u32, u32)| (end - first) as usize;
+            written += side(changed.columns) * side(changed.rows);
+            self.show(&mut standing, &rect.grown(1, columns, rows), &changed, image, parallel);
         }
         self.standing = Some(standing);
-        changed.map_or(Update::Unchanged, Update::Changed)
+        if written == 0 { Update::Unchanged } else { Update::Changed(written) }
+    }
+
+    /// What one unit of the stored values is in the sums, before the weights.
+    fn stored_unit(&self) -> i16 {
+        match &self.store {
+            Store::Whole(_) => <i16 as Voxel>::UNIT,
+            Store::Preview { .. } => <u8 as Voxel>::UNIT,
+        }
     }
 
     /// Sharpens a rectangle of the sums and warps it to a rectangle of the detector.
-    fn show(&self, standing: &mut Standing, rect: &Rect, detector: &PixelBox, image: &mut [f64]) {
-        let Standing { c_arm, fan, plan, sums, image: floats } = standing;
+    fn show(
+        &self,
+        standing: &mut Standing,
+        rect: &Rect,
+        detector: &PixelBox,
+        image: &mut [f64],
+        parallel: bool,
+    ) {
+        let Standing { c_arm, fan, plan, sums, image: floats, .. } = standing;
         let with = self.options.instructions;
         let alpha = self.options.alpha();
         let width = plan.columns;
@@ -518,13 +611,13 @@ impl SliceOrdered {
         };
         let (first, end) = rect.rows;
         let lines = &mut floats[first * width..end * width];
-        if lines.len() < PARALLEL_FROM || rect.columns.1 - rect.columns.0 < 64 {
+        if !parallel || lines.len() < PARALLEL_FROM || rect.columns.1 - rect.columns.0 < 64 {
             lines.chunks_mut(width.max(1)).enumerate().for_each(|(n, line)| sharpen((first + n, line)));
         } else {
             let numbered = lines.par_chunks_mut(width.max(1)).enumerate().with_min_len(8);
             numbered.for_each(|(n, line)| sharpen((first + n, line)));
         }
-        let scale_per_m = self.unit_per_m / f64::from(1 << WEIGHT_BITS);
+        let scale_per_m = self.unit_per_m / f64::from(i32::from(self.stored_unit()) << WEIGHT_BITS);
         let warp = Warp { plan, fan, image: floats, scale_per_m };
         let (c0, c1) = (detector.columns.0 as usize, detector.columns.1 as usize);
         let (r0, r1) = (detector.rows.0 as usize, detector.rows.1 as usize);
@@ -534,7 +627,7 @@ impl SliceOrdered {
             let out = &mut line[c0..c1];
             with.run(WarpRow { warp: &warp, row: (r0 + n) as u32, first_column: detector.columns.0, out });
         };
-        if (r1 - r0) * (c1 - c0) < PARALLEL_FROM {
+        if !parallel || (r1 - r0) * (c1 - c0) < PARALLEL_FROM {
             rows.chunks_mut(columns).enumerate().for_each(draw);
         } else {
             rows.par_chunks_mut(columns).enumerate().with_min_len(8).for_each(draw);

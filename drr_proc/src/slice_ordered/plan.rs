@@ -13,10 +13,14 @@ use crate::ray::RayFan;
 
 /// Samples of a row that share one 32.32 base.
 pub(crate) const GROUP: usize = 16;
+/// Voxels that a group may read behind the one that it begins in: 16 steps of at most one voxel, and the neighbour.
+pub(crate) const GROUP_REACH: i64 = GROUP as i64 + 1;
 /// Rows of the intermediate image that are summed together.
 pub(crate) const TILE_ROWS: usize = 8;
-/// Bits of the interpolation weights: the four of a sample add up to 2^14 exactly.
+/// Bits of the weights along a row: the two of a sample add up to 2^14 exactly.
 pub(crate) const WEIGHT_BITS: u32 = 14;
+/// Bits of the fraction between two rows of voxels.
+pub(crate) const ROW_BITS: u32 = 15;
 pub(crate) const FRACTION_MASK: u32 = (1 << WEIGHT_BITS) - 1;
 /// Fraction bits of the positions inside a group.
 pub(crate) const LANE_BITS: u32 = 27;
@@ -26,8 +30,8 @@ const ONE: i64 = 1 << 32;
 const MAX_SLOPE: f64 = 4.0;
 /// Smallest depth, in slices, that is summed: nearer ones would be magnified without bound.
 const MIN_DEPTH: f64 = 1.0;
-/// Samples around the detector's footprint: two of the warp, one of the sharpening, one for rounding.
-const MARGIN: f64 = 4.0;
+/// Samples around the detector's footprint and the volume: two of the warp, one of the sharpening, two for rounding.
+const MARGIN: f64 = 5.0;
 /// Most pixels of an intermediate image (1 GiB with its accumulators and floats).
 const MAX_PIXELS: f64 = (1_u64 << 26) as f64;
 
@@ -61,6 +65,8 @@ pub(crate) struct Slice {
     pub start: [i64; 2],
     /// Step between pixels, the same along rows and columns, 32.32 voxels, at most one voxel.
     pub step: i64,
+    /// One over the step: pixels for each 2^-32 of a voxel, rounded.
+    pub samples_per_position: f64,
     /// Groups that can meet the volume, half open.
     pub groups: (usize, usize),
     /// Rows that can meet the volume, half open.
@@ -88,11 +94,21 @@ impl Slice {
         (self.step >> (32 - LANE_BITS)) as u32
     }
 
-    /// Voxel and 14-bit fraction of an image row.
+    /// Voxel and 15-bit fraction of an image row.
     #[inline(always)]
-    pub fn row(&self, row: usize) -> (i64, u32) {
+    pub fn row(&self, row: usize) -> (i64, i16) {
         let position = self.start[1] + row as i64 * self.step;
-        (position >> 32, position as u32 >> (32 - WEIGHT_BITS))
+        (position >> 32, (position as u32 >> (32 - ROW_BITS)) as i16)
+    }
+
+    /// The groups that read one of the voxels `first..end` of a row, half open.
+    #[inline(always)]
+    pub fn groups_reading(&self, first: i64, end: i64) -> (usize, usize) {
+        let stride = GROUP as i64 * self.step;
+        // The first group that begins at or behind a voxel.
+        let from = |voxel: i64| -((self.start[0] - voxel * ONE).div_euclid(stride));
+        let clamp = |group: i64| group.clamp(self.groups.0 as i64, self.groups.1 as i64) as usize;
+        (clamp(from(first - GROUP_REACH)), clamp(from(end)))
     }
 
     /// Voxel and 14-bit fraction of an image column.
@@ -102,14 +118,6 @@ impl Slice {
         let lane = start.fraction + (column % GROUP) as u32 * self.lane_step();
         (start.voxel + i64::from(lane >> LANE_BITS), (lane >> (LANE_BITS - WEIGHT_BITS)) & FRACTION_MASK)
     }
-}
-
-/// The four weights `[w00, w10, w01, w11]` of the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1).
-#[inline(always)]
-pub(crate) fn weights(fx: u32, fy: u32) -> [i32; 4] {
-    let both = (fx * fy) >> WEIGHT_BITS;
-    let one = 1 << WEIGHT_BITS;
-    [one - fx - fy + both, fx - both, fy - both, both].map(|w| w as i32)
 }
 
 /// Everything about a frame's geometry that the sum over slices needs.
@@ -192,7 +200,8 @@ impl Plan {
         };
         let groups = range(0, GROUP as i64, GROUP as i64 + 1, self.columns / GROUP);
         let rows = range(1, 1, 1, self.rows);
-        let mut slice = Slice { index, start, step, groups, rows };
+        let samples_per_position = 1.0 / step as f64;
+        let mut slice = Slice { index, start, step, samples_per_position, groups, rows };
         // `div_euclid` rounds down: the first group or row may lie just outside.
         while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < -(GROUP as i64) - 1 {
             slice.groups.0 += 1;

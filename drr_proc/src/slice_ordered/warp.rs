@@ -19,6 +19,25 @@ pub(crate) struct Rect {
     pub rows: (usize, usize),
 }
 
+/// 1.5 * 2^52: a smaller number added to it is rounded to an integer, which the lowest bits then hold.
+const INTEGER: f64 = 6_755_399_441_055_744.0;
+
+/// An integer below 2^51 in size, which the sums are by far, exactly.
+#[inline(always)]
+fn float(sum: i64) -> f64 {
+    f64::from_bits((sum as u64).wrapping_add(INTEGER.to_bits())) - INTEGER
+}
+
+/// Whole part and fraction of a position from 0 to 2^31.
+#[inline(always)]
+fn split(position: f64) -> (u32, f32) {
+    let shifted = position + INTEGER;
+    let rest = position - (shifted - INTEGER);
+    let below = rest < 0.0;
+    let fraction = if below { rest + 1.0 } else { rest };
+    ((shifted.to_bits() as u32).wrapping_sub(u32::from(below)), fraction as f32)
+}
+
 /// Writes the sharpened image of one row.
 #[inline(always)]
 fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), alpha: f64, out: &mut [f32]) {
@@ -30,7 +49,7 @@ fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), a
     let at = |line: &[i64], c: usize| line.get(c).copied().unwrap_or(0);
     let one = |c: usize| {
         let around = at(here, c.wrapping_sub(1)) + at(here, c + 1) + at(above, c) + at(below, c);
-        (at(here, c) as f64 * (1.0 + 4.0 * alpha) - around as f64 * alpha) as f32
+        (float(at(here, c)) * (1.0 + 4.0 * alpha) - float(around) * alpha) as f32
     };
     if above.is_empty() || below.is_empty() || alpha == 0.0 || interior.0 >= interior.1 {
         (columns.0..columns.1).for_each(|c| out[c] = one(c));
@@ -43,7 +62,7 @@ fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), a
     let inner = out[a..b].iter_mut().zip(&here[a..b]).zip(&above[a..b]).zip(&below[a..b]);
     for ((((o, &i), &up), &down), (&left, &right)) in inner.zip(here[a - 1..].iter().zip(&here[a + 1..])) {
         let around = left + right + up + down;
-        *o = (i as f64 * (1.0 + 4.0 * alpha) - around as f64 * alpha) as f32;
+        *o = (float(i) * (1.0 + 4.0 * alpha) - float(around) * alpha) as f32;
     }
 }
 
@@ -60,33 +79,46 @@ pub(crate) struct Warp<'a> {
 /// Pixels whose positions are worked out together.
 const CHUNK: usize = 64;
 
-/// Positions and factors of a run of pixels.
+/// Where the pixels of a run lie, and what their samples are multiplied with.
 struct Places {
-    column: [i32; CHUNK],
-    row: [i32; CHUNK],
+    /// Number of the sample up and left of the four by four that are read.
+    corner: [u32; CHUNK],
     x: [f32; CHUNK],
     y: [f32; CHUNK],
-    factor: [f64; CHUNK],
+    factor: [f32; CHUNK],
 }
 
 impl Warp<'_> {
     /// Line integrals of the pixels of a detector row from `first_column` on.
     #[inline(always)]
     pub fn row(&self, row: u32, first_column: u32, out: &mut [f64]) {
-        let mut places = Places {
-            column: [0; CHUNK],
-            row: [0; CHUNK],
-            x: [0.0; CHUNK],
-            y: [0.0; CHUNK],
-            factor: [0.0; CHUNK],
-        };
+        if self.plan.pixels() == 0 {
+            out.fill(0.0);
+            return;
+        }
+        let mut places =
+            Places { corner: [0; CHUNK], x: [0.0; CHUNK], y: [0.0; CHUNK], factor: [0.0; CHUNK] };
+        let mut columns = [[0.0_f32; 4]; CHUNK];
         for (chunk, out) in out.chunks_mut(CHUNK).enumerate() {
             self.place(row, first_column + (chunk * CHUNK) as u32, &mut places);
-            for (n, o) in out.iter_mut().enumerate() {
-                let value = self.sample(places.column[n], places.row[n], places.x[n], places.y[n]);
-                // A cubic swings below 0 beside an edge; attenuation does not.
-                *o = (f64::from(value) * places.factor[n]).max(0.0);
+            let weights = catmull_rom(&places.y);
+            for (n, columns) in columns.iter_mut().enumerate().take(out.len()) {
+                let taps = self.taps(places.corner[n] as usize);
+                for (c, v) in columns.iter_mut().enumerate() {
+                    *v = (weights[0][n] * taps[0][c] + weights[1][n] * taps[1][c])
+                        + (weights[2][n] * taps[2][c] + weights[3][n] * taps[3][c]);
+                }
             }
+            let weights = catmull_rom(&places.x);
+            let mut values = [0.0_f64; CHUNK];
+            for n in 0..CHUNK {
+                let c = &columns[n];
+                let value = (weights[0][n] * c[0] + weights[1][n] * c[1])
+                    + (weights[2][n] * c[2] + weights[3][n] * c[3]);
+                // A cubic swings below 0 beside an edge; attenuation does not.
+                values[n] = f64::from((value * places.factor[n]).max(0.0));
+            }
+            out.copy_from_slice(&values[..out.len()]);
         }
     }
 
@@ -97,79 +129,56 @@ impl Warp<'_> {
         let reach = plan.far * plan.oversampling;
         let shift = |axis: usize, m: usize| plan.source[axis] * plan.oversampling - plan.first[m] as f64;
         let (shift_x, shift_y) = (shift(u, 0), shift(v, 1));
-        let (limit_x, limit_y) = (plan.columns as f64 + 8.0, plan.rows as f64 + 8.0);
+        // What lies further out reads the margin of zeros around the volume.
+        let (limit_x, limit_y) = (plan.columns as f64 - 3.0, plan.rows as f64 - 3.0);
+        let width = plan.columns as u32;
+        let scale_per_m = self.scale_per_m as f32;
         let steps = self.fan.row_steps(row);
+        let [index_k, index_u, index_v] = [k, u, v].map(|axis| steps.index(axis));
+        let world_m = [0, 1, 2].map(|axis| steps.world_m(axis));
         for n in 0..CHUNK {
             let column = f64::from(first_column) + n as f64;
-            let [index, world_m] = steps.at(column);
-            let along = 1.0 / index[k];
-            // Shifted by 8 to be positive: truncation is then rounding down.
-            let x = (shift_x + index[u] * reach * along).clamp(-8.0, limit_x) + 8.0;
-            let y = (shift_y + index[v] * reach * along).clamp(-8.0, limit_y) + 8.0;
-            let (column, row) = (x as i32, y as i32);
-            places.column[n] = column - 8;
-            places.row[n] = row - 8;
-            places.x[n] = (x - f64::from(column)) as f32;
-            places.y[n] = (y - f64::from(row)) as f32;
+            let at = |line: (f64, f64)| line.0 + column * line.1;
+            let along = 1.0 / at(index_k);
+            let world_m = world_m.map(at);
+            let x = shift_x + at(index_u) * reach * along;
+            let y = shift_y + at(index_v) * reach * along;
+            let (column, x) = split(x.max(1.0).min(limit_x));
+            let (row, y) = split(y.max(1.0).min(limit_y));
+            places.corner[n] = (row - 1).wrapping_mul(width).wrapping_add(column - 1);
+            places.x[n] = x;
+            places.y[n] = y;
             let squares = world_m[0] * world_m[0] + world_m[1] * world_m[1] + world_m[2] * world_m[2];
-            places.factor[n] = squares.sqrt() * along.abs() * self.scale_per_m;
+            places.factor[n] = (squares as f32).sqrt() * (along.abs() as f32) * scale_per_m;
         }
     }
 
-    /// Catmull-Rom interpolation at (column + x, row + y).
+    /// Four samples of each of four rows.
     #[inline(always)]
-    fn sample(&self, column: i32, row: i32, x: f32, y: f32) -> f32 {
-        let Some(taps) = self.taps(column, row) else { return self.edge_sample(column, row, x, y) };
-        cubic(taps, x, y)
-    }
-
-    #[inline(always)]
-    fn taps(&self, column: i32, row: i32) -> Option<[&[f32; 4]; 4]> {
+    fn taps(&self, corner: usize) -> [&[f32; 4]; 4] {
         let width = self.plan.columns;
-        let (c, r) = (usize::try_from(column - 1).ok()?, usize::try_from(row - 1).ok()?);
-        if c + 4 > width {
-            return None;
-        }
-        let rows = self.image.get(r * width + c..)?;
-        Some([
-            rows.first_chunk()?,
-            rows.get(width..)?.first_chunk()?,
-            rows.get(2 * width..)?.first_chunk()?,
-            rows.get(3 * width..)?.first_chunk()?,
-        ])
-    }
-
-    /// The same where some neighbours lie beyond the image: there is nothing.
-    #[cold]
-    fn edge_sample(&self, column: i32, row: i32, x: f32, y: f32) -> f32 {
-        let (width, height) = (self.plan.columns as i32, self.plan.rows as i32);
-        let tap = |c: i32, r: i32| {
-            let inside = c >= 0 && r >= 0 && c < width && r < height;
-            if inside { self.image[(r * width + c) as usize] } else { 0.0 }
+        // Positions are kept inside the image: there always are samples.
+        let row = |n: usize| {
+            self.image.get(corner + n * width..).and_then(|rest| rest.first_chunk()).unwrap_or(&[0.0; 4])
         };
-        let taps = [-1, 0, 1, 2].map(|dy| [-1, 0, 1, 2].map(|dx| tap(column + dx, row + dy)));
-        let [a, b, c, d] = &taps;
-        cubic([a, b, c, d], x, y)
+        [row(0), row(1), row(2), row(3)]
     }
 }
 
+/// Weights of the four neighbours at fractions t between the middle two.
 #[inline(always)]
-fn cubic(taps: [&[f32; 4]; 4], x: f32, y: f32) -> f32 {
-    let (wx, wy) = (catmull_rom(x), catmull_rom(y));
-    let mut v = [0.0_f32; 4];
-    for n in 0..4 {
-        v[n] = (wy[0] * taps[0][n] + wy[1] * taps[1][n]) + (wy[2] * taps[2][n] + wy[3] * taps[3][n]);
+fn catmull_rom(fractions: &[f32; CHUNK]) -> [[f32; CHUNK]; 4] {
+    let mut weights = [[0.0; CHUNK]; 4];
+    for n in 0..CHUNK {
+        let t = fractions[n];
+        let (t2, s) = (t * t, 1.0 - t);
+        let s2 = s * s;
+        weights[0][n] = -0.5 * t * s2;
+        weights[1][n] = 1.0 + t2 * (1.5 * t - 2.5);
+        weights[2][n] = 1.0 + s2 * (1.5 * s - 2.5);
+        weights[3][n] = -0.5 * t2 * s;
     }
-    (wx[0] * v[0] + wx[1] * v[1]) + (wx[2] * v[2] + wx[3] * v[3])
-}
-
-/// Weights of the four neighbours at a fraction t between the middle two.
-#[inline(always)]
-fn catmull_rom(t: f32) -> [f32; 4] {
-    let (t2, s) = (t * t, 1.0 - t);
-    let s2 = s * s;
-    let outer = [-0.5 * t * s2, -0.5 * t2 * s];
-    [outer[0], 1.0 + t2 * (1.5 * t - 2.5), 1.0 + s2 * (1.5 * s - 2.5), outer[1]]
+    weights
 }
 
 /// The detector pixels that read a rectangle of the intermediate image's sums.

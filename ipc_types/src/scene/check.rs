@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::drr::{CArm, Display, Drr};
 use super::model::{
-    Arm, Body, CArm, Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, Skiving,
-    TensionSweep, Tool, Volume,
+    Arm, Body, Controller, CurvedDrilling, Drives, Feedback, Scene, Skiving, TensionSweep, Tool, Volume,
 };
 use crate::messages::{MAX_BODIES, MAX_CONTROLLERS};
 
@@ -118,6 +118,9 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
         checker.range("predrill.diameter_mm", hole.diameter_mm, 0.5, 50.0)?;
     }
     check_bodies(scene, &checker)?;
+    if let Some(tolerance) = &scene.tolerance {
+        checker.optional("tolerance.drr_rel", tolerance.drr_rel, 1e-9, 1.0)?;
+    }
     check_tool(&scene.tool, &checker)?;
     if scene.recording.keyframe_interval_s != 0.0 {
         checker.range("recording.keyframe_interval_s", scene.recording.keyframe_interval_s, 0.01, 3600.0)?;
@@ -272,7 +275,7 @@ fn check_arm(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
 }
 
 fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
-    checker.range("drr.rate_hz", drr.rate_hz, 0.0, 100.0)?;
+    checker.range("drr.rate_hz", drr.rate_hz, 0.0, 200.0)?;
     checker.point_mm("drr.isocentre_mm", &drr.isocentre_mm)?;
     checker.range("drr.primary_angle_deg", drr.primary_angle_deg, -180.0, 180.0)?;
     checker.range("drr.secondary_angle_deg", drr.secondary_angle_deg, -90.0, 90.0)?;
@@ -290,6 +293,7 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     checker.range("drr.photons_per_pixel", drr.photons_per_pixel, 0.0, 1e8)?;
     checker.range("drr.blur_pixels", drr.blur_pixels, 0.0, 5.0)?;
     checker.range("drr.oversampling", drr.oversampling, 1.0, 4.0)?;
+    checker.range("drr.reduction", f64::from(drr.reduction), 2.0, 8.0)?;
     checker.range("drr.detector.gain", drr.detector.gain, 0.01, 100.0)?;
     checker.range("drr.detector.offset", drr.detector.offset, 0.0, 0.5)?;
     checker.optional("drr.detector.saturation", drr.detector.saturation, 0.01, 100.0)?;

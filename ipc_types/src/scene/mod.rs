@@ -4,10 +4,14 @@
 //! no `[drr]`, no X-ray process. Reading checks every key and every range and names file, key, value and allowed range.
 
 mod check;
+mod drr;
 mod model;
+mod tolerance;
 
 pub use check::SceneError;
+pub use drr::*;
 pub use model::*;
+pub use tolerance::Tolerance;
 
 use std::path::Path;
 

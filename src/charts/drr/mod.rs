@@ -82,6 +82,7 @@ fn projectors() -> Vec<(&'static str, Projector)> {
         ("slice_ordered 1.5", slices(1.5, true)),
         ("slice_ordered 2", slices(2.0, true)),
         ("preview 2", Projector::PREVIEW),
+        ("preview 4", Projector::Preview { reduction: 4 }),
     ]
 }
 
@@ -118,6 +119,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
             }
         }
     }
+    write_rungs(plan, &points, finest)?;
     let mut notes = Vec::new();
     if let Some(folder) = &plan.peers {
         peers::measure(folder, &plan.out, &samples[0], &poses, plan.rounds, &mut points, &mut notes)?;
@@ -184,6 +186,23 @@ fn references(
             Ok(PosedReference { name, c_arm, exact, siddon: renderer.anatomy().to_vec() })
         })
         .collect()
+}
+
+/// Writes `rungs.csv`, from which `tolerance.drr_rel` chooses: `drr_proc/src/rungs.csv` is that of a full run.
+fn write_rungs(plan: &Plan, points: &[Point], finest: usize) -> Result<(), Failure> {
+    let mut text = "projector,parameter,error_rel,frame_ms\n".to_owned();
+    for (name, projector) in projectors() {
+        let of_rung = points.iter().filter(|p| p.method == name && p.coarseness == finest && p.threads == 2);
+        let (mut times, errors): (Vec<f64>, Vec<f64>) = of_rung.map(|p| (p.least_ms, p.siddon.rms)).unzip();
+        let worst = errors.into_iter().fold(0.0, f64::max);
+        if let Some(line) = drr_proc::ladder::line_of(projector, worst, least_and_median(&mut times).1) {
+            text.push_str(&line);
+            text.push('\n');
+        }
+    }
+    let path = plan.out.join("rungs.csv");
+    std::fs::write(&path, text)
+        .map_err(|cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display())))
 }
 
 /// Times and errors of one projector; the rounds of the poses are interleaved.

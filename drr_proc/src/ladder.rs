@@ -1,0 +1,59 @@
+//! Which projector keeps a wanted error: the quickest of those that `trabecula chart drr` measured.
+//!
+//! `rungs.csv` is written by that command (full size, two threads) from a phantom of 512 x 512 x 400 voxels seen from three sides: for
+//! each projector the largest error of the three, relative and r.m.s., against Siddon's sum in f64, and the median of their times.
+
+use crate::renderer::Projector;
+
+const RUNGS: &str = include_str!("rungs.csv");
+
+/// A projector with its measured error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rung {
+    /// The projector.
+    pub projector: Projector,
+    /// Largest error of three poses against Siddon's sum, relative, r.m.s.
+    pub error_rel: f64,
+    /// Milliseconds of a frame of 512 x 512 pixels where the table was made: only their order counts.
+    pub frame_ms: f64,
+}
+
+/// The rungs, the quickest first.
+pub fn rungs() -> Vec<Rung> {
+    let mut rungs: Vec<Rung> = RUNGS.lines().filter_map(rung).collect();
+    rungs.sort_by(|a, b| a.frame_ms.total_cmp(&b.frame_ms));
+    rungs
+}
+
+/// A line `projector,parameter,error_rel,frame_ms`; `None` for the header.
+fn rung(line: &str) -> Option<Rung> {
+    let fields: Vec<&str> = line.split(',').collect();
+    let &[name, parameter, error_rel, frame_ms] = fields.as_slice() else { return None };
+    let parameter: f64 = parameter.parse().ok()?;
+    let projector = match name {
+        "siddon" => Projector::Siddon,
+        "joseph" => Projector::Joseph,
+        "slice_ordered" => Projector::SliceOrdered { oversampling: parameter, sharpen: true },
+        "preview" => Projector::Preview { reduction: parameter as u32 },
+        _ => return None,
+    };
+    Some(Rung { projector, error_rel: error_rel.parse().ok()?, frame_ms: frame_ms.parse().ok()? })
+}
+
+/// The line of a projector in `rungs.csv`; `None` for one that is no rung.
+pub fn line_of(projector: Projector, error_rel: f64, frame_ms: f64) -> Option<String> {
+    let (name, parameter) = match projector {
+        Projector::Siddon => ("siddon", 0.0),
+        Projector::Joseph => ("joseph", 0.0),
+        Projector::SliceOrdered { oversampling, sharpen: true } => ("slice_ordered", oversampling),
+        Projector::SliceOrdered { sharpen: false, .. } => return None,
+        Projector::Preview { reduction } => ("preview", f64::from(reduction)),
+    };
+    Some(format!("{name},{parameter},{error_rel:.3e},{frame_ms:.3}"))
+}
+
+/// The quickest rung whose measured error is at most `wanted_rel`; Siddon's sum, which is the reference, if no other is.
+pub fn choose(wanted_rel: f64) -> Rung {
+    let siddon = Rung { projector: Projector::Siddon, error_rel: 0.0, frame_ms: f64::INFINITY };
+    rungs().into_iter().find(|rung| rung.error_rel <= wanted_rel).unwrap_or(siddon)
+}
