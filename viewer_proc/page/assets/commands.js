@@ -4,7 +4,6 @@ import { VIEWS } from "/assets/camera.js";
 
 const element = (id) => document.getElementById(id);
 const C_ARM_STEP_DEG = 5;
-const RADIANS = Math.PI / 180;
 
 /** Asks before something that cannot be undone. @param {string} question @param {() => void} act */
 function confirmed(question, act) {
@@ -39,8 +38,8 @@ export function commands(page) {
     else control({ action: model.phase === "paused" ? "resume" : "pause" });
   };
   const frame = () => {
-    const angle = (id) => Number(element(id).value) * RADIANS;
-    page.call("/frame", { pose: { primary_angle_rad: angle("c-arm-primary"), secondary_angle_rad: angle("c-arm-secondary") } });
+    const angle = (id) => Number(element(id).value);
+    page.call("/frame", { primary_angle_deg: angle("c-arm-primary"), secondary_angle_deg: angle("c-arm-secondary") });
   };
   const turnCArm = (id, direction) => {
     const input = element(id);

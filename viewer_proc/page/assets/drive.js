@@ -17,10 +17,10 @@ export function readGamepad() {
 export class Drive {
   /**
    * @param {(request: object) => Promise<{ok: boolean, error?: string}>} send @param {() => void} changed
-   * @param {(text: string) => void} refused
+   * @param {(text: string) => void} refused @param {() => void} pause for the gamepad's button
    */
-  constructor(send, changed, refused) {
-    Object.assign(this, { send, changed, refused });
+  constructor(send, changed, refused, pause) {
+    Object.assign(this, { send, changed, refused, pause });
     this.on = false;
     this.tendonN = 0;
     this.tendonMostN = 15;
@@ -62,6 +62,8 @@ export class Drive {
     const tendon = this.tendonHeld || (pad?.tendon ?? 0);
     this.tendonN = Math.max(0, Math.min(this.tendonMostN, this.tendonN + tendon * TENDON_N_PER_S * seconds));
     if (pad && pad.burr !== this.padBurr) [this.burrOn, this.padBurr] = [pad.burr, pad.burr];
+    if (pad?.pause && !this.padPause) this.pause();
+    this.padPause = pad?.pause ?? false;
     this.#transmit(this.feedHeld || (pad?.feed ?? 0));
     if (tendon !== 0 || pad) this.changed();
   }

@@ -57,7 +57,8 @@ page.xRay = new XRay(element("x-ray-canvas"), () => changed("xRay"));
 page.xRay.listen();
 page.plots = new PlotsPanel(element("plots"), model, () => changed("plots"));
 page.timeLine = new TimeLine((request) => page.call("/playback", request));
-page.drive = new Drive((request) => connection.call("/drive", request), () => showDriveNow(), (text) => notices.add("error", `/drive: ${text}`));
+const refused = (text) => notices.add("error", `/drive: ${text}`);
+page.drive = new Drive((request) => connection.call("/drive", request), () => showDriveNow(), refused, () => page.actions.run("pause"));
 connectDrivePanel(page.drive);
 try {
   page.view = new SceneView(element("scene-canvas"), () => changed("scene"));
@@ -71,11 +72,11 @@ element("speed").addEventListener("change", (event) => page.call("/control", { a
 new ResizeObserver(() => changed()).observe(document.body);
 
 function showDriveNow() {
-  const drives = model.info?.drives;
+  const named = model.info?.controllers?.includes("viewer") ?? false;
   const read = token ? "" : "Read only: this address has no control token.";
-  const none = model.info?.can_drive === false ? "The scene has no controller named `viewer`." : "";
-  showDrive(page.drive, read || none || (page.drive.on ? "W S feed, A D tendon, Q burr." : `Drives ${(drives ?? page.drive.parts).join(", ")}.`));
-  element("drive-switch").disabled = !token || model.info?.can_drive === false;
+  const none = named ? "" : "The scene has no controller named `viewer`.";
+  showDrive(page.drive, read || none || (page.drive.on ? "W S feed, A D tendon, Q burr." : `Drives ${page.drive.parts.join(", ")}.`));
+  element("drive-switch").disabled = !token || !named;
 }
 
 function takeInfo(data) {
@@ -86,10 +87,9 @@ function takeInfo(data) {
   document.title = `${info.scene?.name ?? "Trabecula"} · Trabecula`;
   if (info.drives) page.drive.parts = info.drives;
   if (info.tool?.tendon_max_n) page.drive.tendonMostN = info.tool.tendon_max_n;
-  const degrees = (angle) => String(Math.round(((angle ?? 0) * 180) / Math.PI));
   if (info.c_arm) {
-    element("c-arm-primary").value = degrees(info.c_arm.primary_angle_rad);
-    element("c-arm-secondary").value = degrees(info.c_arm.secondary_angle_rad);
+    element("c-arm-primary").value = String(info.c_arm.primary_angle_deg);
+    element("c-arm-secondary").value = String(info.c_arm.secondary_angle_deg);
   }
   takeLegend(document.body.classList.contains("compare"));
   showDriveNow();

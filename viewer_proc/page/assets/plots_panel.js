@@ -89,8 +89,8 @@ export class PlotsPanel {
       values.replaceChildren(...texts.map(({ line, text }) => {
         const item = document.createElement("span");
         item.style.color = colours[line.colour];
-        item.style.marginLeft = "8px";
-        item.textContent = `${line.dashed ? "┄" : "─"} ${text}`;
+        item.className = line.dashed ? "value dashed" : "value";
+        item.textContent = text;
         item.title = line.label;
         return item;
       }));

@@ -19,7 +19,7 @@ const LEAP_M = 0.005;
 
 /** @type {Record<string, import("/assets/parts_list.js").Colour>} */
 export const COLOURS = {
-  arm: [0.42, 0.47, 0.55, 1], shaft: [0.62, 0.66, 0.72, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
+  arm: [0.5, 0.51, 0.53, 1], shaft: [0.66, 0.67, 0.7, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
   burr: [0.96, 0.45, 0.08, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
   force: [0.86, 0.1, 0.16, 1], body: [0.55, 0.5, 0.75, 1], second: [0.45, 0.4, 0.95, 0.45],
 };
