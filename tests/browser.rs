@@ -85,7 +85,8 @@ impl Viewer {
         let mut child = command.spawn().unwrap();
         let url = wait_for("the page's address", || {
             let text = fs::read_to_string(&words).unwrap();
-            let url = text.split_whitespace().find(|word| word.starts_with("http://") && word.contains("#token="));
+            let url =
+                text.split_whitespace().find(|word| word.starts_with("http://") && word.contains("#token="));
             let ended = child.try_wait().unwrap();
             assert!(url.is_some() || ended.is_none(), "the viewer ended: {text}");
             url.map(str::to_owned)

@@ -125,11 +125,18 @@ def light_and_dark(page: Page) -> None:
 
 
 def reads_only_without_token(browser: Browser, url: str) -> None:
-    page = Page(browser, url.split("#")[0])
+    """A page without the token watches; this one has no WebGL either."""
+    page = Page(browser, url.split("#")[0], before="""
+        const original = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+          return kind === "webgl2" ? null : original.call(this, kind, ...more);
+        };""")
     page.until("it connects", lambda: page.text("phase") == "Running")
     page.page.click("#pause")
     page.until("it says why it does not control", lambda: "Read only" in page.text("notices"))
     assert page.text("phase") == "Running"
+    assert "No 3D view" in page.text("banner"), page.text("banner")
+    page.until("the X-ray is shown all the same", lambda: page.text("frame-facts").startswith("frame "))
     page.clean()
     page.page.close()
 

@@ -32,16 +32,18 @@ def browser(cache: Path) -> Iterator[Browser]:
 class Page:
     """The viewer's page; remembers errors of its console and requests to anything but its server."""
 
-    def __init__(self, browser: Browser, url: str, size: dict[str, int] = SIZE, theme: str = "light") -> None:
+    def __init__(self, browser: Browser, url: str, size: dict[str, int] = SIZE, before: str = "") -> None:
         self.errors: list[str] = []
         self.strangers: list[str] = []
         self.host = urlsplit(url).netloc
-        self.page: BrowserPage = browser.new_page(viewport=size, color_scheme=theme)
+        self.page: BrowserPage = browser.new_page(viewport=size, color_scheme="light")
         self.page.set_default_timeout(LIMIT_S * 1000)
         self.page.on("console", lambda message: self.errors.append(message.text) if message.type == "error" else None)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("request", lambda request: self._host(request.url))
         self.page.on("websocket", lambda socket: self._host(socket.url))
+        if before:
+            self.page.add_init_script(before)
         self.page.goto(url)
 
     def _host(self, url: str) -> None:

@@ -22,6 +22,7 @@ export function commands(page) {
   const { model, view, xRay, plots, drive, timeLine } = page;
   const isLog = () => model.info?.kind === "log";
   const isLive = () => model.info?.kind === "live";
+  const drawn = () => !!view;
   const driving = () => isLive() && drive.on;
   const control = (request) => page.call("/control", request);
   const playback = (request) => page.call("/playback", request);
@@ -47,7 +48,7 @@ export function commands(page) {
     frame();
   };
   const nextSource = () => {
-    const sources = ["first", "second", "difference"];
+    const sources = ["both", "first", "second", "difference"];
     xRay.shows = sources[(sources.indexOf(xRay.shows) + 1) % sources.length];
     page.changed();
   };
@@ -87,10 +88,11 @@ export function commands(page) {
     { id: "secondary-down", group: "C-arm", keys: ["k"], text: "turn to the feet", when: isLive, run: () => turnCArm("c-arm-secondary", -1) },
     { id: "frame", group: "C-arm", keys: ["f"], text: "take a frame", when: isLive, run: frame },
 
-    { id: "view-front", group: "View", keys: ["1"], text: "from the front", run: () => view.camera.look(VIEWS.front) },
-    { id: "view-side", group: "View", keys: ["2"], text: "from the patient's right", run: () => view.camera.look(VIEWS.side) },
-    { id: "view-above", group: "View", keys: ["3"], text: "from the head", run: () => view.camera.look(VIEWS.above) },
-    { id: "bone", group: "View", keys: ["b"], text: "bone: section, glass, solid, hidden", run: () => (element("bone-mode").textContent = `Bone: ${view.nextBoneMode()}`) },
+    { id: "view-front", group: "View", keys: ["1"], text: "from the front", when: drawn, run: () => view.camera.look(VIEWS.front) },
+    { id: "view-side", group: "View", keys: ["2"], text: "from the patient's right", when: drawn, run: () => view.camera.look(VIEWS.side) },
+    { id: "view-above", group: "View", keys: ["3"], text: "from the head", when: drawn, run: () => view.camera.look(VIEWS.above) },
+    { id: "bone", group: "View", keys: ["b"], text: "bone: section, glass, solid, hidden", when: drawn,
+      run: () => (element("bone-mode").textContent = `Bone: ${view.nextBoneMode()}`) },
     { id: "longer", group: "View", keys: ["["], text: "longer time axis", run: () => plots.changeWindow(1) },
     { id: "shorter", group: "View", keys: ["]"], text: "shorter time axis", run: () => plots.changeWindow(-1) },
     { id: "theme", group: "View", keys: ["t"], text: "light or dark", run: () => page.theme.toggle() },
@@ -98,6 +100,6 @@ export function commands(page) {
 
     { id: "window-auto", group: "X-ray", keys: ["o"], text: "automatic window", run: () => xRay.automatic() },
     { id: "invert", group: "X-ray", keys: ["v"], text: "invert", run: () => xRay.invert() },
-    { id: "x-ray-source", group: "X-ray", keys: ["c"], text: "first log, second, difference", when: () => document.body.classList.contains("compare"), run: nextSource },
+    { id: "x-ray-source", group: "X-ray", keys: ["c"], text: "both logs, first, second, difference", when: () => document.body.classList.contains("compare"), run: nextSource },
   ];
 }

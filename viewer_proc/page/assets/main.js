@@ -62,6 +62,8 @@ page.drive = new Drive((request) => connection.call("/drive", request), () => sh
 connectDrivePanel(page.drive);
 try {
   page.view = new SceneView(element("scene-canvas"), () => changed("scene"));
+  const lost = "The browser has lost its 3D picture: load the page again.";
+  element("scene-canvas").addEventListener("webglcontextlost", () => notices.show("webgl", lost));
 } catch (error) {
   notices.show("webgl", `No 3D view: ${error.message}. The X-ray, plots and controls work without it.`);
 }
@@ -84,6 +86,7 @@ function takeInfo(data) {
   const { info } = model;
   document.body.classList.toggle("live", info.kind === "live");
   document.body.classList.toggle("log", info.kind === "log");
+  if (info.scene?.mode === "lockstep" && document.title === "Trabecula") element("speed").value = "0";
   document.title = `${info.scene?.name ?? "Trabecula"} · Trabecula`;
   if (info.drives) page.drive.parts = info.drives;
   if (info.tool?.tendon_max_n) page.drive.tendonMostN = info.tool.tendon_max_n;

@@ -59,7 +59,7 @@ export function showFrame(model, xRay) {
   const angles = frame?.primary === undefined ? "" : `, ${degrees(frame.primary)} / ${degrees(frame.secondary)}`;
   set("frame-facts", frame ? `frame ${frame.sequence}, tick ${frame.tick}${angles}` : "no frame yet");
   set("window-facts", xRay.image ? `level ${xRay.window.level.toFixed(0)}, width ${xRay.window.width.toFixed(0)}` : "");
-  const words = { first: "first", second: "second", difference: "first − second" };
+  const words = { both: "both", first: "first", second: "second", difference: "first − second" };
   set("x-ray-source", `Shows: ${words[xRay.shows]}`);
 }
 

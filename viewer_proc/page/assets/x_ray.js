@@ -63,7 +63,7 @@ export class XRay {
     this.image = undefined;
     /** @type {Image | undefined} */
     this.second = undefined;
-    /** @type {"first" | "second" | "difference"} */
+    /** @type {"first" | "both" | "second" | "difference"} */
     this.shows = "first";
     this.inverted = false;
     this.window = { level: LEVELS / 2, width: LEVELS };
@@ -77,6 +77,7 @@ export class XRay {
       this.window = automaticWindow(image);
       this.#fillTable();
     }
+    if (second && !this.second) this.shows = "both";
     this[second ? "second" : "image"] = image;
     this.frames += 1;
     this.changed();
@@ -116,15 +117,33 @@ export class XRay {
   draw() {
     const shown = this.shows === "second" ? this.second : this.image;
     if (!shown) return;
+    const other = this.second?.pixels.length === shown.pixels.length ? this.second.pixels : undefined;
+    const both = this.shows === "both" && other;
     const { width, height, pixels } = shown;
+    const words = this.#words(both ? 2 * width : width, height);
+    if (both) {
+      for (let row = 0; row < height; row++) {
+        for (let column = 0; column < width; column++) {
+          words[2 * row * width + column] = this.table[pixels[row * width + column]];
+          words[(2 * row + 1) * width + column] = this.table[other[row * width + column]];
+        }
+      }
+    } else if (this.shows === "difference" && other) {
+      for (let i = 0; i < pixels.length; i++) words[i] = this.#difference(pixels[i], other[i]);
+    } else {
+      for (let i = 0; i < pixels.length; i++) words[i] = this.table[pixels[i]];
+    }
+    this.context.putImageData(this.data, 0, 0);
+  }
+
+  /** The canvas' pixels, four bytes each, made anew when the size changes. */
+  #words(width, height) {
     if (this.data?.width !== width || this.data?.height !== height) {
       Object.assign(this.canvas, { width, height });
       this.data = this.context.createImageData(width, height);
       this.words = new Uint32Array(this.data.data.buffer);
     }
-    const other = this.shows === "difference" && this.second?.pixels.length === pixels.length ? this.second.pixels : undefined;
-    for (let i = 0; i < pixels.length; i++) this.words[i] = other ? this.#difference(pixels[i], other[i]) : this.table[pixels[i]];
-    this.context.putImageData(this.data, 0, 0);
+    return this.words;
   }
 
   #difference(a, b) {
