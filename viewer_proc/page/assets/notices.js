@@ -8,7 +8,7 @@ export class Notices {
   constructor(list, banner) {
     this.list = list;
     this.banner = banner;
-    /** Banners by what they are about; the last one set shows. @type {Map<string, {level: string, text: string}>} */
+    /** Banners by what they are about, the newest last. @type {Map<string, {level: string, text: string}>} */
     this.banners = new Map();
   }
 
@@ -36,9 +36,9 @@ export class Notices {
     if (this.banners.get(about)?.text === text) return;
     this.banners.delete(about);
     if (text) this.banners.set(about, { level, text });
-    const top = [...this.banners.values()].at(-1);
-    this.banner.hidden = !top;
-    this.banner.className = top?.level ?? "";
-    this.banner.textContent = top ? top.text : "";
+    const all = [...this.banners.values()];
+    this.banner.hidden = all.length === 0;
+    this.banner.className = all.some((one) => one.level === "error") ? "error" : "warning";
+    this.banner.replaceChildren(...all.map((one) => Object.assign(document.createElement("p"), { textContent: one.text })));
   }
 }
