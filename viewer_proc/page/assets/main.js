@@ -120,7 +120,6 @@ function takeNotice({ level, text }) {
 
 for (const prefix of ["", "/second"]) {
   connection.on(`${prefix}/state`, (...message) => (model.takeState(...message), changed("scene"), changed("plots")));
-  connection.on(`${prefix}/view/poses`, (...message) => (model.takePoses(...message), changed("scene")));
   connection.on(`${prefix}/drr/image`, (data) => page.xRay.take(decodeImage(data), prefix !== ""));
 }
 connection.on("/timing/tick", (...message) => (model.takeTiming(...message), changed("plots")));

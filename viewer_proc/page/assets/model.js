@@ -3,9 +3,12 @@
 import { layoutOf, reader } from "/assets/schema.js";
 import { Series } from "/assets/series.js";
 import { causeOf } from "/assets/timing_strip.js";
-import { Trail, contactsOf, decodePoses, named } from "/assets/tool_model.js";
+import { armFrames } from "/assets/arm.js";
+import { Trail, contactsOf } from "/assets/tool_model.js";
 import { json } from "/assets/connection.js";
 
+const ARM_JOINTS = 6;
+const LINKS = 32;
 const BODIES = 4;
 const CONTACTS = 40;
 const PHASES = ["connecting", "running", "paused", "ended"];
@@ -25,6 +28,9 @@ function stateReaders(layout) {
   return {
     tick: reader(layout, "tick"), removed: reader(layout, "removed_total"),
     values: STATE_VALUES.map((path) => reader(layout, path)), burr: three(layout, "t_world_burr.position_m"),
+    linkCount: reader(layout, "joint_count"), base: poseReader(layout, "t_world_base"), burrPose: poseReader(layout, "t_world_burr"),
+    links: Array.from({ length: LINKS }, (_, i) => poseReader(layout, `t_world_link[${i}]`)), flange: poseReader(layout, "t_world_flange"),
+    armAngles: Array.from({ length: ARM_JOINTS }, (_, i) => reader(layout, `arm_joint_position_rad[${i}]`)),
     bodyCount: reader(layout, "body_count"), contactCount: reader(layout, "contact_count"),
     bodies: Array.from({ length: BODIES }, (_, i) => poseReader(layout, `t_world_body[${i}]`)),
     contacts: Array.from({ length: CONTACTS }, (_, i) => ({
@@ -32,6 +38,14 @@ function stateReaders(layout) {
       normalForce: reader(layout, `contacts[${i}].normal_force_n`), friction: three(layout, `contacts[${i}].friction_force_n`),
     })),
   };
+}
+
+/** Where arm and tool are in a state. @returns {import("/assets/tool_model.js").Poses} */
+function posesOf(read, state) {
+  const flange = readPose(read.flange, state);
+  const links = read.links.slice(0, read.linkCount(state)).map((at) => readPose(at, state));
+  const arm = armFrames(flange, read.armAngles.map((f) => f(state)));
+  return { arm, flange, base: readPose(read.base, state), links, burr: readPose(read.burrPose, state) };
 }
 
 /** The string behind a struct. @param {DataView} data @param {number} at */
@@ -44,8 +58,6 @@ export class Model {
   constructor() {
     this.readers = new Map();
     this.info = undefined;
-    this.poses = undefined;
-    this.second = undefined;
     this.trail = new Trail();
     this.states = new Series(STATE_VALUES.length);
     this.secondStates = new Series(STATE_VALUES.length);
@@ -72,6 +84,15 @@ export class Model {
     return this.state ? contactsOf(this.stateRead, this.state) : [];
   }
 
+  get poses() {
+    return this.state && posesOf(this.stateRead, this.state);
+  }
+
+  /** The second log's. */
+  get second() {
+    return this.secondState && posesOf(this.stateRead, this.secondState);
+  }
+
   get bodies() {
     if (!this.state) return [];
     return this.stateRead.bodies.slice(0, this.stateRead.bodyCount(this.state)).map((at) => readPose(at, this.state));
@@ -90,22 +111,20 @@ export class Model {
     const read = this.#read(channel, stateReaders);
     const second = channel.topic.startsWith("/second");
     (second ? this.secondStates : this.states).push(timeNs / 1e9, ...read.values.map((f) => f(data)));
-    if (second) return;
-    this.state = data;
     this.stateRead = read;
+    if (second) {
+      this.secondState = data;
+      return;
+    }
+    this.state = data;
     this.stateAt = performance.now();
     this.trail.add(read.burr.map((f) => f(data)), timeNs);
   }
 
   /** @type {import("/assets/connection.js").Handler} */
-  takePoses(data, _timeNs, channel) {
-    this[channel.topic.startsWith("/second") ? "second" : "poses"] = named(decodePoses(data));
-  }
-
-  /** @type {import("/assets/connection.js").Handler} */
-  takeTiming(data, timeNs, channel) {
+  takeTiming(data, _timeNs, channel) {
     const read = this.#read(channel, (layout) => {
-      const names = ["missed", "wake_lateness_ns", "run_queue_wait_ns", "page_faults", "step_ns", "publish_ns"];
+      const names = ["tick", "missed", "wake_lateness_ns", "run_queue_wait_ns", "page_faults", "step_ns", "publish_ns"];
       return Object.fromEntries(names.map((name) => [name, reader(layout, name)]));
     });
     const [step, publish] = [read.step_ns(data), read.publish_ns(data)];
@@ -113,7 +132,7 @@ export class Model {
       lateness_ns: read.wake_lateness_ns(data), wait_ns: read.run_queue_wait_ns(data), faults: read.page_faults(data),
       work_before_ns: this.workBefore ?? 0, period_ns: this.periodNs,
     };
-    this.timing.push(timeNs / 1e9, step / 1e3, read.missed(data) ? causeOf(facts) : 0);
+    this.timing.push((read.tick(data) * this.periodNs) / 1e9, step / 1e3, read.missed(data) ? causeOf(facts) : 0);
     this.workBefore = step + publish;
   }
 
@@ -156,7 +175,7 @@ export class Model {
   clear() {
     for (const series of [this.states, this.secondStates, this.timing]) series.clear();
     this.trail.clear();
-    this.state = this.poses = this.second = this.frame = this.stateAt = undefined;
+    this.state = this.secondState = this.frame = this.stateAt = undefined;
   }
 }
 

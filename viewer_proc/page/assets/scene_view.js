@@ -69,8 +69,11 @@ export class SceneView {
     return false;
   }
 
-  /** @param {object} scene info, poses, second, contacts, bodies, trail: what there is to show */
-  draw(scene) {
+  /** @param {import("/assets/model.js").Model} model */
+  draw(model) {
+    // What is computed from the state is computed once a picture.
+    const { info, poses, second, contacts, bodies, trail } = model;
+    const scene = { info, poses, second, contacts, bodies, trail };
     const { gl, camera } = this;
     const colours = this.dark ? DARK_SIDE : LIGHT_SIDE;
     if (scene.poses && camera.follows) camera.centre = scene.poses.burr.position;
@@ -80,7 +83,7 @@ export class SceneView {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.#drawParts(this.#opaque(scene), clipFromWorld);
     this.#drawBone(scene, clipFromWorld, colours);
-    if (scene.second && scene.info?.tool) this.#drawSecond(scene, clipFromWorld);
+    this.#drawTranslucent(scene, clipFromWorld);
     this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();
     this.pictures += 1;
@@ -88,10 +91,7 @@ export class SceneView {
 
   #opaque({ info, poses, contacts, bodies, trail }) {
     const list = new PartsList();
-    if (poses && info?.tool) {
-      addArm(list, poses);
-      addTool(list, poses, info.tool);
-    }
+    if (poses && info?.tool) addTool(list, poses, info.tool);
     addContacts(list, contacts);
     addBodies(list, info?.bodies ?? [], bodies);
     list.path(info?.scene?.planned_path_m ?? [], 0.00045, COLOURS.planned, 0.001);
@@ -108,13 +108,20 @@ export class SceneView {
     for (const [name, numbers] of Object.entries(list.shapes)) this.shapes[name].draw(numbers);
   }
 
-  #drawSecond(scene, clipFromWorld) {
+  /** The arm, which would hide the bone, and the tool of the second log: only their foremost surface. */
+  #drawTranslucent({ info, poses, second }, clipFromWorld) {
     const { gl } = this;
     const list = new PartsList();
-    addTool(list, scene.second, scene.info.tool, COLOURS.second);
+    if (poses) addArm(list, poses);
+    if (second && info?.tool) addTool(list, second, info.tool, COLOURS.second);
+    gl.colorMask(false, false, false, false);
+    this.#drawParts(list, clipFromWorld);
+    gl.colorMask(true, true, true, true);
+    gl.depthFunc(gl.LEQUAL);
     gl.enable(gl.BLEND);
     this.#drawParts(list, clipFromWorld);
     gl.disable(gl.BLEND);
+    gl.depthFunc(gl.LESS);
   }
 
   #drawBone(scene, clipFromWorld, colours) {

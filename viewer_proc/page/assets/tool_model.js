@@ -6,9 +6,6 @@ import { add, length, rotate, scale, subtract, transform } from "/assets/vector.
 /** @typedef {import("/assets/vector.js").Pose} Pose */
 /** @typedef {import("/assets/parts_list.js").PartsList} PartsList */
 
-const POSES_MAGIC = 0x534f5054;
-const POSE_BYTES = 28;
-const ARM_FRAMES = 7;
 /** Radii of the UR5's tubes, from the base, in metres: rounded from the maker's drawings, for the picture only. */
 const ARM_RADII_M = [0.06, 0.055, 0.05, 0.042, 0.038, 0.036];
 /** Length of a force arrow. */
@@ -19,25 +16,12 @@ const LEAP_M = 0.005;
 
 /** @type {Record<string, import("/assets/parts_list.js").Colour>} */
 export const COLOURS = {
-  arm: [0.5, 0.51, 0.53, 1], shaft: [0.66, 0.67, 0.7, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
+  arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
   burr: [0.96, 0.45, 0.08, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
   force: [0.86, 0.1, 0.16, 1], body: [0.55, 0.5, 0.75, 1], second: [0.45, 0.4, 0.95, 0.45],
 };
 
-/** A `trabecula.poses` message. @param {DataView} data @returns {Pose[]} */
-export function decodePoses(data) {
-  if (data.getUint32(0, true) !== POSES_MAGIC) throw new Error("a poses message of another format");
-  return Array.from({ length: data.getUint32(4, true) }, (_, i) => {
-    const number = (k) => data.getFloat32(8 + i * POSE_BYTES + 4 * k, true);
-    return { position: [number(0), number(1), number(2)], rotation: [number(3), number(4), number(5), number(6)] };
-  });
-}
-
-/** The poses by what they are. @param {Pose[]} poses arm frames, flange, tool base, links, burr */
-export function named(poses) {
-  const base = ARM_FRAMES + 1;
-  return { arm: poses.slice(0, ARM_FRAMES), flange: poses[ARM_FRAMES], base: poses[base], links: poses.slice(base + 1, -1), burr: poses.at(-1) };
-}
+/** @typedef {{arm: Pose[], flange: Pose, base: Pose, links: Pose[], burr: Pose}} Poses */
 
 /** The way that the burr has gone. */
 export class Trail {
@@ -63,7 +47,7 @@ export class Trail {
   }
 }
 
-/** @param {PartsList} list @param {ReturnType<typeof named>} poses @param {object} tool of `/view/info` @param {object} [one] one colour for all */
+/** @param {PartsList} list @param {Poses} poses @param {object} tool of `/view/info` @param {object} [one] one colour for all */
 export function addTool(list, poses, tool, one) {
   const burrRadius = tool.burr_radius_m ?? 0.003;
   const shaft = tool.shaft ?? { length_m: 0, radius_m: 0.003 };
@@ -77,7 +61,7 @@ export function addTool(list, poses, tool, one) {
   list.sphere(poses.burr.position, burrRadius, one ?? COLOURS.burr);
 }
 
-/** The arm as tubes between its frames. @param {PartsList} list @param {ReturnType<typeof named>} poses */
+/** The arm as tubes between its frames. @param {PartsList} list @param {Poses} poses */
 export function addArm(list, poses) {
   const points = [...poses.arm.map((pose) => pose.position), poses.flange.position];
   for (let i = 1; i < points.length; i++) {
