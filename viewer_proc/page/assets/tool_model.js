@@ -6,8 +6,8 @@ import { add, length, rotate, scale, subtract, transform } from "/assets/vector.
 /** @typedef {import("/assets/vector.js").Pose} Pose */
 /** @typedef {import("/assets/parts_list.js").PartsList} PartsList */
 
-/** Radii of the UR5's tubes, from the base, in metres: rounded from the maker's drawings, for the picture only. */
-const ARM_RADII_M = [0.06, 0.055, 0.05, 0.042, 0.038, 0.036];
+/** Radii with which the arm is drawn, from its base: thinner than the robot, so that it hides little. */
+const ARM_RADII_M = [0.03, 0.028, 0.025, 0.02, 0.018, 0.016];
 /** Length of a force arrow. */
 export const ARROW_M_PER_N = 0.002;
 const TRAIL_STEP_M = 0.0003;
