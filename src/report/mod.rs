@@ -20,7 +20,8 @@ pub mod panel;
 mod run_lane;
 pub mod shapes;
 mod summary;
-mod timeline;
+mod table;
+pub mod timeline;
 mod timing_figure;
 mod timing_lane;
 mod tip_figure;
@@ -34,6 +35,7 @@ use std::path::{Path, PathBuf};
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
 pub use summary::{NOT_SHARED, Summary};
+pub use table::{History, json_line};
 
 use run_lane::RunLane;
 use timing_lane::TimingLane;
