@@ -24,11 +24,13 @@ use commands::docs::DocsCommand;
 use commands::doctor::DoctorArguments;
 use commands::drr::DrrArguments;
 use commands::log::LogCommand;
+use commands::plot::PlotArguments;
 use commands::proc::ProcCommand;
 use commands::replay::ReplayArguments;
 use commands::run::RunArguments;
 use commands::scene::SceneCommand;
 use commands::stress::{LoadArguments, StressArguments};
+use commands::view::ViewArguments;
 use commands::volume::{PhantomArguments, VolumeCommand};
 use failure::Failure;
 
@@ -46,6 +48,10 @@ enum Command {
     Run(RunArguments),
     /// Step the physics through a log's commands again.
     Replay(ReplayArguments),
+    /// Watch and steer a running session in the browser, or look at logs on a time line.
+    View(ViewArguments),
+    /// Draw fields of a log over time.
+    Plot(PlotArguments),
     /// Look into logs.
     #[command(subcommand)]
     Log(LogCommand),
@@ -93,6 +99,8 @@ fn main() -> ExitCode {
     let outcome: Result<(), Failure> = match &arguments {
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
+        Command::View(arguments) => commands::view::run(arguments),
+        Command::Plot(arguments) => commands::plot::run(arguments),
         Command::Log(command) => commands::log::run(command),
         Command::Calibrate(arguments) => commands::calibrate::run(arguments),
         Command::Scene(command) => commands::scene::run(command),

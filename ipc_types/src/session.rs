@@ -262,7 +262,7 @@ pub fn newest_session() -> Option<PathBuf> {
 
 /// Whether the host of a session's folder is running: it holds the lock of `wake.flags`. Its process number alone may
 /// be another's by now, or mean another process to a container.
-fn host_is_alive(folder: &Path) -> bool {
+pub fn host_is_alive(folder: &Path) -> bool {
     match fs::File::open(folder.join(FLAGS_FILE)) {
         Ok(file) => rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_err(),
         // A session in the making has none yet.

@@ -69,6 +69,9 @@ pub enum RecorderError {
     Signals(std::io::Error),
 }
 
+/// Name of the file in the session's folder that says where the run is recorded.
+pub const OUTPUT_FILE: &str = "output";
+
 /// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then takes what
 /// still waits and finishes both logs.
 ///

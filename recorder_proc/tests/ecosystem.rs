@@ -107,7 +107,7 @@ fn strings<'a>(value: &'a Value, out: &mut Vec<&'a str>) {
 /// Every message path of the shipped layout is a topic and a field of this build.
 #[test]
 fn the_lichtblick_layout_names_topics_and_fields_that_exist() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/lichtblick-layout.json");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../viewer_proc/lichtblick-layout.json");
     let layout: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let mut all = Vec::new();
     strings(&layout, &mut all);

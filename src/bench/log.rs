@@ -27,7 +27,7 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     let end = EndRequest::install().map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
     let machine = Machine::watch();
-    let plan = RunPlan { scene, output: Some(folder.path().to_owned()) };
+    let plan = RunPlan { scene, output: Some(folder.path().to_owned()), view: None };
     let result = complete_run(&plan, &end, |_| {})?;
     let simulated_s = plan.scene.run.duration_s;
     let wall_s = result.running.as_secs_f64();

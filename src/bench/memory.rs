@@ -51,7 +51,7 @@ pub fn run(scene: &Path, dimensions: [usize; 3], ticks: u64) -> Result<(), Failu
     let ct_bytes = dimensions.iter().product::<usize>() as u64 * 2;
     let (mut segments, mut running) = (Vec::new(), Memory::default());
     let machine = Machine::watch();
-    let plan = RunPlan { scene, output: Some(folder.path().to_owned()) };
+    let plan = RunPlan { scene, output: Some(folder.path().to_owned()), view: None };
     let result = complete_run(&plan, &end, |_| {
         running.measure("self");
         if segments.is_empty() {

@@ -99,7 +99,7 @@ fn ratio_line(ratios: &[f64]) -> String {
 }
 
 fn run_ticks(scene: &Scene, end: &EndRequest) -> Result<Ticks, Failure> {
-    let plan = RunPlan { scene: scene.clone(), output: None };
+    let plan = RunPlan { scene: scene.clone(), output: None, view: None };
     let mut ticks = Ticks::default();
     complete_run(&plan, end, |glance| glance.timings.iter().for_each(|timing| ticks.add(timing)))?;
     Ok(ticks)

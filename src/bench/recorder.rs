@@ -79,7 +79,7 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
 }
 
 fn one(scene: &Scene, output: Option<&Path>, end: &EndRequest, all: &mut Physics) -> Result<(), Failure> {
-    let plan = RunPlan { scene: scene.clone(), output: output.map(Path::to_owned) };
+    let plan = RunPlan { scene: scene.clone(), output: output.map(Path::to_owned), view: None };
     let mut this = Physics::default();
     complete_run(&plan, end, |glance| {
         glance.timings.iter().for_each(|timing| {

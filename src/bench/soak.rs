@@ -30,7 +30,7 @@ pub fn run(scene: &Path, minutes: f64, output: Option<&Path>) -> Result<(), Fail
     let folder = output.unwrap_or(own.path());
     std::fs::create_dir_all(folder).map_err(failed)?;
     let machine = Machine::watch();
-    let plan = RunPlan { scene, output: Some(folder.to_owned()) };
+    let plan = RunPlan { scene, output: Some(folder.to_owned()), view: None };
     let (mut status, mut early, began) = (None, Memory::default(), Instant::now());
     let result = complete_run(&plan, &end, |glance| {
         status = glance.status.copied().or(status);

@@ -1,12 +1,14 @@
-//! `trabecula docs messages|scene|schema`: what the declarations of messages and scenes say.
+//! `trabecula docs`: what the declarations of messages, scenes and commands say.
 
 use std::io::{ErrorKind, Write, stdout};
 
-use clap::Subcommand;
+use clap::{CommandFactory, Subcommand};
+use clap_complete::Shell;
 use ipc_types::reference::{every_message, message_reference};
 use ipc_types::scene_reference::scene_reference;
 use recorder_proc::topics::schema_of;
 
+use crate::Arguments;
 use crate::failure::Failure;
 
 /// What to print.
@@ -21,6 +23,13 @@ pub enum DocsCommand {
         /// Message, such as `State`.
         message: String,
     },
+    /// The completions of a shell; `source <(trabecula docs completions bash)`.
+    Completions {
+        /// Shell.
+        shell: Shell,
+    },
+    /// The man page, in roff: `trabecula docs man | man -l -`.
+    Man,
 }
 
 /// Runs the command.
@@ -32,6 +41,8 @@ pub fn run(command: &DocsCommand) -> Result<(), Failure> {
         DocsCommand::Messages => message_reference(),
         DocsCommand::Scene => scene_reference().map_err(|cause| Failure::failed(cause.to_string()))?,
         DocsCommand::Schema { message } => schema(message)?,
+        DocsCommand::Completions { shell } => completions(*shell),
+        DocsCommand::Man => man_page()?,
     };
     match stdout().write_all(text.as_bytes()) {
         // A reader that has had enough (`| head`) is no failure.
@@ -40,6 +51,25 @@ pub fn run(command: &DocsCommand) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+fn completions(shell: Shell) -> String {
+    let mut text = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "trabecula", &mut text);
+    String::from_utf8_lossy(&text).into_owned()
+}
+
+/// The command's page, and behind it one of each subcommand.
+fn man_page() -> Result<String, Failure> {
+    let mut command = Arguments::command();
+    command.build();
+    let mut text = Vec::new();
+    let failed = |cause: std::io::Error| Failure::failed(format!("the man page cannot be made: {cause}"));
+    clap_mangen::Man::new(command.clone()).render(&mut text).map_err(failed)?;
+    for subcommand in command.get_subcommands().filter(|command| command.get_name() != "help") {
+        clap_mangen::Man::new(subcommand.clone()).render(&mut text).map_err(failed)?;
+    }
+    Ok(String::from_utf8_lossy(&text).into_owned())
 }
 
 fn schema(message: &str) -> Result<String, Failure> {

@@ -9,7 +9,7 @@ use ipc_types::scene::{Images, Mode, Policy, Scene, Wait};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
-use crate::launcher::progress::Display;
+use crate::launcher::progress::{Display, Manner};
 use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run as run_scene};
 use crate::report::{self, NOT_SHARED, RunFacts};
 
@@ -46,9 +46,25 @@ pub struct RunArguments {
     /// How the scheduler treats physics and controllers, instead of what the scene says.
     #[arg(long, value_enum)]
     pub policy: Option<PolicyArgument>,
+    /// Show the run in the browser, at this port if one is given.
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8765")]
+    pub view: Option<u16>,
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,
+    /// Lines of JSON on standard output, for scripts, in place of the progress line and the report's table.
+    #[arg(long, conflicts_with = "quiet")]
+    pub json: bool,
+}
+
+impl RunArguments {
+    fn manner(&self) -> Manner {
+        match (self.quiet, self.json) {
+            (true, _) => Manner::Quiet,
+            (false, true) => Manner::Json,
+            (false, false) => Manner::People,
+        }
+    }
 }
 
 /// How time passes.
@@ -126,8 +142,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             Failure::bad_input(format!("--output {}: cannot be made ({cause})", arguments.output.display()))
         })?),
     };
-    let plan = RunPlan { scene, output };
-    let mut display = Display::new(arguments.quiet)?;
+    let plan = RunPlan { scene, output, view: arguments.view };
+    let mut display = Display::new(arguments.manner())?;
     let mut shown = false;
     let result = run_scene(&plan, &end, |glance| {
         // The parts have started: what follows is for people, and gives way to them.
@@ -149,7 +165,8 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             _ => Failure::failed(error.to_string()),
         }
     })?;
-    let written = plan.output.as_deref().map_or(Ok(()), |output| write_report(&result, output));
+    let written =
+        plan.output.as_deref().map_or(Ok(()), |output| write_report(&result, output, arguments.json));
     judge(&result).and(written)
 }
 
@@ -188,7 +205,7 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
 }
 
 /// Pictures, numbers, and the table at the end.
-fn write_report(result: &RunResult, output: &Path) -> Result<(), Failure> {
+fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
     let facts = RunFacts {
         wall_s: result.running.as_secs_f64(),
@@ -199,6 +216,10 @@ fn write_report(result: &RunResult, output: &Path) -> Result<(), Failure> {
         replay_command: replay_command.clone(),
     };
     let summary = report::write(output, &facts).map_err(|error| Failure::failed(error.to_string()))?;
+    if json {
+        say!("{}", serde_json::json!({"phase": "ended", "folder": output, "outcome": facts.outcome}));
+        return Ok(());
+    }
     say!("{summary}");
     say!("\nfolder       {}\nreplay it    {replay_command}", output.display());
     Ok(())

@@ -25,6 +25,8 @@ pub const DRR: &str = "drr";
 /// Name of the recorder part.
 pub const RECORDER: &str = "recorder";
 
+const VIEWER: &str = "viewer";
+
 /// The host's side of a run.
 #[derive(Debug)]
 pub struct Hub {
@@ -143,6 +145,18 @@ impl Hub {
         let mut command = Command::new(program);
         command.args(arguments).env(CONTROLLER_VARIABLE, name);
         self.spawn(name, &mut command, true)
+    }
+
+    /// Starts the viewer as `trabecula view`; it says where its page is.
+    ///
+    /// # Errors
+    /// [`HubError::Start`].
+    pub fn start_viewer(&self, port: u16) -> Result<Part, HubError> {
+        let start_error =
+            |cause| HubError::Start { part: VIEWER.to_owned(), program: "trabecula".to_owned(), cause };
+        let mut command = Command::new(std::env::current_exe().map_err(start_error)?);
+        command.args(["view", "--port", &port.to_string(), "--session"]).arg(self.folder());
+        self.spawn(VIEWER, &mut command, true)
     }
 
     fn spawn(&self, part: &str, command: &mut Command, echo: bool) -> Result<Part, HubError> {

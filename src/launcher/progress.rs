@@ -1,4 +1,5 @@
-//! The progress line: one line that is rewritten on a terminal, a line every two seconds elsewhere.
+//! The progress display: a small table that is rewritten on a terminal, a line every two seconds elsewhere, or lines of
+//! JSON for scripts.
 
 use std::io::{IsTerminal, Write, stderr};
 use std::time::{Duration, Instant};
@@ -7,7 +8,7 @@ use ipc_types::messages::{PHASE_CONNECTING, PHASE_PAUSED};
 
 use super::run::Glance;
 use crate::failure::Failure;
-use crate::report::{LiveSnapshot, LiveStats, progress_line};
+use crate::report::{History, LiveSnapshot, LiveStats, json_line, progress_line};
 
 const TERMINAL_PERIOD: Duration = Duration::from_millis(250);
 const PLAIN_PERIOD: Duration = Duration::from_secs(2);
@@ -15,32 +16,46 @@ const PLAIN_PERIOD: Duration = Duration::from_secs(2);
 /// Shows how a run goes on.
 #[derive(Debug)]
 pub struct Display {
-    quiet: bool,
+    manner: Manner,
     terminal: bool,
+    history: History,
     stats: LiveStats,
     last: Instant,
     last_sim_s: f64,
     last_frames: u64,
-    drawn: bool,
+    /// Lines of the table that stand on the terminal.
+    drawn: usize,
     announced: bool,
 }
 
+/// What is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Manner {
+    /// Nothing.
+    Quiet,
+    /// Lines and tables on standard error.
+    People,
+    /// Lines of JSON on standard output.
+    Json,
+}
+
 impl Display {
-    /// A display on standard error; a quiet one shows nothing.
+    /// A display.
     ///
     /// # Errors
     /// The statistics cannot be set up.
-    pub fn new(quiet: bool) -> Result<Display, Failure> {
+    pub fn new(manner: Manner) -> Result<Display, Failure> {
         let stats = LiveStats::new().map_err(|error| Failure::failed(error.to_string()))?;
         let terminal = stderr().is_terminal();
         Ok(Display {
-            quiet,
-            terminal,
+            manner,
+            terminal: terminal && manner == Manner::People,
+            history: History::default(),
             stats,
             last: Instant::now(),
             last_sim_s: 0.0,
             last_frames: 0,
-            drawn: false,
+            drawn: 0,
             announced: false,
         })
     }
@@ -48,28 +63,34 @@ impl Display {
     /// Takes in a glance and shows a line if it is time to.
     pub fn show(&mut self, glance: &Glance) {
         glance.timings.iter().for_each(|timing| self.stats.add(timing));
-        if !self.quiet && !self.announced {
+        if self.manner != Manner::Quiet && !self.announced {
             self.announced = true;
             eprintln!("session {}", glance.session.display());
             glance.awaited.iter().for_each(|line| eprintln!("{line}"));
         }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
-        if self.quiet || self.last.elapsed() < period {
+        if self.manner == Manner::Quiet || self.last.elapsed() < period {
             return;
         }
-        let line = self.line(glance);
+        let lines = self.lines(glance);
         self.last = Instant::now();
         self.last_sim_s = glance.state.map_or(0.0, |state| state.sim_time_s);
         self.last_frames = glance.frames;
-        self.draw(&line);
+        self.draw(&lines);
     }
 
-    fn line(&mut self, glance: &Glance) -> String {
-        let Some(state) = glance.state else { return "loading the volume, connecting the parts".to_owned() };
+    fn lines(&mut self, glance: &Glance) -> Vec<String> {
         let phase = glance.status.map(|status| status.phase);
-        if phase == Some(PHASE_CONNECTING) {
-            return "connecting the parts".to_owned();
-        }
+        let Some(state) = glance.state.filter(|_| phase != Some(PHASE_CONNECTING)) else {
+            let waits = match glance.state {
+                None => "loading the volume, connecting the parts",
+                Some(_) => "connecting the parts",
+            };
+            return match self.manner {
+                Manner::Json => vec![json_line(&LiveSnapshot::default(), "connecting").to_string()],
+                _ => vec![waits.to_owned()],
+            };
+        };
         let wall_s = self.last.elapsed().as_secs_f64();
         let snapshot = LiveSnapshot {
             sim_time_s: state.sim_time_s,
@@ -81,21 +102,46 @@ impl Display {
             drr_rate_hz: (glance.frames > 0).then(|| (glance.frames - self.last_frames) as f64 / wall_s),
             missed_ticks: glance.status.filter(|status| status.mode != 0).map(|status| status.missed_ticks),
         };
-        let paused = if phase == Some(PHASE_PAUSED) { "paused  " } else { "" };
-        format!("{paused}{}", progress_line(&snapshot))
+        self.history.add(&snapshot);
+        let paused = phase == Some(PHASE_PAUSED);
+        if self.manner == Manner::Json {
+            return vec![json_line(&snapshot, if paused { "paused" } else { "running" }).to_string()];
+        }
+        let mut lines = match self.terminal {
+            true => self.history.table(&snapshot),
+            false => vec![progress_line(&snapshot)],
+        };
+        if paused && let Some(first) = lines.first_mut() {
+            first.insert_str(0, "paused  ");
+        }
+        lines
     }
 
-    fn draw(&mut self, line: &str) {
+    fn draw(&mut self, lines: &[String]) {
+        // A terminal or pipe that has gone is no reason to end a run.
+        if self.manner == Manner::Json {
+            lines.iter().for_each(|line| say!("{line}"));
+            return;
+        }
+        let mut text = String::new();
+        if self.terminal {
+            // Back to the table's first line; what was there is cleared line by line.
+            text = (1..self.drawn).fold("\r".to_owned(), |text, _| text + "\x1b[A");
+            let rows: Vec<String> = lines.iter().map(|line| format!("\x1b[K{line}")).collect();
+            text += &rows.join("\n");
+            text += "\x1b[J";
+        } else {
+            lines.iter().for_each(|line| text += &format!("{line}\n"));
+        }
         let mut out = stderr().lock();
-        // A terminal that has gone is no reason to end a run.
-        let _ = if self.terminal { write!(out, "\r\x1b[K{line}") } else { writeln!(out, "{line}") };
+        let _ = out.write_all(text.as_bytes());
         let _ = out.flush();
-        self.drawn = true;
+        self.drawn = lines.len();
     }
 
-    /// Leaves the line.
+    /// Leaves the table.
     pub fn end(&mut self) {
-        if self.drawn && self.terminal {
+        if self.drawn > 0 && self.terminal {
             eprintln!();
         }
     }

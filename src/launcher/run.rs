@@ -16,6 +16,8 @@ use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::Waker;
 
+use recorder_proc::process::OUTPUT_FILE;
+
 use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
 use super::part::{Memory, Part, processor_time};
 use super::understudy::Understudies;
@@ -27,6 +29,9 @@ const END_LIMIT: Duration = Duration::from_secs(130);
 /// The same after something has failed.
 const FAILED_END_LIMIT: Duration = Duration::from_secs(10);
 
+/// How long the viewer may take to tell its clients that the run has ended.
+const VIEWER_END_LIMIT: Duration = Duration::from_secs(3);
+
 /// How a run is to be made.
 #[derive(Debug, Clone)]
 pub struct RunPlan {
@@ -34,6 +39,8 @@ pub struct RunPlan {
     pub scene: Scene,
     /// Folder for logs; none records nothing.
     pub output: Option<PathBuf>,
+    /// Port of the viewer; none starts none.
+    pub view: Option<u16>,
 }
 
 /// How a run ended.
@@ -127,6 +134,8 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     let mut eyes = Eyes::open(&hub.host.session)?;
     let mut parts = start_parts(plan, &hub)?;
     let mut understudies = Understudies::new(&hub.host.session)?;
+    // No part of the run: whatever becomes of it, the run goes on.
+    let mut viewer = plan.view.map(|port| hub.start_viewer(port)).transpose()?;
     let awaited = awaited(&plan.scene, &hub);
     let mut first_tick = None;
     let outcome = loop {
@@ -159,6 +168,9 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     let first_tick = first_tick.unwrap_or_else(Instant::now);
     let running = end_parts(plan, &outcome, &mut eyes, &mut parts).duration_since(first_tick);
     let outcome = with_log(outcome, &mut parts);
+    if let Some(viewer) = &mut viewer {
+        viewer.wait(VIEWER_END_LIMIT);
+    }
     eyes.look()?;
     show(&eyes.glance(hub.folder(), &awaited));
     let mut memory: Vec<(String, Memory)> =
@@ -189,6 +201,9 @@ fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
 fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
     let mut parts = Vec::new();
     if let Some(output) = &plan.output {
+        // For a viewer that joins later; without it that one shows the bone whole.
+        let place = std::path::absolute(output).unwrap_or_else(|_| output.clone());
+        let _ = std::fs::write(hub.folder().join(OUTPUT_FILE), place.as_os_str().as_encoded_bytes());
         parts.push(hub.start(RECORDER, &["recorder"], Some(output))?);
     }
     if plan.scene.drr.is_some() {

@@ -20,6 +20,7 @@ pub mod panel;
 mod run_lane;
 pub mod shapes;
 mod summary;
+mod table;
 pub mod timeline;
 pub mod timing_figure;
 mod timing_lane;
@@ -34,6 +35,7 @@ use std::path::{Path, PathBuf};
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
 pub use summary::{MissSummary, NOT_SHARED, Summary};
+pub use table::{History, json_line};
 
 use run_lane::RunLane;
 use timing_lane::TimingLane;

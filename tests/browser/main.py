@@ -1,0 +1,42 @@
+"""Runs the checks of one kind against a viewer that is already there: `main.py live|log|two --url URL …`.
+
+Exit code 77: there is no Chromium; what was tried is printed.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import chromium
+import live
+import log
+import page
+
+SKIPPED = 77
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", choices=["live", "log", "two"])
+    parser.add_argument("--url", required=True)
+    parser.add_argument("--cache", type=Path, required=True, help="where a Chromium is kept")
+    parser.add_argument("--pictures", type=Path, required=True, help="where screenshots go")
+    parser.add_argument("--victim", type=int, help="process whose death the page must notice")
+    arguments = parser.parse_args()
+    arguments.pictures.mkdir(parents=True, exist_ok=True)
+    try:
+        with page.browser(arguments.cache) as browser:
+            if arguments.kind == "live":
+                live.check(browser, arguments.url, arguments.victim, arguments.pictures)
+            elif arguments.kind == "log":
+                log.check(browser, arguments.url, arguments.pictures)
+            else:
+                log.check_two(browser, arguments.url, arguments.pictures)
+    except chromium.NoChromium as reason:
+        print(reason, file=sys.stderr)
+        return SKIPPED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""Makes docs/pictures/viewer.png: the page of a live run of the default scene.
+
+From the repository's root, after `cargo build --release` and `cargo test --release --test browser`, which makes the environment:
+
+    target/tmp/browser-1.65.2/bin/python3 tests/browser/pictures.py
+"""
+
+import io
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import page
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = ROOT / "target/release/trabecula"
+SCENE = ROOT / "configs/femur_curved_drilling.toml"
+SIZE = {"width": 1440, "height": 900}
+# Simulated time at which the burr is well in the head, and the bend nearly whole.
+SHOWN_AT_S = 17.0
+# Time for the last picture, which a processor draws slowly.
+SETTLES_S = 4.0
+LIMIT_BYTES = 400_000
+
+
+def address(viewer: subprocess.Popen) -> str:
+    """The address that the viewer prints."""
+    for line in viewer.stdout:
+        if found := re.search(r"http://\S+#token=\S+", line):
+            return found[0]
+    raise SystemExit("the viewer ended without an address")
+
+
+def picture(url: str) -> Image.Image:
+    """The page when the simulation has come to the moment to show."""
+    with page.browser(ROOT / "target/tmp") as browser:
+        shown = page.Page(browser, url, SIZE)
+        shown.until("the moment to show", lambda: shown.number("time") >= SHOWN_AT_S, 600.0)
+        shown.page.click("#pause")
+        shown.until("it pauses", lambda: shown.text("phase") == "Paused")
+        shown.page.evaluate("document.activeElement.blur()")
+        shown.page.mouse.move(0, 0)
+        shown.until("the surface is there", lambda: shown.page.evaluate("trabecula.view.surface.triangles > 0"))
+        time.sleep(SETTLES_S)
+        shown.clean()
+        return Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
+
+
+def main() -> None:
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs/pictures/viewer.png"
+    with tempfile.TemporaryDirectory() as folder:
+        # Sessions lie in this folder, so that the viewer finds this run and no other.
+        environment = {**os.environ, "XDG_RUNTIME_DIR": folder}
+        started = []
+
+        def start(*arguments: str | Path) -> subprocess.Popen:
+            started.append(subprocess.Popen([PROGRAM, *arguments], env=environment, stdout=subprocess.PIPE, text=True))
+            return started[-1]
+
+        try:
+            start("run", SCENE, "--output", folder, "--images", "none", "--quiet")
+            session = Path(folder) / "trabecula"
+            while not list(session.glob("*/session.json")):
+                time.sleep(0.1)
+            shown = picture(address(start("view", "--port", "0", "--no-open")))
+        finally:
+            for process in reversed(started):
+                process.terminate()
+                process.wait()
+    # Few colours: a palette keeps text and lines sharp in a small file.
+    shown.quantize(256, dither=Image.Dither.NONE).save(out, optimize=True)
+    size = out.stat().st_size
+    assert size < LIMIT_BYTES, f"{out} has {size} bytes, more than {LIMIT_BYTES}"
+    print(f"{out} {size} bytes")
+
+
+if __name__ == "__main__":
+    main()

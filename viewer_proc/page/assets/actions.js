@@ -1,0 +1,80 @@
+// Everything that a key or a button does, in one table: buttons, keys and the help come from it.
+
+/**
+ * @typedef {{id: string, group: string, keys: string[], text: string, run: () => void, when?: () => boolean, held?: () => void}} Action
+ *   `held`: called when the key is let go; such an action begins with the key and ends with it.
+ */
+
+/** A key as people read it. */
+const spelled = (key) => ({ " ": "Space", ArrowUp: "↑", ArrowDown: "↓", ArrowLeft: "←", ArrowRight: "→" })[key] ?? (key.length === 1 ? key.toUpperCase() : key);
+
+/** Whether the focus is where keys have a meaning of their own. */
+function typing(target) {
+  if (target instanceof HTMLInputElement) return target.type !== "range";
+  return target instanceof HTMLSelectElement || target instanceof HTMLTextAreaElement;
+}
+
+export class Actions {
+  /** @param {Action[]} actions */
+  constructor(actions) {
+    this.actions = actions;
+    this.byId = new Map(actions.map((action) => [action.id, action]));
+    this.byKey = new Map(actions.flatMap((action) => action.keys.map((key) => [key.toLowerCase(), action])));
+    this.down = new Map();
+  }
+
+  run(id) {
+    const action = this.byId.get(id);
+    if (action && (action.when?.() ?? true)) action.run();
+  }
+
+  /** Buttons with `data-action`, and the keys of the whole page. */
+  listen() {
+    for (const button of document.querySelectorAll("button[data-action]")) {
+      const action = this.byId.get(button.dataset.action);
+      button.addEventListener("click", () => this.run(action.id));
+      if (action.keys.length > 0) {
+        button.setAttribute("aria-keyshortcuts", action.keys.map(spelled).join(" "));
+        button.title = `${action.text} (${action.keys.map(spelled).join(", ")})`;
+      }
+    }
+    document.addEventListener("keydown", (event) => this.#keyDown(event));
+    document.addEventListener("keyup", (event) => this.#release(event.key.toLowerCase()));
+    window.addEventListener("blur", () => [...this.down.keys()].forEach((key) => this.#release(key)));
+  }
+
+  #keyDown(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey || typing(event.target) || document.querySelector("dialog[open]")) return;
+    // Space and Enter press the button that has the focus.
+    if ((event.key === " " || event.key === "Enter") && event.target instanceof HTMLButtonElement) return;
+    const key = event.key.toLowerCase();
+    const action = this.byKey.get(key);
+    if (!action || !(action.when?.() ?? true)) return;
+    event.preventDefault();
+    if (action.held && (event.repeat || this.down.has(key))) return;
+    if (action.held) this.down.set(key, action);
+    action.run();
+  }
+
+  #release(key) {
+    this.down.get(key)?.held();
+    this.down.delete(key);
+  }
+
+  /** Fills the help with what can be done now. @param {HTMLElement} place */
+  fillHelp(place) {
+    place.replaceChildren();
+    for (const group of new Set(this.actions.map((action) => action.group))) {
+      const list = document.createElement("dl");
+      for (const action of this.actions.filter((one) => one.group === group && one.keys.length > 0 && (one.when?.() ?? true))) {
+        const term = list.appendChild(document.createElement("dt"));
+        action.keys.forEach((key) => (term.appendChild(document.createElement("kbd")).textContent = spelled(key)));
+        list.appendChild(document.createElement("dd")).textContent = action.text;
+      }
+      if (list.children.length === 0) continue;
+      const section = place.appendChild(document.createElement("section"));
+      section.appendChild(document.createElement("h3")).textContent = group;
+      section.appendChild(list);
+    }
+  }
+}

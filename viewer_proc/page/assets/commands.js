@@ -1,0 +1,105 @@
+// What the keys and buttons of the page do, by name.
+
+import { VIEWS } from "/assets/camera.js";
+
+const element = (id) => document.getElementById(id);
+const C_ARM_STEP_DEG = 5;
+
+/** Asks before something that cannot be undone. @param {string} question @param {() => void} act */
+function confirmed(question, act) {
+  const dialog = element("confirm");
+  element("confirm-text").textContent = question;
+  dialog.returnValue = "";
+  dialog.onclose = () => dialog.returnValue === "yes" && act();
+  dialog.showModal();
+}
+
+/**
+ * @param {object} page connection, model, view, xRay, plots, drive, timeLine, theme, call, changed
+ * @returns {import("/assets/actions.js").Action[]}
+ */
+export function commands(page) {
+  const { model, view, xRay, plots, drive, timeLine } = page;
+  const isLog = () => model.info?.kind === "log";
+  const isLive = () => model.info?.kind === "live";
+  const drawn = () => !!view;
+  const driving = () => isLive() && drive.on;
+  const control = (request) => page.call("/control", request);
+  const playback = (request) => page.call("/playback", request);
+
+  const step = (ticks) => (isLog() ? playback({ action: "step", ticks }) : control({ action: "step", ticks }));
+  const changeSpeed = (direction) => {
+    if (isLog()) return timeLine.changeSpeed(direction);
+    const list = element("speed");
+    list.selectedIndex = Math.max(0, Math.min(list.options.length - 1, list.selectedIndex + direction));
+    list.dispatchEvent(new Event("change"));
+  };
+  const pause = () => {
+    if (isLog()) timeLine.togglePlay();
+    else control({ action: model.phase === "paused" ? "resume" : "pause" });
+  };
+  const frame = () => {
+    const angle = (id) => Number(element(id).value);
+    page.call("/frame", { primary_angle_deg: angle("c-arm-primary"), secondary_angle_deg: angle("c-arm-secondary") });
+  };
+  const turnCArm = (id, direction) => {
+    const input = element(id);
+    input.value = String(Math.max(Number(input.min), Math.min(Number(input.max), Number(input.value) + direction * C_ARM_STEP_DEG)));
+    frame();
+  };
+  const nextSource = () => {
+    const sources = ["both", "first", "second", "difference"];
+    xRay.shows = sources[(sources.indexOf(xRay.shows) + 1) % sources.length];
+    page.changed();
+  };
+  const help = () => {
+    page.actions.fillHelp(element("help-keys"));
+    element("help").showModal();
+  };
+  const held = (what, direction) => ({ run: () => drive.set({ [what]: direction }), held: () => drive.set({ [what]: 0 }), when: driving });
+
+  return [
+    { id: "pause", group: "Run", keys: [" "], text: "pause, go on", run: pause },
+    { id: "step", group: "Run", keys: ["."], text: "one tick", run: () => step(1) },
+    { id: "step-many", group: "Run", keys: [">"], text: "100 ticks", run: () => step(100) },
+    { id: "faster", group: "Run", keys: ["+", "="], text: "faster", run: () => changeSpeed(1) },
+    { id: "slower", group: "Run", keys: ["-"], text: "slower", run: () => changeSpeed(-1) },
+    { id: "reset", group: "Run", keys: ["r"], text: "reset", when: isLive,
+      run: () => confirmed("Set the simulation back to its beginning? All drilled bone comes back.", () => control({ action: "reset" })) },
+    { id: "stop", group: "Run", keys: ["x"], text: "stop the run", when: isLive,
+      run: () => confirmed("Stop the run? Its logs are finished; it cannot go on.", () => control({ action: "stop" })) },
+
+    { id: "step-back", group: "Log", keys: [","], text: "one tick back", when: isLog, run: () => playback({ action: "step", ticks: -1 }) },
+    { id: "next-event", group: "Log", keys: ["n"], text: "next event", when: isLog, run: () => playback({ action: "next", kind: "event" }) },
+    { id: "previous-event", group: "Log", keys: ["p"], text: "previous event", when: isLog, run: () => playback({ action: "previous", kind: "event" }) },
+    { id: "next-miss", group: "Log", keys: ["m"], text: "next missed tick", when: isLog, run: () => playback({ action: "next", kind: "miss" }) },
+    { id: "next-divergence", group: "Log", keys: ["g"], text: "next divergence", when: isLog, run: () => playback({ action: "next", kind: "divergence" }) },
+
+    { id: "drive", group: "Drive", keys: ["e"], text: "take the controls, let go", when: isLive, run: () => drive.toggle(model.states.last(0) ?? 0) },
+    { id: "insert", group: "Drive", keys: ["w"], text: "insert (hold)", ...held("feedHeld", 1) },
+    { id: "retract", group: "Drive", keys: ["s"], text: "retract (hold)", ...held("feedHeld", -1) },
+    { id: "pull", group: "Drive", keys: ["d"], text: "pull the tendon (hold)", ...held("tendonHeld", 1) },
+    { id: "release", group: "Drive", keys: ["a"], text: "slacken the tendon (hold)", ...held("tendonHeld", -1) },
+    { id: "burr", group: "Drive", keys: ["q"], text: "burr on, off", when: driving, run: () => drive.set({ burrOn: !drive.burrOn }) },
+
+    { id: "primary-up", group: "C-arm", keys: ["l"], text: "turn to the patient's left", when: isLive, run: () => turnCArm("c-arm-primary", 1) },
+    { id: "primary-down", group: "C-arm", keys: ["j"], text: "turn to the right", when: isLive, run: () => turnCArm("c-arm-primary", -1) },
+    { id: "secondary-up", group: "C-arm", keys: ["i"], text: "turn to the head", when: isLive, run: () => turnCArm("c-arm-secondary", 1) },
+    { id: "secondary-down", group: "C-arm", keys: ["k"], text: "turn to the feet", when: isLive, run: () => turnCArm("c-arm-secondary", -1) },
+    { id: "frame", group: "C-arm", keys: ["f"], text: "take a frame", when: isLive, run: frame },
+
+    { id: "view-front", group: "View", keys: ["1"], text: "from the front", when: drawn, run: () => view.camera.look(VIEWS.front) },
+    { id: "view-side", group: "View", keys: ["2"], text: "from the patient's right", when: drawn, run: () => view.camera.look(VIEWS.side) },
+    { id: "view-above", group: "View", keys: ["3"], text: "from the head", when: drawn, run: () => view.camera.look(VIEWS.above) },
+    { id: "bone", group: "View", keys: ["b"], text: "bone: section, glass, solid, hidden", when: drawn,
+      run: () => (element("bone-mode").textContent = `Bone: ${view.nextBoneMode()}`) },
+    { id: "longer", group: "View", keys: ["["], text: "longer time axis", run: () => plots.changeWindow(1) },
+    { id: "shorter", group: "View", keys: ["]"], text: "shorter time axis", run: () => plots.changeWindow(-1) },
+    { id: "theme", group: "View", keys: ["t"], text: "light or dark", run: () => page.theme.toggle() },
+    { id: "help", group: "View", keys: ["?", "h"], text: "this help", run: help },
+
+    { id: "window-auto", group: "X-ray", keys: ["o"], text: "automatic window", run: () => xRay.automatic() },
+    { id: "invert", group: "X-ray", keys: ["v"], text: "invert", run: () => xRay.invert() },
+    { id: "x-ray-source", group: "X-ray", keys: ["c"], text: "both logs, first, second, difference", when: () => document.body.classList.contains("compare"), run: nextSource },
+  ];
+}

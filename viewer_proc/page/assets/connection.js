@@ -1,0 +1,129 @@
+// The Foxglove WebSocket protocol: channels, subscriptions and services of the viewer's server.
+
+const SUBPROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
+const MESSAGE_DATA = 1;
+const TIME = 2;
+const SERVICE_RESPONSE = 3;
+const SERVICE_REQUEST = 2;
+const RETRY_MS = 1500;
+
+/**
+ * @typedef {{id: number, topic: string, encoding: string, schemaName: string, schema: string}} Channel
+ * @typedef {(data: DataView, timeNs: number, channel: Channel) => void} Handler
+ */
+
+/** One connection, opened anew when it closes. Events: `open`, `close`, `status` (detail: the server's words). */
+export class Connection extends EventTarget {
+  /** @param {string} url @param {string | undefined} token the control token; none: read only */
+  constructor(url, token) {
+    super();
+    this.url = url;
+    this.token = token;
+    /** @type {Map<string, Handler>} */
+    this.handlers = new Map();
+    this.received = { messages: 0, bytes: 0 };
+    this.nextCall = 1;
+    this.#forget();
+  }
+
+  #forget() {
+    /** @type {Map<number, Channel>} */
+    this.channels = new Map();
+    this.subscriptions = new Map();
+    this.services = new Map();
+    for (const call of this.calls?.values() ?? []) call({ ok: false, error: "the connection closed" });
+    this.calls = new Map();
+  }
+
+  /** Handles a topic's messages, from now on and after every reconnection. @param {string} topic @param {Handler} handler */
+  on(topic, handler) {
+    this.handlers.set(topic, handler);
+  }
+
+  open() {
+    this.socket = new WebSocket(this.url, SUBPROTOCOLS);
+    this.socket.binaryType = "arraybuffer";
+    this.socket.addEventListener("open", () => this.dispatchEvent(new Event("open")));
+    this.socket.addEventListener("message", (event) => this.#take(event.data));
+    this.socket.addEventListener("close", (event) => {
+      this.#forget();
+      this.dispatchEvent(new CustomEvent("close", { detail: event.reason }));
+      setTimeout(() => this.open(), RETRY_MS);
+    });
+  }
+
+  /** @param {string | ArrayBuffer} data */
+  #take(data) {
+    if (typeof data === "string") return this.#takeText(JSON.parse(data));
+    this.received.messages += 1;
+    this.received.bytes += data.byteLength;
+    const view = new DataView(data);
+    const kind = view.getUint8(0);
+    if (kind === MESSAGE_DATA) {
+      const channel = this.subscriptions.get(view.getUint32(1, true));
+      const handler = channel && this.handlers.get(channel.topic);
+      handler?.(new DataView(data, 13), Number(view.getBigUint64(5, true)), channel);
+    } else if (kind === SERVICE_RESPONSE) {
+      const start = 13 + view.getUint32(9, true);
+      const call = view.getUint32(5, true);
+      this.calls.get(call)?.(JSON.parse(new TextDecoder().decode(new Uint8Array(data, start))));
+      this.calls.delete(call);
+    } else if (kind !== TIME) {
+      console.warn(`unknown binary message ${kind} of the server`);
+    }
+  }
+
+  #takeText(message) {
+    if (message.op === "advertise") {
+      const wanted = message.channels.filter((channel) => this.handlers.has(channel.topic));
+      for (const channel of message.channels) this.channels.set(channel.id, channel);
+      for (const channel of wanted) this.subscriptions.set(channel.id, channel);
+      // The channel's id serves as the subscription's id.
+      const subscriptions = wanted.map((channel) => ({ id: channel.id, channelId: channel.id }));
+      if (subscriptions.length > 0) this.#send({ op: "subscribe", subscriptions });
+    } else if (message.op === "unadvertise") {
+      for (const id of message.channelIds) this.channels.delete(id), this.subscriptions.delete(id);
+    } else if (message.op === "advertiseServices") {
+      for (const service of message.services) this.services.set(service.name, service.id);
+      this.dispatchEvent(new Event("services"));
+    } else if (message.op === "status") {
+      this.dispatchEvent(new CustomEvent("status", { detail: message }));
+    } else if (message.op === "serviceCallFailure") {
+      this.calls.get(message.callId)?.({ ok: false, error: message.message });
+      this.calls.delete(message.callId);
+    }
+  }
+
+  #send(message) {
+    this.socket.send(JSON.stringify(message));
+  }
+
+  /**
+   * Calls a service; never throws.
+   * @param {string} name @param {object} request @returns {Promise<{ok: boolean, error?: string}>}
+   */
+  call(name, request) {
+    if (this.socket?.readyState !== WebSocket.OPEN) return Promise.resolve({ ok: false, error: "not connected" });
+    const service = this.services.get(name);
+    if (service === undefined) return Promise.resolve({ ok: false, error: `this server has no service ${name}` });
+    const call = this.nextCall++;
+    const encoder = new TextEncoder();
+    const encoding = encoder.encode("json");
+    const body = encoder.encode(JSON.stringify({ token: this.token, ...request }));
+    const bytes = new Uint8Array(13 + encoding.length + body.length);
+    const view = new DataView(bytes.buffer);
+    view.setUint8(0, SERVICE_REQUEST);
+    view.setUint32(1, service, true);
+    view.setUint32(5, call, true);
+    view.setUint32(9, encoding.length, true);
+    bytes.set(encoding, 13);
+    bytes.set(body, 13 + encoding.length);
+    this.socket.send(bytes);
+    return new Promise((resolve) => this.calls.set(call, resolve));
+  }
+}
+
+/** A JSON payload. @param {DataView} data */
+export function json(data) {
+  return JSON.parse(new TextDecoder().decode(new Uint8Array(data.buffer, data.byteOffset, data.byteLength)));
+}

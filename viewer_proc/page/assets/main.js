@@ -1,0 +1,200 @@
+// The page: connects, hands messages to the model, and draws when something changed.
+
+import { Actions } from "/assets/actions.js";
+import { Connection, json } from "/assets/connection.js";
+import { Drive } from "/assets/drive.js";
+import { connectDrivePanel, showDrive } from "/assets/drive_panel.js";
+import { commands } from "/assets/commands.js";
+import { Model } from "/assets/model.js";
+import { Notices } from "/assets/notices.js";
+import { drawGizmo, fillLegend, showScaleBar } from "/assets/overlays.js";
+import { Rate, showFrame, showRun, showStream, showTicks, silence } from "/assets/panels.js";
+import { PlotsPanel } from "/assets/plots_panel.js";
+import { SceneView } from "/assets/scene_view.js";
+import { showComparison, showParts } from "/assets/tables.js";
+import { Theme } from "/assets/theme.js";
+import { TimeLine } from "/assets/time_line.js";
+import { drawTimingStrip } from "/assets/timing_strip.js";
+import { XRay, decodeImage } from "/assets/x_ray.js";
+
+/** Readouts change this often, so that they can be read. */
+const TEXT_MS = 100;
+
+const element = (id) => document.getElementById(id);
+const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefined;
+
+const notices = new Notices(element("notices"), element("banner"));
+const model = new Model();
+const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`, token);
+const dirty = { scene: true, xRay: false, plots: true };
+const page = { model, connection, notices };
+let scheduled = false;
+let connected = false;
+
+/** Asks for a new picture of one part, or of all. @param {"scene" | "xRay" | "plots"} [what] */
+function changed(what) {
+  if (what) dirty[what] = true;
+  else Object.assign(dirty, { scene: true, xRay: true, plots: true });
+  if (scheduled || !page.theme) return;
+  scheduled = true;
+  requestAnimationFrame(draw);
+}
+page.changed = changed;
+
+/** Calls a service and says why it was refused. */
+page.call = async (service, request) => {
+  if (!token) {
+    const text = "Read only: to control the run, open the page by the address that the program printed (it ends in #token=…).";
+    notices.add("warning", text);
+    return { ok: false, error: text };
+  }
+  const answer = await connection.call(service, request);
+  if (!answer.ok) notices.add("error", `${service}: ${answer.error ?? "refused"}`);
+  return answer;
+};
+
+page.xRay = new XRay(element("x-ray-canvas"), () => changed("xRay"));
+page.xRay.listen();
+page.plots = new PlotsPanel(element("plots"), model, () => changed("plots"));
+page.timeLine = new TimeLine((request) => page.call("/playback", request));
+const refused = (text) => notices.add("error", `/drive: ${text}`);
+page.drive = new Drive((request) => connection.call("/drive", request), () => showDriveNow(), refused, () => page.actions.run("pause"));
+connectDrivePanel(page.drive);
+try {
+  page.view = new SceneView(element("scene-canvas"), () => changed("scene"));
+  const lost = "The browser has lost its 3D picture: load the page again.";
+  element("scene-canvas").addEventListener("webglcontextlost", () => notices.show("webgl", lost));
+} catch (error) {
+  notices.show("webgl", `No 3D view: ${error.message}. The X-ray, plots and controls work without it.`);
+}
+page.theme = new Theme(() => changed());
+page.actions = new Actions(commands(page));
+page.actions.listen();
+element("speed").addEventListener("change", (event) => page.call("/control", { action: "speed", speed: Number(event.target.value) }));
+new ResizeObserver(() => changed()).observe(document.body);
+
+function showDriveNow() {
+  const named = model.info?.controllers?.includes("viewer") ?? false;
+  const read = token ? "" : "Read only: this address has no control token.";
+  const none = named ? "" : "The scene has no controller named `viewer`.";
+  showDrive(page.drive, read || none || (page.drive.on ? "W S feed, A D tendon, Q burr." : `Drives ${page.drive.parts.join(", ")}.`));
+  element("drive-switch").disabled = !token || !named;
+}
+
+function takeInfo(data) {
+  model.takeInfo(data);
+  const { info } = model;
+  document.body.classList.toggle("live", info.kind === "live");
+  document.body.classList.toggle("log", info.kind === "log");
+  if (info.scene?.mode === "lockstep" && document.title === "Trabecula") element("speed").value = "0";
+  document.title = `${info.scene?.name ?? "Trabecula"} · Trabecula`;
+  if (info.drives) page.drive.parts = info.drives;
+  if (info.tool?.tendon_max_n) page.drive.tendonMostN = info.tool.tendon_max_n;
+  if (info.c_arm) {
+    element("c-arm-primary").value = String(info.c_arm.primary_angle_deg);
+    element("c-arm-secondary").value = String(info.c_arm.secondary_angle_deg);
+  }
+  takeLegend(document.body.classList.contains("compare"));
+  showDriveNow();
+  changed();
+}
+
+function takePlayback(data) {
+  page.timeLine.take(json(data));
+  const two = !!page.timeLine.state.second;
+  if (two !== document.body.classList.contains("compare")) {
+    document.body.classList.toggle("compare", two);
+    takeLegend(two);
+  }
+  changed("plots");
+}
+
+function takeLegend(second) {
+  fillLegend(element("legend"), { planned: !!model.info?.scene?.planned_path_m, target: !!model.info?.scene?.target_m, second });
+}
+
+function takeNotice({ level, text }) {
+  notices.add(level, text);
+  if (level === "error") notices.show("notice", text);
+}
+
+for (const prefix of ["", "/second"]) {
+  connection.on(`${prefix}/state`, (...message) => (model.takeState(...message), changed("scene"), changed("plots")));
+  connection.on(`${prefix}/drr/image`, (data) => page.xRay.take(decodeImage(data), prefix !== ""));
+}
+connection.on("/timing/tick", (...message) => (model.takeTiming(...message), changed("plots")));
+connection.on("/drr/frame", (...message) => (model.takeFrame(...message), changed("xRay")));
+connection.on("/run/status", (...message) => (model.takeStatus(...message), changed("plots")));
+connection.on("/event", (...message) => {
+  const { level, text } = model.event(...message);
+  notices.add(level, text);
+});
+connection.on("/view/info", takeInfo);
+connection.on("/view/surface", (data) => (page.view?.surface.update(data), changed("scene")));
+connection.on("/view/parts", (data) => showParts(json(data)));
+connection.on("/view/playback", takePlayback);
+connection.on("/view/notice", (data) => takeNotice(json(data)));
+connection.on("/view/compare", (data) => showComparison(json(data)));
+
+connection.addEventListener("open", () => {
+  connected = true;
+  model.clear();
+  page.view?.surface.clear();
+  notices.show("connection");
+  notices.show("notice");
+  changed();
+});
+connection.addEventListener("close", ({ detail }) => {
+  if (connected) notices.add("error", `The connection to the viewer closed${detail ? `: ${detail}` : "."}`);
+  connected = false;
+  if (page.drive.on) page.drive.toggle(0);
+  notices.show("connection", "Not connected to the viewer: it ended, or it has not started. Trying again…");
+  showTexts();
+});
+connection.addEventListener("status", ({ detail }) => notices.add(detail.level >= 2 ? "error" : detail.level === 1 ? "warning" : "info", detail.message));
+
+function draw() {
+  scheduled = false;
+  const { colours } = page.theme;
+  const waits = dirty.scene && page.view?.busy;
+  if (dirty.scene && page.view && !waits) drawScene(colours);
+  if (dirty.xRay) page.xRay.draw();
+  if (dirty.plots) {
+    page.plots.draw(colours);
+    drawTimingStrip(element("timing-canvas"), model.timing, ...page.plots.range(), model.periodNs / 1e3, colours);
+    if (model.info?.kind === "log") page.timeLine.draw(colours);
+  }
+  Object.assign(dirty, { scene: false, xRay: false, plots: false });
+  if (waits) changed("scene");
+}
+
+function drawScene(colours) {
+  const { view } = page;
+  view.dark = page.theme.dark;
+  view.draw(model);
+  drawGizmo(element("gizmo"), view.camera.view, colours);
+  showScaleBar(element("scale-bar"), view.camera.metresPerPixel(view.canvas.clientHeight));
+}
+
+const rate = new Rate();
+let streamShown = performance.now();
+
+function showTexts() {
+  const now = performance.now();
+  showRun(model, connected, page.timeLine.state, rate.add(model.states.lastTime, now));
+  showFrame(model, page.xRay);
+  showTicks(model, ...page.plots.range(), page.theme.colours);
+  page.plots.showValues(page.theme.colours);
+  notices.show("silence", silence(model, connected, now), "warning");
+  if (now - streamShown >= 1000) {
+    showStream(connection, (now - streamShown) / 1000);
+    streamShown = now;
+  }
+}
+
+setInterval(showTexts, TEXT_MS);
+connection.open();
+changed();
+
+/** For tests and the browser's console: what is shown, to read. */
+window.trabecula = page;

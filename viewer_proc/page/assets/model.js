@@ -1,0 +1,181 @@
+// What the server's messages say, kept for the panels.
+
+import { layoutOf, reader } from "/assets/schema.js";
+import { Series } from "/assets/series.js";
+import { causeOf } from "/assets/timing_strip.js";
+import { armFrames } from "/assets/arm.js";
+import { Trail, contactsOf } from "/assets/tool_model.js";
+import { json } from "/assets/connection.js";
+
+const ARM_JOINTS = 6;
+const LINKS = 32;
+const BODIES = 4;
+const CONTACTS = 40;
+const PHASES = ["connecting", "running", "paused", "ended"];
+
+/** Series of the state: tension of both tendons, bend, burr force, burr speed. */
+export const STATE_VALUES = ["tendon_tension_n[0]", "tendon_tension_n[1]", "bend_rad", "burr_force_n", "burr_speed_rad_per_s"];
+
+const three = (layout, path) => [0, 1, 2].map((i) => reader(layout, `${path}[${i}]`));
+const poseReader = (layout, path) => ({
+  position: three(layout, `${path}.position_m`),
+  rotation: [0, 1, 2, 3].map((i) => reader(layout, `${path}.orientation_xyzw[${i}]`)),
+});
+const readPose = (at, view) => ({ position: at.position.map((f) => f(view)), rotation: at.rotation.map((f) => f(view)) });
+
+/** The readers of a state's fields. @param {import("/assets/schema.js").Layout} layout */
+function stateReaders(layout) {
+  return {
+    tick: reader(layout, "tick"), removed: reader(layout, "removed_total"),
+    values: STATE_VALUES.map((path) => reader(layout, path)), burr: three(layout, "t_world_burr.position_m"),
+    linkCount: reader(layout, "joint_count"), base: poseReader(layout, "t_world_base"), burrPose: poseReader(layout, "t_world_burr"),
+    links: Array.from({ length: LINKS }, (_, i) => poseReader(layout, `t_world_link[${i}]`)), flange: poseReader(layout, "t_world_flange"),
+    armAngles: Array.from({ length: ARM_JOINTS }, (_, i) => reader(layout, `arm_joint_position_rad[${i}]`)),
+    bodyCount: reader(layout, "body_count"), contactCount: reader(layout, "contact_count"),
+    bodies: Array.from({ length: BODIES }, (_, i) => poseReader(layout, `t_world_body[${i}]`)),
+    contacts: Array.from({ length: CONTACTS }, (_, i) => ({
+      point: three(layout, `contacts[${i}].point_m`), normal: three(layout, `contacts[${i}].normal`),
+      normalForce: reader(layout, `contacts[${i}].normal_force_n`), friction: three(layout, `contacts[${i}].friction_force_n`),
+    })),
+  };
+}
+
+/** Where arm and tool are in a state. @returns {import("/assets/tool_model.js").Poses} */
+function posesOf(read, state) {
+  const flange = readPose(read.flange, state);
+  const links = read.links.slice(0, read.linkCount(state)).map((at) => readPose(at, state));
+  const arm = armFrames(flange, read.armAngles.map((f) => f(state)));
+  return { arm, flange, base: readPose(read.base, state), links, burr: readPose(read.burrPose, state) };
+}
+
+/** The string behind a struct. @param {DataView} data @param {number} at */
+function tailText(data, at) {
+  const size = data.getUint32(at, true);
+  return new TextDecoder().decode(new Uint8Array(data.buffer, data.byteOffset + at + 4, Math.max(0, size - 1)));
+}
+
+export class Model {
+  constructor() {
+    this.readers = new Map();
+    this.info = undefined;
+    this.trail = new Trail();
+    this.states = new Series(STATE_VALUES.length);
+    this.secondStates = new Series(STATE_VALUES.length);
+    /** Step time in µs and cause of a miss, by tick. */
+    this.timing = new Series(2);
+    this.phase = "connecting";
+    this.status = undefined;
+    this.frame = undefined;
+    /** Wall-clock time of the last state. */
+    this.stateAt = undefined;
+  }
+
+  /** The readers of a channel's schema, made once. */
+  #read(channel, make) {
+    const known = this.readers.get(channel.topic);
+    if (known?.schema === channel.schema) return known.readers;
+    const layout = layoutOf(channel.schema);
+    const readers = make(layout);
+    this.readers.set(channel.topic, { schema: channel.schema, readers });
+    return readers;
+  }
+
+  get contacts() {
+    return this.state ? contactsOf(this.stateRead, this.state) : [];
+  }
+
+  get poses() {
+    return this.state && posesOf(this.stateRead, this.state);
+  }
+
+  /** The second log's. */
+  get second() {
+    return this.secondState && posesOf(this.stateRead, this.secondState);
+  }
+
+  get bodies() {
+    if (!this.state) return [];
+    return this.stateRead.bodies.slice(0, this.stateRead.bodyCount(this.state)).map((at) => readPose(at, this.state));
+  }
+
+  get tick() {
+    return this.state ? this.stateRead.tick(this.state) : undefined;
+  }
+
+  get removed() {
+    return this.state ? this.stateRead.removed(this.state) : undefined;
+  }
+
+  /** @type {import("/assets/connection.js").Handler} */
+  takeState(data, timeNs, channel) {
+    const read = this.#read(channel, stateReaders);
+    const second = channel.topic.startsWith("/second");
+    (second ? this.secondStates : this.states).push(timeNs / 1e9, ...read.values.map((f) => f(data)));
+    this.stateRead = read;
+    if (second) {
+      this.secondState = data;
+      return;
+    }
+    this.state = data;
+    this.stateAt = performance.now();
+    this.trail.add(read.burr.map((f) => f(data)), timeNs);
+  }
+
+  /** @type {import("/assets/connection.js").Handler} */
+  takeTiming(data, _timeNs, channel) {
+    const read = this.#read(channel, (layout) => {
+      const names = ["tick", "missed", "wake_lateness_ns", "run_queue_wait_ns", "page_faults", "step_ns", "publish_ns"];
+      return Object.fromEntries(names.map((name) => [name, reader(layout, name)]));
+    });
+    const [step, publish] = [read.step_ns(data), read.publish_ns(data)];
+    const facts = {
+      lateness_ns: read.wake_lateness_ns(data), wait_ns: read.run_queue_wait_ns(data), faults: read.page_faults(data),
+      work_before_ns: this.workBefore ?? 0, period_ns: this.periodNs,
+    };
+    this.timing.push((read.tick(data) * this.periodNs) / 1e9, step / 1e3, read.missed(data) ? causeOf(facts) : 0);
+    this.workBefore = step + publish;
+  }
+
+  get periodNs() {
+    return this.info?.scene?.dt_ns ?? 1e6;
+  }
+
+  /** @type {import("/assets/connection.js").Handler} */
+  takeStatus(data, _timeNs, channel) {
+    const read = this.#read(channel, (layout) => {
+      return Object.fromEntries(["tick", "tick_count", "missed_ticks", "phase", "mode"].map((name) => [name, reader(layout, name)]));
+    });
+    this.status = Object.fromEntries(Object.entries(read).map(([name, f]) => [name, f(data)]));
+    this.phase = PHASES[this.status.phase] ?? "connecting";
+  }
+
+  /** @type {import("/assets/connection.js").Handler} */
+  takeFrame(data, _timeNs, channel) {
+    const read = this.#read(channel, (layout) => ({
+      sequence: reader(layout, "sequence"), tick: reader(layout, "tick"),
+      primary: reader(layout, "projection.primary_angle_rad"), secondary: reader(layout, "projection.secondary_angle_rad"),
+    }));
+    this.frame = Object.fromEntries(Object.entries(read).map(([name, f]) => [name, f(data)]));
+  }
+
+  /** An `Event` as level and text. @type {import("/assets/connection.js").Handler} */
+  event(data, _timeNs, channel) {
+    const read = this.#read(channel, (layout) => ({
+      severity: reader(layout, "severity"), tick: reader(layout, "tick"), end: layout.bytes,
+    }));
+    return { level: ["info", "warning", "error"][read.severity(data)] ?? "error", text: `tick ${read.tick(data)}: ${tailText(data, read.end)}` };
+  }
+
+  /** @param {DataView} data */
+  takeInfo(data) {
+    this.info = json(data);
+  }
+
+  /** Forgets what belongs to a run, for a new connection. */
+  clear() {
+    for (const series of [this.states, this.secondStates, this.timing]) series.clear();
+    this.trail.clear();
+    this.state = this.secondState = this.frame = this.stateAt = undefined;
+  }
+}
+

@@ -1,0 +1,67 @@
+// What lies over the 3D picture: the patient's axes, a scale bar, the legend.
+
+import { ARROW_M_PER_N, COLOURS } from "/assets/tool_model.js";
+
+/** Directions of the patient frame: letter, colour property, axis. */
+const AXES = [["L", "--cause-host", [1, 0, 0]], ["P", "--series-3", [0, 1, 0]], ["H", "--series-1", [0, 0, 1]]];
+
+/** Small axes that turn with the camera; L left, P posterior, H head. @param {HTMLCanvasElement} canvas @param {number[]} view matrix */
+export function drawGizmo(canvas, view, colours) {
+  const context = canvas.getContext("2d");
+  const middle = canvas.width / 2;
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  context.font = "bold 12px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.lineWidth = 2;
+  for (const [letter, colour, [x, y, z]] of AXES) {
+    const right = view[0] * x + view[4] * y + view[8] * z;
+    const up = view[1] * x + view[5] * y + view[9] * z;
+    context.strokeStyle = context.fillStyle = colours[colour];
+    context.beginPath();
+    context.moveTo(middle, middle);
+    context.lineTo(middle + right * 26, middle - up * 26);
+    context.stroke();
+    context.fillText(letter, middle + right * 37, middle - up * 37);
+  }
+}
+
+/** A bar of a round length. @param {HTMLElement} bar @param {number} metresPerPixel */
+export function showScaleBar(bar, metresPerPixel) {
+  const most = metresPerPixel * 1000 * 110;
+  const power = 10 ** Math.floor(Math.log10(most));
+  const millimetres = power * (most / power >= 5 ? 5 : most / power >= 2 ? 2 : 1);
+  bar.style.width = `${millimetres / (metresPerPixel * 1000)}px`;
+  bar.firstElementChild.textContent = `${millimetres} mm`;
+}
+
+const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(part * 255)).join(" ")})`;
+
+/** Shapes of the legend, so that colour is not alone in telling things apart. */
+const SHAPES = {
+  ball: (c) => (c.arc(11, 6, 5, 0, 7), c.fill()),
+  bars: (c) => (c.rect(2, 3, 5, 7), c.rect(9, 3, 5, 7), c.rect(16, 3, 5, 7), c.fill()),
+  line: (c) => (c.rect(1, 5, 20, 3), c.fill()),
+  dashes: (c) => (c.rect(1, 5, 5, 3), c.rect(9, 5, 5, 3), c.rect(17, 5, 5, 3), c.fill()),
+  cross: (c) => (c.rect(10, 0, 2, 12), c.rect(5, 5, 12, 2), c.arc(11, 6, 3, 0, 7), c.fill()),
+  arrow: (c) => (c.rect(1, 5, 13, 2), c.moveTo(13, 1), c.lineTo(21, 6), c.lineTo(13, 11), c.fill()),
+};
+
+/** @param {HTMLElement} list @param {{planned: boolean, target: boolean, second: boolean}} has */
+export function fillLegend(list, has) {
+  const entries = [
+    ["burr", "burr", "ball", true], ["linkEven", "links", "bars", true], ["drilled", "way of the burr", "line", true],
+    ["planned", "planned path", "dashes", has.planned], ["target", "target", "cross", has.target],
+    ["force", `contact force, 10 N = ${ARROW_M_PER_N * 1e4} mm`, "arrow", true], ["second", "tool of the second log", "bars", has.second],
+  ];
+  list.replaceChildren(...entries.filter((entry) => entry[3]).map(([colour, text, shape]) => {
+    const item = document.createElement("li");
+    const mark = item.appendChild(Object.assign(document.createElement("canvas"), { width: 22, height: 12 }));
+    const context = mark.getContext("2d");
+    context.fillStyle = css(COLOURS[colour]);
+    context.beginPath();
+    SHAPES[shape](context);
+    item.append(text);
+    return item;
+  }));
+}

@@ -1,0 +1,88 @@
+// The readouts: where the run stands, the frame, the ticks, the stream.
+
+import { CAUSES, countCauses } from "/assets/timing_strip.js";
+
+const element = (id) => document.getElementById(id);
+const PHASE_WORDS = { connecting: "Connecting", running: "Running", paused: "Paused", ended: "Ended", lost: "Not connected" };
+/** Without a state for this long a run that should go on is worth a word. */
+const SILENT_MS = 2000;
+
+const set = (id, text) => {
+  const place = element(id);
+  if (place.textContent !== text) place.textContent = text;
+};
+
+/** Simulated over wall-clock time of the last second or so. */
+export class Rate {
+  samples = [];
+
+  /** @param {number | undefined} simulated seconds @param {number} now milliseconds */
+  add(simulated, now) {
+    if (simulated === undefined) return undefined;
+    this.samples.push({ simulated, now });
+    while (this.samples.length > 2 && now - this.samples[0].now > 1500) this.samples.shift();
+    const first = this.samples[0];
+    const rate = ((simulated - first.simulated) * 1000) / (now - first.now);
+    if (rate < 0) this.samples = [];
+    return now > first.now && rate >= 0 ? rate : undefined;
+  }
+}
+
+/** @param {import("/assets/model.js").Model} model @param {boolean} connected @param {object} playback state of the time line */
+export function showRun(model, connected, playback, rate) {
+  const isLog = model.info?.kind === "log";
+  const phase = !connected ? "lost" : isLog ? (playback.playing ? "running" : "paused") : model.phase;
+  set("phase", isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase]);
+  element("phase").dataset.state = phase;
+  set("scene-name", model.info?.scene?.name ?? "waiting for the scene");
+  set("kind", isLog ? `log ${model.info.path ?? ""}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
+  set("pause", phase === "paused" ? "Resume" : "Pause");
+  set("tick", model.tick === undefined ? "–" : `${model.tick}${model.status?.tick_count ? ` / ${model.status.tick_count}` : ""}`);
+  const time = model.states.lastTime;
+  set("time", time === undefined ? "–" : `${time.toFixed(3)} s`);
+  set("rate", rate === undefined || phase !== "running" ? "–" : `${rate.toFixed(2)} ×`);
+  set("missed", model.status ? `${model.status.missed_ticks}` : "–");
+  set("drilled", model.removed === undefined ? "–" : `${model.removed} voxels`);
+}
+
+/** What to say when a run is silent, or undefined. */
+export function silence(model, connected, now) {
+  if (!connected || model.info?.kind !== "live" || model.phase !== "running" || model.stateAt === undefined) return undefined;
+  const silent = now - model.stateAt;
+  return silent > SILENT_MS ? `No state for ${(silent / 1000).toFixed(0)} s: the physics may be gone.` : undefined;
+}
+
+/** @param {import("/assets/model.js").Model} model @param {import("/assets/x_ray.js").XRay} xRay */
+export function showFrame(model, xRay) {
+  const { frame } = model;
+  const degrees = (angle) => `${((angle * 180) / Math.PI).toFixed(1)}°`;
+  const angles = frame?.primary === undefined ? "" : `, ${degrees(frame.primary)} / ${degrees(frame.secondary)}`;
+  set("frame-facts", frame ? `frame ${frame.sequence}, tick ${frame.tick}${angles}` : "no frame yet");
+  set("window-facts", xRay.image ? `level ${xRay.window.level.toFixed(0)}, width ${xRay.window.width.toFixed(0)}` : "");
+  const words = { both: "both", first: "first", second: "second", difference: "first − second" };
+  set("x-ray-source", `Shows: ${words[xRay.shows]}`);
+}
+
+/** The ticks' facts, with the causes of the misses in the window. */
+export function showTicks(model, from, to, colours) {
+  const place = element("timing-facts");
+  const counts = countCauses(model.timing, from, to);
+  const parts = [...counts].map(([cause, count]) => {
+    const { letter, name, colour } = CAUSES[cause];
+    const item = document.createElement("span");
+    item.style.color = colours[colour];
+    item.style.fontWeight = "600";
+    item.textContent = `${letter} ${name}: ${count}`;
+    return item;
+  });
+  const period = `dashed line: one period, ${(model.periodNs / 1e6).toFixed(1)} ms`;
+  const missed = parts.length > 0 ? parts.flatMap((part) => [part, "; "]) : ["no tick missed; "];
+  place.replaceChildren(...missed, period);
+}
+
+/** @param {import("/assets/connection.js").Connection} connection messages and bytes since the last call */
+export function showStream(connection, seconds) {
+  const { messages, bytes } = connection.received;
+  connection.received = { messages: 0, bytes: 0 };
+  set("stream-facts", `${(messages / seconds).toFixed(0)} messages/s, ${(bytes / seconds / 1e6).toFixed(1)} MB/s`);
+}

@@ -1,0 +1,96 @@
+// What is drawn of tool, paths and arrows: instances of unit shapes.
+
+import { add, cross, dot, length, scale, subtract, unit } from "/assets/vector.js";
+
+/** @typedef {import("/assets/vector.js").Vector} Vector */
+/** @typedef {import("/assets/vector.js").Quaternion} Quaternion */
+/** @typedef {import("/assets/vector.js").Pose} Pose */
+/** @typedef {[number, number, number, number]} Colour red, green, blue, opacity: 0 to 1 */
+
+/** Numbers of an instance: position 3, rotation 4, scale 3, colour 4. */
+export const INSTANCE_FLOATS = 14;
+
+/** The turn from +z to a direction. @param {Vector} direction a unit vector @returns {Quaternion} */
+function fromZ(direction) {
+  const w = 1 + direction[2];
+  if (w < 1e-6) return [1, 0, 0, 0];
+  const axis = cross([0, 0, 1], direction);
+  const n = Math.hypot(...axis, w);
+  return [axis[0] / n, axis[1] / n, axis[2] / n, w / n];
+}
+
+/** Instances by shape. */
+export class PartsList {
+  constructor() {
+    /** @type {Record<"cylinder" | "cone" | "sphere" | "cube", number[]>} */
+    this.shapes = { cylinder: [], cone: [], sphere: [], cube: [] };
+  }
+
+  /** @param {Vector} centre @param {number} radius metres @param {Colour} colour */
+  sphere(centre, radius, colour) {
+    this.shapes.sphere.push(...centre, 0, 0, 0, 1, radius, radius, radius, ...colour);
+  }
+
+  /** A closed cylinder between two points. @param {Vector} from @param {Vector} to @param {number} radius @param {Colour} colour */
+  cylinder(from, to, radius, colour) {
+    const along = subtract(to, from);
+    const span = length(along);
+    if (span < 1e-9) return;
+    this.shapes.cylinder.push(...from, ...fromZ(unit(along)), radius, radius, span, ...colour);
+  }
+
+  /** A cylinder with round ends. @param {Vector} from @param {Vector} to @param {number} radius @param {Colour} colour */
+  capsule(from, to, radius, colour) {
+    this.cylinder(from, to, radius, colour);
+    this.sphere(from, radius, colour);
+    this.sphere(to, radius, colour);
+  }
+
+  /** @param {Pose} pose @param {Vector} halfExtents @param {Colour} colour */
+  cuboid(pose, halfExtents, colour) {
+    this.shapes.cube.push(...pose.position, ...pose.rotation, ...halfExtents, ...colour);
+  }
+
+  /** @param {Vector} from @param {Vector} along with its length @param {number} radius of the stem @param {Colour} colour */
+  arrow(from, along, radius, colour) {
+    const span = length(along);
+    if (span < 1e-5) return;
+    const head = Math.min(span * 0.5, radius * 5);
+    const neck = add(from, scale(along, 1 - head / span));
+    this.cylinder(from, neck, radius, colour);
+    this.shapes.cone.push(...neck, ...fromZ(unit(along)), radius * 2.4, radius * 2.4, head, ...colour);
+  }
+
+  /** A line of thin capsules through points; `dash` draws every other piece of that length. */
+  path(points, radius, colour, dash = 0) {
+    for (let i = 1; i < points.length; i++) {
+      if (dash === 0) {
+        this.capsule(points[i - 1], points[i], radius, colour);
+        continue;
+      }
+      const along = subtract(points[i], points[i - 1]);
+      const pieces = Math.max(1, Math.round(length(along) / dash));
+      for (let k = 0; k < pieces; k += 2) {
+        const at = (part) => add(points[i - 1], scale(along, Math.min(1, part / pieces)));
+        this.cylinder(at(k), at(k + 1), radius, colour);
+      }
+    }
+  }
+
+  /** Three crossed bars and a ball: a mark that is told by its shape. @param {Vector} centre @param {number} size @param {Colour} colour */
+  target(centre, size, colour) {
+    this.sphere(centre, size * 0.35, colour);
+    for (let axis = 0; axis < 3; axis++) {
+      const bar = [0, 0, 0];
+      bar[axis] = size;
+      this.cylinder(subtract(centre, bar), add(centre, bar), size * 0.08, colour);
+    }
+  }
+}
+
+/** The plane through a point, its normal turned to the eye: x, y, z, w of n·p + w. */
+export function planeTowards(point, normal, eye) {
+  const facing = dot(normal, subtract(eye, point)) < 0 ? scale(normal, -1) : normal;
+  return [...facing, -dot(facing, point)];
+}
+

@@ -1,0 +1,154 @@
+// The 3D picture: bone, tool, paths and forces, drawn with WebGL2 when something changed.
+
+import { Camera } from "/assets/camera.js";
+import { InstancedShape, program } from "/assets/gl.js";
+import { PartsList } from "/assets/parts_list.js";
+import { PART_FRAGMENT, PART_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "/assets/shaders.js";
+import { cone, cube, cylinder, sphere } from "/assets/shapes.js";
+import { Surface } from "/assets/surface.js";
+import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane } from "/assets/tool_model.js";
+
+/** How the bone is shown. */
+export const BONE_MODES = ["section", "glass", "solid", "hidden"];
+const LIGHT_SIDE = { bone: [0.93, 0.88, 0.78], inside: [0.78, 0.62, 0.5], background: [0.925, 0.94, 0.955] };
+const DARK_SIDE = { bone: [0.88, 0.83, 0.73], inside: [0.55, 0.4, 0.32], background: [0.07, 0.085, 0.11] };
+
+/** Whether pictures are made by the processor: then edges stay rough, which is several times quicker. */
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = gl?.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
+}
+
+export class SceneView {
+  /** @param {HTMLCanvasElement} canvas @param {() => void} changed asks for a new picture */
+  constructor(canvas, changed) {
+    this.canvas = canvas;
+    this.changed = changed;
+    this.software = isSoftware();
+    const gl = canvas.getContext("webgl2", { antialias: !this.software, alpha: false });
+    if (!gl) throw new Error("this browser has no WebGL 2");
+    this.gl = gl;
+    this.camera = new Camera(changed);
+    this.camera.listen(canvas);
+    this.surface = new Surface(gl);
+    this.parts = program(gl, PART_VERTEX, PART_FRAGMENT);
+    this.bone = program(gl, SURFACE_VERTEX, SURFACE_FRAGMENT);
+    const shapes = { cylinder: cylinder(), cone: cone(), sphere: sphere(), cube: cube() };
+    this.shapes = Object.fromEntries(Object.entries(shapes).map(([name, shape]) => [name, new InstancedShape(gl, shape)]));
+    this.boneMode = BONE_MODES[0];
+    this.dark = false;
+    this.pictures = 0;
+    gl.enable(gl.DEPTH_TEST);
+    // Colours come multiplied by their opacity.
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  }
+
+  nextBoneMode() {
+    this.boneMode = BONE_MODES[(BONE_MODES.indexOf(this.boneMode) + 1) % BONE_MODES.length];
+    this.changed();
+    return this.boneMode;
+  }
+
+  #resize() {
+    const ratio = this.software ? 1 : Math.min(window.devicePixelRatio || 1, 2);
+    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((n) => Math.max(1, Math.round(n * ratio)));
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+    this.gl.viewport(0, 0, width, height);
+    return width / height;
+  }
+
+  /** Whether the last picture is still being made: then the next one waits, so that a slow machine is not flooded. */
+  get busy() {
+    if (!this.fence) return false;
+    if (this.gl.clientWaitSync(this.fence, 0, 0) === this.gl.TIMEOUT_EXPIRED) return true;
+    this.gl.deleteSync(this.fence);
+    this.fence = undefined;
+    return false;
+  }
+
+  /** @param {import("/assets/model.js").Model} model */
+  draw(model) {
+    // What is computed from the state is computed once a picture.
+    const { info, poses, second, contacts, bodies, trail } = model;
+    const scene = { info, poses, second, contacts, bodies, trail };
+    const { gl, camera } = this;
+    const colours = this.dark ? DARK_SIDE : LIGHT_SIDE;
+    if (scene.poses && camera.follows) camera.centre = scene.poses.burr.position;
+    const clipFromWorld = camera.clipFromWorld(this.#resize());
+    gl.clearColor(...colours.background, 1);
+    gl.depthMask(true);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    this.#drawParts(this.#opaque(scene), clipFromWorld);
+    this.#drawBone(scene, clipFromWorld, colours);
+    this.#drawTranslucent(scene, clipFromWorld);
+    this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    this.pictures += 1;
+  }
+
+  #opaque({ info, poses, contacts, bodies, trail }) {
+    const list = new PartsList();
+    if (poses && info?.tool) addTool(list, poses, info.tool);
+    addContacts(list, contacts);
+    addBodies(list, info?.bodies ?? [], bodies);
+    list.path(info?.scene?.planned_path_m ?? [], 0.00045, COLOURS.planned, 0.001);
+    list.path(trail.points, 0.0004, COLOURS.drilled);
+    if (info?.scene?.target_m) list.target(info.scene.target_m, 0.004, COLOURS.target);
+    return list;
+  }
+
+  #drawParts(list, clipFromWorld) {
+    const { gl, parts } = this;
+    gl.useProgram(parts.linked);
+    gl.uniformMatrix4fv(parts.uniforms.u_clipFromWorld, false, clipFromWorld);
+    gl.uniform3fv(parts.uniforms.u_eye, this.camera.eye);
+    for (const [name, numbers] of Object.entries(list.shapes)) this.shapes[name].draw(numbers);
+  }
+
+  /** The arm, which would hide the bone, and the tool of the second log: only their foremost surface. */
+  #drawTranslucent({ info, poses, second }, clipFromWorld) {
+    const { gl } = this;
+    const list = new PartsList();
+    if (poses) addArm(list, poses);
+    if (second && info?.tool) addTool(list, second, info.tool, COLOURS.second);
+    gl.colorMask(false, false, false, false);
+    this.#drawParts(list, clipFromWorld);
+    gl.colorMask(true, true, true, true);
+    gl.depthFunc(gl.LEQUAL);
+    gl.enable(gl.BLEND);
+    this.#drawParts(list, clipFromWorld);
+    gl.disable(gl.BLEND);
+    gl.depthFunc(gl.LESS);
+  }
+
+  #drawBone(scene, clipFromWorld, colours) {
+    const { gl, bone, boneMode } = this;
+    if (boneMode === "hidden" || this.surface.blocks.size === 0) return;
+    const { uniforms } = bone;
+    gl.useProgram(bone.linked);
+    gl.uniformMatrix4fv(uniforms.u_clipFromWorld, false, clipFromWorld);
+    gl.uniform3fv(uniforms.u_eye, this.camera.eye);
+    gl.uniform3fv(uniforms.u_bone, colours.bone);
+    gl.uniform3fv(uniforms.u_inside, colours.inside);
+    const section = boneMode === "section" && scene.poses;
+    gl.uniform4fv(uniforms.u_plane, section ? bendingPlane(scene.poses.base, this.camera.eye) : [0, 0, 0, 0]);
+    const pass = (side, glass) => {
+      gl.uniform1f(uniforms.u_side, side);
+      gl.uniform1f(uniforms.u_glass, glass);
+      if (glass) gl.enable(gl.BLEND);
+      gl.depthMask(!glass);
+      this.surface.draw(uniforms);
+      gl.disable(gl.BLEND);
+      gl.depthMask(true);
+    };
+    if (section) {
+      pass(1, 0);
+      pass(-1, 1);
+    } else {
+      pass(0, boneMode === "glass" || boneMode === "section" ? 1 : 0);
+    }
+  }
+}

@@ -1,0 +1,27 @@
+// The tables: connected parts, and the difference of two logs.
+
+const element = (id) => document.getElementById(id);
+
+function row(cells) {
+  const line = document.createElement("tr");
+  for (const text of cells) line.appendChild(document.createElement("td")).textContent = text;
+  return line;
+}
+
+const rate = (hz) => (hz == null ? "–" : hz >= 100 ? `${hz.toFixed(0)} Hz` : `${hz.toFixed(1)} Hz`);
+const age = (ms) => (ms == null ? "–" : ms < 1000 ? `${ms.toFixed(0)} ms` : `${(ms / 1000).toFixed(1)} s`);
+/** A number with at most six digits that say something. */
+export const short = (value) => (typeof value === "number" ? Number(value.toPrecision(6)).toString() : String(value ?? "–"));
+
+/** @param {{name: string, rate_hz: number, age_ms: number, state: string}[]} parts */
+export function showParts(parts) {
+  element("parts").replaceChildren(...parts.map((part) => row([part.name, rate(part.rate_hz), age(part.age_ms), part.state ?? ""])));
+}
+
+/** @param {{time_ns: number, fields: {name: string, a: number, b: number, difference: number}[]}} comparison */
+export function showComparison({ time_ns, fields }) {
+  element("compare-facts").textContent = `${fields.length} fields at ${(time_ns / 1e9).toFixed(3)} s`;
+  const rows = fields.map(({ name, a, b, difference }) => row([name, short(a), short(b), short(difference)]));
+  if (rows.length === 0) rows.push(row(["no field differs", "", "", ""]));
+  element("compare-rows").replaceChildren(...rows);
+}

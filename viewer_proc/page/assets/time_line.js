@@ -1,0 +1,81 @@
+// The time line of a log: position, marks for events, misses, divergences and gaps, each with a letter.
+
+import { prepare } from "/assets/plot.js";
+
+/** @type {Record<string, {letter: string, name: string, colour: string}>} */
+const MARKS = {
+  event: { letter: "E", name: "event", colour: "--accent" },
+  miss: { letter: "M", name: "missed tick", colour: "--cause-step" },
+  divergence: { letter: "D", name: "divergence", colour: "--error" },
+  gap: { letter: "G", name: "gap", colour: "--cause-fault" },
+};
+const LETTER_PX = 10;
+const STEPS = 10000;
+
+const element = (id) => document.getElementById(id);
+const seconds = (ns) => `${(ns / 1e9).toFixed(3)} s`;
+
+export class TimeLine {
+  /** @param {(request: object) => void} send a `/playback` request */
+  constructor(send) {
+    this.send = send;
+    this.state = { begin_ns: 0, end_ns: 0, time_ns: 0, playing: false, speed: 1, second: null };
+    this.events = [];
+    const scrub = element("scrub");
+    scrub.max = String(STEPS);
+    scrub.addEventListener("input", () => {
+      this.scrubbing = performance.now();
+      const share = Number(scrub.value) / STEPS;
+      this.send({ action: "seek", time_ns: Math.round(this.state.begin_ns + share * (this.state.end_ns - this.state.begin_ns)) });
+    });
+    element("playback-speed").addEventListener("change", (event) => this.send({ action: "speed", speed: Number(event.target.value) }));
+  }
+
+  /** @param {object} state a `/view/playback` message; events only when they changed */
+  take(state) {
+    this.state = { ...this.state, ...state };
+    if (state.events) this.events = state.events;
+  }
+
+  togglePlay() {
+    this.send({ action: this.state.playing ? "pause" : "play" });
+  }
+
+  /** Plays faster or slower: the next choice of the list. @param {1 | -1} direction */
+  changeSpeed(direction) {
+    const list = element("playback-speed");
+    list.selectedIndex = Math.max(0, Math.min(list.options.length - 1, list.selectedIndex + direction));
+    list.dispatchEvent(new Event("change"));
+  }
+
+  draw(colours) {
+    const { begin_ns, end_ns, time_ns, playing } = this.state;
+    const span = Math.max(1, end_ns - begin_ns);
+    element("play").textContent = playing ? "Pause" : "Play";
+    element("playback-time").textContent = `${seconds(time_ns)} of ${seconds(end_ns)}`;
+    const scrub = element("scrub");
+    // While the user drags, the server's answers do not move the thumb.
+    if (!(performance.now() - (this.scrubbing ?? -Infinity) < 400)) scrub.value = String(Math.round(((time_ns - begin_ns) / span) * STEPS));
+    scrub.setAttribute("aria-valuetext", seconds(time_ns));
+    this.#marks(begin_ns, span, time_ns, colours);
+  }
+
+  #marks(begin, span, now, colours) {
+    const { context, width, height } = prepare(element("marks"));
+    context.font = `bold ${LETTER_PX}px system-ui, sans-serif`;
+    context.textAlign = "center";
+    context.textBaseline = "top";
+    const lastLetter = {};
+    for (const { time_ns, kind } of this.events) {
+      const mark = MARKS[kind] ?? MARKS.event;
+      const x = 8 + ((time_ns - begin) / span) * (width - 16);
+      context.fillStyle = colours[mark.colour];
+      context.fillRect(x - 1, LETTER_PX + 1, 2, height - LETTER_PX);
+      if (x - (lastLetter.x ?? -Infinity) < LETTER_PX) continue;
+      context.fillText(mark.letter, x, 0);
+      lastLetter.x = x;
+    }
+    const near = this.events.filter(({ time_ns }) => time_ns <= now + 1).at(-1);
+    element("mark-text").textContent = near ? `${MARKS[near.kind]?.name ?? near.kind} at ${seconds(near.time_ns)}: ${near.text}` : "";
+  }
+}

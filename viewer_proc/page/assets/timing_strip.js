@@ -1,0 +1,68 @@
+// Ticks on a strip: how long the step took of its period, and the misses with their cause as colour and letter.
+
+import { prepare } from "/assets/plot.js";
+
+/**
+ * Causes of a miss, found in the facts of its `TickTiming`; the number is what the series keeps.
+ * @type {Record<number, {letter: string, name: string, colour: string}>}
+ */
+export const CAUSES = {
+  1: { letter: "S", name: "step too long", colour: "--cause-step" },
+  2: { letter: "C", name: "core taken by others", colour: "--cause-core" },
+  3: { letter: "F", name: "page fault", colour: "--cause-fault" },
+  4: { letter: "H", name: "kernel or host", colour: "--cause-host" },
+};
+
+/**
+ * Why a tick began late: its predecessor's own work, faults in it, waiting for a core, or what is left.
+ * @param {{lateness_ns: number, wait_ns: number, faults: number, work_before_ns: number, period_ns: number}} facts
+ * @returns {number} a key of `CAUSES`
+ */
+export function causeOf({ lateness_ns, wait_ns, faults, work_before_ns, period_ns }) {
+  if (wait_ns >= lateness_ns / 2) return 2;
+  if (faults > 0) return 3;
+  return work_before_ns > period_ns ? 1 : 4;
+}
+
+const LETTER_PX = 13;
+
+/** @param {HTMLCanvasElement} canvas @param {import("/assets/series.js").Series} series step µs, cause @param {number} periodUs */
+export function drawTimingStrip(canvas, series, from, to, periodUs, colours) {
+  const { context, width, height } = prepare(canvas);
+  const top = LETTER_PX + 2;
+  const tall = height - top;
+  const columns = Math.floor(width);
+  context.fillStyle = colours["--series-1"];
+  series.decimate(0, from, to, columns, (column, _low, high) => {
+    const bar = Math.max(1, Math.min(1, high / periodUs) * tall);
+    context.fillRect(column, height - bar, 1, bar);
+  });
+  context.strokeStyle = colours["--muted"];
+  context.setLineDash([3, 3]);
+  context.strokeRect(-1, top + 0.5, width + 2, height);
+  context.setLineDash([]);
+  context.font = `bold ${LETTER_PX - 1}px system-ui, sans-serif`;
+  context.textAlign = "center";
+  context.textBaseline = "top";
+  let lastLetter = -Infinity;
+  series.decimate(1, from, to, columns, (column, _low, cause) => {
+    const { letter, colour } = CAUSES[cause] ?? {};
+    if (!letter) return;
+    context.fillStyle = colours[colour];
+    context.fillRect(column - 1, top, 3, tall);
+    if (column - lastLetter < LETTER_PX) return;
+    context.fillText(letter, Math.max(6, Math.min(width - 6, column)), 0);
+    lastLetter = column;
+  });
+}
+
+/** Misses of each cause in a window. @param {import("/assets/series.js").Series} series */
+export function countCauses(series, from, to) {
+  const counts = new Map();
+  const end = series.lowerBound(to);
+  for (let index = series.lowerBound(from); index < end; index++) {
+    const cause = series.values[1][index % series.times.length];
+    if (cause > 0) counts.set(cause, (counts.get(cause) ?? 0) + 1);
+  }
+  return counts;
+}

@@ -1,0 +1,105 @@
+// Arm, shaft, links, burr, bodies, paths and contact forces as a list of parts.
+
+import { planeTowards } from "/assets/parts_list.js";
+import { add, length, rotate, scale, subtract, transform } from "/assets/vector.js";
+
+/** @typedef {import("/assets/vector.js").Pose} Pose */
+/** @typedef {import("/assets/parts_list.js").PartsList} PartsList */
+
+/** Radii with which the arm is drawn, from its base: thinner than the robot, so that it hides little. */
+const ARM_RADII_M = [0.03, 0.028, 0.025, 0.02, 0.018, 0.016];
+/** Length of a force arrow. */
+export const ARROW_M_PER_N = 0.002;
+const TRAIL_STEP_M = 0.0003;
+const TRAIL_POINTS = 4000;
+const LEAP_M = 0.005;
+
+/** @type {Record<string, import("/assets/parts_list.js").Colour>} */
+export const COLOURS = {
+  arm: [0.5, 0.51, 0.53, 0.4], shaft: [0.66, 0.67, 0.7, 1], linkEven: [0.16, 0.55, 0.78, 1], linkOdd: [0.52, 0.8, 0.93, 1],
+  burr: [0.96, 0.45, 0.08, 1], target: [0.85, 0.15, 0.65, 1], planned: [0.1, 0.62, 0.33, 1], drilled: [0.95, 0.75, 0.1, 1],
+  force: [0.86, 0.1, 0.16, 1], body: [0.55, 0.5, 0.75, 1], second: [0.45, 0.4, 0.95, 0.45],
+};
+
+/** @typedef {{arm: Pose[], flange: Pose, base: Pose, links: Pose[], burr: Pose}} Poses */
+
+/** The way that the burr has gone. */
+export class Trail {
+  /** @type {{point: import("/assets/vector.js").Vector, time: number}[]} */
+  steps = [];
+
+  get points() {
+    return this.steps.map((step) => step.point);
+  }
+
+  /** Adds a place. Time that goes back takes what was later away; a leap (a reset, a scrub) begins anew. */
+  add(point, time) {
+    while (this.steps.length > 0 && this.steps.at(-1).time >= time) this.steps.pop();
+    const gone = this.steps.length > 0 ? length(subtract(point, this.steps.at(-1).point)) : Infinity;
+    if (gone < TRAIL_STEP_M) return;
+    if (gone > LEAP_M) this.clear();
+    this.steps.push({ point, time });
+    if (this.steps.length > TRAIL_POINTS) this.steps = this.steps.filter((_, i) => i % 2 === 0);
+  }
+
+  clear() {
+    this.steps = [];
+  }
+}
+
+/** @param {PartsList} list @param {Poses} poses @param {object} tool of `/view/info` @param {object} [one] one colour for all */
+export function addTool(list, poses, tool, one) {
+  const burrRadius = tool.burr_radius_m ?? 0.003;
+  const shaft = tool.shaft ?? { length_m: 0, radius_m: 0.003 };
+  const end = transform(poses.base, [0, 0, shaft.length_m]);
+  list.cylinder(poses.base.position, end, shaft.radius_m, one ?? COLOURS.shaft);
+  poses.links.forEach((pose, i) => {
+    const link = tool.links?.[i] ?? { length_m: 0.001, outer_radius_m: 0.003 };
+    const colour = one ?? (i % 2 === 0 ? COLOURS.linkEven : COLOURS.linkOdd);
+    list.cylinder(pose.position, transform(pose, [0, 0, link.length_m]), link.outer_radius_m, colour);
+  });
+  list.sphere(poses.burr.position, burrRadius, one ?? COLOURS.burr);
+}
+
+/** The arm as tubes between its frames. @param {PartsList} list @param {Poses} poses */
+export function addArm(list, poses) {
+  const points = [...poses.arm.map((pose) => pose.position), poses.flange.position];
+  for (let i = 1; i < points.length; i++) {
+    list.capsule(points[i - 1], points[i], ARM_RADII_M[Math.min(i - 1, ARM_RADII_M.length - 1)], COLOURS.arm);
+  }
+  list.capsule(poses.flange.position, poses.base.position, 0.012, COLOURS.arm);
+}
+
+/** @param {PartsList} list @param {{point: number[], force: number[]}[]} contacts force on the tool in newtons */
+export function addContacts(list, contacts) {
+  for (const { point, force } of contacts) {
+    list.arrow(point, scale(force, ARROW_M_PER_N), 0.0003, COLOURS.force);
+  }
+}
+
+/** @param {PartsList} list @param {object[]} bodies of `/view/info` @param {Pose[]} poses */
+export function addBodies(list, bodies, poses) {
+  bodies.forEach((body, i) => {
+    const pose = poses[i];
+    if (!pose) return;
+    const half = body.half_height_m ?? 0;
+    if (body.shape === "cuboid") list.cuboid(pose, body.half_extents_m, COLOURS.body);
+    else if (body.shape === "ball") list.sphere(pose.position, body.radius_m, COLOURS.body);
+    else list.capsule(transform(pose, [0, 0, -half]), transform(pose, [0, 0, half]), body.radius_m, COLOURS.body);
+  });
+}
+
+/** The plane in which the tool bends, through its base, looking at the eye. @param {Pose} base @param {number[]} eye */
+export function bendingPlane(base, eye) {
+  return planeTowards(base.position, rotate(base.rotation, [0, 1, 0]), eye);
+}
+
+/** Contacts of a state: point, and normal and friction force together. @param {Record<string, Function>} read @param {DataView} state */
+export function contactsOf(read, state) {
+  return Array.from({ length: read.contactCount(state) }, (_, i) => {
+    const at = read.contacts[i];
+    const point = at.point.map((f) => f(state));
+    const normal = scale(at.normal.map((f) => f(state)), at.normalForce(state));
+    return { point, force: add(normal, at.friction.map((f) => f(state))) };
+  });
+}

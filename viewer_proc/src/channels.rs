@@ -1,0 +1,136 @@
+//! The channels: topics of the logs, helpers for Lichtblick, and those that only the page reads.
+
+use ipc_types::layout::{Description, Message};
+use ipc_types::messages::{
+    Command, DrrRequest, Event, FrameTiming, RunControl, RunControlReply, RunStatus, TickTiming,
+};
+use recorder_proc::topics;
+
+use crate::protocol::Advertisement;
+
+/// What the scene is (JSON).
+pub const INFO: &str = "/view/info";
+/// The bone's surface, a message a block ([`crate::surface::mesh`]).
+pub const SURFACE: &str = "/view/surface";
+/// The connected parts and their rates (JSON).
+pub const PARTS: &str = "/view/parts";
+/// Where the time line stands (JSON; logs only).
+pub const PLAYBACK: &str = "/view/playback";
+/// Remarks to the user (JSON).
+pub const NOTICE: &str = "/view/notice";
+/// Two logs compared (JSON; logs only).
+pub const COMPARE: &str = "/view/compare";
+/// The coordinate frames for Lichtblick (`foxglove.FrameTransforms`, JSON).
+pub const TRANSFORMS: &str = "/tf";
+/// The tool for Lichtblick (`foxglove.SceneUpdate`, JSON).
+pub const SCENE: &str = "/view/scene";
+
+/// What a client that reads slowly misses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Policy {
+    /// The oldest of a bounded queue.
+    Stream,
+    /// All but the newest.
+    Newest,
+}
+
+/// One channel.
+#[derive(Debug, Clone)]
+pub struct Channel {
+    /// As clients are told.
+    pub advertisement: Advertisement,
+    /// What a slow client misses.
+    pub policy: Policy,
+}
+
+/// The channels of a session or log, by their numbers.
+#[derive(Debug, Clone, Default)]
+pub struct Channels(Vec<Channel>);
+
+impl Channels {
+    /// All channels; a command channel for each controller.
+    pub fn new(controllers: &[String]) -> Channels {
+        let mut channels = Channels::default();
+        let newest = [topics::DRR_FRAME, topics::DRR_IMAGE];
+        for (topic, description) in topics::RUN {
+            let policy = if newest.contains(&topic) { Policy::Newest } else { Policy::Stream };
+            // Keyframes are the physics' own bytes: nothing to look at.
+            if topic != topics::KEYFRAME {
+                channels.logged(topic, description, policy);
+            }
+        }
+        for (topic, description) in TIMING {
+            channels.logged(topic, description, Policy::Stream);
+        }
+        for name in controllers {
+            channels.logged(&topics::command(name), Command::DESCRIPTION, Policy::Stream);
+        }
+        for (topic, schema) in [
+            (INFO, "trabecula.view.Info"),
+            (PARTS, "trabecula.view.Parts"),
+            (PLAYBACK, "trabecula.view.Playback"),
+            (COMPARE, "trabecula.view.Compare"),
+        ] {
+            channels.json(topic, schema, Policy::Newest);
+        }
+        channels.json(NOTICE, "trabecula.view.Notice", Policy::Stream);
+        channels.json(TRANSFORMS, "foxglove.FrameTransforms", Policy::Newest);
+        channels.json(SCENE, "foxglove.SceneUpdate", Policy::Newest);
+        channels.add(
+            SURFACE,
+            "trabecula.mesh",
+            ("trabecula.view.Surface", String::new(), ""),
+            Policy::Newest,
+        );
+        channels
+    }
+
+    /// The channel of a number.
+    pub fn get(&self, id: u32) -> Option<&Channel> {
+        self.0.get((id as usize).checked_sub(1)?)
+    }
+
+    /// The number of a topic.
+    pub fn id(&self, topic: &str) -> Option<u32> {
+        self.0.iter().find(|channel| channel.advertisement.topic == topic).map(|c| c.advertisement.id)
+    }
+
+    /// What clients are told.
+    pub fn advertisements(&self) -> Vec<Advertisement> {
+        self.0.iter().map(|channel| channel.advertisement.clone()).collect()
+    }
+
+    fn logged(&mut self, topic: &str, description: &'static Description, policy: Policy) {
+        let (name, schema) = topics::schema_of(description);
+        self.add(topic, "cdr", (name, schema, "ros2msg"), policy);
+    }
+
+    fn json(&mut self, topic: &str, schema_name: &str, policy: Policy) {
+        let schema = "{\"type\":\"object\",\"properties\":{}}".to_owned();
+        self.add(topic, "json", (schema_name, schema, "jsonschema"), policy);
+    }
+
+    fn add(&mut self, topic: &str, encoding: &str, schema: (&str, String, &str), policy: Policy) {
+        let (schema_name, schema, schema_encoding) = schema;
+        let advertisement = Advertisement {
+            id: self.0.len() as u32 + 1,
+            topic: topic.to_owned(),
+            encoding: encoding.to_owned(),
+            schema_name: schema_name.to_owned(),
+            schema,
+            schema_encoding: schema_encoding.to_owned(),
+        };
+        self.0.push(Channel { advertisement, policy });
+    }
+}
+
+/// The topics of `timing.mcap` but the commands.
+pub const TIMING: [(&str, &Description); 7] = [
+    (topics::TICK_TIMING, TickTiming::DESCRIPTION),
+    (topics::FRAME_TIMING, FrameTiming::DESCRIPTION),
+    (topics::EVENT, Event::DESCRIPTION),
+    (topics::RUN_CONTROL, RunControl::DESCRIPTION),
+    (topics::RUN_CONTROL_REPLY, RunControlReply::DESCRIPTION),
+    (topics::RUN_STATUS, RunStatus::DESCRIPTION),
+    (topics::DRR_REQUEST, DrrRequest::DESCRIPTION),
+];

@@ -1,0 +1,68 @@
+//! Why a viewer cannot be.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use ipc_types::ports::PortError;
+use ipc_types::scene::SceneError;
+use ipc_types::session::SessionError;
+use recorder_proc::LogError;
+use trabecula_client::ClientError;
+
+use crate::log::file::PlayError;
+
+/// What went wrong, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewerError {
+    /// The port cannot be listened at.
+    #[error(
+        "{address}: cannot listen there: {cause}; choose another port with --port, or 0 for any free one"
+    )]
+    Port {
+        /// Address asked for.
+        address: SocketAddr,
+        /// The system's reason.
+        cause: std::io::Error,
+    },
+    /// No randomness for the token.
+    #[error("/dev/urandom: no control token can be made: {0}")]
+    Token(std::io::Error),
+    /// The runtime or a thread cannot be started.
+    #[error("the server cannot be started: {0}")]
+    Runtime(std::io::Error),
+    /// No session to look at.
+    #[error("no running session of this user in {}; start one with `trabecula run`, or name it with --session", .0.display())]
+    NoSession(PathBuf),
+    /// The session cannot be joined.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Its scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A message cannot be taken.
+    #[error(transparent)]
+    Message(#[from] PortError),
+    /// As a controller.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// A log cannot be read.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// A log cannot be played.
+    #[error(transparent)]
+    Play(#[from] PlayError),
+}
+
+impl ViewerError {
+    /// Whether the user asked for something that cannot be, rather than that something failed.
+    pub fn is_bad_input(&self) -> bool {
+        matches!(
+            self,
+            ViewerError::Port { .. }
+                | ViewerError::NoSession(_)
+                | ViewerError::Log(_)
+                | ViewerError::Play(_)
+                | ViewerError::Scene(_)
+        ) || matches!(self, ViewerError::Session(SessionError::NoSession { .. }))
+    }
+}

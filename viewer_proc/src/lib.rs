@@ -1,0 +1,30 @@
+//! The viewer: a page in the browser and the Foxglove WebSocket protocol, for a running session or for logs.
+//!
+//! Started only when asked for. It reads a session as any client does and nobody waits for it: it takes what it finds and
+//! drops what its own clients do not take.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`live`] | a running session: messages, run control, driving |
+//! | [`log`] | logs on a time line |
+//! | [`surface`] | the bone's surface, block by block |
+//! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, what clients may ask |
+//! | [`board`], [`queue`], [`channels`] | what clients subscribe to, and what waits for each of them |
+//! | [`info`](mod@info), [`assets`] | the scene as the page needs it, the page's files |
+
+pub mod assets;
+pub mod board;
+pub mod channels;
+pub mod error;
+pub mod info;
+pub mod live;
+pub mod log;
+pub mod protocol;
+pub mod queue;
+pub mod server;
+pub mod services;
+pub mod surface;
+
+pub use error::ViewerError;
+pub use info::ToolShape;
+pub use server::ServerOptions;

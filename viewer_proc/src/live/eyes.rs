@@ -1,0 +1,206 @@
+//! Takes the session's messages and puts them on the board under the topics of the logs.
+
+use ipc_types::layout::Message;
+use ipc_types::messages::{
+    Command, DRR_ACCEPTED, DrrReply, DrrRequest, Event, Frame, FrameTiming, Latched, PHASE_ENDED, Progress,
+    Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming,
+};
+use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::scene::Scene;
+use ipc_types::services;
+use ipc_types::session::{Session, SessionError};
+use recorder_proc::topics;
+
+use super::parts::Parts;
+use crate::board::Board;
+
+/// Most messages that are taken of one queue before the others are looked at.
+const ROUND: usize = 1024;
+
+/// The subscriptions.
+pub(super) struct Eyes {
+    states: Subscriber<State>,
+    frames: Option<Subscriber<Frame>>,
+    status: Subscriber<RunStatus>,
+    replies: Subscriber<DrrReply>,
+    progress: Subscriber<Progress>,
+    commands: Vec<(String, Subscriber<Command>)>,
+    others: Vec<Box<dyn Forward>>,
+    parts: Parts,
+    dt_ns: u64,
+    tick: u64,
+    ended: bool,
+}
+
+/// A queue whose messages go to a topic as they are.
+trait Forward {
+    fn look(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError>;
+}
+
+struct Topic<M> {
+    topic: &'static str,
+    subscriber: Subscriber<M>,
+}
+
+impl<M: Message> Forward for Topic<M> {
+    fn look(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError> {
+        forward(&self.subscriber, self.topic, board, |_| time_ns, |_| ())
+    }
+}
+
+/// Forwards what waits: every message if somebody wants the topic, else the newest only. Returns how many came.
+fn forward<M: Message>(
+    subscriber: &Subscriber<M>,
+    topic: &str,
+    board: &Board,
+    time_ns: impl Fn(&M) -> u64,
+    mut see: impl FnMut(&M),
+) -> Result<usize, PortError> {
+    let wanted = board.wants(topic);
+    let (mut count, mut newest) = (0, None);
+    while count < ROUND
+        && let Some(received) = subscriber.receive()?
+    {
+        count += 1;
+        see(received.message());
+        if wanted {
+            board.publish_cdr(topic, time_ns(received.message()), &[received.bytes()]);
+        } else {
+            newest = Some(received);
+        }
+    }
+    if let Some(received) = newest {
+        board.publish_cdr(topic, time_ns(received.message()), &[received.bytes()]);
+    }
+    Ok(count)
+}
+
+impl Eyes {
+    pub(super) fn open(session: &Session, scene: &Scene) -> Result<Eyes, SessionError> {
+        let names = scene.controller_names();
+        let commands = names
+            .iter()
+            .map(|name| Ok((name.clone(), session.command_subscriber(name)?)))
+            .collect::<Result<_, SessionError>>()?;
+        Ok(Eyes {
+            states: session.subscriber(&services::STATE)?,
+            frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
+            status: session.subscriber(&services::RUN_STATUS)?,
+            replies: session.subscriber(&services::DRR_REPLY)?,
+            progress: session.subscriber(&services::PROGRESS)?,
+            commands,
+            others: vec![
+                Topic::<Latched>::open(session, topics::LATCHED, &services::LATCHED)?,
+                Topic::<Removed>::open(session, topics::REMOVED, &services::REMOVED)?,
+                Topic::<TickTiming>::open(session, topics::TICK_TIMING, &services::TICK_TIMING)?,
+                Topic::<FrameTiming>::open(session, topics::FRAME_TIMING, &services::FRAME_TIMING)?,
+                Topic::<Event>::open(session, topics::EVENT, &services::EVENT)?,
+                Topic::<RunControl>::open(session, topics::RUN_CONTROL, &services::RUN_CONTROL)?,
+                Topic::<RunControlReply>::open(
+                    session,
+                    topics::RUN_CONTROL_REPLY,
+                    &services::RUN_CONTROL_REPLY,
+                )?,
+                Topic::<DrrRequest>::open(session, topics::DRR_REQUEST, &services::DRR_REQUEST)?,
+            ],
+            parts: Parts::new(scene, session.announcement().recorder),
+            dt_ns: scene.dt_ns(),
+            tick: 0,
+            ended: false,
+        })
+    }
+
+    /// Whether the run says so.
+    pub(super) fn run_has_ended(&self) -> bool {
+        self.ended
+    }
+
+    /// Takes what has come since the last look.
+    pub(super) fn look(&mut self, board: &Board) -> Result<(), PortError> {
+        self.look_at_states(board)?;
+        let time_ns = self.time_ns();
+        for other in &mut self.others {
+            other.look(board, time_ns)?;
+        }
+        self.look_at_frames(board)?;
+        let (mut ended, mut recorded) = (self.ended, 0);
+        forward(
+            &self.status,
+            topics::RUN_STATUS,
+            board,
+            |_| time_ns,
+            |status| {
+                ended |= status.phase == PHASE_ENDED;
+            },
+        )?;
+        self.ended = ended;
+        while let Some(progress) = self.progress.receive()? {
+            recorded += usize::from(progress.message().consumer == SENDER_RECORDER);
+        }
+        self.parts.saw("recorder", recorded);
+        for (name, commands) in &self.commands {
+            let topic = topics::command(name);
+            self.parts.saw(name, forward(commands, &topic, board, |_| time_ns, |_| ())?);
+        }
+        self.parts.publish(board);
+        Ok(())
+    }
+
+    fn time_ns(&self) -> u64 {
+        self.tick.saturating_mul(self.dt_ns)
+    }
+
+    fn look_at_states(&mut self, board: &Board) -> Result<(), PortError> {
+        let (dt_ns, mut tick) = (self.dt_ns, self.tick);
+        let time_ns = |state: &State| state.tick.saturating_mul(dt_ns);
+        let count = forward(&self.states, topics::STATE, board, time_ns, |state| tick = state.tick)?;
+        self.tick = tick;
+        board.set_time_ns(self.time_ns());
+        self.parts.saw("physics", count);
+        Ok(())
+    }
+
+    fn look_at_frames(&mut self, board: &Board) -> Result<(), PortError> {
+        let Some(frames) = &self.frames else { return Ok(()) };
+        let mut count = 0;
+        // Nobody looks at a frame when a newer one is here.
+        while let Some(received) = frames.receive()? {
+            count += 1;
+            if !frames.has_message() {
+                let frame = received.message();
+                let time_ns = frame.tick.saturating_mul(self.dt_ns);
+                board.publish_cdr(topics::DRR_FRAME, time_ns, &[zerocopy::IntoBytes::as_bytes(frame)]);
+                board.publish_cdr(topics::DRR_IMAGE, time_ns, &[received.tail()]);
+            }
+        }
+        self.parts.saw("drr", count);
+        let time_ns = self.time_ns();
+        let mut refused = None;
+        forward(
+            &self.replies,
+            topics::DRR_REPLY,
+            board,
+            |_| time_ns,
+            |reply| {
+                if reply.status != DRR_ACCEPTED {
+                    refused = Some(reply.requester);
+                }
+            },
+        )?;
+        if let Some(requester) = refused {
+            let text = format!("a frame asked for by controller {requester} was refused; the events say why");
+            board.notice("warning", &text);
+        }
+        Ok(())
+    }
+}
+
+impl<M: Message + 'static> Topic<M> {
+    fn open(
+        session: &Session,
+        topic: &'static str,
+        service: &services::Service,
+    ) -> Result<Box<dyn Forward>, SessionError> {
+        Ok(Box::new(Topic::<M> { topic, subscriber: session.subscriber(service)? }))
+    }
+}

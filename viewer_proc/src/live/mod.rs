@@ -1,0 +1,140 @@
+//! A running session, watched and steered.
+
+mod bone;
+mod control;
+mod drive;
+mod eyes;
+mod parts;
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+use ipc_types::process::{EndRequest, session_scene};
+use ipc_types::scene::Scene;
+use ipc_types::session::{Session, host_is_alive};
+
+use crate::board::Board;
+use crate::channels::{Channels, INFO};
+use crate::error::ViewerError;
+use crate::info::{Origin, ToolShape, info};
+use crate::server::{Server, ServerOptions};
+use crate::services::{Call, Calls, Request};
+use crate::surface::bone::volume_box;
+use bone::BoneThread;
+pub(crate) use bone::indices;
+use control::Control;
+use drive::Driver;
+use eyes::Eyes;
+
+/// Time between two looks at the queues, which hold half a second.
+const LOOK_TIME: Duration = Duration::from_millis(4);
+/// Calls that may wait.
+pub(crate) const CALL_QUEUE: usize = 64;
+const ALIVE_LOOK: Duration = Duration::from_millis(200);
+
+/// A session to watch.
+#[derive(Debug, Clone)]
+pub struct LiveOptions {
+    /// Its folder.
+    pub session: PathBuf,
+    /// How to serve.
+    pub server: ServerOptions,
+}
+
+/// Watches a session until it ends or the process is asked to. `tool` is asked for the tool's shape, `ready` is told the
+/// page's address.
+///
+/// # Errors
+/// The session cannot be joined, or the port not be listened at.
+pub fn view(
+    options: &LiveOptions,
+    tool: impl FnOnce(&Scene) -> ToolShape,
+    ready: impl FnOnce(&Server),
+    end: &EndRequest,
+) -> Result<(), ViewerError> {
+    let session = Session::join(&options.session)?;
+    let scene = session_scene(&options.session)?;
+    let board = Arc::new(Board::new(Channels::new(&scene.controller_names())));
+    let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
+    let over = Arc::new(AtomicBool::new(false));
+    let name = options.session.display().to_string();
+    let server = Server::bind(&options.server, &name, Arc::clone(&board), calls, Arc::clone(&over))?;
+    let tool = tool(&scene);
+    let origin = Origin::Live(name);
+    board.publish_json(INFO, &info(&scene, &origin, &tool, None));
+    if let Some(volume) = &scene.volume {
+        let thread = BoneThread {
+            session: options.session.clone(),
+            threshold_hu: volume.bone_threshold_hu,
+            board: Arc::clone(&board),
+            over: Arc::clone(&over),
+        };
+        let (board, scene) = (Arc::clone(&board), scene.clone());
+        thread.start(move |grid| {
+            board.publish_json(INFO, &info(&scene, &origin, &tool, Some(&volume_box(grid))));
+        });
+    }
+    let eyes = Eyes::open(&session, &scene)?;
+    let control = Control::open(&session)?;
+    let driver = Driver::start(&options.session, &scene, Arc::clone(&over), Arc::clone(&board));
+    ready(&server);
+    let serving = std::thread::spawn(move || server.serve());
+    let mut live = Live { board, eyes, control, driver, called, dt_ns: scene.dt_ns() };
+    let watched = live.watch(options, end);
+    // What was said last is on its way to the clients.
+    std::thread::sleep(Duration::from_millis(200));
+    over.store(true, Ordering::Relaxed);
+    let served = serving.join().unwrap_or(Ok(()));
+    watched.and(served)
+}
+
+struct Live {
+    board: Arc<Board>,
+    eyes: Eyes,
+    control: Control,
+    driver: Driver,
+    called: Calls,
+    dt_ns: u64,
+}
+
+impl Live {
+    fn watch(&mut self, options: &LiveOptions, end: &EndRequest) -> Result<(), ViewerError> {
+        let mut alive_seen = Instant::now();
+        loop {
+            self.eyes.look(&self.board)?;
+            self.control.look(&self.board, self.dt_ns)?;
+            while let Ok(call) = self.called.try_recv() {
+                self.dispatch(call);
+            }
+            if self.eyes.run_has_ended() {
+                self.board.notice("info", "the run has ended");
+                return Ok(());
+            }
+            if end.is_set() {
+                self.board.notice("info", "the viewer has been ended");
+                return Ok(());
+            }
+            if alive_seen.elapsed() > ALIVE_LOOK {
+                alive_seen = Instant::now();
+                if !host_is_alive(&options.session) || !options.session.join("session.json").exists() {
+                    self.board.notice("error", "the hub has died: its launcher is gone, and the run with it");
+                    return Ok(());
+                }
+            }
+            std::thread::sleep(LOOK_TIME);
+        }
+    }
+
+    fn dispatch(&mut self, call: Call) {
+        match call.request {
+            Request::Control(request) => self.control.ask(&request, call.answer),
+            Request::Drive(_) | Request::Frame(_) => self.driver.hand_over(call),
+            Request::Playback(_) => {
+                // The client may have left.
+                let _ = call.answer.send(Err("a running session has no time line".to_owned()));
+            }
+        }
+    }
+}

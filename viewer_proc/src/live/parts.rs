@@ -1,0 +1,71 @@
+//! The list of the run's parts: how often each is heard of, and when last.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use ipc_types::scene::Scene;
+use serde_json::{Value, json};
+
+use crate::board::Board;
+use crate::channels::PARTS;
+
+const PERIOD: Duration = Duration::from_secs(1);
+/// A part that has been silent for longer is said to be.
+const SILENT: Duration = Duration::from_secs(2);
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Part {
+    count: usize,
+    last: Option<Instant>,
+}
+
+/// What has been heard of each part since the last message.
+#[derive(Debug)]
+pub(super) struct Parts {
+    parts: BTreeMap<String, Part>,
+    order: Vec<String>,
+    since: Instant,
+}
+
+impl Parts {
+    pub(super) fn new(scene: &Scene, recorder: bool) -> Parts {
+        let own = [("physics", true), ("drr", scene.drr.is_some()), ("recorder", recorder)];
+        let own = own.into_iter().filter(|(_, there)| *there).map(|(name, _)| name.to_owned());
+        let order: Vec<String> = own.chain(scene.controller_names()).collect();
+        let parts = order.iter().map(|name| (name.clone(), Part::default())).collect();
+        Parts { parts, order, since: Instant::now() }
+    }
+
+    /// Some messages of a part have come.
+    pub(super) fn saw(&mut self, name: &str, count: usize) {
+        if let Some(part) = self.parts.get_mut(name).filter(|_| count > 0) {
+            part.count += count;
+            part.last = Some(Instant::now());
+        }
+    }
+
+    /// Once a second, says what was heard.
+    pub(super) fn publish(&mut self, board: &Board) {
+        let elapsed = self.since.elapsed();
+        if elapsed < PERIOD {
+            return;
+        }
+        self.since = Instant::now();
+        let rows: Vec<Value> = self.order.iter().filter_map(|name| self.row(name, elapsed)).collect();
+        board.publish_json(PARTS, &Value::Array(rows));
+        self.parts.values_mut().for_each(|part| part.count = 0);
+    }
+
+    fn row(&self, name: &str, elapsed: Duration) -> Option<Value> {
+        let part = self.parts.get(name)?;
+        let age = part.last.map(|last| last.elapsed());
+        let state = match age {
+            None => "not heard of yet",
+            Some(age) if age > SILENT => "silent",
+            Some(_) => "active",
+        };
+        let rate_hz = part.count as f64 / elapsed.as_secs_f64();
+        let age_ms = age.map(|age| age.as_secs_f64() * 1e3);
+        Some(json!({"name": name, "rate_hz": rate_hz, "age_ms": age_ms, "state": state}))
+    }
+}

@@ -1,0 +1,105 @@
+//! The bone of a log at any time.
+
+use ipc_types::messages::Removed;
+
+use crate::board::Board;
+use crate::surface::Geometry;
+use crate::surface::bone::Bone;
+
+/// Voxels of the log's volume.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LogVolume {
+    /// Grid.
+    pub geometry: Geometry,
+    /// Hounsfield units, x fastest.
+    pub hu: Vec<i16>,
+    /// SHA-256 of geometry and voxels.
+    pub sha256: [u8; 32],
+}
+
+/// Bone, and the removals that have been taken from it.
+pub(super) struct LogBone {
+    bone: Bone,
+    hu: Vec<i16>,
+    removals: Vec<(u64, Removed, Vec<u32>)>,
+    /// Removals in effect: the first so many.
+    taken: usize,
+}
+
+impl LogBone {
+    pub(super) fn new(
+        volume: LogVolume,
+        threshold_hu: i16,
+        removals: Vec<(u64, Removed, Vec<u32>)>,
+    ) -> LogBone {
+        LogBone { bone: Bone::new(volume.geometry, threshold_hu), hu: volume.hu, removals, taken: 0 }
+    }
+
+    /// The bone as it was at a time. Forward takes the removals in between; backward begins at the last reset before that
+    /// time, since a removal is known but not what a reset put back.
+    pub(super) fn go_to(&mut self, time_ns: u64) {
+        let wanted = self.removals.partition_point(|(time, _, _)| *time <= time_ns);
+        if wanted < self.taken {
+            let restores = |(_, removed, _): &(u64, Removed, Vec<u32>)| removed.restore_first != 0;
+            let crosses = self.removals[wanted..self.taken].iter().any(restores);
+            if crosses {
+                let from = self.removals[..wanted].iter().rposition(restores).unwrap_or(0);
+                self.bone.restore();
+                self.take(from, wanted);
+            } else {
+                let gone = self.removals[wanted..self.taken].iter().flat_map(|(_, _, voxels)| voxels);
+                gone.for_each(|index| self.bone.set(*index, false));
+            }
+        } else {
+            self.take(self.taken, wanted);
+        }
+        self.taken = wanted;
+    }
+
+    fn take(&mut self, from: usize, to: usize) {
+        self.removals[from..to].iter().for_each(|(_, removed, voxels)| self.bone.take(removed, voxels));
+    }
+
+    /// Meshes what has changed; whether more waits.
+    pub(super) fn publish(&mut self, board: &Board) -> bool {
+        self.bone.publish(&self.hu, board)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn removal(time_ns: u64, restore_first: u32, voxels: &[u32]) -> (u64, Removed, Vec<u32>) {
+        let removed = Removed { tick: time_ns, restore_first, ..Removed::zeroed() };
+        (time_ns, removed, voxels.to_vec())
+    }
+
+    /// Any way to a time leads to the same bone: that of taking the removals one after the other.
+    #[test]
+    fn the_bone_of_a_time_does_not_depend_on_the_way_there() {
+        let geometry = Geometry {
+            origin_m: [0.0; 3],
+            spacing_m: [1e-3; 3],
+            direction: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            dimensions: [8; 3],
+        };
+        let volume = LogVolume { geometry, hu: vec![1000; 512], sha256: [0; 32] };
+        let removals = vec![
+            removal(0, 0, &[1, 2]),
+            removal(10, 0, &[3, 4]),
+            removal(20, 0, &[5]),
+            removal(30, 1, &[6]),
+            removal(40, 0, &[3, 7]),
+            removal(50, 1, &[]),
+            removal(60, 0, &[8]),
+        ];
+        let expected: [&[u32]; 7] =
+            [&[1, 2], &[1, 2, 3, 4], &[1, 2, 3, 4, 5], &[1, 2, 6], &[1, 2, 3, 6, 7], &[1, 2], &[1, 2, 8]];
+        let mut bone = LogBone::new(volume, 150, removals);
+        for to in [6, 0, 3, 2, 5, 4, 1, 6, 4, 3, 0, 5] {
+            bone.go_to(to * 10 + 5);
+            assert_eq!(bone.bone.field().removed(), expected[to as usize], "{to}");
+        }
+    }
+}

@@ -1,0 +1,180 @@
+//! A log's file: any time of it at once.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use ipc_types::layout::CDR_LITTLE_ENDIAN;
+use mcap::Summary;
+use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
+
+/// Longest record that is believed.
+const MAX_RECORD: usize = 1 << 30;
+
+/// Why a log cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum PlayError {
+    /// The system's reason.
+    #[error("{}: cannot read the log: {cause}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Reason.
+        cause: std::io::Error,
+    },
+    /// The index or a chunk is damaged, or there is no index.
+    #[error("{}: {cause}; `trabecula log repair` makes a log that can be played", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        cause: String,
+    },
+}
+
+/// A message of a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Logged {
+    /// Topic.
+    pub topic: String,
+    /// Simulated time.
+    pub time_ns: u64,
+    /// CDR header, struct and tail.
+    pub payload: Vec<u8>,
+}
+
+impl Logged {
+    /// Struct and tail.
+    pub fn body(&self) -> &[u8] {
+        self.payload.strip_prefix(CDR_LITTLE_ENDIAN.as_slice()).unwrap_or_default()
+    }
+}
+
+/// An indexed log.
+#[derive(Debug, Clone)]
+pub struct LogFile {
+    path: PathBuf,
+    file: Arc<File>,
+    summary: Arc<Summary>,
+}
+
+/// A way through a log.
+pub struct Reading {
+    log: LogFile,
+    reader: IndexedReader,
+}
+
+impl LogFile {
+    /// Opens a log and reads its index.
+    ///
+    /// # Errors
+    /// [`PlayError`].
+    pub fn open(path: &Path) -> Result<LogFile, PlayError> {
+        let read_error = |cause| PlayError::Read { path: path.to_owned(), cause };
+        let damaged = |cause: String| PlayError::Damaged { path: path.to_owned(), cause };
+        let mut file = File::open(path).map_err(read_error)?;
+        let mut reader = SummaryReader::new();
+        while let Some(event) = reader.next_event() {
+            match event.map_err(|error| damaged(error.to_string()))? {
+                SummaryReadEvent::ReadRequest(bytes) => {
+                    if bytes > MAX_RECORD {
+                        return Err(damaged(format!("an index of {bytes} bytes")));
+                    }
+                    let read = file.read(reader.insert(bytes)).map_err(read_error)?;
+                    reader.notify_read(read);
+                }
+                SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to).map_err(read_error)?),
+            }
+        }
+        let summary = reader.finish().filter(|summary| !summary.chunk_indexes.is_empty());
+        let summary = summary.ok_or_else(|| damaged("the log has no index: it was cut".to_owned()))?;
+        Ok(LogFile { path: path.to_owned(), file: Arc::new(file), summary: Arc::new(summary) })
+    }
+
+    /// First and last simulated time.
+    pub fn bounds_ns(&self) -> (u64, u64) {
+        let chunks = &self.summary.chunk_indexes;
+        let first = chunks.iter().map(|chunk| chunk.message_start_time).min().unwrap_or(0);
+        let last = chunks.iter().map(|chunk| chunk.message_end_time).max().unwrap_or(0);
+        (first, last)
+    }
+
+    /// The messages of some topics (none: all) after a time, oldest first.
+    ///
+    /// # Errors
+    /// [`PlayError`].
+    pub fn after(&self, time_ns: Option<u64>, topics: &[&str]) -> Result<Reading, PlayError> {
+        let mut options = IndexedReaderOptions::new().with_order(ReadOrder::LogTime);
+        if let Some(time_ns) = time_ns {
+            options = options.starting_after(time_ns);
+        }
+        self.reading(options, topics)
+    }
+
+    /// The newest message of a topic up to a time.
+    ///
+    /// # Errors
+    /// [`PlayError`].
+    pub fn newest(&self, topic: &str, time_ns: u64) -> Result<Option<Logged>, PlayError> {
+        let known = self.summary.channels.values().any(|channel| channel.topic == topic);
+        if !known {
+            return Ok(None);
+        }
+        let options = IndexedReaderOptions::new().with_order(ReadOrder::ReverseLogTime).ending_at(time_ns);
+        self.reading(options, &[topic])?.next_message()
+    }
+
+    fn reading(&self, mut options: IndexedReaderOptions, topics: &[&str]) -> Result<Reading, PlayError> {
+        if !topics.is_empty() {
+            options = options.include_topics(topics.iter().copied());
+        }
+        let options = options.with_record_length_limit(MAX_RECORD);
+        let reader =
+            IndexedReader::new_with_options(&self.summary, options).map_err(|error| self.damaged(&error))?;
+        Ok(Reading { log: self.clone(), reader })
+    }
+
+    fn damaged(&self, cause: &mcap::McapError) -> PlayError {
+        PlayError::Damaged { path: self.path.clone(), cause: cause.to_string() }
+    }
+
+    fn chunk(&self, offset: u64, length: usize) -> Result<Vec<u8>, PlayError> {
+        let read_error = |cause| PlayError::Read { path: self.path.clone(), cause };
+        let mut file: &File = &self.file;
+        file.seek(SeekFrom::Start(offset)).map_err(read_error)?;
+        let mut bytes = Vec::new();
+        // No memory is taken before the bytes are there.
+        file.take(length as u64).read_to_end(&mut bytes).map_err(read_error)?;
+        Ok(bytes)
+    }
+}
+
+impl Reading {
+    /// The next message.
+    ///
+    /// # Errors
+    /// [`PlayError`].
+    pub fn next_message(&mut self) -> Result<Option<Logged>, PlayError> {
+        loop {
+            let request = match self.reader.next_event() {
+                None => return Ok(None),
+                Some(Err(error)) => return Err(self.log.damaged(&error)),
+                Some(Ok(IndexedReadEvent::Message { header, data })) => {
+                    let Some(channel) = self.log.summary.channels.get(&header.channel_id) else { continue };
+                    return Ok(Some(Logged {
+                        topic: channel.topic.clone(),
+                        time_ns: header.log_time,
+                        payload: data.to_vec(),
+                    }));
+                }
+                Some(Ok(IndexedReadEvent::ReadChunkRequest { offset, length })) => (offset, length),
+            };
+            let bytes = self.log.chunk(request.0, request.1)?;
+            self.reader
+                .insert_chunk_record_data(request.0, &bytes)
+                .map_err(|error| self.log.damaged(&error))?;
+        }
+    }
+}

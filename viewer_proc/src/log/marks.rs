@@ -1,0 +1,158 @@
+//! What stands out in a log: events, missed ticks, gaps, and where two logs part.
+
+use std::path::Path;
+
+use ipc_types::messages::{Event, Removed, State, TickTiming};
+use recorder_proc::{LogError, LogHeader, MessageStream, ReadOptions, topics};
+use serde_json::{Value, json};
+use zerocopy::FromBytes;
+
+use crate::live::indices;
+
+/// Most marks of one kind; of more, the first.
+const MOST: usize = 2000;
+
+/// A place on the time line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mark {
+    /// Simulated time.
+    pub time_ns: u64,
+    /// `event`, `miss`, `divergence` or `gap`.
+    pub kind: &'static str,
+    /// For people.
+    pub text: String,
+}
+
+impl Mark {
+    /// As the page reads it.
+    pub fn json(&self) -> Value {
+        json!({"time_ns": self.time_ns, "kind": self.kind, "text": self.text})
+    }
+}
+
+/// What is known of a run lane after reading it once.
+#[derive(Debug, Clone)]
+pub struct Outline {
+    /// What the log is about.
+    pub header: LogHeader,
+    /// Tick and chained hash of every state, in order.
+    pub states: Vec<(u64, [u64; 2])>,
+    /// Removals in order, with their times.
+    pub removals: Vec<(u64, Removed, Vec<u32>)>,
+    /// Gaps.
+    pub marks: Vec<Mark>,
+    /// Whether there are frames.
+    pub has_frames: bool,
+    /// What the user should know.
+    pub notices: Vec<String>,
+}
+
+/// Reads a run lane through. What is damaged ends it, with a notice.
+///
+/// # Errors
+/// It is no log of this build.
+pub fn outline(path: &Path) -> Result<Outline, LogError> {
+    let wanted = [topics::STATE, topics::REMOVED, topics::DRR_FRAME].map(str::to_owned);
+    let mut stream = MessageStream::open_topics(path, &wanted, ReadOptions::default())?;
+    let header = stream.header().clone();
+    let mut outline = Outline {
+        header,
+        states: Vec::new(),
+        removals: Vec::new(),
+        marks: Vec::new(),
+        has_frames: false,
+        notices: Vec::new(),
+    };
+    loop {
+        match stream.next_message() {
+            Ok(Some(message)) => outline.take(message.topic, message.log_time_ns, message.body),
+            Ok(None) => break,
+            Err(error) => {
+                outline.notices.push(error.to_string());
+                break;
+            }
+        }
+    }
+    if let Some(cut) = &stream.ending().cut {
+        outline.notices.push(format!("the log was cut: {cut:?}"));
+    }
+    if let Some(marker) = &stream.ending().marker {
+        for (topic, count) in &marker.lost {
+            outline.notices.push(format!("{count} messages of {topic} never reached the log"));
+        }
+    }
+    if !outline.has_frames {
+        outline.notices.push("the log holds no X-ray frames".to_owned());
+    }
+    Ok(outline)
+}
+
+impl Outline {
+    fn take(&mut self, topic: &str, time_ns: u64, body: &[u8]) {
+        match topic {
+            topics::STATE => {
+                let Ok(state) =
+                    State::ref_from_bytes(body).copied().or_else(|_| State::read_from_bytes(body))
+                else {
+                    return;
+                };
+                if let Some((last, _)) = self.states.last()
+                    && last + 1 != state.tick
+                    && self.marks.len() < MOST
+                {
+                    let text = format!("ticks {} to {} are missing", last + 1, state.tick.saturating_sub(1));
+                    self.marks.push(Mark { time_ns, kind: "gap", text });
+                }
+                self.states.push((state.tick, state.hash));
+            }
+            topics::REMOVED => {
+                if let Ok((removed, tail)) = Removed::read_from_prefix(body) {
+                    self.removals.push((time_ns, removed, indices(tail)));
+                }
+            }
+            _ => self.has_frames = true,
+        }
+    }
+
+    /// The first tick whose chained hashes differ.
+    pub fn divergence(&self, other: &Outline) -> Option<Mark> {
+        let pairs = self.states.iter().zip(&other.states);
+        let first = pairs.into_iter().find(|(a, b)| a != b).map(|(a, _)| a.0);
+        let shorter = self.states.len().min(other.states.len());
+        let tick = match first {
+            Some(tick) => tick,
+            None if self.states.len() != other.states.len() => {
+                self.states.get(shorter).map_or(shorter as u64, |(tick, _)| *tick)
+            }
+            None => return None,
+        };
+        let time_ns = tick.saturating_mul(self.header.dt_ns);
+        Some(Mark { time_ns, kind: "divergence", text: format!("the two runs part at tick {tick}") })
+    }
+}
+
+/// Events and missed ticks of the timing lane beside a run lane; none without one.
+pub fn timing_marks(path: &Path) -> Vec<Mark> {
+    let wanted = [topics::EVENT, topics::TICK_TIMING].map(str::to_owned);
+    let Ok(mut stream) = MessageStream::open_topics(path, &wanted, ReadOptions::default()) else {
+        return Vec::new();
+    };
+    let (mut events, mut misses) = (Vec::new(), Vec::new());
+    while let Ok(Some(message)) = stream.next_message() {
+        let time_ns = message.log_time_ns;
+        if message.topic == topics::EVENT {
+            let Ok((_, text)) = Event::read_from_prefix(message.body) else { continue };
+            let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text)).into_owned();
+            events.push(Mark { time_ns, kind: "event", text });
+        } else if let Ok(timing) = TickTiming::read_from_bytes(message.body)
+            && timing.missed != 0
+        {
+            let late_us = timing.wake_lateness_ns as f64 * 1e-3;
+            let text = format!("tick {} began {late_us:.0} µs late", timing.tick);
+            misses.push(Mark { time_ns, kind: "miss", text });
+        }
+    }
+    events.truncate(MOST);
+    misses.truncate(MOST);
+    events.into_iter().chain(misses).collect()
+}

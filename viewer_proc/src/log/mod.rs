@@ -1,0 +1,298 @@
+//! Logs on a time line: played, sought, stepped, two of them compared.
+
+mod bone;
+pub mod file;
+mod marks;
+mod player;
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+use ipc_types::layout::Message;
+use ipc_types::messages::State;
+use ipc_types::process::EndRequest;
+use ipc_types::scene::Scene;
+use recorder_proc::{difference, topics};
+use serde_json::{Value, json};
+
+use crate::board::Board;
+use crate::channels::{COMPARE, Channels, INFO, PLAYBACK};
+use crate::error::ViewerError;
+use crate::info::{Origin, ToolShape, info};
+use crate::live::CALL_QUEUE;
+use crate::server::{Server, ServerOptions};
+use crate::services::{Calls, Request};
+use crate::surface::bone::volume_box;
+use bone::LogBone;
+use file::{LogFile, Logged, PlayError, Reading};
+use marks::{Mark, Outline, outline, timing_marks};
+use player::Player;
+
+pub use bone::LogVolume;
+
+/// Time between two looks.
+const LOOK_TIME: Duration = Duration::from_millis(8);
+/// Time between two messages about where the time line stands.
+const PLAYBACK_PERIOD: Duration = Duration::from_millis(33);
+/// A jump that is farther shows the place it leads to, and not all between.
+const LONGEST_STRIDE_NS: u64 = 500_000_000;
+/// Slots of the playback topic: whoever joins is given the marks, then where the time line stands.
+const MARKS_SLOT: u32 = 0;
+const POSITION_SLOT: u32 = 1;
+/// Topics whose newest message shows a time.
+const SHOWN: [&str; 5] =
+    [topics::LATCHED, topics::STATE, topics::DRR_REPLY, topics::DRR_FRAME, topics::DRR_IMAGE];
+
+/// Logs to look at.
+#[derive(Debug, Clone)]
+pub struct LogOptions {
+    /// `run.mcap`, or the folder it lies in.
+    pub log: PathBuf,
+    /// Another one to compare it with.
+    pub second: Option<PathBuf>,
+    /// How to serve.
+    pub server: ServerOptions,
+}
+
+/// What only the command can say about a scene.
+pub struct SceneHelp<'a> {
+    /// The tool's shape.
+    pub tool: &'a dyn Fn(&Scene) -> ToolShape,
+    /// The volume, or why there is none to show.
+    pub volume: &'a dyn Fn(&Scene) -> Result<Option<LogVolume>, String>,
+}
+
+/// Shows logs until the process is asked to end.
+///
+/// # Errors
+/// A log cannot be played, or the port not be listened at.
+pub fn view(
+    options: &LogOptions,
+    help: &SceneHelp<'_>,
+    ready: impl FnOnce(&Server),
+    end: &EndRequest,
+) -> Result<(), ViewerError> {
+    let path = run_file(&options.log);
+    let first = outline(&path)?;
+    let second = options.second.as_deref().map(|path| Second::open(&run_file(path))).transpose()?;
+    let scene = Scene::parse(&first.header.scene_toml, &path)?;
+    let board = Arc::new(Board::new(Channels::new(&first.header.controllers)));
+    let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
+    let over = Arc::new(AtomicBool::new(false));
+    let server = Server::bind(
+        &options.server,
+        &path.display().to_string(),
+        Arc::clone(&board),
+        calls,
+        Arc::clone(&over),
+    )?;
+    let volume = scene_volume(&scene, &first, help, &board);
+    let grid = volume.as_ref().map(|volume| volume_box(&volume.geometry));
+    let origin = Origin::Log(path.display().to_string());
+    board.publish_json(INFO, &info(&scene, &origin, &(help.tool)(&scene), grid.as_ref()));
+    first.notices.iter().for_each(|text| board.notice("warning", text));
+    let mut show =
+        Show::open(board, &path, first, second, volume, scene.volume.map_or(0, |v| v.bone_threshold_hu))?;
+    ready(&server);
+    let serving = std::thread::spawn(move || server.serve());
+    let shown = show.run(&called, end);
+    over.store(true, Ordering::Relaxed);
+    let served = serving.join().unwrap_or(Ok(()));
+    shown.and(served)
+}
+
+/// A log's file: a folder holds it as `run.mcap`.
+fn run_file(path: &Path) -> PathBuf {
+    if path.is_dir() { path.join("run.mcap") } else { path.to_owned() }
+}
+
+fn scene_volume(scene: &Scene, log: &Outline, help: &SceneHelp<'_>, board: &Board) -> Option<LogVolume> {
+    let refuse = |text: String| {
+        board.notice("warning", &format!("the bone is not shown: {text}"));
+        None
+    };
+    match (help.volume)(scene) {
+        Ok(Some(volume)) if log.header.volume_sha256.is_none_or(|sha256| sha256 == volume.sha256) => {
+            Some(volume)
+        }
+        Ok(Some(_)) => refuse("the scene's volume is not the one of the run; its SHA-256 differs".to_owned()),
+        Ok(None) => None,
+        Err(text) => refuse(text),
+    }
+}
+
+struct Second {
+    path: PathBuf,
+    outline: Outline,
+    log: LogFile,
+}
+
+impl Second {
+    fn open(path: &Path) -> Result<Second, ViewerError> {
+        Ok(Second { path: path.to_owned(), outline: outline(path)?, log: LogFile::open(path)? })
+    }
+}
+
+struct Show {
+    board: Arc<Board>,
+    run: LogFile,
+    timing: Option<LogFile>,
+    second: Option<Second>,
+    player: Player,
+    bone: Option<LogBone>,
+    /// Where the messages on the board end; none: nothing has been shown.
+    shown_ns: Option<u64>,
+    streams: Vec<Stream>,
+    told: Option<(Instant, Player)>,
+}
+
+/// A way through a log with the message that lies beyond where it stands.
+struct Stream {
+    reading: Reading,
+    ahead: Option<Logged>,
+}
+
+impl Show {
+    fn open(
+        board: Arc<Board>,
+        path: &Path,
+        first: Outline,
+        second: Option<Second>,
+        volume: Option<LogVolume>,
+        threshold_hu: i16,
+    ) -> Result<Show, ViewerError> {
+        let run = LogFile::open(path)?;
+        let timing_path = path.with_file_name("timing.mcap");
+        let timing = timing_path.exists().then(|| LogFile::open(&timing_path)).and_then(Result::ok);
+        let mut marks: Vec<Mark> = first.marks.clone();
+        marks.extend(timing_marks(&timing_path));
+        marks.extend(second.as_ref().and_then(|second| first.divergence(&second.outline)));
+        let (begin_ns, end_ns) = run.bounds_ns();
+        let player = Player::new(begin_ns, end_ns, first.header.dt_ns, marks);
+        let bone = volume.map(|volume| LogBone::new(volume, threshold_hu, first.removals));
+        Ok(Show { board, run, timing, second, player, bone, shown_ns: None, streams: Vec::new(), told: None })
+    }
+
+    fn run(&mut self, called: &Calls, end: &EndRequest) -> Result<(), ViewerError> {
+        let mut last = Instant::now();
+        while !end.is_set() {
+            while let Ok(call) = called.try_recv() {
+                let outcome = match &call.request {
+                    Request::Playback(request) => self.player.obey(request),
+                    _ => Err("this is a log: what has happened cannot be steered".to_owned()),
+                };
+                // The client may have left.
+                let _ = call.answer.send(outcome);
+            }
+            self.player.advance(last.elapsed());
+            last = Instant::now();
+            self.show()?;
+            let more = self.bone.as_mut().is_some_and(|bone| bone.publish(&self.board));
+            self.tell();
+            if !more {
+                std::thread::sleep(LOOK_TIME);
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings the board to where the time line stands.
+    fn show(&mut self) -> Result<(), PlayError> {
+        let now = self.player.time_ns();
+        if self.shown_ns == Some(now) {
+            return Ok(());
+        }
+        self.board.set_time_ns(now);
+        let stride = self.shown_ns.and_then(|shown| now.checked_sub(shown));
+        match stride {
+            Some(stride) if stride <= LONGEST_STRIDE_NS => self.stream_to(now)?,
+            _ => self.jump_to(now)?,
+        }
+        self.shown_ns = Some(now);
+        if let Some(bone) = &mut self.bone {
+            bone.go_to(now);
+        }
+        self.compare(now)
+    }
+
+    fn stream_to(&mut self, now: u64) -> Result<(), PlayError> {
+        for stream in &mut self.streams {
+            while let Some(message) = stream.ahead.take_if(|message| message.time_ns <= now) {
+                self.board.publish(&message.topic, message.time_ns, 0, message.payload);
+                stream.ahead = stream.reading.next_message()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn jump_to(&mut self, now: u64) -> Result<(), PlayError> {
+        for topic in SHOWN {
+            if let Some(message) = self.run.newest(topic, now)? {
+                self.board.publish(topic, message.time_ns, 0, message.payload);
+            }
+        }
+        self.streams.clear();
+        for log in core::iter::once(&self.run).chain(&self.timing) {
+            let mut reading = log.after(Some(now), &[])?;
+            let ahead = reading.next_message()?;
+            self.streams.push(Stream { reading, ahead });
+        }
+        Ok(())
+    }
+
+    /// Two logs at the same simulated time.
+    fn compare(&self, now: u64) -> Result<(), PlayError> {
+        let Some(second) = &self.second else { return Ok(()) };
+        let recent = self.told.as_ref().is_some_and(|(told, _)| told.elapsed() < PLAYBACK_PERIOD);
+        if self.player.playing && recent {
+            return Ok(());
+        }
+        let (a, b) = (self.run.newest(topics::STATE, now)?, second.log.newest(topics::STATE, now)?);
+        if let Some((a, b)) = a.zip(b) {
+            let value = json!({"time_ns": now, "fields": differing_fields(a.body(), b.body())});
+            self.board.publish_json(COMPARE, &value);
+        }
+        Ok(())
+    }
+
+    /// Says where the time line stands if that has changed; the marks only the first time.
+    fn tell(&mut self) {
+        let due = match &self.told {
+            None => true,
+            Some((told, before)) => {
+                let command = before.playing != self.player.playing || before.speed != self.player.speed;
+                command || (*before != self.player && told.elapsed() >= PLAYBACK_PERIOD)
+            }
+        };
+        if !due {
+            return;
+        }
+        let player = &self.player;
+        let mut value = json!({
+            "begin_ns": player.begin_ns, "end_ns": player.end_ns, "time_ns": player.time_ns(),
+            "playing": player.playing, "speed": player.speed,
+            "second": self.second.as_ref().map(|second| json!({"path": second.path.display().to_string()})),
+        });
+        self.board.publish(PLAYBACK, player.time_ns(), POSITION_SLOT, value.to_string().into_bytes());
+        if self.told.is_none() {
+            value["events"] = Value::Array(player.marks.iter().map(Mark::json).collect());
+            self.board.publish(PLAYBACK, player.time_ns(), MARKS_SLOT, value.to_string().into_bytes());
+        }
+        self.told = Some((Instant::now(), player.clone()));
+    }
+}
+
+/// Fields of two states that differ, the first sixteen.
+fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
+    let found = difference::compare(topics::STATE, 0, State::DESCRIPTION, a, b);
+    let row = |difference: &recorder_proc::FieldDifference| {
+        let number = |scalar: Option<recorder_proc::fields::Scalar>| scalar.map(|scalar| scalar.to_string());
+        let parsed = |text: &Option<String>| text.as_ref().and_then(|text| text.parse::<f64>().ok());
+        let (a, b) = (number(difference.recorded), number(difference.replayed));
+        let distance = parsed(&a).zip(parsed(&b)).map(|(a, b)| b - a);
+        json!({"name": difference.path, "a": parsed(&a), "b": parsed(&b), "difference": distance})
+    };
+    found.map_or_else(Vec::new, |found| found.differences.iter().map(row).collect())
+}

@@ -1,0 +1,289 @@
+//! One connection: a file of the page, or a client of the Foxglove protocol.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use futures_util::{SinkExt, StreamExt};
+use tokio::io::AsyncWriteExt;
+use tokio::net::TcpStream;
+use tokio::sync::{mpsc, oneshot};
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
+use tokio_tungstenite::tungstenite::{Error, Message};
+
+use super::Shared;
+use super::http::{Head, Refusal, answer_head, websocket_answer};
+use crate::assets::asset;
+use crate::board::Client;
+use crate::protocol::{self, ClientText, Level};
+use crate::services::{Call, SERVICES, read_request, response};
+
+/// Longest message of a client.
+pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
+/// Most messages of a client within a second; a user's keys and gamepad make 60.
+pub const MAX_MESSAGES_PER_S: u32 = 1000;
+/// Longest time that a client may take nothing.
+const WRITE_LIMIT: Duration = Duration::from_secs(10);
+/// Bytes that are handed to the socket before the client is listened to again.
+const BATCH_BYTES: usize = 512 << 10;
+/// Longest time for the answer to a call.
+const CALL_LIMIT: Duration = Duration::from_secs(10);
+const END_LOOK: Duration = Duration::from_millis(100);
+
+type Socket = WebSocketStream<TcpStream>;
+
+/// Answers a request, and serves the WebSocket if it opens one.
+pub(super) async fn answer(mut stream: TcpStream, head: Result<Option<Head>, Refusal>, shared: &Shared) {
+    let head = match head {
+        Ok(Some(head)) => head,
+        Ok(None) => return,
+        Err(refusal) => return refuse(&mut stream, &refusal).await,
+    };
+    let checked = shared.origins.check(&head, &shared.own_host, shared.any_name);
+    if let Err(refusal) = checked {
+        return refuse(&mut stream, &refusal).await;
+    }
+    if head.path.split('?').next() != Some("/ws") {
+        return send_file(&mut stream, &head, shared).await;
+    }
+    match websocket_answer(&head) {
+        Ok(text) => {
+            if stream.write_all(text.as_bytes()).await.is_ok() {
+                let config = WebSocketConfig::default()
+                    .max_message_size(Some(MAX_CLIENT_MESSAGE))
+                    .max_frame_size(Some(MAX_CLIENT_MESSAGE));
+                let socket =
+                    WebSocketStream::from_partially_read(stream, head.rest, Role::Server, Some(config));
+                serve(socket.await, shared).await;
+            }
+        }
+        Err(refusal) => refuse(&mut stream, &refusal).await,
+    }
+}
+
+async fn refuse(stream: &mut TcpStream, refusal: &Refusal) {
+    send(stream, refusal.status, "text/plain; charset=utf-8", refusal.text.as_bytes(), true).await;
+}
+
+async fn send_file(stream: &mut TcpStream, head: &Head, shared: &Shared) {
+    let content = matches!(head.method.as_str(), "GET" | "HEAD")
+        .then(|| asset(&head.path, shared.page_folder.as_deref()))
+        .flatten();
+    match content {
+        Some(file) => send(stream, "200 OK", file.media_type, &file.bytes, head.method == "GET").await,
+        None => refuse(stream, &Refusal::new("404 Not Found", format!("there is no {}", head.path))).await,
+    }
+}
+
+async fn send(stream: &mut TcpStream, status: &str, media_type: &str, bytes: &[u8], body: bool) {
+    let head = answer_head(status, media_type, bytes.len());
+    let write = async {
+        stream.write_all(head.as_bytes()).await?;
+        if body {
+            stream.write_all(bytes).await?;
+        }
+        stream.shutdown().await
+    };
+    // Whoever does not take the answer has left.
+    let _ = tokio::time::timeout(WRITE_LIMIT, write).await;
+}
+
+/// Why a connection ends.
+enum End {
+    /// The client left or does not read.
+    Gone,
+    /// We close it, saying why.
+    Close(CloseCode, String),
+}
+
+impl From<Error> for End {
+    fn from(error: Error) -> End {
+        match error {
+            Error::Capacity(cause) => End::Close(CloseCode::Size, cause.to_string()),
+            Error::Protocol(cause) => End::Close(CloseCode::Protocol, cause.to_string()),
+            Error::Utf8(cause) => End::Close(CloseCode::Invalid, cause),
+            _ => End::Gone,
+        }
+    }
+}
+
+async fn serve(mut socket: Socket, shared: &Shared) {
+    let client = shared.board.join();
+    let end = talk(&mut socket, &client, shared).await;
+    shared.board.leave(&client);
+    if let Err(End::Close(code, reason)) = end {
+        // 123 bytes fit into a close frame.
+        let mut length = reason.len().min(120);
+        while !reason.is_char_boundary(length) {
+            length -= 1;
+        }
+        let frame = CloseFrame { code, reason: reason[..length].into() };
+        let _ = tokio::time::timeout(Duration::from_secs(1), socket.close(Some(frame))).await;
+    }
+}
+
+async fn talk(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Result<(), End> {
+    let (answers, mut answered) = mpsc::unbounded_channel();
+    let mut talk =
+        Talk { client, shared, answers, since: Instant::now(), count: 0, dropped: 0, warned: Instant::now() };
+    say(socket, Message::text(protocol::server_info("trabecula", &shared.name))).await?;
+    say(socket, Message::text(protocol::advertise(&shared.board.channels().advertisements()))).await?;
+    say(socket, Message::text(protocol::advertise_services(&SERVICES))).await?;
+    loop {
+        let more = talk.send_waiting(socket).await?;
+        // With more to send it only looks whether the client has said something.
+        let pause = if more { Duration::ZERO } else { END_LOOK };
+        tokio::select! {
+            biased;
+            message = socket.next() => match message {
+                Some(message) => talk.take(socket, message?).await?,
+                None => return Err(End::Gone),
+            },
+            answer = answered.recv() => if let Some(answer) = answer { say(socket, answer).await? },
+            () = client.bell.notified(), if !more => {}
+            () = tokio::time::sleep(pause) => {}
+        }
+        if shared.end.load(Ordering::Relaxed) {
+            while talk.send_waiting(socket).await? {}
+            return Err(End::Close(CloseCode::Away, "the viewer has ended".to_owned()));
+        }
+    }
+}
+
+/// Sends within the limit: a client that takes nothing has gone.
+async fn say(socket: &mut Socket, message: Message) -> Result<(), End> {
+    tokio::time::timeout(WRITE_LIMIT, socket.send(message)).await.map_err(|_| End::Gone)?.map_err(End::from)
+}
+
+struct Talk<'a> {
+    client: &'a Arc<Client>,
+    shared: &'a Shared,
+    /// Where answers to calls come in.
+    answers: mpsc::UnboundedSender<Message>,
+    since: Instant,
+    count: u32,
+    /// Messages that were dropped and that the client has not been told of.
+    dropped: u64,
+    warned: Instant,
+}
+
+impl Talk<'_> {
+    /// Sends a batch of what waits; whether there may be more.
+    async fn send_waiting(&mut self, socket: &mut Socket) -> Result<bool, End> {
+        let (messages, dropped) = self.client.take(BATCH_BYTES);
+        let more = !messages.is_empty();
+        if more {
+            say(socket, Message::binary(protocol::time(self.shared.board.time_ns()))).await?;
+        }
+        let feed = async {
+            for message in messages {
+                let bytes = protocol::message_data(message.subscription, message.time_ns, &message.payload);
+                socket.feed(Message::binary(bytes)).await?;
+            }
+            socket.flush().await
+        };
+        tokio::time::timeout(WRITE_LIMIT, feed).await.map_err(|_| End::Gone)?.map_err(End::from)?;
+        self.dropped += dropped;
+        if self.dropped > 0 && self.warned.elapsed() > Duration::from_millis(500) {
+            self.warned = Instant::now();
+            let text = format!("{} messages were dropped: this client reads too slowly", self.dropped);
+            self.dropped = 0;
+            say(socket, Message::text(protocol::status(Level::Warning, &text))).await?;
+        }
+        Ok(more)
+    }
+
+    async fn take(&mut self, socket: &mut Socket, message: Message) -> Result<(), End> {
+        self.count_message()?;
+        match message {
+            Message::Text(text) => match serde_json::from_str::<ClientText>(&text) {
+                Ok(text) => self.obey(socket, text).await,
+                Err(error) => warn(socket, &format!("a message that is none of the protocol: {error}")).await,
+            },
+            Message::Binary(bytes) => self.call(socket, &bytes).await,
+            Message::Close(_) => Err(End::Gone),
+            // The library answers pings by itself.
+            Message::Ping(_) | Message::Pong(_) | Message::Frame(_) => Ok(()),
+        }
+    }
+
+    fn count_message(&mut self) -> Result<(), End> {
+        if self.since.elapsed() > Duration::from_secs(1) {
+            (self.since, self.count) = (Instant::now(), 0);
+        }
+        self.count += 1;
+        if self.count > MAX_MESSAGES_PER_S {
+            let text = format!("more than {MAX_MESSAGES_PER_S} messages within a second");
+            return Err(End::Close(CloseCode::Policy, text));
+        }
+        Ok(())
+    }
+
+    async fn obey(&mut self, socket: &mut Socket, text: ClientText) -> Result<(), End> {
+        let board = &self.shared.board;
+        let refused: Vec<String> = match text {
+            ClientText::Subscribe { subscriptions } => subscriptions
+                .into_iter()
+                .filter_map(|wanted| board.subscribe(self.client, wanted).err())
+                .collect(),
+            ClientText::Unsubscribe { subscription_ids } => subscription_ids
+                .into_iter()
+                .filter_map(|id| board.unsubscribe(self.client, id).err())
+                .collect(),
+            ClientText::Other => {
+                vec!["this server offers subscriptions and services, nothing else".to_owned()]
+            }
+        };
+        match refused.split_first() {
+            None => Ok(()),
+            Some((first, [])) => warn(socket, first).await,
+            Some((first, others)) => warn(socket, &format!("{first}; and {} more", others.len())).await,
+        }
+    }
+
+    async fn call(&mut self, socket: &mut Socket, bytes: &[u8]) -> Result<(), End> {
+        let Some(call) = protocol::service_call(bytes) else {
+            return warn(socket, "a binary message that is no call of a service").await;
+        };
+        if call.encoding != "json" {
+            let text = format!("requests are JSON, this one is `{}`", call.encoding);
+            return say(socket, Message::text(protocol::service_failure(&call, &text))).await;
+        }
+        let (service, number) = (call.service, call.call);
+        let answer = match read_request(service, call.payload, &self.shared.token) {
+            Err(error) => Err(error),
+            Ok(request) => {
+                let (answer, answered) = oneshot::channel();
+                match self.shared.calls.try_send(Call { request, answer }) {
+                    Ok(()) => {
+                        self.answer_later(service, number, answered);
+                        return Ok(());
+                    }
+                    Err(_) => {
+                        Err("the viewer is busy with earlier requests, or has nothing to command".to_owned())
+                    }
+                }
+            }
+        };
+        say(socket, Message::binary(protocol::service_response(service, number, &response(&answer)))).await
+    }
+
+    fn answer_later(&self, service: u32, call: u32, answered: oneshot::Receiver<Result<(), String>>) {
+        let answers = self.answers.clone();
+        tokio::task::spawn_local(async move {
+            let outcome = match tokio::time::timeout(CALL_LIMIT, answered).await {
+                Ok(Ok(outcome)) => outcome,
+                Ok(Err(_)) | Err(_) => Err("no answer: the run may have ended".to_owned()),
+            };
+            // The client may have left meanwhile.
+            let _ =
+                answers.send(Message::binary(protocol::service_response(service, call, &response(&outcome))));
+        });
+    }
+}
+
+async fn warn(socket: &mut Socket, text: &str) -> Result<(), End> {
+    say(socket, Message::text(protocol::status(Level::Warning, text))).await
+}

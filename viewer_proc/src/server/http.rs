@@ -1,0 +1,197 @@
+//! The few words of HTTP that a page and a WebSocket's opening need.
+
+use tokio::io::{AsyncRead, AsyncReadExt};
+use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
+
+use crate::protocol::SUBPROTOCOLS;
+
+/// Most bytes of a request's head.
+const MAX_HEAD: usize = 8 << 10;
+const MAX_HEADERS: usize = 64;
+/// Of the page: nothing from elsewhere. `blob:` for images that it makes itself.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'";
+
+/// The head of a request.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Head {
+    /// Method.
+    pub method: String,
+    /// Path with query.
+    pub path: String,
+    headers: Vec<(String, String)>,
+    /// What has been read behind the head.
+    pub rest: Vec<u8>,
+}
+
+/// Why a request is not served.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    /// HTTP status.
+    pub status: &'static str,
+    /// For people.
+    pub text: String,
+}
+
+impl Refusal {
+    /// A refusal.
+    pub fn new(status: &'static str, text: impl Into<String>) -> Refusal {
+        Refusal { status, text: text.into() }
+    }
+}
+
+impl Head {
+    /// A header's value; its name in lower case.
+    pub fn header(&self, name: &str) -> Option<&str> {
+        self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
+    }
+
+    fn has_token(&self, name: &str, token: &str) -> bool {
+        self.header(name)
+            .is_some_and(|value| value.split(',').any(|part| part.trim().eq_ignore_ascii_case(token)))
+    }
+}
+
+/// Reads a request's head. None if the client left.
+///
+/// # Errors
+/// It is too long or no HTTP.
+pub async fn read_head(stream: &mut (impl AsyncRead + Unpin)) -> Result<Option<Head>, Refusal> {
+    let mut bytes = Vec::new();
+    loop {
+        let mut part = [0; 1024];
+        match stream.read(&mut part).await {
+            Ok(count) if count > 0 => bytes.extend_from_slice(&part[..count]),
+            _ => return Ok(None),
+        }
+        if let Some(head) = parse(&bytes)? {
+            return Ok(Some(head));
+        }
+        if bytes.len() > MAX_HEAD {
+            let text = format!("the request's head is longer than {MAX_HEAD} bytes");
+            return Err(Refusal::new("431 Request Header Fields Too Large", text));
+        }
+    }
+}
+
+fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
+    let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
+    let mut request = httparse::Request::new(&mut headers);
+    let bad = |error: httparse::Error| Refusal::new("400 Bad Request", format!("no HTTP request: {error}"));
+    let httparse::Status::Complete(length) = request.parse(bytes).map_err(bad)? else { return Ok(None) };
+    let text = |header: &httparse::Header<'_>| {
+        (header.name.to_ascii_lowercase(), String::from_utf8_lossy(header.value).trim().to_owned())
+    };
+    Ok(Some(Head {
+        method: request.method.unwrap_or("").to_owned(),
+        path: request.path.unwrap_or("").to_owned(),
+        headers: request.headers.iter().map(text).collect(),
+        rest: bytes[length..].to_vec(),
+    }))
+}
+
+/// Who may open a WebSocket.
+#[derive(Debug, Clone, Default)]
+pub struct Origins {
+    /// Origins beside the page's own, such as `http://localhost:8080`.
+    pub allowed: Vec<String>,
+}
+
+impl Origins {
+    /// Refuses a page from elsewhere: a browser always says where a page is from. The host is checked too, so that a
+    /// name that someone points to this machine (DNS rebinding) is not taken for ours.
+    pub fn check(&self, head: &Head, own_host: &str, any_name: bool) -> Result<(), Refusal> {
+        let host = head.header("host").unwrap_or("");
+        let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
+        let is_ours = host == own_host
+            || (any_name && is_address(name))
+            || matches!(name, "localhost" | "127.0.0.1" | "[::1]");
+        if !is_ours {
+            let text = format!("the host `{host}` is not this server, which is {own_host}");
+            return Err(Refusal::new("403 Forbidden", text));
+        }
+        let Some(origin) = head.header("origin") else { return Ok(()) };
+        if origin == format!("http://{host}") || self.allowed.iter().any(|allowed| allowed == origin) {
+            return Ok(());
+        }
+        let text = format!("pages of {origin} may not connect; allow it with --allow-origin {origin}");
+        Err(Refusal::new("403 Forbidden", text))
+    }
+}
+
+fn is_address(name: &str) -> bool {
+    name.trim_matches(['[', ']']).parse::<std::net::IpAddr>().is_ok()
+}
+
+/// Answers the opening of a WebSocket.
+///
+/// # Errors
+/// It is none, or of no subprotocol that we speak.
+pub fn websocket_answer(head: &Head) -> Result<String, Refusal> {
+    let key = head.header("sec-websocket-key").filter(|key| key.len() == 24);
+    let opens = head.has_token("connection", "upgrade")
+        && head.has_token("upgrade", "websocket")
+        && head.header("sec-websocket-version") == Some("13");
+    let Some(key) = key.filter(|_| opens) else {
+        let text = "this address is a WebSocket (version 13)";
+        return Err(Refusal::new("426 Upgrade Required", text));
+    };
+    let spoken = SUBPROTOCOLS.iter().find(|name| head.has_token("sec-websocket-protocol", name));
+    let Some(spoken) = spoken else {
+        let text = format!("expected a subprotocol of {}", SUBPROTOCOLS.join(", "));
+        return Err(Refusal::new("400 Bad Request", text));
+    };
+    Ok(format!(
+        "HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+         Sec-WebSocket-Accept: {}\r\nSec-WebSocket-Protocol: {spoken}\r\n\r\n",
+        derive_accept_key(key.as_bytes())
+    ))
+}
+
+/// A whole answer but its content.
+pub fn answer_head(status: &str, media_type: &str, length: usize) -> String {
+    format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\nConnection: close\r\n\
+         Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
+         Cross-Origin-Opener-Policy: same-origin\r\nContent-Security-Policy: {CONTENT_SECURITY_POLICY}\r\n\r\n"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn head(host: &str, origin: Option<&str>) -> Head {
+        let origin = origin.map_or(String::new(), |origin| format!("Origin: {origin}\r\n"));
+        parse(format!("GET /ws HTTP/1.1\r\nHost: {host}\r\n{origin}\r\n").as_bytes()).unwrap().unwrap()
+    }
+
+    #[test]
+    fn other_origins_and_other_names_are_refused() {
+        let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
+        let own = "127.0.0.1:8765";
+        let check = |host, origin| origins.check(&head(host, origin), own, false).is_ok();
+        assert!(check(own, None) && check("localhost:8765", None));
+        assert!(check(own, Some("http://127.0.0.1:8765")) && check(own, Some("http://studio.example")));
+        for origin in ["http://evil.example", "null", "https://127.0.0.1:8765", "http://127.0.0.1:80", ""] {
+            assert!(!check(own, Some(origin)), "{origin}");
+        }
+        assert!(
+            !check("evil.example:8765", Some("http://evil.example:8765")),
+            "a name bound to this machine"
+        );
+        assert!(!origins.check(&head("10.0.0.7:1", None), own, false).is_ok());
+        assert!(origins.check(&head("10.0.0.7:1", None), own, true).is_ok());
+    }
+
+    #[test]
+    fn the_accept_key_is_that_of_the_rfc() {
+        let text = "GET /ws HTTP/1.1\r\nHost: x\r\nConnection: keep-alive, Upgrade\r\nUpgrade: WebSocket\r\n\
+            Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+            Sec-WebSocket-Protocol: a, foxglove.websocket.v1\r\n\r\n";
+        let answer = websocket_answer(&parse(text.as_bytes()).unwrap().unwrap()).unwrap();
+        // RFC 6455, section 1.3.
+        assert!(answer.contains("Sec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\n"), "{answer}");
+        assert!(answer.contains("Sec-WebSocket-Protocol: foxglove.websocket.v1\r\n"));
+        assert!(websocket_answer(&head("x", None)).is_err());
+    }
+}

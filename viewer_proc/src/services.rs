@@ -1,0 +1,231 @@
+//! The services: what a client may ask the simulator or the time line to do.
+
+use std::sync::mpsc;
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
+
+/// Names in the order of their numbers, from 1.
+pub const SERVICES: [&str; 4] = ["/control", "/drive", "/frame", "/playback"];
+
+/// What `/control` may ask.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Action {
+    /// Stop before the next tick.
+    Pause,
+    /// Go on.
+    Resume,
+    /// While paused, make some ticks.
+    Step,
+    /// Back to the initial state.
+    Reset,
+    /// End the run.
+    Stop,
+    /// Go on at a part of the run's own speed.
+    Speed,
+}
+
+/// A request of `/control`.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+pub struct Control {
+    /// What to do.
+    pub action: Action,
+    /// Ticks of a step; 1 if left out.
+    pub ticks: Option<u64>,
+    /// Simulated over wall time, for `speed`; none or 0 lifts the limit.
+    pub speed: Option<f64>,
+}
+
+/// A request of `/drive`: what the user holds now. What is left out stays as it was.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Drive {
+    /// Tension of each tendon, or of tendon 0 alone.
+    pub tendon_n: Option<OneOrMany>,
+    /// Speed along the tool's axis, forward positive.
+    pub insert_m_per_s: Option<f64>,
+    /// Angular speed of the burr.
+    pub burr_rad_per_s: Option<f64>,
+    /// Where the C-arm is to stand: a frame is asked for.
+    pub c_arm: Option<CArm>,
+}
+
+/// A number or several.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(untagged)]
+pub enum OneOrMany {
+    /// One.
+    One(f64),
+    /// Several.
+    Many(Vec<f64>),
+}
+
+impl OneOrMany {
+    /// The values.
+    pub fn values(&self) -> &[f64] {
+        match self {
+            OneOrMany::One(value) => std::slice::from_ref(value),
+            OneOrMany::Many(values) => values,
+        }
+    }
+}
+
+/// A C-arm by DICOM's angles (0018,1510 and 0018,1511) about the scene's isocentre, or by its pose.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct CArm {
+    /// Positive towards the patient's left.
+    pub primary_angle_deg: Option<f64>,
+    /// Positive is cranial.
+    pub secondary_angle_deg: Option<f64>,
+    /// Isocentre and axes (x right, y down in the picture, z to the source).
+    pub pose: Option<Pose>,
+}
+
+/// A pose in the patient frame.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+pub struct Pose {
+    /// Origin.
+    pub position_m: [f64; 3],
+    /// Unit quaternion x, y, z, w.
+    pub orientation_xyzw: [f64; 4],
+}
+
+/// A request of `/playback`.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Playback {
+    /// What to do.
+    pub action: PlaybackAction,
+    /// Where to, for `seek`.
+    pub time_ns: Option<u64>,
+    /// Simulated over wall time, for `speed`; negative plays backward.
+    pub speed: Option<f64>,
+    /// Kind of mark for `next` and `previous`: event, miss, divergence or gap; none takes any.
+    pub kind: Option<String>,
+    /// Ticks of a step, negative for backward; 1 if left out.
+    pub ticks: Option<i64>,
+}
+
+/// What `/playback` may ask.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PlaybackAction {
+    /// Play from here.
+    Play,
+    /// Stand still.
+    Pause,
+    /// Go to a time.
+    Seek,
+    /// Set the speed.
+    Speed,
+    /// Go some ticks on.
+    Step,
+    /// Go to the next mark.
+    Next,
+    /// Go to the mark before.
+    Previous,
+}
+
+/// A request, checked for form and token.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Request {
+    /// Steer the run.
+    Control(Control),
+    /// Drive the tool.
+    Drive(Drive),
+    /// A frame from here.
+    Frame(CArm),
+    /// Move on the time line.
+    Playback(Playback),
+}
+
+/// A request with the way back to the client.
+#[derive(Debug)]
+pub struct Call {
+    /// The request.
+    pub request: Request,
+    /// Takes the answer: none, or what is wrong.
+    pub answer: oneshot::Sender<Result<(), String>>,
+}
+
+/// Where the source takes its calls.
+pub type Calls = mpsc::Receiver<Call>;
+
+/// Reads a request; the token must be the server's.
+///
+/// # Errors
+/// What is wrong with it, for the user.
+pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request, String> {
+    let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
+    let given = value.get("token").and_then(Value::as_str).unwrap_or("");
+    if !same(given, token) {
+        return Err("no or a wrong token: open the page with the address that the viewer printed".to_owned());
+    }
+    let malformed = |error: serde_json::Error| format!("malformed request: {error}");
+    let request = match service {
+        1 => Request::Control(serde_json::from_value(value).map_err(malformed)?),
+        2 => Request::Drive(serde_json::from_value(value).map_err(malformed)?),
+        3 => {
+            #[derive(Deserialize)]
+            struct Frame {
+                pose: Option<Pose>,
+                #[serde(flatten)]
+                c_arm: CArm,
+            }
+            let frame: Frame = serde_json::from_value(value).map_err(malformed)?;
+            Request::Frame(CArm { pose: frame.pose.or(frame.c_arm.pose), ..frame.c_arm })
+        }
+        4 => Request::Playback(serde_json::from_value(value).map_err(malformed)?),
+        other => return Err(format!("there is no service {other}")),
+    };
+    Ok(request)
+}
+
+/// Compares two tokens in a time that does not tell where they differ.
+fn same(given: &str, token: &str) -> bool {
+    let difference = given.bytes().zip(token.bytes()).fold(0, |all, (a, b)| all | (a ^ b));
+    given.len() == token.len() && difference == 0
+}
+
+/// The answer as JSON.
+pub fn response(outcome: &Result<(), String>) -> Vec<u8> {
+    match outcome {
+        Ok(()) => json!({"ok": true}),
+        Err(error) => json!({"ok": false, "error": error}),
+    }
+    .to_string()
+    .into_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_whole_token_opens() {
+        let request = |token: &str| {
+            let body = format!(r#"{{"token":"{token}","action":"pause"}}"#);
+            read_request(1, body.as_bytes(), "c0ffee")
+        };
+        let pause = Control { action: Action::Pause, ticks: None, speed: None };
+        assert_eq!(request("c0ffee"), Ok(Request::Control(pause)));
+        for wrong in ["", "c0ffe", "c0ffeee", "C0ffee"] {
+            assert!(request(wrong).is_err_and(|error| error.contains("token")), "{wrong}");
+        }
+        assert!(read_request(1, b"{\"action\":\"pause\"}", "c0ffee").is_err());
+    }
+
+    #[test]
+    fn a_frame_is_asked_for_by_angles_or_by_pose() {
+        let body = br#"{"token":"t","primary_angle_deg":30}"#;
+        let expected = CArm { primary_angle_deg: Some(30.0), ..CArm::default() };
+        assert_eq!(read_request(3, body, "t"), Ok(Request::Frame(expected)));
+        let body = br#"{"token":"t","pose":{"position_m":[0,0,0],"orientation_xyzw":[0,0,0,1]}}"#;
+        let pose = Pose { position_m: [0.0; 3], orientation_xyzw: [0.0, 0.0, 0.0, 1.0] };
+        assert_eq!(
+            read_request(3, body, "t"),
+            Ok(Request::Frame(CArm { pose: Some(pose), ..CArm::default() }))
+        );
+    }
+}

@@ -1,0 +1,92 @@
+//! The bone as removals change it, and its surface on the board.
+
+use ipc_types::messages::Removed;
+
+use super::field::{Field, Geometry};
+use super::nets::Blocks;
+use crate::board::Board;
+use crate::channels::SURFACE;
+use crate::info::VolumeBox;
+
+/// Blocks that are meshed in one go before others have their turn.
+const BLOCKS_AT_ONCE: usize = 64;
+
+/// Voxels, blocks, and what is predrilled.
+#[derive(Debug, Clone)]
+pub struct Bone {
+    field: Field,
+    blocks: Blocks,
+    predrilled: Vec<u32>,
+}
+
+impl Bone {
+    /// Undrilled bone, nothing of it meshed.
+    pub fn new(geometry: Geometry, threshold_hu: i16) -> Bone {
+        Bone {
+            field: Field::new(geometry, threshold_hu),
+            blocks: Blocks::new(&geometry),
+            predrilled: Vec::new(),
+        }
+    }
+
+    /// The voxels.
+    pub fn field(&self) -> &Field {
+        &self.field
+    }
+
+    /// The blocks.
+    pub fn blocks_mut(&mut self) -> &mut Blocks {
+        &mut self.blocks
+    }
+
+    /// Takes a removal.
+    pub fn take(&mut self, removed: &Removed, voxels: &[u32]) {
+        if removed.tick == 0 {
+            self.predrilled.extend_from_slice(voxels);
+        }
+        if removed.restore_first != 0 {
+            self.restore();
+        }
+        voxels.iter().for_each(|index| self.set(*index, true));
+    }
+
+    /// Puts back all but the predrilled voxels.
+    pub fn restore(&mut self) {
+        let predrilled = self.predrilled.clone();
+        self.field.removed().into_iter().for_each(|index| self.set(index, false));
+        predrilled.into_iter().for_each(|index| self.set(index, true));
+    }
+
+    /// Takes a voxel out or puts it back, and has the blocks around it meshed again.
+    pub fn set(&mut self, index: u32, removed: bool) {
+        if self.field.set_removed(index, removed)
+            && let Some(voxel) = self.field.geometry().voxel(index)
+        {
+            self.blocks.touch(voxel);
+        }
+    }
+
+    /// Meshes some of the blocks that have changed and puts them on the board. Whether more wait.
+    pub fn publish(&mut self, hu: &[i16], board: &Board) -> bool {
+        for mesh in self.blocks.mesh_changed(&self.field, hu, BLOCKS_AT_ONCE) {
+            board.publish(SURFACE, board.time_ns(), mesh.block, mesh.bytes());
+        }
+        self.blocks.changed_count() > 0
+    }
+}
+
+/// The box that a grid's voxels fill.
+pub fn volume_box(geometry: &Geometry) -> VolumeBox {
+    let last = geometry.dimensions.map(|n| n as f64 - 0.5);
+    let corner = |i: usize| {
+        geometry.world_m(core::array::from_fn(|axis| if i >> axis & 1 == 1 { last[axis] } else { -0.5 }))
+    };
+    let (mut min_m, mut max_m) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for point in (0..8).map(corner) {
+        for axis in 0..3 {
+            min_m[axis] = min_m[axis].min(point[axis]);
+            max_m[axis] = max_m[axis].max(point[axis]);
+        }
+    }
+    VolumeBox { min_m, max_m, spacing_m: geometry.spacing_m }
+}

@@ -1,0 +1,116 @@
+//! The voxels that the surface encloses: Hounsfield units with the drilled voxels taken out.
+
+/// The grid of a volume in the patient frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Geometry {
+    /// Centre of voxel (0, 0, 0), m.
+    pub origin_m: [f64; 3],
+    /// Distance between voxel centres, m.
+    pub spacing_m: [f64; 3],
+    /// Unit axes of i, j, k, one after the other.
+    pub direction: [f64; 9],
+    /// Number of voxels along i, j, k.
+    pub dimensions: [usize; 3],
+}
+
+impl Geometry {
+    /// A point given in voxels, in the patient frame (m).
+    pub fn world_m(&self, voxel: [f64; 3]) -> [f64; 3] {
+        core::array::from_fn(|row| {
+            let part = |axis: usize| self.direction[3 * axis + row] * self.spacing_m[axis] * voxel[axis];
+            self.origin_m[row] + part(0) + part(1) + part(2)
+        })
+    }
+
+    /// A gradient given per voxel, in the patient frame (per m).
+    pub fn world_gradient(&self, gradient: [f64; 3]) -> [f64; 3] {
+        core::array::from_fn(|row| {
+            (0..3).map(|axis| self.direction[3 * axis + row] * gradient[axis] / self.spacing_m[axis]).sum()
+        })
+    }
+
+    /// Number of voxels.
+    pub fn voxel_count(&self) -> usize {
+        self.dimensions.iter().product()
+    }
+
+    /// i, j, k of a linear index; none beyond the grid.
+    pub fn voxel(&self, index: u32) -> Option<[usize; 3]> {
+        let [ni, nj, _] = self.dimensions;
+        let index = index as usize;
+        (index < self.voxel_count()).then(|| [index % ni, index / ni % nj, index / (ni * nj)])
+    }
+}
+
+/// Hounsfield units wherever they lie, and which voxels have been drilled away.
+#[derive(Debug, Clone)]
+pub struct Field {
+    geometry: Geometry,
+    threshold_hu: i16,
+    removed: Vec<u64>,
+    removed_count: u64,
+}
+
+impl Field {
+    /// A field of which nothing has been drilled.
+    pub fn new(geometry: Geometry, threshold_hu: i16) -> Field {
+        Field {
+            geometry,
+            threshold_hu,
+            removed: vec![0; geometry.voxel_count().div_ceil(64)],
+            removed_count: 0,
+        }
+    }
+
+    /// The grid.
+    pub fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
+    /// Voxels that have been taken out.
+    pub fn removed_count(&self) -> u64 {
+        self.removed_count
+    }
+
+    /// Takes a voxel out, or puts it back. Whether that changed anything.
+    pub fn set_removed(&mut self, index: u32, removed: bool) -> bool {
+        if index as usize >= self.geometry.voxel_count() {
+            return false;
+        }
+        let (word, bit) = (index as usize / 64, 1u64 << (index % 64));
+        let was = self.removed[word] & bit != 0;
+        if was == removed {
+            return false;
+        }
+        self.removed[word] ^= bit;
+        self.removed_count = if removed { self.removed_count + 1 } else { self.removed_count - 1 };
+        true
+    }
+
+    /// Linear indices of the voxels that have been taken out.
+    pub fn removed(&self) -> Vec<u32> {
+        let bits = |(word, bits): (usize, &u64)| {
+            let bits = *bits;
+            (0..64u32).filter(move |bit| bits >> bit & 1 != 0).map(move |bit| word as u32 * 64 + bit)
+        };
+        self.removed.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(bits).collect()
+    }
+
+    /// HU above the threshold at a voxel; below 0 is outside. Beyond the grid there is no bone, so the surface is closed.
+    /// A drilled voxel is as far outside as it was inside: the surface then runs half-way between it and its neighbours.
+    pub fn value(&self, hu: &[i16], voxel: [i64; 3]) -> f32 {
+        let [ni, nj, nk] = self.geometry.dimensions;
+        let [i, j, k] = voxel;
+        let inside = |x: i64, n: usize| x >= 0 && (x as usize) < n;
+        if !(inside(i, ni) && inside(j, nj) && inside(k, nk)) {
+            return OUTSIDE;
+        }
+        let index = (k as usize * nj + j as usize) * ni + i as usize;
+        let above = hu.get(index).map_or(OUTSIDE, |hu| f32::from(*hu) - f32::from(self.threshold_hu));
+        // At the threshold is bone, as for the physics.
+        let above = if above == 0.0 { 0.5 } else { above };
+        if self.removed[index / 64] >> (index % 64) & 1 != 0 { -above.abs() } else { above }
+    }
+}
+
+const OUTSIDE: f32 = -1000.0;

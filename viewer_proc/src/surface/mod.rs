@@ -1,0 +1,15 @@
+//! The bone's surface, block by block: only blocks whose voxels have changed are meshed again.
+//!
+//! Method: surface nets (Gibson, "Constrained Elastic Surface Nets", 1998) without relaxation: a cell of eight voxel
+//! centres that the threshold passes through has one vertex, the mean of the points where it crosses the cell's edges; an
+//! edge between voxels on two sides has a quadrilateral of the four cells around it. A cell's vertex depends on its eight
+//! voxels only, so blocks meshed at different times fit together exactly.
+
+pub mod bone;
+pub mod field;
+pub mod mesh;
+pub mod nets;
+
+pub use field::{Field, Geometry};
+pub use mesh::BlockMesh;
+pub use nets::{BLOCK, Blocks};

@@ -1,0 +1,408 @@
+//! The server against a WebSocket client that is not ours: the protocol, and what hostile clients are told.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test")]
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use futures_util::{SinkExt, StreamExt};
+use ipc_types::layout::{CDR_LITTLE_ENDIAN, Message as _};
+use ipc_types::messages::State;
+use recorder_proc::topics;
+use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::tungstenite::{Error, Message};
+use tokio_tungstenite::{WebSocketStream, client_async};
+use viewer_proc::ServerOptions;
+use viewer_proc::board::Board;
+use viewer_proc::channels::{Channels, INFO, SURFACE};
+use viewer_proc::queue::STREAM_BYTES;
+use viewer_proc::server::Server;
+use viewer_proc::services::{Action, Request};
+use zerocopy::IntoBytes;
+
+const LIMIT: Duration = Duration::from_secs(20);
+
+struct Running {
+    address: std::net::SocketAddr,
+    token: String,
+    board: Arc<Board>,
+    over: Arc<AtomicBool>,
+    called: mpsc::Receiver<viewer_proc::services::Call>,
+    serving: Option<JoinHandle<()>>,
+}
+
+impl Running {
+    fn start() -> Running {
+        let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()])));
+        let (calls, called) = mpsc::sync_channel(8);
+        let over = Arc::new(AtomicBool::new(false));
+        let options = ServerOptions {
+            bind: "127.0.0.1".parse().unwrap(),
+            port: 0,
+            allow_origin: vec!["http://studio.example".to_owned()],
+            page_folder: None,
+        };
+        let server = Server::bind(&options, "test", Arc::clone(&board), calls, Arc::clone(&over)).unwrap();
+        let (address, token) = (server.address(), server.token().to_owned());
+        assert_eq!(server.url(), format!("http://{address}/#token={token}"));
+        let serving = Some(std::thread::spawn(move || server.serve().unwrap()));
+        Running { address, token, board, over, called, serving }
+    }
+
+    async fn tcp(&self) -> TcpStream {
+        TcpStream::connect(self.address).await.unwrap()
+    }
+
+    async fn open(&self, protocol: &str, origin: Option<&str>) -> Result<Socket, Error> {
+        let mut request = format!("ws://{}/ws", self.address).into_client_request().unwrap();
+        request.headers_mut().insert("Sec-WebSocket-Protocol", protocol.parse().unwrap());
+        if let Some(origin) = origin {
+            request.headers_mut().insert("Origin", origin.parse().unwrap());
+        }
+        let (socket, response) = client_async(request, self.tcp().await).await?;
+        assert_eq!(response.headers()["Sec-WebSocket-Protocol"], protocol);
+        Ok(socket)
+    }
+
+    /// A client that has heard what there is: itself and the channels by topic.
+    async fn client(&self) -> (Socket, Vec<Value>) {
+        let mut socket = self.open("foxglove.sdk.v1", None).await.unwrap();
+        assert_eq!(next_text(&mut socket).await["op"], "serverInfo");
+        let advertised = next_text(&mut socket).await;
+        assert_eq!(advertised["op"], "advertise");
+        assert_eq!(next_text(&mut socket).await["op"], "advertiseServices");
+        (socket, advertised["channels"].as_array().unwrap().clone())
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        self.serving.take().unwrap().join().unwrap();
+    }
+}
+
+type Socket = WebSocketStream<TcpStream>;
+
+fn with_server<F: Future<Output = ()>>(body: impl FnOnce(Arc<Running>) -> F) {
+    let running = Arc::new(Running::start());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async { tokio::time::timeout(LIMIT, body(running)).await.unwrap() });
+}
+
+async fn next_text(socket: &mut Socket) -> Value {
+    loop {
+        match socket.next().await.unwrap().unwrap() {
+            Message::Text(text) => return serde_json::from_str(&text).unwrap(),
+            Message::Binary(_) => {}
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// Subscription, log time and payload of the next message of a channel.
+async fn next_data(socket: &mut Socket) -> (u32, u64, Vec<u8>) {
+    loop {
+        match socket.next().await.unwrap().unwrap() {
+            Message::Binary(bytes) if bytes[0] == 1 => {
+                let subscription = u32::from_le_bytes(bytes[1..5].try_into().unwrap());
+                return (
+                    subscription,
+                    u64::from_le_bytes(bytes[5..13].try_into().unwrap()),
+                    bytes[13..].to_vec(),
+                );
+            }
+            Message::Close(frame) => panic!("{frame:?}"),
+            _ => {}
+        }
+    }
+}
+
+async fn say(socket: &mut Socket, value: Value) {
+    socket.send(Message::text(value.to_string())).await.unwrap();
+}
+
+async fn subscribe(socket: &mut Socket, id: u32, channel: &Value) {
+    say(socket, json!({"op": "subscribe", "subscriptions": [{"id": id, "channelId": channel["id"]}]})).await;
+}
+
+fn channel<'a>(channels: &'a [Value], topic: &str) -> &'a Value {
+    channels.iter().find(|channel| channel["topic"] == topic).unwrap()
+}
+
+async fn close_code(socket: &mut Socket) -> CloseCode {
+    loop {
+        match socket.next().await {
+            Some(Ok(Message::Close(Some(frame)))) => return frame.code,
+            Some(Ok(_)) => {}
+            other => panic!("closed without a word: {other:?}"),
+        }
+    }
+}
+
+fn call_bytes(service: u32, call: u32, body: &Value) -> Message {
+    let mut bytes = vec![2];
+    for word in [service, call, 4] {
+        bytes.extend_from_slice(&word.to_le_bytes());
+    }
+    bytes.extend_from_slice(b"json");
+    bytes.extend_from_slice(body.to_string().as_bytes());
+    Message::binary(bytes)
+}
+
+/// Call's number and the response.
+async fn next_response(socket: &mut Socket) -> (u32, Value) {
+    loop {
+        if let Message::Binary(bytes) = socket.next().await.unwrap().unwrap()
+            && bytes[0] == 3
+        {
+            assert_eq!(&bytes[9..17], b"\x04\0\0\0json");
+            return (
+                u32::from_le_bytes(bytes[5..9].try_into().unwrap()),
+                serde_json::from_slice(&bytes[17..]).unwrap(),
+            );
+        }
+    }
+}
+
+#[test]
+fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
+    with_server(async |running| {
+        let (mut socket, channels) = running.client().await;
+        for (topic, description) in topics::RUN.iter().filter(|(topic, _)| *topic != topics::KEYFRAME) {
+            let (name, schema) = topics::schema_of(description);
+            let channel = channel(&channels, topic);
+            assert_eq!(channel["schema"], schema, "{topic}");
+            assert_eq!(
+                (&channel["schemaName"], &channel["encoding"], &channel["schemaEncoding"]),
+                (&json!(name), &json!("cdr"), &json!("ros2msg"))
+            );
+        }
+        let state = State { tick: 42, ..State::zeroed() };
+        subscribe(&mut socket, 7, channel(&channels, topics::STATE)).await;
+        while !running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        running.board.publish_cdr(topics::STATE, 42_000_000, &[state.as_bytes()]);
+        let (subscription, time_ns, payload) = next_data(&mut socket).await;
+        assert_eq!((subscription, time_ns), (7, 42_000_000));
+        assert_eq!(payload, [CDR_LITTLE_ENDIAN.as_slice(), state.as_bytes()].concat());
+        assert_eq!(payload.len(), 4 + State::DESCRIPTION.size);
+
+        // Whoever comes later is given what is newest, of the surface each block.
+        running.board.publish_json(INFO, &json!({"kind": "live"}));
+        (0..3).for_each(|block| running.board.publish(SURFACE, 0, block, vec![block as u8]));
+        let (mut late, channels) = running.client().await;
+        subscribe(&mut late, 1, channel(&channels, INFO)).await;
+        assert_eq!(next_data(&mut late).await.2, b"{\"kind\":\"live\"}");
+        subscribe(&mut late, 2, channel(&channels, SURFACE)).await;
+        for block in 0..3 {
+            assert_eq!(next_data(&mut late).await.2, [block]);
+        }
+
+        say(&mut socket, json!({"op": "unsubscribe", "subscriptionIds": [7]})).await;
+        while running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    });
+}
+
+#[test]
+fn only_a_client_with_the_token_commands() {
+    with_server(async |running| {
+        let (mut socket, _) = running.client().await;
+        for token in [json!(null), json!(""), json!("0".repeat(32))] {
+            socket.send(call_bytes(1, 5, &json!({"token": token, "action": "stop"}))).await.unwrap();
+            let (call, response) = next_response(&mut socket).await;
+            assert_eq!((call, &response["ok"]), (5, &json!(false)));
+            assert!(response["error"].as_str().unwrap().contains("token"), "{response}");
+        }
+        assert!(running.called.try_recv().is_err(), "nothing was commanded");
+
+        socket
+            .send(call_bytes(1, 6, &json!({"token": running.token, "action": "step", "ticks": 3})))
+            .await
+            .unwrap();
+        let call = loop {
+            match running.called.try_recv() {
+                Ok(call) => break call,
+                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        };
+        let Request::Control(control) = &call.request else { panic!("{call:?}") };
+        assert_eq!((control.action, control.ticks), (Action::Step, Some(3)));
+        call.answer.send(Err("pause first".to_owned())).unwrap();
+        assert_eq!(next_response(&mut socket).await, (6, json!({"ok": false, "error": "pause first"})));
+
+        for (service, body) in
+            [(1, json!({"token": running.token, "action": "fly"})), (9, json!({"token": running.token}))]
+        {
+            socket.send(call_bytes(service, 7, &body)).await.unwrap();
+            assert_eq!(next_response(&mut socket).await.1["ok"], false);
+        }
+    });
+}
+
+#[test]
+fn no_other_origin_connects() {
+    with_server(async |running| {
+        let own = format!("http://{}", running.address);
+        for origin in [own.as_str(), "http://studio.example"] {
+            running.open("foxglove.websocket.v1", Some(origin)).await.unwrap();
+        }
+        for origin in ["http://evil.example", "null", "http://127.0.0.1:1"] {
+            let refused = running.open("foxglove.websocket.v1", Some(origin)).await;
+            let Err(Error::Http(response)) = refused else { panic!("{origin}: {refused:?}") };
+            assert_eq!(response.status(), 403, "{origin}");
+        }
+        let Err(Error::Http(response)) = running.open("mqtt", None).await else {
+            panic!("a subprotocol not ours")
+        };
+        assert_eq!(response.status(), 400);
+    });
+}
+
+async fn http(running: &Running, request: &str) -> String {
+    let mut stream = running.tcp().await;
+    stream.write_all(request.as_bytes()).await.unwrap();
+    let mut answer = Vec::new();
+    // The server may close before it has taken everything.
+    let _ = stream.read_to_end(&mut answer).await;
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+#[test]
+fn the_page_is_served_and_nothing_else() {
+    with_server(async |running| {
+        let host = running.address;
+        let get = |path: &str| format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n");
+        let page = http(&running, &get("/")).await;
+        assert!(page.starts_with("HTTP/1.1 200 OK\r\n") && page.contains("<!doctype html>"), "{page}");
+        assert!(page.contains("Content-Security-Policy: default-src 'self';"));
+        for path in ["/../Cargo.toml", "/assets/../../Cargo.toml", "/nothing", "/assets/"] {
+            assert!(http(&running, &get(path)).await.starts_with("HTTP/1.1 404"), "{path}");
+        }
+        let post = format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n");
+        assert!(http(&running, &post).await.starts_with("HTTP/1.1 404"));
+        let rebound = "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n";
+        assert!(http(&running, rebound).await.starts_with("HTTP/1.1 403"));
+        assert!(http(&running, "\0\u{1}garbage\r\n\r\n").await.starts_with("HTTP/1.1 400"));
+        let long = format!("GET / HTTP/1.1\r\nHost: {}\r\n", "x".repeat(20_000));
+        assert!(http(&running, &long).await.starts_with("HTTP/1.1 431"));
+        assert!(http(&running, &get("/ws")).await.starts_with("HTTP/1.1 426"));
+    });
+}
+
+#[test]
+fn hostile_clients_are_told_and_closed_and_others_go_on() {
+    with_server(async |running| {
+        let (mut good, channels) = running.client().await;
+        subscribe(&mut good, 1, channel(&channels, topics::STATE)).await;
+
+        let (mut oversized, _) = running.client().await;
+        // The server closes in the middle of it.
+        let _ = oversized.send(Message::text("x".repeat(70 << 10))).await;
+        assert_eq!(close_code(&mut oversized).await, CloseCode::Size);
+
+        let (mut flooding, _) = running.client().await;
+        for _ in 0..1100 {
+            if flooding.feed(Message::text("{}")).await.is_err() {
+                break;
+            }
+        }
+        let _ = flooding.flush().await;
+        assert_eq!(close_code(&mut flooding).await, CloseCode::Policy);
+
+        // What is malformed is answered; the connection stays.
+        let (mut malformed, _) = running.client().await;
+        for text in [
+            "{",
+            "[]",
+            "{\"op\":5}",
+            "{\"op\":\"subscribe\",\"subscriptions\":[{\"id\":1,\"channelId\":999}]}",
+        ] {
+            malformed.send(Message::text(text)).await.unwrap();
+            assert_eq!(next_text(&mut malformed).await["op"], "status", "{text}");
+        }
+        for bytes in [&b""[..], b"\x02", b"\x02\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff", b"\x63abc"]
+        {
+            malformed.send(Message::binary(bytes.to_vec())).await.unwrap();
+            assert_eq!(next_text(&mut malformed).await["op"], "status", "{bytes:?}");
+        }
+        let ids: Vec<Value> = (0..300).map(|id| json!({"id": id, "channelId": 1})).collect();
+        say(&mut malformed, json!({"op": "subscribe", "subscriptions": ids})).await;
+        let status = next_text(&mut malformed).await;
+        assert!(status["message"].as_str().unwrap().contains("256"), "{status}");
+
+        let mut broken = running.tcp().await;
+        broken.write_all(b"GET /ws HTTP/1.1\r\nHost: ").await.unwrap();
+        drop(broken);
+
+        while !running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        running.board.publish_cdr(topics::STATE, 1, &[b"still here"]);
+        assert!(next_data(&mut good).await.2.ends_with(b"still here"));
+    });
+}
+
+#[test]
+fn a_client_that_never_reads_holds_nobody_up_and_is_told_what_it_lost() {
+    with_server(async |running| {
+        let (mut lazy, channels) = running.client().await;
+        subscribe(&mut lazy, 1, channel(&channels, topics::STATE)).await;
+        while !running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        // Much more than its queue and the sockets' buffers hold; publishing never waits.
+        let big = vec![0; 1 << 20];
+        let count = 10 * (STREAM_BYTES >> 20) as u64;
+        for number in 1..=count {
+            running.board.publish_cdr(topics::STATE, number, &[&big]);
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let (mut heard, mut told) = (Vec::new(), false);
+        while heard.last() != Some(&count) || !told {
+            match lazy.next().await.unwrap().unwrap() {
+                Message::Binary(bytes) if bytes[0] == 1 => {
+                    heard.push(u64::from_le_bytes(bytes[5..13].try_into().unwrap()));
+                }
+                Message::Text(text) => told |= text.contains("were dropped"),
+                _ => {}
+            }
+        }
+        assert!(heard.is_sorted() && (heard.len() as u64) < count, "{heard:?}");
+    });
+}
+
+#[test]
+fn clients_hear_that_the_viewer_ends() {
+    with_server(async |running| {
+        let (mut socket, _) = running.client().await;
+        running.over.store(true, Ordering::Relaxed);
+        assert_eq!(close_code(&mut socket).await, CloseCode::Away);
+    });
+}
+
+#[test]
+fn a_port_in_use_is_named() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let options = ServerOptions {
+        bind: "127.0.0.1".parse().unwrap(),
+        port,
+        allow_origin: Vec::new(),
+        page_folder: None,
+    };
+    let (calls, _called) = mpsc::sync_channel(1);
+    let board = Arc::new(Board::new(Channels::default()));
+    let error = Server::bind(&options, "x", board, calls, Arc::default()).unwrap_err();
+    assert!(error.is_bad_input());
+    let text = error.to_string();
+    assert!(text.contains(&format!("127.0.0.1:{port}")) && text.contains("--port"), "{text}");
+}

@@ -1,0 +1,196 @@
+//! The surface against a sphere's closed form, and meshing what changed against meshing from nothing.
+#![allow(clippy::unwrap_used, reason = "a test")]
+
+use std::collections::BTreeMap;
+
+use viewer_proc::surface::{BlockMesh, Blocks, Field, Geometry};
+
+const THRESHOLD_HU: i16 = 150;
+
+/// A grid of unlike spacings that is turned in space.
+fn turned(dimensions: [usize; 3], spacing_m: [f64; 3]) -> Geometry {
+    // A rotation by 120° about (1, 1, 1) and one by 36.87° about z: columns are the axes of i, j, k.
+    let direction = [0.0, 0.8, 0.6, 0.0, -0.6, 0.8, 1.0, 0.0, 0.0];
+    Geometry { origin_m: [0.01, -0.02, 0.03], spacing_m, direction, dimensions }
+}
+
+/// A ball whose HU pass the threshold linearly at its radius.
+fn ball(geometry: &Geometry, centre_voxel: [f64; 3], radius_m: f64) -> Vec<i16> {
+    let [ni, nj, nk] = geometry.dimensions;
+    let mut hu = Vec::with_capacity(geometry.voxel_count());
+    for k in 0..nk {
+        for j in 0..nj {
+            for i in 0..ni {
+                let distance: f64 = [i, j, k]
+                    .iter()
+                    .enumerate()
+                    .map(|(axis, x)| ((*x as f64 - centre_voxel[axis]) * geometry.spacing_m[axis]).powi(2))
+                    .sum::<f64>()
+                    .sqrt();
+                let above = (radius_m - distance) * 4.0e5;
+                hu.push((f64::from(THRESHOLD_HU) + above).clamp(-1000.0, 3000.0).round() as i16);
+            }
+        }
+    }
+    hu
+}
+
+fn mesh_all(blocks: &mut Blocks, field: &Field, hu: &[i16]) -> BTreeMap<u32, BlockMesh> {
+    blocks.mesh_changed(field, hu, usize::MAX).into_iter().map(|mesh| (mesh.block, mesh)).collect()
+}
+
+/// Triangles by the vertices' places, which blocks share exactly.
+fn triangles<'a>(meshes: impl IntoIterator<Item = &'a BlockMesh>) -> Vec<[[i64; 3]; 3]> {
+    let of = |mesh: &'a BlockMesh| {
+        mesh.indices.chunks_exact(3).map(move |t| [mesh.steps(t[0]), mesh.steps(t[1]), mesh.steps(t[2])])
+    };
+    meshes.into_iter().flat_map(of).collect()
+}
+
+/// Directed edges that have no opposite: none on a closed, consistently turned surface.
+fn open_edges(triangles: &[[[i64; 3]; 3]]) -> usize {
+    let mut balance: BTreeMap<([i64; 3], [i64; 3]), i64> = BTreeMap::new();
+    for triangle in triangles {
+        for side in 0..3 {
+            let (a, b) = (triangle[side], triangle[(side + 1) % 3]);
+            if a < b {
+                *balance.entry((a, b)).or_default() += 1;
+            } else {
+                *balance.entry((b, a)).or_default() -= 1;
+            }
+        }
+    }
+    balance.values().filter(|count| **count != 0).count()
+}
+
+fn area_and_volume(triangles: &[[[i64; 3]; 3]], scale_m: f64) -> (f64, f64) {
+    let (mut area, mut volume) = (0.0, 0.0);
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|vertex| vertex.map(|steps| steps as f64 * scale_m));
+        let (u, v): ([f64; 3], [f64; 3]) =
+            (core::array::from_fn(|i| b[i] - a[i]), core::array::from_fn(|i| c[i] - a[i]));
+        let cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+        area += 0.5 * cross.iter().map(|x| x * x).sum::<f64>().sqrt();
+        // The divergence theorem: signed volumes of the tetrahedra with the origin.
+        volume += (0..3).map(|i| a[i] * cross[i]).sum::<f64>() / 6.0;
+    }
+    (area, volume)
+}
+
+#[test]
+fn a_ball_is_closed_and_has_its_area_and_volume() {
+    let geometry = turned([64, 60, 40], [0.5e-3, 0.5e-3, 0.75e-3]);
+    let radius_m = 0.012;
+    let centre = [30.3, 29.6, 19.2];
+    let hu = ball(&geometry, centre, radius_m);
+    let field = Field::new(geometry, THRESHOLD_HU);
+    let mut blocks = Blocks::new(&geometry);
+    let meshes = mesh_all(&mut blocks, &field, &hu);
+    assert!(meshes.len() > 8, "the ball spans blocks: {}", meshes.len());
+    let triangles = triangles(meshes.values());
+    assert_eq!(open_edges(&triangles), 0);
+    let scale_m = meshes.values().next().unwrap().scale_m;
+    let (area, volume) = area_and_volume(&triangles, scale_m);
+    let (pi, r) = (core::f64::consts::PI, radius_m);
+    let (expected_area, expected_volume) = (4.0 * pi * r * r, 4.0 / 3.0 * pi * r.powi(3));
+    println!(
+        "ball: area {:.4}, volume {:.4} of the closed form",
+        area / expected_area,
+        volume / expected_volume
+    );
+    // Vertices lie inside by at most the sagitta of a cell, h²/8r ≈ 0.006 mm of 12 mm; measured 0.3 %.
+    assert!((volume / expected_volume - 1.0).abs() < 0.01, "{volume} {expected_volume}");
+    assert!((area / expected_area - 1.0).abs() < 0.02, "{area} {expected_area}");
+    // Every vertex lies on the ball and its normal points away from the centre.
+    let middle = geometry.world_m(centre);
+    for mesh in meshes.values() {
+        for (number, normal) in mesh.normals.iter().enumerate() {
+            let point = mesh.vertex_m(number as u32);
+            let out: [f64; 3] = core::array::from_fn(|i| point[i] - middle[i]);
+            let distance = out.iter().map(|x| x * x).sum::<f64>().sqrt();
+            assert!((distance - radius_m).abs() < 0.1e-3, "{distance}");
+            let along: f64 = (0..3).map(|i| out[i] / distance * f64::from(normal[i]) / 127.0).sum();
+            assert!(along > 0.97, "{along}");
+        }
+    }
+}
+
+#[test]
+fn bone_that_reaches_the_edge_of_the_volume_is_closed_there() {
+    let geometry = turned([30, 25, 23], [1e-3; 3]);
+    let hu = vec![1000; geometry.voxel_count()];
+    let field = Field::new(geometry, THRESHOLD_HU);
+    let meshes = mesh_all(&mut Blocks::new(&geometry), &field, &hu);
+    let triangles = triangles(meshes.values());
+    assert!(!triangles.is_empty());
+    assert_eq!(open_edges(&triangles), 0);
+}
+
+/// A small generator of pseudo-random numbers (Marsaglia, "Xorshift RNGs", 2003).
+fn next(seed: &mut u64) -> u64 {
+    *seed ^= *seed << 13;
+    *seed ^= *seed >> 7;
+    *seed ^= *seed << 17;
+    *seed
+}
+
+#[test]
+fn meshing_what_changed_is_meshing_from_nothing() {
+    let geometry = turned([50, 49, 47], [0.5e-3; 3]);
+    let hu = ball(&geometry, [25.0, 24.0, 23.0], 0.011);
+    let mut field = Field::new(geometry, THRESHOLD_HU);
+    let mut blocks = Blocks::new(&geometry);
+    let mut shown = mesh_all(&mut blocks, &field, &hu);
+    let mut seed = 7;
+    for round in 0..12 {
+        // A drilled ball at a random place; every third round puts one back.
+        let middle: [f64; 3] =
+            core::array::from_fn(|axis| (next(&mut seed) % geometry.dimensions[axis] as u64) as f64);
+        let mut changed = 0;
+        for index in 0..geometry.voxel_count() as u32 {
+            let voxel = geometry.voxel(index).unwrap();
+            let distance: f64 = (0..3).map(|axis| (voxel[axis] as f64 - middle[axis]).powi(2)).sum();
+            if distance < 36.0 && field.set_removed(index, round % 3 != 2) {
+                blocks.touch(voxel);
+                changed += 1;
+            }
+        }
+        let waiting = blocks.changed_count();
+        assert!(waiting <= 27 || changed == 0, "{waiting} blocks for a ball of 12 voxels");
+        for (block, mesh) in mesh_all(&mut blocks, &field, &hu) {
+            match mesh.indices.is_empty() {
+                true => drop(shown.remove(&block)),
+                false => drop(shown.insert(block, mesh)),
+            }
+        }
+        let fresh = mesh_all(&mut Blocks::new(&geometry), &field, &hu);
+        assert_eq!(shown, fresh, "round {round}");
+        assert_eq!(open_edges(&triangles(shown.values())), 0, "round {round}");
+    }
+}
+
+#[test]
+fn a_mesh_is_written_as_the_contract_says() {
+    let geometry = turned([4, 4, 4], [1e-3; 3]);
+    let field = Field::new(geometry, THRESHOLD_HU);
+    let mesh = mesh_all(&mut Blocks::new(&geometry), &field, &[500; 64]).remove(&0).unwrap();
+    let bytes = mesh.bytes();
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    let float = |at: usize| f32::from_bits(word(at));
+    assert_eq!((word(0), word(4), word(8)), (0x4853_4D54, 1, 0));
+    let (n, m) = (word(12) as usize, word(16) as usize);
+    assert_eq!((n, m), (mesh.positions.len(), mesh.indices.len()));
+    let positions = 36;
+    let normals = positions + (6 * n).next_multiple_of(4);
+    assert_eq!(bytes.len(), normals + 4 * n + 4 * m);
+    for vertex in 0..n {
+        let expected = mesh.vertex_m(vertex as u32);
+        for axis in 0..3 {
+            let at = positions + 6 * vertex + 2 * axis;
+            let steps = u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap());
+            let metres = float(20 + 4 * axis) + float(32) * f32::from(steps);
+            assert!((f64::from(metres) - expected[axis]).abs() < 1e-7, "{metres} {}", expected[axis]);
+        }
+    }
+    assert_eq!(word(normals + 4 * n), mesh.indices[0]);
+}
