@@ -110,7 +110,8 @@ pub fn cpu_group() -> Option<(PathBuf, bool)> {
         let point = Path::new(point);
         let first_version = kind == "cgroup" && has_cpu(options);
         let controllers = || std::fs::read_to_string(point.join("cgroup.controllers")).unwrap_or_default();
-        if !first_version && !(kind == "cgroup2" && has_cpu(&controllers())) {
+        let second_version = kind == "cgroup2" && has_cpu(&controllers());
+        if !first_version && !second_version {
             continue;
         }
         // hierarchy:controllers:path; version 2 has an empty list (cgroups(7)).

@@ -131,7 +131,7 @@ fn test(
             }
             match part.ended() {
                 Some(status) if status.success() => break None,
-                Some(status) => break Some(format!("{status}: {}", part.last_words().join("; "))),
+                Some(status) => break Some(format!("{status}: {}", said(&part.last_words()))),
                 None if began.elapsed() > limit => break Some("the run did not end".to_owned()),
                 None => std::thread::sleep(LOOK_TIME),
             }
@@ -168,6 +168,12 @@ fn command(plan: &StressPlan, combination: &Combination, logs: &Path) -> std::io
     command.arg("--wait").arg(wait_name(combination.wait));
     command.arg("--policy").arg(policy_name(combination.policy));
     Ok(command)
+}
+
+/// What a run said when it failed, without the table before it.
+fn said(last_words: &[String]) -> String {
+    let failure = last_words.iter().skip_while(|line| !line.starts_with("trabecula: "));
+    failure.map(|line| line.trim()).collect::<Vec<_>>().join(" ")
 }
 
 /// What the physics said of a priority that it did not get.
