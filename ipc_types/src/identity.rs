@@ -47,7 +47,7 @@ impl Requesters {
 fn publishers(service: &ByteService) -> impl Iterator<Item = PublisherDetails> {
     let mut all = Vec::new();
     service.dynamic_config().list_publishers(|details| {
-        all.push(details.clone());
+        all.push(*details);
         CallbackProgression::Continue
     });
     all.into_iter()

@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use iceoryx2::config::Config;
@@ -280,6 +280,17 @@ fn is_private(folder: &Path) -> bool {
     meta.is_ok_and(|meta| meta.is_dir() && meta.uid() == user && meta.mode() & 0o077 == 0)
 }
 
+/// Takes everybody else's rights to a session's shared memory. The transport's first node makes one segment that all
+/// users may write, for nodes of several users, which a session has none of.
+fn close_to_others(prefix: &str) -> Result<(), SessionError> {
+    let entries = fs::read_dir("/dev/shm").into_iter().flatten().flatten();
+    for entry in entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix)) {
+        let path = entry.path();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).map_err(file_error(&path))?;
+    }
+    Ok(())
+}
+
 /// Removes a session's folder and its shared memory. What is gone already is no error.
 fn wipe(folder: &Path, prefix: &str) {
     let _ = fs::remove_dir_all(folder);
@@ -359,6 +370,7 @@ impl SessionHost {
         let (folder, id) = new_session_folder()?;
         let cleanup = Cleanup { folder: folder.clone(), prefix: shared_memory_prefix(&id) };
         let node = create_node(&folder, &id)?;
+        close_to_others(&shared_memory_prefix(&id))?;
         let flags_path = folder.join(FLAGS_FILE);
         let flags = WakeFlags::open(&flags_path, true).map_err(file_error(&flags_path))?;
         let alive = fs::File::open(&flags_path).map_err(file_error(&flags_path))?;

@@ -55,7 +55,8 @@ impl TickOrder {
             }
             (Some(latched), Some(state)) if latched.tick >= state.tick => self.tick(false, last),
             (Some(_), Some(_)) => self.lone_latched(),
-            (Some(_), None) if last || self.latched.len() > MAX_WAITING => self.lone_latched(),
+            (Some(_), None) if last => self.last_latched(),
+            (Some(_), None) if self.latched.len() > MAX_WAITING => self.lone_latched(),
             (None, Some(_)) if last || self.states.len() > MAX_WAITING => self.tick(false, last),
             (None, None) if last => {
                 self.removed.pop_front().map(|(_, bytes)| Ordered::Removed(bytes)).into_iter().collect()
@@ -79,6 +80,14 @@ impl TickOrder {
         out
     }
 
+    /// The commands behind the last state. Those of later ticks, whose states were not taken any more, are no part of the
+    /// log: it ends with what is whole.
+    fn last_latched(&mut self) -> Vec<Ordered> {
+        let first = self.lone_latched();
+        self.latched.clear();
+        first
+    }
+
     fn lone_latched(&mut self) -> Vec<Ordered> {
         self.begun = true;
         self.latched.pop_front().map(Ordered::Latched).into_iter().collect()
@@ -95,5 +104,35 @@ impl TickOrder {
         let complete = total == state.removed_total && restored;
         let hopeless = last || of_tick < self.removed.len() || self.states.len() > MAX_WAITING;
         (complete || hopeless).then_some(of_tick)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A recorder that has to end early has taken more commands than states; it wrote them all, and the log's last ticks
+    /// were a gap that no reader passes.
+    #[test]
+    fn commands_whose_states_were_not_taken_do_not_follow_each_other_at_the_end() {
+        let mut order = TickOrder::default();
+        order.state(&State::zeroed());
+        (0..5).for_each(|tick| order.latched(&Latched { tick, ..Latched::zeroed() }));
+        order.state(&State { tick: 1, ..State::zeroed() });
+        let mut out = Vec::new();
+        loop {
+            let next = order.next(true);
+            if next.is_empty() {
+                break;
+            }
+            out.extend(next);
+        }
+        let tick = |ordered: &Ordered| match ordered {
+            Ordered::Latched(latched) => ("latched", latched.tick),
+            Ordered::State(state) => ("state", state.tick),
+            Ordered::Removed(_) => ("removed", 0),
+        };
+        let ticks: Vec<_> = out.iter().map(tick).collect();
+        assert_eq!(ticks, [("state", 0), ("latched", 0), ("state", 1), ("latched", 1)]);
     }
 }

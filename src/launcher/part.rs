@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use ipc_types::process::bind_to_parent;
@@ -11,6 +12,8 @@ use rustix::process::{Pid, Signal, kill_process};
 
 /// Lines that are kept of what a part said.
 const LAST_WORDS: usize = 20;
+/// How long they are waited for.
+const WORDS_LIMIT: Duration = Duration::from_secs(1);
 
 /// A running part.
 #[derive(Debug)]
@@ -19,6 +22,8 @@ pub struct Part {
     pub name: String,
     child: Child,
     words: Arc<Mutex<VecDeque<String>>>,
+    /// They end when its output does.
+    listeners: Vec<JoinHandle<()>>,
     status: Option<ExitStatus>,
     /// Most memory it has had so far.
     pub memory: Memory,
@@ -70,16 +75,18 @@ impl Part {
         let mut child = bind_to_parent(command).spawn()?;
         let words = Arc::new(Mutex::new(VecDeque::new()));
         let shown_as = echo.then(|| name.to_owned());
+        let mut listeners = Vec::new();
         if let Some(output) = child.stdout.take() {
-            listen(output, Arc::clone(&words), shown_as.clone());
+            listeners.push(listen(output, Arc::clone(&words), shown_as.clone()));
         }
         if let Some(output) = child.stderr.take() {
-            listen(output, Arc::clone(&words), shown_as);
+            listeners.push(listen(output, Arc::clone(&words), shown_as));
         }
         Ok(Part {
             name: name.to_owned(),
             child,
             words,
+            listeners,
             status: None,
             memory: Memory::default(),
             processor: Duration::ZERO,
@@ -94,10 +101,13 @@ impl Part {
         self.status
     }
 
-    /// The last lines it said.
+    /// The last lines it said; of a part that has ended.
     pub fn last_words(&self) -> Vec<String> {
-        // Its output may still be on the way through the pipe.
-        std::thread::sleep(Duration::from_millis(50));
+        // Its output may still be on the way through the pipe; a child that it left behind may keep that open.
+        let end = Instant::now() + WORDS_LIMIT;
+        while self.listeners.iter().any(|listener| !listener.is_finished()) && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(2));
+        }
         self.words.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
@@ -146,7 +156,11 @@ impl Drop for Part {
     }
 }
 
-fn listen(output: impl Read + Send + 'static, words: Arc<Mutex<VecDeque<String>>>, shown_as: Option<String>) {
+fn listen(
+    output: impl Read + Send + 'static,
+    words: Arc<Mutex<VecDeque<String>>>,
+    shown_as: Option<String>,
+) -> JoinHandle<()> {
     std::thread::spawn(move || {
         for line in BufReader::new(output).lines().map_while(Result::ok) {
             if let Some(name) = &shown_as {
@@ -158,5 +172,5 @@ fn listen(output: impl Read + Send + 'static, words: Arc<Mutex<VecDeque<String>>
             }
             words.push_back(line);
         }
-    });
+    })
 }

@@ -164,7 +164,9 @@ impl Fault {
                 };
                 Allowed { goes_on: false, errors: [death, NEVER] }
             }
-            Fault::Stop(Victim::Controller) | Fault::Starve(Victim::Controller) => {
+            // In lockstep the controller waits for frames.
+            Fault::Stop(Victim::Controller | Victim::Drr)
+            | Fault::Starve(Victim::Controller | Victim::Drr) => {
                 silent("controller `reference` did not answer")
             }
             Fault::Stop(Victim::Client) | Fault::Starve(Victim::Client) | Fault::SlowReader => {

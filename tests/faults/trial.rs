@@ -23,8 +23,9 @@ use crate::table::Outcome;
 
 /// Ticks that a run must make after a fault for it to have gone on.
 const TICKS_AFTER: u64 = 200;
-/// A killed recorder takes what it had not written with it: 100 ms, of which one tick each may be in the making.
-const RECORDER_LOSS: u64 = 101;
+/// A killed recorder takes with it what it had not written: 100 ms, and on a machine as loaded as these tests make it what
+/// it was late by.
+const RECORDER_LOSS: u64 = 400;
 const STOP_TIME: Duration = Duration::from_secs(2);
 
 /// The scene of most trials: every part takes part, and a guest may.
@@ -33,7 +34,7 @@ fn scene(lockstep: bool) -> String {
     let guest =
         "\n[[controller]]\nname = \"guest\"\ndrives = [\"c_arm\"]\nexternal = true\noptional = true\n";
     // Long enough for a lockstep run to be under way at the fault; late controllers are soon replaced or named.
-    let keys = "seed = 7\nhold_ticks = 20\ncontroller_limit_ms = 1000.0";
+    let keys = "seed = 7\nhold_ticks = 20\ncontroller_limit_ms = 2000.0";
     scenes::drill(mode, 600.0).replace("seed = 7", keys) + guest + &scenes::keyframes(0.25)
 }
 

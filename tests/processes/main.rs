@@ -7,6 +7,7 @@
 mod bad_input;
 mod calibrate;
 mod clients;
+#[allow(dead_code, reason = "other tests share it, too")]
 mod common;
 mod ends;
 mod frames;

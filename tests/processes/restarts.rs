@@ -79,8 +79,7 @@ fn an_optional_controller_program_may_end_and_the_run_goes_on() {
     let run = place.start(&scene(0.5, "[\"sh\", \"-c\", \"sleep 0.3; exit 3\"]", "optional = true"));
     let client = Client::join(&run.session());
     let text = wait_for("the event", || {
-        let events = client.events().into_iter().map(|(_, text)| text);
-        events.filter(|text| text.contains(NAME)).last()
+        client.events().into_iter().map(|(_, text)| text).find(|text| text.contains(NAME))
     });
     drop(client);
     assert!(text.contains("ended (exit status: 3); the run goes on without it"), "{text}");

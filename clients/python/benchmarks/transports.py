@@ -16,7 +16,7 @@ import sys
 import tempfile
 
 SCENE = pathlib.Path(__file__).parents[2] / "scenes" / "free_space.toml"
-TURNS = 4
+TURNS = 3
 COMMAND_BYTES = 320
 
 
@@ -99,7 +99,7 @@ def round_trips_us(program, how, folder):
     assert run.returncode == 0, said
     log = next(pathlib.Path(folder).iterdir()) / "timing.mcap"
     table = pathlib.Path(folder) / "timing.csv"
-    export = [program, "log", "export", log, "--topic", "/tick_timing", "--field", "round_trip_ns", "-o", table]
+    export = [program, "log", "export", log, "--topic", "/timing/tick", "--field", "round_trip_ns", "-o", table]
     subprocess.run(export, check=True, stdout=subprocess.DEVNULL)
     with open(table) as rows:
         trips = [float(next(v for k, v in row.items() if k.startswith("round_trip"))) for row in csv.DictReader(rows)]
