@@ -82,12 +82,13 @@ fn drilled_voxels_are_gone_in_the_frames() {
             sequence: last.frame.sequence,
             request_id: 0,
             c_arm: scene_c_arm(drr).unwrap(),
+            aside: false,
             isocentre_m: scene_isocentre_m(&scene),
             notch: drr.notch,
             noise_seed: scene.run.seed,
             burr_radius_m: 3.25e-3,
         };
-        let mut renderer = DrrRenderer::new(&view, renderer_parameters(drr)).unwrap();
+        let mut renderer = DrrRenderer::new(&view, renderer_parameters(drr, None)).unwrap();
         render_job(&mut renderer, &view, &job).unwrap().frame.pixel_hash
     };
     // A fresh renderer that is told all at once sees what the process saw after many small steps.
