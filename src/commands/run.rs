@@ -132,6 +132,9 @@ impl From<PolicyArgument> for Policy {
 /// Bad input (exit code 2), a part that died (1), Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let scene = scene_of(arguments)?;
+    if let Some(choice) = drr_proc::process::tolerance_text(&scene) {
+        say!("{choice}");
+    }
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     // What is there before this run.
