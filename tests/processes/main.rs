@@ -19,3 +19,4 @@ mod runs;
 mod schedules;
 mod strays;
 mod survival;
+mod view;
