@@ -13,6 +13,7 @@ pub mod recorder;
 mod samples;
 pub mod soak;
 pub mod step;
+pub mod viewer;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;

@@ -14,15 +14,15 @@ use crate::launcher::run::RunPlan;
 
 /// The physics' figures of runs of one kind.
 #[derive(Debug, Default)]
-struct Physics {
+pub(super) struct Physics {
     step: Samples,
     publish: Samples,
     late: Samples,
     ticks: u64,
     missed: u64,
     /// Median of each run.
-    step_p50_us: Vec<f64>,
-    late_p50_us: Vec<f64>,
+    pub(super) step_p50_us: Vec<f64>,
+    pub(super) late_p50_us: Vec<f64>,
 }
 
 impl Physics {
@@ -34,7 +34,7 @@ impl Physics {
         self.missed += u64::from(timing.missed);
     }
 
-    fn print(&self, name: &str) {
+    pub(super) fn print(&self, name: &str) {
         row(&format!("{name}: physics step"), &self.step.line());
         row(&format!("{name}: hash and publish"), &self.publish.line());
         row(&format!("{name}: wake-up behind the deadline"), &self.late.line());
@@ -55,9 +55,9 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
     let (mut without, mut with) = (Physics::default(), Physics::default());
     let mut bytes = 0;
     for _ in 0..rounds {
-        one(&scene, None, &end, &mut without)?;
+        one(&scene, None, None, &end, &mut without)?;
         let folder = tempfile::tempdir_in(".").map_err(failed)?;
-        one(&scene, Some(folder.path()), &end, &mut with)?;
+        one(&scene, Some(folder.path()), None, &end, &mut with)?;
         bytes += std::fs::metadata(folder.path().join("run.mcap")).map_err(failed)?.len();
     }
     say!(
@@ -78,8 +78,15 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-fn one(scene: &Scene, output: Option<&Path>, end: &EndRequest, all: &mut Physics) -> Result<(), Failure> {
-    let plan = RunPlan { scene: scene.clone(), output: output.map(Path::to_owned), view: None };
+/// One run, recorded into a folder and shown at a port or not.
+pub(super) fn one(
+    scene: &Scene,
+    output: Option<&Path>,
+    view: Option<u16>,
+    end: &EndRequest,
+    all: &mut Physics,
+) -> Result<(), Failure> {
+    let plan = RunPlan { scene: scene.clone(), output: output.map(Path::to_owned), view };
     let mut this = Physics::default();
     complete_run(&plan, end, |glance| {
         glance.timings.iter().for_each(|timing| {

@@ -6,7 +6,7 @@ use clap::Subcommand;
 
 use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
-use crate::bench::{drr, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step};
+use crate::bench::{drr, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -100,6 +100,18 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
     },
+    /// What the viewer costs the physics: the scene in real time without and with it, in turn.
+    Viewer {
+        /// Scene.
+        #[arg(default_value = DEFAULT_SCENE)]
+        scene: PathBuf,
+        /// Seconds of a run, 1 to 3600.
+        #[arg(long, default_value_t = 10.0)]
+        seconds: f64,
+        /// Rounds, 1 to 1000.
+        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+        rounds: u64,
+    },
     /// A long run in real time with frames: misses, memory of each process, log verified and replayed.
     Soak {
         /// Scene.
@@ -152,6 +164,10 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         BenchCommand::Recorder { scene, seconds, rounds } => {
             in_range("--seconds", *seconds, 1.0, 3600.0)?;
             recorder::run(scene, *seconds, *rounds as usize)
+        }
+        BenchCommand::Viewer { scene, seconds, rounds } => {
+            in_range("--seconds", *seconds, 1.0, 3600.0)?;
+            viewer::run(scene, *seconds, *rounds as usize)
         }
         BenchCommand::Soak { scene, minutes, output } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;

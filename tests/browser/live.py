@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from page import Page, count, is_burr, is_link
+from page import BURR_PIXELS, Page, count, is_burr, is_link
 from playwright.sync_api import Browser
 
 
@@ -20,9 +20,9 @@ def shows_the_tool(page: Page) -> None:
     page.until("the poses come", lambda: page.page.evaluate("trabecula.view.pictures > 3 && !!trabecula.model.poses"))
     picture = page.picture("scene-canvas")
     burr, links = count(picture, is_burr), count(picture, is_link)
-    # The burr alone is 40 pixels across and more at the distance at which the page begins.
-    assert burr > 100, f"{burr} pixels of the burr"
-    assert links > 300, f"{links} pixels of the links"
+    # At the distance at which the page begins the burr is some ten pixels across, and the links are ten times as long.
+    assert burr > BURR_PIXELS, f"{burr} pixels of the burr"
+    assert links > 3 * BURR_PIXELS, f"{links} pixels of the links"
 
 
 def shows_bone(page: Page) -> None:

@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from page import Page, count, is_burr
+from page import BURR_PIXELS, Page, count, is_burr
 from playwright.sync_api import Browser
 
 
@@ -59,7 +59,7 @@ def plays(page: Page) -> None:
 
 def draws(page: Page) -> None:
     page.until("the poses come", lambda: page.page.evaluate("!!trabecula.model.poses && !trabecula.view.busy"))
-    page.until("the burr is seen", lambda: count(page.picture("scene-canvas"), is_burr) > 100)
+    page.until("the burr is seen", lambda: count(page.picture("scene-canvas"), is_burr) > BURR_PIXELS)
 
 
 def shows_frames(page: Page) -> None:

@@ -15,6 +15,8 @@ from playwright.sync_api import Page as BrowserPage
 # A software renderer on a shared machine; only what never comes reaches it.
 LIMIT_S = 60.0
 SIZE = {"width": 1100, "height": 760}
+# A burr that is seen has at least so many pixels: a third of its disc.
+BURR_PIXELS = 30
 
 
 @contextmanager

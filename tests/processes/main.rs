@@ -25,3 +25,4 @@ mod security;
 mod strays;
 mod stress;
 mod survival;
+mod view;

@@ -20,10 +20,13 @@ pub const PLAYBACK: &str = "/view/playback";
 pub const NOTICE: &str = "/view/notice";
 /// Two logs compared (JSON; logs only).
 pub const COMPARE: &str = "/view/compare";
-/// The coordinate frames for Lichtblick (`foxglove.FrameTransforms`, JSON).
-pub const TRANSFORMS: &str = "/tf";
-/// The tool for Lichtblick (`foxglove.SceneUpdate`, JSON).
+/// The tool and its contacts for the 3D panel of Lichtblick and Foxglove (`foxglove.SceneUpdate`, JSON).
 pub const SCENE: &str = "/view/scene";
+
+/// Before the topics of a second log.
+pub const SECOND: &str = "/second";
+/// Topics of a second log that are shown.
+pub const SECOND_TOPICS: [&str; 3] = [topics::STATE, topics::DRR_FRAME, topics::DRR_IMAGE];
 
 /// What a client that reads slowly misses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,7 +77,6 @@ impl Channels {
             channels.json(topic, schema, Policy::Newest);
         }
         channels.json(NOTICE, "trabecula.view.Notice", Policy::Stream);
-        channels.json(TRANSFORMS, "foxglove.FrameTransforms", Policy::Newest);
         channels.json(SCENE, "foxglove.SceneUpdate", Policy::Newest);
         channels.add(
             SURFACE,
@@ -83,6 +85,15 @@ impl Channels {
             Policy::Newest,
         );
         channels
+    }
+
+    /// Those of a second log, which is shown beside the first: its own topics behind [`SECOND`].
+    pub fn add_second(&mut self) {
+        for (topic, description) in topics::RUN.iter().filter(|(topic, _)| SECOND_TOPICS.contains(topic)) {
+            let newest = [topics::DRR_FRAME, topics::DRR_IMAGE].contains(topic);
+            let policy = if newest { Policy::Newest } else { Policy::Stream };
+            self.logged(&format!("{SECOND}{topic}"), description, policy);
+        }
     }
 
     /// The channel of a number.

@@ -3,6 +3,9 @@
 use ipc_types::scene::Scene;
 use serde_json::{Value, json};
 
+/// Name in the scene of the controller that the viewer is.
+pub const CONTROLLER: &str = "viewer";
+
 /// The tool's shape, in metres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToolShape {
@@ -48,6 +51,8 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
         "tool": tool_part(tool),
         "volume": volume.map(|v| json!({"min_m": v.min_m, "max_m": v.max_m, "spacing_m": v.spacing_m})),
         "controllers": scene.controller_names(),
+        // What the viewer's own controller may drive.
+        "drives": scene.controller.iter().find(|controller| controller.name == CONTROLLER).map(|own| &own.drives),
         "c_arm": scene.drr.as_ref().map(|drr| json!({
             "isocentre_m": drr.isocentre_mm.map(metres),
             "primary_angle_deg": drr.primary_angle_deg,

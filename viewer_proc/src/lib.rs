@@ -10,6 +10,7 @@
 //! | [`surface`] | the bone's surface, block by block |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, what clients may ask |
 //! | [`board`], [`queue`], [`channels`] | what clients subscribe to, and what waits for each of them |
+//! | [`scene_update`] | the tool for other viewers |
 //! | [`info`](mod@info), [`assets`] | the scene as the page needs it, the page's files |
 
 pub mod assets;
@@ -21,6 +22,7 @@ pub mod live;
 pub mod log;
 pub mod protocol;
 pub mod queue;
+pub mod scene_update;
 pub mod server;
 pub mod services;
 pub mod surface;

@@ -125,7 +125,7 @@ mod tests {
             order.push(queue.take(0)[0].payload[0]);
             queue.push_newest(message(1, 9, 1), 0);
         }
-        assert_eq!(order, [1, 2, 9]);
+        assert_eq!(order, [9, 1, 2]);
         queue.forget(1);
         assert!(queue.take(1).is_empty());
     }

@@ -1,6 +1,7 @@
 //! The server against a WebSocket client that is not ours: the protocol, and what hostile clients are told.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test")]
 
+use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
@@ -89,8 +90,8 @@ impl Drop for Running {
 
 type Socket = WebSocketStream<TcpStream>;
 
-fn with_server<F: Future<Output = ()>>(body: impl FnOnce(Arc<Running>) -> F) {
-    let running = Arc::new(Running::start());
+fn with_server<F: Future<Output = ()>>(body: impl FnOnce(Rc<Running>) -> F) {
+    let running = Rc::new(Running::start());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async { tokio::time::timeout(LIMIT, body(running)).await.unwrap() });
 }

@@ -185,11 +185,11 @@ fn a_mesh_is_written_as_the_contract_says() {
     assert_eq!(bytes.len(), normals + 4 * n + 4 * m);
     for vertex in 0..n {
         let expected = mesh.vertex_m(vertex as u32);
-        for axis in 0..3 {
+        for (axis, expected) in expected.iter().enumerate() {
             let at = positions + 6 * vertex + 2 * axis;
             let steps = u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap());
             let metres = float(20 + 4 * axis) + float(32) * f32::from(steps);
-            assert!((f64::from(metres) - expected[axis]).abs() < 1e-7, "{metres} {}", expected[axis]);
+            assert!((f64::from(metres) - expected).abs() < 1e-7, "{metres} {expected}");
         }
     }
     assert_eq!(word(normals + 4 * n), mesh.indices[0]);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ipc_types::command_check::{MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_SPEED_M_PER_S, MAX_TENSION_N};
 use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, Pose, State, TENDON_SERVO_JF};
@@ -11,11 +11,11 @@ use ipc_types::scene::{Drives, Drr, Scene};
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::board::Board;
-use crate::info::unit;
+use crate::info::{CONTROLLER, unit};
 use crate::services::{CArm, Call, Drive, Request};
 
-/// Name of the controller in the scene.
-pub const CONTROLLER: &str = "viewer";
+/// Without a request for longer the insertion stands still: whoever held the key is gone.
+const HAND_LIMIT: Duration = Duration::from_millis(300);
 /// Longest time without a look at the calls.
 const LOOK_TIME: Duration = Duration::from_millis(20);
 /// Feed while the insertion stands: the limit of its path, which must be above 0.
@@ -44,6 +44,7 @@ impl Driver {
             dt_s: scene.dt_s(),
             drr: scene.drr.clone(),
             held: Held::default(),
+            heard: Instant::now(),
         };
         std::thread::spawn(move || hand.run(&called, &over, &board));
         Driver { calls: Some(calls) }
@@ -82,6 +83,7 @@ struct Hand {
     dt_s: f64,
     drr: Option<Drr>,
     held: Held,
+    heard: Instant,
 }
 
 impl Hand {
@@ -135,6 +137,9 @@ impl Hand {
                 let outcome = self.obey(client, &call.request);
                 let _ = call.answer.send(outcome);
             }
+            if self.heard.elapsed() > HAND_LIMIT {
+                self.held.insert_m_per_s = self.held.insert_m_per_s.map(|_| 0.0);
+            }
             match client
                 .answer(LOOK_TIME, |state, command| self.held.fill(state, command, self.axis, self.dt_s))
             {
@@ -155,6 +160,7 @@ impl Hand {
                     self.ask_frame(client, c_arm)?;
                 }
                 self.held = held;
+                self.heard = Instant::now();
                 Ok(())
             }
             Request::Frame(c_arm) => self.ask_frame(client, c_arm),
@@ -272,4 +278,81 @@ fn quaternion([x, y, z]: [[f64; 3]; 3]) -> [f64; 4] {
     ][largest];
     let length = products.iter().map(|p| p * p).sum::<f64>().sqrt();
     products.map(|p| p / length)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drive(text: &str) -> Drive {
+        serde_json::from_str(text).unwrap()
+    }
+
+    #[test]
+    fn what_is_held_goes_into_the_command_and_the_insertion_goes_on_by_its_speed() {
+        let all = [Drives::Tendon, Drives::Arm, Drives::Burr];
+        let request = drive(r#"{"tendon_n": 5, "insert_m_per_s": 0.01, "burr_rad_per_s": 800}"#);
+        let mut held = Held::default().with(&request, &all).unwrap();
+        let mut state = State::zeroed();
+        let mut command = Command::zeroed();
+        for tick in 1..=100 {
+            state.sim_time_s = f64::from(tick) * 1e-3;
+            held.fill(&state, &mut command, [0.0, 0.0, 1.0], 1e-3);
+        }
+        assert!((command.arm_depth_m - 1e-3).abs() < 1e-12, "{}", command.arm_depth_m);
+        assert_eq!((command.tendon_force_n[0], command.burr_speed_rad_per_s), (5.0, 800.0));
+        command.sequence = 1;
+        command.check(&all, 0, 1).unwrap();
+        let back = held.with(&drive(r#"{"insert_m_per_s": -0.02}"#), &all).unwrap();
+        assert_eq!(
+            (back.tension_n, back.burr_rad_per_s),
+            (held.tension_n, held.burr_rad_per_s),
+            "the rest stays"
+        );
+        state.sim_time_s = 0.0;
+        held.fill(&state, &mut command, [0.0, 0.0, 1.0], 1e-3);
+        assert_eq!((held.insert_m_per_s, held.depth_m), (None, 0.0), "a reset lets go");
+    }
+
+    #[test]
+    fn what_the_scene_does_not_give_or_no_tool_can_do_is_refused_and_nothing_changes() {
+        let held = Held::default();
+        let refused = |text: &str, drives: &[Drives], words: &str| {
+            let error = held.with(&drive(text), drives).unwrap_err();
+            assert!(error.contains(words), "{error}");
+        };
+        refused(r#"{"burr_rad_per_s": 1}"#, &[Drives::Tendon], "add \"burr\"");
+        refused(r#"{"tendon_n": -1}"#, &[Drives::Tendon], "0 to 60");
+        refused(r#"{"tendon_n": [1, 2, 3, 4, 5]}"#, &[Drives::Tendon], "4 tendons");
+        refused(r#"{"insert_m_per_s": 5}"#, &[Drives::Arm], "-1 to 1");
+    }
+
+    /// Against the pose's definition: AP has the detector in front of the chest, 90° at the patient's left.
+    #[test]
+    fn the_c_arm_turns_by_dicoms_angles() {
+        let text =
+            "rate_hz = 0.0\nisocentre_mm = [10.0, 0.0, 0.0]\ncolumns = 64\nrows = 64\npixel_pitch_mm = 1.0\n";
+        let scene = format!(
+            "name = \"x\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[volume]\nphantom = \"block\"\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[drr]\n{text}"
+        );
+        let drr = Scene::parse(&scene, Path::new("x.toml")).unwrap().drr.unwrap();
+        for (primary, secondary, to_source) in [
+            (0.0, 0.0, [0.0, 1.0, 0.0]),
+            (90.0, 0.0, [-1.0, 0.0, 0.0]),
+            (-90.0, 0.0, [1.0, 0.0, 0.0]),
+            (180.0, 0.0, [0.0, -1.0, 0.0]),
+            (0.0, 90.0, [0.0, 0.0, -1.0]),
+        ] {
+            let c_arm =
+                CArm { primary_angle_deg: Some(primary), secondary_angle_deg: Some(secondary), pose: None };
+            let pose = c_arm_pose(&c_arm, &drr).unwrap();
+            let [x, y, z, w] = pose.orientation_xyzw;
+            let axis = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)];
+            for (found, expected) in axis.iter().zip(to_source) {
+                assert!((found - expected).abs() < 1e-12, "{primary} {secondary}: {axis:?}");
+            }
+            assert_eq!(pose.position_m, [0.01, 0.0, 0.0]);
+        }
+        assert!(c_arm_pose(&CArm { primary_angle_deg: Some(400.0), ..CArm::default() }, &drr).is_err());
+    }
 }

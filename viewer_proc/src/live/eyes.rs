@@ -13,6 +13,8 @@ use recorder_proc::topics;
 
 use super::parts::Parts;
 use crate::board::Board;
+use crate::info::ToolShape;
+use crate::scene_update::Drawer;
 
 /// Most messages that are taken of one queue before the others are looked at.
 const ROUND: usize = 1024;
@@ -27,6 +29,7 @@ pub(super) struct Eyes {
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
     parts: Parts,
+    drawer: Drawer,
     dt_ns: u64,
     tick: u64,
     ended: bool,
@@ -76,7 +79,7 @@ fn forward<M: Message>(
 }
 
 impl Eyes {
-    pub(super) fn open(session: &Session, scene: &Scene) -> Result<Eyes, SessionError> {
+    pub(super) fn open(session: &Session, scene: &Scene, tool: &ToolShape) -> Result<Eyes, SessionError> {
         let names = scene.controller_names();
         let commands = names
             .iter()
@@ -104,6 +107,7 @@ impl Eyes {
                 Topic::<DrrRequest>::open(session, topics::DRR_REQUEST, &services::DRR_REQUEST)?,
             ],
             parts: Parts::new(scene, session.announcement().recorder),
+            drawer: Drawer::new(tool),
             dt_ns: scene.dt_ns(),
             tick: 0,
             ended: false,
@@ -153,7 +157,11 @@ impl Eyes {
     fn look_at_states(&mut self, board: &Board) -> Result<(), PortError> {
         let (dt_ns, mut tick) = (self.dt_ns, self.tick);
         let time_ns = |state: &State| state.tick.saturating_mul(dt_ns);
-        let count = forward(&self.states, topics::STATE, board, time_ns, |state| tick = state.tick)?;
+        let drawer = &mut self.drawer;
+        let count = forward(&self.states, topics::STATE, board, time_ns, |state| {
+            tick = state.tick;
+            drawer.draw(state, time_ns(state), board);
+        })?;
         self.tick = tick;
         board.set_time_ns(self.time_ns());
         self.parts.saw("physics", count);

@@ -64,6 +64,7 @@ pub fn view(
     let tool = tool(&scene);
     let origin = Origin::Live(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
+    let eyes = Eyes::open(&session, &scene, &tool)?;
     if let Some(volume) = &scene.volume {
         let thread = BoneThread {
             session: options.session.clone(),
@@ -76,7 +77,6 @@ pub fn view(
             board.publish_json(INFO, &info(&scene, &origin, &tool, Some(&volume_box(grid))));
         });
     }
-    let eyes = Eyes::open(&session, &scene)?;
     let control = Control::open(&session)?;
     let driver = Driver::start(&options.session, &scene, Arc::clone(&over), Arc::clone(&board));
     ready(&server);

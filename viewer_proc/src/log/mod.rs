@@ -16,12 +16,14 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use recorder_proc::{difference, topics};
 use serde_json::{Value, json};
+use zerocopy::FromBytes;
 
 use crate::board::Board;
-use crate::channels::{COMPARE, Channels, INFO, PLAYBACK};
+use crate::channels::{COMPARE, Channels, INFO, PLAYBACK, SECOND, SECOND_TOPICS};
 use crate::error::ViewerError;
 use crate::info::{Origin, ToolShape, info};
 use crate::live::CALL_QUEUE;
+use crate::scene_update::Drawer;
 use crate::server::{Server, ServerOptions};
 use crate::services::{Calls, Request};
 use crate::surface::bone::volume_box;
@@ -41,6 +43,10 @@ const LONGEST_STRIDE_NS: u64 = 500_000_000;
 /// Slots of the playback topic: whoever joins is given the marks, then where the time line stands.
 const MARKS_SLOT: u32 = 0;
 const POSITION_SLOT: u32 = 1;
+/// What is sent of the time before a jump, and how long after it: a scrubbing hand jumps often.
+const HISTORY_NS: u64 = 10_000_000_000;
+const HISTORY_STATES: u64 = 400;
+const HISTORY_DELAY: Duration = Duration::from_millis(150);
 /// Topics whose newest message shows a time.
 const SHOWN: [&str; 5] =
     [topics::LATCHED, topics::STATE, topics::DRR_REPLY, topics::DRR_FRAME, topics::DRR_IMAGE];
@@ -78,7 +84,11 @@ pub fn view(
     let first = outline(&path)?;
     let second = options.second.as_deref().map(|path| Second::open(&run_file(path))).transpose()?;
     let scene = Scene::parse(&first.header.scene_toml, &path)?;
-    let board = Arc::new(Board::new(Channels::new(&first.header.controllers)));
+    let mut channels = Channels::new(&first.header.controllers);
+    if second.is_some() {
+        channels.add_second();
+    }
+    let board = Arc::new(Board::new(channels));
     let (calls, called) = mpsc::sync_channel(CALL_QUEUE);
     let over = Arc::new(AtomicBool::new(false));
     let server = Server::bind(
@@ -91,10 +101,17 @@ pub fn view(
     let volume = scene_volume(&scene, &first, help, &board);
     let grid = volume.as_ref().map(|volume| volume_box(&volume.geometry));
     let origin = Origin::Log(path.display().to_string());
-    board.publish_json(INFO, &info(&scene, &origin, &(help.tool)(&scene), grid.as_ref()));
+    let tool = (help.tool)(&scene);
+    board.publish_json(INFO, &info(&scene, &origin, &tool, grid.as_ref()));
     first.notices.iter().for_each(|text| board.notice("warning", text));
-    let mut show =
-        Show::open(board, &path, first, second, volume, scene.volume.map_or(0, |v| v.bone_threshold_hu))?;
+    let mut show = Show::open(
+        board,
+        &path,
+        first,
+        second,
+        volume,
+        (&tool, scene.volume.map_or(0, |v| v.bone_threshold_hu)),
+    )?;
     ready(&server);
     let serving = std::thread::spawn(move || server.serve());
     let shown = show.run(&called, end);
@@ -145,11 +162,16 @@ struct Show {
     /// Where the messages on the board end; none: nothing has been shown.
     shown_ns: Option<u64>,
     streams: Vec<Stream>,
+    drawer: Drawer,
+    /// When the last jump was made, until its history has been sent.
+    jumped: Option<Instant>,
     told: Option<(Instant, Player)>,
 }
 
 /// A way through a log with the message that lies beyond where it stands.
 struct Stream {
+    /// Before its topics.
+    prefix: &'static str,
     reading: Reading,
     ahead: Option<Logged>,
 }
@@ -161,7 +183,7 @@ impl Show {
         first: Outline,
         second: Option<Second>,
         volume: Option<LogVolume>,
-        threshold_hu: i16,
+        (tool, threshold_hu): (&ToolShape, i16),
     ) -> Result<Show, ViewerError> {
         let run = LogFile::open(path)?;
         let timing_path = path.with_file_name("timing.mcap");
@@ -172,7 +194,19 @@ impl Show {
         let (begin_ns, end_ns) = run.bounds_ns();
         let player = Player::new(begin_ns, end_ns, first.header.dt_ns, marks);
         let bone = volume.map(|volume| LogBone::new(volume, threshold_hu, first.removals));
-        Ok(Show { board, run, timing, second, player, bone, shown_ns: None, streams: Vec::new(), told: None })
+        Ok(Show {
+            board,
+            run,
+            timing,
+            second,
+            player,
+            bone,
+            shown_ns: None,
+            streams: Vec::new(),
+            drawer: Drawer::new(tool),
+            jumped: None,
+            told: None,
+        })
     }
 
     fn run(&mut self, called: &Calls, end: &EndRequest) -> Result<(), ViewerError> {
@@ -189,6 +223,7 @@ impl Show {
             self.player.advance(last.elapsed());
             last = Instant::now();
             self.show()?;
+            self.send_history()?;
             let more = self.bone.as_mut().is_some_and(|bone| bone.publish(&self.board));
             self.tell();
             if !more {
@@ -214,13 +249,26 @@ impl Show {
         if let Some(bone) = &mut self.bone {
             bone.go_to(now);
         }
+        self.draw(now)?;
         self.compare(now)
+    }
+
+    /// The tool for other viewers, if one looks.
+    fn draw(&mut self, now: u64) -> Result<(), PlayError> {
+        if self.drawer.is_due(&self.board)
+            && let Some(message) = self.run.newest(topics::STATE, now)?
+            && let Ok(state) = State::read_from_bytes(message.body())
+        {
+            self.drawer.draw(&state, message.time_ns, &self.board);
+        }
+        Ok(())
     }
 
     fn stream_to(&mut self, now: u64) -> Result<(), PlayError> {
         for stream in &mut self.streams {
             while let Some(message) = stream.ahead.take_if(|message| message.time_ns <= now) {
-                self.board.publish(&message.topic, message.time_ns, 0, message.payload);
+                let topic = format!("{}{}", stream.prefix, message.topic);
+                self.board.publish(&topic, message.time_ns, 0, message.payload);
                 stream.ahead = stream.reading.next_message()?;
             }
         }
@@ -228,18 +276,55 @@ impl Show {
     }
 
     fn jump_to(&mut self, now: u64) -> Result<(), PlayError> {
+        self.jumped = Some(Instant::now());
+        self.show_newest(now)?;
+        self.streams.clear();
+        let second = self.second.as_ref().map(|second| (SECOND, &second.log, SECOND_TOPICS.as_slice()));
+        let own = core::iter::once(&self.run).chain(&self.timing).map(|log| ("", log, [].as_slice()));
+        for (prefix, log, topics) in own.chain(second) {
+            let mut reading = log.after(Some(now), topics)?;
+            let ahead = reading.next_message()?;
+            self.streams.push(Stream { prefix, reading, ahead });
+        }
+        Ok(())
+    }
+
+    fn show_newest(&self, now: u64) -> Result<(), PlayError> {
         for topic in SHOWN {
             if let Some(message) = self.run.newest(topic, now)? {
                 self.board.publish(topic, message.time_ns, 0, message.payload);
             }
         }
-        self.streams.clear();
-        for log in core::iter::once(&self.run).chain(&self.timing) {
-            let mut reading = log.after(Some(now), &[])?;
-            let ahead = reading.next_message()?;
-            self.streams.push(Stream { reading, ahead });
+        let Some(second) = &self.second else { return Ok(()) };
+        for topic in SECOND_TOPICS {
+            if let Some(message) = second.log.newest(topic, now)? {
+                self.board.publish(&format!("{SECOND}{topic}"), message.time_ns, 0, message.payload);
+            }
         }
         Ok(())
+    }
+
+    /// Some time after a jump, what went before it, for the plots: a part of the states, all tick timings.
+    fn send_history(&mut self) -> Result<(), PlayError> {
+        if self.jumped.is_none_or(|jumped| jumped.elapsed() < HISTORY_DELAY) {
+            return Ok(());
+        }
+        self.jumped = None;
+        let now = self.player.time_ns();
+        let from = now.saturating_sub(HISTORY_NS);
+        let every = (HISTORY_NS / self.player.dt_ns / HISTORY_STATES).max(1);
+        let timing = self.timing.as_ref().map(|log| (log, topics::TICK_TIMING, 1));
+        for (log, topic, every) in core::iter::once((&self.run, topics::STATE, every)).chain(timing) {
+            let mut reading = log.after(from.checked_sub(1), &[topic])?;
+            let mut number = 0;
+            while let Some(message) = reading.next_message()?.filter(|message| message.time_ns <= now) {
+                if number % every == 0 {
+                    self.board.publish(topic, message.time_ns, 0, message.payload);
+                }
+                number += 1;
+            }
+        }
+        self.show_newest(now)
     }
 
     /// Two logs at the same simulated time.

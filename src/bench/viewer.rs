@@ -1,0 +1,101 @@
+//! What the viewer costs the physics: the same run in real time without and with it, in turn; with it, a client takes
+//! every state, tick timing, frame and surface block.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Mode, Scene};
+
+use super::machine::Machine;
+use super::recorder::{Physics, one};
+use super::samples::median;
+use super::{failed, row};
+use crate::failure::Failure;
+
+/// Runs the scene in real time for `seconds`, `rounds` times without and with a viewer in turn.
+///
+/// # Errors
+/// A scene that is not one (2); a run that fails.
+pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
+    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+    scene.run.mode = Mode::Realtime;
+    scene.run.duration_s = seconds;
+    let end = EndRequest::install().map_err(failed)?;
+    let machine = Machine::watch();
+    let (mut without, mut with) = (Physics::default(), Physics::default());
+    let bytes = AtomicU64::new(0);
+    for _ in 0..rounds {
+        one(&scene, None, None, &end, &mut without)?;
+        // A port that was free a moment ago.
+        let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).map_err(failed)?.port();
+        let over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| bytes.fetch_add(watch(port, &over), Ordering::Relaxed));
+            let made = one(&scene, None, Some(port), &end, &mut with);
+            over.store(true, Ordering::Relaxed);
+            made
+        })?;
+    }
+    say!(
+        "scene {}, {rounds} rounds of {seconds} s in real time, each without and with a viewer\n",
+        scene.name
+    );
+    without.print("without");
+    with.print("with");
+    let ratio =
+        |a: &[f64], b: &[f64]| median(&a.iter().zip(b).map(|(a, b)| a / b.max(1e-9)).collect::<Vec<f64>>());
+    let line = format!("{:.3}", ratio(&with.step_p50_us, &without.step_p50_us));
+    row("step, with / without (median of p50 ratios)", &line);
+    let line = format!("{:.3}", ratio(&with.late_p50_us, &without.late_p50_us));
+    row("wake-up, with / without (median of p50 ratios)", &line);
+    let megabytes = bytes.load(Ordering::Relaxed) as f64 * 1e-6 / rounds.max(1) as f64;
+    row("taken by the viewer's client", &format!("{megabytes:.1} MB a run"));
+    machine.print();
+    Ok(())
+}
+
+/// Subscribes to every channel and takes what comes; returns the bytes.
+fn watch(port: u16, over: &AtomicBool) -> u64 {
+    let mut taken = 0;
+    while !over.load(Ordering::Relaxed) {
+        match TcpStream::connect(("127.0.0.1", port)).and_then(|stream| take(stream, port, over, &mut taken))
+        {
+            Ok(()) => break,
+            // The viewer is not there yet.
+            Err(_) => std::thread::sleep(Duration::from_millis(50)),
+        }
+    }
+    taken
+}
+
+fn take(mut stream: TcpStream, port: u16, over: &AtomicBool, taken: &mut u64) -> std::io::Result<()> {
+    // The key is any 16 bytes; RFC 6455, section 1.3.
+    let request = format!(
+        "GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+         Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+         Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes())?;
+    let wanted: Vec<String> = (1..=24).map(|id| format!("{{\"id\":{id},\"channelId\":{id}}}")).collect();
+    let text = format!("{{\"op\":\"subscribe\",\"subscriptions\":[{}]}}", wanted.join(","));
+    // A final text frame with a length of 16 bits and a mask of zeros (RFC 6455, section 5.2).
+    let [high, low] = (text.len() as u16).to_be_bytes();
+    stream.write_all(&[0x81, 0x80 | 126, high, low, 0, 0, 0, 0])?;
+    stream.write_all(text.as_bytes())?;
+    stream.set_read_timeout(Some(Duration::from_millis(200)))?;
+    let mut buffer = vec![0; 1 << 16];
+    while !over.load(Ordering::Relaxed) {
+        match stream.read(&mut buffer) {
+            Ok(0) => return Ok(()),
+            Ok(count) => *taken += count as u64,
+            Err(error)
+                if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}

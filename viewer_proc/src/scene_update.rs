@@ -1,0 +1,96 @@
+//! The tool and its contacts as `foxglove.SceneUpdate`, for the 3D panel of Lichtblick and Foxglove.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::{Pose, State};
+use serde_json::{Value, json};
+
+use crate::board::Board;
+use crate::channels::SCENE;
+use crate::info::ToolShape;
+
+const PERIOD: Duration = Duration::from_millis(33);
+/// Length of a contact's line for a newton.
+const METRES_PER_NEWTON: f64 = 2e-3;
+
+/// Draws the tool, at 30 Hz at most and only if somebody looks.
+#[derive(Debug)]
+pub struct Drawer {
+    outer_radius_m: f64,
+    burr_radius_m: f64,
+    last: Option<Instant>,
+}
+
+impl Drawer {
+    /// A drawer of this tool.
+    pub fn new(tool: &ToolShape) -> Drawer {
+        Drawer { outer_radius_m: tool.outer_radius_m, burr_radius_m: tool.burr_radius_m, last: None }
+    }
+
+    /// Whether somebody looks and the last drawing is old.
+    pub fn is_due(&self, board: &Board) -> bool {
+        board.wants(SCENE) && self.last.is_none_or(|last| last.elapsed() >= PERIOD)
+    }
+
+    /// Puts a drawing of a state on the board if one is due.
+    pub fn draw(&mut self, state: &State, time_ns: u64, board: &Board) {
+        if self.is_due(board) {
+            self.last = Some(Instant::now());
+            board.publish(SCENE, time_ns, 0, self.update(state, time_ns).to_string().into_bytes());
+        }
+    }
+
+    fn update(&self, state: &State, time_ns: u64) -> Value {
+        let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
+        let starts = core::iter::once(&state.t_world_base).chain(links);
+        let ends = links.iter().chain(core::iter::once(&state.t_world_burr));
+        let cylinders: Vec<Value> = starts.zip(ends).map(|(start, end)| self.cylinder(start, end)).collect();
+        let diameter = 2.0 * self.burr_radius_m;
+        let burr = json!({"pose": pose(&state.t_world_burr, state.t_world_burr.position_m),
+            "size": point([diameter; 3]), "color": colour(0.8, 0.4, 0.0)});
+        let contacts = &state.contacts[..(state.contact_count as usize).min(state.contacts.len())];
+        let lines: Vec<Value> = contacts
+            .iter()
+            .map(|contact| {
+                let length_m = METRES_PER_NEWTON * contact.normal_force_n;
+                let end: [f64; 3] =
+                    core::array::from_fn(|axis| contact.point_m[axis] + length_m * contact.normal[axis]);
+                json!({"type": 0, "pose": identity(), "thickness": 3.0, "scale_invariant": true,
+                    "points": [point(contact.point_m), point(end)], "color": colour(0.8, 0.0, 0.5),
+                    "colors": [], "indices": []})
+            })
+            .collect();
+        let stamp = json!({"sec": time_ns / 1_000_000_000, "nsec": time_ns % 1_000_000_000});
+        json!({"deletions": [], "entities": [{
+            "timestamp": stamp, "frame_id": "world", "id": "tool", "lifetime": {"sec": 0, "nsec": 0},
+            "frame_locked": false, "metadata": [], "arrows": [], "cubes": [], "spheres": [burr],
+            "cylinders": cylinders, "lines": lines, "triangles": [], "texts": [], "models": [],
+        }]})
+    }
+
+    fn cylinder(&self, start: &Pose, end: &Pose) -> Value {
+        let (a, b) = (start.position_m, end.position_m);
+        let length_m = (0..3).map(|axis| (b[axis] - a[axis]).powi(2)).sum::<f64>().sqrt();
+        let middle = core::array::from_fn(|axis| 0.5 * (a[axis] + b[axis]));
+        let diameter = 2.0 * self.outer_radius_m;
+        json!({"pose": pose(start, middle), "size": point([diameter, diameter, length_m]),
+            "bottom_scale": 1.0, "top_scale": 1.0, "color": colour(0.6, 0.65, 0.7)})
+    }
+}
+
+fn point([x, y, z]: [f64; 3]) -> Value {
+    json!({"x": x, "y": y, "z": z})
+}
+
+fn pose(axes: &Pose, position_m: [f64; 3]) -> Value {
+    let [x, y, z, w] = axes.orientation_xyzw;
+    json!({"position": point(position_m), "orientation": {"x": x, "y": y, "z": z, "w": w}})
+}
+
+fn identity() -> Value {
+    json!({"position": point([0.0; 3]), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}})
+}
+
+fn colour(r: f64, g: f64, b: f64) -> Value {
+    json!({"r": r, "g": g, "b": b, "a": 1.0})
+}
