@@ -10,6 +10,7 @@ mod failure;
 mod launcher;
 mod replay;
 mod report;
+mod reproduce;
 mod x_ray;
 
 use std::process::ExitCode;
@@ -24,6 +25,7 @@ use commands::drr::DrrArguments;
 use commands::log::LogCommand;
 use commands::proc::ProcCommand;
 use commands::replay::ReplayArguments;
+use commands::reproduce::ReproduceArguments;
 use commands::run::RunArguments;
 use commands::scene::SceneCommand;
 use commands::volume::{PhantomArguments, VolumeCommand};
@@ -67,6 +69,8 @@ enum Command {
     /// Measure accuracy against speed, as tables and figures.
     #[command(subcommand)]
     Chart(ChartCommand),
+    /// Make the published behaviours again, from low-level rules: tunnel, skiving, deviation, bend.
+    Reproduce(ReproduceArguments),
     /// Run one part of a session in this process.
     #[command(subcommand)]
     Proc(ProcCommand),
@@ -92,6 +96,7 @@ fn main() -> ExitCode {
         Command::Docs(command) => commands::docs::run(command),
         Command::Bench(command) => commands::bench::run(command),
         Command::Chart(command) => commands::chart::run(command),
+        Command::Reproduce(arguments) => commands::reproduce::run(arguments),
         Command::Proc(command) => commands::proc::run(command),
     };
     match outcome {

@@ -8,6 +8,7 @@ pub mod drr;
 pub mod log;
 pub mod proc;
 pub mod replay;
+pub mod reproduce;
 pub mod run;
 pub mod scene;
 pub mod volume;
