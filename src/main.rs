@@ -10,6 +10,7 @@ mod failure;
 mod launcher;
 mod replay;
 mod report;
+mod reproduce;
 mod stress;
 mod x_ray;
 
@@ -27,6 +28,7 @@ use commands::log::LogCommand;
 use commands::plot::PlotArguments;
 use commands::proc::ProcCommand;
 use commands::replay::ReplayArguments;
+use commands::reproduce::ReproduceArguments;
 use commands::run::RunArguments;
 use commands::scene::SceneCommand;
 use commands::stress::{LoadArguments, StressArguments};
@@ -80,6 +82,8 @@ enum Command {
     /// Measure accuracy against speed, as tables and figures.
     #[command(subcommand)]
     Chart(ChartCommand),
+    /// Make the published behaviours again, from low-level rules: tunnel, skiving, deviation, bend.
+    Reproduce(ReproduceArguments),
     /// A neighbour of a stress test.
     #[command(hide = true)]
     Load(LoadArguments),
@@ -113,6 +117,7 @@ fn main() -> ExitCode {
         Command::Doctor(arguments) => commands::doctor::run(arguments),
         Command::Load(arguments) => commands::stress::disturb(arguments),
         Command::Chart(command) => commands::chart::run(command),
+        Command::Reproduce(arguments) => commands::reproduce::run(arguments),
         Command::Proc(command) => commands::proc::run(command),
     };
     match outcome {

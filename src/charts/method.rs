@@ -3,7 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use nalgebra::Vector3;
-use physics_proc::baselines::{RapierChain, RapierJoints, Wall, explicit_chain};
+use physics_proc::baselines::{ProxyDrive, ProxyTool, RapierChain, RapierJoints, Wall, explicit_chain};
 use physics_proc::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
     SpatialChain, StepInput, TendonCommand, Wrench,
@@ -24,6 +24,8 @@ pub enum Method {
     Explicit,
     /// Rapier.
     Rapier(RapierJoints),
+    /// A proxy of the burr in place of contact.
+    Proxy(ProxyDrive),
 }
 
 impl Method {
@@ -40,6 +42,13 @@ impl Method {
         Method::Rapier(RapierJoints::Springs),
     ];
 
+    /// Those of the stability map: contact by proxies besides.
+    pub const WITH_PROXIES: [Method; 11] = {
+        let [a, b, c, d, e, f, g, h, i] = Method::ALL;
+        let (position, force) = (Method::Proxy(ProxyDrive::Position), Method::Proxy(ProxyDrive::Force));
+        [a, b, c, d, e, f, g, h, i, position, force]
+    };
+
     /// As charts and tables write it.
     pub fn name(self) -> String {
         match self {
@@ -49,6 +58,8 @@ impl Method {
             Method::Explicit => "explicit".into(),
             Method::Rapier(RapierJoints::Multibody) => "rapier_multibody".into(),
             Method::Rapier(RapierJoints::Springs) => "rapier_springs".into(),
+            Method::Proxy(ProxyDrive::Position) => "proxy position-set".into(),
+            Method::Proxy(ProxyDrive::Force) => "proxy force".into(),
         }
     }
 
@@ -62,6 +73,7 @@ enum Model {
     Ours(Box<AnyManipulator>),
     Explicit(Box<SpatialChain<1>>),
     Rapier(Box<RapierChain>),
+    Proxy(Box<ProxyTool>),
 }
 
 /// A tool before walls, stepped by one method.
@@ -108,6 +120,7 @@ impl Tool {
                 Model::Ours(Box::new(AnyManipulator::new(rung, parameters, base)?))
             }
             Method::Explicit => Model::Explicit(Box::new(explicit_chain(parameters, base)?)),
+            Method::Proxy(drive) => Model::Proxy(Box::new(ProxyTool::new(drive, parameters, base, walls)?)),
             Method::Rapier(joints) => {
                 let hz = SpatialChain::<1>::new(parameters.clone(), base)?.first_natural_frequency_hz();
                 Model::Rapier(Box::new(RapierChain::new(joints, &parameters, hz, &base.t_world_base, walls)))
@@ -125,7 +138,7 @@ impl Tool {
         let spheres = match &self.model {
             Model::Ours(tool) => tool.proxy_spheres(),
             Model::Explicit(tool) => tool.proxy_spheres(),
-            Model::Rapier(_) => &[],
+            Model::Rapier(_) | Model::Proxy(_) => &[],
         };
         for wall in &self.walls {
             wall.planes(spheres, MARGIN_M, dt_s, &mut self.planes);
@@ -135,6 +148,7 @@ impl Tool {
         let refused = match &mut self.model {
             Model::Ours(tool) => tool.step(dt_s, &input).is_err(),
             Model::Explicit(tool) => tool.step(dt_s, &input).is_err(),
+            Model::Proxy(tool) => tool.step(dt_s, &input).is_err(),
             // What is not finite makes Rapier panic: then the tool is lost.
             Model::Rapier(tool) => catch_unwind(AssertUnwindSafe(|| tool.step(dt_s, &input))).is_err(),
         };
@@ -152,8 +166,10 @@ impl Tool {
     /// Takes all walls away.
     pub fn remove_walls(&mut self) {
         self.walls.clear();
-        if let Model::Rapier(tool) = &mut self.model {
-            tool.remove_walls();
+        match &mut self.model {
+            Model::Rapier(tool) => tool.remove_walls(),
+            Model::Proxy(tool) => tool.remove_walls(),
+            Model::Ours(_) | Model::Explicit(_) => {}
         }
     }
 
@@ -163,6 +179,7 @@ impl Tool {
             Model::Ours(tool) => tool.t_world_tip().translation.vector,
             Model::Explicit(tool) => tool.t_world_tip().translation.vector,
             Model::Rapier(tool) => tool.tip_m(),
+            Model::Proxy(tool) => tool.tool().t_world_tip().translation.vector,
         }
     }
 
@@ -172,6 +189,7 @@ impl Tool {
             Model::Ours(tool) => tool.bend_rad(),
             Model::Explicit(tool) => tool.joint_positions_rad().iter().sum(),
             Model::Rapier(tool) => tool.joint_positions_rad().iter().sum(),
+            Model::Proxy(tool) => tool.tool().bend_rad(),
         }
     }
 
@@ -181,6 +199,7 @@ impl Tool {
             Model::Ours(tool) => tool.energy_j(),
             Model::Explicit(tool) => tool.energy_j(),
             Model::Rapier(tool) => tool.energy_j(),
+            Model::Proxy(tool) => tool.tool().energy_j(),
         }
     }
 }

@@ -10,6 +10,7 @@ pub mod log;
 pub mod plot;
 pub mod proc;
 pub mod replay;
+pub mod reproduce;
 pub mod run;
 pub mod scene;
 pub mod stress;

@@ -1,4 +1,4 @@
-//! `trabecula volume info` and `trabecula phantom`: volumes as files.
+//! `trabecula volume` and `trabecula phantom`: volumes as files.
 
 use std::path::PathBuf;
 
@@ -6,6 +6,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use volume_io::{phantom, read_with_info, write_nrrd};
 
 use crate::failure::Failure;
+use crate::replay::{OpenedLog, Overrides};
 
 /// What to do with a volume.
 #[derive(Debug, Subcommand)]
@@ -15,14 +16,71 @@ pub enum VolumeCommand {
         /// NIfTI, NRRD, MetaImage, or a DICOM folder.
         file: PathBuf,
     },
+    /// The CT of a run with its drilled voxels as air, as NRRD; works while the run is going on.
+    Drilled(DrilledArguments),
+}
+
+/// Arguments of `volume drilled`.
+#[derive(Debug, Args)]
+pub struct DrilledArguments {
+    /// Folder of a run, or its `run.mcap`.
+    log: PathBuf,
+    /// File to write (NRRD, gzip).
+    file: PathBuf,
+    /// The bone after this tick; without it, after the last one in the log.
+    #[arg(long)]
+    tick: Option<u64>,
+    /// The CT file, where it lies now.
+    #[arg(long)]
+    volume: Option<PathBuf>,
+}
+
+/// What a drilled voxel holds: air.
+const AIR_HU: i16 = -1000;
+
+fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
+    let overrides = Overrides { volume: arguments.volume.clone(), ..Overrides::default() };
+    let mut log = OpenedLog::open(&arguments.log, &overrides)?;
+    let reader = log.reader()?;
+    let Some((mut volume, _)) = log.volume.take() else {
+        return Err(Failure::bad_input(format!("{}: this run has no volume", log.path.display())));
+    };
+    let wanted = arguments.tick.unwrap_or(u64::MAX);
+    let mut gone: Vec<u32> = reader.predrilled().to_vec();
+    let mut last = reader.initial().tick;
+    for record in reader {
+        let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+        if record.state.tick > wanted {
+            break;
+        }
+        if let Some(restored) = record.restored {
+            gone = restored;
+        }
+        gone.extend(record.removed);
+        last = record.state.tick;
+    }
+    if arguments.tick.is_some_and(|tick| tick > last) {
+        return Err(Failure::bad_input(format!("--tick is {wanted}, the log ends at tick {last}")));
+    }
+    for index in &gone {
+        if let Some(hu) = volume.hu.get_mut(*index as usize) {
+            *hu = AIR_HU;
+        }
+    }
+    write_nrrd(&arguments.file, &volume).map_err(Failure::bad_input)?;
+    say!("{}: the CT after tick {last}, {} voxels gone", arguments.file.display(), gone.len());
+    Ok(())
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// Not a volume (2).
+/// Not a volume, or not a log with one (2); a log that cannot be read further (1).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
-    let VolumeCommand::Info { file } = command;
+    let file = match command {
+        VolumeCommand::Info { file } => file,
+        VolumeCommand::Drilled(arguments) => return write_drilled(arguments),
+    };
     let (_, info) = read_with_info(file).map_err(Failure::bad_input)?;
     say!("{info}");
     Ok(())

@@ -3,9 +3,10 @@
 use std::fs;
 
 use recorder_proc::{ReadOptions, frames};
+use rustix::process::Signal;
 
 use crate::common::logs::{assert_replays, counts};
-use crate::common::program::{Place, Run, trabecula};
+use crate::common::program::{Place, Run, signal, trabecula, wait_for};
 use crate::common::scenes;
 
 #[test]
@@ -95,4 +96,29 @@ fn logs_are_packed_joined_split_and_exported() {
         bad[1..].iter().for_each(|word| arguments.push(word));
         assert_eq!(trabecula(&arguments).code, Some(2), "{bad:?}");
     }
+}
+
+#[test]
+fn the_drilled_ct_is_written_while_the_run_goes_on() {
+    let place = Place::new();
+    let scene = place.scene(&scenes::drill("realtime", 60.0));
+    let run = Run::start(&scene, place.path("out"), &[]);
+    let file = place.path("drilled.nrrd");
+    let gone_in = || volume_io::read(&file).unwrap().hu.iter().filter(|hu| **hu == -1000).count();
+    let early = wait_for("a log with drilled voxels", || {
+        let folder = fs::read_dir(place.path("out")).ok()?.flatten().next()?.path();
+        let done = trabecula(&[&"volume", &"drilled", &folder, &file, &"--tick", &"0"]);
+        let untouched = (done.code == Some(0)).then(gone_in)?;
+        let done = trabecula(&[&"volume", &"drilled", &folder, &file]);
+        (done.code == Some(0) && gone_in() > untouched).then(gone_in)
+    });
+    assert!(trabecula(&[&"volume", &"info", &file]).code == Some(0));
+    signal(run.pid(), Signal::INT);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(130), "{}", ended.err);
+    let done = trabecula(&[&"volume", &"drilled", &ended.folder, &file]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    assert!(gone_in() >= early);
+    let done = trabecula(&[&"volume", &"drilled", &ended.folder, &file, &"--tick", &"999999999"]);
+    assert!(done.code == Some(2) && done.err.contains("the log ends at tick"), "{}", done.err);
 }

@@ -344,6 +344,22 @@ pub struct Drilling {
     pub density_exponent: Option<f64>,
     /// Cutting force over normal force, 0.01 to 2.
     pub cutting_coefficient: Option<f64>,
+    /// How voxels end: `energy` is the standard; the others are published rules, for experiments.
+    pub removal: Option<Removal>,
+}
+
+/// How a burr removes voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Removal {
+    /// By the energy that it takes to cut them.
+    Energy,
+    /// All that the burr touches, at once.
+    Naive,
+    /// At most ten touched voxels a tick, in proportion to the burr's speed.
+    Capped,
+    /// A strength in proportion to density, less a value in proportion to the burr's speed each tick.
+    Decrement,
 }
 
 /// The arm: a UR5, its limits and how it holds the tool.

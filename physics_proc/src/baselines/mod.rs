@@ -5,12 +5,16 @@
 //! | [`explicit_chain`] | the chain with springs and dampers as forces: semi-implicit Euler |
 //! | [`RapierChain`] of [`RapierJoints::Multibody`] | Rapier's multibody of hinges with implicit joint springs |
 //! | [`RapierChain`] of [`RapierJoints::Springs`] | rigid bodies held by six-axis spring joints, solved by impulses |
+//! | [`ProxyTool`] | a proxy of the burr that stays outside, to which the burr is set ([`ProxyDrive::Position`]) or pulled |
 
+mod proxy;
+pub mod published;
 mod rapier_chain;
 mod wall;
 
 use crate::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameters, SpatialChain};
 
+pub use proxy::{ProxyDrive, ProxyTool, proxy_of};
 pub use rapier_chain::{RapierChain, RapierJoints};
 pub use wall::Wall;
 

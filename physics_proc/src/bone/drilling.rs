@@ -26,6 +26,7 @@ use super::gather::outside;
 use super::grid::{GridGeometry, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
 use super::query::VoxelSurface;
+use super::removal::Removal;
 
 /// Rounds of sharing the energy; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
@@ -121,10 +122,11 @@ pub struct GrindReport {
 
 /// A voxel in reach of the burr.
 #[derive(Debug, Clone, Copy)]
-struct Share {
-    index: u32,
-    place: usize,
-    weight: f64,
+pub(super) struct Share {
+    pub index: u32,
+    pub place: usize,
+    /// Depth of the voxel in the burr as a fraction of its width, times its volume.
+    pub weight: f64,
     /// Energy of the whole voxel.
     full_j: f64,
     /// What it can still take in this tick.
@@ -136,7 +138,7 @@ struct Share {
 /// Working memory of [`BoneField::grind`], reserved for the largest burr.
 #[derive(Debug, Clone)]
 pub(super) struct DrillScratch {
-    shares: Vec<Share>,
+    pub(super) shares: Vec<Share>,
     capacity: usize,
 }
 
@@ -178,8 +180,16 @@ impl BoneField {
         if report.energy_offered_j > 0.0 {
             self.scratch.shares.clear();
             self.collect(hu, burr, dt_s, &mut report);
-            report.energy_used_j = self.share(report.energy_offered_j);
-            self.apply(&mut report);
+            match self.parameters.removal {
+                Removal::Energy => {
+                    report.energy_used_j = self.share(report.energy_offered_j);
+                    self.apply(&mut report);
+                }
+                rule => {
+                    report.energy_offered_j = 0.0;
+                    self.remove_by_rule(rule, hu, burr.speed_rad_s.abs(), &mut report);
+                }
+            }
         }
         self.remove_spent(&mut report);
         Ok(report)

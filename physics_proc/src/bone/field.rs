@@ -5,6 +5,7 @@ use super::drilling::{CuttingLaw, DrillScratch};
 use super::grid::GridGeometry;
 use super::material::{CuttingTable, MaterialLaw};
 use super::occupancy::Occupancy;
+use super::removal::Removal;
 use super::strength::SpentPool;
 use super::tracked::Tracks;
 
@@ -17,6 +18,8 @@ pub struct BoneParameters {
     pub material: MaterialLaw,
     /// How a burr turns force and speed into cutting energy.
     pub cutting: CuttingLaw,
+    /// How voxels end: by energy unless an experiment asks for a baseline.
+    pub removal: Removal,
     /// Blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels. When all are taken, voxels in further blocks
     /// cannot be cut; each tick's report counts them.
     pub pool_blocks: usize,
@@ -32,6 +35,7 @@ impl Default for BoneParameters {
             threshold_hu: 150,
             material: MaterialLaw::default(),
             cutting: CuttingLaw::default(),
+            removal: Removal::Energy,
             pool_blocks: 4096,
             removed_per_tick: 4096,
             max_burr_radius_m: 4.0e-3,
@@ -131,7 +135,7 @@ impl BoneField {
 
     /// Fraction of the voxel's strength that is left: 1 whole bone, 0 removed or no bone.
     pub fn remaining_strength(&self, i: usize, j: usize, k: usize) -> f64 {
-        if self.is_solid(i, j, k) { 1.0 - self.pool.spent(i, j, k) } else { 0.0 }
+        if self.is_solid(i, j, k) { self.strength_left(self.pool.spent(i, j, k)) } else { 0.0 }
     }
 
     /// Linear indices of the voxels that the last [`BoneField::grind`] removed, in no particular order.

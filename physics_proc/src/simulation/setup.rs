@@ -2,14 +2,15 @@
 
 use ipc_types::messages::State;
 use ipc_types::scene::{
-    Body, BodyMotion as SceneMotion, Integrator as SceneIntegrator, ManipulatorRung, Scene, Tool,
+    Body, BodyMotion as SceneMotion, Integrator as SceneIntegrator, ManipulatorRung, Removal as SceneRemoval,
+    Scene, Tool,
 };
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::tendon_drive::TendonDrive;
 use super::{Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
-use crate::bone::{BoneField, BoneParameters, ContactBuffer};
+use crate::bone::{BoneField, BoneParameters, ContactBuffer, Removal};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
     ManipulatorParameters, Rung,
@@ -229,6 +230,12 @@ fn bone<'v>(
     if let Some(coefficient) = drilling.cutting_coefficient {
         parameters.cutting.cutting_friction = coefficient;
     }
+    parameters.removal = match drilling.removal {
+        Some(SceneRemoval::Naive) => Removal::Naive,
+        Some(SceneRemoval::Capped) => Removal::Capped,
+        Some(SceneRemoval::Decrement) => Removal::Decrement,
+        Some(SceneRemoval::Energy) | None => Removal::Energy,
+    };
     parameters.removed_per_tick = ipc_types::services::MAX_REMOVED_PER_TICK;
     let mut field = BoneField::new(ct.geometry, ct.hu, parameters)?;
     let mut predrilled = Vec::new();

@@ -25,7 +25,7 @@ const NONE: RGBColor = RGBColor(235, 235, 235);
 pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
     let block = (SIZE.0 * STIFFNESS.len() as f64, SIZE.1 * (MASS.len() * DT_MS.len()) as f64);
     let width = LEFT + (block.0 + GAP) * Case::ALL.len() as f64 + 16.0;
-    let height = TOP + (block.1 + GAP) * Method::ALL.len() as f64 + 30.0;
+    let height = TOP + (block.1 + GAP) * Method::WITH_PROXIES.len() as f64 + 30.0;
     let mut figure = Figure::new(width as u32, height as u32)?;
     let title = "Stability: what becomes of a tool at rest within 0.2 mm of its converged solution, or not";
     figure.text((16.0, 22.0), title, 18.0, INK, Anchor::Left);
@@ -37,7 +37,7 @@ pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
         figure.text((at + 20.0, 67.0), name, 12.5, INK, Anchor::Left);
         at += 110.0;
     }
-    for (row, method) in Method::ALL.into_iter().enumerate() {
+    for (row, method) in Method::WITH_PROXIES.into_iter().enumerate() {
         let y = TOP + row as f64 * (block.1 + GAP);
         figure.text((LEFT - 10.0, y + 0.5 * block.1), &method.name(), 13.0, INK, Anchor::Right);
         for (column, case) in Case::ALL.into_iter().enumerate() {

@@ -5,12 +5,17 @@ mod figure;
 
 use std::fmt::Write as _;
 use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
+use ipc_types::process::EndRequest;
 use nalgebra::Vector3;
 use physics_proc::manipulator::{Integrator, ManipulatorError, ManipulatorParameters, Rung};
+use rayon::prelude::*;
 
 use crate::charts::method::Method;
-use crate::failure::Failure;
+use crate::failure::{EXIT_INTERRUPTED, Failure};
 use cases::{Case, Ending};
 
 /// All stiffnesses times these.
@@ -23,6 +28,9 @@ pub const DT_MS: [f64; 5] = [0.5, 1.0, 2.0, 5.0, 10.0];
 const TOLERANCE_M: f64 = 0.2e-3;
 /// Step of the converged solutions, ms.
 const REFERENCE_DT_MS: f64 = 0.25;
+
+/// Time between two lines of progress.
+const SAY_EVERY: Duration = Duration::from_secs(5);
 
 /// What became of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,13 +71,20 @@ pub struct Cell {
 pub fn run(folder: &Path, quick: bool) -> Result<(), Failure> {
     std::fs::create_dir_all(folder)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
-    let cells = measure(quick).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let end = EndRequest::install()
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let cells = measure(quick, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
     print_counts(&cells);
     let path = folder.join("stability.csv");
     std::fs::write(&path, csv(&cells))
         .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))?;
     let written = figure::draw(&cells).and_then(|figure| figure.write(folder, "stability"));
-    written.map_err(|cause| Failure::failed(cause.to_string()))
+    written.map_err(|cause| Failure::failed(cause.to_string()))?;
+    if end.is_set() {
+        let message = format!("interrupted; {} finished runs are in {}", cells.len(), folder.display());
+        return Err(Failure { message, code: EXIT_INTERRUPTED });
+    }
+    Ok(())
 }
 
 /// The tool of the scenes, frictionless on its walls, its stops out of reach: Rapier's has none.
@@ -93,48 +108,76 @@ fn reference_of(method: Method) -> Method {
     }
 }
 
-/// A converged solution: method, case, stiffness, mass; burr centre, m.
-type Known = ((Method, Case, f64, f64), Vector3<f64>);
+/// A run to make: method, case, factor of stiffness, factor of mass, step in ms.
+type Job = (Method, Case, f64, f64, f64);
 
-fn measure(quick: bool) -> Result<Vec<Cell>, ManipulatorError> {
-    let mut cells = Vec::new();
-    let mut known: Vec<Known> = Vec::new();
+/// How many runs are done, on the error stream every few seconds.
+struct Progress {
+    done: AtomicUsize,
+    all: usize,
+    began: Instant,
+    said: Mutex<Instant>,
+}
+
+impl Progress {
+    fn new(all: usize) -> Progress {
+        Progress { done: AtomicUsize::new(0), all, began: Instant::now(), said: Mutex::new(Instant::now()) }
+    }
+
+    fn tick(&self) {
+        let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+        let Ok(mut said) = self.said.try_lock() else { return };
+        if said.elapsed() > SAY_EVERY {
+            *said = Instant::now();
+            let rest = self.began.elapsed().as_secs_f64() * (self.all - done) as f64 / done as f64;
+            eprintln!("stability: {done} of {} runs, about {rest:.0} s left", self.all);
+        }
+    }
+}
+
+/// Makes all runs on all cores. When the process is asked to end, what is done is returned.
+fn measure(quick: bool, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorError> {
     let pick = |all: &[f64]| if quick { vec![all[0], all[all.len() - 1]] } else { all.to_vec() };
-    for method in Method::ALL {
+    let (mut jobs, mut references): (Vec<Job>, Vec<Job>) = (Vec::new(), Vec::new());
+    for method in Method::WITH_PROXIES {
         for case in Case::ALL {
             for &stiffness in &pick(&STIFFNESS) {
                 for &mass in &pick(&MASS) {
-                    let p = tool(stiffness, mass);
-                    let key = (reference_of(method), case, stiffness, mass);
-                    let converged = match known.iter().find(|(other, _)| *other == key) {
-                        Some((_, tip)) => *tip,
-                        None => {
-                            let tip = case.play(key.0, &p, stiffness, REFERENCE_DT_MS)?.tip_m;
-                            known.push((key, tip));
-                            tip
-                        }
-                    };
-                    for &dt_ms in &pick(&DT_MS) {
-                        let ending = case.play(method, &p, stiffness, dt_ms)?;
-                        let off_m = (ending.tip_m - converged).norm();
-                        let verdict = verdict(&ending, off_m);
-                        let energy_grew = ending.energy_grew;
-                        cells.push(Cell {
-                            method,
-                            case,
-                            stiffness,
-                            mass,
-                            dt_ms,
-                            verdict,
-                            off_m,
-                            energy_grew,
-                        });
+                    let own = (reference_of(method), case, stiffness, mass, REFERENCE_DT_MS);
+                    if !references.contains(&own) {
+                        references.push(own);
                     }
+                    jobs.extend(pick(&DT_MS).into_iter().map(|dt_ms| (method, case, stiffness, mass, dt_ms)));
                 }
             }
         }
     }
-    Ok(cells)
+    let progress = Progress::new(jobs.len() + references.len());
+    let play = |(method, case, stiffness, mass, dt_ms): Job| -> Option<Result<Ending, ManipulatorError>> {
+        if end.is_set() {
+            return None;
+        }
+        let ending = case.play(method, &tool(stiffness, mass), stiffness, dt_ms);
+        progress.tick();
+        Some(ending)
+    };
+    let converged: Vec<(Job, Vector3<f64>)> = references
+        .par_iter()
+        .filter_map(|job| play(*job).map(|ending| ending.map(|ending| (*job, ending.tip_m))))
+        .collect::<Result<_, _>>()?;
+    jobs.par_iter()
+        .filter_map(|job| {
+            let (method, case, stiffness, mass, dt_ms) = *job;
+            let own = (reference_of(method), case, stiffness, mass, REFERENCE_DT_MS);
+            let (_, converged) = converged.iter().find(|(other, _)| *other == own)?;
+            let cell = |ending: Ending| {
+                let off_m = (ending.tip_m - converged).norm();
+                let (verdict, energy_grew) = (verdict(&ending, off_m), ending.energy_grew);
+                Cell { method, case, stiffness, mass, dt_ms, verdict, off_m, energy_grew }
+            };
+            play(*job).map(|ending| ending.map(cell))
+        })
+        .collect()
 }
 
 fn verdict(ending: &Ending, off_m: f64) -> Verdict {
@@ -150,7 +193,7 @@ fn verdict(ending: &Ending, off_m: f64) -> Verdict {
 
 fn print_counts(cells: &[Cell]) {
     say!("{:<20} {:>9} {:>6} {:>6} {:>12}", "method", "converged", "wrong", "blown", "energy grew");
-    for method in Method::ALL {
+    for method in Method::WITH_PROXIES {
         let own: Vec<&Cell> = cells.iter().filter(|cell| cell.method == method).collect();
         let count = |verdict| own.iter().filter(|cell| cell.verdict == verdict).count();
         let grew = own.iter().filter(|cell| cell.energy_grew).count();

@@ -1,0 +1,99 @@
+//! How voxels end: by the energy that cutting them takes, or by one of three published rules, for comparison.
+//!
+//! The baselines act on the voxels that the energy rule would cut: those within the burr's reach while it turns and presses.
+//! None of them knows force, energy or the length of a tick, so what they drill depends on voxel size and dt.
+
+use super::drilling::GrindReport;
+use super::field::BoneField;
+
+/// The rule.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Removal {
+    /// Cutting energy, shared by pressure and area: see [`super::drilling`].
+    #[default]
+    Energy,
+    /// Every touched voxel, in the tick in which it is touched.
+    Naive,
+    /// At most [`CAP_PER_TICK`] voxels a tick at [`RULE_SPEED_RAD_S`], in proportion to the burr's speed; the deepest first.
+    /// The cap of Munawar et al. 2022 (volumetric drilling): 1, 3, 6, 10 for burrs of 1, 2, 4, 6 mm.
+    Capped,
+    /// Phalen et al. 2023: each voxel has a strength in proportion to its density, from which each tick of contact takes a
+    /// value in proportion to the burr's speed; a voxel collides whole until none is left.
+    Decrement,
+}
+
+/// Voxels a tick of [`Removal::Capped`], for a burr of 6 mm.
+pub const CAP_PER_TICK: f64 = 10.0;
+/// Ticks of contact that a voxel of the material law's reference density withstands under [`Removal::Decrement`]: the
+/// published 1/150 a step.
+pub const DECREMENT_TICKS: f64 = 150.0;
+/// Burr speed at which the two figures above hold: 2250 rpm.
+pub const RULE_SPEED_RAD_S: f64 = 235.619_449_019_234_5;
+
+/// A dose is kept in the pool of spent fractions, which contact takes for a receded surface: scaled down by this, a voxel
+/// recedes by less than a nanometre before it goes.
+const DOSE_SCALE: f64 = 1.0 / (1u64 << 30) as f64;
+
+impl BoneField {
+    /// Removes, or weakens, the voxels that the burr touches, which are listed in the scratch.
+    pub(super) fn remove_by_rule(
+        &mut self,
+        rule: Removal,
+        hu: &[i16],
+        speed_rad_s: f64,
+        report: &mut GrindReport,
+    ) {
+        let speed = speed_rad_s / RULE_SPEED_RAD_S;
+        match rule {
+            Removal::Energy => {}
+            Removal::Naive => self.end_first(usize::MAX, report),
+            Removal::Capped => {
+                // Equal depths in an order that follows no axis: the order of the grid would push the burr aside.
+                let mixed =
+                    |index: u32| index.wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca6b);
+                let deeper = |a: &super::drilling::Share, b: &super::drilling::Share| {
+                    b.weight.total_cmp(&a.weight).then(mixed(a.index).cmp(&mixed(b.index)))
+                };
+                self.scratch.shares.sort_unstable_by(deeper);
+                self.end_first((CAP_PER_TICK * speed + 0.5) as usize, report);
+            }
+            Removal::Decrement => self.weaken(hu, speed, report),
+        }
+    }
+
+    /// Ends the first `count` of the listed voxels.
+    fn end_first(&mut self, count: usize, report: &mut GrindReport) {
+        for place in 0..self.scratch.shares.len().min(count) {
+            let share = self.scratch.shares[place];
+            if self.waiting.len() == self.waiting.capacity() {
+                return;
+            }
+            self.pool.set(share.place, 1.0);
+            self.waiting.push(share.index);
+            report.cut_count += 1;
+        }
+    }
+
+    /// Takes one tick's dose from each listed voxel.
+    fn weaken(&mut self, hu: &[i16], speed: f64, report: &mut GrindReport) {
+        let law = self.parameters.material;
+        for place in 0..self.scratch.shares.len() {
+            let share = self.scratch.shares[place];
+            let strength = law.density_kg_m3(hu[share.index as usize]) / law.density_ref_kg_m3;
+            let dose = self.pool.at(share.place) + DOSE_SCALE * speed / (DECREMENT_TICKS * strength);
+            // Rounding of the sum of equal doses.
+            let ended = dose >= DOSE_SCALE * (1.0 - 1e-9) && self.waiting.len() < self.waiting.capacity();
+            self.pool.set(share.place, if ended { 1.0 } else { dose });
+            if ended {
+                self.waiting.push(share.index);
+            }
+            report.cut_count += 1;
+        }
+    }
+
+    /// Fraction of a voxel's strength left that the pool's entry stands for.
+    pub(super) fn strength_left(&self, spent: f64) -> f64 {
+        let dose = self.parameters.removal == Removal::Decrement && spent < 1.0;
+        if dose { (1.0 - spent / DOSE_SCALE).max(0.0) } else { 1.0 - spent }
+    }
+}
