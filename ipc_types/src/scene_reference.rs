@@ -1,12 +1,12 @@
 //! The reference of scene files, made of their declaration: `docs/scene.md` is what [`scene_reference`] returns.
 //!
-//! Names, types and meanings come from the text of `scene/model.rs`; defaults from a scene that says only what it must.
+//! Names, types and meanings come from the text of `scene/model.rs` and `scene/tolerance.rs`; defaults from a scene that says only what it must.
 
 use std::path::Path;
 
 use crate::scene::{Scene, SceneError};
 
-const MODEL: &str = include_str!("scene/model.rs");
+const MODEL: &str = concat!(include_str!("scene/model.rs"), include_str!("scene/tolerance.rs"));
 
 /// A scene with every table that has required keys, and in them nothing else.
 const LEAST: &str = r#"
@@ -14,6 +14,7 @@ name = "least"
 [run]
 mode = "lockstep"
 duration_s = 1.0
+[tolerance]
 [volume]
 phantom = "femur"
 [[predrill]]
@@ -39,6 +40,8 @@ position_mm = [0.0, 0.0, 0.0]
 burr_start_mm = [0.0, 0.0, 0.0]
 direction = [1.0, 0.0, 0.0]
 bend_toward = [0.0, 0.0, 1.0]
+[[tendon]]
+toward_mm = 2.5
 [drr]
 rate_hz = 1.0
 isocentre_mm = [0.0, 0.0, 0.0]

@@ -5,9 +5,11 @@
 
 mod check;
 mod model;
+mod tolerance;
 
 pub use check::SceneError;
 pub use model::*;
+pub use tolerance::Tolerance;
 
 use std::path::Path;
 

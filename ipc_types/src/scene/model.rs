@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use super::tolerance::Tolerance;
+
 /// A scene file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -15,6 +17,8 @@ pub struct Scene {
     pub description: String,
     /// How it runs.
     pub run: Run,
+    /// Errors that are allowed; absent: the standard settings. What the scene names itself stays.
+    pub tolerance: Option<Tolerance>,
     /// The bone; absent: free space.
     pub volume: Option<Volume>,
     /// Holes that are there before the run.
@@ -32,6 +36,9 @@ pub struct Scene {
     /// The manipulator, where it differs from the standard one.
     #[serde(default)]
     pub manipulator: Manipulator,
+    /// The tendons, at most 4, in the order of the commands; none: the antagonist pair, 2.5 mm to either side.
+    #[serde(default)]
+    pub tendon: Vec<Tendon>,
     /// Contact of the tool with bone.
     #[serde(default)]
     pub contact: Contact,
@@ -263,6 +270,17 @@ pub struct Manipulator {
     pub burr_diameter_mm: Option<f64>,
     /// Time integration: `hybrid`, the standard, is second order in free motion.
     pub integrator: Option<Integrator>,
+}
+
+/// A tendon in its channel along the whole flexible length.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tendon {
+    /// Distance of the channel from the tool axis toward `tool.bend_toward`, −10 to 10 mm.
+    pub toward_mm: f64,
+    /// Distance across it (direction times `bend_toward`, right-handed), −10 to 10 mm; for `spatial` and `full`.
+    #[serde(default)]
+    pub across_mm: f64,
 }
 
 /// Models of the manipulator, from the cheapest to the richest.
