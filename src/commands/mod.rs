@@ -6,6 +6,7 @@ pub mod chart;
 pub mod docs;
 pub mod drr;
 pub mod log;
+pub mod plan;
 pub mod proc;
 pub mod replay;
 pub mod run;

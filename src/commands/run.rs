@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Images, Mode, Scene};
 
+use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
 use crate::launcher::progress::Display;
@@ -102,7 +103,10 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
 }
 
 fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
-    let mut scene = Scene::load(&arguments.scene).map_err(Failure::bad_input)?;
+    let (mut scene, choice) = plan::load(&arguments.scene)?;
+    if let Some(choice) = choice {
+        say!("{choice}");
+    }
     match arguments.mode {
         Some(ModeArgument::Lockstep) => scene.run.mode = Mode::Lockstep,
         Some(ModeArgument::Realtime) => scene.run.mode = Mode::Realtime,

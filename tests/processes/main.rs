@@ -12,6 +12,7 @@ mod frames;
 mod languages;
 mod late_controllers;
 mod log_tools;
+mod plan;
 mod promise;
 mod replay;
 mod run_control;
