@@ -83,8 +83,9 @@ fn two_orthogonal_tendons_bend_in_the_plane_between_them() {
         };
         let (coarse, fine) = (off(16), off(32));
         println!("{rung:?}: {coarse:.2e} m off at 16 links, {fine:.2e} m at 32");
-        // A flexure's turns about two axes differ from one turn by the square of its angle: second order.
-        assert!(fine < coarse / 3.0 && fine < 20e-6, "{coarse} {fine}");
+        // A flexure turns about two axes one after the other, which winds it by half the product of the angles; over the tool
+        // theta^2 / (4 n), 3.5e-3 rad at 32 links, on a deflection of 11 mm: first order, a dozen micrometres.
+        assert!(fine < coarse / 1.8 && fine < 30e-6, "{coarse} {fine}");
     }
 }
 
