@@ -8,6 +8,7 @@ mod charts;
 mod commands;
 mod failure;
 mod launcher;
+mod plan;
 mod replay;
 mod report;
 mod reproduce;
@@ -25,6 +26,7 @@ use commands::docs::DocsCommand;
 use commands::doctor::DoctorArguments;
 use commands::drr::DrrArguments;
 use commands::log::LogCommand;
+use commands::plan::PlanArguments;
 use commands::plot::PlotArguments;
 use commands::proc::ProcCommand;
 use commands::replay::ReplayArguments;
@@ -59,6 +61,8 @@ enum Command {
     Log(LogCommand),
     /// Sweep a tendon and write which tension bends the tip to where.
     Calibrate(CalibrateArguments),
+    /// Choose the cheapest settings that keep a scene's tolerance; check the error that a run made.
+    Plan(PlanArguments),
     /// Check scenes.
     #[command(subcommand)]
     Scene(SceneCommand),
@@ -107,6 +111,7 @@ fn main() -> ExitCode {
         Command::Plot(arguments) => commands::plot::run(arguments),
         Command::Log(command) => commands::log::run(command),
         Command::Calibrate(arguments) => commands::calibrate::run(arguments),
+        Command::Plan(arguments) => commands::plan::run(arguments),
         Command::Scene(command) => commands::scene::run(command),
         Command::Volume(command) => commands::volume::run(command),
         Command::Phantom(arguments) => commands::volume::write_phantom(arguments),

@@ -15,6 +15,7 @@ name = "least"
 [run]
 mode = "lockstep"
 duration_s = 1.0
+[tolerance]
 [volume]
 phantom = "femur"
 [[predrill]]
@@ -40,6 +41,8 @@ position_mm = [0.0, 0.0, 0.0]
 burr_start_mm = [0.0, 0.0, 0.0]
 direction = [1.0, 0.0, 0.0]
 bend_toward = [0.0, 0.0, 1.0]
+[[tendon]]
+toward_mm = 2.5
 [drr]
 rate_hz = 1.0
 isocentre_mm = [0.0, 0.0, 0.0]

@@ -1,6 +1,10 @@
 //! Prints the time of one manipulator step in free motion and with contacts.
 //!
-//! `cargo run --release -p physics_proc --example manipulator_step_time`
+//! `cargo run --release -p physics_proc --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or those whose name
+//! contains CASE.
+//!
+//! Instructions a step, which no other program's load changes: `valgrind --tool=callgrind --toggle-collect='*one_step*'` before
+//! the built example with a CASE that names one case and 1000 STEPS; the instructions counted over the steps.
 //!
 //! The 27-flexure tool under a tendon that changes every 200 ms between 6 and 8 N swings freely, is pressed on a winding
 //! wall, or lies in a winding tunnel.
@@ -12,10 +16,16 @@ use nalgebra::{Isometry3, Unit, Vector3};
 use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
-    StepInput, TendonCommand, Wrench,
+    StepInput, StepReport, TendonCommand, Wrench,
 };
 
 const STEPS: usize = 4000;
+
+/// What is timed, and what a profiler counts.
+#[inline(never)]
+fn one_step(m: &mut AnyManipulator, input: &StepInput) -> Result<StepReport, ManipulatorError> {
+    m.step(1e-3, input)
+}
 
 /// A tunnel of `clearance_m` on both sides that winds with an amplitude of 0.3 mm and a wave length of 12 mm: each of
 /// the `spheres` nearest the tip is offered the walls on `sides`.
@@ -39,13 +49,19 @@ fn run(
     (rung, integrator): (Rung, Integrator),
     planes: impl Fn(&AnyManipulator, &mut Vec<ContactPlane>),
 ) -> Result<(), ManipulatorError> {
+    let mut arguments = std::env::args().skip(1);
+    let wanted = arguments.next().is_none_or(|case| name.contains(&case));
+    if !wanted {
+        return Ok(());
+    }
+    let steps = arguments.next().and_then(|steps| steps.parse().ok()).unwrap_or(STEPS).max(100);
     let base = BaseMotion::at_rest(Isometry3::identity());
     let parameters = ManipulatorParameters { integrator, ..ManipulatorParameters::jhu_27() };
     let mut manipulator = AnyManipulator::new(rung, parameters, &base)?;
     let mut contacts = Vec::with_capacity(96);
-    let mut micros = Vec::with_capacity(STEPS);
+    let mut micros = Vec::with_capacity(steps);
     let (mut sweeps, mut active, mut second_order, mut residual) = (0, 0, 0, 0.0f64);
-    for k in 0..STEPS {
+    for k in 0..steps {
         contacts.clear();
         planes(&manipulator, &mut contacts);
         let tension = 8.0 - if (k / 200).is_multiple_of(2) { 2.0 } else { 0.0 };
@@ -56,7 +72,7 @@ fn run(
             contacts: &contacts,
         };
         let start = Instant::now();
-        let report = black_box(manipulator.step(1e-3, black_box(&input))?);
+        let report = black_box(one_step(&mut manipulator, black_box(&input))?);
         micros.push(start.elapsed().as_secs_f64() * 1e6);
         sweeps += report.iterations;
         active += report.active_contact_count;
@@ -67,12 +83,12 @@ fn run(
     println!(
         "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} sweeps, late residual {:7.1e} m/s, {:5.1} % ROS2",
         contacts.len(),
-        active as f64 / STEPS as f64,
-        micros[STEPS / 2],
-        micros[STEPS * 99 / 100],
-        sweeps as f64 / STEPS as f64,
+        active as f64 / steps as f64,
+        micros[steps / 2],
+        micros[steps * 99 / 100],
+        sweeps as f64 / steps as f64,
         residual,
-        100.0 * second_order as f64 / STEPS as f64,
+        100.0 * second_order as f64 / steps as f64,
     );
     Ok(())
 }
@@ -86,10 +102,12 @@ fn main() -> Result<(), ManipulatorError> {
             run(&format!("{name}, free, hybrid"), (rung, Integrator::Hybrid), |_, _| ())?;
         }
         for spheres in [10, 28] {
-            run(&format!("{name}, winding wall"), euler, |m, out| tunnel(m, spheres, &[-1.0], 0.0, out))?;
+            run(&format!("{name}, winding wall of {spheres}"), euler, |m, out| {
+                tunnel(m, spheres, &[-1.0], 0.0, out)
+            })?;
         }
         for spheres in [5, 15, 28] {
-            run(&format!("{name}, winding tunnel"), euler, |m, out| {
+            run(&format!("{name}, winding tunnel of {spheres}"), euler, |m, out| {
                 tunnel(m, spheres, &[1.0, -1.0], 20e-6, out);
             })?;
         }

@@ -2,5 +2,6 @@
 
 pub mod drr;
 pub mod method;
+mod peers;
 pub mod physics;
 pub mod stability;

@@ -13,7 +13,7 @@ pub enum ChartCommand {
     /// X-ray frames: error against milliseconds for every projector, three poses and three resolutions.
     Drr(DrrChartArguments),
     /// Physics: error against cost for every rung, integrator and baseline.
-    Physics(ChartArguments),
+    Physics(PhysicsChartArguments),
     /// Where each method converges, is wrong or blows up.
     Stability(ChartArguments),
 }
@@ -46,6 +46,20 @@ pub struct ChartArguments {
     quick: bool,
 }
 
+/// Where to, how much, and beside whom.
+#[derive(Debug, Args)]
+pub struct PhysicsChartArguments {
+    /// Where to, and how much.
+    #[command(flatten)]
+    common: ChartArguments,
+    /// Other simulators on the same beam, by the scripts of this folder: each makes its own Python environment.
+    #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "charts/peers/physics")]
+    peers: Option<PathBuf>,
+    /// Only the settings that `trabecula plan` chooses from, and the drilled path.
+    #[arg(long, conflicts_with = "peers")]
+    plan_only: bool,
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -59,8 +73,13 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             rounds: arguments.rounds as usize,
         }),
         ChartCommand::Physics(arguments) => {
-            let effort = if arguments.quick { physics::Effort::Quick } else { physics::Effort::Full };
-            physics::run(&arguments.out, effort)
+            let quick = arguments.common.quick;
+            physics::run(&physics::Plan {
+                out: arguments.common.out.clone(),
+                effort: if quick { physics::Effort::Quick } else { physics::Effort::Full },
+                peers: arguments.peers.clone(),
+                settings_only: arguments.plan_only,
+            })
         }
         ChartCommand::Stability(arguments) => stability::run(&arguments.out, arguments.quick),
     }

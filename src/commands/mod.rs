@@ -7,6 +7,7 @@ pub mod docs;
 pub mod doctor;
 pub mod drr;
 pub mod log;
+pub mod plan;
 pub mod plot;
 pub mod proc;
 pub mod replay;

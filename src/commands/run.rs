@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use ipc_types::process::{EndRequest, Role, prioritise};
 use ipc_types::scene::{Images, Mode, Policy, Scene, Wait};
 
+use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
 use crate::launcher::progress::{Display, Manner};
@@ -174,7 +175,10 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
 }
 
 fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
-    let mut scene = Scene::load(&arguments.scene).map_err(Failure::bad_input)?;
+    let (mut scene, choice) = plan::load(&arguments.scene)?;
+    if let Some(choice) = choice {
+        say!("{choice}");
+    }
     match arguments.mode {
         Some(ModeArgument::Lockstep) => scene.run.mode = Mode::Lockstep,
         Some(ModeArgument::Realtime) => scene.run.mode = Mode::Realtime,

@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use clap::Subcommand;
-use ipc_types::scene::Scene;
 
 use crate::failure::Failure;
 
@@ -23,7 +22,7 @@ pub enum SceneCommand {
 /// A scene that is not one (2).
 pub fn run(command: &SceneCommand) -> Result<(), Failure> {
     let SceneCommand::Check { file } = command;
-    let scene = Scene::load(file).map_err(Failure::bad_input)?;
+    let (scene, _) = super::plan::load(file)?;
     if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref())
         && !path.exists()
     {

@@ -14,6 +14,7 @@ mod frames;
 mod languages;
 mod late_controllers;
 mod log_tools;
+mod plan;
 mod promise;
 mod readmes;
 mod replay;

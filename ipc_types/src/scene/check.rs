@@ -6,9 +6,10 @@ use thiserror::Error;
 
 use super::drr::{CArm, Display, Drr};
 use super::model::{
-    Arm, Body, Controller, CurvedDrilling, Drives, Feedback, Scene, Skiving, TensionSweep, Tool, Volume,
+    Arm, Body, Controller, CurvedDrilling, Drives, Feedback, ManipulatorRung, Scene, Skiving, TensionSweep,
+    Tool, Volume,
 };
-use crate::messages::{MAX_BODIES, MAX_CONTROLLERS};
+use crate::messages::{MAX_BODIES, MAX_CONTROLLERS, MAX_TENDONS};
 
 /// Why a scene is refused.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -107,6 +108,11 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
     let checker = Checker { file };
     checker.name("name", &scene.name, |c| c.is_ascii_alphanumeric() || c == '_' || c == '-')?;
     check_run(scene, &checker)?;
+    if let Some(tolerance) = &scene.tolerance {
+        checker.optional("tolerance.tip_mm", tolerance.tip_mm, 1e-3, 100.0)?;
+        checker.optional("tolerance.path_mm", tolerance.path_mm, 1e-3, 100.0)?;
+        checker.optional("tolerance.drr_rel", tolerance.drr_rel, 1e-9, 1.0)?;
+    }
     if let Some(volume) = &scene.volume {
         check_volume(volume, &checker)?;
     } else if !scene.predrill.is_empty() {
@@ -118,9 +124,6 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
         checker.range("predrill.diameter_mm", hole.diameter_mm, 0.5, 50.0)?;
     }
     check_bodies(scene, &checker)?;
-    if let Some(tolerance) = &scene.tolerance {
-        checker.optional("tolerance.drr_rel", tolerance.drr_rel, 1e-9, 1.0)?;
-    }
     check_tool(&scene.tool, &checker)?;
     if scene.recording.keyframe_interval_s != 0.0 {
         checker.range("recording.keyframe_interval_s", scene.recording.keyframe_interval_s, 0.01, 3600.0)?;
@@ -222,6 +225,7 @@ fn check_overrides(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     let manipulator = &scene.manipulator;
     let links = manipulator.links.map(|links| links as f64);
     checker.optional("manipulator.links", links, 1.0, crate::messages::MAX_JOINTS as f64)?;
+    check_tendons(scene, checker)?;
     let [lateral, torsion] = [manipulator.lateral_stiffness_ratio, manipulator.torsion_stiffness_ratio];
     checker.optional("manipulator.lateral_stiffness_ratio", lateral, 1e-3, 1e3)?;
     checker.optional("manipulator.torsion_stiffness_ratio", torsion, 1e-3, 1e3)?;
@@ -238,6 +242,28 @@ fn check_overrides(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     checker.optional("drilling.density_exponent", drilling.density_exponent, 0.0, 4.0)?;
     checker.optional("drilling.cutting_coefficient", drilling.cutting_coefficient, 0.01, 2.0)?;
     check_arm(&scene.arm, checker)
+}
+
+fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    if scene.tendon.len() > MAX_TENDONS {
+        let problem = format!("has {} entries; expected at most {MAX_TENDONS}", scene.tendon.len());
+        return Err(checker.invalid("tendon", problem));
+    }
+    // With a tolerance the model may follow from the tendons.
+    let model = scene.manipulator.model;
+    let flat = match model {
+        None => !scene.tolerance.as_ref().is_some_and(|t| t.tip_mm.is_some() || t.path_mm.is_some()),
+        Some(model) => matches!(model, ManipulatorRung::Planar | ManipulatorRung::ConstantCurvature),
+    };
+    for tendon in &scene.tendon {
+        checker.range("tendon.toward_mm", tendon.toward_mm, -10.0, 10.0)?;
+        checker.range("tendon.across_mm", tendon.across_mm, -10.0, 10.0)?;
+        if flat && tendon.across_mm != 0.0 {
+            let problem = "bends out of the plane; expected `manipulator.model` to be spatial or full";
+            return Err(checker.invalid("tendon.across_mm", problem));
+        }
+    }
+    Ok(())
 }
 
 fn check_arm(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {

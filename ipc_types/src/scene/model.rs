@@ -18,6 +18,8 @@ pub struct Scene {
     pub description: String,
     /// How it runs.
     pub run: Run,
+    /// Errors that are allowed; absent: the standard settings. What the scene names itself stays.
+    pub tolerance: Option<Tolerance>,
     /// The bone; absent: free space.
     pub volume: Option<Volume>,
     /// Holes that are there before the run.
@@ -35,6 +37,9 @@ pub struct Scene {
     /// The manipulator, where it differs from the standard one.
     #[serde(default)]
     pub manipulator: Manipulator,
+    /// The tendons, at most 4, in the order of the commands; none: the antagonist pair, 2.5 mm to either side.
+    #[serde(default)]
+    pub tendon: Vec<Tendon>,
     /// Contact of the tool with bone.
     #[serde(default)]
     pub contact: Contact,
@@ -46,8 +51,6 @@ pub struct Scene {
     pub arm: Arm,
     /// X-ray frames; absent: none.
     pub drr: Option<Drr>,
-    /// Largest errors wanted; what computes is chosen by them.
-    pub tolerance: Option<Tolerance>,
     /// Who drives the tool.
     #[serde(default)]
     pub controller: Vec<Controller>,
@@ -298,6 +301,17 @@ pub struct Manipulator {
     pub burr_diameter_mm: Option<f64>,
     /// Time integration: `hybrid`, the standard, is second order in free motion.
     pub integrator: Option<Integrator>,
+}
+
+/// A tendon in its channel along the whole flexible length.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tendon {
+    /// Distance of the channel from the tool axis toward `tool.bend_toward`, −10 to 10 mm.
+    pub toward_mm: f64,
+    /// Distance across it (direction times `bend_toward`, right-handed), −10 to 10 mm; for `spatial` and `full`.
+    #[serde(default)]
+    pub across_mm: f64,
 }
 
 /// Models of the manipulator, from the cheapest to the richest.

@@ -247,7 +247,8 @@ impl RapierChain {
     pub fn step(&mut self, dt_s: f64, input: &StepInput) {
         let tension = match input.tendon {
             TendonCommand::Force(tension_n) => tension_n,
-            TendonCommand::Displacement(_) => [0.0; 2],
+            TendonCommand::EachForce([a, b, ..]) => [a, b],
+            TendonCommand::Displacement(_) | TendonCommand::EachDisplacement(_) => [0.0; 2],
         };
         self.set_targets(&tension);
         self.world.integration_parameters.dt = dt_s;

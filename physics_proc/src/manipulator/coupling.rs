@@ -5,9 +5,9 @@
 //! (g' H^-1 g)`: the take-up l, the only stiff direction, responds as it does under the exact operator. Statics do not
 //! depend on the replacement. The inverse follows by Woodbury's identity.
 
-use super::MAX_JOINTS;
 use super::articulated::{Articulated, Generalised, Spatial};
 use super::tendon::TendonLoad;
+use super::{MAX_JOINTS, MAX_TENDONS};
 
 /// `A = H + sum_t c_t g_t g_t'` and its inverse.
 #[derive(Debug, Clone)]
@@ -15,12 +15,67 @@ pub(super) struct Coupling {
     /// Whether there is anything to couple.
     pub active: bool,
     /// alpha of each tendon, N/m.
-    pub alpha: [f64; 2],
-    slope: [[f64; MAX_JOINTS]; 2],
+    pub alpha: [f64; MAX_TENDONS],
+    /// Number of tendons.
+    pub count: usize,
+    slope: [[f64; MAX_JOINTS]; MAX_TENDONS],
     /// H^-1 g_t.
-    pub response: [Generalised; 2],
-    /// Symmetric 2 x 2 kernel: A^-1 = H^-1 - Z kernel Z'; entries 00 01 11.
-    pub kernel: [f64; 3],
+    pub response: [Generalised; MAX_TENDONS],
+    pub kernel: Kernel,
+}
+
+/// Symmetric kernel of Woodbury's identity: A^-1 = H^-1 - Z kernel Z', the columns of Z being H^-1 g_t.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Kernel {
+    pub entry: [[f64; MAX_TENDONS]; MAX_TENDONS],
+    pub count: usize,
+}
+
+impl Kernel {
+    pub const NONE: Self = Self { entry: [[0.0; MAX_TENDONS]; MAX_TENDONS], count: 0 };
+
+    /// Of the weights c and the products s = G' H^-1 G: the first two in closed form, each further one by bordering.
+    pub fn new(count: usize, c: &[f64; MAX_TENDONS], s: &[[f64; MAX_TENDONS]; MAX_TENDONS]) -> Self {
+        let mut k = [[0.0; MAX_TENDONS]; MAX_TENDONS];
+        let determinant = (1.0 + c[0] * s[0][0]) * (1.0 + c[1] * s[1][1]) - c[0] * c[1] * s[0][1] * s[0][1];
+        k[0][0] = c[0] * (1.0 + c[1] * s[1][1]) / determinant;
+        k[0][1] = -c[0] * c[1] * s[0][1] / determinant;
+        k[1][0] = k[0][1];
+        k[1][1] = c[1] * (1.0 + c[0] * s[0][0]) / determinant;
+        for t in 2..count {
+            // A^-1 g_t = z_t - Z u with u = kernel s_t; then Sherman and Morrison.
+            let mut u = [0.0; MAX_TENDONS];
+            let mut own = s[t][t];
+            for i in 0..t {
+                for j in 0..t {
+                    u[i] += k[i][j] * s[j][t];
+                }
+                own -= s[i][t] * u[i];
+            }
+            let f = c[t] / (1.0 + c[t] * own);
+            for i in 0..t {
+                for j in 0..t {
+                    k[i][j] += f * u[i] * u[j];
+                }
+                k[i][t] = -f * u[i];
+                k[t][i] = k[i][t];
+            }
+            k[t][t] = f;
+        }
+        Self { entry: k, count: count.max(2) }
+    }
+
+    /// Kernel times a vector.
+    pub fn weigh(&self, p: &[f64; MAX_TENDONS]) -> [f64; MAX_TENDONS] {
+        let mut out = [0.0; MAX_TENDONS];
+        for i in 0..self.count {
+            out[i] = self.entry[i][0] * p[0] + self.entry[i][1] * p[1];
+            for j in 2..self.count {
+                out[i] += self.entry[i][j] * p[j];
+            }
+        }
+        out
+    }
 }
 
 fn dot_joints(a: &[f64; MAX_JOINTS], b: &[f64; MAX_JOINTS]) -> f64 {
@@ -35,22 +90,24 @@ impl Coupling {
     pub fn new() -> Self {
         Self {
             active: false,
-            alpha: [0.0; 2],
-            slope: [[0.0; MAX_JOINTS]; 2],
-            response: [Generalised::ZERO; 2],
-            kernel: [0.0; 3],
+            alpha: [0.0; MAX_TENDONS],
+            count: 0,
+            slope: [[0.0; MAX_JOINTS]; MAX_TENDONS],
+            response: [Generalised::ZERO; MAX_TENDONS],
+            kernel: Kernel::NONE,
         }
     }
 
     /// Sets up the coupling for a factored H; the rank-one stiffness enters with weight `scale` (dt^2 of the method).
     pub fn update(&mut self, articulated: &Articulated, load: &TendonLoad, scale: f64) {
-        self.active = load.coupled[0] || load.coupled[1];
-        self.alpha = [0.0; 2];
+        self.count = load.channels.count;
+        self.active = load.coupled[..self.count].contains(&true);
+        self.alpha = [0.0; MAX_TENDONS];
         if !self.active {
             return;
         }
         let none: [Spatial; MAX_JOINTS + 1] = [[0.0; 3]; MAX_JOINTS + 1];
-        for t in 0..2 {
+        for t in 0..self.count {
             self.response[t] = Generalised::ZERO;
             if !load.coupled[t] {
                 self.slope[t] = [0.0; MAX_JOINTS];
@@ -65,15 +122,13 @@ impl Coupling {
             self.alpha[t] = if own > 0.0 { (cross / own).max(0.0) } else { 0.0 };
         }
         let c = self.alpha.map(|a| a * scale);
-        let s00 = dot_joints(&self.slope[0], &self.response[0].joint);
-        let s01 = dot_joints(&self.slope[0], &self.response[1].joint);
-        let s11 = dot_joints(&self.slope[1], &self.response[1].joint);
-        let determinant = (1.0 + c[0] * s00) * (1.0 + c[1] * s11) - c[0] * c[1] * s01 * s01;
-        self.kernel = [
-            c[0] * (1.0 + c[1] * s11) / determinant,
-            -c[0] * c[1] * s01 / determinant,
-            c[1] * (1.0 + c[0] * s00) / determinant,
-        ];
+        let mut s = [[0.0; MAX_TENDONS]; MAX_TENDONS];
+        for i in 0..self.count {
+            for j in i..self.count {
+                s[i][j] = dot_joints(&self.slope[i], &self.response[j].joint);
+            }
+        }
+        self.kernel = Kernel::new(self.count, &c, &s);
     }
 
     /// Adds `-weight` times the rank-one stiffness times joint velocities `rate` to `rhs`.
@@ -81,7 +136,7 @@ impl Coupling {
         if !self.active {
             return;
         }
-        for t in 0..2 {
+        for t in 0..self.count {
             let scale = weight * self.alpha[t] * dot_joints(&self.slope[t], rate);
             for (r, slope) in rhs.iter_mut().zip(&self.slope[t]) {
                 *r -= scale * slope;
@@ -94,9 +149,15 @@ impl Coupling {
         if !self.active {
             return x;
         }
-        let p = [dot_joints(&self.slope[0], &x.joint), dot_joints(&self.slope[1], &x.joint)];
-        let w0 = self.kernel[0] * p[0] + self.kernel[1] * p[1];
-        let w1 = self.kernel[1] * p[0] + self.kernel[2] * p[1];
-        x.plus(-w0, &self.response[0]).plus(-w1, &self.response[1])
+        let mut p = [0.0; MAX_TENDONS];
+        for t in 0..self.count {
+            p[t] = dot_joints(&self.slope[t], &x.joint);
+        }
+        let w = self.kernel.weigh(&p);
+        let mut sum = x;
+        for t in 0..self.count {
+            sum = sum.plus(-w[t], &self.response[t]);
+        }
+        sum
     }
 }

@@ -7,7 +7,7 @@
 use super::articulated::{Articulated, Generalised, Spatial, joint_axis, velocity_at};
 use super::coupling::Coupling;
 use super::geometry::{Configuration, Layout, Planar};
-use super::{MAX_JOINTS, MAX_ROWS, MAX_SPHERES};
+use super::{MAX_JOINTS, MAX_ROWS, MAX_SPHERES, MAX_TENDONS};
 
 /// The probes of one step and their mobility.
 #[derive(Debug, Clone)]
@@ -154,15 +154,19 @@ impl Delassus {
     /// R -= (B Z) kernel (B Z)'.
     fn subtract_coupling(&mut self, articulated: &Articulated, coupling: &Coupling) {
         let rows = self.rows();
-        let mut z = [[0.0; MAX_ROWS]; 2];
-        for (response, out) in coupling.response.iter().zip(&mut z) {
+        let mut z = [[0.0; MAX_ROWS]; MAX_TENDONS];
+        for (response, out) in coupling.response[..coupling.count].iter().zip(&mut z) {
             self.velocities(articulated, response, out);
         }
-        let [k00, k01, k11] = coupling.kernel;
         for a in 0..rows {
-            let (w0, w1) = (k00 * z[0][a] + k01 * z[1][a], k01 * z[0][a] + k11 * z[1][a]);
+            let w = coupling.kernel.weigh(&core::array::from_fn(|t| z[t][a]));
             for b in 0..rows {
-                self.matrix[a * rows + b] -= w0 * z[0][b] + w1 * z[1][b];
+                self.matrix[a * rows + b] -= w[0] * z[0][b] + w[1] * z[1][b];
+            }
+            for t in 2..coupling.count {
+                for b in 0..rows {
+                    self.matrix[a * rows + b] -= w[t] * z[t][b];
+                }
             }
         }
     }

@@ -45,7 +45,7 @@ use contact::ContactSolver;
 use coupling::Coupling;
 use geometry::{Configuration, Layout};
 use loads::Loads;
-use tendon::TendonLoad;
+use tendon::{Channels, TendonLoad};
 
 pub use constant_curvature::{ConstantCurvature, ConstantCurvatureState};
 pub use error::ManipulatorError;
@@ -61,6 +61,8 @@ pub use state::{
 pub const MAX_JOINTS: usize = 32;
 /// Most flexures of the spatial rungs.
 pub const MAX_LINKS: usize = 64;
+/// Most tendons.
+pub const MAX_TENDONS: usize = 4;
 /// Most proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
 /// Shaft, one a segment, burr.
@@ -129,7 +131,7 @@ impl Manipulator {
             configuration: Configuration::new(),
             trial: Configuration::new(),
             articulated: Articulated::new(n),
-            tendon: TendonLoad::new(),
+            tendon: TendonLoad::new(Channels::of(&parameters)),
             coupling: Coupling::new(),
             loads: Loads::new(),
             contact: ContactSolver::new(),
@@ -245,12 +247,12 @@ impl Manipulator {
     }
 
     /// Tension of each tendon at its base end after the last step, N.
-    pub fn tendon_tensions_n(&self) -> [f64; 2] {
+    pub fn tendon_tensions_n(&self) -> [f64; MAX_TENDONS] {
         self.state.report.tendon_tension_n
     }
 
     /// Pulled length of each tendon after the last step, its stretch included, m.
-    pub fn tendon_displacements_m(&self) -> [f64; 2] {
+    pub fn tendon_displacements_m(&self) -> [f64; MAX_TENDONS] {
         self.state.report.tendon_displacement_m
     }
 

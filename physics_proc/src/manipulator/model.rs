@@ -8,7 +8,7 @@ use super::error::ManipulatorError;
 use super::parameters::ManipulatorParameters;
 use super::spatial::{SpatialChain, SpatialState};
 use super::state::{BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, Wrench};
-use super::{MAX_JOINTS, Manipulator};
+use super::{MAX_JOINTS, MAX_TENDONS, Manipulator};
 
 /// The rungs, from the cheapest to the richest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -87,13 +87,18 @@ pub trait ManipulatorModel {
         self.joint_positions_rad().iter().sum()
     }
 
+    /// Number of tendons.
+    fn tendon_count(&self) -> usize {
+        self.parameters().tendon_count()
+    }
+
     /// Tension of each tendon at its base end after the last step, N.
-    fn tendon_tensions_n(&self) -> [f64; 2] {
+    fn tendon_tensions_n(&self) -> [f64; MAX_TENDONS] {
         self.last_report().tendon_tension_n
     }
 
     /// Pulled length of each tendon after the last step, its stretch included, m.
-    fn tendon_displacements_m(&self) -> [f64; 2] {
+    fn tendon_displacements_m(&self) -> [f64; MAX_TENDONS] {
         self.last_report().tendon_displacement_m
     }
 

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::error::{ManipulatorError, check, check_all};
-use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
+use super::{MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
 
 /// How a step is integrated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -17,11 +17,11 @@ pub enum Integrator {
     Hybrid,
 }
 
-/// The antagonist pair of tendons. Tendon 0 runs on the +x side of the base frame and bends toward +x (positive
-/// joint angles), tendon 1 on the -x side.
+/// What all tendons have in common, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends toward
+/// +x (positive joint angles), tendon 1 on the -x side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TendonParameters {
-    /// Distance of each channel from the tool axis, m.
+    /// Distance of the pair's channels from the tool axis, m.
     pub offset_m: f64,
     /// Free length of the tendon across one flexure, hole to hole, at zero bend, m. The chord between the holes is
     /// `gap cos(q/2) -+ 2 offset sin(q/2)`.
@@ -105,6 +105,9 @@ pub struct ManipulatorParameters {
     pub burr_radius_m: f64,
     /// The tendons.
     pub tendon: TendonParameters,
+    /// Channel of each tendon, (x, y) from the tool axis in the base frame, m; none: the antagonist pair. Only the spatial
+    /// rungs bend along y.
+    pub tendon_channels_m: Vec<[f64; 2]>,
     /// The contact model.
     pub contact: ContactParameters,
     /// How a step is integrated.
@@ -196,6 +199,7 @@ impl ManipulatorParameters {
                 friction_coefficient: 0.0,
                 presliding_m: 20.0e-6,
             },
+            tendon_channels_m: Vec::new(),
             contact: ContactParameters {
                 friction_coefficient: 0.2,
                 burr_friction_coefficient: 0.0,
@@ -276,6 +280,11 @@ impl ManipulatorParameters {
             tendon,
             ..self.clone()
         })
+    }
+
+    /// Number of tendons.
+    pub fn tendon_count(&self) -> usize {
+        if self.tendon_channels_m.is_empty() { 2 } else { self.tendon_channels_m.len() }
     }
 
     /// Ends of the cells of tube that the flexures stand for, one more than flexures, m.
@@ -385,6 +394,17 @@ impl ManipulatorParameters {
         check("tendon.stiffness_n_per_m", tendon.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
             (1.0..=1e12).contains(&x)
         })?;
+        let given = self.tendon_channels_m.len();
+        if given > MAX_TENDONS {
+            return Err(ManipulatorError::Length {
+                field: "tendon_channels_m",
+                given,
+                expected: "at most 4 entries",
+            });
+        }
+        for channel in &self.tendon_channels_m {
+            check_all("tendon_channels_m", channel, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+        }
         let friction = tendon.friction_coefficient;
         check("tendon.friction_coefficient", friction, "0 to 5", |x| (0.0..=5.0).contains(&x))?;
         check("tendon.presliding_m", tendon.presliding_m, "1e-9 to 1 m", |x| (1e-9..=1.0).contains(&x))

@@ -8,7 +8,7 @@ use crate::contact_plane::ContactPlane;
 use super::geometry::SphereKind;
 use super::parameters::Integrator;
 use super::tendon::TendonMemory;
-use super::{MAX_CONTACTS, MAX_JOINTS};
+use super::{MAX_CONTACTS, MAX_JOINTS, MAX_TENDONS};
 
 /// Prescribed motion of the flange.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -32,14 +32,33 @@ impl BaseMotion {
     }
 }
 
-/// How the two tendons are driven.
+/// How the tendons are driven.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TendonCommand {
-    /// Tension at the base end, N (`servo_jf`). A negative tension counts as 0.
+    /// Tension of the first two at the base end, N; the others are slack. A negative tension counts as 0.
     Force([f64; 2]),
-    /// Length pulled out at the base from the straight tool's slackless length, m (`servo_jp`). The tension follows
-    /// from the tendon's stiffness; a slack tendon does not push.
+    /// Length of the first two pulled out at the base from the straight tool's slackless length, m; the others are not
+    /// pulled. The tension follows from the tendon's stiffness; a slack tendon does not push.
     Displacement([f64; 2]),
+    /// Tension of each, N (`servo_jf`).
+    EachForce([f64; MAX_TENDONS]),
+    /// Pulled length of each, m (`servo_jp`).
+    EachDisplacement([f64; MAX_TENDONS]),
+}
+
+impl TendonCommand {
+    /// Tension or pulled length of each tendon.
+    pub(super) fn values(&self) -> [f64; MAX_TENDONS] {
+        match *self {
+            TendonCommand::Force([a, b]) | TendonCommand::Displacement([a, b]) => [a, b, 0.0, 0.0],
+            TendonCommand::EachForce(each) | TendonCommand::EachDisplacement(each) => each,
+        }
+    }
+
+    /// Whether the pulled length is given, so that the tension depends on the shape.
+    pub(super) fn is_displacement(&self) -> bool {
+        matches!(self, TendonCommand::Displacement(_) | TendonCommand::EachDisplacement(_))
+    }
 }
 
 /// Force and torque, world axes.
@@ -139,9 +158,9 @@ pub struct StepReport {
     /// What the tool exerts on the flange: force, and torque about the base origin.
     pub flange_wrench: Wrench,
     /// Tension of each tendon at the base end, at the end of the step, N.
-    pub tendon_tension_n: [f64; 2],
+    pub tendon_tension_n: [f64; MAX_TENDONS],
     /// Pulled length of each tendon at the end of the step, its stretch included, m.
-    pub tendon_displacement_m: [f64; 2],
+    pub tendon_displacement_m: [f64; MAX_TENDONS],
 }
 
 impl StepReport {
@@ -159,8 +178,8 @@ impl StepReport {
             max_overlap_m: 0.0,
             burr_normal_force_n: Vector3::zeros(),
             flange_wrench: Wrench::zero(),
-            tendon_tension_n: [0.0; 2],
-            tendon_displacement_m: [0.0; 2],
+            tendon_tension_n: [0.0; MAX_TENDONS],
+            tendon_displacement_m: [0.0; MAX_TENDONS],
         }
     }
 }
@@ -178,7 +197,7 @@ pub struct ManipulatorState {
     pub mount_velocity_m_per_s: [f64; 3],
     /// Base motion at the end of the last step.
     pub base: BaseMotion,
-    pub(super) tendon: [TendonMemory; 2],
+    pub(super) tendon: [TendonMemory; MAX_TENDONS],
     /// Torque of each joint stop in the last step, positive toward positive angles, N m: the warm start.
     pub(super) stop_torque_nm: [f64; MAX_JOINTS],
     pub(super) result_count: usize,
@@ -196,7 +215,7 @@ impl ManipulatorState {
             mount_displacement_m: [0.0; 3],
             mount_velocity_m_per_s: [0.0; 3],
             base: *base,
-            tendon: [TendonMemory::default(); 2],
+            tendon: [TendonMemory::default(); MAX_TENDONS],
             stop_torque_nm: [0.0; MAX_JOINTS],
             result_count: 0,
             results: [ContactResult::none(); MAX_CONTACTS],
@@ -230,7 +249,7 @@ impl<'de> Deserialize<'de> for ManipulatorState {
             (Joints, Joints),
             ([f64; 3], [f64; 3]),
             BaseMotion,
-            [TendonMemory; 2],
+            [TendonMemory; MAX_TENDONS],
             Joints,
             Vec<ContactResult>,
             StepReport,

@@ -12,8 +12,8 @@ use super::error::{ManipulatorError, check, check_all};
 use super::geometry::SphereKind;
 use super::loads::{Frame, Loads};
 use super::parameters::Integrator;
-use super::state::{BaseMotion, ProxySphere, StepInput, StepReport, TendonCommand, Wrench};
-use super::{MAX_JOINTS, Manipulator, tendon};
+use super::state::{BaseMotion, ProxySphere, StepInput, StepReport, Wrench};
+use super::{MAX_JOINTS, Manipulator};
 
 /// 1 - 1/sqrt 2: the L-stable choice of ROS2.
 pub(super) const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
@@ -302,7 +302,7 @@ impl Manipulator {
         report.flange_wrench = Wrench { force_n: rotation * force, torque_nm: rotation * moment };
         self.state.base = input.base;
         self.update_configuration();
-        (report.tendon_tension_n, report.tendon_displacement_m) = tendon::advance(
+        (report.tendon_tension_n, report.tendon_displacement_m) = self.tendon.advance(
             &self.parameters.tendon,
             &self.layout,
             &self.configuration,
@@ -352,13 +352,11 @@ fn largest(values: &[f64; MAX_JOINTS]) -> f64 {
 pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
     check("dt_s", dt, "1e-7 to 0.1 s", |x| (1e-7..=0.1).contains(&x))?;
     validate_base(&input.base)?;
-    match &input.tendon {
-        TendonCommand::Force(tension) => {
-            check_all("tendon force", tension, "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
-        }
-        TendonCommand::Displacement(pull) => {
-            check_all("tendon displacement", pull, "-1 to 1 m", |x| x.abs() <= 1.0)?;
-        }
+    let each = input.tendon.values();
+    if input.tendon.is_displacement() {
+        check_all("tendon displacement", &each, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+    } else {
+        check_all("tendon force", &each, "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;
     }
     let wrench = &input.tip_wrench;
     check_all("tip_wrench.force_n", wrench.force_n.as_slice(), "-1e5 to 1e5 N", |x| x.abs() <= 1e5)?;

@@ -1,8 +1,8 @@
-//! The antagonist pair of tendons, routed hole to hole, as joint torques.
+//! Tendons, routed hole to hole, as joint torques.
 //!
-//! Tendon t (side +1 for tendon 0, -1 for tendon 1) at offset d with a free gap g spans a flexure bent by q with the
-//! chord `g cos(q/2) - 2 side d sin(q/2)`. The tool takes up `l = sum (g - chord)` of tendon, so that a tension T
-//! exerts the joint torque `T dl/dq = T (side d cos(q/2) + g/2 sin(q/2))`.
+//! A tendon in a channel at (d, e) from the axis, with a free gap g, spans a flexure bent by q with the chord
+//! `g cos(q/2) - 2 d sin(q/2)`; here, in the plane, e does not count. The antagonist pair lies at d and -d. The tool takes up `l = sum (g - chord)` of tendon, so that a tension T
+//! exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`.
 //!
 //! Capstan friction lets the tension fall along the channel, `T_i = T_0 exp(-mu s phi_i)` with the wrap angle `phi_i =
 //! sum_{j<i} |q_j| + |q_i| / 2`: the tendon turns by half the joint angle at each of the two holes beside a flexure, so
@@ -11,13 +11,34 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::MAX_JOINTS;
 use super::geometry::{Configuration, Layout};
-use super::parameters::TendonParameters;
+use super::parameters::{ManipulatorParameters, TendonParameters};
 use super::state::TendonCommand;
+use super::{MAX_JOINTS, MAX_TENDONS};
 
-/// Sign of each tendon's offset along base x.
-pub(super) const SIDE: [f64; 2] = [1.0, -1.0];
+/// Where the tendons run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Channels {
+    pub count: usize,
+    /// From the tool axis along base x and y, m.
+    pub offset_m: [[f64; 2]; MAX_TENDONS],
+}
+
+impl Channels {
+    /// Those given, or the antagonist pair.
+    pub fn of(parameters: &ManipulatorParameters) -> Self {
+        let mut offset_m = [[0.0; 2]; MAX_TENDONS];
+        let given = &parameters.tendon_channels_m;
+        if given.is_empty() {
+            offset_m[0][0] = parameters.tendon.offset_m;
+            offset_m[1][0] = -parameters.tendon.offset_m;
+        }
+        for (place, channel) in offset_m.iter_mut().zip(given) {
+            *place = *channel;
+        }
+        Self { count: parameters.tendon_count(), offset_m }
+    }
+}
 
 /// What a tendon remembers between ticks.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -33,38 +54,58 @@ impl TendonMemory {
     pub fn sliding_at(&self, take_up_m: f64, parameters: &TendonParameters) -> f64 {
         (self.sliding + (take_up_m - self.take_up_m) / parameters.presliding_m).clamp(-1.0, 1.0)
     }
+
+    /// Carries the memory of tendon `t` over to a new take-up; returns its tension (N) and displacement (m).
+    pub fn advance(
+        &mut self,
+        take_up_m: f64,
+        parameters: &TendonParameters,
+        command: &TendonCommand,
+        t: usize,
+    ) -> (f64, f64) {
+        *self = TendonMemory { take_up_m, sliding: self.sliding_at(take_up_m, parameters) };
+        let tension_n = base_tension(parameters, command, t, take_up_m);
+        let displacement_m = if command.is_displacement() {
+            command.values()[t]
+        } else {
+            take_up_m + tension_n / parameters.stiffness_n_per_m
+        };
+        (tension_n, displacement_m)
+    }
 }
 
-/// Torques of both tendons in one configuration, and how they change.
+/// Torques of all tendons in one configuration, and how they change.
 #[derive(Debug, Clone)]
 pub(super) struct TendonLoad {
+    pub channels: Channels,
     /// Torque on each joint, N m.
     pub torque: [f64; MAX_JOINTS],
     /// -d torque_i / d q_i at constant tension, N m/rad.
     pub stiffness: [f64; MAX_JOINTS],
     /// d take-up / d q_i of each tendon, m/rad.
-    pub slope: [[f64; MAX_JOINTS]; 2],
+    pub slope: [[f64; MAX_JOINTS]; MAX_TENDONS],
     /// -d torque_i / d take-up of each tendon, N m/m.
-    pub gradient: [[f64; MAX_JOINTS]; 2],
+    pub gradient: [[f64; MAX_JOINTS]; MAX_TENDONS],
     /// Whether the gradient of each tendon is not zero.
-    pub coupled: [bool; 2],
+    pub coupled: [bool; MAX_TENDONS],
     /// Tension at the base end, N.
-    pub tension_n: [f64; 2],
+    pub tension_n: [f64; MAX_TENDONS],
 }
 
 impl TendonLoad {
-    pub fn new() -> Self {
+    pub fn new(channels: Channels) -> Self {
         Self {
+            channels,
             torque: [0.0; MAX_JOINTS],
             stiffness: [0.0; MAX_JOINTS],
-            slope: [[0.0; MAX_JOINTS]; 2],
-            gradient: [[0.0; MAX_JOINTS]; 2],
-            coupled: [false; 2],
-            tension_n: [0.0; 2],
+            slope: [[0.0; MAX_JOINTS]; MAX_TENDONS],
+            gradient: [[0.0; MAX_JOINTS]; MAX_TENDONS],
+            coupled: [false; MAX_TENDONS],
+            tension_n: [0.0; MAX_TENDONS],
         }
     }
 
-    /// Evaluates both tendons. `rate` is the joint velocity, which tells a saturated sliding state whether it is
+    /// Evaluates all tendons. `rate` is the joint velocity, which tells a saturated sliding state whether it is
     /// about to turn.
     pub fn evaluate(
         &mut self,
@@ -72,22 +113,20 @@ impl TendonLoad {
         layout: &Layout,
         (configuration, q, rate): (&Configuration, &[f64; MAX_JOINTS], &[f64; MAX_JOINTS]),
         command: &TendonCommand,
-        memory: &[TendonMemory; 2],
+        memory: &[TendonMemory; MAX_TENDONS],
     ) {
         let n = layout.joints;
         self.torque[..n].fill(0.0);
         self.stiffness[..n].fill(0.0);
-        for t in 0..2 {
+        for t in 0..self.channels.count {
             let slope_rate = self.update_slope(t, parameters, n, configuration, rate);
-            let take_up = take_up(parameters, n, configuration, t);
+            let take_up = self.take_up(parameters, n, configuration, t);
             let tension = base_tension(parameters, command, t, take_up);
             self.tension_n[t] = tension;
             let sliding = memory[t].sliding_at(take_up, parameters);
             let saturated = sliding.abs() >= 1.0 && sliding * slope_rate >= 0.0;
-            let elastic = match command {
-                TendonCommand::Displacement(_) if tension > 0.0 => parameters.stiffness_n_per_m,
-                _ => 0.0,
-            };
+            let stretched = command.is_displacement() && tension > 0.0;
+            let elastic = if stretched { parameters.stiffness_n_per_m } else { 0.0 };
             let frictional = parameters.friction_coefficient > 0.0 && tension > 0.0;
             self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
             let mut wrap = 0.0;
@@ -102,7 +141,7 @@ impl TendonLoad {
                 let slope = self.slope[t][i];
                 self.torque[i] += local * slope;
                 let curvature = 0.25 * parameters.gap_m * configuration.half_cos[i]
-                    - 0.5 * SIDE[t] * parameters.offset_m * configuration.half_sin[i];
+                    - 0.5 * self.channels.offset_m[t][0] * configuration.half_sin[i];
                 self.stiffness[i] -= local * curvature;
                 let friction = if saturated {
                     0.0
@@ -126,23 +165,46 @@ impl TendonLoad {
     ) -> f64 {
         let mut slope_rate = 0.0;
         for i in 0..n {
-            let slope = SIDE[t] * parameters.offset_m * configuration.half_cos[i]
+            let slope = self.channels.offset_m[t][0] * configuration.half_cos[i]
                 + 0.5 * parameters.gap_m * configuration.half_sin[i];
             self.slope[t][i] = slope;
             slope_rate += slope * rate[i];
         }
         slope_rate
     }
-}
 
-/// Length of tendon `t` that the bent tool has taken up, m.
-fn take_up(parameters: &TendonParameters, n: usize, configuration: &Configuration, t: usize) -> f64 {
-    let mut sum = 0.0;
-    for i in 0..n {
-        sum += parameters.gap_m * (1.0 - configuration.half_cos[i])
-            + 2.0 * SIDE[t] * parameters.offset_m * configuration.half_sin[i];
+    /// Length of tendon `t` that the bent tool has taken up, m.
+    fn take_up(
+        &self,
+        parameters: &TendonParameters,
+        n: usize,
+        configuration: &Configuration,
+        t: usize,
+    ) -> f64 {
+        let mut sum = 0.0;
+        for i in 0..n {
+            sum += parameters.gap_m * (1.0 - configuration.half_cos[i])
+                + 2.0 * self.channels.offset_m[t][0] * configuration.half_sin[i];
+        }
+        sum
     }
-    sum
+
+    /// Carries the memory over to a new configuration; returns tension (N) and displacement (m) of each tendon there.
+    pub fn advance(
+        &self,
+        parameters: &TendonParameters,
+        layout: &Layout,
+        configuration: &Configuration,
+        command: &TendonCommand,
+        memory: &mut [TendonMemory; MAX_TENDONS],
+    ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
+        let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
+        for t in 0..self.channels.count {
+            let take_up_m = self.take_up(parameters, layout.joints, configuration, t);
+            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, parameters, command, t);
+        }
+        (tension_n, displacement_m)
+    }
 }
 
 /// Tension at the base end: as commanded, or what the pull stretches; a slack tendon does not push.
@@ -152,33 +214,8 @@ pub(super) fn base_tension(
     t: usize,
     take_up_m: f64,
 ) -> f64 {
-    match command {
-        TendonCommand::Force(tension_n) => tension_n[t].max(0.0),
-        TendonCommand::Displacement(pull_m) => {
-            (parameters.stiffness_n_per_m * (pull_m[t] - take_up_m)).max(0.0)
-        }
-    }
-}
-
-/// Carries the memory over to a new configuration; returns tension (N) and displacement (m) of both tendons there.
-pub(super) fn advance(
-    parameters: &TendonParameters,
-    layout: &Layout,
-    configuration: &Configuration,
-    command: &TendonCommand,
-    memory: &mut [TendonMemory; 2],
-) -> ([f64; 2], [f64; 2]) {
-    let mut tension_n = [0.0; 2];
-    let mut displacement_m = [0.0; 2];
-    for t in 0..2 {
-        let take_up_m = take_up(parameters, layout.joints, configuration, t);
-        let sliding = memory[t].sliding_at(take_up_m, parameters);
-        memory[t] = TendonMemory { take_up_m, sliding };
-        tension_n[t] = base_tension(parameters, command, t, take_up_m);
-        displacement_m[t] = match command {
-            TendonCommand::Force(_) => take_up_m + tension_n[t] / parameters.stiffness_n_per_m,
-            TendonCommand::Displacement(pull_m) => pull_m[t],
-        };
-    }
-    (tension_n, displacement_m)
+    let value = command.values()[t];
+    let tension_n =
+        if command.is_displacement() { parameters.stiffness_n_per_m * (value - take_up_m) } else { value };
+    tension_n.max(0.0)
 }

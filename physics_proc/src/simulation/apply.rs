@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::Simulation;
 use crate::arm::ArmCommand;
-use crate::manipulator::ManipulatorModel;
+use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
 
 /// A valid command that the model could not follow (an unreachable goal), by which nothing has changed; or an accepted arm
 /// motion that was given up later.
@@ -52,13 +52,16 @@ impl Simulation<'_> {
     }
 
     fn apply_tendon(&mut self, command: &Command) -> Result<(), String> {
-        let pair = |all: &[f64]| [all[0], all[1]];
+        // A command has places for more tendons than a tool may have; the others do nothing.
+        let mine = |all: &[f64; MAX_TENDONS]| {
+            core::array::from_fn(|t| if t < self.manipulator.tendon_count() { all[t] } else { 0.0 })
+        };
         match command.tendon_mode {
-            TENDON_SERVO_JF => self.tendon.servo_force(pair(&command.tendon_force_n)),
-            TENDON_SERVO_JP => self.tendon.servo_displacement(pair(&command.tendon_displacement_m)),
+            TENDON_SERVO_JF => self.tendon.servo_force(mine(&command.tendon_force_n)),
+            TENDON_SERVO_JP => self.tendon.servo_displacement(mine(&command.tendon_displacement_m)),
             TENDON_MOVE_JP => {
                 let now_m = self.manipulator.tendon_displacements_m();
-                let goal_m = pair(&command.tendon_displacement_m);
+                let goal_m = mine(&command.tendon_displacement_m);
                 self.tendon
                     .move_to(goal_m, now_m, self.dt_s)
                     .map_err(|cause| format!("tendon move_jp: {cause}"))?;

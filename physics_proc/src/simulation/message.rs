@@ -42,12 +42,12 @@ impl Simulation<'_> {
         let (state, tool) = (&mut self.state, &self.manipulator);
         let joints = tool.joint_count();
         state.joint_count = joints as u32;
-        state.tendon_count = 2;
+        state.tendon_count = tool.tendon_count() as u32;
         state.joint_position_rad[..joints].copy_from_slice(tool.joint_positions_rad());
         state.joint_velocity_rad_per_s[..joints].copy_from_slice(tool.joint_velocities_rad_per_s());
         state.bend_rad = tool.bend_rad();
-        state.tendon_tension_n[..2].copy_from_slice(&tool.tendon_tensions_n());
-        state.tendon_displacement_m[..2].copy_from_slice(&tool.tendon_displacements_m());
+        state.tendon_tension_n = tool.tendon_tensions_n();
+        state.tendon_displacement_m = tool.tendon_displacements_m();
         state.t_world_base = pose(&tool.t_world_link(0));
         let burr = tool.t_world_tip();
         state.t_world_burr = pose(&burr);

@@ -93,6 +93,8 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
     if let Some(friction) = overrides.tendon_friction {
         parameters.tendon.friction_coefficient = friction;
     }
+    parameters.tendon_channels_m =
+        scene.tendon.iter().map(|channel| [channel.toward_mm * 1e-3, channel.across_mm * 1e-3]).collect();
     if let Some(ratio) = overrides.damping_ratio {
         parameters.damping_ratio = ratio;
     }

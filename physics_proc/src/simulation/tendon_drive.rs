@@ -3,36 +3,44 @@
 use serde::{Deserialize, Serialize};
 
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment};
-use crate::manipulator::TendonCommand;
+use crate::manipulator::{MAX_TENDONS, TendonCommand};
 
 /// Limits of `move_jp`: a lead screw of moderate speed. m/s, m/s², m/s³.
-const LIMITS: AxisLimits<2> = AxisLimits { velocity: [0.005; 2], acceleration: [0.05; 2], jerk: [0.5; 2] };
+const LIMITS: AxisLimits<MAX_TENDONS> = AxisLimits {
+    velocity: [0.005; MAX_TENDONS],
+    acceleration: [0.05; MAX_TENDONS],
+    jerk: [0.5; MAX_TENDONS],
+};
 
 /// What the actuators follow, as plain data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one a simulation; a box would stand between the tick and its state"
+)]
 pub(super) enum TendonDriveState {
     /// Tensions.
-    Force([f64; 2]),
+    Force([f64; MAX_TENDONS]),
     /// Displacements.
-    Displacement([f64; 2]),
+    Displacement([f64; MAX_TENDONS]),
     /// On the way to a displacement.
     Move {
         /// The motion.
-        segment: Segment<2>,
+        segment: Segment<MAX_TENDONS>,
         /// Ticks made of it.
         ticks: u64,
     },
 }
 
-/// The actuators of the tendon pair.
+/// The actuators of the tendons.
 pub(super) struct TendonDrive {
     state: TendonDriveState,
-    planner: Planner<2>,
+    planner: Planner<MAX_TENDONS>,
 }
 
 impl TendonDrive {
     pub(super) fn new() -> TendonDrive {
-        TendonDrive { state: TendonDriveState::Force([0.0; 2]), planner: Planner::new() }
+        TendonDrive { state: TendonDriveState::Force([0.0; MAX_TENDONS]), planner: Planner::new() }
     }
 
     pub(super) fn snapshot(&self) -> TendonDriveState {
@@ -48,19 +56,19 @@ impl TendonDrive {
         }
     }
 
-    pub(super) fn servo_force(&mut self, tension_n: [f64; 2]) {
+    pub(super) fn servo_force(&mut self, tension_n: [f64; MAX_TENDONS]) {
         self.state = TendonDriveState::Force(tension_n);
     }
 
-    pub(super) fn servo_displacement(&mut self, displacement_m: [f64; 2]) {
+    pub(super) fn servo_displacement(&mut self, displacement_m: [f64; MAX_TENDONS]) {
         self.state = TendonDriveState::Displacement(displacement_m);
     }
 
     /// Starts toward a displacement from where the tendons are; the goal already followed changes nothing.
     pub(super) fn move_to(
         &mut self,
-        goal_m: [f64; 2],
-        now_m: [f64; 2],
+        goal_m: [f64; MAX_TENDONS],
+        now_m: [f64; MAX_TENDONS],
         dt_s: f64,
     ) -> Result<(), crate::arm::TrajectoryError> {
         let start = match self.state {
@@ -81,11 +89,13 @@ impl TendonDrive {
     /// What the tendons are told in this tick.
     pub(super) fn step(&mut self, dt_s: f64) -> TendonCommand {
         match &mut self.state {
-            TendonDriveState::Force(tension_n) => TendonCommand::Force(*tension_n),
-            TendonDriveState::Displacement(displacement_m) => TendonCommand::Displacement(*displacement_m),
+            TendonDriveState::Force(tension_n) => TendonCommand::EachForce(*tension_n),
+            TendonDriveState::Displacement(displacement_m) => {
+                TendonCommand::EachDisplacement(*displacement_m)
+            }
             TendonDriveState::Move { ticks, .. } => {
                 *ticks += 1;
-                TendonCommand::Displacement(self.planner.sample(*ticks as f64 * dt_s).position)
+                TendonCommand::EachDisplacement(self.planner.sample(*ticks as f64 * dt_s).position)
             }
         }
     }

@@ -6,13 +6,13 @@
 //! `POSE THREADS MS` for every timed frame.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 use drr_proc::Material;
 use serde_json::json;
 
 use super::{Errors, Point, PosedReference, Sample, least_and_median};
+use crate::charts::peers::{run, scripts};
 use crate::failure::Failure;
 
 /// Runs every script; one that cannot be installed or run is a note, not a failure.
@@ -32,15 +32,8 @@ pub fn measure(
     let work = std::path::absolute(out.join("peers")).map_err(io(out))?;
     std::fs::create_dir_all(&work).map_err(io(&work))?;
     write_input(&work, sample, poses, rounds)?;
-    let mut scripts: Vec<PathBuf> = std::fs::read_dir(folder)
-        .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", folder.display())))?
-        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| path.extension().is_some_and(|e| e == "py"))
-        .collect();
-    scripts.sort();
-    for script in scripts {
-        let name = script.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        match run_one(&script, &name, &work) {
+    for (name, script) in scripts(folder)? {
+        match run(&script, &name, &work) {
             Err(reason) => notes.push(format!("peer {name}: not measured ({reason})")),
             Ok(printed) => collect(&name, &printed, &work, sample, poses, points, notes),
         }
@@ -79,27 +72,6 @@ fn write_input(work: &Path, sample: &Sample, poses: &[PosedReference], rounds: u
         "poses": list,
     });
     std::fs::write(work.join("poses.json"), text.to_string()).map_err(failed)
-}
-
-/// What a script printed.
-fn run_one(script: &Path, name: &str, work: &Path) -> Result<String, String> {
-    let call = |program: &Path, arguments: &[&std::ffi::OsStr]| {
-        let output = Command::new(program).args(arguments).output().map_err(|cause| cause.to_string())?;
-        if output.status.success() {
-            return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
-        }
-        let text = String::from_utf8_lossy(&output.stderr);
-        Err(text.lines().last().unwrap_or("no message").to_owned())
-    };
-    let venv = work.join(format!("venv_{name}"));
-    let python = venv.join("bin/python3");
-    if !python.exists() {
-        call(Path::new("python3"), &["-m".as_ref(), "venv".as_ref(), venv.as_ref()])?;
-    }
-    let pins = script.with_extension("txt");
-    let install = ["-m", "pip", "install", "-q", "--retries", "1", "-r"].map(std::ffi::OsStr::new);
-    call(&python, &[&install[..], &[pins.as_ref()]].concat())?;
-    call(&python, &[script.as_ref(), work.as_ref()])
 }
 
 fn collect(

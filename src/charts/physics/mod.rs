@@ -1,23 +1,30 @@
 //! `trabecula chart physics`: error against cost for every rung, integrator and baseline, a panel a problem.
 
+mod candidates;
+mod drilled;
 mod elastica;
+mod peers;
 mod problems;
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use plotters::style::RGBColor;
 
 use crate::charts::method::Method;
 use crate::failure::Failure;
+use crate::plan::Row;
 use crate::report::axis::{Axis, bounds, duration_label};
 use crate::report::panel::{INK, Panel, Rect};
 use crate::report::shapes::{Anchor, Figure, Stroke};
+use peers::Peer;
 pub use problems::Effort;
 use problems::{Point, Problem, measure};
 
 const WIDTH: u32 = 1240;
-const HEIGHT: u32 = 1180;
+const HEIGHT: u32 = 1430;
+/// Height of the legend.
+const FOOT: f64 = 250.0;
 const HEAD: f64 = 44.0;
 /// Errors below this are rounding and shown at it, in each problem's unit.
 const ROUNDING: f64 = 1e-4;
@@ -34,30 +41,86 @@ const COLOURS: [RGBColor; 9] = [
     RGBColor(213, 94, 0),
 ];
 
-/// Measures and writes `accuracy-physics.svg`, `.png` and `.csv` into the folder.
+const PEER_COLOURS: [RGBColor; 3] = [RGBColor(200, 0, 0), RGBColor(120, 60, 0), RGBColor(0, 0, 0)];
+
+/// What is measured, and where to.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// Folder of the files.
+    pub out: PathBuf,
+    /// How much.
+    pub effort: Effort,
+    /// Folder of the peers' scripts.
+    pub peers: Option<PathBuf>,
+    /// The settings of plans and the drilled path alone.
+    pub settings_only: bool,
+}
+
+/// Measures and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder.
 ///
 /// # Errors
 /// A file that cannot be written.
-pub fn run(folder: &Path, effort: Effort) -> Result<(), Failure> {
+pub fn run(plan: &Plan) -> Result<(), Failure> {
+    let folder = &plan.out;
     std::fs::create_dir_all(folder)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
     let mut measured = Vec::new();
-    for problem in Problem::ALL {
-        let mut points = Vec::new();
-        for method in Method::ALL {
-            let own = measure(problem, method, effort).map_err(|cause| Failure::failed(cause.to_string()))?;
-            for point in &own {
-                say!("{}", line(problem, point));
-            }
-            points.extend(own);
-        }
-        measured.push((problem, points));
+    for problem in if plan.settings_only { &[][..] } else { &Problem::BEAM[..] } {
+        measured.push((*problem, measure_all(*problem, plan.effort)?));
     }
-    let path = folder.join("accuracy-physics.csv");
-    std::fs::write(&path, csv(&measured))
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))?;
-    let written = draw(&measured).and_then(|figure| figure.write(folder, "accuracy-physics"));
+    let mut peers = Vec::new();
+    if let Some(scripts) = &plan.peers {
+        peers = peers::measure(scripts, folder, plan.effort)?;
+        peers::compare(&measured, &peers);
+    }
+    let save = |rows: &[Row]| write(folder, "physics-plan.csv", &crate::plan::write(rows));
+    let (rows, coarse_mm) = candidates::measure(plan.effort, save)?;
+    measured.push((Problem::Drilled, drilled_points(&rows)));
+    let mut text = csv(&measured);
+    // Writing to a String cannot fail.
+    let name = format!("path error at voxel {} mm (µm)", candidates::COARSE_MM);
+    let _ = writeln!(text, "drilled,full hybrid,27,1,,{name},{:.6e}", coarse_mm * 1e3);
+    for peer in &peers {
+        let (problem, name) = (peer.problem, &peer.name);
+        let head = format!("{},{name},{},{}", problem.key(), peer.links, peer.dt_ms);
+        let _ = writeln!(text, "{head},{:.3},{},{:.6e}", peer.us_per_ms, problem.axis(), peer.error);
+    }
+    write(folder, "accuracy-physics.csv", &text)?;
+    let written = draw(&measured, &peers).and_then(|figure| figure.write(folder, "accuracy-physics"));
     written.map_err(|cause| Failure::failed(cause.to_string()))
+}
+
+fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> {
+    let mut points = Vec::new();
+    for method in Method::ALL {
+        let own = measure(problem, method, effort).map_err(|cause| Failure::failed(cause.to_string()))?;
+        for point in &own {
+            say!("{}", line(problem, point));
+        }
+        points.extend(own);
+    }
+    Ok(points)
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> Result<(), Failure> {
+    let path = folder.join(name);
+    std::fs::write(&path, text)
+        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))
+}
+
+/// The drilled path with the tool's own flexures; the arc as it is.
+fn drilled_points(rows: &[Row]) -> Vec<Point> {
+    let most = rows.iter().map(|row| row.settings.links).max().unwrap_or(0);
+    let own = rows.iter().filter(|row| row.settings.links == most && row.drilling_us_per_ms.is_finite());
+    own.map(|row| Point {
+        method: candidates::method(&row.settings),
+        links: row.settings.links,
+        dt_ms: row.settings.dt_ms,
+        us_per_ms: row.drilling_us_per_ms,
+        error: row.drilled_path_mm * 1e3,
+        more: Vec::new(),
+    })
+    .collect()
 }
 
 fn line(problem: Problem, point: &Point) -> String {
@@ -95,17 +158,19 @@ fn csv(measured: &[(Problem, Vec<Point>)]) -> String {
     text
 }
 
-fn draw(measured: &[(Problem, Vec<Point>)]) -> Result<Figure, crate::report::ReportError> {
+fn draw(measured: &[(Problem, Vec<Point>)], peers: &[Peer]) -> Result<Figure, crate::report::ReportError> {
     let mut figure = Figure::new(WIDTH, HEIGHT)?;
     let title = "Physics: error against the cost of a simulated millisecond (lower left is better)";
     figure.text((16.0, 22.0), title, 18.0, INK, Anchor::Left);
-    let (wide, high) = (f64::from(WIDTH) / 2.0, (f64::from(HEIGHT) - HEAD) / 3.0);
+    let (wide, high) = (f64::from(WIDTH) / 2.0, (f64::from(HEIGHT) - HEAD - FOOT) / 3.0);
     for (place, (problem, points)) in measured.iter().enumerate() {
         let (column, row) = (place % 2, place / 2);
         let cell = Rect { x: column as f64 * wide, y: HEAD + row as f64 * high, width: wide, height: high };
-        draw_panel(&mut figure, cell, *problem, points);
+        let peers: Vec<&Peer> = peers.iter().filter(|peer| peer.problem == *problem).collect();
+        draw_panel(&mut figure, cell, *problem, (points, &peers));
     }
-    let corner = (wide + 70.0, HEAD + 2.0 * high + 40.0);
+    draw_peer_legend(&mut figure, (wide + 70.0, HEAD + 3.0 * high + 24.0), peers);
+    let corner = (70.0, HEAD + 3.0 * high + 24.0);
     draw_legend(&mut figure, corner);
     Ok(figure)
 }
@@ -114,8 +179,10 @@ fn shown(point: &Point) -> (f64, f64) {
     (point.us_per_ms, point.error.max(ROUNDING))
 }
 
-fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, points: &[Point]) {
-    let sound = || points.iter().filter(|point| point.error.is_finite()).map(shown);
+fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, (points, peers): (&[Point], &[&Peer])) {
+    let peer = |peer: &&Peer| (peer.us_per_ms, peer.error.max(ROUNDING));
+    let of_peers = || peers.iter().filter(|peer| peer.error.is_finite()).map(peer);
+    let sound = || points.iter().filter(|point| point.error.is_finite()).map(shown).chain(of_peers());
     let high = bounds(sound().map(|(_, error)| error)).map_or(1.0, |(_, high)| high);
     let label = |value: f64| {
         if (0.01..1e5).contains(&value) { format!("{value}") } else { format!("{value:.0e}") }
@@ -132,12 +199,32 @@ fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, points: &[Point
             panel.disc(value, 4.0, colour);
         }
     }
+    for (name, colour) in peers::NAMES.into_iter().zip(PEER_COLOURS) {
+        let of_name = peers.iter().filter(|peer| peer.name == name && peer.error.is_finite());
+        for value in of_name.map(peer) {
+            panel.cross(value, 4.0, Stroke::full(colour, 2.0));
+        }
+    }
     panel.finish();
 }
 
 fn stroke(method: Method, colour: RGBColor) -> Stroke {
     let dash: &[f64] = if method.is_ours() { &[] } else { &[5.0, 3.0] };
     Stroke { colour, width: 2.0, dash }
+}
+
+/// Peers are crosses.
+fn draw_peer_legend(figure: &mut Figure, (left, top): (f64, f64), peers: &[Peer]) {
+    let measured = |name: &str| peers.iter().any(|peer| peer.name == name);
+    let shown = peers::NAMES.into_iter().zip(PEER_COLOURS).filter(|(name, _)| measured(name));
+    for (i, (name, colour)) in shown.enumerate() {
+        let y = top + 22.0 * i as f64;
+        for slope in [4.0, -4.0] {
+            let points = vec![(left + 11.0, y - slope), (left + 19.0, y + slope)];
+            figure.add(crate::report::shapes::Shape::Line { points, stroke: Stroke::full(colour, 2.0) });
+        }
+        figure.text((left + 40.0, y), name, 13.0, INK, Anchor::Left);
+    }
 }
 
 fn draw_legend(figure: &mut Figure, (left, top): (f64, f64)) {

@@ -12,8 +12,13 @@ use physics_proc::manipulator::{
 use super::elastica::elastica;
 use crate::charts::method::{Drive, Method, Tool};
 
-const LENGTH_M: f64 = 0.035;
-const RIGIDITY_NM2: f64 = 1.3369e-3;
+pub(super) const LENGTH_M: f64 = 0.035;
+pub(super) const RIGIDITY_NM2: f64 = 1.3369e-3;
+pub(super) const DENSITY_KG_PER_M: f64 = 0.101;
+/// The pure end moment: 90 degrees.
+pub(super) const END_MOMENT_NM: f64 = 0.06;
+/// First frequency of the beam, `1.8751^2 / (2 pi) sqrt(EI / m) / L^2` with m per length.
+pub(super) const BEAM_HZ: f64 = 52.556_149_363_366_2;
 /// First three roots of cos x cosh x = -1.
 const ROOTS: [f64; 3] = [1.875_104_068_711_961, 4.694_091_132_974_175, 7.854_757_438_237_613];
 
@@ -30,11 +35,13 @@ pub enum Problem {
     Vibration,
     /// Pulled against a wall, frictionless, suddenly: the path against that of 64 links at 0.05 ms.
     Wall,
+    /// The default scene, drilled open loop: the burr's path against that of the full rung at 0.5 ms.
+    Drilled,
 }
 
 impl Problem {
-    /// All of them, in the order of the panels.
-    pub const ALL: [Problem; 5] =
+    /// Those of the beam, in the order of the panels; the drilled path is the sixth.
+    pub const BEAM: [Problem; 5] =
         [Problem::EndMoment, Problem::TipForce, Problem::Capstan, Problem::Vibration, Problem::Wall];
 
     /// Key in the CSV.
@@ -45,6 +52,7 @@ impl Problem {
             Problem::Capstan => "capstan",
             Problem::Vibration => "vibration",
             Problem::Wall => "wall",
+            Problem::Drilled => "drilled",
         }
     }
 
@@ -56,6 +64,7 @@ impl Problem {
             Problem::Capstan => "3  Capstan friction: closed form",
             Problem::Vibration => "4  Free vibration: first frequency",
             Problem::Wall => "5  Pulled against a wall: path against the converged one",
+            Problem::Drilled => "6  Drilled path of the default scene: against the converged one",
         }
     }
 
@@ -65,7 +74,7 @@ impl Problem {
             Problem::EndMoment | Problem::TipForce => "tip error (µm)",
             Problem::Capstan => "end angle error (mrad)",
             Problem::Vibration => "frequency error (%)",
-            Problem::Wall => "r.m.s. tip error (µm)",
+            Problem::Wall | Problem::Drilled => "r.m.s. tip error (µm)",
         }
     }
 }
@@ -170,6 +179,8 @@ pub fn measure(problem: Problem, method: Method, effort: Effort) -> Result<Vec<P
                 Problem::Capstan => capstan(method, links, dt_ms),
                 Problem::Vibration => vibration(method, links, dt_ms),
                 Problem::Wall => wall(method, links, dt_ms),
+                // Measured with the settings that a plan chooses from.
+                Problem::Drilled => Ok((0.0, f64::NAN, Vec::new())),
             }?;
             Ok(Point { method, links, dt_ms, us_per_ms, error, more })
         })
@@ -209,7 +220,8 @@ fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64
     }
 }
 
-type Measured = Result<(f64, f64, Vec<(&'static str, f64)>), ManipulatorError>;
+/// Cost in µs a simulated millisecond, error in the problem's unit, other figures.
+pub(super) type Measured = Result<(f64, f64, Vec<(&'static str, f64)>), ManipulatorError>;
 
 /// The explicit method cannot be damped critically: its swing is waited for.
 fn static_damping(method: Method) -> (f64, f64) {
@@ -220,8 +232,8 @@ fn lost(tool: &Tool, error: f64) -> f64 {
     if tool.is_lost() { f64::NAN } else { error }
 }
 
-fn end_moment(method: Method, links: usize, dt_ms: f64) -> Measured {
-    let moment = 0.06;
+pub(super) fn end_moment(method: Method, links: usize, dt_ms: f64) -> Measured {
+    let moment = END_MOMENT_NM;
     let bend = moment * LENGTH_M / RIGIDITY_NM2;
     let arc = Vector3::new(1.0 - bend.cos(), 0.0, bend.sin()) * (LENGTH_M / bend);
     let (damping, seconds) = static_damping(method);
@@ -232,7 +244,7 @@ fn end_moment(method: Method, links: usize, dt_ms: f64) -> Measured {
     Ok((run.us_per_ms(), lost(&run.tool, error), Vec::new()))
 }
 
-fn tip_force(method: Method, links: usize, dt_ms: f64) -> Measured {
+pub(super) fn tip_force(method: Method, links: usize, dt_ms: f64) -> Measured {
     let (damping, seconds) = static_damping(method);
     let mut all = Run::new(method, &beam(method, links, damping), &[], dt_ms * 1e-3)?;
     let (mut worst, mut more) = (0.0f64, Vec::new());
@@ -258,7 +270,7 @@ fn tip_force(method: Method, links: usize, dt_ms: f64) -> Measured {
 }
 
 /// T(s) = T0 / (1 + mu k0 s), end angle ln(1 + mu k0 L) / mu with k0 = T0 d / EI: seed-system.md 5c.
-fn capstan(method: Method, links: usize, dt_ms: f64) -> Measured {
+pub(super) fn capstan(method: Method, links: usize, dt_ms: f64) -> Measured {
     let (mu, k0_length): (f64, f64) = (0.3, 2.0);
     let exact = (1.0 + mu * k0_length).ln() / mu;
     let (damping, _) = static_damping(method);
@@ -270,13 +282,29 @@ fn capstan(method: Method, links: usize, dt_ms: f64) -> Measured {
     // A slow ramp, so that the tendon only ever slides one way.
     run.go(seconds, |t| Drive { tension_n: tension * (t / ramp).min(1.0), ..still() });
     let error = lost(&run.tool, (run.tool.bend_rad() - exact).abs() * 1e3);
-    Ok((run.us_per_ms(), error, Vec::new()))
+    let tip = lost(&run.tool, (run.tool.tip_m() - capstan_tip_m(mu, k0_length)).norm() * 1e6);
+    Ok((run.us_per_ms(), error, vec![("tip_um", tip)]))
+}
+
+/// Tip of the arc whose angle is theta(s) = ln(1 + mu k0 s) / mu, by Simpson's rule.
+fn capstan_tip_m(mu: f64, k0_length: f64) -> Vector3<f64> {
+    const PAIRS: usize = 1000;
+    let h = 0.5 / PAIRS as f64;
+    let direction = |place: usize| {
+        let angle = (mu * k0_length * place as f64 * h).ln_1p() / mu;
+        Vector3::new(angle.sin(), 0.0, angle.cos())
+    };
+    let mut sum = Vector3::zeros();
+    for pair in 0..PAIRS {
+        sum += direction(2 * pair) + direction(2 * pair + 1) * 4.0 + direction(2 * pair + 2);
+    }
+    sum * (LENGTH_M * h / 3.0)
 }
 
 /// Modes by the answer to a burst of force at and beside the frequency that the beam has; decay of the first by its
 /// envelope over ten periods.
 fn vibration(method: Method, links: usize, dt_ms: f64) -> Measured {
-    let (dt_s, density) = (dt_ms * 1e-3, 0.101);
+    let (dt_s, density) = (dt_ms * 1e-3, DENSITY_KG_PER_M);
     let beam_hz = ROOTS.map(|root| {
         root * root / (2.0 * core::f64::consts::PI) * (RIGIDITY_NM2 / density).sqrt() / (LENGTH_M * LENGTH_M)
     });
@@ -337,12 +365,13 @@ fn decay(method: Method, links: usize, dt_s: f64, hz: f64) -> Result<f64, Manipu
     Ok(lost(&run.tool, (measured / ratio - 1.0).abs() * 100.0))
 }
 
-/// The tip at every millisecond of 0.2 s of the pull against a wall.
-fn pull(method: Method, links: usize, dt_ms: f64) -> Result<(Run, Vec<Vector3<f64>>), ManipulatorError> {
+type Path = Vec<Vector3<f64>>;
+
+/// The tip at every millisecond of 0.2 s of a sudden pull, against a wall or in free space.
+fn pull(method: Method, links: usize, dt_ms: f64, walls: &[Wall]) -> Result<(Run, Path), ManipulatorError> {
     let mut p = beam(method, links, 0.1);
     p.contact.friction_coefficient = 0.0;
-    let surface = Wall::new(-Vector3::x(), Vector3::x() * 0.010);
-    let mut run = Run::new(method, &p, &[surface], dt_ms * 1e-3)?;
+    let mut run = Run::new(method, &p, walls, dt_ms * 1e-3)?;
     let mut path = Vec::new();
     let each = if dt_ms > 1.0 { dt_ms * 1e-3 } else { 1e-3 };
     for _ in 0..(0.2 / each).round() as usize {
@@ -352,19 +381,35 @@ fn pull(method: Method, links: usize, dt_ms: f64) -> Result<(Run, Vec<Vector3<f6
     Ok((run, path))
 }
 
-/// The path that the wall's errors are measured against, computed once.
-static CONVERGED: OnceLock<Vec<Vector3<f64>>> = OnceLock::new();
+/// The paths that the errors are measured against, computed once.
+static CONVERGED_WALL: OnceLock<Path> = OnceLock::new();
+static CONVERGED_SWING: OnceLock<Path> = OnceLock::new();
 
-fn wall(method: Method, links: usize, dt_ms: f64) -> Measured {
-    let reference = match CONVERGED.get() {
+pub(super) fn wall(method: Method, links: usize, dt_ms: f64) -> Measured {
+    let walls = [Wall::new(-Vector3::x(), Vector3::x() * 0.010)];
+    path_error(method, (links, dt_ms), &walls, Integrator::LinearlyImplicitEuler, &CONVERGED_WALL)
+}
+
+/// A sudden pull in free space.
+pub(super) fn swing(method: Method, links: usize, dt_ms: f64) -> Measured {
+    path_error(method, (links, dt_ms), &[], Integrator::Hybrid, &CONVERGED_SWING)
+}
+
+fn path_error(
+    method: Method,
+    (links, dt_ms): (usize, f64),
+    walls: &[Wall],
+    converged: Integrator,
+    reference: &OnceLock<Path>,
+) -> Measured {
+    let reference = match reference.get() {
         Some(path) => path,
         None => {
-            let converged = Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler);
-            let (_, path) = pull(converged, 64, 0.05)?;
-            CONVERGED.get_or_init(|| path)
+            let (_, path) = pull(Method::Rung(Rung::Planar, converged), 64, 0.05, walls)?;
+            reference.get_or_init(|| path)
         }
     };
-    let (mut run, path) = pull(method, links, dt_ms)?;
+    let (mut run, path) = pull(method, links, dt_ms, walls)?;
     let every = reference.len() / path.len().max(1);
     let pairs = || path.iter().enumerate().map(|(i, tip)| tip - reference[(i + 1) * every - 1]);
     let mean = pairs().map(|d| d.norm_squared()).sum::<f64>() / path.len().max(1) as f64;

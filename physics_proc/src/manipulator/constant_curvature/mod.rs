@@ -11,11 +11,12 @@ mod step;
 use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3, Vector4};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
+use super::MAX_TENDONS;
 use super::error::ManipulatorError;
 use super::geometry::{SphereLayout, link_lengths_m, spheres};
 use super::parameters::ManipulatorParameters;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
-use super::tendon::TendonMemory;
+use super::tendon::{Channels, TendonMemory};
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
 use arc::Arc;
 use step::{Row, Stop};
@@ -48,7 +49,7 @@ pub struct ConstantCurvatureState {
     position: Vector4<f64>,
     velocity: Vector4<f64>,
     base: BaseMotion,
-    tendon: [TendonMemory; 2],
+    tendon: [TendonMemory; MAX_TENDONS],
     /// Torque of the stop in the last step, N m.
     stop_torque_nm: f64,
     result_count: usize,
@@ -68,8 +69,15 @@ impl Serialize for ConstantCurvatureState {
 impl<'de> Deserialize<'de> for ConstantCurvatureState {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         type Coordinates = Vector4<f64>;
-        type Whole =
-            (Coordinates, Coordinates, BaseMotion, [TendonMemory; 2], f64, Vec<ContactResult>, StepReport);
+        type Whole = (
+            Coordinates,
+            Coordinates,
+            BaseMotion,
+            [TendonMemory; MAX_TENDONS],
+            f64,
+            Vec<ContactResult>,
+            StepReport,
+        );
         let (position, velocity, base, tendon, stop_torque_nm, used, report) =
             Whole::deserialize(deserializer)?;
         let results = places_from(&used, MAX_CONTACTS)
@@ -103,6 +111,7 @@ pub struct ConstantCurvature {
     rows: Vec<Row>,
     used: Vec<bool>,
     stop: Option<Stop>,
+    channels: Channels,
 }
 
 impl ConstantCurvature {
@@ -155,7 +164,7 @@ impl ConstantCurvature {
                 position: Vector4::zeros(),
                 velocity: Vector4::zeros(),
                 base: *base,
-                tendon: [TendonMemory::default(); 2],
+                tendon: [TendonMemory::default(); MAX_TENDONS],
                 stop_torque_nm: 0.0,
                 result_count: 0,
                 results: vec![ContactResult::none(); MAX_CONTACTS],
@@ -165,6 +174,7 @@ impl ConstantCurvature {
             rows: Vec::with_capacity(MAX_CONTACTS),
             used: vec![false; MAX_CONTACTS],
             stop: None,
+            channels: Channels::of(&parameters),
             parameters,
         };
         tool.update_configuration();

@@ -10,7 +10,7 @@ use crate::manipulator::loads::Frame;
 use crate::manipulator::row::{cone, tangents, target};
 use crate::manipulator::state::{ContactResult, StepInput, StepReport, TendonCommand, Wrench};
 use crate::manipulator::step::{base_motion, validate};
-use crate::manipulator::tendon::{SIDE, TendonMemory, base_tension};
+use crate::manipulator::tendon::base_tension;
 
 /// One contact: rows of normal and tangents over the four freedoms.
 #[derive(Debug, Clone, Copy)]
@@ -84,8 +84,8 @@ impl ConstantCurvature {
         let p = &self.parameters.tendon;
         let (bend, rate) = (self.state.position[3], self.state.velocity[3]);
         let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0 };
-        for t in 0..2 {
-            let slope = SIDE[t] * p.offset_m;
+        for t in 0..self.channels.count {
+            let slope = self.channels.offset_m[t][0];
             let take_up = slope * bend;
             let tension = base_tension(p, command, t, take_up);
             if tension <= 0.0 {
@@ -94,7 +94,7 @@ impl ConstantCurvature {
             let sliding = self.state.tendon[t].sliding_at(take_up, p);
             let x = p.friction_coefficient * sliding * bend.abs();
             sum.torque_nm += tension * mean_share(x) * slope;
-            if let TendonCommand::Displacement(_) = command {
+            if command.is_displacement() {
                 sum.stiffness_nm_per_rad += p.stiffness_n_per_m * mean_share(x) * slope * slope;
             }
             let saturated = sliding.abs() >= 1.0 && sliding * slope * rate >= 0.0;
@@ -298,16 +298,10 @@ impl ConstantCurvature {
         self.state.base = input.base;
         self.update_configuration();
         let p = &self.parameters.tendon;
-        for t in 0..2 {
-            let take_up_m = SIDE[t] * p.offset_m * self.state.position[3];
-            let sliding = self.state.tendon[t].sliding_at(take_up_m, p);
-            self.state.tendon[t] = TendonMemory { take_up_m, sliding };
-            let tension = base_tension(p, &input.tendon, t, take_up_m);
-            report.tendon_tension_n[t] = tension;
-            report.tendon_displacement_m[t] = match &input.tendon {
-                TendonCommand::Force(_) => take_up_m + tension / p.stiffness_n_per_m,
-                TendonCommand::Displacement(pull_m) => pull_m[t],
-            };
+        for t in 0..self.channels.count {
+            let take_up_m = self.channels.offset_m[t][0] * self.state.position[3];
+            (report.tendon_tension_n[t], report.tendon_displacement_m[t]) =
+                self.state.tendon[t].advance(take_up_m, p, &input.tendon, t);
         }
         self.state.report = *report;
     }

@@ -13,6 +13,7 @@ use super::coupling::Coupling;
 use super::layout::{Configuration, SpatialLayout};
 use super::state::SpatialState;
 use crate::contact_plane::ContactPlane;
+use crate::manipulator::MAX_TENDONS;
 use crate::manipulator::contact::{BaseDrive, Outcome, STOP_RETURN_RAD_PER_S, STOP_SHARE, previous};
 use crate::manipulator::geometry::SphereKind;
 use crate::manipulator::parameters::ManipulatorParameters;
@@ -210,11 +211,10 @@ impl ContactSolver {
             row.compliance = 1.0 / (stiffness * dt * dt);
             let mobility = articulated.mobility(layout.freedoms_of(row.link).end);
             let response = row.force.map(|f| times(mobility, &f));
-            let along = row.force.map(|f| [0, 1].map(|t| dot(&coupling.link_response[t][row.link], &f)));
+            let along = row.force.map(|f| coupling.takes_up(row.link, &f));
             let entry = |a: usize, b: usize| {
                 let coupled = if coupling.active {
-                    let w = coupling.weigh(along[b]);
-                    along[a][0] * w[0] + along[a][1] * w[1]
+                    coupling.product(&along[a], &coupling.weigh(&along[b]))
                 } else {
                     0.0
                 };
@@ -235,8 +235,8 @@ impl ContactSolver {
         for stop in &mut self.stop {
             let (rate, response) = articulated.unit_response(stop.freedom);
             let z = coupling.freedom_response(stop.freedom);
-            let w = if coupling.active { coupling.weigh(z) } else { [0.0; 2] };
-            stop.inverse = 1.0 / (rate - z[0] * w[0] - z[1] * w[1] + stop.compliance);
+            let w = if coupling.active { coupling.weigh(&z) } else { [0.0; MAX_TENDONS] };
+            stop.inverse = 1.0 / (coupling.less(rate, &z, &w) + stop.compliance);
             stop.response = response;
         }
     }
@@ -309,7 +309,7 @@ impl ContactSolver {
         residual: &mut f64,
     ) {
         let (mut carried, mut moving) = (ZERO, false);
-        let mut weight = [0.0; 2];
+        let mut weight = [0.0; MAX_TENDONS];
         let (mut row, mut stop) = (0, 0);
         for link in 0..=layout.joints {
             if row == self.row.len() && stop == self.stop.len() {
@@ -319,13 +319,13 @@ impl ContactSolver {
                 let rate = if moving { articulated.carry_outward(k, &mut carried) } else { 0.0 };
                 if stop < self.stop.len() && self.stop[stop].freedom == k {
                     let z = coupling.freedom_response(k);
-                    let rate = self.velocity[k] + rate - z[0] * weight[0] - z[1] * weight[1];
+                    let rate = coupling.less(self.velocity[k] + rate, &z, &weight);
                     let change = self.stop[stop].relax(rate, residual);
                     add_scaled(&mut carried, change, &self.stop[stop].response);
                     moving |= change != 0.0;
                     if coupling.active {
-                        let w = coupling.weigh(z.map(|z| z * change));
-                        weight = [weight[0] + w[0], weight[1] + w[1]];
+                        let w = coupling.weigh(&z.map(|z| z * change));
+                        weight = core::array::from_fn(|t| weight[t] + w[t]);
                     }
                     stop += 1;
                 }
@@ -335,7 +335,7 @@ impl ContactSolver {
                 let mut local = self.motion[link];
                 add_scaled(&mut local, 1.0, &carried);
                 if coupling.active {
-                    for t in 0..2 {
+                    for t in 0..coupling.count {
                         add_scaled(&mut local, -weight[t], &coupling.link_response[t][link]);
                     }
                 }
@@ -344,9 +344,8 @@ impl ContactSolver {
                     add_scaled(&mut carried, 1.0, &times(mobility, &force));
                     moving = true;
                     if coupling.active {
-                        let p = [0, 1].map(|t| dot(&coupling.link_response[t][link], &force));
-                        let w = coupling.weigh(p);
-                        weight = [weight[0] + w[0], weight[1] + w[1]];
+                        let w = coupling.weigh(&coupling.takes_up(link, &force));
+                        weight = core::array::from_fn(|t| weight[t] + w[t]);
                     }
                 }
                 row += 1;

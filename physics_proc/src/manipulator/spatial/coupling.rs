@@ -4,6 +4,8 @@ use super::algebra::Spatial;
 use super::articulated::Articulated;
 use super::layout::SpatialLayout;
 use super::tendon::TendonLoad;
+use crate::manipulator::MAX_TENDONS;
+use crate::manipulator::coupling::Kernel;
 
 /// `A = H + sum_t c_t g_t g_t'` and its inverse.
 #[derive(Debug, Clone)]
@@ -11,15 +13,16 @@ pub(super) struct Coupling {
     /// Whether there is anything to couple.
     pub active: bool,
     /// alpha of each tendon, N/m.
-    alpha: [f64; 2],
-    slope: [Vec<f64>; 2],
+    alpha: [f64; MAX_TENDONS],
+    /// Number of tendons.
+    pub count: usize,
+    slope: [Vec<f64>; MAX_TENDONS],
     /// H^-1 g_t.
-    response: [Vec<f64>; 2],
+    response: [Vec<f64>; MAX_TENDONS],
     scratch: Vec<f64>,
     /// Motions of the links under H^-1 g_t.
-    pub link_response: [Vec<Spatial>; 2],
-    /// Symmetric 2 x 2 kernel: A^-1 = H^-1 - Z kernel Z'; entries 00 01 11.
-    kernel: [f64; 3],
+    pub link_response: [Vec<Spatial>; MAX_TENDONS],
+    kernel: Kernel,
 }
 
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -31,12 +34,13 @@ impl Coupling {
         let blank = || vec![0.0; freedoms];
         Self {
             active: false,
-            alpha: [0.0; 2],
-            slope: [blank(), blank()],
-            response: [blank(), blank()],
+            alpha: [0.0; MAX_TENDONS],
+            count: 0,
+            slope: core::array::from_fn(|_| blank()),
+            response: core::array::from_fn(|_| blank()),
             scratch: blank(),
-            link_response: [vec![[0.0; 6]; links], vec![[0.0; 6]; links]],
-            kernel: [0.0; 3],
+            link_response: core::array::from_fn(|_| vec![[0.0; 6]; links]),
+            kernel: Kernel::NONE,
         }
     }
 
@@ -48,12 +52,13 @@ impl Coupling {
         load: &TendonLoad,
         scale: f64,
     ) {
-        self.active = load.coupled[0] || load.coupled[1];
-        self.alpha = [0.0; 2];
+        self.count = load.channels.count;
+        self.active = load.coupled[..self.count].contains(&true);
+        self.alpha = [0.0; MAX_TENDONS];
         if !self.active {
             return;
         }
-        for t in 0..2 {
+        for t in 0..self.count {
             if !load.coupled[t] {
                 self.slope[t].fill(0.0);
                 self.response[t].fill(0.0);
@@ -69,15 +74,13 @@ impl Coupling {
             articulated.link_motions(layout, &self.response[t], &mut self.link_response[t]);
         }
         let c = self.alpha.map(|a| a * scale);
-        let s00 = dot(&self.slope[0], &self.response[0]);
-        let s01 = dot(&self.slope[0], &self.response[1]);
-        let s11 = dot(&self.slope[1], &self.response[1]);
-        let determinant = (1.0 + c[0] * s00) * (1.0 + c[1] * s11) - c[0] * c[1] * s01 * s01;
-        self.kernel = [
-            c[0] * (1.0 + c[1] * s11) / determinant,
-            -c[0] * c[1] * s01 / determinant,
-            c[1] * (1.0 + c[0] * s00) / determinant,
-        ];
+        let mut s = [[0.0; MAX_TENDONS]; MAX_TENDONS];
+        for i in 0..self.count {
+            for j in i..self.count {
+                s[i][j] = dot(&self.slope[i], &self.response[j]);
+            }
+        }
+        self.kernel = Kernel::new(self.count, &c, &s);
     }
 
     /// Adds minus the rank-one stiffnesses times the velocities `rate` to `rhs`.
@@ -85,7 +88,7 @@ impl Coupling {
         if !self.active {
             return;
         }
-        for t in 0..2 {
+        for t in 0..self.count {
             let scale = self.alpha[t] * dot(&self.slope[t], rate);
             for (r, slope) in rhs.iter_mut().zip(&self.slope[t]) {
                 *r -= scale * slope;
@@ -93,9 +96,36 @@ impl Coupling {
         }
     }
 
-    /// Kernel times a pair.
-    pub fn weigh(&self, p: [f64; 2]) -> [f64; 2] {
-        [self.kernel[0] * p[0] + self.kernel[1] * p[1], self.kernel[1] * p[0] + self.kernel[2] * p[1]]
+    /// Kernel times a vector.
+    pub fn weigh(&self, p: &[f64; MAX_TENDONS]) -> [f64; MAX_TENDONS] {
+        self.kernel.weigh(p)
+    }
+
+    /// Entries of `p` times those of `w`, summed over the tendons.
+    pub fn product(&self, p: &[f64; MAX_TENDONS], w: &[f64; MAX_TENDONS]) -> f64 {
+        let mut sum = p[0] * w[0] + p[1] * w[1];
+        for t in 2..self.count {
+            sum += p[t] * w[t];
+        }
+        sum
+    }
+
+    /// `value` less the products of the entries, tendon by tendon.
+    pub fn less(&self, value: f64, p: &[f64; MAX_TENDONS], w: &[f64; MAX_TENDONS]) -> f64 {
+        let mut rest = value - p[0] * w[0] - p[1] * w[1];
+        for t in 2..self.count {
+            rest -= p[t] * w[t];
+        }
+        rest
+    }
+
+    /// What each tendon takes up under a force on a link.
+    pub fn takes_up(&self, link: usize, force: &Spatial) -> [f64; MAX_TENDONS] {
+        let mut out = [0.0; MAX_TENDONS];
+        for t in 0..self.count {
+            out[t] = super::algebra::dot(&self.link_response[t][link], force);
+        }
+        out
     }
 
     /// A^-1 b from H^-1 b.
@@ -103,8 +133,12 @@ impl Coupling {
         if !self.active {
             return;
         }
-        let w = self.weigh([dot(&self.slope[0], x), dot(&self.slope[1], x)]);
-        for (response, w) in self.response.iter().zip(w) {
+        let mut p = [0.0; MAX_TENDONS];
+        for t in 0..self.count {
+            p[t] = dot(&self.slope[t], x);
+        }
+        let w = self.weigh(&p);
+        for (response, w) in self.response[..self.count].iter().zip(w) {
             for (x, r) in x.iter_mut().zip(response) {
                 *x -= w * r;
             }
@@ -112,7 +146,7 @@ impl Coupling {
     }
 
     /// Velocity of freedom `k` under H^-1 g of each tendon.
-    pub fn freedom_response(&self, k: usize) -> [f64; 2] {
-        [self.response[0][k], self.response[1][k]]
+    pub fn freedom_response(&self, k: usize) -> [f64; MAX_TENDONS] {
+        core::array::from_fn(|t| self.response[t][k])
     }
 }

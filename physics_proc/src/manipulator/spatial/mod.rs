@@ -24,6 +24,7 @@ use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use super::error::ManipulatorError;
 use super::parameters::ManipulatorParameters;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
+use super::tendon::Channels;
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES, modal};
 use articulated::Articulated;
 use contact::ContactSolver;
@@ -108,7 +109,7 @@ impl<const D: usize> SpatialChain<D> {
             bend: [vec![0.0; layout.joints], vec![0.0; layout.joints]],
             trial: Configuration::new(&layout),
             articulated: Articulated::new(freedoms),
-            tendon: TendonLoad::new(freedoms),
+            tendon: TendonLoad::new(freedoms, Channels::of(&parameters)),
             coupling: Coupling::new(freedoms, links),
             loads: Loads::new(links),
             contact: ContactSolver::new(freedoms, links, MAX_CONTACTS),

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
+use crate::manipulator::MAX_TENDONS;
 use crate::manipulator::state::{BaseMotion, ContactResult, StepReport, places_from};
 use crate::manipulator::tendon::TendonMemory;
 
@@ -13,7 +14,7 @@ pub struct SpatialState {
     pub(super) position: Vec<f64>,
     pub(super) velocity: Vec<f64>,
     pub(super) base: BaseMotion,
-    pub(super) tendon: [TendonMemory; 2],
+    pub(super) tendon: [TendonMemory; MAX_TENDONS],
     /// Torque of each stop in the last step by freedom, N m: the warm start.
     pub(super) stop_torque: Vec<f64>,
     pub(super) result_count: usize,
@@ -28,7 +29,7 @@ impl SpatialState {
             position: vec![0.0; freedoms],
             velocity: vec![0.0; freedoms],
             base: *base,
-            tendon: [TendonMemory::default(); 2],
+            tendon: [TendonMemory::default(); MAX_TENDONS],
             stop_torque: vec![0.0; freedoms],
             result_count: 0,
             results: vec![ContactResult::none(); contacts],
@@ -49,8 +50,15 @@ impl Serialize for SpatialState {
 impl<'de> Deserialize<'de> for SpatialState {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         type Freedoms = Vec<f64>;
-        type Whole =
-            (Freedoms, Freedoms, BaseMotion, [TendonMemory; 2], Freedoms, Vec<ContactResult>, StepReport);
+        type Whole = (
+            Freedoms,
+            Freedoms,
+            BaseMotion,
+            [TendonMemory; MAX_TENDONS],
+            Freedoms,
+            Vec<ContactResult>,
+            StepReport,
+        );
         let (position, velocity, base, tendon, stop_torque, used, report) = Whole::deserialize(deserializer)?;
         let results = places_from(&used, MAX_CONTACTS)
             .ok_or_else(|| D::Error::custom("more contacts than a step has"))?;

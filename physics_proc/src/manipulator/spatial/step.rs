@@ -5,7 +5,6 @@ use nalgebra::Vector3;
 use super::SpatialChain;
 use super::algebra::{Spatial, ZERO};
 use super::layout::SpatialLayout;
-use super::tendon;
 use crate::manipulator::contact::{BaseDrive, Outcome};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::geometry::SphereKind;
@@ -300,7 +299,7 @@ impl<const D: usize> SpatialChain<D> {
         let tendon = &self.parameters.tendon;
         let memory = &mut self.state.tendon;
         (report.tendon_tension_n, report.tendon_displacement_m) =
-            tendon::advance(tendon, &self.layout, &self.state.position, &input.tendon, memory);
+            self.tendon.advance(tendon, &self.layout, &self.state.position, &input.tendon, memory);
         self.state.report = *report;
     }
 }

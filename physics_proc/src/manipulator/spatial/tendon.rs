@@ -1,28 +1,30 @@
-//! The antagonist pair of tendons on a spatial chain.
+//! Tendons on a spatial chain.
 //!
 //! The law of the planar rung (see `manipulator::tendon`) with lateral bending and, in the full rung, compression: a
-//! flexure bent by q and laterally by p, its links pushed together by u, takes up
-//! `l = g (1 - cos(q/2) cos(p/2)) + 2 side d sin(q/2) + u`. A tension exerts `T dl` on every freedom. The channels lie in
-//! the bending plane; that torsion winds them is of second order in the angle of one flexure and left out.
+//! flexure bent by q and laterally by p (about x, so toward -y), its links pushed together by u, takes up of a tendon in the
+//! channel (d, e) `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e sin(p/2) + u`. A tension exerts `T dl` on every
+//! freedom. That torsion winds the channels is of second order in the angle of one flexure and left out.
 
 use super::layout::SpatialLayout;
+use crate::manipulator::MAX_TENDONS;
 use crate::manipulator::parameters::TendonParameters;
 use crate::manipulator::state::TendonCommand;
-use crate::manipulator::tendon::{SIDE, TendonMemory, base_tension};
+use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
 
-/// Generalised forces of both tendons in one configuration, and how they change.
+/// Generalised forces of all tendons in one configuration, and how they change.
 #[derive(Debug, Clone)]
 pub(super) struct TendonLoad {
+    pub channels: Channels,
     /// Force on each freedom, N m (N).
     pub torque: Vec<f64>,
     /// -d force_i / d q_i at constant tension.
     pub stiffness: Vec<f64>,
     /// d take-up / d q_i of each tendon.
-    pub slope: [Vec<f64>; 2],
+    pub slope: [Vec<f64>; MAX_TENDONS],
     /// -d force_i / d take-up of each tendon.
-    pub gradient: [Vec<f64>; 2],
+    pub gradient: [Vec<f64>; MAX_TENDONS],
     /// Whether the gradient of each tendon is not zero.
-    pub coupled: [bool; 2],
+    pub coupled: [bool; MAX_TENDONS],
 }
 
 /// How a flexure takes up a tendon: length, slopes (bending, lateral), curvatures (bending, lateral), turn of the channel.
@@ -37,57 +39,55 @@ impl TakeUp {
     fn of<const D: usize>(
         p: &TendonParameters,
         layout: &SpatialLayout<D>,
-        t: usize,
+        [toward, across]: [f64; 2],
         joint: usize,
         q: &[f64],
     ) -> Self {
         let k = layout.bend(joint);
         let lateral = if D > 1 { q[k + 1] } else { 0.0 };
         let ((sb, cb), (sl, cl)) = (libm::sincos(0.5 * q[k]), libm::sincos(0.5 * lateral));
-        let offset = SIDE[t] * p.offset_m;
         let straight = 0.25 * p.gap_m * cb * cl;
         let compression = if D == 6 { -q[k - 1] } else { 0.0 };
         Self {
-            length_m: p.gap_m * (1.0 - cb * cl) + 2.0 * offset * sb + compression,
-            slope: [offset * cb + 0.5 * p.gap_m * sb * cl, 0.5 * p.gap_m * cb * sl],
-            curvature: [straight - 0.5 * offset * sb, straight],
+            length_m: p.gap_m * (1.0 - cb * cl) + 2.0 * toward * sb - 2.0 * across * sl + compression,
+            slope: [toward * cb + 0.5 * p.gap_m * sb * cl, 0.5 * p.gap_m * cb * sl - across * cl],
+            curvature: [straight - 0.5 * toward * sb, straight + 0.5 * across * sl],
             turn_rad: libm::sqrt(q[k] * q[k] + lateral * lateral),
         }
     }
 }
 
 impl TendonLoad {
-    pub fn new(freedoms: usize) -> Self {
+    pub fn new(freedoms: usize, channels: Channels) -> Self {
         let blank = || vec![0.0; freedoms];
         Self {
+            channels,
             torque: blank(),
             stiffness: blank(),
-            slope: [blank(), blank()],
-            gradient: [blank(), blank()],
-            coupled: [false; 2],
+            slope: core::array::from_fn(|_| blank()),
+            gradient: core::array::from_fn(|_| blank()),
+            coupled: [false; MAX_TENDONS],
         }
     }
 
-    /// Evaluates both tendons at `q`; the velocities `v` tell a saturated sliding state whether it is about to turn.
+    /// Evaluates all tendons at `q`; the velocities `v` tell a saturated sliding state whether it is about to turn.
     pub fn evaluate<const D: usize>(
         &mut self,
         p: &TendonParameters,
         layout: &SpatialLayout<D>,
         (q, v): (&[f64], &[f64]),
         command: &TendonCommand,
-        memory: &[TendonMemory; 2],
+        memory: &[TendonMemory; MAX_TENDONS],
     ) {
         self.torque.fill(0.0);
         self.stiffness.fill(0.0);
-        for t in 0..2 {
+        for t in 0..self.channels.count {
             let (length_m, rate) = self.update_slope(t, p, layout, (q, v));
             let tension = base_tension(p, command, t, length_m);
             let sliding = memory[t].sliding_at(length_m, p);
             let saturated = sliding.abs() >= 1.0 && sliding * rate >= 0.0;
-            let elastic = match command {
-                TendonCommand::Displacement(_) if tension > 0.0 => p.stiffness_n_per_m,
-                _ => 0.0,
-            };
+            let stretched = command.is_displacement() && tension > 0.0;
+            let elastic = if stretched { p.stiffness_n_per_m } else { 0.0 };
             let frictional = p.friction_coefficient > 0.0 && tension > 0.0;
             self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
             if tension == 0.0 && !self.coupled[t] {
@@ -95,7 +95,7 @@ impl TendonLoad {
             }
             let mut wrap = 0.0;
             for i in 0..layout.joints {
-                let take_up = TakeUp::of(p, layout, t, i, q);
+                let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, q);
                 wrap += 0.5 * take_up.turn_rad;
                 let mu = if frictional { p.friction_coefficient } else { 0.0 };
                 let share = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
@@ -127,7 +127,7 @@ impl TendonLoad {
     ) -> (f64, f64) {
         let (mut length_m, mut rate) = (0.0, 0.0);
         for i in 0..layout.joints {
-            let take_up = TakeUp::of(p, layout, t, i, q);
+            let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, q);
             let k = layout.bend(i);
             length_m += take_up.length_m;
             self.slope[t][k] = take_up.slope[0];
@@ -143,26 +143,22 @@ impl TendonLoad {
         }
         (length_m, rate)
     }
-}
 
-/// Carries the memory over to `q`; returns tension (N) and displacement (m) of both tendons there.
-pub(super) fn advance<const D: usize>(
-    p: &TendonParameters,
-    layout: &SpatialLayout<D>,
-    q: &[f64],
-    command: &TendonCommand,
-    memory: &mut [TendonMemory; 2],
-) -> ([f64; 2], [f64; 2]) {
-    let (mut tension_n, mut displacement_m) = ([0.0; 2], [0.0; 2]);
-    for t in 0..2 {
-        let take_up_m = (0..layout.joints).map(|i| TakeUp::of(p, layout, t, i, q).length_m).sum();
-        let sliding = memory[t].sliding_at(take_up_m, p);
-        memory[t] = TendonMemory { take_up_m, sliding };
-        tension_n[t] = base_tension(p, command, t, take_up_m);
-        displacement_m[t] = match command {
-            TendonCommand::Force(_) => take_up_m + tension_n[t] / p.stiffness_n_per_m,
-            TendonCommand::Displacement(pull_m) => pull_m[t],
-        };
+    /// Carries the memory over to `q`; returns tension (N) and displacement (m) of each tendon there.
+    pub fn advance<const D: usize>(
+        &self,
+        p: &TendonParameters,
+        layout: &SpatialLayout<D>,
+        q: &[f64],
+        command: &TendonCommand,
+        memory: &mut [TendonMemory; MAX_TENDONS],
+    ) -> ([f64; MAX_TENDONS], [f64; MAX_TENDONS]) {
+        let (mut tension_n, mut displacement_m) = ([0.0; MAX_TENDONS], [0.0; MAX_TENDONS]);
+        for t in 0..self.channels.count {
+            let channel = self.channels.offset_m[t];
+            let take_up_m = (0..layout.joints).map(|i| TakeUp::of(p, layout, channel, i, q).length_m).sum();
+            (tension_n[t], displacement_m[t]) = memory[t].advance(take_up_m, p, command, t);
+        }
+        (tension_n, displacement_m)
     }
-    (tension_n, displacement_m)
 }

@@ -1,0 +1,49 @@
+//! Other programs on the same problems: scripts with pinned packages, each in a virtual environment of its own.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::failure::Failure;
+
+/// The scripts `NAME.py` of a folder, with their names, in order.
+///
+/// # Errors
+/// Bad input: no folder.
+pub fn scripts(folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
+    let mut scripts: Vec<PathBuf> = std::fs::read_dir(folder)
+        .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", folder.display())))?
+        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
+        .filter(|path| path.extension().is_some_and(|e| e == "py"))
+        .collect();
+    scripts.sort();
+    let named = |script: PathBuf| {
+        let name = script.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        (name, script)
+    };
+    Ok(scripts.into_iter().map(named).collect())
+}
+
+/// Runs a script with the folder of its input, in an environment below it with the packages of `NAME.txt` beside the script;
+/// what it printed, or the last line of what went wrong.
+///
+/// # Errors
+/// It cannot be installed or run.
+pub fn run(script: &Path, name: &str, work: &Path) -> Result<String, String> {
+    let call = |program: &Path, arguments: &[&std::ffi::OsStr]| {
+        let output = Command::new(program).args(arguments).output().map_err(|cause| cause.to_string())?;
+        if output.status.success() {
+            return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+        }
+        let text = String::from_utf8_lossy(&output.stderr);
+        Err(text.lines().last().unwrap_or("no message").to_owned())
+    };
+    let venv = work.join(format!("venv_{name}"));
+    let python = venv.join("bin/python3");
+    if !python.exists() {
+        call(Path::new("python3"), &["-m".as_ref(), "venv".as_ref(), venv.as_ref()])?;
+    }
+    let pins = script.with_extension("txt");
+    let install = ["-m", "pip", "install", "-q", "--retries", "1", "-r"].map(std::ffi::OsStr::new);
+    call(&python, &[&install[..], &[pins.as_ref()]].concat())?;
+    call(&python, &[script.as_ref(), work.as_ref()])
+}

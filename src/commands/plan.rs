@@ -1,0 +1,107 @@
+//! `trabecula plan SCENE`: which settings a scene's tolerance leads to; `trabecula plan --check LOG`: the error really made.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use ipc_types::scene::Scene;
+
+use crate::failure::Failure;
+use crate::plan::{self, check, resolve};
+use crate::replay::Overrides;
+
+/// Arguments of `plan`.
+#[derive(Debug, Args)]
+#[command(group = clap::ArgGroup::new("what").required(true).args(["scene", "check", "list"]))]
+pub struct PlanArguments {
+    /// Scene file with a `tolerance`.
+    pub scene: Option<PathBuf>,
+    /// Re-run a log's commands with the reference rung and say how far its tip was off: `run.mcap`, or the folder of a run.
+    #[arg(long, value_name = "LOG")]
+    pub check: Option<PathBuf>,
+    /// Print the measured errors and costs that the choice is made from.
+    #[arg(long)]
+    pub list: bool,
+    /// With `--check`: ticks to compare.
+    #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub samples: u64,
+    /// With `--check`: the last tick to re-run.
+    #[arg(long, default_value_t = u64::MAX, hide_default_value = true)]
+    pub to: u64,
+    /// With `--check`: where the CT file of the log's scene lies now.
+    #[arg(long, value_name = "PATH")]
+    pub volume: Option<PathBuf>,
+    /// With `--check`: go on though the log is of another build, layout or volume.
+    #[arg(long)]
+    pub allow_mismatch: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad input (2); a log whose path error was above its scene's tolerance (1).
+pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
+    match (&arguments.scene, &arguments.check) {
+        (Some(scene), _) => show(scene),
+        (None, Some(log)) => check_log(log, arguments),
+        (None, None) => {
+            say!("{}", plan::TABLE.trim_end());
+            Ok(())
+        }
+    }
+}
+
+/// A scene with its tolerance resolved, and what was chosen, as text.
+///
+/// # Errors
+/// Bad input: the scene, or a tolerance that nothing keeps.
+pub fn load(file: &Path) -> Result<(Scene, Option<String>), Failure> {
+    let mut scene = Scene::load(file).map_err(Failure::bad_input)?;
+    let text = std::fs::read_to_string(file).map_err(Failure::bad_input)?;
+    let choice = resolve(&mut scene, &text)?;
+    Ok((scene, choice.map(|choice| choice.text())))
+}
+
+fn show(file: &Path) -> Result<(), Failure> {
+    let (scene, choice) = load(file)?;
+    match choice {
+        Some(choice) => say!("{}: scene `{}`\n{choice}", file.display(), scene.name),
+        None => say!(
+            "{}: scene `{}` states no `tolerance` of tip or path: the standard settings, or what it names",
+            file.display(),
+            scene.name
+        ),
+    }
+    Ok(())
+}
+
+fn check_log(log: &Path, arguments: &PlanArguments) -> Result<(), Failure> {
+    let overrides =
+        Overrides { volume: arguments.volume.clone(), scene: None, allow_mismatch: arguments.allow_mismatch };
+    let (scene, found) = check::check(log, &overrides, arguments.samples, arguments.to)?;
+    say!(
+        "{}: {} ticks again by the reference (full, own flexures, hybrid, dt {} ms) in {:.1} s, tip compared at {}",
+        log.display(),
+        found.last_tick,
+        0.5 * scene.run.dt_ms,
+        found.wall_s,
+        found.samples
+    );
+    let largest_s = found.largest.1 as f64 * scene.dt_s();
+    say!(
+        "path error    {:.4} mm r.m.s., largest {:.4} mm at {largest_s:.3} s, at the end {:.4} mm",
+        found.rms_mm,
+        found.largest.0,
+        found.end_mm
+    );
+    match scene.tolerance.as_ref().and_then(|tolerance| tolerance.path_mm) {
+        Some(allowed) if found.rms_mm > allowed || found.rms_mm.is_nan() => Err(Failure::failed(format!(
+            "the path was {:.4} mm off (r.m.s.), `tolerance.path_mm` allows {allowed}",
+            found.rms_mm
+        ))),
+        Some(allowed) => {
+            say!("tolerance     {allowed} mm: kept");
+            Ok(())
+        }
+        None => Ok(()),
+    }
+}

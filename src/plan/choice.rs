@@ -1,0 +1,322 @@
+//! Which settings a scene gets.
+
+use ipc_types::scene::{Integrator, ManipulatorRung, Scene};
+use physics_proc::manipulator::Rung;
+
+use super::TABLE;
+use super::table::{Row, Settings, integrator_name, read};
+use crate::failure::Failure;
+
+/// What the scene's author has named and the choice must keep.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Given {
+    /// `manipulator.model`.
+    pub rung: Option<Rung>,
+    /// `manipulator.links`.
+    pub links: Option<usize>,
+    /// `manipulator.integrator`.
+    pub integrator: Option<Integrator>,
+    /// `run.dt_ms`.
+    pub dt_ms: Option<f64>,
+}
+
+impl Given {
+    /// What a scene names; `text` is its file's, in which a step that is the default shows.
+    pub fn of(scene: &Scene, text: &str) -> Given {
+        let table: toml::Table = toml::from_str(text).unwrap_or_default();
+        let names_dt = table.get("run").is_some_and(|run| run.get("dt_ms").is_some());
+        let manipulator = &scene.manipulator;
+        Given {
+            rung: manipulator.model.map(rung_of),
+            links: manipulator.links,
+            integrator: manipulator.integrator,
+            dt_ms: names_dt.then_some(scene.run.dt_ms),
+        }
+    }
+
+    fn allows(&self, settings: &Settings) -> bool {
+        self.rung.is_none_or(|rung| rung == settings.rung)
+            && self.links.is_none_or(|links| links == settings.links)
+            && self.integrator.is_none_or(|integrator| integrator == settings.integrator)
+            && self.dt_ms.is_none_or(|dt_ms| dt_ms == settings.dt_ms)
+    }
+
+    fn text(&self) -> String {
+        let named = [
+            self.rung.map(|rung| format!("model {}", rung.name())),
+            self.links.map(|links| format!("{links} links")),
+            self.integrator.map(|integrator| integrator_name(integrator).to_owned()),
+            self.dt_ms.map(|dt_ms| format!("dt {dt_ms} ms")),
+        ];
+        let named: Vec<String> = named.into_iter().flatten().collect();
+        if named.is_empty() { "nothing".to_owned() } else { named.join(", ") }
+    }
+}
+
+/// What was chosen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Choice {
+    /// The row of the table.
+    pub row: Row,
+    /// Whether the scene has bone.
+    pub bone: bool,
+    /// What was named in the scene.
+    pub given: Given,
+}
+
+impl Choice {
+    /// One line a figure.
+    pub fn text(&self) -> String {
+        let row = &self.row;
+        format!(
+            "settings      {}, contact sphere to plane\nnamed         {} (kept)\ntip error     {:.4} mm expected (end moment {:.4}, tip force {:.4}, capstan {:.4}, wall {:.4})\npath error    {:.4} mm r.m.s. expected (wall {:.4}, sudden pull {:.4}{})\ncost          {:.1} us a simulated millisecond, as measured for the table",
+            row.settings.text(),
+            self.given.text(),
+            row.tip_mm(),
+            row.end_moment_mm,
+            row.tip_force_mm,
+            row.capstan_mm,
+            row.wall_mm,
+            row.path_mm(self.bone),
+            row.wall_path_mm,
+            row.swing_path_mm,
+            if self.bone { format!(", drilled {:.4}", row.drilled_path_mm) } else { String::new() },
+            row.us_per_ms(self.bone),
+        )
+    }
+}
+
+fn rung_of(rung: ManipulatorRung) -> Rung {
+    match rung {
+        ManipulatorRung::ConstantCurvature => Rung::ConstantCurvature,
+        ManipulatorRung::Planar => Rung::Planar,
+        ManipulatorRung::Spatial => Rung::Spatial,
+        ManipulatorRung::Full => Rung::Full,
+    }
+}
+
+/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if it states no error of tip or path.
+///
+/// # Errors
+/// Bad input: no measured settings are within the tolerance, or none are those that the scene names.
+pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure> {
+    let rows =
+        read(TABLE).ok_or_else(|| Failure::failed("the built-in table of measured errors is no table"))?;
+    resolve_by(scene, text, &rows)
+}
+
+fn resolve_by(scene: &mut Scene, text: &str, rows: &[Row]) -> Result<Option<Choice>, Failure> {
+    let choice = choose(scene, Given::of(scene, text), rows)?;
+    if let Some(choice) = &choice {
+        choice.row.settings.write_into(scene);
+    }
+    Ok(choice)
+}
+
+fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, Failure> {
+    let Some(tolerance) = &scene.tolerance else { return Ok(None) };
+    if tolerance.tip_mm.is_none() && tolerance.path_mm.is_none() {
+        return Ok(None);
+    }
+    let bone = scene.volume.is_some();
+    let flat = !leaves_the_plane(scene);
+    let rows: Vec<&Row> = rows
+        .iter()
+        .filter(|row| given.allows(&row.settings))
+        .filter(|row| flat || matches!(row.settings.rung, Rung::Spatial | Rung::Full))
+        .collect();
+    let within = |error: f64, allowed: Option<f64>| allowed.is_none_or(|allowed| error <= allowed);
+    let best = rows
+        .iter()
+        .filter(|row| within(row.tip_mm(), tolerance.tip_mm) && within(row.path_mm(bone), tolerance.path_mm))
+        .min_by(|a, b| a.us_per_ms(bone).total_cmp(&b.us_per_ms(bone)));
+    match best {
+        Some(row) => Ok(Some(Choice { row: **row, bone, given })),
+        None => Err(refusal(scene, &given, &rows, bone)),
+    }
+}
+
+/// Gravity or a tendon across the bending plane, or bodies, which push from anywhere: the planar rungs were not measured
+/// under those.
+fn leaves_the_plane(scene: &Scene) -> bool {
+    let (along, toward) = (scene.tool.direction, scene.tool.bend_toward);
+    let across = cross(&along, &toward);
+    let size = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let gravity = &scene.gravity_m_per_s2;
+    let part: f64 = across.iter().zip(gravity).map(|(a, g)| a * g).sum();
+    let pulled = scene.tendon.iter().any(|tendon| tendon.across_mm != 0.0);
+    pulled || !scene.body.is_empty() || part.abs() > 1e-6 * size(&across) * size(gravity).max(1e-300)
+}
+
+fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn refusal(scene: &Scene, given: &Given, rows: &[&Row], bone: bool) -> Failure {
+    let named = given.text();
+    if rows.is_empty() {
+        return Failure::bad_input(format!(
+            "scene `{}`: `tolerance`: the scene names {named}, for which no errors were measured; expected what `trabecula plan --list` lists, or name less",
+            scene.name
+        ));
+    }
+    let least = |error: &dyn Fn(&Row) -> f64| rows.iter().fold(f64::INFINITY, |low, row| low.min(error(row)));
+    let tip_mm = least(&|row| row.tip_mm());
+    let path_mm = least(&|row| row.path_mm(bone));
+    let tolerance = scene.tolerance.unwrap_or_default();
+    let ask = |key: &str, asked: Option<f64>, least: f64| {
+        asked.map(|asked| format!("`tolerance.{key}` is {asked}, allowed is {least:.4} to 100"))
+    };
+    let asked: Vec<String> =
+        [ask("tip_mm", tolerance.tip_mm, tip_mm), ask("path_mm", tolerance.path_mm, path_mm)]
+            .into_iter()
+            .flatten()
+            .collect();
+    Failure::bad_input(format!(
+        "scene `{}`: no measured settings keep this tolerance together ({}; the scene names {named})",
+        scene.name,
+        asked.join("; "),
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use std::path::Path;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SCENE: &str = r#"
+name = "planned"
+[run]
+mode = "lockstep"
+duration_s = 1.0
+[tool]
+burr_start_mm = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+"#;
+
+    fn scene(more: &str) -> (Scene, String) {
+        let text = format!("{more}\n{SCENE}");
+        (Scene::parse(&text, Path::new("planned.toml")).unwrap(), text)
+    }
+
+    /// Errors and costs in the order that is to be expected: fewer links, larger steps and poorer rungs are cheaper and worse.
+    fn rows() -> Vec<Row> {
+        let mut rows = Vec::new();
+        for (rung, place) in Rung::ALL.into_iter().zip(1..) {
+            for links in [4, 8, 27] {
+                for integrator in [Integrator::LinearlyImplicitEuler, Integrator::Hybrid] {
+                    for dt_ms in [0.5, 1.0, 2.0] {
+                        let tip = if place == 1 { 5.0 } else { 10.0 / (links * links) as f64 };
+                        let order = if integrator == Integrator::Hybrid { 0.1 } else { 1.0 };
+                        let us = f64::from(place) * links as f64 / dt_ms * (2.0 - order);
+                        rows.push(Row {
+                            settings: Settings { rung, links, integrator, dt_ms },
+                            end_moment_mm: 0.5 * tip,
+                            tip_force_mm: tip,
+                            capstan_mm: 0.1 * tip,
+                            wall_mm: 0.2 * tip,
+                            wall_path_mm: tip + 0.5 * order * dt_ms,
+                            swing_path_mm: tip + order * dt_ms,
+                            drilled_path_mm: if links == 27 { tip + dt_ms } else { f64::NAN },
+                            free_us_per_ms: us,
+                            drilling_us_per_ms: if links == 27 { us + 20.0 } else { f64::NAN },
+                        });
+                    }
+                }
+            }
+        }
+        rows
+    }
+
+    fn planned(more: &str) -> Result<(Scene, Option<Choice>), Failure> {
+        let (mut scene, text) = scene(more);
+        resolve_by(&mut scene, &text, &rows()).map(|choice| (scene, choice))
+    }
+
+    #[test]
+    fn a_scene_without_tolerance_stays_as_it_is() {
+        let (after, choice) = planned("").unwrap();
+        assert_eq!((after, choice), (scene("").0, None));
+        assert_eq!(planned("tolerance = {}").unwrap().1, None);
+    }
+
+    #[test]
+    fn the_choice_is_in_the_resolved_scene_and_stays_when_resolved_again() {
+        let (mut after, choice) = planned("tolerance = { tip_mm = 0.1, path_mm = 0.5 }").unwrap();
+        let choice = choice.unwrap();
+        assert!(choice.row.tip_mm() <= 0.1 && choice.row.path_mm(false) <= 0.5, "{choice:?}");
+        assert_eq!(after.run.dt_ms, choice.row.settings.dt_ms);
+        let resolved = after.clone();
+        let text = toml::to_string(&after).unwrap();
+        let again = resolve_by(&mut after, &text, &rows()).unwrap().unwrap();
+        assert_eq!((after, again.row.settings), (resolved, choice.row.settings));
+    }
+
+    /// With bone, a path that was not measured there is not promised.
+    #[test]
+    fn a_scene_with_bone_gets_what_was_measured_in_bone() {
+        let block = "volume = { phantom = \"block\" }\n";
+        let free = planned("tolerance = { path_mm = 2.0 }").unwrap().1.unwrap();
+        let bone = planned(&format!("{block}tolerance = {{ path_mm = 2.0 }}")).unwrap().1.unwrap();
+        assert!(free.row.settings.links < 27 && bone.row.settings.links == 27, "{free:?} {bone:?}");
+        assert!(bone.text().contains("drilled") && !free.text().contains("drilled"));
+    }
+
+    #[test]
+    fn what_the_scene_names_stays() {
+        let (after, choice) = planned(
+            "tolerance = { tip_mm = 1.0 }\nmanipulator = { model = \"spatial\", integrator = \"hybrid\" }",
+        )
+        .unwrap();
+        assert_eq!(after.manipulator.model, Some(ManipulatorRung::Spatial));
+        assert_eq!(choice.unwrap().row.settings.integrator, Integrator::Hybrid);
+        let refused = planned("tolerance = { tip_mm = 1.0 }\nmanipulator = { links = 17 }").unwrap_err();
+        assert!(refused.code == 2 && refused.message.contains("17 links"), "{refused}");
+    }
+
+    #[test]
+    fn loads_across_the_bending_plane_exclude_the_planar_rungs() {
+        let choice = planned("gravity_m_per_s2 = [0.0, 9.81, 0.0]\ntolerance = { tip_mm = 10.0 }").unwrap().1;
+        assert!(matches!(choice.unwrap().row.settings.rung, Rung::Spatial | Rung::Full));
+        let choice = planned("gravity_m_per_s2 = [9.81, 0.0, 0.0]\ntolerance = { tip_mm = 10.0 }").unwrap().1;
+        assert_eq!(choice.unwrap().row.settings.rung, Rung::ConstantCurvature);
+    }
+
+    #[test]
+    fn what_nothing_keeps_is_refused_with_key_and_range() {
+        let refused = planned("tolerance = { path_mm = 0.001 }").unwrap_err();
+        assert!(
+            refused.code == 2 && refused.message.contains("`tolerance.path_mm` is 0.001, allowed is"),
+            "{refused}"
+        );
+        let text = format!("tolerance = {{ tip_mm = 0.0 }}\n{SCENE}");
+        let refused = Scene::parse(&text, Path::new("planned.toml")).unwrap_err().to_string();
+        assert!(refused.contains("`tolerance.tip_mm` is 0, allowed is 0.001 to 100"), "{refused}");
+    }
+
+    proptest! {
+        /// A looser tolerance is never dearer, and what is chosen keeps the tolerance.
+        #[test]
+        fn looser_is_never_dearer(tip in -2.5..1.0f64, path in -2.5..1.0f64, more in 0.0..1.0f64) {
+            let (mut scene, _) = scene("tolerance = { tip_mm = 1.0, path_mm = 1.0 }");
+            let rows = rows();
+            let mut cost = |tip_mm: f64, path_mm: f64| {
+                scene.tolerance = Some(ipc_types::scene::Tolerance { tip_mm: Some(tip_mm), path_mm: Some(path_mm), ..Default::default() });
+                choose(&scene, Given::default(), &rows).map(|choice| choice.unwrap().row).map(|row| {
+                    assert!(row.tip_mm() <= tip_mm && row.path_mm(false) <= path_mm);
+                    row.us_per_ms(false)
+                })
+            };
+            let tight = cost(10f64.powf(tip), 10f64.powf(path));
+            let loose = cost(10f64.powf(tip + more), 10f64.powf(path + more));
+            if let Ok(tight) = tight {
+                prop_assert!(loose.unwrap() <= tight);
+            }
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! The table of measured errors and costs.
+
+use std::fmt::Write as _;
+
+use ipc_types::scene::{Integrator, ManipulatorRung, Scene};
+use physics_proc::manipulator::Rung;
+
+/// Flexures of the standard tool.
+const OWN_LINKS: usize = 27;
+
+/// What a row of the table was measured with. The contact of all is sphere against plane, the one that there is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Rung.
+    pub rung: Rung,
+    /// Links; as many as the tool has flexures (27) are its own.
+    pub links: usize,
+    /// Integrator.
+    pub integrator: Integrator,
+    /// Step, ms.
+    pub dt_ms: f64,
+}
+
+impl Settings {
+    /// As tables and messages write it.
+    pub fn text(&self) -> String {
+        let integrator = integrator_name(self.integrator);
+        format!("{}, {} links, {integrator}, dt {} ms", self.rung.name(), self.links, self.dt_ms)
+    }
+
+    /// Makes them those of a scene.
+    pub fn write_into(&self, scene: &mut Scene) {
+        scene.manipulator.model = Some(match self.rung {
+            Rung::ConstantCurvature => ManipulatorRung::ConstantCurvature,
+            Rung::Planar => ManipulatorRung::Planar,
+            Rung::Spatial => ManipulatorRung::Spatial,
+            Rung::Full => ManipulatorRung::Full,
+        });
+        // The tool's own flexures are those of its tables, which no number of equal links is.
+        if self.links != OWN_LINKS {
+            scene.manipulator.links = Some(self.links);
+        }
+        scene.manipulator.integrator = Some(self.integrator);
+        scene.run.dt_ms = self.dt_ms;
+    }
+}
+
+/// A scene's name of an integrator.
+pub fn integrator_name(integrator: Integrator) -> &'static str {
+    match integrator {
+        Integrator::LinearlyImplicitEuler => "linearly_implicit_euler",
+        Integrator::Hybrid => "hybrid",
+    }
+}
+
+/// Measured errors (mm; infinite where the tool was lost) and costs (microseconds a simulated millisecond).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Row {
+    /// What was measured.
+    pub settings: Settings,
+    /// Tip under a pure end moment, against the arc.
+    pub end_moment_mm: f64,
+    /// Tip under a dead force, the worst load, against the elastica.
+    pub tip_force_mm: f64,
+    /// Tip under a tendon with friction, against the closed form.
+    pub capstan_mm: f64,
+    /// Tip at rest against a wall, against the converged solution.
+    pub wall_mm: f64,
+    /// Path onto the wall, r.m.s.
+    pub wall_path_mm: f64,
+    /// Path of a sudden pull in free space, r.m.s.
+    pub swing_path_mm: f64,
+    /// Path of the burr in the default scene, r.m.s.
+    pub drilled_path_mm: f64,
+    /// Median step of the sudden pull: the manipulator alone.
+    pub free_us_per_ms: f64,
+    /// Median step of the default scene: contact, drilling and all.
+    pub drilling_us_per_ms: f64,
+}
+
+const COLUMNS: [&str; 13] = [
+    "rung",
+    "links",
+    "integrator",
+    "dt_ms",
+    "end_moment_mm",
+    "tip_force_mm",
+    "capstan_mm",
+    "wall_mm",
+    "wall_path_mm",
+    "swing_path_mm",
+    "drilled_path_mm",
+    "free_us_per_ms",
+    "drilling_us_per_ms",
+];
+
+impl Row {
+    /// Error of the burr's place at rest: the worst problem.
+    pub fn tip_mm(&self) -> f64 {
+        worst(&[self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm])
+    }
+
+    /// Error of the burr's path: the worst problem; drilling counts where there is bone.
+    pub fn path_mm(&self, bone: bool) -> f64 {
+        let free = [self.wall_path_mm, self.swing_path_mm];
+        if bone { worst(&[free[0], free[1], self.drilled_path_mm]) } else { worst(&free) }
+    }
+
+    /// Cost of a simulated millisecond, µs.
+    pub fn us_per_ms(&self, bone: bool) -> f64 {
+        if bone { self.drilling_us_per_ms } else { self.free_us_per_ms }
+    }
+}
+
+/// The largest; what is not a number is infinite.
+fn worst(errors: &[f64]) -> f64 {
+    errors.iter().fold(0.0, |most, &error| if error.is_finite() { most.max(error) } else { f64::INFINITY })
+}
+
+/// The rows as CSV.
+pub fn write(rows: &[Row]) -> String {
+    let mut text = COLUMNS.join(",");
+    text.push('\n');
+    for row in rows {
+        let s = &row.settings;
+        let _ = write!(text, "{},{},{},{}", s.rung.name(), s.links, integrator_name(s.integrator), s.dt_ms);
+        for error in [
+            row.end_moment_mm,
+            row.tip_force_mm,
+            row.capstan_mm,
+            row.wall_mm,
+            row.wall_path_mm,
+            row.swing_path_mm,
+            row.drilled_path_mm,
+        ] {
+            // Writing to a String cannot fail.
+            let _ = write!(text, ",{error:.4e}");
+        }
+        let _ = writeln!(text, ",{:.2},{:.2}", row.free_us_per_ms, row.drilling_us_per_ms);
+    }
+    text
+}
+
+/// The rows of a table; `None` if it is none.
+pub fn read(text: &str) -> Option<Vec<Row>> {
+    let mut lines = text.lines();
+    if lines.next()? != COLUMNS.join(",") {
+        return None;
+    }
+    lines.map(row).collect()
+}
+
+fn row(line: &str) -> Option<Row> {
+    let cells: Vec<&str> = line.split(',').collect();
+    if cells.len() != COLUMNS.len() {
+        return None;
+    }
+    let number = |index: usize| cells.get(index)?.parse::<f64>().ok();
+    Some(Row {
+        settings: Settings {
+            rung: Rung::ALL.into_iter().find(|rung| Some(&rung.name()) == cells.first())?,
+            links: cells.get(1)?.parse().ok()?,
+            integrator: [Integrator::LinearlyImplicitEuler, Integrator::Hybrid]
+                .into_iter()
+                .find(|integrator| Some(&integrator_name(*integrator)) == cells.get(2))?,
+            dt_ms: number(3)?,
+        },
+        end_moment_mm: number(4)?,
+        tip_force_mm: number(5)?,
+        capstan_mm: number(6)?,
+        wall_mm: number(7)?,
+        wall_path_mm: number(8)?,
+        swing_path_mm: number(9)?,
+        drilled_path_mm: number(10)?,
+        free_us_per_ms: number(11)?,
+        drilling_us_per_ms: number(12)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+    use crate::plan::TABLE;
+
+    #[test]
+    fn the_table_is_read_as_it_is_written() {
+        let rows = read(TABLE).unwrap();
+        assert_eq!(write(&rows), TABLE);
+        assert!(rows.iter().any(|row| row.path_mm(false).is_finite()));
+    }
+
+    #[test]
+    fn what_was_lost_is_infinitely_wrong() {
+        let row = Row { wall_mm: f64::NAN, ..read(TABLE).unwrap()[0] };
+        assert_eq!(row.tip_mm(), f64::INFINITY);
+        assert_eq!(read("rung,links\nplanar,4\n"), None);
+    }
+}

@@ -1,0 +1,73 @@
+//! A scene's tolerance: the choice, the run made with it, and the error that it really made.
+
+use recorder_proc::LogReader;
+
+use crate::common::logs::{assert_replays, rewrite_as};
+use crate::common::program::{Place, trabecula};
+use crate::common::scenes;
+
+fn with_tolerance(scene: &str, tolerance: &str) -> String {
+    scene.replacen("seed = 7\n", &format!("seed = 7\n[tolerance]\n{tolerance}\n"), 1)
+}
+
+#[test]
+fn a_run_within_a_tolerance_is_recorded_as_resolved_and_its_error_is_checked() {
+    let place = Place::new();
+    let scene = with_tolerance(&scenes::hold("lockstep", 0.5), "tip_mm = 0.5\npath_mm = 2.5");
+    let planned = trabecula(&[&"plan", &place.scene(&scene)]);
+    assert_eq!(planned.code, Some(0), "{}", planned.err);
+    assert!(planned.out.contains("tip error") && planned.out.contains("cost"), "{}", planned.out);
+    let run = place.complete(&scene);
+    let recorded = LogReader::open(&run.folder.join("run.mcap")).unwrap().header().scene_toml.clone();
+    for key in ["model = ", "integrator = ", "dt_ms = ", "tip_mm = 0.5"] {
+        assert!(recorded.contains(key), "{key} is not in {recorded}");
+    }
+    assert_replays(&run.folder);
+    let checked = trabecula(&[&"plan", &"--check", &run.folder]);
+    assert_eq!(checked.code, Some(0), "{}{}", checked.out, checked.err);
+    assert!(checked.out.contains("path error") && checked.out.contains("kept"), "{}", checked.out);
+}
+
+#[test]
+fn a_path_that_was_off_by_more_than_the_tolerance_fails_its_check() {
+    let place = Place::new();
+    let named = scenes::hold("lockstep", 0.5) + "[manipulator]\nmodel = \"constant_curvature\"\n";
+    let run = place.complete(&with_tolerance(&named, "path_mm = 30.0"));
+    let stricter = place.path("stricter.mcap");
+    // The arc starts its swing as the beam does not: it is off by more than a micrometre.
+    rewrite_as(
+        &run.folder.join("run.mcap"),
+        &stricter,
+        |header| header.scene_toml = header.scene_toml.replace("path_mm = 30.0", "path_mm = 0.001"),
+        |_| {},
+        |_| {},
+    );
+    let checked = trabecula(&[&"plan", &"--check", &stricter]);
+    assert_eq!(checked.code, Some(1), "{}{}", checked.out, checked.err);
+    assert!(checked.err.contains("`tolerance.path_mm` allows 0.001"), "{}", checked.err);
+}
+
+#[test]
+fn what_cannot_be_planned_is_bad_input() {
+    let place = Place::new();
+    let hold = scenes::hold("lockstep", 0.5);
+    for (scene, words) in [
+        (
+            with_tolerance(&hold, "tip_mm = 0.0001"),
+            ["`tolerance.tip_mm` is 0.0001", "allowed is 0.001 to 100"],
+        ),
+        (with_tolerance(&hold, "path_mm = 0.001"), ["`tolerance.path_mm` is 0.001", "allowed is"]),
+        (with_tolerance(&hold, "tip_um = 5.0"), ["`tip_um`", "`tip_mm`"]),
+    ] {
+        let file = place.scene(&scene);
+        for command in ["plan", "run"] {
+            let done = trabecula(&[&command, &file]);
+            assert_eq!(done.code, Some(2), "{}{}", done.out, done.err);
+            assert!(words.iter().all(|word| done.err.contains(word)), "{words:?} in: {}", done.err);
+        }
+    }
+    let neither = trabecula(&[&"plan"]);
+    assert_eq!(neither.code, Some(2), "{}", neither.err);
+    let no_log = trabecula(&[&"plan", &"--check", &place.path("nothing.mcap")]);
+    assert_eq!(no_log.code, Some(2), "{}", no_log.err);
+}
