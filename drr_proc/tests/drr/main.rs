@@ -13,6 +13,8 @@ mod frames;
 #[cfg(test)]
 mod geometry;
 #[cfg(test)]
+mod ladder;
+#[cfg(test)]
 mod poses;
 #[cfg(test)]
 mod projectors;
