@@ -298,7 +298,8 @@ fn a_frame_rendered_aside_leaves_the_standing_c_arm_its_cache() {
             renderer.remove(&view, &after).unwrap();
             removed.extend_from_slice(&after);
             let report = renderer.render(&view, &stands, &tool, seed, &mut image).unwrap();
-            assert_eq!(report.kind, RenderKind::Incremental, "{projector:?} round {round}");
+            // Incremental, or full where the measured costs say that this is quicker.
+            assert_ne!(report.kind, RenderKind::Cached, "{projector:?} round {round}");
             let want = fresh(&stands, &removed);
             assert!(image == want.0 && hash(renderer.anatomy()) == want.1, "{projector:?} round {round}");
         }
