@@ -87,6 +87,11 @@ fn a_dicom_file_says_how_it_was_taken_and_an_nrrd_file_holds_the_attenuation() {
         drr(&volume, &path("f.nrrd"), &[&pose[..], &["--display", "bone-bright"]].concat()).code,
         Some(0)
     );
+    assert_eq!(drr(&volume, &path("l.dcm"), &["--display", "linear"]).code, Some(0));
+    for (file, relationship) in [("f.dcm", "LOG"), ("l.dcm", "LIN")] {
+        let object = open_file(path(file)).unwrap();
+        assert_eq!(object.element(Tag(0x0028, 0x1040)).unwrap().to_str().unwrap(), relationship);
+    }
     let object = open_file(path("f.dcm")).unwrap();
     let number = |group, element| object.element(Tag(group, element)).unwrap().to_float64().unwrap();
     for (group, element, want) in [

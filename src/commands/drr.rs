@@ -136,11 +136,12 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let grid = Grid::new(volume.dims, volume.spacing_m, volume.origin_m, volume.direction);
     let view = VolumeView::new(grid.map_err(Failure::bad_input)?, &volume.hu).map_err(Failure::bad_input)?;
     let mut renderer = DrrRenderer::new(&view, parameters(arguments)).map_err(Failure::bad_input)?;
+    let linear = matches!(arguments.display, DisplayName::Linear);
     let mut animation = Vec::new();
     let mut slowest_ms = 0.0_f64;
     for (number, placed) in placed.iter().enumerate() {
         let began = Instant::now();
-        let picture = render(&mut renderer, &view, placed, arguments.seed, kind)?;
+        let picture = render(&mut renderer, &view, placed, arguments.seed, kind, linear)?;
         slowest_ms = slowest_ms.max(began.elapsed().as_secs_f64() * 1e3);
         if arguments.animate {
             animation.push(picture);
@@ -254,9 +255,10 @@ fn render(
     placed: &Placed,
     seed: u64,
     kind: Kind,
+    linear: bool,
 ) -> Result<Picture, Failure> {
     let pixels = placed.c_arm.pixels();
-    let mut picture = Picture { placed: *placed, greys: Vec::new(), values: Vec::new() };
+    let mut picture = Picture { placed: *placed, linear, greys: Vec::new(), values: Vec::new() };
     let output = if kind == Kind::Nrrd {
         picture.values.resize(pixels, 0.0);
         Output::Float32(&mut picture.values)

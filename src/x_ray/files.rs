@@ -23,6 +23,8 @@ const EXPLICIT_LITTLE_ENDIAN: &str = "1.2.840.10008.1.2.1";
 #[derive(Debug, Clone)]
 pub struct Picture {
     pub placed: Placed,
+    /// Greys proportional to the detector's readout; otherwise to its logarithm.
+    pub linear: bool,
     pub greys: Vec<u16>,
     /// Without window and rounding; only where a file wants it.
     pub values: Vec<f32>,
@@ -124,7 +126,8 @@ pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
     text(0x0020, 0x000D, VR::UI, uid(2));
     text(0x0020, 0x000E, VR::UI, uid(4));
     text(0x0028, 0x0004, VR::CS, "MONOCHROME2".to_owned());
-    text(0x0028, 0x1040, VR::CS, "LOG".to_owned());
+    // Pixel Intensity Relationship (PS3.3 C.8.7.1.1.3).
+    text(0x0028, 0x1040, VR::CS, if picture.linear { "LIN" } else { "LOG" }.to_owned());
     for (element, value) in [
         (0x0002, 1),
         (0x0010, rows),

@@ -6,9 +6,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ipc_types::layout::CDR_LITTLE_ENDIAN;
+use ipc_types::messages::TickTiming;
+use recorder_proc::misses::attribute;
+use recorder_proc::topics;
 use tokio::sync::Notify;
+use zerocopy::FromBytes;
 
-use crate::channels::{Channels, NOTICE, Policy};
+use crate::channels::{Channels, MISS, NOTICE, Policy};
 use crate::protocol::Subscription;
 use crate::queue::{Outgoing, Payload, Queue};
 
@@ -100,8 +104,17 @@ impl Board {
         self.publish_json(NOTICE, &serde_json::json!({"level": level, "text": text}));
     }
 
-    /// Hands out a message and keeps it as the newest of its channel and slot.
+    /// Hands out a message and keeps it as the newest of its channel and slot; before a late tick's timing, its cause.
     pub fn publish(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
+        if topic == topics::TICK_TIMING
+            && let Some(miss) = miss_of(&bytes)
+        {
+            self.hand_out(MISS, time_ns, 0, miss.to_string().into_bytes());
+        }
+        self.hand_out(topic, time_ns, slot, bytes);
+    }
+
+    fn hand_out(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
         let Some(id) = self.channels.id(topic) else { return };
         let Some(channel) = self.channels.get(id) else { return };
         let payload: Payload = bytes.into();
@@ -202,6 +215,15 @@ impl Board {
 }
 
 /// A panic elsewhere leaves the data whole: every change is one insertion.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) /// Main cause of a late tick, as the page shows it; none for a tick in time.
+fn miss_of(timing: &[u8]) -> Option<serde_json::Value> {
+    let timing = TickTiming::read_from_bytes(timing.strip_prefix(CDR_LITTLE_ENDIAN.as_slice())?).ok()?;
+    let lost = attribute(&timing)?;
+    let cause = lost.main_cause();
+    let letter = cause.letter().to_string();
+    Some(serde_json::json!({"tick": timing.tick, "cause": cause.name(), "letter": letter, "lost_ns": lost.total_ns()}))
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -20,6 +20,8 @@ pub const PLAYBACK: &str = "/view/playback";
 pub const NOTICE: &str = "/view/notice";
 /// Two logs compared (JSON; logs only).
 pub const COMPARE: &str = "/view/compare";
+/// Why a tick began late, before its `TickTiming` (JSON): [`recorder_proc::misses`].
+pub const MISS: &str = "/view/miss";
 /// The tool and its contacts for the 3D panel of Lichtblick and Foxglove (`foxglove.SceneUpdate`, JSON).
 pub const SCENE: &str = "/view/scene";
 
@@ -77,6 +79,7 @@ impl Channels {
             channels.json(topic, schema, Policy::Newest);
         }
         channels.json(NOTICE, "trabecula.view.Notice", Policy::Stream);
+        channels.json(MISS, "trabecula.view.Miss", Policy::Stream);
         channels.json(SCENE, "foxglove.SceneUpdate", Policy::Newest);
         channels.add(
             SURFACE,

@@ -122,6 +122,7 @@ for (const prefix of ["", "/second"]) {
   connection.on(`${prefix}/state`, (...message) => (model.takeState(...message), changed("scene"), changed("plots")));
   connection.on(`${prefix}/drr/image`, (data) => page.xRay.take(decodeImage(data), prefix !== ""));
 }
+connection.on("/view/miss", (data) => model.takeMiss(data));
 connection.on("/timing/tick", (...message) => (model.takeTiming(...message), changed("plots")));
 connection.on("/drr/frame", (...message) => (model.takeFrame(...message), changed("xRay")));
 connection.on("/run/status", (...message) => (model.takeStatus(...message), changed("plots")));

@@ -121,19 +121,20 @@ export class Model {
     this.trail.add(read.burr.map((f) => f(data)), timeNs);
   }
 
+  /** The cause of the late tick whose timing comes next. @type {import("/assets/connection.js").Handler} */
+  takeMiss(data) {
+    const { tick, letter } = json(data);
+    this.miss = { tick, cause: causeOf(letter) };
+  }
+
   /** @type {import("/assets/connection.js").Handler} */
   takeTiming(data, _timeNs, channel) {
     const read = this.#read(channel, (layout) => {
-      const names = ["tick", "missed", "wake_lateness_ns", "run_queue_wait_ns", "page_faults", "step_ns", "publish_ns"];
-      return Object.fromEntries(names.map((name) => [name, reader(layout, name)]));
+      return Object.fromEntries(["tick", "missed", "step_ns"].map((name) => [name, reader(layout, name)]));
     });
-    const [step, publish] = [read.step_ns(data), read.publish_ns(data)];
-    const facts = {
-      lateness_ns: read.wake_lateness_ns(data), wait_ns: read.run_queue_wait_ns(data), faults: read.page_faults(data),
-      work_before_ns: this.workBefore ?? 0, period_ns: this.periodNs,
-    };
-    this.timing.push((read.tick(data) * this.periodNs) / 1e9, step / 1e3, read.missed(data) ? causeOf(facts) : 0);
-    this.workBefore = step + publish;
+    const tick = read.tick(data);
+    const cause = this.miss?.tick === tick ? this.miss.cause : causeOf("U");
+    this.timing.push((tick * this.periodNs) / 1e9, read.step_ns(data) / 1e3, read.missed(data) ? cause : 0);
   }
 
   get periodNs() {

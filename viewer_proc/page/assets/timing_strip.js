@@ -3,25 +3,26 @@
 import { prepare } from "/assets/plot.js";
 
 /**
- * Causes of a miss, found in the facts of its `TickTiming`; the number is what the series keeps.
- * @type {Record<number, {letter: string, name: string, colour: string}>}
+ * Causes of a miss by the letter that the server gives (`recorder_proc::misses`); the series keeps the place in this list, from 1.
+ * @type {{letter: string, name: string, colour: string}[]}
  */
-export const CAUSES = {
-  1: { letter: "S", name: "step too long", colour: "--cause-step" },
-  2: { letter: "C", name: "core taken by others", colour: "--cause-core" },
-  3: { letter: "F", name: "page fault", colour: "--cause-fault" },
-  4: { letter: "H", name: "kernel or host", colour: "--cause-host" },
-};
+const LIST = [
+  { letter: "O", name: "own computation", colour: "--cause-step" },
+  { letter: "Q", name: "run queue: others had the core", colour: "--cause-core" },
+  { letter: "S", name: "stolen by the hypervisor", colour: "--cause-host" },
+  { letter: "F", name: "page fault", colour: "--cause-fault" },
+  { letter: "B", name: "blocked", colour: "--series-3" },
+  { letter: "C", name: "late controller", colour: "--series-4" },
+  { letter: "U", name: "unknown", colour: "--muted" },
+];
 
-/**
- * Why a tick began late: its predecessor's own work, faults in it, waiting for a core, or what is left.
- * @param {{lateness_ns: number, wait_ns: number, faults: number, work_before_ns: number, period_ns: number}} facts
- * @returns {number} a key of `CAUSES`
- */
-export function causeOf({ lateness_ns, wait_ns, faults, work_before_ns, period_ns }) {
-  if (wait_ns >= lateness_ns / 2) return 2;
-  if (faults > 0) return 3;
-  return work_before_ns > period_ns ? 1 : 4;
+/** @type {Record<number, {letter: string, name: string, colour: string}>} */
+export const CAUSES = Object.fromEntries(LIST.map((cause, index) => [index + 1, cause]));
+
+/** @param {string} letter @returns {number} a key of `CAUSES`; unknown for any other letter */
+export function causeOf(letter) {
+  const index = LIST.findIndex((cause) => cause.letter === letter);
+  return index < 0 ? LIST.length : index + 1;
 }
 
 const LETTER_PX = 13;
