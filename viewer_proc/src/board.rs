@@ -214,16 +214,18 @@ impl Board {
     }
 }
 
-/// A panic elsewhere leaves the data whole: every change is one insertion.
-pub(crate) /// Main cause of a late tick, as the page shows it; none for a tick in time.
+/// Main cause of a late tick, as the page shows it; none for a tick in time.
 fn miss_of(timing: &[u8]) -> Option<serde_json::Value> {
     let timing = TickTiming::read_from_bytes(timing.strip_prefix(CDR_LITTLE_ENDIAN.as_slice())?).ok()?;
     let lost = attribute(&timing)?;
     let cause = lost.main_cause();
     let letter = cause.letter().to_string();
-    Some(serde_json::json!({"tick": timing.tick, "cause": cause.name(), "letter": letter, "lost_ns": lost.total_ns()}))
+    Some(
+        serde_json::json!({"tick": timing.tick, "cause": cause.name(), "letter": letter, "lost_ns": lost.total_ns()}),
+    )
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+/// A panic elsewhere leaves the data whole: every change is one insertion.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
