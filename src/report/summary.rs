@@ -292,7 +292,7 @@ impl LogSummary {
 /// Ending of a name in [`Summary::peak_memory_bytes`] under which the memory of a process without shared memory stands.
 pub const NOT_SHARED: &str = ", not shared";
 
-/// The short table at the end of a run, at most 20 lines.
+/// The short table at the end of a run: 20 lines, and one for each controller behind the third.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unknown = || "unknown".to_string();

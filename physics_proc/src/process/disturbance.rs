@@ -213,7 +213,8 @@ mod tests {
         let mut readings = Disturbances::new();
         let mut timing = TickTiming::zeroed();
         readings.count(&mut timing);
-        let fresh = vec![1_u8; 8 << 20];
+        // Unseen by the compiler, which would else make none of it.
+        let fresh = std::hint::black_box(vec![1_u8; 8 << 20]);
         readings.count(&mut timing);
         assert!(timing.page_faults > 0 && fresh[4096] == 1, "{timing:?}");
     }
