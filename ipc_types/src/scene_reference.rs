@@ -58,7 +58,6 @@ column_axis = [0.0, 0.0, -1.0]
 [drr.notch]
 width_mm = 0.5
 depth_mm = 2.0
-[tolerance]
 [arm.compliance]
 joint_stiffness_nm_per_rad = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
 joint_damping_nms_per_rad = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
