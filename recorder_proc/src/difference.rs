@@ -62,7 +62,8 @@ pub fn compare(
     if recorded == replayed {
         return None;
     }
-    let mut found = Found::default();
+    // A few more than are listed, so that the chained hash can move behind them.
+    let mut found = Found { most: MAX_LISTED + 2, ..Found::default() };
     found.message(description, "", recorded, replayed);
     if let Some(tail) = description.tail {
         let (a, b) = (recorded.get(description.size..), replayed.get(description.size..));
@@ -81,7 +82,7 @@ pub fn compare_removed(tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<
         return None;
     }
     let bytes = |list: &[u32]| -> Vec<u8> { list.iter().flat_map(|index| index.to_le_bytes()).collect() };
-    let mut found = Found::default();
+    let mut found = Found { most: MAX_LISTED, ..Found::default() };
     if recorded.len() != replayed.len() {
         let length = |list: &[u32]| Some(Scalar::Unsigned(list.len() as u64));
         found.push("voxel_index_length".to_string(), length(recorded), length(replayed));
@@ -92,17 +93,25 @@ pub fn compare_removed(tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<
     Some(Divergence { topic, tick, differences: found.list, total: found.total })
 }
 
+/// All differing scalars of two messages of one description that has no tail, in the order of the fields.
+pub fn all_differences(description: &'static Description, a: &[u8], b: &[u8]) -> Vec<FieldDifference> {
+    let mut found = Found { most: usize::MAX, ..Found::default() };
+    found.message(description, "", a, b);
+    found.list
+}
+
 #[derive(Default)]
 struct Found {
     list: Vec<FieldDifference>,
+    /// How many are kept.
+    most: usize,
     total: usize,
 }
 
 impl Found {
     fn push(&mut self, path: String, recorded: Option<Scalar>, replayed: Option<Scalar>) {
         self.total += 1;
-        // A few more than are listed, so that the chained hash can move behind them.
-        if self.list.len() < MAX_LISTED + 2 {
+        if self.list.len() < self.most {
             let ulps = recorded.zip(replayed).and_then(|(a, b)| a.ulp_distance(&b));
             self.list.push(FieldDifference { path, recorded, replayed, ulps });
         }

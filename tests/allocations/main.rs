@@ -101,8 +101,24 @@ fn drill(steer: Steer, malloc: impl Fn() -> u64) -> Counted {
     counted
 }
 
+/// Whether this process runs nothing else. Otherwise it has run the test of this name in one that does: the counter counts
+/// every thread's calls, and beside this test others run.
+fn alone(test: &str) -> bool {
+    const ALONE: &str = "TRABECULA_ALONE";
+    if std::env::var_os(ALONE).is_some() {
+        return true;
+    }
+    let words = ["--exact", test, "--nocapture", "--test-threads", "1"];
+    let status = Program::new(std::env::current_exe().unwrap()).args(words).env(ALONE, "1").status().unwrap();
+    assert!(status.success(), "{test}, alone: {status}");
+    false
+}
+
 #[test]
 fn ten_thousand_ticks_of_drilling_allocate_nothing() {
+    if !alone("ten_thousand_ticks_of_drilling_allocate_nothing") {
+        return;
+    }
     let counted = drill(sideways, || 0);
     println!(
         "{TICKS} ticks of drilling, {} voxels: {} calls of Rust's allocator",
@@ -116,6 +132,9 @@ fn ten_thousand_ticks_of_drilling_allocate_nothing() {
 /// make them. That is all there is.
 #[test]
 fn a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else() {
+    if !alone("a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else") {
+        return;
+    }
     let counted = drill(straight, || 0);
     println!("{TICKS} ticks with the arm in motion: {} calls of Rust's allocator", counted.rust);
     assert!(counted.removed > 100, "it drills: {counted:?}");

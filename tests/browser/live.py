@@ -106,6 +106,8 @@ def works_with_keys_alone(page: Page) -> None:
     page.until("help", lambda: page.page.locator("#help").is_visible() and "slacken the tendon" in page.page.inner_text("body") or
                "pause, go on" in page.text("help"))
     page.page.keyboard.press("Escape")
+    # Keys are for the help as long as it is open.
+    page.until("the help is gone", lambda: page.page.locator("dialog[open]").count() == 0)
     page.page.keyboard.press("Space")
     page.until("Space pauses", lambda: page.text("phase") == "Paused")
     page.page.keyboard.press("Space")

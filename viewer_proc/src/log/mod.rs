@@ -14,6 +14,7 @@ use ipc_types::layout::Message;
 use ipc_types::messages::State;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
+use recorder_proc::fields::Scalar;
 use recorder_proc::{difference, topics};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
@@ -47,6 +48,8 @@ const POSITION_SLOT: u32 = 1;
 const HISTORY_NS: u64 = 10_000_000_000;
 const HISTORY_STATES: u64 = 400;
 const HISTORY_DELAY: Duration = Duration::from_millis(150);
+/// Rows of a comparison.
+const MOST_ROWS: usize = 40;
 /// Topics whose newest message shows a time.
 const SHOWN: [&str; 5] =
     [topics::LATCHED, topics::STATE, topics::DRR_REPLY, topics::DRR_FRAME, topics::DRR_IMAGE];
@@ -369,15 +372,24 @@ impl Show {
     }
 }
 
-/// Fields of two states that differ, the first sixteen.
+/// Fields of two states that differ, at most [`MOST_ROWS`]: the state's own before those of its poses and contacts, of either
+/// the largest relative differences first.
 fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
-    let found = difference::compare(topics::STATE, 0, State::DESCRIPTION, a, b);
-    let row = |difference: &recorder_proc::FieldDifference| {
-        let number = |scalar: Option<recorder_proc::fields::Scalar>| scalar.map(|scalar| scalar.to_string());
-        let parsed = |text: &Option<String>| text.as_ref().and_then(|text| text.parse::<f64>().ok());
-        let (a, b) = (number(difference.recorded), number(difference.replayed));
-        let distance = parsed(&a).zip(parsed(&b)).map(|(a, b)| b - a);
-        json!({"name": difference.path, "a": parsed(&a), "b": parsed(&b), "difference": distance})
-    };
-    found.map_or_else(Vec::new, |found| found.differences.iter().map(row).collect())
+    let number = |scalar: Option<Scalar>| scalar.and_then(|scalar| scalar.to_string().parse::<f64>().ok());
+    let mut rows: Vec<(f64, String, f64, f64)> = difference::all_differences(State::DESCRIPTION, a, b)
+        .into_iter()
+        .filter(|difference| !difference.path.starts_with("hash["))
+        .filter_map(|found| {
+            let (a, b) = number(found.recorded).zip(number(found.replayed))?;
+            let relative = if a == b { 0.0 } else { (b - a).abs() / a.abs().max(b.abs()) };
+            Some((relative, found.path, a, b))
+        })
+        .collect();
+    // Stable: equal ones stay in the order of the fields.
+    let nested = |row: &(f64, String, f64, f64)| row.1.contains('.');
+    rows.sort_by(|one, other| nested(one).cmp(&nested(other)).then(other.0.total_cmp(&one.0)));
+    rows.truncate(MOST_ROWS);
+    let row =
+        |(_, name, a, b): (f64, String, f64, f64)| json!({"name": name, "a": a, "b": b, "difference": b - a});
+    rows.into_iter().map(row).collect()
 }
