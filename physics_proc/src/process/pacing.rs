@@ -23,6 +23,11 @@ impl Schedule {
         Schedule { period_ns, next_ns: now_ns, missed: 0 }
     }
 
+    /// Goes on at `now_ns` after a pause, which is no miss; what was missed before still counts.
+    pub(super) fn go_on(&mut self, now_ns: u64) {
+        self.next_ns = now_ns;
+    }
+
     /// Deadline of the next tick.
     pub(super) fn deadline_ns(&self) -> u64 {
         self.next_ns
@@ -58,6 +63,16 @@ mod tests {
         assert_eq!(schedule.begin(8500), Start { lateness_ns: 2500, missed: true });
         // No burst of three ticks: the next one is a period from now.
         assert_eq!(schedule.deadline_ns(), 9500);
+        assert_eq!(schedule.missed(), 1);
+    }
+
+    /// A run that was paused said afterwards that it had missed nothing before.
+    #[test]
+    fn misses_before_a_pause_still_count() {
+        let mut schedule = Schedule::new(1000, 5000);
+        assert!(schedule.begin(8500).missed);
+        schedule.go_on(1_000_000);
+        assert_eq!(schedule.begin(1_000_000), Start { lateness_ns: 0, missed: false });
         assert_eq!(schedule.missed(), 1);
     }
 }

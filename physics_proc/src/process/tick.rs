@@ -103,7 +103,7 @@ impl<'v> Runner<'v> {
             self.obey()?;
             if self.rests() {
                 self.rest()?;
-                schedule = Schedule::new(self.period_ns, now_ns());
+                schedule.go_on(now_ns());
                 continue;
             }
             let start = self.await_start(&mut schedule)?;
