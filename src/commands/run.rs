@@ -133,7 +133,7 @@ impl From<PolicyArgument> for Policy {
 /// Bad input (exit code 2), a part that died (1), Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let scene = scene_of(arguments)?;
-    if let Some(choice) = drr_proc::process::tolerance_text(&scene) {
+    if let Some(choice) = drr_proc::process::tolerance_text(&scene).filter(|_| !arguments.json) {
         say!("{choice}");
     }
     let end = EndRequest::install()
@@ -176,7 +176,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
 
 fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
     let (mut scene, choice) = plan::load(&arguments.scene)?;
-    if let Some(choice) = choice {
+    if let Some(choice) = choice.filter(|_| !arguments.json) {
         say!("{choice}");
     }
     match arguments.mode {

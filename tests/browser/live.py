@@ -107,7 +107,7 @@ def works_with_keys_alone(page: Page) -> None:
                "pause, go on" in page.text("help"))
     page.page.keyboard.press("Escape")
     # Keys are for the help as long as it is open.
-    page.until("the help is gone", lambda: page.page.locator("dialog[open]").count() == 0)
+    page.until("the help is gone", lambda: page.page.evaluate("!document.querySelector('dialog[open]') && !document.activeElement.closest('dialog')"))
     page.page.keyboard.press("Space")
     page.until("Space pauses", lambda: page.text("phase") == "Paused")
     page.page.keyboard.press("Space")

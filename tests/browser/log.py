@@ -70,6 +70,7 @@ def shows_frames(page: Page) -> None:
 
 def goes_to_marks(page: Page) -> None:
     """The key for the next event goes to the first mark of that kind behind where it stands."""
+    page.until("the thumb stands where the time is", lambda: page.page.evaluate("Number(document.querySelector('#scrub').value)") > 0)
     page.page.focus("#scrub")
     page.page.keyboard.press("Home")
     page.until("the beginning", lambda: page.number("time") < 0.02)

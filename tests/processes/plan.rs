@@ -28,6 +28,20 @@ fn a_run_within_a_tolerance_is_recorded_as_resolved_and_its_error_is_checked() {
     assert!(checked.out.contains("path error") && checked.out.contains("kept"), "{}", checked.out);
 }
 
+/// The choice stood before the first line of JSON.
+#[test]
+fn scripts_read_json_whatever_was_chosen() {
+    let place = Place::new();
+    let scene = place.scene(&with_tolerance(&scenes::hold("lockstep", 0.1), "tip_mm = 0.5"));
+    let output = place.path("out");
+    let done = trabecula(&[&"run", &scene, &"--output", &output, &"--json"]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    assert!(done.out.lines().count() > 0, "nothing was said");
+    for line in done.out.lines() {
+        serde_json::from_str::<serde_json::Value>(line).unwrap_or_else(|cause| panic!("{line}: {cause}"));
+    }
+}
+
 #[test]
 fn a_path_that_was_off_by_more_than_the_tolerance_fails_its_check() {
     let place = Place::new();

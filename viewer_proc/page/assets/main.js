@@ -56,7 +56,11 @@ page.call = async (service, request) => {
 page.xRay = new XRay(element("x-ray-canvas"), () => changed("xRay"));
 page.xRay.listen();
 page.plots = new PlotsPanel(element("plots"), model, () => changed("plots"));
-page.timeLine = new TimeLine((request) => page.call("/playback", request));
+page.timeLine = new TimeLine((request) => page.call("/playback", request), () => changed("plots"));
+for (const dialog of document.querySelectorAll("dialog")) {
+  // A button of a closed dialog has the focus until the next picture, and would take the keys.
+  dialog.addEventListener("close", () => dialog.contains(document.activeElement) && document.activeElement.blur());
+}
 const refused = (text) => notices.add("error", `/drive: ${text}`);
 page.drive = new Drive((request) => connection.call("/drive", request), () => showDriveNow(), refused, () => page.actions.run("pause"));
 connectDrivePanel(page.drive);

@@ -10,14 +10,19 @@ const MARKS = {
   gap: { letter: "G", name: "gap", colour: "--cause-fault" },
 };
 const LETTER_PX = 10;
+/** How long after the last movement of the thumb it counts as held. */
+const DRAGGED_MS = 400;
 const STEPS = 10000;
 
 const element = (id) => document.getElementById(id);
 const seconds = (ns) => `${(ns / 1e9).toFixed(3)} s`;
 
 export class TimeLine {
-  /** @param {(request: object) => void} send a `/playback` request */
-  constructor(send) {
+  /**
+   * @param {(request: object) => void} send a `/playback` request
+   * @param {() => void} redraw
+   */
+  constructor(send, redraw) {
     this.send = send;
     this.state = { begin_ns: 0, end_ns: 0, time_ns: 0, playing: false, speed: 1, second: null };
     this.events = [];
@@ -25,6 +30,8 @@ export class TimeLine {
     scrub.max = String(STEPS);
     scrub.addEventListener("input", () => {
       this.scrubbing = performance.now();
+      // Time may have gone on and stopped meanwhile: the thumb then stands elsewhere.
+      setTimeout(redraw, DRAGGED_MS + 20);
       const share = Number(scrub.value) / STEPS;
       this.send({ action: "seek", time_ns: Math.round(this.state.begin_ns + share * (this.state.end_ns - this.state.begin_ns)) });
     });
@@ -55,7 +62,7 @@ export class TimeLine {
     element("playback-time").textContent = `${seconds(time_ns)} of ${seconds(end_ns)}`;
     const scrub = element("scrub");
     // While the user drags, the server's answers do not move the thumb.
-    if (!(performance.now() - (this.scrubbing ?? -Infinity) < 400)) scrub.value = String(Math.round(((time_ns - begin_ns) / span) * STEPS));
+    if (!(performance.now() - (this.scrubbing ?? -Infinity) < DRAGGED_MS)) scrub.value = String(Math.round(((time_ns - begin_ns) / span) * STEPS));
     scrub.setAttribute("aria-valuetext", seconds(time_ns));
     this.#marks(begin_ns, span, time_ns, colours);
   }

@@ -5,6 +5,7 @@ pub mod file;
 mod marks;
 mod player;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
@@ -373,7 +374,7 @@ impl Show {
 }
 
 /// Fields of two states that differ, at most [`MOST_ROWS`]: the state's own before those of its poses and contacts, of either
-/// the largest relative differences first.
+/// the largest relative differences first; of an array the element that differs most.
 fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
     let number = |scalar: Option<Scalar>| scalar.and_then(|scalar| scalar.to_string().parse::<f64>().ok());
     let mut rows: Vec<(f64, String, f64, f64)> = difference::all_differences(State::DESCRIPTION, a, b)
@@ -385,9 +386,11 @@ fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
             Some((relative, found.path, a, b))
         })
         .collect();
-    // Stable: equal ones stay in the order of the fields.
     let nested = |row: &(f64, String, f64, f64)| row.1.contains('.');
+    // Stable: equal ones stay in the order of the fields.
     rows.sort_by(|one, other| nested(one).cmp(&nested(other)).then(other.0.total_cmp(&one.0)));
+    let mut seen = BTreeSet::new();
+    rows.retain(|row| seen.insert(row.1.replace(|c: char| c.is_ascii_digit(), "")));
     rows.truncate(MOST_ROWS);
     let row =
         |(_, name, a, b): (f64, String, f64, f64)| json!({"name": name, "a": a, "b": b, "difference": b - a});
