@@ -38,7 +38,7 @@ def length(page: Page) -> float:
 
 
 def steps_by_ticks(page: Page) -> None:
-    here = page.number("tick")
+    here = page.settled("tick")
     page.page.click("text=+1 tick")
     page.until("a tick on", lambda: page.number("tick") == here + 1)
     page.page.click("text=−1 tick")

@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, sync_playwright
 from playwright.sync_api import Page as BrowserPage
 
 # A software renderer on a shared machine; only what never comes reaches it.
-LIMIT_S = 60.0
+LIMIT_S = 40.0
 SIZE = {"width": 1100, "height": 760}
 # A burr that is seen has at least so many pixels: a third of its disc.
 BURR_PIXELS = 30
@@ -59,6 +59,15 @@ class Page:
         """The first number of a readout; -1 before there is one."""
         first = self.text(place).split()[0].rstrip("%°×")
         return float(first) if first.replace(".", "").replace("-", "").isdigit() else -1.0
+
+    def settled(self, place: str) -> float:
+        """A readout that has stood still for a second: what was asked for before has come."""
+        seen, since = self.number(place), time.monotonic()
+        while time.monotonic() - since < 1.0:
+            time.sleep(0.05)
+            if (now := self.number(place)) != seen:
+                seen, since = now, time.monotonic()
+        return seen
 
     def value(self, plot: str, which: int = 0) -> float:
         """A plot's newest value, as its heading shows it."""
