@@ -21,8 +21,8 @@ pub(super) struct Physics {
     ticks: u64,
     missed: u64,
     /// Median of each run.
-    pub(super) step_p50_us: Vec<f64>,
-    pub(super) late_p50_us: Vec<f64>,
+    step_p50_us: Vec<f64>,
+    late_p50_us: Vec<f64>,
 }
 
 impl Physics {
@@ -34,7 +34,7 @@ impl Physics {
         self.missed += u64::from(timing.missed);
     }
 
-    pub(super) fn print(&self, name: &str) {
+    fn print(&self, name: &str) {
         row(&format!("{name}: physics step"), &self.step.line());
         row(&format!("{name}: hash and publish"), &self.publish.line());
         row(&format!("{name}: wake-up behind the deadline"), &self.late.line());
@@ -47,6 +47,29 @@ impl Physics {
 /// # Errors
 /// A scene that is not one (2); a run that fails.
 pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
+    let recorded = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
+        let folder = tempfile::tempdir_in(".").map_err(failed)?;
+        one(scene, Some(folder.path()), None, end, with)?;
+        Ok(std::fs::metadata(folder.path().join("run.mcap")).map_err(failed)?.len())
+    };
+    in_turn("a recorder", scene, seconds, rounds, recorded, |megabytes| {
+        row("run.mcap", &format!("{megabytes:.1} MB a run, {:.2} MB/s", megabytes / seconds));
+    })
+}
+
+/// Runs the scene in real time without and with something, in turn, and prints both and their ratios. `run_with` makes one run with
+/// it and returns the bytes that it took; `tell` prints the megabytes of a run.
+///
+/// # Errors
+/// A scene that is not one (2); a run that fails.
+pub(super) fn in_turn(
+    what: &str,
+    scene: &Path,
+    seconds: f64,
+    rounds: usize,
+    mut run_with: impl FnMut(&Scene, &EndRequest, &mut Physics) -> Result<u64, Failure>,
+    tell: impl FnOnce(f64),
+) -> Result<(), Failure> {
     let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
     scene.run.mode = Mode::Realtime;
     scene.run.duration_s = seconds;
@@ -56,14 +79,9 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
     let mut bytes = 0;
     for _ in 0..rounds {
         one(&scene, None, None, &end, &mut without)?;
-        let folder = tempfile::tempdir_in(".").map_err(failed)?;
-        one(&scene, Some(folder.path()), None, &end, &mut with)?;
-        bytes += std::fs::metadata(folder.path().join("run.mcap")).map_err(failed)?.len();
+        bytes += run_with(&scene, &end, &mut with)?;
     }
-    say!(
-        "scene {}, {rounds} rounds of {seconds} s in real time, each without and with a recorder\n",
-        scene.name
-    );
+    say!("scene {}, {rounds} rounds of {seconds} s in real time, each without and with {what}\n", scene.name);
     without.print("without");
     with.print("with");
     let ratio =
@@ -72,8 +90,7 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
     row("step, with / without (median of p50 ratios)", &line);
     let line = format!("{:.3}", ratio(&with.late_p50_us, &without.late_p50_us));
     row("wake-up, with / without (median of p50 ratios)", &line);
-    let megabytes = bytes as f64 * 1e-6 / rounds.max(1) as f64;
-    row("run.mcap", &format!("{megabytes:.1} MB a run, {:.2} MB/s", megabytes / seconds));
+    tell(bytes as f64 * 1e-6 / rounds.max(1) as f64);
     machine.print();
     Ok(())
 }

@@ -4,15 +4,13 @@
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Scene};
+use ipc_types::scene::Scene;
 
-use super::machine::Machine;
-use super::recorder::{Physics, one};
-use super::samples::median;
+use super::recorder::{Physics, in_turn, one};
 use super::{failed, row};
 use crate::failure::Failure;
 
@@ -21,41 +19,21 @@ use crate::failure::Failure;
 /// # Errors
 /// A scene that is not one (2); a run that fails.
 pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
-    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
-    scene.run.mode = Mode::Realtime;
-    scene.run.duration_s = seconds;
-    let end = EndRequest::install().map_err(failed)?;
-    let machine = Machine::watch();
-    let (mut without, mut with) = (Physics::default(), Physics::default());
-    let bytes = AtomicU64::new(0);
-    for _ in 0..rounds {
-        one(&scene, None, None, &end, &mut without)?;
+    let viewed = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         // A port that was free a moment ago.
         let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).map_err(failed)?.port();
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
-            scope.spawn(|| bytes.fetch_add(watch(port, &over), Ordering::Relaxed));
-            let made = one(&scene, None, Some(port), &end, &mut with);
+            let watching = scope.spawn(|| watch(port, &over));
+            let made = one(scene, None, Some(port), end, with);
             over.store(true, Ordering::Relaxed);
-            made
-        })?;
-    }
-    say!(
-        "scene {}, {rounds} rounds of {seconds} s in real time, each without and with a viewer\n",
-        scene.name
-    );
-    without.print("without");
-    with.print("with");
-    let ratio =
-        |a: &[f64], b: &[f64]| median(&a.iter().zip(b).map(|(a, b)| a / b.max(1e-9)).collect::<Vec<f64>>());
-    let line = format!("{:.3}", ratio(&with.step_p50_us, &without.step_p50_us));
-    row("step, with / without (median of p50 ratios)", &line);
-    let line = format!("{:.3}", ratio(&with.late_p50_us, &without.late_p50_us));
-    row("wake-up, with / without (median of p50 ratios)", &line);
-    let megabytes = bytes.load(Ordering::Relaxed) as f64 * 1e-6 / rounds.max(1) as f64;
-    row("taken by the viewer's client", &format!("{megabytes:.1} MB a run"));
-    machine.print();
-    Ok(())
+            let taken = watching.join().map_err(|_| Failure::failed("the viewer's client has panicked"))?;
+            made.map(|()| taken)
+        })
+    };
+    in_turn("a viewer", scene, seconds, rounds, viewed, |megabytes| {
+        row("taken by the viewer's client", &format!("{megabytes:.1} MB a run"));
+    })
 }
 
 /// Subscribes to every channel and takes what comes; returns the bytes.

@@ -60,9 +60,8 @@ pub fn processor_time(process: &str) -> Option<Duration> {
     // Behind the name in brackets, which may hold anything: state is the first, utime the 12th, stime the 13th
     // (proc_pid_stat(5)), both in hundredths of a second.
     let (_, fields) = text.rsplit_once(')')?;
-    let hundredths =
-        fields.split_whitespace().skip(11).take(2).map(|field| field.parse::<u64>().unwrap_or(0));
-    Some(Duration::from_millis(hundredths.sum::<u64>() * 10))
+    let times = fields.split_whitespace().skip(11).take(2).map(|field| field.parse::<u64>().ok());
+    times.sum::<Option<u64>>().map(|hundredths| Duration::from_millis(hundredths * 10))
 }
 
 impl Part {

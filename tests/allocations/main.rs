@@ -143,16 +143,7 @@ fn a_moving_arm_allocates_what_ruckig_hands_out_and_nothing_else() {
 
 /// The library that counts; the error is the reason why there is none.
 fn counter() -> Result<PathBuf, String> {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/allocations/count_malloc.c");
-    let library = tempfile::NamedTempFile::with_suffix_in(".so", env!("CARGO_TARGET_TMPDIR")).unwrap();
-    let library = library.into_temp_path().keep().unwrap();
-    let output = Program::new("cc")
-        .args(["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", "-o"])
-        .args([&library, &source])
-        .output()
-        .map_err(|cause| format!("cc: {cause}"))?;
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    Ok(library)
+    common::preload::library("allocations/count_malloc.c")
 }
 
 /// A process's counter.

@@ -4,22 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use crate::common::preload::library;
+
 /// A library that makes the wall clock of whoever preloads it step; the error is the reason why there is none.
 pub fn stepping_clock() -> Result<PathBuf, String> {
     static LIBRARY: OnceLock<Result<PathBuf, String>> = OnceLock::new();
-    LIBRARY.get_or_init(build).clone()
-}
-
-fn build() -> Result<PathBuf, String> {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults/clock_step.c");
-    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join("libclock_step.so");
-    let output = Command::new("cc")
-        .args(["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", "-o"])
-        .args([&library, &source])
-        .output()
-        .map_err(|cause| format!("cc: {cause}"))?;
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    Ok(library)
+    LIBRARY.get_or_init(|| library("faults/clock_step.c")).clone()
 }
 
 /// The wall clock of a program that preloads the library is an hour off.

@@ -2,5 +2,6 @@
 
 pub mod client;
 pub mod logs;
+pub mod preload;
 pub mod program;
 pub mod scenes;

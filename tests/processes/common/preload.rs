@@ -1,0 +1,18 @@
+//! Libraries of ours that stand before the C library's functions (`LD_PRELOAD`).
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Compiles one of `tests/`; the error is the reason why there is none.
+pub fn library(source: &str) -> Result<PathBuf, String> {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(source);
+    let library = tempfile::NamedTempFile::with_suffix_in(".so", env!("CARGO_TARGET_TMPDIR")).unwrap();
+    let library = library.into_temp_path().keep().unwrap();
+    let output = Command::new("cc")
+        .args(["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", "-o"])
+        .args([&library, &source])
+        .output()
+        .map_err(|cause| format!("cc: {cause}"))?;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Ok(library)
+}
