@@ -371,11 +371,7 @@ impl SessionHost {
         let cleanup = Cleanup { folder: folder.clone(), prefix: shared_memory_prefix(&id) };
         let node = create_node(&folder, &id)?;
         close_to_others(&shared_memory_prefix(&id))?;
-        let flags_path = folder.join(FLAGS_FILE);
-        let flags = WakeFlags::open(&flags_path, true).map_err(file_error(&flags_path))?;
-        let alive = fs::File::open(&flags_path).map_err(file_error(&flags_path))?;
-        rustix::fs::flock(&alive, FlockOperation::LockExclusive)
-            .map_err(|cause| file_error(&flags_path)(cause.into()))?;
+        let (flags, alive) = locked_flags(&folder)?;
         let mut layouts = BTreeMap::new();
         let mut byte_services = Vec::new();
         for (name, service) in plan.services() {
@@ -436,6 +432,18 @@ impl SessionPlan {
         all.extend(self.controllers.iter().map(|name| (services::command_name(name), services::COMMAND)));
         all
     }
+}
+
+/// Makes `wake.flags` with the lock that says that the host is alive. The file appears locked: another host that looked at it
+/// before would take this session for a dead one.
+fn locked_flags(folder: &Path) -> Result<(WakeFlags, fs::File), SessionError> {
+    let (hidden, path) = (folder.join(".wake.flags"), folder.join(FLAGS_FILE));
+    let flags = WakeFlags::open(&hidden, true).map_err(file_error(&hidden))?;
+    let alive = fs::File::open(&hidden).map_err(file_error(&hidden))?;
+    rustix::fs::flock(&alive, FlockOperation::LockExclusive)
+        .map_err(|cause| file_error(&hidden)(cause.into()))?;
+    fs::rename(&hidden, &path).map_err(file_error(&path))?;
+    Ok((flags, alive))
 }
 
 fn new_session_folder() -> Result<(PathBuf, String), SessionError> {

@@ -192,3 +192,24 @@ fn a_session_whose_host_is_gone_is_wiped_though_its_number_lives() {
     assert!(!stale.exists());
     assert!(first.session.folder().join("wake.flags").exists(), "a living host's session is not touched");
 }
+
+/// A host looks for dead sessions while another one is being made: what it finds half made is not dead.
+#[test]
+fn a_session_in_the_making_is_not_taken_for_a_dead_one() {
+    let over = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !over.load(std::sync::atomic::Ordering::Relaxed) {
+                ipc_types::session::wipe_dead_sessions();
+            }
+        });
+        let intact: Vec<bool> = (0..40)
+            .map(|_| {
+                SessionHost::create(&plan(&[]))
+                    .is_ok_and(|host| host.session.folder().join("wake.flags").exists())
+            })
+            .collect();
+        over.store(true, std::sync::atomic::Ordering::Relaxed);
+        assert_eq!(intact, vec![true; 40]);
+    });
+}
