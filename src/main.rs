@@ -128,7 +128,7 @@ fn main() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("trabecula: {failure}");
+            tell!("trabecula: {failure}");
             ExitCode::from(failure.code)
         }
     }

@@ -35,6 +35,13 @@ const LOOK_TIME: Duration = Duration::from_millis(2);
 const PROGRESS_TICKS: u64 = 64;
 /// States that are taken before the other queues are looked at again.
 const TICKS_PER_ROUND: usize = 16;
+/// Messages of one service that clients write which are taken before the other queues are looked at again: a client that never
+/// stops would keep the recorder from the ticks.
+const CLIENT_MESSAGES_PER_ROUND: usize = 256;
+/// Rounds after the run's end, in which the longest queue of clients' messages (2048 events) is emptied.
+const LAST_ROUNDS: usize = 8;
+/// Time without a state after which the timing lane is handed to the file.
+const QUIET_TIME: Duration = Duration::from_millis(100);
 /// Name of the file in the run folder through which the launcher says why the run ended.
 pub const REASON_FILE: &str = ".end_reason";
 
@@ -207,13 +214,22 @@ impl Recorder {
     /// Takes messages until the recorder is asked to end, and then what still waits.
     fn record(&mut self, end: &EndRequest) -> Result<(), RecorderError> {
         self.report_progress(0)?;
+        let mut quiet_since = Instant::now();
         while !end.is_set() {
             self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
             // A physics process that joins later must hear of this one.
             self.ports.progress.deliver_history()?;
+            if self.take_round()? {
+                quiet_since = Instant::now();
+            } else if quiet_since.elapsed() >= QUIET_TIME {
+                // In a pause no tick closes a chunk, and what people do then is to be in the file too.
+                self.timing.flush()?;
+                quiet_since = Instant::now();
+            }
+        }
+        for _ in 0..LAST_ROUNDS {
             self.take_round()?;
         }
-        self.take_round()?;
         while self.ports.states.has_message() {
             self.take_round()?;
         }
@@ -222,15 +238,19 @@ impl Recorder {
 
     /// Takes some ticks, and everything else that waits. In lockstep the physics goes on as fast as states are taken:
     /// a recorder that took states as long as there are any would never come to the other queues, which overflow.
-    fn take_round(&mut self) -> Result<(), RecorderError> {
-        self.take_ticks()?;
+    /// Returns whether a state came.
+    fn take_round(&mut self) -> Result<bool, RecorderError> {
+        let came = self.take_ticks()?;
         self.take_frames()?;
-        self.take_timing()
+        self.take_timing()?;
+        Ok(came)
     }
 
-    fn take_ticks(&mut self) -> Result<(), RecorderError> {
+    fn take_ticks(&mut self) -> Result<bool, RecorderError> {
+        let mut came = false;
         for _ in 0..TICKS_PER_ROUND {
             let Some(state) = self.ports.states.receive()? else { break };
+            came = true;
             // Latched and Removed of a tick are published before its state.
             self.take_inputs()?;
             self.run.state(state.message())?;
@@ -243,7 +263,7 @@ impl Recorder {
         if self.newest_tick > self.reported_tick {
             self.report_progress(self.newest_tick)?;
         }
-        Ok(())
+        Ok(came)
     }
 
     fn take_inputs(&mut self) -> Result<(), RecorderError> {
@@ -289,7 +309,8 @@ impl Recorder {
             self.gaps.see(topics::FRAME_TIMING, 0, message.message().frame_sequence);
             timing.message(topics::FRAME_TIMING, FrameTiming::DESCRIPTION, tick, message.bytes())?;
         }
-        while let Some(message) = ports.events.receive_valid(|_| {})? {
+        for _ in 0..CLIENT_MESSAGES_PER_ROUND {
+            let Some(message) = ports.events.receive_valid(|_| {})? else { break };
             self.gaps.see(topics::EVENT, message.message().sender, message.message().sequence);
             timing.message(topics::EVENT, Event::DESCRIPTION, tick, message.bytes())?;
         }
@@ -301,7 +322,8 @@ impl Recorder {
 
     fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {
         self.reported_tick = tick;
-        let lost_messages = self.run.lost().values().sum::<u64>() + self.gaps.lost().values().sum::<u64>();
+        let lost = self.run.lost().values().chain(self.gaps.lost().values());
+        let lost_messages = lost.fold(0, |sum: u64, lost| sum.saturating_add(*lost));
         self.ports.progress.send(&Progress {
             tick,
             lost_messages,
@@ -341,7 +363,7 @@ fn finish_file(
     file.close().map_err(|source| LogError::Write { path, source })
 }
 
-/// Copies all that waits on a service into the timing lane. What a client sends in a wrong length is no message: it has
+/// Copies what waits on a service into the timing lane. What a client sends in a wrong length is no message: it has
 /// no place in the log, and whom it was meant for has said so in an event.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
@@ -349,7 +371,8 @@ fn copy_all<M: Message>(
     topic: &str,
     tick: u64,
 ) -> Result<(), RecorderError> {
-    while let Some(message) = subscriber.receive_valid(|_| {})? {
+    for _ in 0..CLIENT_MESSAGES_PER_ROUND {
+        let Some(message) = subscriber.receive_valid(|_| {})? else { break };
         timing.message(topic, M::DESCRIPTION, tick, message.bytes())?;
     }
     Ok(())

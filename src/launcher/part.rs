@@ -8,10 +8,12 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use ipc_types::process::bind_to_parent;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
 /// Lines that are kept of what a part said.
 const LAST_WORDS: usize = 20;
+/// Longest line of them in bytes; a longer one is taken in pieces.
+const LONGEST_LINE: u64 = 4096;
 /// How long they are waited for.
 const WORDS_LIMIT: Duration = Duration::from_secs(1);
 
@@ -92,12 +94,29 @@ impl Part {
         })
     }
 
-    /// How it ended, if it has.
+    /// How it ended, if it has. What it started itself ends with it.
     pub fn ended(&mut self) -> Option<ExitStatus> {
-        if self.status.is_none() {
+        if self.status.is_none() && self.is_to_be_reaped() {
+            // Before it is reaped: until then nobody else's group can have its number.
+            self.signal_group(Signal::KILL);
             self.status = self.child.try_wait().ok().flatten();
         }
         self.status
+    }
+
+    fn is_to_be_reaped(&self) -> bool {
+        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        self.pid().is_some_and(|pid| !matches!(waitid(WaitId::Pid(pid), options), Ok(None)))
+    }
+
+    fn pid(&self) -> Option<Pid> {
+        i32::try_from(self.child.id()).ok().and_then(Pid::from_raw)
+    }
+
+    /// To the part and to what it has started: it leads a process group of its own (`bind_to_parent`).
+    fn signal_group(&self, signal: Signal) {
+        // They may have ended in this instant.
+        let _ = self.pid().map(|pid| kill_process_group(pid, signal));
     }
 
     /// The last lines it said; of a part that has ended.
@@ -123,21 +142,26 @@ impl Part {
     }
 
     fn signal(&mut self, signal: Signal) {
-        if self.ended().is_none()
-            && let Some(pid) = Pid::from_raw(self.child.id() as i32)
-        {
-            // It may have ended in this instant.
-            let _ = kill_process(pid, signal);
+        if self.ended().is_none() {
+            self.signal_group(signal);
         }
     }
 
     /// Waits for its end; after the limit it is killed. Returns whether it ended by itself.
     pub fn wait(&mut self, limit: Duration) -> bool {
+        let ended = self.ends_within(limit);
+        if !ended {
+            self.signal(Signal::KILL);
+            self.status = self.child.wait().ok();
+        }
+        ended
+    }
+
+    /// Waits for its end; returns whether it has ended.
+    pub fn ends_within(&mut self, limit: Duration) -> bool {
         let end = Instant::now() + limit;
         while self.ended().is_none() {
             if Instant::now() >= end {
-                self.signal(Signal::KILL);
-                self.status = self.child.wait().ok();
                 return false;
             }
             self.measure();
@@ -161,9 +185,14 @@ fn listen(
     shown_as: Option<String>,
 ) -> JoinHandle<()> {
     std::thread::spawn(move || {
-        for line in BufReader::new(output).lines().map_while(Result::ok) {
+        let mut output = BufReader::new(output);
+        let mut bytes = Vec::new();
+        // To the end, whatever the bytes are: a part whose pipe nobody reads is ended by its next word.
+        while output.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
+            let line = String::from_utf8_lossy(&bytes).trim_end_matches(['\n', '\r']).to_owned();
+            bytes.clear();
             if let Some(name) = &shown_as {
-                eprintln!("[{name}] {line}");
+                tell!("[{name}] {line}");
             }
             let mut words = words.lock().unwrap_or_else(PoisonError::into_inner);
             if words.len() == LAST_WORDS {

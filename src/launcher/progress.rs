@@ -65,8 +65,8 @@ impl Display {
         glance.timings.iter().for_each(|timing| self.stats.add(timing));
         if self.manner != Manner::Quiet && !self.announced {
             self.announced = true;
-            eprintln!("session {}", glance.session.display());
-            glance.awaited.iter().for_each(|line| eprintln!("{line}"));
+            tell!("session {}", glance.session.display());
+            glance.awaited.iter().for_each(|line| tell!("{line}"));
         }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
         if self.manner == Manner::Quiet || self.last.elapsed() < period {
@@ -142,7 +142,7 @@ impl Display {
     /// Leaves the table.
     pub fn end(&mut self) {
         if self.drawn > 0 && self.terminal {
-            eprintln!();
+            tell!("");
         }
     }
 }

@@ -28,6 +28,8 @@ const LOOK_TIME: Duration = Duration::from_millis(20);
 const END_LIMIT: Duration = Duration::from_secs(130);
 /// The same after something has failed.
 const FAILED_END_LIMIT: Duration = Duration::from_secs(10);
+/// How long a controller may go on after the run's end before it is asked to end, for one that does not watch the run.
+const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
 
 /// How long the viewer may take to tell its clients that the run has ended.
 const VIEWER_END_LIMIT: Duration = Duration::from_secs(3);
@@ -163,11 +165,11 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     };
     if let Some(death) = outcome.death() {
         // At once: the others may take a while to end.
-        eprintln!("trabecula: {death}");
+        tell!("trabecula: {death}");
     }
     let first_tick = first_tick.unwrap_or_else(Instant::now);
-    let running = end_parts(plan, &outcome, &mut eyes, &mut parts).duration_since(first_tick);
-    let outcome = with_log(outcome, &mut parts);
+    let (over, outcome) = end_parts(plan, outcome, &mut eyes, &mut parts);
+    let running = over.duration_since(first_tick);
     if let Some(viewer) = &mut viewer {
         viewer.wait(VIEWER_END_LIMIT);
     }
@@ -236,9 +238,10 @@ fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
     scene.controller.iter().filter(|controller| controller.external).map(line).collect()
 }
 
-/// Ends all parts in order; returns when the physics was over.
-fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Part]) -> Instant {
-    write_reason(plan, outcome);
+/// Ends all parts in order; returns when the physics was over, and the outcome with how the others ended.
+fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Part]) -> (Instant, Outcome) {
+    write_reason(plan, &outcome);
+    let mut outcome = outcome;
     let (failed, stop) = match outcome {
         Outcome::Completed => (false, false),
         Outcome::Interrupted => (false, true),
@@ -255,13 +258,20 @@ fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Pa
         _ => 1,
     };
     for turn in 0..3 {
+        if turn == 2 {
+            outcome = with_end_of(DRR, outcome, parts);
+            write_reason(plan, &outcome);
+        }
         for part in parts.iter_mut().filter(|part| order(part) == turn) {
             // Only the physics ends by run control; when it has, DRR and controllers have heard so, unless it died.
-            if turn == 2 || failed {
+            let goes_on = !failed && turn == 1 && part.name != DRR && !part.ends_within(CONTROLLER_END_TIME);
+            if turn == 2 || failed || goes_on {
                 part.ask_to_end();
             }
             // The recorder is never cut short: what was published is to be in the log.
-            part.wait(if turn == 2 { END_LIMIT } else { limit });
+            if !part.wait(if turn == 2 { END_LIMIT } else { limit }) {
+                tell!("trabecula: {} did not end within {} s and was killed", part.name, limit.as_secs());
+            }
             if turn == 0 {
                 over = Instant::now();
             }
@@ -271,18 +281,18 @@ fn end_parts(plan: &RunPlan, outcome: &Outcome, eyes: &mut Eyes, parts: &mut [Pa
         // A recorder that died has not taken it.
         let _ = std::fs::remove_file(output.join(recorder_proc::process::REASON_FILE));
     }
-    over
+    (over, with_end_of(RECORDER, outcome, parts))
 }
 
-/// A run whose log could not be finished has not succeeded, though all its ticks were made.
-fn with_log(outcome: Outcome, parts: &mut [Part]) -> Outcome {
-    let recorder = parts.iter_mut().find(|part| part.name == RECORDER);
-    let Some(part) = recorder.filter(|_| outcome.death().is_none()) else { return outcome };
+/// A run whose log could not be finished, or whose last frames are missing, has not succeeded, though all its ticks were made.
+fn with_end_of(name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
+    let found = parts.iter_mut().find(|part| part.name == name);
+    let Some(part) = found.filter(|_| outcome.death().is_none()) else { return outcome };
     if part.ended().is_none_or(|status| status.success()) {
         return outcome;
     }
     let died = judge(part, false);
-    died.death().iter().for_each(|death| eprintln!("trabecula: {death}"));
+    died.death().iter().for_each(|death| tell!("trabecula: {death}"));
     died
 }
 

@@ -402,7 +402,7 @@ impl Play<'_> {
         let _ = self.stage.say(0, PHASE_ENDED);
         for part in &mut self.parts {
             if !part.wait(END_LIMIT) {
-                eprintln!("trabecula: controller `{}` did not end and was killed", part.name);
+                tell!("trabecula: controller `{}` did not end and was killed", part.name);
             }
         }
     }

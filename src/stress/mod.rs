@@ -75,7 +75,7 @@ pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), 
     let (began, total) = (Instant::now(), plan.combinations.len());
     for (index, combination) in plan.combinations.iter().enumerate() {
         let left = estimate(began.elapsed(), index, total, plan.seconds);
-        eprintln!("[{}/{total}] {combination}; about {left} left", index + 1);
+        tell!("[{}/{total}] {combination}; about {left} left", index + 1);
         let Some(tested) = test(plan, &scene, combination, index, end)? else { break };
         report.tested.push(tested);
         report.machine = machine::facts(&watched);

@@ -15,6 +15,7 @@ mod languages;
 mod late_controllers;
 mod log_tools;
 mod plan;
+mod programs;
 mod promise;
 mod readmes;
 mod replay;

@@ -359,11 +359,21 @@ fn check_c_arm(carm: &CArm, checker: &Checker) -> Result<(), SceneError> {
     Err(checker.invalid("drr.carm", problem))
 }
 
+/// Names of the other parts, and the reasons of an end that are not a part's name: a log's end names who caused it.
+const RESERVED_NAMES: [&str; 6] = ["physics", "drr", "recorder", "launcher", "completed", "interrupted"];
+
 fn check_controllers(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
     checker.range("controller (their number)", scene.controller.len() as f64, 0.0, MAX_CONTROLLERS as f64)?;
     let mut driven: Vec<(Drives, &str)> = Vec::new();
     for (index, controller) in scene.controller.iter().enumerate() {
         checker.name("controller.name", &controller.name, |c| c.is_ascii_alphanumeric() || c == '_')?;
+        if RESERVED_NAMES.contains(&controller.name.as_str()) {
+            let problem = format!(
+                "`{}` is the name of something else; expected none of {RESERVED_NAMES:?}",
+                controller.name
+            );
+            return Err(checker.invalid("controller.name", problem));
+        }
         if scene.controller[..index].iter().any(|other| other.name == controller.name) {
             return Err(checker.invalid("controller.name", format!("`{}` stands twice", controller.name)));
         }

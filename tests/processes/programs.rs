@@ -1,0 +1,167 @@
+//! Controllers that are programs of somebody else: what they print, what they start, how they end.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use ipc_types::messages::PHASE_ENDED;
+use recorder_proc::{EndReason, MessageStream, ReadOptions, topics};
+use rustix::process::Signal;
+
+use crate::common::client::{Client, Pilot};
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Place, assert_nothing_left, signal, wait_for};
+use crate::common::scenes;
+
+/// A run of free space with a program beside its controller.
+fn with_program(duration_s: f64, script: &str) -> String {
+    let program = format!(
+        "[[controller]]\nname = \"guest\"\ndrives = []\noptional = true\ncommand = [\"sh\", \"-c\", {script:?}]\n"
+    );
+    scenes::hold("realtime", duration_s) + &program
+}
+
+/// The listener gave up at the first byte that is no text, and the program's next word ended it.
+#[test]
+fn a_program_may_print_bytes_that_are_no_text() {
+    let place = Place::new();
+    let script = r"while :; do printf '\260C\n'; sleep 0.01; done";
+    let ended = place.complete(&with_program(1.0, script));
+    assert!(ended.err.contains("[guest] \u{fffd}C"), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+}
+
+#[test]
+fn a_line_without_an_end_is_taken_in_pieces() {
+    let place = Place::new();
+    let script = "head -c 1000000 /dev/zero | tr '\\\\0' x; sleep 600";
+    let ended = place.complete(&with_program(1.0, script));
+    let longest = ended.err.lines().map(str::len).max();
+    assert!((4000..5000).contains(&longest.unwrap()), "{longest:?}");
+}
+
+/// Nobody reads what the launcher says any more (`2>&1 | head -1`): it lost the log's end.
+#[test]
+fn a_closed_standard_error_ends_no_run() {
+    let place = Place::new();
+    let scene = place.scene(&with_program(1.0, "while :; do echo word; sleep 0.01; done"));
+    let output = place.path("out");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    command.arg("run").arg(&scene).arg("--output").arg(&output);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap());
+    said.read_line(&mut String::new()).unwrap();
+    drop(said);
+    let status = wait_for("the end of the run", || child.try_wait().unwrap());
+    assert_eq!(status.code(), Some(0));
+    let folder = std::fs::read_dir(&output).unwrap().next().unwrap().unwrap().path();
+    assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Completed);
+}
+
+#[test]
+fn what_a_program_has_started_ends_with_the_run() {
+    let place = Place::new();
+    // A time that no other process sleeps.
+    let time = format!("7{:05}", std::process::id() % 100_000);
+    let ended = place.complete(&with_program(0.5, &format!("sleep {time}; :")));
+    assert_nothing_left(ended.pid);
+    let sleeps = |entry: std::fs::DirEntry| {
+        let line = std::fs::read(entry.path().join("cmdline")).unwrap_or_default();
+        line.split(|byte| *byte == 0).any(|word| word == time.as_bytes())
+    };
+    assert!(!std::fs::read_dir("/proc").unwrap().flatten().any(sleeps), "`sleep {time}` is left");
+}
+
+#[test]
+fn a_controller_may_not_have_the_name_of_a_part() {
+    for name in ["physics", "completed"] {
+        let place = Place::new();
+        let scene = scenes::hold("lockstep", 0.1).replace("\"holder\"", &format!("{name:?}"));
+        let ended = place.start(&scene).end();
+        assert_eq!(ended.code, Some(2), "{}", ended.err);
+        assert!(ended.err.contains(&format!("`{name}` is the name of something else")), "{}", ended.err);
+    }
+}
+
+/// The last frames are missing then, so the run has not succeeded.
+#[test]
+fn a_drr_process_that_dies_behind_the_last_tick_is_named() {
+    let place = Place::new();
+    let run = place.start(&scenes::drill("realtime", 1.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 300);
+    let drr = run.part("drr");
+    signal(drr, Signal::STOP);
+    wait_for("the run's last tick", || {
+        client.status.receive().unwrap().filter(|status| status.message().phase == PHASE_ENDED).map(|_| ())
+    });
+    signal(drr, Signal::KILL);
+    drop(client);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    assert!(ended.err.contains("part `drr` died"), "{}", ended.err);
+    let log = read(&ended.folder);
+    assert_eq!(log.marker.unwrap().reason, EndReason::PartDied("drr".to_owned()));
+    assert_eq!(log.ticks.len(), 1000);
+    assert_replays(&ended.folder);
+}
+
+/// Replies to run control in a file that may still grow.
+fn replies_in(folder: &Path) -> Option<usize> {
+    let mut stream = MessageStream::open(&folder.join("timing.mcap"), ReadOptions::default()).ok()?;
+    let mut count = 0;
+    while let Ok(Some(message)) = stream.next_message() {
+        count += usize::from(message.topic == topics::RUN_CONTROL_REPLY);
+    }
+    (count > 0).then_some(count)
+}
+
+/// No tick closes a chunk in a pause; a recorder that was killed in it had lost all that people did.
+#[test]
+fn what_is_done_in_a_pause_is_in_the_file() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 60.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 50);
+    client.ask(ipc_types::messages::CONTROL_PAUSE, 0);
+    let folder = std::fs::read_dir(place.path("out")).unwrap().next().unwrap().unwrap().path();
+    wait_for("the reply in timing.mcap", || replies_in(&folder));
+    drop(client);
+    signal(run.part("recorder"), Signal::KILL);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    assert!(replies_in(&ended.folder).is_some());
+}
+
+/// A client that never stops writing, not even at the end, keeps the recorder from nothing.
+#[test]
+fn a_flood_up_to_the_end_costs_the_log_nothing() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("realtime", 2.0, ""));
+    let session = run.session();
+    let over = AtomicBool::new(false);
+    let ended = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let pilot = Pilot::join(&session, "pilot");
+            let mut sequence = 0;
+            while !over.load(Ordering::Relaxed) {
+                sequence += 1;
+                pilot.send(&ipc_types::messages::Command {
+                    sequence,
+                    ..ipc_types::messages::Command::zeroed()
+                });
+            }
+        });
+        let ended = run.end();
+        over.store(true, Ordering::Relaxed);
+        ended
+    });
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let log = read(&ended.folder);
+    let marker = log.marker.unwrap();
+    assert_eq!((marker.reason, log.ticks.len()), (EndReason::Completed, 2000));
+    assert!(!marker.lost.contains_key("/state"), "{:?}", marker.lost);
+    assert_replays(&ended.folder);
+}
