@@ -119,6 +119,88 @@ fn a_dicom_file_says_how_it_was_taken_and_an_nrrd_file_holds_the_attenuation() {
     assert!(values.iter().all(|v| (0.0..20.0).contains(v)) && values.iter().any(|v| *v > 0.5));
 }
 
+#[path = "../recorder_proc/tests/common/python.rs"]
+mod python;
+
+/// What a radiologist's and an engineer's readers make of the files.
+#[test]
+fn pydicom_and_simpleitk_read_the_files() {
+    let packages = ["pydicom==3.0.2", "SimpleITK==2.5.7"];
+    let python = match python::environment("pydicom-3.0.2-simpleitk-2.5.7", &packages, "pydicom, SimpleITK") {
+        Ok(python) => python,
+        Err(reason) => {
+            assert!(std::env::var_os("CI").is_none(), "no {packages:?}: {reason}");
+            eprintln!("SKIPPED: no {packages:?} from PyPI: {reason}");
+            return;
+        }
+    };
+    let (place, volume) = ball();
+    let path = |name: &str| place.path().join(name);
+    let pose = ["--primary-deg", "30", "--secondary-deg", "-20"];
+    for name in ["f.dcm", "f.png", "f.nrrd"] {
+        assert_eq!(drr(&volume, &path(name), &pose).code, Some(0));
+    }
+    let script = "
+import sys, pydicom, SimpleITK as sitk
+d = pydicom.dcmread(sys.argv[1])
+print(d.SOPClassUID.name, '|', d.Modality, d.Rows, d.Columns, d.BitsStored, float(d.PositionerPrimaryAngle), float(d.PositionerSecondaryAngle))
+print(sum(int.from_bytes(d.PixelData[i:i + 2], 'little') for i in range(0, len(d.PixelData), 2)))
+for name in sys.argv[1:]:
+    image = sitk.ReadImage(name)
+    statistics = sitk.StatisticsImageFilter()
+    statistics.Execute(image)
+    print(*image.GetSize()[:2], repr(statistics.GetSum()))
+";
+    let output = Command::new(&python)
+        .args(["-c", script, text(&path("f.dcm")), text(&path("f.nrrd"))])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let printed = String::from_utf8(output.stdout).unwrap();
+    let lines: Vec<&str> = printed.lines().collect();
+    let greys = png(&path("f.png")).1;
+    let sum: u64 = greys.chunks(2).map(|b| u64::from(u16::from_be_bytes([b[0], b[1]]))).sum();
+    assert_eq!(lines[0], "X-Ray Angiographic Image Storage | XA 48 64 16 30.0 -20.0");
+    assert_eq!((lines[1], lines[2]), (sum.to_string().as_str(), format!("64 48 {sum}.0").as_str()));
+    let nrrd = fs::read(path("f.nrrd")).unwrap();
+    let data = &nrrd[nrrd.len() - 64 * 48 * 4..];
+    let values = data.chunks(4).map(|b| f64::from(f32::from_le_bytes(b.try_into().unwrap())));
+    let (size, theirs) = lines[3].rsplit_once(' ').unwrap();
+    let (theirs, ours): (f64, f64) = (theirs.parse().unwrap(), values.sum());
+    // The order of the sums is theirs.
+    assert!(size == "64 48" && (theirs / ours - 1.0).abs() < 1e-12, "{theirs} {ours}");
+}
+
+/// The chart without other projectors, an eighth of the resolution: every projector, pose and resolution, and the figure.
+#[test]
+fn the_quick_chart_has_every_projector_with_its_error() {
+    let place = tempfile::tempdir().unwrap();
+    let done = trabecula(&["chart", "drr", "--quick", "--rounds", "1", "--out", text(place.path())]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
+    let csv = fs::read_to_string(place.path().join("drr.csv")).unwrap();
+    let lines: Vec<Vec<&str>> = csv.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    // 8 projectors, 3 poses, 3 resolutions, 1 and 2 threads.
+    assert_eq!(lines.len(), 8 * 3 * 3 * 2);
+    let errors = |method: &str, column: usize| -> Vec<f64> {
+        let finest = lines.iter().filter(|line| line[0] == method && line[1] == "8");
+        finest.map(|line| line[column].parse().unwrap()).collect()
+    };
+    // Columns 6 and 8: r.m.s. errors against the closed integrals and against Siddon's sum.
+    assert!(errors("siddon", 8).iter().all(|e| *e == 0.0));
+    for method in ["siddon", "joseph", "slice_ordered 1"] {
+        assert!(
+            errors(method, 6).iter().all(|e| (1e-4..0.05).contains(e)),
+            "{method}: {:?}",
+            errors(method, 6)
+        );
+    }
+    let mean = |method| errors(method, 8).iter().sum::<f64>() / 6.0;
+    assert!(mean("joseph") < mean("preview 2") && mean("preview 2") < mean("preview 4"));
+    assert!(fs::read_to_string(place.path().join("drr.svg")).unwrap().contains("<svg"));
+    let table = fs::read_to_string(place.path().join("drr.md")).unwrap();
+    assert!(table.contains("| slice_ordered 1 | 2 | ") && table.contains("Spectrum of 90 kV"));
+}
+
 #[test]
 fn a_sweep_is_a_numbered_series_or_an_animation_and_a_csv_file_is_a_batch() {
     let (place, volume) = ball();

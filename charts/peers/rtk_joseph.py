@@ -2,6 +2,7 @@
 
 Input: the folder with mu.raw and poses.json; output as src/charts/drr/peers.rs says.
 """
+import itertools
 import json
 import sys
 import time
@@ -31,6 +32,16 @@ for pose in plan["poses"]:
         itk.Vector[itk.D, 3](row.tolist()), itk.Vector[itk.D, 3](column.tolist()))
     if not ok:
         sys.exit(f"RTK refuses the pose {pose['name']}")
+    # RTK's projection matrix (world to detector, millimetres) must see points where the chart's geometry sees them.
+    matrix = itk.array_from_matrix(geometry.GetMatrix(0))
+    for point in itertools.product((-100.0, 0.0, 100.0), repeat=3):
+        u, v, w = matrix @ [*point, 1.0]
+        ray = np.array(point) - source
+        normal = np.cross(row, column)
+        hit = source + ray * (normal @ (centre - source)) / (normal @ ray) - centre
+        differences = (u / w - hit @ row) / pitch[0], (v / w - hit @ column) / pitch[1]
+        if max(map(abs, differences)) > 1e-6:
+            sys.exit(f"{pose['name']}: RTK sees {point} {differences} pixel away")
     for threads in (1, 2):
         best = None
         for _ in range(plan["rounds"]):

@@ -8,11 +8,12 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::detector::{
-    DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, NoiseKey, add_scaled_row, blur_row, gaussian_weights,
-    photon_number,
+    DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, NoiseKey, Readout, add_scaled_row, blur_row,
+    gaussian_weights, photon_number,
 };
 use crate::display::{DisplayMode, DisplayParameters, Scale};
 use crate::lane_math;
+use crate::lanes::lanes;
 use crate::spectrum::SpectrumTable;
 use crate::tool_layer::PlacedTool;
 
@@ -138,7 +139,7 @@ impl Exposure {
                     if overlay {
                         this.overlay(&frame, row, i * CHUNK, &values, out);
                     } else {
-                        this.arch.dispatch(|| frame.scale.to_greys(&values, out));
+                        this.arch.dispatch(ToGreys { scale: frame.scale, values: &values, out });
                     }
                 }
             }),
@@ -197,7 +198,7 @@ impl Exposure {
         if with_blur {
             rows.zip(blurred.par_chunks_mut(width)).for_each(|((row, line), out)| {
                 expose_row(row, line);
-                this.arch.dispatch(|| blur_row(line, &this.weights, out));
+                this.arch.dispatch(BlurRow { line, weights: &this.weights, out });
             });
         } else {
             rows.for_each(|(row, line)| expose_row(row, line));
@@ -213,24 +214,11 @@ impl Exposure {
         self.attenuation(frame, row, from, out.len(), &mut values);
         let photons = self.detector.photons_per_pixel;
         if !self.detector.quantum_noise {
-            self.arch.dispatch(|| {
-                for (o, v) in out.iter_mut().zip(&values) {
-                    *o = lane_math::exp(-v) as f32;
-                }
-            });
+            self.arch.dispatch(Transmit { values: &values, out });
             return;
         }
-        let mut least = f64::INFINITY;
-        self.arch.dispatch(|| {
-            for v in &mut values {
-                *v = photons * lane_math::exp(-*v);
-                least = least.min(*v);
-            }
-            for ((o, mean), i) in out.iter_mut().zip(&values).zip(0_u64..) {
-                let normal = lane_math::normal(frame.key.word(first_pixel + i));
-                *o = (lane_math::round(mean + mean.sqrt() * normal).max(0.0) / photons) as f32;
-            }
-        });
+        let detect = Detect { photons, key: frame.key, first_pixel, values: &mut values, out: &mut *out };
+        let least = self.arch.dispatch(detect);
         if least < EXACT_POISSON_BELOW {
             for ((o, &mean), i) in out.iter_mut().zip(&values).zip(0_u64..) {
                 if mean < EXACT_POISSON_BELOW {
@@ -253,7 +241,7 @@ impl Exposure {
         values[..count].copy_from_slice(&frame.anatomy.total[start..start + count]);
         if let Some(table) = &self.spectrum {
             let bone = &frame.anatomy.bone_m[start..start + count];
-            self.arch.dispatch(|| table.attenuation_of_row(&mut values[..count], bone));
+            self.arch.dispatch(Tabulate { table, tissue_m: &mut values[..count], bone_m: bone });
             frame.tool.over_row(row, from, count, |i, cell, materials| {
                 let (tissue, bone) = (frame.anatomy.total[start + i], bone[i]);
                 if let Some(materials) = materials {
@@ -271,14 +259,7 @@ impl Exposure {
         let linear = self.display.mode == DisplayMode::Linear;
         let readout = self.detector.readout();
         if linear || !readout.is_plain() {
-            self.arch.dispatch(|| {
-                for v in values.iter_mut() {
-                    *v = readout.apply(lane_math::exp(-*v));
-                }
-                if !linear {
-                    to_attenuation(values);
-                }
-            });
+            self.arch.dispatch(ReadThrough { readout, linear, values });
         }
     }
 
@@ -286,16 +267,8 @@ impl Exposure {
     fn read_out(&self, row: usize, width: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
         let (readout, linear) = (self.detector.readout(), self.display.mode == DisplayMode::Linear);
         let source = if self.weights.len() > 1 { &self.blurred } else { &self.detected };
-        self.arch.dispatch(|| {
-            let mut sums = [0.0_f32; CHUNK];
-            column_blur(source, width, row, from, &self.weights, &mut sums[..count]);
-            for (v, s) in values.iter_mut().zip(&sums) {
-                *v = readout.apply(f64::from(*s));
-            }
-            if !linear {
-                to_attenuation(values);
-            }
-        });
+        let weights = &self.weights[..];
+        self.arch.dispatch(ReadBlurred { readout, linear, source, weights, width, row, from, count, values });
     }
 
     /// Blurred transmission of the metal alone.
@@ -318,6 +291,98 @@ impl Exposure {
         column_blur(&self.metal_blurred, frame.width, row, from, &self.weights, &mut metal[..out.len()]);
         for ((o, &v), &m) in out.iter_mut().zip(values).zip(&metal) {
             *o = frame.scale.under_metal(v, f64::from(m));
+        }
+    }
+}
+
+lanes! {
+    /// The greys of a piece of a row.
+    ToGreys { scale: Scale, values: &'a [f64; CHUNK], out: &'a mut [u16] } -> () {
+        scale.to_greys(values, out);
+    }
+}
+
+lanes! {
+    /// A row blurred along itself.
+    BlurRow { line: &'a [f32], weights: &'a [f32], out: &'a mut [f32] } -> () {
+        blur_row(line, weights, out);
+    }
+}
+
+lanes! {
+    /// The share of photons that passes.
+    Transmit { values: &'a [f64; CHUNK], out: &'a mut [f32] } -> () {
+        for (o, v) in out.iter_mut().zip(values) {
+            *o = lane_math::exp(-v) as f32;
+        }
+    }
+}
+
+lanes! {
+    /// The share of photons that is counted, with noise; `values` become mean numbers of photons. Returns the least of them.
+    Detect {
+        photons: f64,
+        key: NoiseKey,
+        first_pixel: u64,
+        values: &'a mut [f64; CHUNK],
+        out: &'a mut [f32],
+    } -> f64 {
+        for v in values.iter_mut() {
+            *v = photons * lane_math::exp(-*v);
+        }
+        for (i, (o, mean)) in out.iter_mut().zip(values.iter()).enumerate() {
+            let normal = lane_math::normal(key.word(first_pixel + i as u64));
+            *o = (lane_math::round(mean + mean.sqrt() * normal).max(0.0) / photons) as f32;
+        }
+        let mut least = [f64::INFINITY; 8];
+        for some in values.chunks_exact(8) {
+            for (l, v) in least.iter_mut().zip(some) {
+                *l = l.min(*v);
+            }
+        }
+        least.into_iter().fold(f64::INFINITY, f64::min)
+    }
+}
+
+lanes! {
+    /// The attenuation of tissue and bone.
+    Tabulate { table: &'a SpectrumTable, tissue_m: &'a mut [f64], bone_m: &'a [f64] } -> () {
+        table.attenuation_of_row(tissue_m, bone_m);
+    }
+}
+
+lanes! {
+    /// The readout of attenuations without noise and blur.
+    ReadThrough { readout: Readout, linear: bool, values: &'a mut [f64; CHUNK] } -> () {
+        for v in values.iter_mut() {
+            *v = readout.apply(lane_math::exp(-*v));
+        }
+        if !linear {
+            to_attenuation(values);
+        }
+    }
+}
+
+lanes! {
+    /// The blur along columns, and the readout.
+    ReadBlurred {
+        readout: Readout,
+        linear: bool,
+        source: &'a [f32],
+        weights: &'a [f32],
+        width: usize,
+        row: usize,
+        from: usize,
+        count: usize,
+        values: &'a mut [f64; CHUNK],
+    } -> () {
+        let mut sums = [0.0_f32; CHUNK];
+        column_blur(source, width, row, from, weights, &mut sums[..count]);
+        for (v, s) in values.iter_mut().zip(&sums) {
+            *v = readout.apply(f64::from(*s));
+        }
+        if !linear {
+            to_attenuation(values);
         }
     }
 }

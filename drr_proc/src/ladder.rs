@@ -2,7 +2,7 @@
 //!
 //! `rungs.csv` holds, for each projector, the largest error of three poses (0/0, 37/18, 90/5 degrees), relative and r.m.s., against
 //! Siddon's sum in f64 on every eighth pixel of 512 x 512 in both directions, for the thigh of [`reference`](crate::reference) in
-//! 512 x 512 x 400 voxels of 0.5 mm; and the median of their times. `trabecula chart drr` writes such a file from its own phantom.
+//! 512 x 512 x 400 voxels of 0.5 mm; and the median of their times. `trabecula chart drr --rungs FILE` writes it.
 
 use crate::renderer::Projector;
 

@@ -42,6 +42,7 @@ pub mod grid;
 pub mod joseph;
 pub mod ladder;
 pub mod lane_math;
+mod lanes;
 pub mod process;
 pub mod ray;
 pub mod reference;
@@ -52,6 +53,7 @@ pub mod slice_ordered;
 pub mod spectrum;
 pub mod tool;
 mod tool_layer;
+mod tool_row;
 mod vector;
 
 pub use attenuation::{HuLaw, Material};

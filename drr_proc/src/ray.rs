@@ -83,6 +83,24 @@ impl RayFan {
         WorldRay { origin_m: self.source_m, direction_m, length_m: norm(direction_m) }
     }
 
+    /// World directions and lengths of the rays of a row from a column on: those of [`RayFan::world_ray`], bit for bit.
+    #[inline(always)]
+    pub(crate) fn world_rays_of_row(
+        &self,
+        (first, row): (u32, u32),
+        direction_m: [&mut [f64]; 3],
+        length_m: &mut [f64],
+    ) {
+        let count = length_m.len();
+        let [x, y, z] = direction_m.map(|values| &mut values[..count]);
+        for i in 0..count {
+            let in_row = add_scaled(self.first_m, f64::from(first + i as u32), self.column_step_m);
+            let d = add_scaled(in_row, f64::from(row), self.row_step_m);
+            (x[i], y[i], z[i]) = (d[0], d[1], d[2]);
+            length_m[i] = norm(d);
+        }
+    }
+
     /// The ray of a pixel in index coordinates.
     pub fn index_ray(&self, column: u32, row: u32) -> IndexRay {
         self.index_ray_of(column, row, &self.world_ray(column, row))
@@ -92,6 +110,11 @@ impl RayFan {
     pub(crate) fn index_ray_of(&self, column: u32, row: u32, ray: &WorldRay) -> IndexRay {
         let direction = self.index_direction(column, row);
         IndexRay { origin: self.source_index, direction, length_m: ray.length_m }
+    }
+
+    /// The source in the world.
+    pub(crate) fn source_m(&self) -> Vec3 {
+        self.source_m
     }
 
     /// The source in index coordinates.

@@ -1,5 +1,6 @@
 //! Draws the tool over the anatomy, row by row: only the pixels inside the parts' projected outlines are looked at.
 
+use pulp::Arch;
 use rayon::prelude::*;
 use smallvec::SmallVec;
 
@@ -7,11 +8,12 @@ use crate::attenuation::Material;
 use crate::carm::{CArm, Pinhole};
 use crate::displaced::displaced_integral;
 use crate::error::DrrError;
-use crate::ray::{IndexRay, RayFan};
+use crate::ray::{IndexRay, RayFan, WorldRay};
 use crate::removal::AttenuationField;
 use crate::renderer::Projector;
 use crate::siddon;
 use crate::tool::{PreparedPart, SeenPart, Tool, join_intervals};
+use crate::tool_row::{Crossings, RowOfRays};
 
 /// Slack of an outline against rounding of the projection, in pixels.
 const SLACK: f64 = 1e-3;
@@ -157,14 +159,17 @@ impl PlacedTool {
         self.materials.resize(if anatomy.bone.is_some() { size } else { 0 }, ToolMaterials::default());
         let mut cells = core::mem::take(&mut self.cells);
         let mut materials = core::mem::take(&mut self.materials);
-        let painter = Painter { tool: self, fan, anatomy };
+        let painter = Painter { tool: self, fan, anatomy, arch: Arch::new() };
         let (first, end) = (self.first_row, self.first_row + self.segments.len() as u32);
         let rows = cells.par_chunks_mut(self.stride).zip(first..end);
         let covered = if materials.is_empty() {
-            rows.map(|(cells, row)| painter.draw_row(row, cells, &mut [])).sum()
+            rows.map_init(RowWork::default, |work, (cells, row)| painter.draw_row(work, row, cells, &mut []))
+                .sum()
         } else {
             rows.zip(materials.par_chunks_mut(self.stride))
-                .map(|((cells, row), materials)| painter.draw_row(row, cells, materials))
+                .map_init(RowWork::default, |work, ((cells, row), materials)| {
+                    painter.draw_row(work, row, cells, materials)
+                })
                 .sum()
         };
         (self.cells, self.materials, self.covered) = (cells, materials, covered);
@@ -200,9 +205,12 @@ impl PlacedTool {
 /// Turns a part's projected box into spans.
 #[derive(Debug, Default)]
 struct Outline {
-    /// Lowest and highest column of the box in each row of the image.
+    /// Lowest and highest column of the box in each row of the image; [`NOWHERE`] in all between two parts.
     rows: Vec<(f64, f64)>,
 }
+
+/// Columns of a row that no edge crosses.
+const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
 impl Outline {
     /// Appends the part's spans.
@@ -226,8 +234,7 @@ impl Outline {
             return;
         }
         let corner = |i: usize| corners[i].map_or((0.0, 0.0), |p| (p.column, p.row));
-        self.rows.clear();
-        self.rows.resize(c_arm.rows as usize, (f64::INFINITY, f64::NEG_INFINITY));
+        self.rows.resize(c_arm.rows as usize, NOWHERE);
         let (mut first, mut end) = (c_arm.rows, 0);
         // The outline of a convex body's projection is made of its edges' projections.
         for i in 0..8_usize {
@@ -239,7 +246,7 @@ impl Outline {
             }
         }
         for row in first..end {
-            let (low, high) = self.rows[row as usize];
+            let (low, high) = core::mem::replace(&mut self.rows[row as usize], NOWHERE);
             // `as` saturates: what is far outside becomes an empty range.
             let from = libm::ceil(low - SLACK).max(0.0) as u32;
             let to = (libm::floor(high + SLACK) + 1.0).clamp(0.0, f64::from(c_arm.columns)) as u32;
@@ -292,34 +299,64 @@ struct Painter<'a> {
     tool: &'a PlacedTool,
     fan: &'a RayFan,
     anatomy: &'a DisplacedBy<'a>,
+    arch: Arch,
 }
+
+/// Work space of a row.
+#[derive(Debug, Default)]
+struct RowWork {
+    rays: RowOfRays,
+    crossings: Crossings,
+    /// Where each span's crossings begin.
+    starts: Vec<usize>,
+}
+
+/// A span that covers the column, and where its crossings begin.
+type Active = (Span, usize);
 
 impl Painter<'_> {
     /// Fills the cells of a row; returns how many are covered.
-    fn draw_row(&self, row: u32, cells: &mut [ToolCell], materials: &mut [ToolMaterials]) -> usize {
+    fn draw_row(
+        &self,
+        work: &mut RowWork,
+        row: u32,
+        cells: &mut [ToolCell],
+        materials: &mut [ToolMaterials],
+    ) -> usize {
         let spans = self.tool.spans_of(row);
-        let first = spans.first().map_or(0, |s| s.first);
-        cells.fill(ToolCell::default());
-        materials.fill(ToolMaterials::default());
-        let mut waiting = spans.iter().peekable();
-        let mut active: SmallVec<[Span; AT_ONCE]> = SmallVec::new();
+        let (first, end) = self.tool.segments[(row - self.tool.first_row) as usize];
+        let count = (end - first) as usize;
+        cells[..count].fill(ToolCell::default());
+        materials.iter_mut().take(count).for_each(|m| *m = ToolMaterials::default());
+        work.rays.aim(self.arch, self.fan, (first, row), count);
+        work.crossings.clear();
+        work.starts.clear();
+        for span in spans {
+            let range = (span.first - first) as usize..(span.end - first) as usize;
+            let part = &self.tool.parts[span.part as usize].part;
+            work.starts.push(work.crossings.append(self.arch, part, &work.rays, range));
+        }
+        let mut waiting = spans.iter().zip(&work.starts).peekable();
+        let mut active: SmallVec<[Active; AT_ONCE]> = SmallVec::new();
         let mut envelopes: SmallVec<[(f64, f64); AT_ONCE]> = SmallVec::new();
         let mut covered = 0;
         let mut column = 0;
         loop {
-            active.retain(|span| span.end > column);
+            active.retain(|(span, _)| span.end > column);
             if active.is_empty() {
-                let Some(next) = waiting.peek() else { break };
+                let Some((next, _)) = waiting.peek() else { break };
                 column = column.max(next.first);
             }
-            while let Some(span) = waiting.next_if(|span| span.first <= column) {
+            while let Some((span, start)) = waiting.next_if(|(span, _)| span.first <= column) {
                 // In the tool's order, which is the order of the sums.
-                let at = active.partition_point(|other| other.part < span.part);
-                active.insert(at, *span);
+                let at = active.partition_point(|(other, _)| other.part < span.part);
+                active.insert(at, (*span, *start));
             }
             let at = (column - first) as usize;
             let materials = materials.get_mut(at);
-            let cell = self.draw_pixel((column, row), &active, &mut envelopes, materials);
+            let ray = work.rays.at(self.fan, at);
+            let cell =
+                self.draw_pixel((column, row), &ray, &work.crossings, &active, &mut envelopes, materials);
             covered += usize::from(cell.is_covered());
             cells[at] = cell;
             column += 1;
@@ -331,16 +368,17 @@ impl Painter<'_> {
     fn draw_pixel(
         &self,
         (column, row): (u32, u32),
-        active: &[Span],
+        ray: &WorldRay,
+        crossings: &Crossings,
+        active: &[Active],
         envelopes: &mut SmallVec<[(f64, f64); AT_ONCE]>,
         mut materials: Option<&mut ToolMaterials>,
     ) -> ToolCell {
-        let ray = self.fan.world_ray(column, row);
         envelopes.clear();
         let mut cell = ToolCell::default();
-        for span in active {
-            let placed = &self.tool.parts[span.part as usize];
-            if let Some(crossing) = placed.part.cross(ray.direction_m, ray.length_m) {
+        for (span, start) in active {
+            if let Some(crossing) = crossings.at(start + (column - span.first) as usize) {
+                let placed = &self.tool.parts[span.part as usize];
                 envelopes.push(crossing.envelope);
                 cell.metal += placed.mu_per_m * crossing.metal_m;
                 if let Some(materials) = materials.as_deref_mut() {
@@ -352,7 +390,7 @@ impl Painter<'_> {
             return cell;
         }
         let joined = join_intervals(envelopes);
-        let index_ray = self.fan.index_ray_of(column, row, &ray);
+        let index_ray = self.fan.index_ray_of(column, row, ray);
         for &range in &envelopes[..joined] {
             cell.displaced += self.anatomy.integral(self.anatomy.tissue, &index_ray, range);
             if let (Some(materials), Some(bone)) = (materials.as_deref_mut(), self.anatomy.bone) {

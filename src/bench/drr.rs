@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use drr_proc::attenuation::MuTable;
 use drr_proc::ray::{IndexRay, RayFan};
-use drr_proc::reference::{self, relative_rms};
+use drr_proc::reference::{self, Phantom, Solid, relative_rms};
 use drr_proc::removal::{AttenuationField, BlockMap, RemovedVoxels};
 use drr_proc::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
 use drr_proc::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, siddon};
@@ -63,7 +63,8 @@ pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
     let grid = Grid::centred(dimensions, [SPACING_M; 3]).map_err(Failure::bad_input)?;
     // The thigh fills 240 x 200 x 320 mm at size 1; it goes on beyond the ends of a shorter volume.
     let size = dimensions[0].min(dimensions[1]) as f64 * SPACING_M / 0.24;
-    let hu = reference::voxelise(&grid, &reference::thigh(size), 2);
+    let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
+    let hu = Phantom { solids }.voxelise(&grid, 2);
     let view = VolumeView::new(grid, &hu).map_err(failed)?;
     let machine = Machine::watch();
     say!("volume {dimensions:?}, {SPACING_M} m; ms as least (median) of {rounds} interleaved rounds\n");

@@ -10,10 +10,11 @@ pub mod overhead;
 pub mod ping_pong;
 pub mod readings;
 pub mod recorder;
-mod samples;
+pub mod samples;
 pub mod soak;
 pub mod step;
 pub mod viewer;
+pub mod xray;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;

@@ -52,34 +52,38 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
         one(scene, Some(folder.path()), None, end, with)?;
         Ok(std::fs::metadata(folder.path().join("run.mcap")).map_err(failed)?.len())
     };
-    in_turn("a recorder", scene, seconds, rounds, recorded, |megabytes| {
+    let scene = Scene::load(scene).map_err(Failure::bad_input)?;
+    in_turn("a recorder", [scene.clone(), scene], seconds, rounds, recorded, |bytes| {
+        let megabytes = bytes * 1e-6;
         row("run.mcap", &format!("{megabytes:.1} MB a run, {:.2} MB/s", megabytes / seconds));
     })
 }
 
-/// Runs the scene in real time without and with something, in turn, and prints both and their ratios. `run_with` makes one run with
-/// it and returns the bytes that it took; `tell` prints the megabytes of a run.
+/// Runs two scenes in real time, without and with something, in turn, and prints both and their ratios. `run_with` makes one run of
+/// the second and returns a count; `tell` prints the mean count of a run.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails.
+/// A run that fails.
 pub(super) fn in_turn(
     what: &str,
-    scene: &Path,
+    mut scenes: [Scene; 2],
     seconds: f64,
     rounds: usize,
     mut run_with: impl FnMut(&Scene, &EndRequest, &mut Physics) -> Result<u64, Failure>,
     tell: impl FnOnce(f64),
 ) -> Result<(), Failure> {
-    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
-    scene.run.mode = Mode::Realtime;
-    scene.run.duration_s = seconds;
+    for scene in &mut scenes {
+        scene.run.mode = Mode::Realtime;
+        scene.run.duration_s = seconds;
+    }
+    let [scene, scene_with] = scenes;
     let end = EndRequest::install().map_err(failed)?;
     let machine = Machine::watch();
     let (mut without, mut with) = (Physics::default(), Physics::default());
-    let mut bytes = 0;
+    let mut count = 0;
     for _ in 0..rounds {
         one(&scene, None, None, &end, &mut without)?;
-        bytes += run_with(&scene, &end, &mut with)?;
+        count += run_with(&scene_with, &end, &mut with)?;
     }
     say!("scene {}, {rounds} rounds of {seconds} s in real time, each without and with {what}\n", scene.name);
     without.print("without");
@@ -90,22 +94,24 @@ pub(super) fn in_turn(
     row("step, with / without (median of p50 ratios)", &line);
     let line = format!("{:.3}", ratio(&with.late_p50_us, &without.late_p50_us));
     row("wake-up, with / without (median of p50 ratios)", &line);
-    tell(bytes as f64 * 1e-6 / rounds.max(1) as f64);
+    tell(count as f64 / rounds.max(1) as f64);
     machine.print();
     Ok(())
 }
 
-/// One run, recorded into a folder and shown at a port or not.
+/// One run, recorded into a folder and shown at a port or not; returns the number of X-ray frames.
 pub(super) fn one(
     scene: &Scene,
     output: Option<&Path>,
     view: Option<u16>,
     end: &EndRequest,
     all: &mut Physics,
-) -> Result<(), Failure> {
+) -> Result<u64, Failure> {
     let plan = RunPlan { scene: scene.clone(), output: output.map(Path::to_owned), view };
     let mut this = Physics::default();
+    let mut frames = 0;
     complete_run(&plan, end, |glance| {
+        frames = glance.frames;
         glance.timings.iter().for_each(|timing| {
             this.add(timing);
             all.add(timing);
@@ -113,5 +119,5 @@ pub(super) fn one(
     })?;
     all.step_p50_us.push(this.step.quantile_us(0.5));
     all.late_p50_us.push(this.late.quantile_us(0.5));
-    Ok(())
+    Ok(frames)
 }

@@ -28,11 +28,12 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
             let made = one(scene, None, Some(port), end, with);
             over.store(true, Ordering::Relaxed);
             let taken = watching.join().map_err(|_| Failure::failed("the viewer's client has panicked"))?;
-            made.map(|()| taken)
+            made.map(|_| taken)
         })
     };
-    in_turn("a viewer", scene, seconds, rounds, viewed, |megabytes| {
-        row("taken by the viewer's client", &format!("{megabytes:.1} MB a run"));
+    let scene = Scene::load(scene).map_err(Failure::bad_input)?;
+    in_turn("a viewer", [scene.clone(), scene], seconds, rounds, viewed, |bytes| {
+        row("taken by the viewer's client", &format!("{:.1} MB a run", bytes * 1e-6));
     })
 }
 

@@ -6,7 +6,9 @@ use clap::Subcommand;
 
 use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
-use crate::bench::{drr, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer};
+use crate::bench::{
+    drr, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer, xray,
+};
 use crate::failure::Failure;
 
 /// What to measure.
@@ -112,6 +114,21 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
     },
+    /// What X-ray frames cost the physics: the scene in real time without and with them, in turn.
+    Xray {
+        /// Scene with X-ray.
+        #[arg(default_value = DEFAULT_SCENE)]
+        scene: PathBuf,
+        /// Seconds of a run, 1 to 3600.
+        #[arg(long, default_value_t = 10.0)]
+        seconds: f64,
+        /// Rounds, 1 to 1000.
+        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+        rounds: u64,
+        /// Frames a second instead of the scene's, 1 to 200.
+        #[arg(long)]
+        rate_hz: Option<f64>,
+    },
     /// A long run in real time with frames: misses, memory of each process, log verified and replayed.
     Soak {
         /// Scene.
@@ -168,6 +185,13 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         BenchCommand::Viewer { scene, seconds, rounds } => {
             in_range("--seconds", *seconds, 1.0, 3600.0)?;
             viewer::run(scene, *seconds, *rounds as usize)
+        }
+        BenchCommand::Xray { scene, seconds, rounds, rate_hz } => {
+            in_range("--seconds", *seconds, 1.0, 3600.0)?;
+            if let Some(rate_hz) = rate_hz {
+                in_range("--rate-hz", *rate_hz, 1.0, 200.0)?;
+            }
+            xray::run(scene, *seconds, *rounds as usize, *rate_hz)
         }
         BenchCommand::Soak { scene, minutes, output } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;

@@ -2,14 +2,16 @@
 
 use drr_proc::DrrRenderer;
 use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, scene_isocentre_m, volume_view};
-use ipc_types::messages::Volume as VolumeMessage;
+use ipc_types::messages::{CONTROL_STOP, Pose, Volume as VolumeMessage};
 use ipc_types::scene::Scene;
 use recorder_proc::{FrameRecord, ReadOptions, frames};
 use zerocopy::IntoBytes;
 
 use crate::common::logs::{Whole, read};
-use crate::common::program::{Ended, Place, trabecula};
+use crate::common::program::{Ended, LIMIT, Place, trabecula};
 use crate::common::scenes;
+use crate::languages::clients;
+use crate::strays::{answer_here, joined};
 
 fn frames_of(ended: &Ended) -> Vec<FrameRecord> {
     frames(&ended.folder.join("run.mcap"), ReadOptions::default()).unwrap().map(Result::unwrap).collect()
@@ -97,4 +99,52 @@ fn drilled_voxels_are_gone_in_the_frames() {
     assert_eq!(removed.len() as u64, state.removed_total);
     assert_eq!(rendered(removed), last.frame.pixel_hash);
     assert_ne!(rendered(Vec::new()), last.frame.pixel_hash, "the drilled voxels would be there");
+}
+
+/// The C-arm of the image-guided scene, turned about the patient's long axis.
+fn turned(angle_deg: f64) -> Pose {
+    let (s, c) = (0.5 * angle_deg.to_radians()).sin_cos();
+    let half = core::f64::consts::FRAC_1_SQRT_2;
+    Pose { position_m: [0.0, 0.0, -0.045], orientation_xyzw: [-c * half, -s * half, s * half, c * half] }
+}
+
+/// A batch of poses for one tick is answered in the order of the requests, and the scheduled frames are those of a run without it.
+#[test]
+fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone() {
+    let text = std::fs::read_to_string(clients().join("scenes/image_guided.toml")).unwrap();
+    let text = text.replace("rate_hz = 0.0 ", "rate_hz = 100.0 ");
+    let scheduled = [0, 6].map(|batch| {
+        let place = Place::new();
+        let run = place.start(&text);
+        let mut client = joined(&run, "mine");
+        for step in 0..45 {
+            let tick = client.wait_state(LIMIT).unwrap().tick;
+            // In the middle between two scheduled frames, and at one.
+            if step == 5 || step == 20 {
+                let poses = (0..batch).map(|i| turned(12.0 * f64::from(i)));
+                let asked: Vec<u64> =
+                    poses.map(|pose| client.request_frame(Some(&pose), tick).unwrap()).collect();
+                let mut last = 0;
+                for (request, i) in asked.into_iter().zip(0..) {
+                    let frame = client.wait_frame(request, LIMIT).unwrap().frame;
+                    assert!(frame.tick == tick && frame.sequence > last);
+                    // Frontal is the source on +y.
+                    let angle = f64::atan2(-frame.geometry.source_m[0], frame.geometry.source_m[1]);
+                    assert!((angle.to_degrees() - 12.0 * f64::from(i)).abs() < 1e-9, "{angle}");
+                    last = frame.sequence;
+                }
+            }
+            answer_here(&mut client);
+        }
+        client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+        drop(client);
+        let ended = run.end();
+        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        let frames = frames_of(&ended);
+        assert_eq!(frames.iter().filter(|frame| frame.frame.request_id != 0).count(), 2 * batch as usize);
+        let shown = frames.iter().filter(|frame| frame.frame.request_id == 0 && frame.frame.tick <= 40);
+        shown.map(|frame| (frame.frame.tick, frame.frame.pixel_hash)).collect::<Vec<_>>()
+    });
+    assert_eq!(scheduled[0].iter().map(|(tick, _)| *tick).collect::<Vec<u64>>(), [0, 10, 20, 30, 40]);
+    assert_eq!(scheduled[0], scheduled[1]);
 }

@@ -17,7 +17,7 @@ use crate::common::scenes;
 use crate::languages::{clients, output_of, python, skip};
 
 /// Joins a run under a name.
-fn joined(run: &Run, controller: &str) -> Client {
+pub fn joined(run: &Run, controller: &str) -> Client {
     let session = run.session().to_str().unwrap().to_owned();
     Client::connect(&Connection {
         session: Some(session),
@@ -110,7 +110,7 @@ fn an_optional_controller_may_join_late() {
 }
 
 /// Answers the state that was taken last.
-fn answer_here(client: &mut Client) {
+pub fn answer_here(client: &mut Client) {
     let command = client.command().unwrap();
     command.tendon_mode = TENDON_SERVO_JF;
     command.tendon_force_n[0] = 2.0;

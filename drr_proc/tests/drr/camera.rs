@@ -1,8 +1,5 @@
 //! C-arms as cameras and as positioner angles: round trips, refusals, and OpenCV's own projection.
 
-use std::path::PathBuf;
-use std::process::Command;
-
 use drr_proc::{CArm, Camera, DetectorFormat, PixelCentre, PositionerAngles};
 use proptest::prelude::*;
 
@@ -116,28 +113,11 @@ proptest! {
     }
 }
 
-#[path = "../../../recorder_proc/tests/common/python.rs"]
-#[allow(clippy::unwrap_used, reason = "helpers of tests")]
-mod python;
-
 const PACKAGES: [&str; 2] = ["numpy==2.2.6", "opencv-python-headless==4.12.0.88"];
-
-/// The interpreter; the error is the reason why there is none.
-fn python() -> Result<PathBuf, String> {
-    python::environment("opencv-4.12.0.88", &PACKAGES, "cv2")
-}
 
 /// OpenCV projects the points with K, R and t; this C-arm must see them within 1e-6 pixel of it.
 #[test]
 fn opencv_projects_points_to_the_same_pixels() {
-    let python = match python() {
-        Ok(python) => python,
-        Err(reason) => {
-            assert!(std::env::var_os("CI").is_none(), "no OpenCV: {reason}");
-            eprintln!("SKIPPED: no OpenCV from PyPI: {reason}");
-            return;
-        }
-    };
     for c_arm in [arm(0.0, 0.0), arm(37.0, 18.0), arm(-100.0, -30.0), general()] {
         let camera = c_arm.camera(PixelCentre::Whole);
         let list = |v: &[f64]| format!("{v:?}");
@@ -152,9 +132,7 @@ fn opencv_projects_points_to_the_same_pixels() {
             rows(&points()),
             list(&camera.translation_m),
         );
-        let output = Command::new(&python).args(["-c", &script]).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let text = String::from_utf8(output.stdout).unwrap();
+        let Some(text) = crate::run_python("opencv-4.12.0.88", &PACKAGES, "cv2", &script) else { return };
         let mut worst = 0.0_f64;
         for (line, x) in text.lines().zip(points()) {
             let uv: Vec<f64> = line.split(' ').map(|n| n.parse().unwrap()).collect();

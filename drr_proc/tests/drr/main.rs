@@ -5,7 +5,11 @@
 #[cfg(test)]
 mod attenuation;
 #[cfg(test)]
+mod bad_input;
+#[cfg(test)]
 mod camera;
+#[cfg(test)]
+mod coefficients;
 #[cfg(test)]
 mod detector;
 #[cfg(test)]
@@ -13,14 +17,37 @@ mod frames;
 #[cfg(test)]
 mod geometry;
 #[cfg(test)]
+mod itk;
+#[cfg(test)]
 mod ladder;
 #[cfg(test)]
 mod poses;
 #[cfg(test)]
 mod projectors;
 #[cfg(test)]
+#[path = "../../../recorder_proc/tests/common/python.rs"]
+#[allow(clippy::unwrap_used, reason = "helpers of tests")]
+mod python;
+#[cfg(test)]
 mod slice_ordered;
 #[cfg(test)]
 mod spectrum;
 #[cfg(test)]
 mod tool;
+
+/// Runs a script in an environment with pinned packages; `None`, loudly, where there is none (never in CI).
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "helpers of tests")]
+fn run_python(name: &str, packages: &[&str], probe: &str, script: &str) -> Option<String> {
+    let python = match python::environment(name, packages, probe) {
+        Ok(python) => python,
+        Err(reason) => {
+            assert!(std::env::var_os("CI").is_none(), "no {packages:?}: {reason}");
+            eprintln!("SKIPPED: no {packages:?} from PyPI: {reason}");
+            return None;
+        }
+    };
+    let output = std::process::Command::new(&python).args(["-c", script]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(String::from_utf8(output.stdout).unwrap())
+}

@@ -28,7 +28,7 @@ fn draw(path: &Path, points: &[Point], stream_ms: f64) -> Result<(), Box<dyn std
     let range = |values: &mut dyn Iterator<Item = f64>| {
         values.fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)))
     };
-    let times = shown.iter().map(|p| p.least_ms).chain([stream_ms]);
+    let times = shown.iter().map(|p| p.least_and_median_ms().0).chain([stream_ms]);
     let (fast, slow) = range(&mut times.filter(|v| *v > 0.0));
     let (good, bad) = range(&mut shown.iter().map(|p| p.exact.rms).filter(|v| *v > 0.0));
     let (left, right, bottom, top) = (fast / 1.5, slow * 1.5, good / 1.5, bad * 1.5);
@@ -56,7 +56,8 @@ fn draw(path: &Path, points: &[Point], stream_ms: f64) -> Result<(), Box<dyn std
     methods.dedup();
     for (number, method) in methods.iter().enumerate() {
         let colour = Palette99::pick(number).filled();
-        let of_method = shown.iter().filter(|p| p.method == *method).map(|p| (p.least_ms, p.exact.rms));
+        let of_method =
+            shown.iter().filter(|p| p.method == *method).map(|p| (p.least_and_median_ms().0, p.exact.rms));
         let series = if method.starts_with("peer:") {
             chart.draw_series(of_method.map(|at| TriangleMarker::new(at, 6, colour)))?
         } else {

@@ -6,6 +6,7 @@
 
 mod figure;
 mod peers;
+mod rungs;
 mod spectrum;
 mod table;
 
@@ -28,6 +29,8 @@ pub struct Plan {
     pub quick: bool,
     pub peers: Option<PathBuf>,
     pub rounds: usize,
+    /// The file of the projectors' errors to write instead of a chart.
+    pub rungs: Option<PathBuf>,
 }
 
 /// One point of the chart.
@@ -39,11 +42,25 @@ pub struct Point {
     pub coarseness: usize,
     pub pose: &'static str,
     pub threads: usize,
-    pub least_ms: f64,
-    pub median_ms: f64,
+    /// Of each round.
+    pub times_ms: Vec<f64>,
     /// Against the closed line integrals, and against Siddon's sum in f64 of the full resolution.
     pub exact: Errors,
     pub siddon: Errors,
+}
+
+impl Point {
+    /// Least and median of the rounds.
+    pub fn least_and_median_ms(&self) -> (f64, f64) {
+        let mut times = self.times_ms.clone();
+        times.sort_by(f64::total_cmp);
+        (times.first().copied().unwrap_or(0.0), times.get(times.len() / 2).copied().unwrap_or(0.0))
+    }
+
+    /// Whether somebody else's.
+    pub fn is_peer(&self) -> bool {
+        self.method.starts_with("peer:")
+    }
 }
 
 /// Differences of an image from a reference, relative to the reference.
@@ -71,6 +88,9 @@ pub struct PosedReference {
     pub siddon: Vec<f64>,
 }
 
+/// The product's standard projector, which is timed again beside each peer.
+pub const STANDARD: (&str, Projector) = ("slice_ordered 1", Projector::SLICE_ORDERED);
+
 /// The projectors of the chart, from exact to fast.
 fn projectors() -> Vec<(&'static str, Projector)> {
     let slices = |oversampling, sharpen| Projector::SliceOrdered { oversampling, sharpen };
@@ -78,7 +98,7 @@ fn projectors() -> Vec<(&'static str, Projector)> {
         ("siddon", Projector::Siddon),
         ("joseph", Projector::Joseph),
         ("slice_ordered 1, unsharpened", slices(1.0, false)),
-        ("slice_ordered 1", slices(1.0, true)),
+        STANDARD,
         ("slice_ordered 1.5", slices(1.5, true)),
         ("slice_ordered 2", slices(2.0, true)),
         ("preview 2", Projector::PREVIEW),
@@ -102,6 +122,9 @@ pub struct Sample {
 /// # Errors
 /// A file that cannot be written (1).
 pub fn run(plan: &Plan) -> Result<(), Failure> {
+    if let Some(path) = &plan.rungs {
+        return rungs::write(path, plan.rounds);
+    }
     std::fs::create_dir_all(&plan.out)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made ({cause})", plan.out.display())))?;
     let (finest, side) = if plan.quick { (8, 128) } else { (1, 512) };
@@ -119,11 +142,10 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
             }
         }
     }
-    write_rungs(plan, &points, finest)?;
-    let mut notes = Vec::new();
-    if let Some(folder) = &plan.peers {
-        peers::measure(folder, &plan.out, &samples[0], &poses, plan.rounds, &mut points, &mut notes)?;
-    }
+    let notes = match &plan.peers {
+        Some(folder) => peers::measure(folder, plan, &samples[0], &poses, &mut points)?,
+        None => Vec::new(),
+    };
     let spectrum = spectrum::errors().map_err(failed)?;
     table::write(&plan.out, &points, &stream_ms, &spectrum)?;
     figure::write(&plan.out, &points, stream_ms[1])?;
@@ -188,23 +210,6 @@ fn references(
         .collect()
 }
 
-/// Writes `rungs.csv`, from which `tolerance.drr_rel` chooses: `drr_proc/src/rungs.csv` is that of a full run.
-fn write_rungs(plan: &Plan, points: &[Point], finest: usize) -> Result<(), Failure> {
-    let mut text = "projector,parameter,error_rel,frame_ms\n".to_owned();
-    for (name, projector) in projectors() {
-        let of_rung = points.iter().filter(|p| p.method == name && p.coarseness == finest && p.threads == 2);
-        let (mut times, errors): (Vec<f64>, Vec<f64>) = of_rung.map(|p| (p.least_ms, p.siddon.rms)).unzip();
-        let worst = errors.into_iter().fold(0.0, f64::max);
-        if let Some(line) = drr_proc::ladder::line_of(projector, worst, least_and_median(&mut times).1) {
-            text.push_str(&line);
-            text.push('\n');
-        }
-    }
-    let path = plan.out.join("rungs.csv");
-    std::fs::write(&path, text)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display())))
-}
-
 /// Times and errors of one projector; the rounds of the poses are interleaved.
 fn measure(
     sample: &Sample,
@@ -215,6 +220,8 @@ fn measure(
 ) -> Result<(), drr_proc::DrrError> {
     let view = VolumeView::new(sample.grid, &sample.hu)?;
     let mut renderer = DrrRenderer::new(&view, parameters(projector, threads))?;
+    // Copies of the volume are made when it is loaded, not with a frame.
+    poses.iter().try_for_each(|pose| renderer.prepare(&view, &pose.c_arm))?;
     // Siddon's times spread little and are long.
     let rounds = if projector == Projector::Siddon { 1 } else { rounds };
     let mut times = vec![Vec::new(); poses.len()];
@@ -228,26 +235,21 @@ fn measure(
             images[i] = renderer.anatomy().to_vec();
         }
     }
-    for ((pose, times), image) in poses.iter().zip(&mut times).zip(&images) {
-        let (least_ms, median_ms) = least_and_median(times);
-        points.push(Point {
-            method: name.to_owned(),
-            coarseness: sample.coarseness,
-            pose: pose.name,
-            threads,
-            least_ms,
-            median_ms,
-            exact: Errors::of(image, &pose.exact),
-            siddon: Errors::of(image, &pose.siddon),
-        });
+    for ((pose, times_ms), image) in poses.iter().zip(times).zip(&images) {
+        let (method, coarseness) = (name.to_owned(), sample.coarseness);
+        let (exact, siddon) = (Errors::of(image, &pose.exact), Errors::of(image, &pose.siddon));
+        let this = Point { method, coarseness, pose: pose.name, threads, times_ms, exact, siddon };
+        let same = |p: &&mut Point| {
+            (&p.method, p.coarseness, p.pose, p.threads)
+                == (&this.method, this.coarseness, this.pose, this.threads)
+        };
+        // Measured before: further rounds of the same point.
+        match points.iter_mut().find(same) {
+            Some(before) => before.times_ms.extend(this.times_ms),
+            None => points.push(this),
+        }
     }
     Ok(())
-}
-
-/// Least and median, 0 without values.
-pub fn least_and_median(times: &mut [f64]) -> (f64, f64) {
-    times.sort_by(f64::total_cmp);
-    (times.first().copied().unwrap_or(0.0), times.get(times.len() / 2).copied().unwrap_or(0.0))
 }
 
 /// Least milliseconds to read `bytes` once from memory with 1 and with 2 threads: no projector that reads every voxel is faster.

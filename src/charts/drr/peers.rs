@@ -11,34 +11,36 @@ use std::path::Path;
 use drr_proc::Material;
 use serde_json::json;
 
-use super::{Errors, Point, PosedReference, Sample, least_and_median};
+use super::{Errors, Plan, Point, PosedReference, STANDARD, Sample};
 use crate::charts::peers::{run, scripts};
 use crate::failure::Failure;
 
-/// Runs every script; one that cannot be installed or run is a note, not a failure.
+/// Runs every script, and after each the standard projector again, so that both have seen the same machine; one that cannot be
+/// installed or run is a note, not a failure. Returns the notes.
 pub fn measure(
     folder: &Path,
-    out: &Path,
+    plan: &Plan,
     sample: &Sample,
     poses: &[PosedReference],
-    rounds: usize,
     points: &mut Vec<Point>,
-    notes: &mut Vec<String>,
-) -> Result<(), Failure> {
+) -> Result<Vec<String>, Failure> {
     let io = |path: &Path| {
         let path = path.to_owned();
         move |cause: std::io::Error| Failure::failed(format!("{}: {cause}", path.display()))
     };
-    let work = std::path::absolute(out.join("peers")).map_err(io(out))?;
+    let work = std::path::absolute(plan.out.join("peers")).map_err(io(&plan.out))?;
     std::fs::create_dir_all(&work).map_err(io(&work))?;
-    write_input(&work, sample, poses, rounds)?;
+    write_input(&work, sample, poses, plan.rounds)?;
+    let mut notes = Vec::new();
     for (name, script) in scripts(folder)? {
         match run(&script, &name, &work) {
             Err(reason) => notes.push(format!("peer {name}: not measured ({reason})")),
-            Ok(printed) => collect(&name, &printed, &work, sample, poses, points, notes),
+            Ok(printed) => collect(&name, &printed, &work, sample, poses, points, &mut notes),
         }
+        super::measure(sample, poses, (STANDARD.0, STANDARD.1, 2), plan.rounds, points)
+            .map_err(super::failed)?;
     }
-    Ok(())
+    Ok(notes)
 }
 
 fn write_input(work: &Path, sample: &Sample, poses: &[PosedReference], rounds: usize) -> Result<(), Failure> {
@@ -92,7 +94,7 @@ fn collect(
             times.entry(((*pose).to_owned(), threads)).or_default().push(ms);
         }
     }
-    for ((pose_name, threads), mut times) in times {
+    for ((pose_name, threads), times_ms) in times {
         let Some(pose) = poses.iter().find(|pose| pose.name == pose_name) else { continue };
         let path = work.join(format!("{name}_{pose_name}_{threads}.raw"));
         let bytes = std::fs::read(&path).unwrap_or_default();
@@ -102,14 +104,12 @@ fn collect(
             notes.push(format!("peer {name}: {} is not an image of the pose", path.display()));
             continue;
         }
-        let (least_ms, median_ms) = least_and_median(&mut times);
         points.push(Point {
             method: format!("peer:{name}"),
             coarseness: sample.coarseness,
             pose: pose.name,
             threads,
-            least_ms,
-            median_ms,
+            times_ms,
             exact: Errors::of(&image, &pose.exact),
             siddon: Errors::of(&image, &pose.siddon),
         });
