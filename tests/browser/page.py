@@ -60,12 +60,12 @@ class Page:
         first = self.text(place).split()[0].rstrip("%°×")
         return float(first) if first.replace(".", "").replace("-", "").isdigit() else -1.0
 
-    def settled(self, place: str) -> float:
-        """A readout that has stood still for a second: what was asked for before has come."""
-        seen, since = self.number(place), time.monotonic()
+    def settled(self, read: Callable[[], object]) -> object:
+        """What has stood still for a second: what was asked for before has come."""
+        seen, since = read(), time.monotonic()
         while time.monotonic() - since < 1.0:
             time.sleep(0.05)
-            if (now := self.number(place)) != seen:
+            if (now := read()) != seen:
                 seen, since = now, time.monotonic()
         return seen
 

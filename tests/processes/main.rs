@@ -13,9 +13,12 @@ mod ends;
 mod frames;
 mod languages;
 mod late_controllers;
+mod lichtblick;
 mod log_tools;
 mod plan;
 mod promise;
+#[path = "../../recorder_proc/tests/common/python.rs"]
+mod python;
 mod readmes;
 mod replay;
 mod restarts;
@@ -26,4 +29,5 @@ mod security;
 mod strays;
 mod stress;
 mod survival;
+mod terminal;
 mod view;
