@@ -113,6 +113,7 @@ def check(browser: Browser, url: str, pictures: Path) -> None:
     page = Page(browser, url)
     for one in (opens_a_log, scrubs, steps_by_ticks, draws, shows_frames, plays, goes_to_marks):
         _run(one, page)
+    page.still()
     page.save(pictures / "log.png")
     page.clean()
     page.page.close()
@@ -123,6 +124,7 @@ def check_two(browser: Browser, url: str, pictures: Path) -> None:
     page = Page(browser, url)
     for one in (opens_a_log, finds_where_they_part, shows_differences):
         _run(one, page)
+    page.still()
     page.save(pictures / "two_logs.png")
     page.clean()
     page.page.close()

@@ -69,6 +69,10 @@ class Page:
                 seen, since = now, time.monotonic()
         return seen
 
+    def still(self) -> None:
+        """Waits until the 3D view does not change any more."""
+        self.settled(lambda: self.page.evaluate("[trabecula.view.pictures, trabecula.view.surface.triangles, trabecula.view.busy]"))
+
     def value(self, plot: str, which: int = 0) -> float:
         """A plot's newest value, as its heading shows it."""
         values = self.page.locator(".plot", has_text=plot).locator(".value").all_inner_texts()

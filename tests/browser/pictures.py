@@ -53,7 +53,7 @@ def pictures(url: str) -> tuple[Image.Image, Image.Image]:
 
 def still(shown: page.Page) -> Image.Image:
     """The page when nothing of it changes any more."""
-    shown.settled(lambda: shown.page.evaluate("[trabecula.view.pictures, trabecula.view.surface.triangles, trabecula.view.busy]"))
+    shown.still()
     return Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
 
 
@@ -81,7 +81,7 @@ def main() -> None:
             session = Path(folder) / "trabecula"
             while not list(session.glob("*/session.json")):
                 time.sleep(0.1)
-            light, dark = pictures(address(start("view", "--port", "0", "--no-open")))
+            light, dark = pictures(address(start("view", "--port", "0", "--no-open", "--page-folder", ROOT / "viewer_proc/page")))
         finally:
             for process in reversed(started):
                 process.terminate()

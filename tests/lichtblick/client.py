@@ -21,8 +21,8 @@ LIMIT_S = 30
 class Viewer:
     """A connection and what it offers."""
 
-    def __init__(self, url: str) -> None:
-        self.socket: ClientConnection = connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None)
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
         assert self.socket.subprotocol == "foxglove.sdk.v1"
         info = self.text("serverInfo")
         assert {"time", "services"} <= set(info["capabilities"]) and "json" in info["supportedEncodings"], info
@@ -126,7 +126,12 @@ def main() -> None:
     with open(file, encoding="utf-8") as text:
         layout = json.load(text)
     assert panels_of(layout["layout"]) == set(layout["configById"]), "panels without a place or a configuration"
-    viewer = Viewer(url)
+    with connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None) as socket:
+        check(Viewer(socket), layout, token)
+
+
+def check(viewer: Viewer, layout: dict, token: str) -> None:
+    """What the layout shows is advertised and is as its schemas say."""
     topics, paths = paths_of(layout)
     topic_of = {path: path.split(".")[0] for path in paths}
     shown = sorted(topics | set(topic_of.values()))

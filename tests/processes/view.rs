@@ -93,6 +93,21 @@ impl View {
     }
 }
 
+/// What a client that comes now is told on a channel.
+fn kept(address: &str, topic: &str) -> Value {
+    let (mut socket, channels) = connect(address);
+    let id = &channels.iter().find(|channel| channel["topic"] == topic).unwrap()["id"];
+    let text = json!({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": id}]});
+    socket.send(Message::text(text.to_string())).unwrap();
+    loop {
+        if let Message::Binary(bytes) = socket.read().unwrap()
+            && bytes[0] == 1
+        {
+            return serde_json::from_slice(&bytes[13..]).unwrap();
+        }
+    }
+}
+
 /// A client of a viewer, and the channels that it is told of.
 fn connect(address: &str) -> (WebSocket<TcpStream>, Vec<Value>) {
     let stream = TcpStream::connect(address).unwrap();
@@ -161,10 +176,8 @@ fn a_run_is_held_to_a_speed() {
     let place = Place::new();
     let run = place.start(&scenes::drill("lockstep", 600.0));
     let mut view = View::start(&[], Some(&run.session()));
-    let (states, pace) = (view.subscribe("/state"), view.subscribe("/view/pace"));
     assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.25})), json!({"ok": true}));
-    let told: Value = serde_json::from_slice(&view.next(pace)).unwrap();
-    assert_eq!(told, json!({"speed": 0.25}));
+    assert_eq!(kept(&view.address, "/view/pace"), json!({"speed": 0.25}));
     // What was on its way before the speed was set has come when the ticks stand still between steps.
     let client = Client::join(&run.session());
     let began = Instant::now();
@@ -177,8 +190,8 @@ fn a_run_is_held_to_a_speed() {
     let refused = view.call(1, json!({"action": "speed", "speed": -1.0}));
     assert!(refused["error"].as_str().unwrap().contains("`speed` is -1"), "{refused}");
     assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.0})), json!({"ok": true}));
-    let told: Value = serde_json::from_slice(&view.next(pace)).unwrap();
-    assert_eq!(told, json!({"speed": null}));
+    assert_eq!(kept(&view.address, "/view/pace"), json!({"speed": null}));
+    let states = view.subscribe("/state");
     let now = view.next_state(states).tick;
     while view.next_state(states).tick < now + 500 {}
     assert_eq!(view.call(1, json!({"action": "stop"})), json!({"ok": true}));
@@ -269,6 +282,18 @@ fn notices(view: &mut View, count: usize) -> Vec<String> {
     (0..count).map(|_| text(view.next(channel))).collect()
 }
 
+/// Texts of the time line's marks of a kind. They come in a message of their own.
+fn marks(view: &mut View, kind: &str) -> Vec<String> {
+    let playback = view.subscribe("/view/playback");
+    loop {
+        let told: Value = serde_json::from_slice(&view.next(playback)).unwrap();
+        if let Some(marks) = told["events"].as_array() {
+            let marks = marks.iter().filter(|mark| mark["kind"] == kind);
+            return marks.map(|mark| mark["text"].as_str().unwrap().to_owned()).collect();
+        }
+    }
+}
+
 #[test]
 fn a_log_without_frames_or_with_a_gap_is_shown_and_says_so() {
     let place = Place::new();
@@ -292,12 +317,8 @@ fn a_log_without_frames_or_with_a_gap_is_shown_and_says_so() {
         |state| state.tick += if state.tick > 150 { 350 } else { 0 },
     );
     let mut view = View::start(&[&gap], None);
-    let (states, playback) = (view.subscribe("/state"), view.subscribe("/view/playback"));
-    let told: Value = serde_json::from_slice(&view.next(playback)).unwrap();
-    let marks: Vec<&Value> =
-        told["events"].as_array().unwrap().iter().filter(|mark| mark["kind"] == "gap").collect();
-    assert_eq!(marks.len(), 1, "{told}");
-    assert_eq!(marks[0]["text"], "ticks 151 to 500 are missing");
+    assert_eq!(marks(&mut view, "gap"), ["ticks 151 to 500 are missing"]);
+    let states = view.subscribe("/state");
     assert_eq!(view.call(4, json!({"action": "next", "kind": "gap"})), json!({"ok": true}));
     while view.next_state(states).tick != 501 {}
     view.stop();
@@ -326,11 +347,9 @@ fn two_logs_part_where_log_diff_says() {
     assert!(command_tick > 20 && differ[at..].contains("/latched"), "{differ}");
 
     let mut view = View::start(&[&first, &second], None);
-    let (states, playback) = (view.subscribe("/state"), view.subscribe("/view/playback"));
-    let told: Value = serde_json::from_slice(&view.next(playback)).unwrap();
-    let marks = told["events"].as_array().unwrap();
-    let mark = marks.iter().find(|mark| mark["kind"] == "divergence").unwrap();
-    let text = mark["text"].as_str().unwrap();
+    let found = marks(&mut view, "divergence");
+    let text = found.first().unwrap();
+    let states = view.subscribe("/state");
     // The command of tick k leads to the state of tick k + 1.
     assert!(text.starts_with(&format!("the two runs part at tick {};", command_tick + 1)), "{text}");
     assert!(text.contains("/latched: commands[0]") && text.contains("tendon_force_n[0]"), "{text}");

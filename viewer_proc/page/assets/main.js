@@ -210,6 +210,7 @@ function draw() {
   const began = performance.now();
   const { colours } = page.theme;
   const waits = dirty.scene && page.view?.busy;
+  const idle = waits && !dirty.xRay && !dirty.plots;
   if (dirty.scene && page.view && !waits) drawScene(colours);
   if (dirty.xRay) page.xRay.draw();
   if (dirty.plots) {
@@ -219,7 +220,7 @@ function draw() {
   }
   Object.assign(dirty, { scene: false, xRay: false, plots: false });
   if (waits) changed("scene");
-  page.work.picture(performance.now() - began);
+  if (!idle) page.work.picture(performance.now() - began);
 }
 
 function drawScene(colours) {

@@ -139,6 +139,12 @@ impl Control {
 
     /// Takes replies, and steps a run that goes at a given speed.
     pub(super) fn look(&mut self, board: &Board, dt_ns: u64) -> Result<(), PortError> {
+        // Before the answer, so that whoever has that finds the speed on the board.
+        let speed = self.pace.map(|pace| pace.speed);
+        if speed != self.told {
+            self.told = speed;
+            board.publish_json(PACE, &json!({"speed": speed}));
+        }
         while let Some(reply) = self.replies.receive()? {
             let reply = *reply.message();
             let Some(answer) = self.waiting.remove(&reply.request_id) else { continue };
@@ -149,11 +155,6 @@ impl Control {
             let _ = answer.send(if reply.status == CONTROL_DONE { Ok(()) } else { Err(refused()) });
         }
         self.waiting.retain(|_, answer| !answer.is_closed());
-        let speed = self.pace.map(|pace| pace.speed);
-        if speed != self.told {
-            self.told = speed;
-            board.publish_json(PACE, &json!({"speed": speed}));
-        }
         let elapsed = self.paced.elapsed();
         if elapsed >= STEP_PERIOD
             && let Some(pace) = &mut self.pace
