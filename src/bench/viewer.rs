@@ -37,6 +37,9 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
     })
 }
 
+/// At least so many channels: what there is no channel for is refused.
+const CHANNELS: u32 = 40;
+
 /// Subscribes to every channel and takes what comes; returns the bytes.
 fn watch(port: u16, over: &AtomicBool) -> u64 {
     let mut taken = 0;
@@ -59,7 +62,8 @@ fn take(mut stream: TcpStream, port: u16, over: &AtomicBool, taken: &mut u64) ->
          Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
     );
     stream.write_all(request.as_bytes())?;
-    let wanted: Vec<String> = (1..=24).map(|id| format!("{{\"id\":{id},\"channelId\":{id}}}")).collect();
+    let wanted: Vec<String> =
+        (1..=CHANNELS).map(|id| format!("{{\"id\":{id},\"channelId\":{id}}}")).collect();
     let text = format!("{{\"op\":\"subscribe\",\"subscriptions\":[{}]}}", wanted.join(","));
     // A final text frame with a length of 16 bits and a mask of zeros (RFC 6455, section 5.2).
     let [high, low] = (text.len() as u16).to_be_bytes();

@@ -11,7 +11,7 @@ const STYLE: &str = "
 body { font: 15px/1.45 system-ui, sans-serif; margin: 2em auto; max-width: 1180px; padding: 0 1em; color: #222; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.2em; margin-top: 2em; }
 table { border-collapse: collapse; font-size: 13px; } th, td { padding: 3px 9px; text-align: right; border-bottom: 1px solid #ddd; }
-th:first-child, td:first-child, td.text, th.text { text-align: left; } tr.bad td { background: #fbe3dc; }
+th:first-child, td:first-child, td.text, th.text { text-align: left; } td:not(.text):not(:first-child) { white-space: nowrap; } tr.bad td { background: #fbe3dc; }
 .wide { overflow-x: auto; } svg { max-width: 100%; height: auto; } .note { color: #555; }
 ";
 
@@ -21,7 +21,7 @@ th:first-child, td:first-child, td.text, th.text { text-align: left; } tr.bad td
 /// The file cannot be written.
 pub fn write(report: &StressReport, old: Option<&StressReport>, folder: &Path) -> Result<(), Failure> {
     let mut text = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Stress test: {scene}</title>\n<style>{STYLE}</style></head><body>\n<h1>Stress test: {scene}</h1>\n{}",
+        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\"><title>Stress test: {scene}</title>\n<style>{STYLE}</style></head><body>\n<h1>Stress test: {scene}</h1>\n{}",
         head(report),
         scene = escape(&report.scene),
     );
@@ -53,7 +53,7 @@ fn head(report: &StressReport) -> String {
     let facts = &report.machine;
     let steal = report.tested.iter().map(|tested| tested.stolen_percent).fold(0.0, f64::max);
     let done = if report.tested.len() == report.planned {
-        format!("{} combinations", report.planned)
+        format!("{} combination{}", report.planned, if report.planned == 1 { "" } else { "s" })
     } else {
         format!("{} of {} combinations, then interrupted", report.tested.len(), report.planned)
     };
@@ -178,7 +178,9 @@ fn picture(folder: &Path, name: &str) -> String {
 
 fn machine(report: &StressReport) -> String {
     let mut text = String::from("<h2>Machine</h2>\n<div class=\"wide\"><table>\n<tr>");
-    text += &cells("th", ["what", "", "found", "costs where missing", "granted by"].map(str::to_owned));
+    for title in ["what", "state", "found", "costs where missing", "granted by"] {
+        text += &format!("<th class=\"text\">{title}</th>");
+    }
     text += "</tr>\n";
     for Finding { name, grade, found, cost, grant } in &report.machine.findings {
         let grade = match grade {

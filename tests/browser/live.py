@@ -41,24 +41,35 @@ def frames_update(page: Page) -> None:
     page.until("a frame comes", lambda: page.text("frame-facts").startswith("frame "))
     first = page.text("frame-facts")
     page.until("the next frame comes", lambda: page.text("frame-facts") != first)
-    # Scheduled frames follow at once, so every frame is noted as it comes.
-    page.page.evaluate("""(() => { const { model } = trabecula; const take = model.takeFrame.bind(model); window.angles = [];
-        model.takeFrame = (...message) => { take(...message); window.angles.push(model.frame.primary); }; })()""")
-    page.page.fill("#c-arm-primary", "40")
-    page.page.click("text=Take frame")
-    page.until("the frame at the angle that was asked for", lambda: page.page.evaluate("angles.some((angle) => Math.abs(angle - 0.6981317) < 1e-3)"))
     values = set(page.picture("x-ray-canvas").convert("L").tobytes())
     assert len(values) > 20, f"the X-ray has {len(values)} greys"
+
+
+def holds_the_frame_that_was_asked_for(page: Page) -> None:
+    """Scheduled frames follow at once; the one that was asked for stays until the user goes back to them."""
+    assert not page.page.locator("#x-ray-live").is_visible()
+    page.page.fill("#c-arm-primary", "40")
+    page.page.click("text=Take frame")
+    page.until("the frame that was asked for", lambda: page.text("frame-facts").startswith("asked for, held"))
+    held = page.text("frame-facts")
+    assert ", 40.0° / " in held, held
+    newest = "trabecula.model.frame.sequence"
+    sequence = page.page.evaluate(newest)
+    shown = page.picture("x-ray-canvas").tobytes()
+    page.until("scheduled frames go on", lambda: page.page.evaluate(newest) > sequence + 1)
+    assert page.text("frame-facts") == held
+    assert page.picture("x-ray-canvas").tobytes() == shown, "a scheduled frame replaced the one that was asked for"
+    page.page.click("#x-ray-live")
+    page.until("the live frames", lambda: page.text("frame-facts").startswith("frame ") and ", 40.0°" not in page.text("frame-facts"))
+    page.until("the picture of a live frame", lambda: page.picture("x-ray-canvas").tobytes() != shown)
+    assert not page.page.locator("#x-ray-live").is_visible()
 
 
 def pauses_and_steps(page: Page) -> None:
     page.page.click("#pause")
     page.until("pause", lambda: page.text("phase") == "Paused")
-    page.until("the last state is shown", lambda: page.number("tick") > 0)
-    time.sleep(0.3)
-    stood = page.number("tick")
-    time.sleep(0.7)
-    assert page.number("tick") == stood, "ticks go on although the run is paused"
+    stood = page.settled(lambda: page.number("tick"))
+    assert page.page.evaluate("trabecula.model.status.tick") == stood, "the page does not show the tick at which the run stands"
     page.page.click("text=Step")
     page.until("one tick", lambda: page.number("tick") == stood + 1)
     page.page.click("#pause")
@@ -84,6 +95,78 @@ def drives(page: Page) -> None:
     page.page.keyboard.press("q")
     page.until("the burr stands", lambda: page.value("Burr speed") < 10)
     page.page.keyboard.press("e")
+
+
+# Asked for by the gamepad alone, and looked for in the log afterwards.
+GAMEPAD_RPM = 6500
+# A pad that does nothing, with the buttons and axes of the standard mapping.
+PAD = """window.pad = { connected: true, id: "Test pad", axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
+    navigator.getGamepads = () => [null, window.pad];
+    window.dispatchEvent(Object.assign(new Event("gamepadconnected"), { gamepad: window.pad }));"""
+
+
+def drives_by_gamepad(page: Page) -> None:
+    """Sticks and trigger of a gamepad that the browser reports pull the tendon, feed and run the burr; A pauses."""
+    page.page.evaluate(PAD)
+    assert "Test pad" in page.text("gamepad")
+    page.page.evaluate("document.activeElement.blur()")
+    page.page.keyboard.press("e")
+    page.until("the page drives", lambda: page.text("drive-switch") == "Let go")
+    page.page.evaluate(f"trabecula.drive.set({{ burrRpm: {GAMEPAD_RPM} }})")
+    before = page.value("Tension")
+    page.page.evaluate("pad.axes[3] = -1")
+    page.until("the right stick pulls the tendon", lambda: page.value("Tension") > before + 1.0)
+    page.page.evaluate("pad.axes[3] = 0.05")
+    page.page.evaluate("pad.buttons[7] = { pressed: true, value: 1 }")
+    page.until("the trigger runs the burr", lambda: abs(page.value("Burr speed") - GAMEPAD_RPM) < 100)
+    base = "trabecula.model.poses.base.position"
+    start = page.page.evaluate(base)
+    page.page.evaluate("pad.axes[1] = 1")
+    moved = lambda: sum((a - b) ** 2 for a, b in zip(page.page.evaluate(base), start)) ** 0.5
+    page.until("the left stick retracts the tool", lambda: moved() > 0.0003)
+    page.page.evaluate("pad.axes[1] = 0")
+    page.page.evaluate("pad.buttons[7] = { pressed: false, value: 0 }")
+    page.until("the burr stands", lambda: page.value("Burr speed") < 10)
+    for phase in ("Paused", "Running"):
+        page.page.evaluate("pad.buttons[0] = { pressed: true, value: 1 }")
+        page.until(f"the button A: {phase}", lambda: page.text("phase") == phase)
+        page.page.evaluate("pad.buttons[0] = { pressed: false, value: 0 }")
+        page.until("the button is up", lambda: page.page.evaluate("trabecula.drive.padPause === false"))
+    page.page.keyboard.press("e")
+    page.until("the page lets go", lambda: page.text("drive-switch") != "Let go")
+    page.page.evaluate("window.pad = null")
+
+
+def holds_a_speed(page: Page) -> None:
+    """A speed below real time: the run is said to go on, slower, and Pause stops it."""
+    page.page.select_option("#speed", "0.1")
+    page.until("it is said", lambda: page.text("phase") == "Running at 0.1 ×")
+    page.until("time goes slower", lambda: 0.0 < page.number("rate") < 0.3)
+    page.page.click("#pause")
+    page.until("pause", lambda: page.text("phase") == "Paused")
+    stood = page.settled(lambda: page.number("tick"))
+    page.page.click("#pause")
+    page.until("the speed is held again", lambda: page.text("phase") == "Running at 0.1 ×" and page.number("tick") > stood)
+    page.page.select_option("#speed", "1")
+    page.until("its own speed", lambda: page.text("phase") == "Running")
+
+
+def costs_little(page: Page) -> None:
+    """Script time of the page, measured while the run goes on at full rate. Nothing is asserted: it is a figure of the machine."""
+    figures = page.page.evaluate("""async () => {
+        const { work, view, connection } = trabecula;
+        let [messages, milliseconds, began, first] = [0, 0, performance.now(), view.pictures];
+        const took = connection.took;
+        connection.took = (one) => (took(one), (messages += 1), (milliseconds += one));
+        work.times = [];
+        await new Promise((done) => setTimeout(done, 3000));
+        connection.took = took;
+        const seconds = (performance.now() - began) / 1000;
+        return { pictures: (view.pictures - first) / seconds, drawn: work.times.length / seconds, median: work.quantile(0.5), p95: work.quantile(0.95),
+            messages: messages / seconds, share: milliseconds / seconds / 10, triangles: view.surface.triangles, software: view.software };
+    }""")
+    print("page: script {median:.2f} ms a picture (p95 {p95:.2f}), {share:.1f} % of the time for {messages:.0f} messages/s; {drawn:.0f} "
+          "pictures/s of which {pictures:.0f} with the 3D view, {triangles} triangles, drawn by the processor: {software}".format(**figures), flush=True)
 
 
 def works_with_keys_alone(page: Page) -> None:
@@ -155,7 +238,8 @@ def says_that_the_hub_died(page: Page, victim: int) -> None:
 def check(browser: Browser, url: str, victim: int, pictures: Path) -> None:
     """All checks on one page, in turn."""
     page = Page(browser, url)
-    for one in (connects, shows_the_tool, shows_bone, frames_update, pauses_and_steps, drives):
+    for one in (connects, shows_the_tool, shows_bone, frames_update, holds_the_frame_that_was_asked_for, pauses_and_steps, drives,
+                drives_by_gamepad, holds_a_speed, costs_little):
         _run(one, page)
     page.save(pictures / "live.png")
     for one in (works_with_keys_alone, light_and_dark):

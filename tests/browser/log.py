@@ -38,7 +38,7 @@ def length(page: Page) -> float:
 
 
 def steps_by_ticks(page: Page) -> None:
-    here = page.settled("tick")
+    here = page.settled(lambda: page.number("tick"))
     page.page.click("text=+1 tick")
     page.until("a tick on", lambda: page.number("tick") == here + 1)
     page.page.click("text=−1 tick")
@@ -91,11 +91,29 @@ def shows_differences(page: Page) -> None:
     assert len(rows) > 3, rows
 
 
+def finds_where_they_part(page: Page) -> None:
+    """The key for the next divergence goes to the tick where the two runs part, and the table says in what."""
+    page.page.evaluate("document.activeElement.blur()")
+    mark = page.page.evaluate("trabecula.timeLine.events.find((mark) => mark.kind === 'divergence')")
+    assert mark and "tendon_force_n" in mark["text"], mark
+    page.page.focus("#scrub")
+    page.page.keyboard.press("Home")
+    page.until("the beginning", lambda: page.number("time") < 0.001)
+    page.until("the runs are the same there", lambda: "no field" in page.text("compare-rows"))
+    page.page.keyboard.press("g")
+    page.until("the tick where they part", lambda: page.number("tick") == round(mark["time_ns"] / 1e6))
+    page.until("it is said what differs", lambda: mark["text"] in page.text("mark-text"))
+    page.page.click("text=−1 tick")
+    page.until("the tick before", lambda: page.number("tick") == round(mark["time_ns"] / 1e6) - 1)
+    page.until("the runs are the same there", lambda: "no field" in page.text("compare-rows"))
+
+
 def check(browser: Browser, url: str, pictures: Path) -> None:
     """One log."""
     page = Page(browser, url)
     for one in (opens_a_log, scrubs, steps_by_ticks, draws, shows_frames, plays, goes_to_marks):
         _run(one, page)
+    page.still()
     page.save(pictures / "log.png")
     page.clean()
     page.page.close()
@@ -104,8 +122,9 @@ def check(browser: Browser, url: str, pictures: Path) -> None:
 def check_two(browser: Browser, url: str, pictures: Path) -> None:
     """Two logs."""
     page = Page(browser, url)
-    for one in (opens_a_log, shows_differences):
+    for one in (opens_a_log, finds_where_they_part, shows_differences):
         _run(one, page)
+    page.still()
     page.save(pictures / "two_logs.png")
     page.clean()
     page.page.close()

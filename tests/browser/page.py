@@ -60,14 +60,18 @@ class Page:
         first = self.text(place).split()[0].rstrip("%°×")
         return float(first) if first.replace(".", "").replace("-", "").isdigit() else -1.0
 
-    def settled(self, place: str) -> float:
-        """A readout that has stood still for a second: what was asked for before has come."""
-        seen, since = self.number(place), time.monotonic()
+    def settled(self, read: Callable[[], object]) -> object:
+        """What has stood still for a second: what was asked for before has come."""
+        seen, since = read(), time.monotonic()
         while time.monotonic() - since < 1.0:
             time.sleep(0.05)
-            if (now := self.number(place)) != seen:
+            if (now := read()) != seen:
                 seen, since = now, time.monotonic()
         return seen
+
+    def still(self) -> None:
+        """Waits until the 3D view does not change any more."""
+        self.settled(lambda: self.page.evaluate("[trabecula.view.pictures, trabecula.view.surface.triangles, trabecula.view.busy]"))
 
     def value(self, plot: str, which: int = 0) -> float:
         """A plot's newest value, as its heading shows it."""

@@ -109,6 +109,33 @@ fn a_pause_while_a_controller_thinks_holds_the_tick() {
     assert_replays(&ended.folder);
 }
 
+/// Steps that had been asked for and not made were made after the pause, and after the next one.
+#[test]
+fn a_pause_gives_up_the_steps_that_are_not_made_yet() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
+    let mut pilot = Pilot::join(&run.session(), "pilot");
+    let initial = pilot.next_state();
+    pilot.client.ask(CONTROL_PAUSE, 0);
+    pilot.answer(&initial, rest(&initial));
+    // The second would be one more than can be counted.
+    assert_eq!(pilot.client.ask(CONTROL_STEP, u64::MAX).status, CONTROL_DONE);
+    assert_eq!(pilot.client.ask(CONTROL_STEP, 2).status, CONTROL_DONE);
+    let state = pilot.drive_to(10, rest);
+    assert_eq!(pilot.client.ask(CONTROL_PAUSE, 0).status, CONTROL_DONE);
+    pilot.answer(&state, rest(&state));
+    assert_stands(&pilot, 10);
+    pilot.client.ask(CONTROL_STEP, 1000);
+    pilot.client.ask(CONTROL_RESUME, 0);
+    let state = pilot.drive_to(20, rest);
+    pilot.client.ask(CONTROL_PAUSE, 0);
+    pilot.answer(&state, rest(&state));
+    assert_stands(&pilot, 20);
+    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
+    drop(pilot);
+    assert_eq!(run.end().code, Some(0));
+}
+
 /// A state without what a reset does not set back: tick, time, hash, and the numbers of the commands.
 fn without_history(state: &State) -> State {
     let mut state = State { tick: 0, sim_time_s: 0.0, hash: [0; 2], ..*state };

@@ -1,9 +1,10 @@
 //! The viewer beside a run, and on logs.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::time::Instant;
 
 use ipc_types::messages::State;
 use rustix::process::Signal;
@@ -12,20 +13,22 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 use zerocopy::FromBytes;
 
-use crate::common::logs::assert_replays;
+use crate::common::client::Client;
+use crate::common::logs::{assert_replays, rewrite};
 use crate::common::program::{LIMIT, Place, assert_nothing_left, signal, trabecula, wait_for};
 use crate::common::scenes;
 
 /// A viewer process and a client of it.
-struct View {
+pub struct View {
     child: Child,
-    token: String,
+    pub address: String,
+    pub token: String,
     socket: WebSocket<TcpStream>,
     channels: Vec<Value>,
 }
 
 impl View {
-    fn start(arguments: &[&Path], session: Option<&Path>) -> View {
+    pub fn start(arguments: &[&Path], session: Option<&Path>) -> View {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.arg("view").args(arguments).args(["--port", "0", "--no-open"]);
         if let Some(session) = session {
@@ -35,18 +38,8 @@ impl View {
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let (address, token) = line.trim().strip_prefix("http://").unwrap().split_once("/#token=").unwrap();
-        let stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(LIMIT)).unwrap();
-        let mut request = format!("ws://{address}/ws").into_client_request().unwrap();
-        request.headers_mut().insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().unwrap());
-        let (mut socket, _) = tungstenite::client(request, stream).unwrap();
-        let channels = loop {
-            let message = next_text(&mut socket);
-            if message["op"] == "advertise" {
-                break message["channels"].as_array().unwrap().clone();
-            }
-        };
-        View { child, token: token.to_owned(), socket, channels }
+        let (socket, channels) = connect(address);
+        View { child, address: address.to_owned(), token: token.to_owned(), socket, channels }
     }
 
     /// Subscribes under the channel's own number.
@@ -89,8 +82,44 @@ impl View {
         }
     }
 
+    /// Ends a viewer of a log.
+    pub fn stop(self) {
+        signal(self.child.id(), Signal::TERM);
+        assert_eq!(self.end(), Some(0));
+    }
+
     fn end(mut self) -> Option<i32> {
         wait_for("the end of the viewer", || self.child.try_wait().unwrap()).code()
+    }
+}
+
+/// What a client that comes now is told on a channel.
+fn kept(address: &str, topic: &str) -> Value {
+    let (mut socket, channels) = connect(address);
+    let id = &channels.iter().find(|channel| channel["topic"] == topic).unwrap()["id"];
+    let text = json!({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": id}]});
+    socket.send(Message::text(text.to_string())).unwrap();
+    loop {
+        if let Message::Binary(bytes) = socket.read().unwrap()
+            && bytes[0] == 1
+        {
+            return serde_json::from_slice(&bytes[13..]).unwrap();
+        }
+    }
+}
+
+/// A client of a viewer, and the channels that it is told of.
+fn connect(address: &str) -> (WebSocket<TcpStream>, Vec<Value>) {
+    let stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(LIMIT)).unwrap();
+    let mut request = format!("ws://{address}/ws").into_client_request().unwrap();
+    request.headers_mut().insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().unwrap());
+    let (mut socket, _) = tungstenite::client(request, stream).unwrap();
+    loop {
+        let message = next_text(&mut socket);
+        if message["op"] == "advertise" {
+            return (socket, message["channels"].as_array().unwrap().clone());
+        }
     }
 }
 
@@ -141,11 +170,72 @@ fn a_viewer_shows_a_run_steers_it_and_drives_the_tool() {
     assert_replays(&ended.folder);
 }
 
+/// A speed below the run's own is held, above all not exceeded, and given up again.
 #[test]
-fn a_viewer_that_dies_leaves_the_run_alone() {
+fn a_run_is_held_to_a_speed() {
+    let place = Place::new();
+    let run = place.start(&scenes::drill("lockstep", 600.0));
+    let mut view = View::start(&[], Some(&run.session()));
+    assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.25})), json!({"ok": true}));
+    assert_eq!(kept(&view.address, "/view/pace"), json!({"speed": 0.25}));
+    // What was on its way before the speed was set has come when the ticks stand still between steps.
+    let client = Client::join(&run.session());
+    let began = Instant::now();
+    let first = client.wait_for_state(|_| true).tick;
+    let last = client.wait_for_state(|state| state.tick > first + 150).tick;
+    let wall_ms = began.elapsed().as_millis() as u64;
+    // A slow machine makes fewer ticks, never more; a step of 20 ms may be under way at either end, and one of them may be late.
+    let most = wall_ms / 4 + 60;
+    assert!(last - first <= most, "{} ticks in {wall_ms} ms at a quarter of real time", last - first);
+    let refused = view.call(1, json!({"action": "speed", "speed": -1.0}));
+    assert!(refused["error"].as_str().unwrap().contains("`speed` is -1"), "{refused}");
+    assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.0})), json!({"ok": true}));
+    assert_eq!(kept(&view.address, "/view/pace"), json!({"speed": null}));
+    let states = view.subscribe("/state");
+    let now = view.next_state(states).tick;
+    while view.next_state(states).tick < now + 500 {}
+    assert_eq!(view.call(1, json!({"action": "stop"})), json!({"ok": true}));
+    drop(client);
+    let ended = run.end();
+    assert_eq!((ended.code, view.end()), (Some(0), Some(0)), "{}", ended.err);
+    assert_replays(&ended.folder);
+}
+
+/// With four controllers, X-ray and a viewer the ninth subscriber of the run's status was refused.
+#[test]
+fn two_viewers_and_other_clients_watch_one_run() {
+    let place = Place::new();
+    let run = place.start(&scenes::drill("lockstep", 600.0));
+    let session = run.session();
+    let mut views = [View::start(&[], Some(&session)), View::start(&[], Some(&session))];
+    let clients: Vec<Client> = (0..5).map(|_| Client::join(&session)).collect();
+    for client in &clients {
+        client.wait_for_state(|state| state.tick > 0);
+    }
+    for view in &mut views {
+        let states = view.subscribe("/state");
+        while view.next_state(states).tick == 0 {}
+    }
+    let [mut first, second] = views;
+    assert_eq!(first.call(1, json!({"action": "stop"})), json!({"ok": true}));
+    drop(clients);
+    assert_eq!((run.end().code, first.end(), second.end()), (Some(0), Some(0), Some(0)));
+}
+
+#[test]
+fn hostile_clients_and_a_viewer_that_dies_leave_the_run_alone() {
     let place = Place::new();
     let run = place.start(&scenes::drill("lockstep", 2.0));
     let view = View::start(&[], Some(&run.session()));
+    // One wants everything and never reads, one floods, one is too large, one is none of the protocol.
+    let (mut lazy, channels) = connect(&view.address);
+    let all: Vec<Value> = channels.iter().map(|c| json!({"id": c["id"], "channelId": c["id"]})).collect();
+    lazy.send(Message::text(json!({"op": "subscribe", "subscriptions": all}).to_string())).unwrap();
+    let (mut flooding, _) = connect(&view.address);
+    while flooding.send(Message::text("{}")).is_ok() {}
+    let (mut large, _) = connect(&view.address);
+    while large.send(Message::text("x".repeat(100_000))).is_ok() {}
+    TcpStream::connect(&view.address).unwrap().write_all(b"\xff\0 nonsense\r\n\r\n").unwrap();
     signal(view.child.id(), Signal::KILL);
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
@@ -183,6 +273,91 @@ fn a_log_is_shown_at_any_time_and_a_port_in_use_is_refused() {
     assert_eq!(missing.code, Some(2), "{}", missing.err);
     let lone = trabecula(&[&"view", &"--session", &place.path("none"), &"--no-open", &"--port", &"0"]);
     assert_eq!(lone.code, Some(2), "{}", lone.err);
+}
+
+/// Texts of the notices that a log's viewer shows, the first ones.
+fn notices(view: &mut View, count: usize) -> Vec<String> {
+    let channel = view.subscribe("/view/notice");
+    let text = |bytes: Vec<u8>| serde_json::from_slice::<Value>(&bytes).unwrap()["text"].to_string();
+    (0..count).map(|_| text(view.next(channel))).collect()
+}
+
+/// Texts of the time line's marks of a kind. They come in a message of their own.
+fn marks(view: &mut View, kind: &str) -> Vec<String> {
+    let playback = view.subscribe("/view/playback");
+    loop {
+        let told: Value = serde_json::from_slice(&view.next(playback)).unwrap();
+        if let Some(marks) = told["events"].as_array() {
+            let marks = marks.iter().filter(|mark| mark["kind"] == kind);
+            return marks.map(|mark| mark["text"].as_str().unwrap().to_owned()).collect();
+        }
+    }
+}
+
+#[test]
+fn a_log_without_frames_or_with_a_gap_is_shown_and_says_so() {
+    let place = Place::new();
+    let whole = place.complete(&scenes::drill("lockstep", 0.3)).folder.join("run.mcap");
+    let bare = place.path("bare.mcap");
+    rewrite(&whole, &bare, |_| {}, |_| {});
+    let mut view = View::start(&[&bare], None);
+    let states = view.subscribe("/state");
+    let said = notices(&mut view, 1);
+    assert!(said[0].contains("no X-ray frames"), "{said:?}");
+    assert_eq!(view.call(4, json!({"action": "seek", "time_ns": 200_000_000})), json!({"ok": true}));
+    while view.next_state(states).tick != 200 {}
+    view.stop();
+
+    // Ticks that are not there: the log of 300 ticks says 500 behind the 150th.
+    let gap = place.path("gap.mcap");
+    rewrite(
+        &whole,
+        &gap,
+        |latched| latched.tick += if latched.tick >= 150 { 350 } else { 0 },
+        |state| state.tick += if state.tick > 150 { 350 } else { 0 },
+    );
+    let mut view = View::start(&[&gap], None);
+    assert_eq!(marks(&mut view, "gap"), ["ticks 151 to 500 are missing"]);
+    let states = view.subscribe("/state");
+    assert_eq!(view.call(4, json!({"action": "next", "kind": "gap"})), json!({"ok": true}));
+    while view.next_state(states).tick != 501 {}
+    view.stop();
+
+    // A log that was cut has no index.
+    let cut = place.path("cut.mcap");
+    let bytes = std::fs::read(&whole).unwrap();
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let done = trabecula(&[&"view", &cut, &"--no-open", &"--port", &"0"]);
+    assert_eq!(done.code, Some(2), "{}", done.err);
+    assert!(done.err.contains("trabecula log repair"), "{}", done.err);
+}
+
+/// Where two logs part is the first state that `trabecula log diff` finds, and what differs first is said.
+#[test]
+fn two_logs_part_where_log_diff_says() {
+    let place = Place::new();
+    let first = place.complete(&scenes::drill("lockstep", 0.4)).folder;
+    let scene = scenes::drill("lockstep", 0.4).replace("tension_n = 6.0", "tension_n = 4.0");
+    let other = Place::new();
+    let second = other.complete(&scene).folder;
+    let differ = trabecula(&[&"log", &"diff", &first, &second]).out;
+    let words = "first divergence: tick ";
+    let at = differ.find(words).unwrap() + words.len();
+    let command_tick: u64 = differ[at..].split(',').next().unwrap().parse().unwrap();
+    assert!(command_tick > 20 && differ[at..].contains("/latched"), "{differ}");
+
+    let mut view = View::start(&[&first, &second], None);
+    let found = marks(&mut view, "divergence");
+    let text = found.first().unwrap();
+    let states = view.subscribe("/state");
+    // The command of tick k leads to the state of tick k + 1.
+    assert!(text.starts_with(&format!("the two runs part at tick {};", command_tick + 1)), "{text}");
+    assert!(text.contains("/latched: commands[0]") && text.contains("tendon_force_n[0]"), "{text}");
+    assert_eq!(view.call(4, json!({"action": "next", "kind": "divergence"})), json!({"ok": true}));
+    while view.next_state(states).tick != command_tick + 1 {}
+    let no = view.call(4, json!({"action": "next", "kind": "divergence"}));
+    assert!(no["error"].as_str().unwrap().contains("no divergence after"), "{no}");
+    view.stop();
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! message over and goes on.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ipc_types::layout::CDR_LITTLE_ENDIAN;
@@ -18,6 +18,9 @@ use crate::queue::{Outgoing, Payload, Queue};
 
 /// Most subscriptions of one client.
 pub const MAX_SUBSCRIPTIONS: usize = 256;
+
+/// Notices that a client is told of when it subscribes.
+const NOTICES_KEPT: u32 = 64;
 
 /// One client's side of the board.
 #[derive(Debug, Default)]
@@ -52,6 +55,8 @@ pub struct Board {
     /// Bit i: somebody has subscribed to channel i, modulo 64.
     wanted: AtomicU64,
     time_ns: AtomicU64,
+    /// Number of the next notice.
+    notices: AtomicU32,
 }
 
 impl Board {
@@ -63,6 +68,7 @@ impl Board {
             kept: Mutex::default(),
             wanted: AtomicU64::new(0),
             time_ns: AtomicU64::new(0),
+            notices: AtomicU32::new(0),
         }
     }
 
@@ -99,9 +105,16 @@ impl Board {
         self.publish(topic, self.time_ns(), 0, value.to_string().into_bytes());
     }
 
-    /// Tells the user something.
+    /// Tells the user something. Whoever comes later is told the last [`NOTICES_KEPT`].
     pub fn notice(&self, level: &str, text: &str) {
-        self.publish_json(NOTICE, &serde_json::json!({"level": level, "text": text}));
+        let number = self.notices.fetch_add(1, Ordering::Relaxed);
+        let value = serde_json::json!({"level": level, "text": text});
+        self.hand_out(NOTICE, self.time_ns(), number, value.to_string().into_bytes());
+        if let Some(old) = number.checked_sub(NOTICES_KEPT)
+            && let Some(id) = self.channels.id(NOTICE)
+        {
+            lock(&self.kept).remove(&(id, old));
+        }
     }
 
     /// Hands out a message and keeps it as the newest of its channel and slot; before a late tick's timing, its cause.

@@ -2,7 +2,7 @@
 
 use ipc_types::layout::{Description, Message};
 use ipc_types::messages::{
-    Command, DrrRequest, Event, FrameTiming, RunControl, RunControlReply, RunStatus, TickTiming,
+    Command, DrrRequest, Event, Frame, FrameTiming, RunControl, RunControlReply, RunStatus, TickTiming,
 };
 use recorder_proc::topics;
 
@@ -16,6 +16,8 @@ pub const SURFACE: &str = "/view/surface";
 pub const PARTS: &str = "/view/parts";
 /// Where the time line stands (JSON; logs only).
 pub const PLAYBACK: &str = "/view/playback";
+/// The speed that a running session is held to, or none (JSON; live only).
+pub const PACE: &str = "/view/pace";
 /// Remarks to the user (JSON).
 pub const NOTICE: &str = "/view/notice";
 /// Two logs compared (JSON; logs only).
@@ -24,6 +26,9 @@ pub const COMPARE: &str = "/view/compare";
 pub const MISS: &str = "/view/miss";
 /// The tool and its contacts for the 3D panel of Lichtblick and Foxglove (`foxglove.SceneUpdate`, JSON).
 pub const SCENE: &str = "/view/scene";
+
+/// A frame that a client of the viewer has asked for, whole: `Frame` and its image. Scheduled frames do not replace it (live only).
+pub const ASKED_FRAME: &str = "/view/asked_frame";
 
 /// Before the topics of a second log.
 pub const SECOND: &str = "/second";
@@ -74,6 +79,7 @@ impl Channels {
             (INFO, "trabecula.view.Info"),
             (PARTS, "trabecula.view.Parts"),
             (PLAYBACK, "trabecula.view.Playback"),
+            (PACE, "trabecula.view.Pace"),
             (COMPARE, "trabecula.view.Compare"),
         ] {
             channels.json(topic, schema, Policy::Newest);
@@ -81,6 +87,8 @@ impl Channels {
         channels.json(NOTICE, "trabecula.view.Notice", Policy::Stream);
         channels.json(MISS, "trabecula.view.Miss", Policy::Stream);
         channels.json(SCENE, "foxglove.SceneUpdate", Policy::Newest);
+        let (name, schema) = topics::schema_of(Frame::DESCRIPTION);
+        channels.add(ASKED_FRAME, "trabecula.frame", (name, schema, "ros2msg"), Policy::Newest);
         channels.add(
             SURFACE,
             "trabecula.mesh",

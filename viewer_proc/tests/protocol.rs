@@ -20,7 +20,7 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{WebSocketStream, client_async};
 use viewer_proc::ServerOptions;
 use viewer_proc::board::Board;
-use viewer_proc::channels::{Channels, INFO, SURFACE};
+use viewer_proc::channels::{Channels, INFO, NOTICE, SURFACE};
 use viewer_proc::queue::STREAM_BYTES;
 use viewer_proc::server::Server;
 use viewer_proc::services::{Action, Request};
@@ -204,6 +204,14 @@ fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
         subscribe(&mut late, 2, channel(&channels, SURFACE)).await;
         for block in 0..3 {
             assert_eq!(next_data(&mut late).await.2, [block]);
+        }
+
+        // Of three notices only the last was kept.
+        (0..70).for_each(|number| running.board.notice("info", &format!("notice {number}")));
+        subscribe(&mut late, 3, channel(&channels, NOTICE)).await;
+        for number in 6..70 {
+            let told: Value = serde_json::from_slice(&next_data(&mut late).await.2).unwrap();
+            assert_eq!(told["text"], format!("notice {number}"));
         }
 
         say(&mut socket, json!({"op": "unsubscribe", "subscriptionIds": [7]})).await;

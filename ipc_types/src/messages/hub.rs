@@ -1,6 +1,6 @@
 use crate::message;
 
-/// [`RunControl::action`]: stop before the next tick until resumed.
+/// [`RunControl::action`]: stop before the next tick until resumed; steps that are not made yet are given up.
 pub const CONTROL_PAUSE: u32 = 1;
 /// Go on.
 pub const CONTROL_RESUME: u32 = 2;

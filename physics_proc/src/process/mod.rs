@@ -20,6 +20,7 @@ mod clock;
 mod connection;
 mod disturbance;
 mod keyframes;
+mod late_notes;
 mod pacing;
 mod ports;
 mod tick;

@@ -17,6 +17,7 @@ use ipc_types::services::COMMAND;
 use super::PhysicsError;
 use super::clock::{Sleeper, elapsed_ns, now_ns, wake_exactly};
 use super::disturbance::Disturbances;
+use super::late_notes::LateNotes;
 use super::pacing::{Schedule, Start};
 use super::ports::Ports;
 use crate::latch::Latch;
@@ -59,6 +60,8 @@ pub(super) struct Runner<'v> {
     /// Facts of the tick that comes or is being made.
     timing: TickTiming,
     sources: [u32; MAX_CONTROLLERS],
+    /// Of commands that begin to be held, and of safe commands.
+    late_notes: [[LateNotes; 2]; MAX_CONTROLLERS],
 }
 
 impl<'v> Runner<'v> {
@@ -91,6 +94,7 @@ impl<'v> Runner<'v> {
             disturbances: Disturbances::new(),
             timing: TickTiming::zeroed(),
             sources: [0; MAX_CONTROLLERS],
+            late_notes: Default::default(),
         }
     }
 
@@ -388,20 +392,23 @@ impl<'v> Runner<'v> {
         Ok(())
     }
 
-    /// Says when a controller's command begins to be held, or is replaced by the safe one.
+    /// Says when a controller's command begins to be held, or is replaced by the safe one; see [`LateNotes`].
     fn report_sources(&mut self, latched: &Latched) -> Result<(), PhysicsError> {
         for (index, port) in self.ports.controllers.iter().enumerate() {
             let (source, before) = (latched.commands[index].source, self.sources[index]);
             self.sources[index] = source;
-            if source == SOURCE_SAFE && before != SOURCE_SAFE {
-                let text = format!(
-                    "controller `{}` is late for longer than `run.hold_ticks`: burr off, arm stopped",
-                    port.name
-                );
-                self.ports.events.send(latched.tick, SEVERITY_WARNING, EVENT_SAFE_COMMAND, &text)?;
+            let [held, safe] = &mut self.late_notes[index];
+            let (notes, severity, code, what) = if source == SOURCE_SAFE && before != SOURCE_SAFE {
+                let what = "late for longer than `run.hold_ticks`: burr off, arm stopped";
+                (safe, SEVERITY_WARNING, EVENT_SAFE_COMMAND, what)
             } else if source == SOURCE_HELD && before == SOURCE_FRESH {
-                let text = format!("controller `{}` is late: its last command is held", port.name);
-                self.ports.events.send(latched.tick, SEVERITY_INFO, EVENT_COMMAND_HELD, &text)?;
+                (held, SEVERITY_INFO, EVENT_COMMAND_HELD, "late: its last command is held")
+            } else {
+                continue;
+            };
+            if let Some(more) = notes.add(latched.tick, self.period_ns) {
+                let text = format!("controller `{}` is {what}{more}", port.name);
+                self.ports.events.send(latched.tick, severity, code, &text)?;
             }
         }
         Ok(())
@@ -448,9 +455,10 @@ impl<'v> Runner<'v> {
 
     fn obey_one(&mut self, request: &RunControl) -> bool {
         match request.action {
-            CONTROL_PAUSE => self.paused = true,
-            CONTROL_RESUME => self.paused = false,
-            CONTROL_STEP if self.paused => self.steps_left += request.ticks,
+            // Steps that are not made yet are given up: what was asked for last counts.
+            CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0),
+            CONTROL_RESUME => (self.paused, self.steps_left) = (false, 0),
+            CONTROL_STEP if self.paused => self.steps_left = self.steps_left.saturating_add(request.ticks),
             CONTROL_RESET => self.reset_asked = true,
             CONTROL_STOP => self.stopped = true,
             _ => return false,

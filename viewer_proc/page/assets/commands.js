@@ -36,11 +36,18 @@ export function commands(page) {
   };
   const pause = () => {
     if (isLog()) timeLine.togglePlay();
-    else control({ action: model.phase === "paused" ? "resume" : "pause" });
+    else control(model.phase === "paused" ? { action: "speed", speed: page.speed() } : { action: "pause" });
   };
-  const frame = () => {
+  const frame = async () => {
     const angle = (id) => Number(element(id).value);
-    page.call("/frame", { primary_angle_deg: angle("c-arm-primary"), secondary_angle_deg: angle("c-arm-secondary") });
+    // The frame may come before the answer.
+    page.asked += 1;
+    const answer = await page.call("/frame", { primary_angle_deg: angle("c-arm-primary"), secondary_angle_deg: angle("c-arm-secondary") });
+    if (!answer.ok) page.asked = Math.max(0, page.asked - 1);
+  };
+  const live = () => {
+    page.asked = 0;
+    xRay.hold(undefined);
   };
   const turnCArm = (id, direction) => {
     const input = element(id);
@@ -86,7 +93,8 @@ export function commands(page) {
     { id: "primary-down", group: "C-arm", keys: ["j"], text: "turn to the right", when: isLive, run: () => turnCArm("c-arm-primary", -1) },
     { id: "secondary-up", group: "C-arm", keys: ["i"], text: "turn to the head", when: isLive, run: () => turnCArm("c-arm-secondary", 1) },
     { id: "secondary-down", group: "C-arm", keys: ["k"], text: "turn to the feet", when: isLive, run: () => turnCArm("c-arm-secondary", -1) },
-    { id: "frame", group: "C-arm", keys: ["f"], text: "take a frame", when: isLive, run: frame },
+    { id: "frame", group: "C-arm", keys: ["f"], text: "take a frame and hold it", when: isLive, run: frame },
+    { id: "x-ray-live", group: "C-arm", keys: ["y"], text: "back to the live frames", when: () => !!xRay.held, run: live },
 
     { id: "view-front", group: "View", keys: ["1"], text: "from the front", when: drawn, run: () => view.camera.look(VIEWS.front) },
     { id: "view-side", group: "View", keys: ["2"], text: "from the patient's right", when: drawn, run: () => view.camera.look(VIEWS.side) },

@@ -22,6 +22,8 @@ export class Connection extends EventTarget {
     /** @type {Map<string, Handler>} */
     this.handlers = new Map();
     this.received = { messages: 0, bytes: 0 };
+    /** Told the milliseconds that each message took. @type {(milliseconds: number) => void} */
+    this.took = () => {};
     this.nextCall = 1;
     this.#forget();
   }
@@ -44,7 +46,11 @@ export class Connection extends EventTarget {
     this.socket = new WebSocket(this.url, SUBPROTOCOLS);
     this.socket.binaryType = "arraybuffer";
     this.socket.addEventListener("open", () => this.dispatchEvent(new Event("open")));
-    this.socket.addEventListener("message", (event) => this.#take(event.data));
+    this.socket.addEventListener("message", (event) => {
+      const began = performance.now();
+      this.#take(event.data);
+      this.took(performance.now() - began);
+    });
     this.socket.addEventListener("close", (event) => {
       this.#forget();
       this.dispatchEvent(new CustomEvent("close", { detail: event.reason }));

@@ -15,6 +15,7 @@ import { showComparison, showParts } from "/assets/tables.js";
 import { Theme } from "/assets/theme.js";
 import { TimeLine } from "/assets/time_line.js";
 import { drawTimingStrip } from "/assets/timing_strip.js";
+import { Work } from "/assets/work.js";
 import { XRay, decodeImage } from "/assets/x_ray.js";
 
 /** Readouts change this often, so that they can be read. */
@@ -27,9 +28,14 @@ const notices = new Notices(element("notices"), element("banner"));
 const model = new Model();
 const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`, token);
 const dirty = { scene: true, xRay: false, plots: true };
-const page = { model, connection, notices };
+const page = { model, connection, notices, work: new Work(), asked: 0 };
+connection.took = (milliseconds) => page.work.message(milliseconds);
+/** Texts of a log's events that have been listed. @type {Set<string>} */
+const events = new Set();
 let scheduled = false;
 let connected = false;
+/** What the viewer said last: when it has gone, probably why. @type {string | undefined} */
+let said;
 
 /** Asks for a new picture of one part, or of all. @param {"scene" | "xRay" | "plots"} [what] */
 function changed(what) {
@@ -74,7 +80,9 @@ try {
 page.theme = new Theme(() => changed());
 page.actions = new Actions(commands(page));
 page.actions.listen();
-element("speed").addEventListener("change", (event) => page.call("/control", { action: "speed", speed: Number(event.target.value) }));
+/** The speed of the list, as run control takes it: a run in real time has its own speed without steps. */
+page.speed = () => (model.info?.scene?.mode === "realtime" && element("speed").value === "1" ? 0 : Number(element("speed").value));
+element("speed").addEventListener("change", () => page.call("/control", { action: "speed", speed: page.speed() }));
 new ResizeObserver(() => changed()).observe(document.body);
 
 function showDriveNow() {
@@ -90,7 +98,7 @@ function takeInfo(data) {
   const { info } = model;
   document.body.classList.toggle("live", info.kind === "live");
   document.body.classList.toggle("log", info.kind === "log");
-  if (info.scene?.mode === "lockstep" && document.title === "Trabecula") element("speed").value = "0";
+  if (document.title === "Trabecula") showSpeeds(info.scene?.mode);
   document.title = `${info.scene?.name ?? "Trabecula"} · Trabecula`;
   if (info.drives) page.drive.parts = info.drives;
   if (info.tool?.tendon_max_n) page.drive.tendonMostN = info.tool.tendon_max_n;
@@ -101,6 +109,31 @@ function takeInfo(data) {
   takeLegend(document.body.classList.contains("compare"));
   showDriveNow();
   changed();
+}
+
+/** The speeds that a run can have: in real time none above its own. @param {string | undefined} mode */
+function showSpeeds(mode) {
+  const list = element("speed");
+  for (const option of list.options) option.disabled = option.hidden = mode === "realtime" && !(Number(option.value) > 0 && Number(option.value) <= 1);
+  list.value = mode === "lockstep" ? "0" : "1";
+}
+
+/** The speed that the run is held to, by this page or another. */
+function takePace(data) {
+  model.pace = json(data).speed ?? undefined;
+  const option = [...element("speed").options].find((one) => Number(one.value) === model.pace);
+  if (option) option.selected = true;
+  showTexts();
+}
+
+/** A frame that was asked for stays until the live ones are asked for, if it was this page that asked. */
+function takeAskedFrame(data, _timeNs, channel) {
+  if (!page.asked) return;
+  page.asked -= 1;
+  const { frame, end } = model.readFrame(data, channel);
+  model.heldFrame = frame;
+  page.xRay.hold(decodeImage(data, end));
+  changed("xRay");
 }
 
 function takePlayback(data) {
@@ -118,6 +151,7 @@ function takeLegend(second) {
 }
 
 function takeNotice({ level, text }) {
+  said = text;
   notices.add(level, text);
   if (level === "error") notices.show("notice", text);
 }
@@ -129,9 +163,16 @@ for (const prefix of ["", "/second"]) {
 connection.on("/view/miss", (data) => model.takeMiss(data));
 connection.on("/timing/tick", (...message) => (model.takeTiming(...message), changed("plots")));
 connection.on("/drr/frame", (...message) => (model.takeFrame(...message), changed("xRay")));
+connection.on("/view/asked_frame", takeAskedFrame);
+connection.on("/view/pace", takePace);
 connection.on("/run/status", (...message) => (model.takeStatus(...message), changed("plots")));
 connection.on("/event", (...message) => {
   const { level, text } = model.event(...message);
+  // A log's events come again whenever they are played again.
+  if (model.info?.kind === "log") {
+    if (events.has(text)) return;
+    events.add(text);
+  }
   notices.add(level, text);
 });
 connection.on("/view/info", takeInfo);
@@ -145,6 +186,11 @@ connection.addEventListener("open", () => {
   connected = true;
   model.clear();
   page.view?.surface.clear();
+  page.asked = 0;
+  page.xRay.hold(undefined);
+  said = undefined;
+  events.clear();
+  element("notices").replaceChildren();
   notices.show("connection");
   notices.show("notice");
   changed();
@@ -153,15 +199,18 @@ connection.addEventListener("close", ({ detail }) => {
   if (connected) notices.add("error", `The connection to the viewer closed${detail ? `: ${detail}` : "."}`);
   connected = false;
   if (page.drive.on) page.drive.toggle(0);
-  notices.show("connection", "Not connected to the viewer: it ended, or it has not started. Trying again…");
+  const why = [detail || "it ended, or it has not started", said].filter(Boolean).join("; ");
+  notices.show("connection", `Not connected to the viewer: ${why}. Trying again…`);
   showTexts();
 });
 connection.addEventListener("status", ({ detail }) => notices.add(detail.level >= 2 ? "error" : detail.level === 1 ? "warning" : "info", detail.message));
 
 function draw() {
   scheduled = false;
+  const began = performance.now();
   const { colours } = page.theme;
   const waits = dirty.scene && page.view?.busy;
+  const idle = waits && !dirty.xRay && !dirty.plots;
   if (dirty.scene && page.view && !waits) drawScene(colours);
   if (dirty.xRay) page.xRay.draw();
   if (dirty.plots) {
@@ -171,6 +220,7 @@ function draw() {
   }
   Object.assign(dirty, { scene: false, xRay: false, plots: false });
   if (waits) changed("scene");
+  if (!idle) page.work.picture(performance.now() - began);
 }
 
 function drawScene(colours) {
@@ -192,7 +242,7 @@ function showTexts() {
   page.plots.showValues(page.theme.colours);
   notices.show("silence", silence(model, connected, now), "warning");
   if (now - streamShown >= 1000) {
-    showStream(connection, (now - streamShown) / 1000);
+    showStream(connection, page.work, (now - streamShown) / 1000);
     streamShown = now;
   }
 }

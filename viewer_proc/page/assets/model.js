@@ -63,7 +63,9 @@ export class Model {
     this.secondStates = new Series(STATE_VALUES.length);
     /** Step time in µs and cause of a miss, by tick. */
     this.timing = new Series(2);
-    this.phase = "connecting";
+    this.statusPhase = "connecting";
+    /** Speed that the run is held to, by steps while it is paused; undefined: its own. */
+    this.pace = undefined;
     this.status = undefined;
     this.frame = undefined;
     /** Wall-clock time of the last state. */
@@ -147,16 +149,27 @@ export class Model {
       return Object.fromEntries(["tick", "tick_count", "missed_ticks", "phase", "mode"].map((name) => [name, reader(layout, name)]));
     });
     this.status = Object.fromEntries(Object.entries(read).map(([name, f]) => [name, f(data)]));
-    this.phase = PHASES[this.status.phase] ?? "connecting";
+    this.statusPhase = PHASES[this.status.phase] ?? "connecting";
+  }
+
+  /** Where the run stands; one that is held to a speed goes on. */
+  get phase() {
+    return this.statusPhase === "paused" && this.pace ? "running" : this.statusPhase;
   }
 
   /** @type {import("/assets/connection.js").Handler} */
   takeFrame(data, _timeNs, channel) {
+    this.frame = this.readFrame(data, channel).frame;
+  }
+
+  /** The facts of a `Frame`, and where it ends. */
+  readFrame(data, channel) {
     const read = this.#read(channel, (layout) => ({
       sequence: reader(layout, "sequence"), tick: reader(layout, "tick"),
-      primary: reader(layout, "projection.primary_angle_rad"), secondary: reader(layout, "projection.secondary_angle_rad"),
+      primary: reader(layout, "projection.primary_angle_rad"), secondary: reader(layout, "projection.secondary_angle_rad"), end: layout.bytes,
     }));
-    this.frame = Object.fromEntries(Object.entries(read).map(([name, f]) => [name, f(data)]));
+    const { end, ...fields } = read;
+    return { frame: Object.fromEntries(Object.entries(fields).map(([name, f]) => [name, f(data)])), end };
   }
 
   /** An `Event` as level and text. @type {import("/assets/connection.js").Handler} */
@@ -176,7 +189,7 @@ export class Model {
   clear() {
     for (const series of [this.states, this.secondStates, this.timing]) series.clear();
     this.trail.clear();
-    this.state = this.secondState = this.frame = this.stateAt = undefined;
+    this.state = this.secondState = this.frame = this.heldFrame = this.stateAt = this.pace = undefined;
   }
 }
 

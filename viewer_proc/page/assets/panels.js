@@ -32,7 +32,8 @@ export class Rate {
 export function showRun(model, connected, playback, rate) {
   const isLog = model.info?.kind === "log";
   const phase = !connected ? "lost" : isLog ? (playback.playing ? "running" : "paused") : model.phase;
-  set("phase", isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase]);
+  const held = phase === "running" && model.pace ? ` at ${model.pace} ×` : "";
+  set("phase", isLog && connected ? (playback.playing ? "Playing" : "Paused") : PHASE_WORDS[phase] + held);
   element("phase").dataset.state = phase;
   set("scene-name", model.info?.scene?.name ?? "waiting for the scene");
   set("kind", isLog ? `log ${model.info.path ?? ""}` : model.info ? `live, ${model.info.scene?.mode ?? ""}` : "");
@@ -54,10 +55,12 @@ export function silence(model, connected, now) {
 
 /** @param {import("/assets/model.js").Model} model @param {import("/assets/x_ray.js").XRay} xRay */
 export function showFrame(model, xRay) {
-  const { frame } = model;
+  const frame = xRay.held ? model.heldFrame : model.frame;
   const degrees = (angle) => `${((angle * 180) / Math.PI).toFixed(1)}°`;
   const angles = frame?.primary === undefined ? "" : `, ${degrees(frame.primary)} / ${degrees(frame.secondary)}`;
-  set("frame-facts", frame ? `frame ${frame.sequence}, tick ${frame.tick}${angles}` : "no frame yet");
+  const held = xRay.held ? "asked for, held: " : "";
+  set("frame-facts", frame ? `${held}frame ${frame.sequence}, tick ${frame.tick}${angles}` : "no frame yet");
+  element("x-ray-live").hidden = !xRay.held;
   set("window-facts", xRay.image ? `level ${xRay.window.level.toFixed(0)}, width ${xRay.window.width.toFixed(0)}` : "");
   const words = { both: "both", first: "first", second: "second", difference: "first − second" };
   set("x-ray-source", `Shows: ${words[xRay.shows]}`);
@@ -80,9 +83,15 @@ export function showTicks(model, from, to, colours) {
   place.replaceChildren(...missed, period);
 }
 
-/** @param {import("/assets/connection.js").Connection} connection messages and bytes since the last call */
-export function showStream(connection, seconds) {
+/**
+ * What came and was drawn since the last call.
+ * @param {import("/assets/connection.js").Connection} connection @param {import("/assets/work.js").Work} work @param {number} seconds
+ */
+export function showStream(connection, work, seconds) {
   const { messages, bytes } = connection.received;
   connection.received = { messages: 0, bytes: 0 };
-  set("stream-facts", `${(messages / seconds).toFixed(0)} messages/s, ${(bytes / seconds / 1e6).toFixed(1)} MB/s`);
+  const { pictures, messageMs } = work.take();
+  set("stream-facts", `${(messages / seconds).toFixed(0)} messages/s, ${(bytes / seconds / 1e6).toFixed(1)} MB/s, ${(pictures / seconds).toFixed(0)} pictures/s`);
+  const share = (messageMs / seconds / 10).toFixed(1);
+  element("stream-facts").title = `Script: ${work.quantile(0.5).toFixed(1)} ms a picture, messages ${share} % of the time`;
 }

@@ -66,9 +66,9 @@ export class PlotsPanel {
     this.changed();
   }
 
-  /** Begin and end of the time axis. @returns {[number, number]} */
+  /** Begin and end of the time axis, which begins at 0 s or later. @returns {[number, number]} */
   range() {
-    const end = this.model.states.lastTime ?? this.seconds;
+    const end = Math.max(this.seconds, this.model.states.lastTime ?? 0);
     return [end - this.seconds, end];
   }
 

@@ -22,6 +22,6 @@ export function showParts(parts) {
 export function showComparison({ time_ns, fields }) {
   element("compare-facts").textContent = `${fields.length} fields at ${(time_ns / 1e9).toFixed(3)} s`;
   const rows = fields.map(({ name, a, b, difference }) => row([name, short(a), short(b), short(difference)]));
-  if (rows.length === 0) rows.push(row(["no field differs", "", "", ""]));
+  if (rows.length === 0) rows.push(row(["no field of the state differs", "", "", ""]));
   element("compare-rows").replaceChildren(...rows);
 }

@@ -9,10 +9,9 @@ const CLIPPED = 0.005;
  * @typedef {{level: number, width: number}} Window in grey values
  */
 
-/** A sensor_msgs/msg/Image with mono16 pixels, CDR. @param {DataView} data @returns {Image} */
-export function decodeImage(data) {
-  let at = 4;
-  const start = at;
+/** A sensor_msgs/msg/Image with mono16 pixels, CDR. @param {DataView} data @param {number} start of its body @returns {Image} */
+export function decodeImage(data, start = 4) {
+  let at = start;
   const align = (n) => (at = start + Math.ceil((at - start) / n) * n);
   const word = () => {
     align(4);
@@ -63,6 +62,8 @@ export class XRay {
     this.image = undefined;
     /** @type {Image | undefined} */
     this.second = undefined;
+    /** Stays in place of the newest. @type {Image | undefined} */
+    this.held = undefined;
     /** @type {"first" | "both" | "second" | "difference"} */
     this.shows = "first";
     this.inverted = false;
@@ -83,9 +84,15 @@ export class XRay {
     this.changed();
   }
 
+  /** Shows an image until another one or none is to be held. @param {Image | undefined} image */
+  hold(image) {
+    this.held = image;
+    this.changed();
+  }
+
   automatic() {
     if (!this.image) return;
-    this.window = automaticWindow(this.image);
+    this.window = automaticWindow(this.held ?? this.image);
     this.#windowChanged();
   }
 
@@ -115,7 +122,7 @@ export class XRay {
   }
 
   draw() {
-    const shown = this.shows === "second" ? this.second : this.image;
+    const shown = this.shows === "second" ? this.second : (this.held ?? this.image);
     if (!shown) return;
     const other = this.second?.pixels.length === shown.pixels.length ? this.second.pixels : undefined;
     const both = this.shows === "both" && other;

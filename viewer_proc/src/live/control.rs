@@ -11,15 +11,19 @@ use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::Waker;
+use serde_json::json;
 use tokio::sync::oneshot;
 
 use crate::board::Board;
+use crate::channels::PACE;
 use crate::services::{Action, Control as Request};
 
 /// Longest step.
 const MAX_STEP_TICKS: u64 = 1_000_000;
 /// Time between two steps of a run that goes at a given speed.
-const PACE: Duration = Duration::from_millis(20);
+const STEP_PERIOD: Duration = Duration::from_millis(20);
+/// Steps of such a run that may wait at a time.
+const MOST_PACES: u32 = 10;
 /// Most speed that may be asked for.
 const MAX_SPEED: f64 = 1000.0;
 
@@ -33,14 +37,35 @@ pub(super) struct Control {
     next_id: u64,
     waiting: BTreeMap<u64, Answer>,
     pace: Option<Pace>,
+    paced: Instant,
+    /// Speed that clients were told last.
+    told: Option<f64>,
 }
 
-/// A run slowed down: it is paused, and steps as many ticks as the time allows.
+/// A run slowed down: it is paused, and steps as many ticks as the time allows. Pure: it is told the time that has passed.
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Pace {
     speed: f64,
-    last: Instant,
     /// Ticks that are due but not yet whole.
     due: f64,
+    /// The tick that the steps asked for lead to.
+    goal: u64,
+}
+
+impl Pace {
+    /// Ticks to ask for now. What a run has no room for, since it is behind by [`MOST_PACES`], is left out.
+    fn ticks(&mut self, elapsed: Duration, tick: u64, dt_ns: u64) -> u64 {
+        let of = |time: Duration| self.speed * time.as_nanos() as f64 / dt_ns.max(1) as f64;
+        // After a stall it goes on from there.
+        let (due, most) =
+            (self.due + of(elapsed.min(MOST_PACES * STEP_PERIOD)), of(MOST_PACES * STEP_PERIOD));
+        self.goal = self.goal.max(tick);
+        let room = (most - (self.goal - tick) as f64).max(0.0).floor();
+        let ticks = due.floor().min(room.max(if self.goal == tick { 1.0 } else { 0.0 }));
+        self.due = due.fract();
+        self.goal += ticks as u64;
+        ticks as u64
+    }
 }
 
 impl Control {
@@ -53,6 +78,8 @@ impl Control {
             next_id: u64::from(std::process::id()) << 32,
             waiting: BTreeMap::new(),
             pace: None,
+            paced: Instant::now(),
+            told: None,
         })
     }
 
@@ -94,7 +121,8 @@ impl Control {
                 self.send(CONTROL_RESUME, 0)
             }
             Some(speed) if speed > 0.0 && speed <= MAX_SPEED => {
-                self.pace = Some(Pace { speed, last: Instant::now(), due: 0.0 });
+                self.pace = Some(Pace { speed, due: 0.0, goal: 0 });
+                self.paced = Instant::now();
                 self.send(CONTROL_PAUSE, 0)
             }
             Some(speed) => Err(format!("`speed` is {speed}, allowed is 0 (unlimited) to {MAX_SPEED}")),
@@ -111,6 +139,12 @@ impl Control {
 
     /// Takes replies, and steps a run that goes at a given speed.
     pub(super) fn look(&mut self, board: &Board, dt_ns: u64) -> Result<(), PortError> {
+        // Before the answer, so that whoever has that finds the speed on the board.
+        let speed = self.pace.map(|pace| pace.speed);
+        if speed != self.told {
+            self.told = speed;
+            board.publish_json(PACE, &json!({"speed": speed}));
+        }
         while let Some(reply) = self.replies.receive()? {
             let reply = *reply.message();
             let Some(answer) = self.waiting.remove(&reply.request_id) else { continue };
@@ -121,21 +155,55 @@ impl Control {
             let _ = answer.send(if reply.status == CONTROL_DONE { Ok(()) } else { Err(refused()) });
         }
         self.waiting.retain(|_, answer| !answer.is_closed());
-        let Some(pace) = &mut self.pace else { return Ok(()) };
-        let elapsed = pace.last.elapsed();
-        if elapsed >= PACE {
-            pace.last = Instant::now();
-            // After a stall it goes on from there.
-            let elapsed_ns = elapsed.min(10 * PACE).as_nanos() as f64;
-            pace.due += pace.speed * elapsed_ns / dt_ns.max(1) as f64;
-            let ticks = pace.due.floor();
-            pace.due -= ticks;
-            if ticks >= 1.0
-                && let Err(error) = self.send(CONTROL_STEP, ticks as u64)
+        let elapsed = self.paced.elapsed();
+        if elapsed >= STEP_PERIOD
+            && let Some(pace) = &mut self.pace
+        {
+            self.paced = Instant::now();
+            let ticks = pace.ticks(elapsed, board.time_ns() / dt_ns.max(1), dt_ns);
+            if ticks >= 1
+                && let Err(error) = self.send(CONTROL_STEP, ticks)
             {
                 board.notice("error", &error);
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pace(speed: f64) -> Pace {
+        Pace { speed, due: 0.0, goal: 0 }
+    }
+
+    #[test]
+    fn ticks_come_at_the_speed_asked_for() {
+        for (speed, ticks) in [(0.01, 10), (0.25, 250), (1.0, 1000), (7.5, 7500)] {
+            let mut pace = pace(speed);
+            let (mut made, mut most) = (500, 0);
+            for _ in 0..50 {
+                let step = pace.ticks(STEP_PERIOD, made, 1_000_000);
+                (made, most) = (made + step, most.max(step));
+            }
+            assert!((made - 500).abs_diff(ticks) <= 1, "{speed}: {made}");
+            assert!(most as f64 <= (20.0 * speed).ceil(), "{speed}: {most} at once");
+        }
+    }
+
+    /// Steps piled up in the physics, which went on for as long after a change of the speed.
+    #[test]
+    fn a_run_that_does_not_get_so_far_has_no_more_than_a_few_steps_before_it() {
+        let mut pace = pace(100.0);
+        let most = 100 * 20 * u64::from(MOST_PACES);
+        let asked: u64 = (0..1000).map(|_| pace.ticks(STEP_PERIOD, 7, 1_000_000)).sum();
+        assert_eq!(asked, most);
+        assert_eq!(pace.ticks(STEP_PERIOD, 7 + most, 1_000_000), 2000, "it goes on when they are made");
+        // A long tick at a low speed: one step at a time, none while it waits.
+        let mut slow = Pace { speed: 0.1, due: 0.0, goal: 0 };
+        let steps: u64 = (0..90).map(|_| slow.ticks(STEP_PERIOD, 3, 100_000_000)).sum();
+        assert_eq!(steps, 1);
     }
 }

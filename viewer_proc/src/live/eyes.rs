@@ -1,5 +1,7 @@
 //! Takes the session's messages and puts them on the board under the topics of the logs.
 
+use std::collections::BTreeSet;
+
 use ipc_types::layout::Message;
 use ipc_types::messages::{
     Command, DRR_ACCEPTED, DrrReply, DrrRequest, Event, Frame, FrameTiming, Latched, PHASE_ENDED, Progress,
@@ -13,11 +15,15 @@ use recorder_proc::topics;
 
 use super::parts::Parts;
 use crate::board::Board;
-use crate::info::ToolShape;
+use crate::channels::ASKED_FRAME;
+use crate::info::{CONTROLLER, ToolShape};
 use crate::scene_update::Drawer;
 
 /// Most messages that are taken of one queue before the others are looked at.
 const ROUND: usize = 1024;
+
+/// Frames of our own that are awaited; of more, the first have been lost.
+const MOST_ASKED: usize = 64;
 
 /// The subscriptions.
 pub(super) struct Eyes {
@@ -28,8 +34,14 @@ pub(super) struct Eyes {
     progress: Subscriber<Progress>,
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
+    /// The viewer's place among the controllers.
+    own_index: Option<u32>,
+    /// Numbers of the frames that the viewer has asked for and that have not come.
+    asked: BTreeSet<u64>,
     parts: Parts,
     drawer: Drawer,
+    /// The newest state, until it is drawn.
+    newest: Option<State>,
     dt_ns: u64,
     tick: u64,
     ended: bool,
@@ -106,8 +118,11 @@ impl Eyes {
                 )?,
                 Topic::<DrrRequest>::open(session, topics::DRR_REQUEST, &services::DRR_REQUEST)?,
             ],
+            own_index: names.iter().position(|name| name == CONTROLLER).map(|index| index as u32),
+            asked: BTreeSet::new(),
             parts: Parts::new(scene, session.announcement().recorder),
             drawer: Drawer::new(tool),
+            newest: None,
             dt_ns: scene.dt_ns(),
             tick: 0,
             ended: false,
@@ -157,11 +172,17 @@ impl Eyes {
     fn look_at_states(&mut self, board: &Board) -> Result<(), PortError> {
         let (dt_ns, mut tick) = (self.dt_ns, self.tick);
         let time_ns = |state: &State| state.tick.saturating_mul(dt_ns);
-        let drawer = &mut self.drawer;
+        let newest = &mut self.newest;
         let count = forward(&self.states, topics::STATE, board, time_ns, |state| {
             tick = state.tick;
-            drawer.draw(state, time_ns(state), board);
+            *newest = Some(*state);
         })?;
+        // Also the last state of a paused run, for whoever looks later.
+        if self.drawer.is_due(board)
+            && let Some(state) = self.newest.take()
+        {
+            self.drawer.draw(&state, time_ns(&state), board);
+        }
         self.tick = tick;
         board.set_time_ns(self.time_ns());
         self.parts.saw("physics", count);
@@ -169,21 +190,32 @@ impl Eyes {
     }
 
     fn look_at_frames(&mut self, board: &Board) -> Result<(), PortError> {
-        let Some(frames) = &self.frames else { return Ok(()) };
+        let Some(frames) = self.frames.take() else { return Ok(()) };
         let mut count = 0;
-        // Nobody looks at a frame when a newer one is here.
         while let Some(received) = frames.receive()? {
             count += 1;
+            // A frame's reply is sent before it.
+            self.look_at_replies(board)?;
+            let frame = received.message();
+            let time_ns = frame.tick.saturating_mul(self.dt_ns);
+            if self.asked.remove(&frame.sequence) {
+                board.publish_cdr(ASKED_FRAME, time_ns, &[received.bytes()]);
+            }
+            // Nobody looks at another frame when a newer one is here.
             if !frames.has_message() {
-                let frame = received.message();
-                let time_ns = frame.tick.saturating_mul(self.dt_ns);
                 board.publish_cdr(topics::DRR_FRAME, time_ns, &[zerocopy::IntoBytes::as_bytes(frame)]);
                 board.publish_cdr(topics::DRR_IMAGE, time_ns, &[received.tail()]);
             }
         }
+        self.frames = Some(frames);
         self.parts.saw("drr", count);
+        self.look_at_replies(board)
+    }
+
+    fn look_at_replies(&mut self, board: &Board) -> Result<(), PortError> {
         let time_ns = self.time_ns();
         let mut refused = None;
+        let (own_index, asked) = (self.own_index, &mut self.asked);
         forward(
             &self.replies,
             topics::DRR_REPLY,
@@ -192,6 +224,11 @@ impl Eyes {
             |reply| {
                 if reply.status != DRR_ACCEPTED {
                     refused = Some(reply.requester);
+                } else if reply.request_id != 0 && Some(reply.requester) == own_index {
+                    asked.insert(reply.frame_sequence);
+                    if asked.len() > MOST_ASKED {
+                        asked.pop_first();
+                    }
                 }
             },
         )?;

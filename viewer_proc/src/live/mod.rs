@@ -108,7 +108,9 @@ impl Live {
             while let Ok(call) = self.called.try_recv() {
                 self.dispatch(call);
             }
-            if self.eyes.run_has_ended() {
+            let announced = || options.session.join("session.json").exists();
+            // A host that was killed leaves its announcement; the physics then ends, too, and says so.
+            if self.eyes.run_has_ended() && (host_is_alive(&options.session) || !announced()) {
                 self.board.notice("info", "the run has ended");
                 return Ok(());
             }
@@ -116,9 +118,9 @@ impl Live {
                 self.board.notice("info", "the viewer has been ended");
                 return Ok(());
             }
-            if alive_seen.elapsed() > ALIVE_LOOK {
+            if alive_seen.elapsed() > ALIVE_LOOK || self.eyes.run_has_ended() {
                 alive_seen = Instant::now();
-                if !host_is_alive(&options.session) || !options.session.join("session.json").exists() {
+                if !host_is_alive(&options.session) || !announced() {
                     self.board.notice("error", "the hub has died: its launcher is gone, and the run with it");
                     return Ok(());
                 }

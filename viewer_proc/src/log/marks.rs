@@ -114,39 +114,49 @@ impl Outline {
         }
     }
 
-    /// The first tick whose chained hashes differ.
+    /// Where two logs part.
     pub fn divergence(&self, other: &Outline) -> Option<Mark> {
-        let pairs = self.states.iter().zip(&other.states);
-        let first = pairs.into_iter().find(|(a, b)| a != b).map(|(a, _)| a.0);
-        let shorter = self.states.len().min(other.states.len());
-        let tick = match first {
-            Some(tick) => tick,
-            None if self.states.len() != other.states.len() => {
-                self.states.get(shorter).map_or(shorter as u64, |(tick, _)| *tick)
-            }
-            None => return None,
-        };
-        let time_ns = tick.saturating_mul(self.header.dt_ns);
-        Some(Mark { time_ns, kind: "divergence", text: format!("the two runs part at tick {tick}") })
+        let (tick, how) = part(&self.states, &other.states)?;
+        let text = format!("the two runs {how} tick {tick}");
+        Some(Mark { time_ns: tick.saturating_mul(self.header.dt_ns), kind: "divergence", text })
     }
 }
 
-/// Events and missed ticks of the timing lane beside a run lane; none without one.
-pub fn timing_marks(path: &Path) -> Vec<Mark> {
+/// The first tick that both have and whose chained hashes differ, or the first one that only one of them has at its end. A gap in one
+/// of them is none: the chain goes on behind it.
+fn part(first: &[(u64, [u64; 2])], second: &[(u64, [u64; 2])]) -> Option<(u64, &'static str)> {
+    let (mut a, mut b) = (first, second);
+    loop {
+        match (a.split_first(), b.split_first()) {
+            (Some(((x, _), rest)), Some(((y, _), _))) if x < y => a = rest,
+            (Some(((x, _), _)), Some(((y, _), rest))) if x > y => b = rest,
+            (Some(((_, x), a_rest)), Some(((_, y), b_rest))) if x == y => (a, b) = (a_rest, b_rest),
+            (Some(((tick, _), _)), Some(_)) => return Some((*tick, "part at")),
+            (Some(((tick, _), _)), None) => return Some((*tick, "differ in length: the second ends before")),
+            (None, Some(((tick, _), _))) => return Some((*tick, "differ in length: the first ends before")),
+            (None, None) => return None,
+        }
+    }
+}
+
+/// Events and missed ticks of the timing lane beside a run lane; none without one. Their time is that of the tick that they name: the
+/// log's is when they came to the recorder.
+pub fn timing_marks(path: &Path, dt_ns: u64) -> Vec<Mark> {
     let wanted = [topics::EVENT, topics::TICK_TIMING].map(str::to_owned);
     let Ok(mut stream) = MessageStream::open_topics(path, &wanted, ReadOptions::default()) else {
         return Vec::new();
     };
     let (mut events, mut misses) = (Vec::new(), Vec::new());
     while let Ok(Some(message)) = stream.next_message() {
-        let time_ns = message.log_time_ns;
         if message.topic == topics::EVENT {
-            let Ok((_, text)) = Event::read_from_prefix(message.body) else { continue };
+            let Ok((event, text)) = Event::read_from_prefix(message.body) else { continue };
+            let time_ns = event.tick.saturating_mul(dt_ns);
             let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text)).into_owned();
             events.push(Mark { time_ns, kind: "event", text });
         } else if let Ok(timing) = TickTiming::read_from_bytes(message.body)
             && timing.missed != 0
         {
+            let time_ns = timing.tick.saturating_mul(dt_ns);
             let late_us = timing.wake_lateness_ns as f64 * 1e-3;
             let text = format!("tick {} began {late_us:.0} µs late", timing.tick);
             misses.push(Mark { time_ns, kind: "miss", text });
@@ -155,4 +165,30 @@ pub fn timing_marks(path: &Path) -> Vec<Mark> {
     events.truncate(MOST);
     misses.truncate(MOST);
     events.into_iter().chain(misses).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn states(all: &[(u64, u64)]) -> Vec<(u64, [u64; 2])> {
+        all.iter().map(|(tick, hash)| (*tick, [*hash, 0])).collect()
+    }
+
+    /// Behind a gap in one log, state was compared with state by their places in the files.
+    #[test]
+    fn two_logs_part_where_a_tick_of_both_differs_and_not_where_one_has_a_gap() {
+        let first = states(&[(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)]);
+        let told = |other: &[(u64, u64)]| {
+            let found = part(&first, &states(other));
+            let swapped = part(&states(other), &first).map(|(tick, _)| tick);
+            assert_eq!(found.map(|(tick, _)| tick), swapped, "whichever comes first");
+            found
+        };
+        assert_eq!(told(&[(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)]), None);
+        assert_eq!(told(&[(0, 1), (3, 4), (4, 5)]), None, "a gap");
+        assert_eq!(told(&[(0, 1), (1, 2), (2, 9), (3, 9), (4, 9)]), Some((2, "part at")));
+        assert_eq!(told(&[(0, 1), (3, 9), (4, 9)]), Some((3, "part at")));
+        assert_eq!(told(&[(0, 1), (1, 2)]), Some((2, "differ in length: the second ends before")));
+    }
 }

@@ -12,7 +12,7 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
-use ipc_types::messages::State;
+use ipc_types::messages::{Latched, State};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use recorder_proc::fields::Scalar;
@@ -167,6 +167,8 @@ struct Show {
     shown_ns: Option<u64>,
     streams: Vec<Stream>,
     drawer: Drawer,
+    /// What is shown has not been drawn for other viewers.
+    undrawn: bool,
     /// When the last jump was made, until its history has been sent.
     jumped: Option<Instant>,
     told: Option<(Instant, Player)>,
@@ -193,8 +195,13 @@ impl Show {
         let timing_path = path.with_file_name("timing.mcap");
         let timing = timing_path.exists().then(|| LogFile::open(&timing_path)).and_then(Result::ok);
         let mut marks: Vec<Mark> = first.marks.clone();
-        marks.extend(timing_marks(&timing_path));
-        marks.extend(second.as_ref().and_then(|second| first.divergence(&second.outline)));
+        marks.extend(timing_marks(&timing_path, first.header.dt_ns));
+        if let Some(second) = &second
+            && let Some(mut mark) = first.divergence(&second.outline)
+        {
+            mark.text += &first_difference(&run, &second.log, mark.time_ns)?;
+            marks.push(mark);
+        }
         let (begin_ns, end_ns) = run.bounds_ns();
         let player = Player::new(begin_ns, end_ns, first.header.dt_ns, marks);
         let bone = volume.map(|volume| LogBone::new(volume, threshold_hu, first.removals));
@@ -208,6 +215,7 @@ impl Show {
             shown_ns: None,
             streams: Vec::new(),
             drawer: Drawer::new(tool),
+            undrawn: true,
             jumped: None,
             told: None,
         })
@@ -241,7 +249,7 @@ impl Show {
     fn show(&mut self) -> Result<(), PlayError> {
         let now = self.player.time_ns();
         if self.shown_ns == Some(now) {
-            return Ok(());
+            return if self.undrawn { self.draw(now) } else { Ok(()) };
         }
         self.board.set_time_ns(now);
         let stride = self.shown_ns.and_then(|shown| now.checked_sub(shown));
@@ -257,9 +265,10 @@ impl Show {
         self.compare(now)
     }
 
-    /// The tool for other viewers, if one looks.
+    /// The tool for other viewers, if one looks; if none does, as soon as one does.
     fn draw(&mut self, now: u64) -> Result<(), PlayError> {
-        if self.drawer.is_due(&self.board)
+        self.undrawn = !self.drawer.is_due(&self.board);
+        if !self.undrawn
             && let Some(message) = self.run.newest(topics::STATE, now)?
             && let Ok(state) = State::read_from_bytes(message.body())
         {
@@ -371,6 +380,23 @@ impl Show {
         }
         self.told = Some((Instant::now(), player.clone()));
     }
+}
+
+/// What differs first where two logs part: the command of the tick before, or else the state.
+fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result<String, PlayError> {
+    let looks = [
+        (topics::LATCHED, Latched::DESCRIPTION, time_ns.saturating_sub(1)),
+        (topics::STATE, State::DESCRIPTION, time_ns),
+    ];
+    for (topic, description, time_ns) in looks {
+        if let Some((a, b)) = a.newest(topic, time_ns)?.zip(b.newest(topic, time_ns)?)
+            && let Some(found) = difference::compare(topic, 0, description, a.body(), b.body())
+            && let Some(difference) = found.differences.first()
+        {
+            return Ok(format!("; {topic}: {difference}"));
+        }
+    }
+    Ok(String::new())
 }
 
 /// Fields of two states that differ, at most [`MOST_ROWS`]: the state's own before those of its poses and contacts, of either

@@ -96,20 +96,27 @@ impl Field {
         self.removed.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(bits).collect()
     }
 
-    /// HU above the threshold at a voxel; below 0 is outside. Beyond the grid there is no bone, so the surface is closed.
-    /// A drilled voxel is as far outside as it was inside: the surface then runs half-way between it and its neighbours.
-    pub fn value(&self, hu: &[i16], voxel: [i64; 3]) -> f32 {
+    /// HU above the threshold at the voxels of a row along i, from `first` on; below 0 is outside. Beyond the grid there is no
+    /// bone, so the surface is closed. A drilled voxel is as far outside as it was inside: the surface then runs half-way between
+    /// it and its neighbours.
+    pub fn row(&self, hu: &[i16], first: [i64; 3], values: &mut [f32]) {
+        values.fill(OUTSIDE);
         let [ni, nj, nk] = self.geometry.dimensions;
-        let [i, j, k] = voxel;
+        let [i, j, k] = first;
         let inside = |x: i64, n: usize| x >= 0 && (x as usize) < n;
-        if !(inside(i, ni) && inside(j, nj) && inside(k, nk)) {
-            return OUTSIDE;
+        if !(inside(j, nj) && inside(k, nk)) {
+            return;
         }
-        let index = (k as usize * nj + j as usize) * ni + i as usize;
-        let above = hu.get(index).map_or(OUTSIDE, |hu| f32::from(*hu) - f32::from(self.threshold_hu));
-        // At the threshold is bone, as for the physics.
-        let above = if above == 0.0 { 0.5 } else { above };
-        if self.removed[index / 64] >> (index % 64) & 1 != 0 { -above.abs() } else { above }
+        let (from, to) = (i.clamp(0, ni as i64), (i + values.len() as i64).clamp(0, ni as i64));
+        let row = (k as usize * nj + j as usize) * ni;
+        let values = values.get_mut((from - i).max(0) as usize..).unwrap_or_default();
+        let Some(hu) = hu.get(row + from as usize..row + to as usize) else { return };
+        for ((value, hu), index) in values.iter_mut().zip(hu).zip(row + from as usize..) {
+            let above = f32::from(*hu) - f32::from(self.threshold_hu);
+            // At the threshold is bone, as for the physics.
+            let above = if above == 0.0 { 0.5 } else { above };
+            *value = if self.removed[index / 64] >> (index % 64) & 1 != 0 { -above.abs() } else { above };
+        }
     }
 }
 

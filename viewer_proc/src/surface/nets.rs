@@ -1,6 +1,6 @@
 //! Meshing.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use super::field::{Field, Geometry};
 use super::mesh::BlockMesh;
@@ -97,7 +97,7 @@ impl Blocks {
             samples,
             field,
             scale_m: self.scale_m,
-            vertices: BTreeMap::new(),
+            vertices: vec![NONE; VOXELS * VOXELS * VOXELS],
             order: Vec::new(),
             normals: Vec::new(),
             indices: Vec::new(),
@@ -120,19 +120,13 @@ fn place(cell: [usize; 3]) -> usize {
 impl Samples {
     /// Reads them; whether there are some on both sides.
     fn fill(&mut self, field: &Field, hu: &[i16]) -> bool {
-        let (mut inside, mut outside) = (false, false);
-        for k in 0..VOXELS {
-            for j in 0..VOXELS {
-                for i in 0..VOXELS {
-                    let voxel =
-                        [self.first[0] + i as i64, self.first[1] + j as i64, self.first[2] + k as i64];
-                    let value = field.value(hu, voxel);
-                    (inside, outside) = (inside || value > 0.0, outside || value <= 0.0);
-                    self.values[place([i, j, k])] = value;
-                }
-            }
+        let [i, j, k] = self.first;
+        for (number, row) in self.values.chunks_exact_mut(VOXELS).enumerate() {
+            let (dj, dk) = (number % VOXELS, number / VOXELS);
+            field.row(hu, [i, j + dj as i64, k + dk as i64], row);
         }
-        inside && outside
+        let inside = self.values.iter().filter(|value| **value > 0.0).count();
+        inside > 0 && inside < self.values.len()
     }
 
     fn is_inside(&self, cell: [usize; 3]) -> bool {
@@ -140,12 +134,15 @@ impl Samples {
     }
 }
 
+/// No vertex.
+const NONE: u32 = u32::MAX;
+
 struct Builder<'a> {
     samples: Samples,
     field: &'a Field,
     scale_m: f64,
-    /// Number of a cell's vertex, by its place.
-    vertices: BTreeMap<usize, u32>,
+    /// Number of a cell's vertex, by its place; [`NONE`]: it has none yet.
+    vertices: Vec<u32>,
     /// Vertices in whole steps of the scale.
     order: Vec<[i64; 3]>,
     normals: Vec<[i8; 3]>,
@@ -195,8 +192,8 @@ impl Builder<'_> {
 
     fn vertex(&mut self, cell: [usize; 3]) -> u32 {
         let key = place(cell);
-        if let Some(number) = self.vertices.get(&key) {
-            return *number;
+        if self.vertices[key] != NONE {
+            return self.vertices[key];
         }
         let number = self.order.len() as u32;
         let (position, gradient) = self.crossing(cell);
@@ -207,7 +204,7 @@ impl Builder<'_> {
         let steps = geometry.world_m(voxel).map(|metres| (metres / self.scale_m).round() as i64);
         self.order.push(steps);
         self.normals.push(normal(geometry.world_gradient(gradient)));
-        self.vertices.insert(key, number);
+        self.vertices[key] = number;
         number
     }
 
