@@ -3,13 +3,14 @@
 //! `cargo run --release -p physics_proc --example manipulator_step_time [-- CASE [STEPS]]` runs all cases, or those whose name
 //! contains CASE.
 //!
-//! Instructions a step, which no other program's load changes: `valgrind --tool=callgrind --toggle-collect='*one_step*'` before
-//! the built example with a CASE that names one case and 1000 STEPS; the instructions counted over the steps.
+//! `... manipulator_step_time -- --instructions [CASE]` also counts the instructions of a step, which no other program's load
+//! changes: every case runs again under `valgrind --tool=callgrind --toggle-collect='*one_step*'`.
 //!
 //! The 27-flexure tool under a tendon that changes every 200 ms between 6 and 8 N swings freely, is pressed on a winding
 //! wall, or lies in a winding tunnel.
 
 use std::hint::black_box;
+use std::process::Command;
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Unit, Vector3};
@@ -44,17 +45,49 @@ fn tunnel(m: &AnyManipulator, spheres: usize, sides: &[f64], clearance_m: f64, o
     }
 }
 
+/// Options of the command line.
+struct Options {
+    case: String,
+    steps: usize,
+    instructions: bool,
+}
+
+impl Options {
+    fn read() -> Options {
+        let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+        let instructions = arguments.first().is_some_and(|argument| argument == "--instructions");
+        arguments.drain(..usize::from(instructions));
+        let steps = arguments.get(1).and_then(|steps| steps.parse().ok()).unwrap_or(STEPS).max(100);
+        Options { case: arguments.first().cloned().unwrap_or_default(), steps, instructions }
+    }
+}
+
+/// Mean number of instructions of a step, by this program under callgrind with the one case.
+fn instructions(name: &str) -> Result<u64, Box<dyn std::error::Error>> {
+    const COUNTED_STEPS: u64 = 1000;
+    let output = Command::new("valgrind")
+        .args(["--tool=callgrind", "--toggle-collect=*one_step*", "--callgrind-out-file=/dev/null"])
+        .arg(std::env::current_exe()?)
+        .args([name, &COUNTED_STEPS.to_string()])
+        .output()
+        .map_err(|cause| format!("valgrind: {cause}; --instructions needs it (Debian package `valgrind`)"))?;
+    let report = String::from_utf8_lossy(&output.stderr);
+    let (_, counted) = report.split_once("Collected :").ok_or_else(|| format!("valgrind: {report}"))?;
+    let digits = counted.split_whitespace().next().unwrap_or_default();
+    Ok(digits.parse::<u64>().map_err(|cause| format!("valgrind counted `{digits}`: {cause}"))?
+        / COUNTED_STEPS)
+}
+
 fn run(
+    options: &Options,
     name: &str,
     (rung, integrator): (Rung, Integrator),
     planes: impl Fn(&AnyManipulator, &mut Vec<ContactPlane>),
-) -> Result<(), ManipulatorError> {
-    let mut arguments = std::env::args().skip(1);
-    let wanted = arguments.next().is_none_or(|case| name.contains(&case));
-    if !wanted {
+) -> Result<(), Box<dyn std::error::Error>> {
+    if !name.contains(&options.case) {
         return Ok(());
     }
-    let steps = arguments.next().and_then(|steps| steps.parse().ok()).unwrap_or(STEPS).max(100);
+    let steps = options.steps;
     let base = BaseMotion::at_rest(Isometry3::identity());
     let parameters = ManipulatorParameters { integrator, ..ManipulatorParameters::jhu_27() };
     let mut manipulator = AnyManipulator::new(rung, parameters, &base)?;
@@ -80,8 +113,10 @@ fn run(
         second_order += usize::from(report.integrator == Integrator::Hybrid);
     }
     micros.sort_by(f64::total_cmp);
+    let counted =
+        if options.instructions { format!(", {} instructions", instructions(name)?) } else { String::new() };
     println!(
-        "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} sweeps, late residual {:7.1e} m/s, {:5.1} % ROS2",
+        "{name:<34} {:>2} contacts ({:>4.1} active): median {:6.2} us, p99 {:6.2} us, {:4.1} sweeps, late residual {:7.1e} m/s, {:5.1} % ROS2{counted}",
         contacts.len(),
         active as f64 / steps as f64,
         micros[steps / 2],
@@ -93,21 +128,22 @@ fn run(
     Ok(())
 }
 
-fn main() -> Result<(), ManipulatorError> {
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let options = Options::read();
     for rung in Rung::ALL {
         let euler = (rung, Integrator::LinearlyImplicitEuler);
         let name = rung.name();
-        run(&format!("{name}, free, Euler"), euler, |_, _| ())?;
+        run(&options, &format!("{name}, free, Euler"), euler, |_, _| ())?;
         if rung != Rung::ConstantCurvature {
-            run(&format!("{name}, free, hybrid"), (rung, Integrator::Hybrid), |_, _| ())?;
+            run(&options, &format!("{name}, free, hybrid"), (rung, Integrator::Hybrid), |_, _| ())?;
         }
         for spheres in [10, 28] {
-            run(&format!("{name}, winding wall of {spheres}"), euler, |m, out| {
+            run(&options, &format!("{name}, winding wall of {spheres}"), euler, |m, out| {
                 tunnel(m, spheres, &[-1.0], 0.0, out)
             })?;
         }
         for spheres in [5, 15, 28] {
-            run(&format!("{name}, winding tunnel of {spheres}"), euler, |m, out| {
+            run(&options, &format!("{name}, winding tunnel of {spheres}"), euler, |m, out| {
                 tunnel(m, spheres, &[1.0, -1.0], 20e-6, out);
             })?;
         }

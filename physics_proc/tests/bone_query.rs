@@ -1,7 +1,7 @@
 //! The contact query against closed forms (walls, corners, tunnels) and against a brute-force distance.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use physics_proc::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, GridGeometry};
+use physics_proc::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry};
 use physics_proc::contact_plane::ContactPlane;
 use proptest::prelude::*;
 
@@ -10,6 +10,14 @@ const MARGIN_M: f64 = 0.5e-3;
 
 /// A field whose bone is where `solid` (voxel indices) says.
 fn field(geometry: GridGeometry, solid: impl Fn(usize, usize, usize) -> bool) -> BoneField {
+    field_of(ContactKind::Planes, geometry, solid)
+}
+
+fn field_of(
+    contact: ContactKind,
+    geometry: GridGeometry,
+    solid: impl Fn(usize, usize, usize) -> bool,
+) -> BoneField {
     let [nx, ny, nz] = geometry.dims;
     let mut hu = Vec::with_capacity(geometry.voxel_count());
     for k in 0..nz {
@@ -17,7 +25,8 @@ fn field(geometry: GridGeometry, solid: impl Fn(usize, usize, usize) -> bool) ->
             hu.extend((0..nx).map(|i| if solid(i, j, k) { 1000i16 } else { -1000 }));
         }
     }
-    let Ok(field) = BoneField::new(geometry, &hu, BoneParameters::default()) else {
+    let Ok(field) = BoneField::new(geometry, &hu, BoneParameters { contact, ..BoneParameters::default() })
+    else {
         unreachable!("the tests' grids are valid");
     };
     field
@@ -68,6 +77,37 @@ fn flat_wall_is_exact_anisotropic_rotated_and_far_away() {
         );
         assert!(worst.0 < 1e-9 && worst.1 < 1e-9);
     }
+}
+
+/// A bed of balls, the published contact: the distance to the nearest of them, and its direction. A sphere that slides over a
+/// flat wall is rocked, where planes are not: the figures are printed.
+#[test]
+fn voxels_as_balls_give_the_distance_to_the_nearest_ball() {
+    let h = 0.5e-3;
+    let geometry = rotated([40, 40, 40], [h; 3], Vector3::new(0.1, -0.2, 0.3));
+    let [balls, flat] =
+        [ContactKind::VoxelBalls, ContactKind::Planes].map(|kind| field_of(kind, geometry, |_, _, k| k < 20));
+    let normal = geometry.direction_world_grid.column(2).into_owned();
+    let (mut rocking, mut sinking): ([f64; 2], [f64; 2]) = ([0.0; 2], [0.0; 2]);
+    for n in 0..200 {
+        let x = (f64::from(n) + 0.5) / 200.0 * h;
+        let local = Vector3::new(10e-3 + x, 10e-3 + 0.7 * x, 19.5 * h + RADIUS_M);
+        // Offset from the nearest voxel's middle.
+        let near = |x: f64| x - (x / h).round() * h;
+        let offset = Vector3::new(near(local.x), near(local.y), local.z - 19.0 * h);
+        let found = planes(&balls, geometry.point_to_world(&local), RADIUS_M)[0];
+        let direction = geometry.direction_world_grid * offset.normalize();
+        // Tolerance: rounding at tenths of a metre.
+        assert!((found.gap_m - (offset.norm() - 0.5 * h - RADIUS_M)).abs() < 1e-12);
+        assert!((found.normal.into_inner() - direction).norm() < 1e-9);
+        let smooth = planes(&flat, geometry.point_to_world(&local), RADIUS_M)[0];
+        for (kind, plane) in [found, smooth].iter().enumerate() {
+            rocking[kind] = rocking[kind].max(plane.normal.dot(&normal).clamp(-1.0, 1.0).acos().to_degrees());
+            sinking[kind] = sinking[kind].max(plane.gap_m.abs() * 1e6);
+        }
+    }
+    println!("balls, planes on a flat wall: normal off by {rocking:.2?} degrees, gap by {sinking:.2?} um");
+    assert!(rocking[0] > 3.0 && rocking[1] < 1e-5 && sinking[1] < 1e-6);
 }
 
 /// Seed defect S1: contact must not depend on where the anatomy stands.

@@ -1,7 +1,9 @@
-//! The tracked contact query against the fresh one: bit for bit, whatever moves and whatever is drilled.
+//! What contact queries and drilling remember changes no bit, whatever moves and whatever is drilled.
 
 use nalgebra::{Rotation3, Vector3};
-use physics_proc::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, GridGeometry};
+use physics_proc::bone::{
+    BoneField, BoneParameters, BurrState, ContactBuffer, ContactKind, GridGeometry, Removal,
+};
 use proptest::prelude::*;
 
 const DIMS: [usize; 3] = [26, 24, 22];
@@ -45,6 +47,16 @@ fn bits(buffer: &ContactBuffer) -> Vec<[u64; 8]> {
     buffer.planes().iter().map(numbers).collect()
 }
 
+/// Solid bone, or scattered voxels (more than a track holds), in a rotated anisotropic grid.
+fn scattered(spacing_m: [f64; 3], scatter: u64) -> (GridGeometry, Vec<i16>) {
+    let direction_world_grid = Rotation3::from_euler_angles(0.3, -0.7, 1.1).into_inner();
+    let origin_world_m = Vector3::new(0.1, -0.2, 0.3);
+    let geometry = GridGeometry { dims: DIMS, spacing_m, direction_world_grid, origin_world_m };
+    let solid = |n: u64| scatter == 0 || n.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 60 < scatter;
+    let hu = (0..geometry.voxel_count() as u64).map(|n| if solid(n) { 400 } else { -1000 }).collect();
+    (geometry, hu)
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
@@ -57,14 +69,11 @@ proptest! {
         radius_m in 1.0e-3..3.9e-3f64,
         scatter in prop_oneof![3 => Just(0u64), 1 => 2u64..6],
         place in prop::array::uniform3(0.2..0.8f64),
+        contact in prop_oneof![3 => Just(ContactKind::Planes), 1 => Just(ContactKind::VoxelBalls)],
     ) {
-        let direction_world_grid = Rotation3::from_euler_angles(0.3, -0.7, 1.1).into_inner();
-        let origin_world_m = Vector3::new(0.1, -0.2, 0.3);
-        let geometry = GridGeometry { dims: DIMS, spacing_m: spacing, direction_world_grid, origin_world_m };
-        let hu: Vec<i16> = (0..geometry.voxel_count() as u64)
-            .map(|n| if scatter == 0 || n.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 60 < scatter { 400 } else { -1000 })
-            .collect();
-        let mut field = BoneField::new(geometry, &hu, BoneParameters::default()).unwrap();
+        let (geometry, hu) = scattered(spacing, scatter);
+        let parameters = BoneParameters { contact, ..BoneParameters::default() };
+        let mut field = BoneField::new(geometry, &hu, parameters).unwrap();
         let local = |t: [f64; 3]| {
             geometry.point_to_world(&Vector3::from_fn(|a, _| t[a] * DIMS[a] as f64 * spacing[a]))
         };
@@ -101,6 +110,61 @@ proptest! {
                 field.contact_planes(sphere, &centre, radius_m, margin_m, &mut fresh);
             }
             prop_assert_eq!(bits(&tracked), bits(&fresh));
+        }
+    }
+    /// Two fields drilled alike; one of them is saved and restored before every tick, after which it remembers nothing.
+    #[test]
+    fn a_burr_that_was_searched_before_cuts_what_a_fresh_one_cuts_bit_for_bit(
+        events in prop::collection::vec(event(), 1..60),
+        spacing in prop::array::uniform3(0.35e-3..0.9e-3f64),
+        radius_m in 1.0e-3..3.9e-3f64,
+        scatter in prop_oneof![3 => Just(0u64), 1 => 2u64..6],
+        place in prop::array::uniform3(0.2..0.8f64),
+        rule in prop_oneof![4 => Just(Removal::Energy), 1 => Just(Removal::Capped), 1 => Just(Removal::Decrement)],
+    ) {
+        let (geometry, hu) = scattered(spacing, scatter);
+        // Few blocks, so that the pool runs out now and then.
+        let parameters = BoneParameters { removal: rule, pool_blocks: 12, ..BoneParameters::default() };
+        let mut fields = [0, 1].map(|_| BoneField::new(geometry, &hu, parameters).unwrap());
+        let mut centre = geometry.point_to_world(
+            &Vector3::from_fn(|a, _| place[a] * DIMS[a] as f64 * spacing[a]),
+        );
+        let mut saved = fields[0].snapshot();
+        let mut speed_rad_s = 800.0;
+        for event in events {
+            let force_n = match event {
+                Event::Drill { force_n } => force_n,
+                Event::Move(step) => {
+                    centre += Vector3::from(step);
+                    1.0
+                }
+                Event::Save => {
+                    saved = fields[0].snapshot();
+                    continue;
+                }
+                Event::Restore => {
+                    let restored = fields.each_mut().map(|field| field.restore(&saved).is_ok());
+                    prop_assert_eq!(restored[0], restored[1]);
+                    continue;
+                }
+                Event::Reset => {
+                    fields.iter_mut().for_each(BoneField::reset);
+                    continue;
+                }
+                Event::Predrill => {
+                    let holes = fields.each_mut().map(|field| field.predrill_capsule(&centre, &centre, 0.8e-3));
+                    prop_assert_eq!(&holes[0], &holes[1]);
+                    speed_rad_s = -speed_rad_s;
+                    continue;
+                }
+            };
+            let burr = BurrState { centre_m: centre, radius_m, speed_rad_s, normal_force_n: force_n };
+            let fresh = fields[1].snapshot();
+            fields[1].restore(&fresh).unwrap();
+            let reports = fields.each_mut().map(|field| field.grind(&hu, &burr, 0.02).unwrap());
+            prop_assert_eq!(reports[0], reports[1]);
+            prop_assert_eq!(fields[0].removed_this_tick(), fields[1].removed_this_tick());
+            prop_assert!(fields[0].snapshot() == fields[1].snapshot());
         }
     }
 }

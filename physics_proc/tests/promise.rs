@@ -79,7 +79,7 @@ const GOLDEN: [Golden; 3] = [
         in_bone: true,
         command: feed,
         ticks: 1000,
-        hash: "f984c6811c58202a5bceccf88a0beab2",
+        hash: "decacf86ad8e5e0b15ed9f2dc510e91e",
     },
     Golden {
         scene: BODIES,

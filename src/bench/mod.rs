@@ -2,6 +2,7 @@
 
 pub mod drr;
 mod drr_layers;
+pub mod instructions;
 pub mod latency;
 pub mod log;
 pub mod machine;

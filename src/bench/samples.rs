@@ -15,6 +15,13 @@ impl Samples {
         self.0.extend_from_slice(&other.0);
     }
 
+    /// Keeps of each sample the least of this and the other's: the same things timed again.
+    pub fn keep_least(&mut self, again: &Samples) {
+        for (mine, other) in self.0.iter_mut().zip(&again.0) {
+            *mine = (*mine).min(*other);
+        }
+    }
+
     /// Number of samples.
     pub fn count(&self) -> usize {
         self.0.len()
@@ -55,6 +62,9 @@ mod tests {
             [0.0, 50.0, 99.0, 100.0]
         );
         assert_eq!(Samples::default().quantile_us(0.5), 0.0);
+        let mut least = Samples(vec![5, 1, 7]);
+        least.keep_least(&Samples(vec![4, 2, 6]));
+        assert_eq!(least.0, [4, 1, 6]);
         assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
     }
 }

@@ -7,7 +7,8 @@ use clap::Subcommand;
 use super::run::DEFAULT_SCENE;
 use crate::bench::ping_pong::Wait;
 use crate::bench::{
-    drr, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer, xray,
+    drr, instructions, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer,
+    xray,
 };
 use crate::failure::Failure;
 
@@ -34,6 +35,15 @@ pub enum BenchCommand {
         /// Ticks at most.
         #[arg(long)]
         ticks: Option<u64>,
+        /// Instead of the log: instructions of a step, counted by valgrind (minutes).
+        #[arg(long)]
+        instructions: bool,
+        /// No log.
+        #[arg(long)]
+        in_process: bool,
+        /// Rounds in one process, 1 to 100: the least time of each tick is printed too.
+        #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
+        rounds: u64,
     },
     /// Memory of each process with a large volume.
     Memory {
@@ -163,8 +173,12 @@ pub enum BenchCommand {
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     match command {
         BenchCommand::Overhead { scene, ticks, rounds } => overhead::run(scene, *ticks, *rounds as usize),
-        BenchCommand::Step { scene, ticks } => {
-            step::run(scene, *ticks)?;
+        BenchCommand::Step { scene, ticks, instructions: true, .. } => instructions::run(scene, *ticks),
+        BenchCommand::Step { scene, ticks, in_process, rounds, .. } => {
+            step::run(scene, *ticks, *rounds as usize)?;
+            if *in_process {
+                return Ok(());
+            }
             say!();
             log::run(scene, *ticks)
         }

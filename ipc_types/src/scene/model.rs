@@ -346,6 +346,18 @@ pub struct Contact {
     pub friction: Option<f64>,
     /// Stiffness of a contact, 1e3 to 1e9 N/m.
     pub stiffness_n_per_m: Option<f64>,
+    /// What a voxel is to the tool: `planes` is the standard; `balls` is a published way, for experiments.
+    pub voxels: Option<ContactVoxels>,
+}
+
+/// What a voxel is to a sphere of the tool that touches it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ContactVoxels {
+    /// A part of the bone's smoothed surface, a plane to the sphere.
+    Planes,
+    /// A ball in the voxel's middle.
+    Balls,
 }
 
 /// Strength of bone and the burr's cutting, where it differs from the standard.

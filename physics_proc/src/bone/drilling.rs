@@ -22,14 +22,15 @@ use nalgebra::Vector3;
 
 use super::BoneError;
 use super::field::{BoneField, BoneParameters, check_volume};
-use super::gather::outside;
-use super::grid::{GridGeometry, floor_to_i64};
-use super::occupancy::{VoxelBox, WINDOW_VOXELS};
-use super::query::VoxelSurface;
+use super::grid::GridGeometry;
+use super::reach::Reach;
 use super::removal::Removal;
+use super::strength::{NO_PLACE, block_of};
 
 /// Rounds of sharing the energy; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
+/// Sums run side by side, in a fixed order.
+const LANES: usize = 4;
 
 /// How a burr turns force and speed into cutting energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -127,18 +128,19 @@ pub(super) struct Share {
     pub place: usize,
     /// Depth of the voxel in the burr as a fraction of its width, times its volume.
     pub weight: f64,
+    /// Fraction of its energy that is spent.
+    spent: f64,
     /// Energy of the whole voxel.
     full_j: f64,
-    /// What it can still take in this tick.
-    room_j: f64,
-    /// What it has been given.
-    given_j: f64,
 }
 
 /// Working memory of [`BoneField::grind`], reserved for the largest burr.
 #[derive(Debug, Clone)]
 pub(super) struct DrillScratch {
     pub(super) shares: Vec<Share>,
+    /// Weights of the shares and what each can take in this tick, J; then zeros up to a multiple of [`LANES`].
+    weight: Vec<f64>,
+    room_j: Vec<f64>,
     capacity: usize,
 }
 
@@ -153,18 +155,53 @@ impl DrillScratch {
                 expected: "a finite number above 0",
             });
         }
-        let reach = value + parameters.cutting.reach_m;
-        let mut capacity = 1usize;
-        for axis in 0..3 {
-            let along = (2.0 * reach / geometry.spacing_m[axis]) as usize + 2;
-            capacity = capacity.saturating_mul(along.min(geometry.dims[axis]));
+        let capacity = voxels_in_cube(geometry, value + parameters.cutting.reach_m);
+        let numbers = || Vec::with_capacity(capacity.next_multiple_of(LANES));
+        Ok(Self { shares: Vec::with_capacity(capacity), weight: numbers(), room_j: numbers(), capacity })
+    }
+
+    fn clear(&mut self) {
+        self.shares.clear();
+        self.weight.clear();
+        self.room_j.clear();
+    }
+
+    fn push(&mut self, share: Share, room_j: f64) {
+        self.weight.push(share.weight);
+        self.room_j.push(room_j);
+        self.shares.push(share);
+    }
+
+    /// What all take at `level_j`, the energy a unit of weight is offered, and the weight of those that could take more.
+    fn taken_at(&self, level_j: f64) -> (f64, f64) {
+        let (mut taken, mut open) = ([0.0; LANES], [0.0; LANES]);
+        for (weights, rooms) in self.weight.chunks_exact(LANES).zip(self.room_j.chunks_exact(LANES)) {
+            for lane in 0..LANES {
+                let offered = level_j * weights[lane];
+                let is_open = offered < rooms[lane];
+                taken[lane] += if is_open { offered } else { rooms[lane] };
+                open[lane] += if is_open { weights[lane] } else { 0.0 };
+            }
         }
-        Ok(Self { shares: Vec::with_capacity(capacity), capacity })
+        (taken.iter().sum(), open.iter().sum())
+    }
+
+    /// What a share takes at a level.
+    fn given_j(&self, place: usize, level_j: f64) -> f64 {
+        (level_j * self.weight[place]).min(self.room_j[place])
     }
 
     pub fn capacity(&self) -> usize {
         self.capacity
     }
+}
+
+/// Most voxels that a cube of half edge `half_m` can meet.
+pub(super) fn voxels_in_cube(geometry: &GridGeometry, half_m: f64) -> usize {
+    (0..3).fold(1usize, |count, axis| {
+        let along = (2.0 * half_m / geometry.spacing_m[axis]) as usize + 2;
+        count.saturating_mul(along.min(geometry.dims[axis]))
+    })
 }
 
 impl BoneField {
@@ -178,12 +215,13 @@ impl BoneField {
         let cutting = self.parameters.cutting;
         report.energy_offered_j = cutting.power_w(burr) * dt_s;
         if report.energy_offered_j > 0.0 {
-            self.scratch.shares.clear();
+            self.scratch.clear();
             self.collect(hu, burr, dt_s, &mut report);
             match self.parameters.removal {
                 Removal::Energy => {
-                    report.energy_used_j = self.share(report.energy_offered_j);
-                    self.apply(&mut report);
+                    let level_j = self.share(report.energy_offered_j);
+                    report.energy_used_j = self.scratch.taken_at(level_j).0;
+                    self.apply(level_j, &mut report);
                 }
                 rule => {
                     report.energy_offered_j = 0.0;
@@ -219,154 +257,80 @@ impl BoneField {
 
     /// Lists the voxels in reach with their weights, and sheds slivers that the burr has left behind.
     fn collect(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64, report: &mut GrindReport) {
-        let centre = self.geometry.point_to_grid(&burr.centre_m);
-        let spacing = self.geometry.spacing_m;
         let cutting = self.parameters.cutting;
-        let reach = burr.radius_m + cutting.reach_m;
-        let diagonal = (spacing[0] * spacing[0] + spacing[1] * spacing[1] + spacing[2] * spacing[2]).sqrt();
-        // A sliver's centre is at most half a diagonal inside its receded surface.
-        let outer = reach + cutting.reach_m + 0.5 * diagonal;
-        let Some(voxels) = self.occupancy.voxels_around(centre.into(), outer, spacing) else {
-            return;
-        };
-        if !self.occupancy.any_in(&voxels) {
-            return;
-        }
+        let reach = Reach::of_burr(burr.radius_m, &self.geometry, &cutting);
+        self.reach(hu, &self.geometry.point_to_grid(&burr.centre_m), &reach);
         let recession =
             cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s / core::f64::consts::TAU;
-        let VoxelBox { low, high } = voxels;
-        // Wider by what rounding can take: the voxel's own distance decides.
-        let widest = reach + 1e-6 * diagonal;
-        for start in (low[0]..=high[0]).step_by(WINDOW_VOXELS as usize) {
-            let place = self.occupancy.window_place(start);
-            let count = (high[0] - start + 1).min(WINDOW_VOXELS);
-            let wanted = (1u64 << count) - 1;
-            for k in low[2]..=high[2] {
-                let dz = centre.z - k as f64 * spacing[2];
-                for j in low[1]..=high[1] {
-                    let dy = centre.y - j as f64 * spacing[1];
-                    let room = outer * outer - dz * dz - dy * dy;
-                    if room < 0.0 {
-                        continue;
-                    }
-                    let mut bits = self.occupancy.window(place, j as usize, k as usize) & wanted;
-                    if bits == 0 {
-                        continue;
-                    }
-                    // Whole bone takes part if its box is in reach; behind it only slivers do, which are cut in part.
-                    let (to_y, to_z) = (outside(dy, spacing[1]), outside(dz, spacing[2]));
-                    let inner = widest * widest - to_z * to_z - to_y * to_y;
-                    let reached = columns_within(centre.x, inner, spacing[0], start);
-                    if bits & !reached != 0 {
-                        bits &= reached | self.pool.partial_bits(start, count, j as usize, k as usize);
-                    }
-                    while bits != 0 {
-                        let i = start + i64::from(bits.trailing_zeros());
-                        bits &= bits - 1;
-                        let dx = centre.x - i as f64 * spacing[0];
-                        if dx * dx <= room {
-                            self.collect_voxel(hu, &centre, [i, j, k], reach, recession, report);
-                        }
-                    }
-                }
-            }
-        }
-    }
-
-    fn collect_voxel(
-        &mut self,
-        hu: &[i16],
-        centre: &Vector3<f64>,
-        voxel: [i64; 3],
-        reach: f64,
-        recession: f64,
-        report: &mut GrindReport,
-    ) {
-        let cutting = self.parameters.cutting;
-        let [i, j, k] = voxel.map(|x| x as usize);
-        let spent = self.pool.spent(i, j, k);
-        let left = 1.0 - spent;
-        if left <= 0.0 {
-            return;
-        }
-        let spacing = self.geometry.spacing_m;
-        let position = self.voxel_position(voxel);
-        let to_box = [0, 1, 2].map(|a| outside(centre[a] - position[a], spacing[a]));
-        let VoxelSurface { distance: surface, from_centre, .. } =
-            self.voxel_surface(centre, &position, to_box, spent);
-        let is_sliver = spent > 0.0 && left < cutting.sliver_fraction && surface > reach + cutting.reach_m;
-        if surface >= reach && !is_sliver {
-            return;
-        }
-        let index = self.geometry.linear_index(i, j, k);
         let volume = self.geometry.voxel_volume_m3();
-        let full_j = self.cutting_table.specific_energy_j_m3(hu[index]) * volume;
-        let Some(place) = self.pool.claim(i, j, k) else {
-            report.refused_count += 1;
-            return;
-        };
-        if is_sliver {
-            if self.waiting.len() < self.waiting.capacity() {
-                self.pool.set(place, 1.0);
-                self.waiting.push(index as u32);
-                report.energy_shed_j += left * full_j;
+        for place in 0..self.reached.kept.len() {
+            let voxel = self.reached.kept[place] as usize;
+            let (surface, width) = (self.reached.surface[voxel], self.reached.width[voxel]);
+            let (spent, full_j) = (self.reached.spent[voxel], self.reached.full_j[voxel]);
+            let index = self.reached.index[voxel];
+            let Some(place) = self.claim(voxel) else {
+                report.refused_count += 1;
+                continue;
+            };
+            let left = 1.0 - spent;
+            // Cut or, beyond, a sliver.
+            if surface >= reach.cut_m {
+                if self.waiting.len() < self.waiting.capacity() {
+                    self.pool.set(place, 1.0);
+                    self.waiting.push(index);
+                    report.energy_shed_j += left * full_j;
+                }
+            } else if self.scratch.shares.len() < self.scratch.capacity {
+                let depth = ((reach.cut_m - surface) / width).min(1.0);
+                let advance = (recession / width).min(1.0);
+                let room_j = depth.min(left).min(advance) * full_j;
+                let weight = depth * volume;
+                self.scratch.push(Share { index, place, weight, spent, full_j }, room_j);
             }
-            return;
-        }
-        let length = from_centre.norm();
-        // A burr centred on a voxel has all of it in reach, whatever the direction.
-        let width = if length > 0.0 { self.width_along(&from_centre, length) } else { spacing[0] };
-        let depth = ((reach - surface) / width).min(1.0);
-        let advance = (recession / width).min(1.0);
-        if self.scratch.shares.len() < self.scratch.capacity {
-            let room_j = depth.min(left).min(advance) * full_j;
-            let weight = depth * volume;
-            self.scratch.shares.push(Share {
-                index: index as u32,
-                place,
-                weight,
-                full_j,
-                room_j,
-                given_j: 0.0,
-            });
         }
     }
 
-    /// Shares the energy by weight; what exceeds a voxel's room goes to the others. Returns what was taken.
+    /// Where a voxel in reach keeps its spent fraction, taking a block if needed; `None` if the pool is full.
+    fn claim(&mut self, voxel: usize) -> Option<usize> {
+        if self.reached.place[voxel] == NO_PLACE {
+            let [i, j, k] = self.voxel_of_index(self.reached.index[voxel] as usize);
+            let used = self.pool.used();
+            self.reached.place[voxel] = self.pool.claim(i, j, k)?;
+            if self.pool.used() > used {
+                self.tracks.forget_box(&block_of([i, j, k]));
+            }
+        }
+        Some(self.reached.place[voxel])
+    }
+
+    /// Shares the energy by weight; what exceeds a voxel's room goes to the others. Returns the energy that a unit of weight is
+    /// offered: Newton's steps on the level at which all is taken.
     fn share(&mut self, energy_j: f64) -> f64 {
-        let shares = &mut self.scratch.shares;
-        let mut rest = energy_j;
+        let padded = self.scratch.shares.len().next_multiple_of(LANES);
+        self.scratch.weight.resize(padded, 0.0);
+        self.scratch.room_j.resize(padded, 0.0);
+        let mut level_j = 0.0;
         for _ in 0..SHARE_ROUNDS {
-            let open = shares.iter().filter(|s| s.given_j < s.room_j).fold(0.0, |sum, s| sum + s.weight);
-            if open <= 0.0 || rest <= 0.0 {
+            let (taken_j, open) = self.scratch.taken_at(level_j);
+            let rest_j = energy_j - taken_j;
+            if open <= 0.0 || rest_j <= 0.0 {
                 break;
             }
-            let per_weight = rest / open;
-            let mut left_over = 0.0;
-            for share in shares.iter_mut().filter(|s| s.given_j < s.room_j) {
-                let offered = share.weight * per_weight;
-                let room = share.room_j - share.given_j;
-                if offered >= room {
-                    share.given_j = share.room_j;
-                    left_over += offered - room;
-                } else {
-                    share.given_j += offered;
-                }
-            }
-            rest = left_over;
+            level_j += rest_j / open;
         }
-        shares.iter().fold(0.0, |sum, s| sum + s.given_j)
+        level_j
     }
 
     /// Books the energy and queues the voxels that are spent.
-    fn apply(&mut self, report: &mut GrindReport) {
+    fn apply(&mut self, level_j: f64, report: &mut GrindReport) {
         for place in 0..self.scratch.shares.len() {
             let share = self.scratch.shares[place];
-            if share.given_j <= 0.0 {
+            let given_j = self.scratch.given_j(place, level_j);
+            if given_j <= 0.0 {
                 continue;
             }
             report.cut_count += 1;
-            let mut spent = (self.pool.at(share.place) + share.given_j / share.full_j).min(1.0);
+            let mut spent = (share.spent + given_j / share.full_j).min(1.0);
             // Rounding of spent + (1 - spent): what is nearer to the end than 1e-12 is at the end.
             if spent > 1.0 - 1e-12 {
                 if self.waiting.len() < self.waiting.capacity() {
@@ -388,7 +352,8 @@ impl BoneField {
             let index = self.waiting[place];
             let [i, j, k] = self.voxel_of_index(index as usize);
             self.occupancy.set(i, j, k, false);
-            self.tracks.forget_near([i, j, k]);
+            self.tracks
+                .forget_near(self.voxel_position([i, j, k].map(|x| x as i64)), self.geometry.spacing_m);
             self.removed.push(index);
         }
         self.waiting.drain(..count);
@@ -396,16 +361,4 @@ impl BoneField {
         report.removed_count = count;
         report.waiting_count = self.waiting.len();
     }
-}
-
-/// The voxels of a window that starts at `start` whose slabs along x are within the root of `distance2` of `x`, as bits.
-#[inline]
-fn columns_within(x: f64, distance2: f64, spacing: f64, start: i64) -> u64 {
-    if distance2 <= 0.0 {
-        return 0;
-    }
-    let distance = distance2.sqrt();
-    let first = (floor_to_i64((x - distance) / spacing + 0.5) - start).clamp(0, 63);
-    let end = (floor_to_i64((x + distance) / spacing + 0.5) + 1 - start).clamp(first, 63);
-    (1u64 << end) - (1u64 << first)
 }

@@ -5,6 +5,8 @@ use super::drilling::{CuttingLaw, DrillScratch};
 use super::grid::GridGeometry;
 use super::material::{CuttingTable, MaterialLaw};
 use super::occupancy::Occupancy;
+use super::query::ContactKind;
+use super::reach::ReachedVoxels;
 use super::removal::Removal;
 use super::strength::SpentPool;
 use super::tracked::Tracks;
@@ -18,6 +20,8 @@ pub struct BoneParameters {
     pub material: MaterialLaw,
     /// How a burr turns force and speed into cutting energy.
     pub cutting: CuttingLaw,
+    /// What a voxel is to a sphere: a part of a smoothed surface unless an experiment asks for the baseline.
+    pub contact: ContactKind,
     /// How voxels end: by energy unless an experiment asks for a baseline.
     pub removal: Removal,
     /// Blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels. When all are taken, voxels in further blocks
@@ -35,6 +39,7 @@ impl Default for BoneParameters {
             threshold_hu: 150,
             material: MaterialLaw::default(),
             cutting: CuttingLaw::default(),
+            contact: ContactKind::Planes,
             removal: Removal::Energy,
             pool_blocks: 4096,
             removed_per_tick: 4096,
@@ -52,6 +57,8 @@ pub struct BoneField {
     pub(super) pool: SpentPool,
     pub(super) cutting_table: CuttingTable,
     pub(super) scratch: DrillScratch,
+    /// What drilling remembers of the burr's surroundings; changes no result.
+    pub(super) reached: ReachedVoxels,
     /// Voxels removed before the run, in no state of the run.
     pub(super) predrilled_count: u64,
     /// Voxels removed in this tick.
@@ -92,6 +99,7 @@ impl BoneField {
             });
         }
         let waiting = Vec::with_capacity(scratch.capacity());
+        let reached = ReachedVoxels::new(&geometry, parameters.max_burr_radius_m, &parameters.cutting);
         Ok(Self {
             geometry,
             parameters,
@@ -99,6 +107,7 @@ impl BoneField {
             pool: SpentPool::new(geometry.dims, parameters.pool_blocks),
             cutting_table,
             scratch,
+            reached,
             predrilled_count: 0,
             removed: Vec::with_capacity(parameters.removed_per_tick),
             waiting,
@@ -187,7 +196,7 @@ impl BoneField {
                 }
             }
         }
-        self.tracks.forget_all();
+        self.forget_searches();
         self.pool.clear();
         self.removed.clear();
         self.waiting.clear();
@@ -242,6 +251,12 @@ impl BoneField {
             self.occupancy.set(i, j, k, true);
         }
         Ok(())
+    }
+
+    /// For any change of the bone but drilling.
+    pub(super) fn forget_searches(&mut self) {
+        self.tracks.forget_all();
+        self.reached.forget();
     }
 
     pub(super) fn voxel_of_index(&self, index: usize) -> [usize; 3] {

@@ -12,6 +12,11 @@ const COLUMNS: i64 = WINDOW_VOXELS - 2;
 /// that the caller's own distance alone decides which voxels count.
 const ROUNDING_VOXELS: f64 = 1e-6;
 
+/// [`ROUNDING_VOXELS`] in metres.
+pub(super) fn widening([hx, hy, hz]: [f64; 3]) -> f64 {
+    ROUNDING_VOXELS * hx.max(hy).max(hz)
+}
+
 /// A sphere in the grid's metric frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sphere {
@@ -58,7 +63,7 @@ impl BoneField {
     #[inline]
     pub(super) fn gather(&self, sphere: &Sphere, mut visit: impl FnMut([i64; 3])) -> Option<VoxelBox> {
         let [hx, hy, hz] = self.geometry.spacing_m;
-        let reach = sphere.reach + ROUNDING_VOXELS * hx.max(hy).max(hz);
+        let reach = sphere.reach + widening(self.geometry.spacing_m);
         let voxels = self.occupancy.voxels_around(sphere.centre.into(), reach, self.geometry.spacing_m)?;
         if !self.occupancy.any_in(&voxels) {
             return Some(voxels);

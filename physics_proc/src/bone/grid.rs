@@ -38,6 +38,11 @@ impl GridGeometry {
         self.spacing_m[0] * self.spacing_m[1] * self.spacing_m[2]
     }
 
+    /// Smallest voxel edge in metres.
+    pub(super) fn smallest_spacing_m(&self) -> f64 {
+        self.spacing_m.iter().fold(f64::INFINITY, |low, h| low.min(*h))
+    }
+
     /// Linear index of a voxel, x fastest.
     pub fn linear_index(&self, i: usize, j: usize, k: usize) -> usize {
         (k * self.dims[1] + j) * self.dims[0] + i

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::field::BoneField;
 use super::gather::{Sphere, outside};
+use super::query::ContactKind;
 use super::strength::NO_PLACE;
 
 /// Voxels kept a sphere.
@@ -130,6 +131,21 @@ impl Candidates {
         self.distance2[count..count.next_multiple_of(LANES)].fill(f64::INFINITY);
     }
 
+    /// Distances to voxels that are balls of the given radius, less what is spent of it on either side.
+    fn see_balls(&mut self, near: &NearVoxels, sphere: &Sphere, radius_m: f64, spent: impl Fn(usize) -> f64) {
+        self.count = near.count;
+        for voxel in 0..near.count {
+            let offset = sphere.centre - Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));
+            let length2 = offset.norm_squared();
+            let distance = length2.sqrt() - (1.0 - 2.0 * spent(near.place[voxel])) * radius_m;
+            let counts = distance < sphere.reach && length2 > 0.0;
+            let distance = distance.max(0.0);
+            let distance2 = if counts { distance * distance } else { f64::INFINITY };
+            self.put(voxel, &Seed { offset, length2, distance2 });
+        }
+        self.distance2[near.count..near.count.next_multiple_of(LANES)].fill(f64::INFINITY);
+    }
+
     fn put(&mut self, voxel: usize, seed: &Seed) {
         for axis in 0..3 {
             self.offset[axis][voxel] = seed.offset[axis];
@@ -175,6 +191,11 @@ impl Candidates {
 impl BoneField {
     /// How far the near voxels' surfaces are from a sphere; those out of its reach do not count.
     pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
+        if self.parameters.contact == ContactKind::VoxelBalls {
+            let radius_m = 0.5 * self.geometry.smallest_spacing_m();
+            candidates.see_balls(near, sphere, radius_m, |place| self.pool.spent_at(place));
+            return;
+        }
         candidates.see_boxes(near, sphere, &self.geometry.spacing_m);
         let on_a_box = candidates.nearest().is_some_and(|seed| seed.distance2 <= 0.0);
         if !near.any_place && !on_a_box {

@@ -44,7 +44,7 @@ impl BoneField {
                 }
             }
         }
-        self.tracks.forget_all();
+        self.forget_searches();
         self.predrilled_count += removed.len() as u64;
         removed
     }

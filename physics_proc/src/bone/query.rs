@@ -11,6 +11,8 @@
 //! **Which planes.** A voxel can be nearest only if no neighbour lies between it and the centre, which word operations find;
 //! one remains on a flat wall and a few dozen in a tunnel. The nearest of them gives the first plane, the nearest of those
 //! more than 60 degrees away the second, and so on up to four.
+//!
+//! All of this is [`ContactKind::Planes`]; [`ContactKind::VoxelBalls`] is there for comparison.
 
 use nalgebra::{Unit, Vector3};
 
@@ -20,6 +22,18 @@ use super::field::BoneField;
 use super::gather::Sphere;
 use super::grid::floor_to_i64;
 use super::near::{Candidates, NearVoxels};
+use super::surface::TentSizes;
+
+/// What a voxel is to a sphere that touches it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ContactKind {
+    /// A part of the smoothed surface: see the [module](self).
+    #[default]
+    Planes,
+    /// A ball about the voxel's centre, half its smallest edge in radius, without smoothing: what published simulators do
+    /// (Phalen et al. 2023). Normals turn from voxel to voxel, and a wall is a bed of balls.
+    VoxelBalls,
+}
 
 /// Most planes a sphere can get.
 pub const MAX_PLANES: usize = 4;
@@ -224,7 +238,6 @@ impl BoneField {
         radius_m: f64,
         out: &mut ContactBuffer,
     ) {
-        let smallest = self.geometry.spacing_m.iter().fold(f64::INFINITY, |low, h| low.min(*h));
         let tent = self.tent_sizes(radius_m);
         let mut normals = [Vector3::zeros(); MAX_PLANES];
         let mut count = 0;
@@ -233,14 +246,12 @@ impl BoneField {
             let Some(seed) = out.candidates.nearest() else { break };
             let direction = seed.offset * (1.0 / seed.length2.sqrt());
             let seed_distance = seed.distance2.sqrt();
-            let point = centre - direction * seed_distance;
-            let sample = self.sample_surface(&point, &tent);
-            let steepness = sample.outward_per_m.norm();
-            let smooth = sample.outward_per_m * (1.0 / steepness.max(1e-300));
-            let trusted = steepness > 0.0 && smooth.dot(&direction) > NORMAL_AGREEMENT_COSINE;
-            let normal = if trusted { smooth } else { direction };
-            let stands_out =
-                if trusted { ((0.5 - sample.level) / steepness).clamp(0.0, 0.5 * smallest) } else { 0.0 };
+            let (normal, stands_out) = match self.parameters.contact {
+                ContactKind::Planes => {
+                    self.smoothed(&(centre - direction * seed_distance), &direction, &tent)
+                }
+                ContactKind::VoxelBalls => (direction, 0.0),
+            };
             if normals[..count].iter().any(|other| other.dot(&normal) > DUPLICATE_COSINE) {
                 out.candidates.drop_near(&direction, &normal);
                 continue;
@@ -254,6 +265,25 @@ impl BoneField {
                 break;
             }
             out.candidates.drop_near(&direction, &normal);
+        }
+    }
+
+    /// Normal of the smoothed surface at a point, `direction` where it cannot be trusted, and what the point stands out of it.
+    #[inline]
+    fn smoothed(
+        &self,
+        point: &Vector3<f64>,
+        direction: &Vector3<f64>,
+        tent: &TentSizes,
+    ) -> (Vector3<f64>, f64) {
+        let sample = self.sample_surface(point, tent);
+        let steepness = sample.outward_per_m.norm();
+        let smooth = sample.outward_per_m * (1.0 / steepness.max(1e-300));
+        if steepness > 0.0 && smooth.dot(direction) > NORMAL_AGREEMENT_COSINE {
+            let most = 0.5 * self.geometry.smallest_spacing_m();
+            (smooth, ((0.5 - sample.level) / steepness).clamp(0.0, most))
+        } else {
+            (*direction, 0.0)
         }
     }
 }

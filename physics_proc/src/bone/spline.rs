@@ -8,6 +8,7 @@
 use nalgebra::Vector3;
 
 use super::field::BoneField;
+use super::strength::BlocksAbout;
 use super::surface::SurfaceSample;
 
 /// Voxels along an axis.
@@ -90,8 +91,8 @@ impl BoneField {
         let slopes = Vector3::new(value(slope_x, u[2]), value(slope_y, u[2]), slope(level, u[2]));
         let mut sample =
             SurfaceSample { outward_per_m: slopes * PER_18_CUBED, level: value(level, u[2]) * PER_18_CUBED };
-        if self.pool.any_block_in(start, SPLINE_VOXELS as i64 - 1) {
-            self.take_spent(start, &u.map(weights), &rows, &mut sample);
+        if let Some(blocks) = self.pool.blocks_about(start, SPLINE_VOXELS as i64 - 1) {
+            self.take_spent(start, &blocks, &u.map(weights), &rows, &mut sample);
         }
         sample
     }
@@ -100,6 +101,7 @@ impl BoneField {
     fn take_spent(
         &self,
         start: [i64; 3],
+        blocks: &BlocksAbout,
         [x, y, z]: &[[[f64; 2]; SPLINE_VOXELS]; 3],
         rows: &[[u8; SPLINE_VOXELS]; SPLINE_VOXELS],
         sample: &mut SurfaceSample,
@@ -111,13 +113,13 @@ impl BoneField {
             if solid == 0 {
                 continue;
             }
-            // Bone lies in the grid.
-            let (j, k) = ((start[1] + row as i64) as usize, (start[2] + slice as i64) as usize);
-            let mut partial = solid & self.pool.partial_window(start[0], j, k);
+            let places =
+                self.pool.partial_row(blocks, [start[0], start[1] + row as i64, start[2] + slice as i64]);
+            let mut partial = solid & places.bits;
             while partial != 0 {
                 let voxel = partial.trailing_zeros() as usize;
                 partial &= partial - 1;
-                let spent = self.pool.spent((start[0] + voxel as i64) as usize, j, k);
+                let spent = self.pool.spent_at(places.place(voxel));
                 let ([x, x_rise], [y, y_rise], [z, z_rise]) = (x[voxel], y[row], z[slice]);
                 sample.level -= x * y * z * spent;
                 sample.outward_per_m -= Vector3::new(x_rise * y * z, x * y_rise * z, x * y * z_rise) * spent;

@@ -1,5 +1,7 @@
 //! How much of each voxel's cutting energy is spent: sparse blocks of 8 x 8 x 8 voxels from a pool reserved at the start.
 
+use super::occupancy::VoxelBox;
+
 /// Edge of a block is `1 << BLOCK_SHIFT` voxels.
 const BLOCK_SHIFT: usize = 3;
 const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
@@ -9,6 +11,41 @@ pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 const UNTOUCHED: u32 = u32::MAX;
 /// Place of a voxel in a block that nothing has touched.
 pub(super) const NO_PLACE: usize = usize::MAX;
+
+/// The voxels of the block that holds a voxel, those beyond the grid included.
+pub(super) fn block_of(voxel: [usize; 3]) -> VoxelBox {
+    let low = voxel.map(|x| (x >> BLOCK_SHIFT << BLOCK_SHIFT) as i64);
+    VoxelBox { low, high: low.map(|x| x + BLOCK_EDGE as i64 - 1) }
+}
+
+/// The blocks in use about a small cube of voxels, two along each axis at most, looked up once.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BlocksAbout {
+    /// The block that holds the cube's first voxel.
+    first: [i64; 3],
+    /// First place of each block by z, y, x; [`NO_PLACE`] if nothing has touched it.
+    place: [[[usize; 2]; 2]; 2],
+}
+
+/// Voxels of a row along x that lie in two neighbouring blocks.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PartialRow {
+    /// Bit b: voxel `start + b` may have a spent fraction above 0.
+    pub bits: u8,
+    /// First places of the rows of the two blocks.
+    place: [usize; 2],
+    /// Where in the first block the row begins.
+    within: usize,
+}
+
+impl PartialRow {
+    /// Where the fraction of a voxel is kept whose bit is set.
+    #[inline]
+    pub fn place(&self, voxel: usize) -> usize {
+        let along = self.within + voxel;
+        self.place[usize::from(along >= BLOCK_EDGE)].wrapping_add(along % BLOCK_EDGE)
+    }
+}
 
 /// The spent fraction of every touched voxel: 0 whole, 1 gone.
 #[derive(Debug, Clone)]
@@ -135,33 +172,63 @@ impl SpentPool {
         ((bits(first) | bits(first + 1) << 8) >> (start & 7)) as u8
     }
 
+    /// The blocks about the cube of voxels `low` to `low + extent`, at most eight along an axis, which may reach beyond the
+    /// grid; `None` if nothing has touched any.
+    #[inline]
+    pub fn blocks_about(&self, low: [i64; 3], extent: i64) -> Option<BlocksAbout> {
+        if self.owners.is_empty() {
+            return None;
+        }
+        let first = low.map(|x| x >> BLOCK_SHIFT);
+        let inside = |axis: usize, side: usize| {
+            let block = first[axis] + side as i64;
+            let reaches = block <= (low[axis] + extent) >> BLOCK_SHIFT;
+            (reaches && block >= 0 && block < self.block_dims[axis] as i64).then_some(block as usize)
+        };
+        let mut place = [[[NO_PLACE; 2]; 2]; 2];
+        let mut any = false;
+        for (z, slices) in place.iter_mut().enumerate() {
+            let Some(k) = inside(2, z) else { continue };
+            for (y, rows) in slices.iter_mut().enumerate() {
+                let Some(j) = inside(1, y) else { continue };
+                for (x, place) in rows.iter_mut().enumerate() {
+                    let Some(i) = inside(0, x) else { continue };
+                    let slot = self.table[(k * self.block_dims[1] + j) * self.block_dims[0] + i];
+                    if slot != UNTOUCHED {
+                        *place = slot as usize * BLOCK_VOXELS;
+                        any = true;
+                    }
+                }
+            }
+        }
+        any.then_some(BlocksAbout { first, place })
+    }
+
+    /// A row of the cube of [`Self::blocks_about`], of up to eight voxels from `low` on.
+    #[inline]
+    pub fn partial_row(&self, blocks: &BlocksAbout, low: [i64; 3]) -> PartialRow {
+        let [y, z] = [1, 2].map(|axis| usize::from((low[axis] >> BLOCK_SHIFT) != blocks.first[axis]));
+        let [within, j, k] = low.map(|x| (x & (BLOCK_EDGE as i64 - 1)) as usize);
+        let row_in_block = (k << BLOCK_SHIFT) + j;
+        let mut bits = 0;
+        let place = [0, 1].map(|x| {
+            let block = blocks.place[z][y][x];
+            if block == NO_PLACE {
+                return NO_PLACE;
+            }
+            let place = block + row_in_block * BLOCK_EDGE;
+            bits |= u16::from(self.partial[place / BLOCK_EDGE]) << (BLOCK_EDGE * x);
+            place
+        });
+        PartialRow { bits: (bits >> within) as u8, place, within }
+    }
+
     /// [`Self::partial_window`] for `count` voxels, at most 64.
     #[inline]
     pub fn partial_bits(&self, start: i64, count: i64, j: usize, k: usize) -> u64 {
         (0..count)
             .step_by(BLOCK_EDGE)
             .fold(0, |bits, offset| bits | u64::from(self.partial_window(start + offset, j, k)) << offset)
-    }
-
-    /// Whether any block in use meets the cube of voxels `low` to `low + extent`, which may reach beyond the grid.
-    #[inline]
-    pub fn any_block_in(&self, low: [i64; 3], extent: i64) -> bool {
-        if self.owners.is_empty() {
-            return false;
-        }
-        let [bx, by, bz] = self.block_dims;
-        let blocks = |axis: usize, count: usize| {
-            let last = count as i64 - 1;
-            let [first, end] = [low[axis], low[axis] + extent].map(|x| (x >> BLOCK_SHIFT).clamp(0, last));
-            first as usize..end as usize + 1
-        };
-        let (x, y, z) = (blocks(0, bx), blocks(1, by), blocks(2, bz));
-        z.into_iter().any(|k| {
-            y.clone().any(|j| {
-                let row = (k * by + j) * bx;
-                self.table[row + x.start..row + x.end].iter().any(|slot| *slot != UNTOUCHED)
-            })
-        })
     }
 
     /// Forgets what a voxel absorbed, if anything.

@@ -3,18 +3,17 @@
 //! Which voxels can be nearest to a sphere depends only on the bone about it and on the voxel that holds its centre. So the
 //! field remembers for each sphere the voxels that [`BoneField::gather`] finds within a reach that is a little wider
 //! ([`SLACK_VOXELS`]). As long as the centre stays in its voxel and the query's reach about it lies within the remembered one,
-//! and no voxel near it is removed, the remembered voxels contain all that count, in the order of a fresh search; their
+//! and no voxel within it is removed, the remembered voxels contain all that count, in the order of a fresh search; their
 //! distances are always computed afresh. The planes are those of [`BoneField::contact_planes`] bit for bit, so what is
 //! remembered is no part of the state.
 
 use nalgebra::Vector3;
 
 use super::field::BoneField;
-use super::gather::Sphere;
+use super::gather::{Sphere, outside, widening};
 use super::near::NearVoxels;
 use super::occupancy::VoxelBox;
 use super::query::ContactBuffer;
-use super::strength::SpentPool;
 
 /// Spheres with a memory; those of a higher index are searched afresh.
 const TRACKED_SPHERES: usize = 64;
@@ -30,19 +29,16 @@ const NOTHING: VoxelBox = VoxelBox { low: [0; 3], high: [-1; 3] };
 struct Track {
     /// The sphere of the search; its reach is the widened one. `None`: nothing is remembered.
     sphere: Option<Sphere>,
-    /// What the search depends on.
+    /// The voxels looked at.
     box_searched: VoxelBox,
-    /// Pool blocks in use at the search.
-    blocks_used: usize,
     near: NearVoxels,
 }
 
 impl Track {
-    fn holds(&self, sphere: &Sphere, pool: &SpentPool) -> bool {
+    fn holds(&self, sphere: &Sphere) -> bool {
         let Some(searched) = &self.sphere else { return false };
         let room = searched.reach - sphere.reach;
         searched.voxel == sphere.voxel
-            && self.blocks_used == pool.used()
             && room >= 0.0
             && (sphere.centre - searched.centre).norm_squared() <= room * room
     }
@@ -56,7 +52,7 @@ pub(super) struct Tracks {
 
 impl Tracks {
     pub fn new() -> Self {
-        let empty = || Track { sphere: None, box_searched: NOTHING, blocks_used: 0, near: NearVoxels::new() };
+        let empty = || Track { sphere: None, box_searched: NOTHING, near: NearVoxels::new() };
         Self { items: (0..TRACKED_SPHERES).map(|_| empty()).collect() }
     }
 
@@ -65,11 +61,28 @@ impl Tracks {
         self.items.iter_mut().for_each(|track| track.sphere = None);
     }
 
-    /// For the change of one voxel.
-    pub fn forget_near(&mut self, voxel: [usize; 3]) {
+    /// For a voxel that is removed. It uncovers only voxels that are no nearer to a sphere than itself, so a sphere that does
+    /// not reach it sees no change.
+    pub fn forget_near(&mut self, position: [f64; 3], spacing: [f64; 3]) {
+        for track in &mut self.items {
+            let reached = track.sphere.is_some_and(|sphere| {
+                let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
+                let distance2 = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
+                // Twice what the search itself is widened by.
+                let reach = sphere.reach + 2.0 * widening(spacing);
+                distance2 <= reach * reach
+            });
+            if reached {
+                track.sphere = None;
+            }
+        }
+    }
+
+    /// For voxels whose spent fractions are now kept elsewhere.
+    pub fn forget_box(&mut self, voxels: &VoxelBox) {
         for track in &mut self.items {
             let VoxelBox { low, high } = track.box_searched;
-            if (0..3).all(|a| (low[a]..=high[a]).contains(&(voxel[a] as i64))) {
+            if (0..3).all(|a| low[a] <= voxels.high[a] && voxels.low[a] <= high[a]) {
                 track.sphere = None;
             }
         }
@@ -91,7 +104,7 @@ impl BoneField {
         if self.lead_out(sphere_index, &sphere, radius_m, out) {
             return;
         }
-        let holds = self.tracks.items.get(sphere_index).is_some_and(|track| track.holds(&sphere, &self.pool));
+        let holds = self.tracks.items.get(sphere_index).is_some_and(|track| track.holds(&sphere));
         if !holds && !self.search(sphere_index, &sphere) {
             self.planes_of_search(sphere_index, &sphere, radius_m, out);
             return;
@@ -109,8 +122,8 @@ impl BoneField {
     }
 
     fn search_into(&self, track: &mut Track, sphere: &Sphere) -> bool {
-        let [hx, hy, hz] = self.geometry.spacing_m;
-        let widened = Sphere { reach: sphere.reach + SLACK_VOXELS * hx.min(hy).min(hz), ..*sphere };
+        let slack_m = SLACK_VOXELS * self.geometry.smallest_spacing_m();
+        let widened = Sphere { reach: sphere.reach + slack_m, ..*sphere };
         let near = &mut track.near;
         near.clear();
         let mut fits = true;
@@ -120,7 +133,6 @@ impl BoneField {
         });
         // Outside the grid nothing ever changes.
         track.box_searched = searched.unwrap_or(NOTHING);
-        track.blocks_used = self.pool.used();
         track.sphere = fits.then_some(widened);
         fits
     }

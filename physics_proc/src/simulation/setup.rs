@@ -2,15 +2,15 @@
 
 use ipc_types::messages::State;
 use ipc_types::scene::{
-    Body, BodyMotion as SceneMotion, Integrator as SceneIntegrator, ManipulatorRung, Removal as SceneRemoval,
-    Scene, Tool,
+    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Integrator as SceneIntegrator,
+    ManipulatorRung, Removal as SceneRemoval, Scene, Tool,
 };
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::tendon_drive::TendonDrive;
 use super::{Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
-use crate::bone::{BoneField, BoneParameters, ContactBuffer, Removal};
+use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, Removal};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
     ManipulatorParameters, Rung,
@@ -232,6 +232,10 @@ fn bone<'v>(
     if let Some(coefficient) = drilling.cutting_coefficient {
         parameters.cutting.cutting_friction = coefficient;
     }
+    parameters.contact = match scene.contact.voxels {
+        Some(SceneContactVoxels::Balls) => ContactKind::VoxelBalls,
+        Some(SceneContactVoxels::Planes) | None => ContactKind::Planes,
+    };
     parameters.removal = match drilling.removal {
         Some(SceneRemoval::Naive) => Removal::Naive,
         Some(SceneRemoval::Capped) => Removal::Capped,
