@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
+use ipc_types::messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, TENDON_MOVE_JP};
+use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use physics_proc::baselines::published::{
     PenaltyContact, hardness_through_integers, penetration_with_absolute_arm_m, spring_that_runs,
@@ -14,6 +16,7 @@ use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
     BaseMotion, Manipulator, ManipulatorParameters, SphereKind, StepInput, TendonCommand, Wrench,
 };
+use physics_proc::simulation::Simulation;
 
 const DT_S: f64 = 1e-3;
 
@@ -118,39 +121,51 @@ fn s2_a_penalty_of_twenty_newtons_a_metre_sinks_and_impulses_do_not() {
     assert!(force > 0.5 && deepest < 10e-6);
 }
 
-#[test]
-fn s3_each_shaft_sphere_answers_for_itself() {
-    let mut m = tool(|p| p.contact.friction_coefficient = 0.0);
+/// A tool at some height whose last shaft sphere alone overlaps by 20 µm with a wall: the shaft's forces in N, with the height
+/// of their points in the world, and the moment on the flange about y, N m.
+fn touched_at_the_shaft(height_m: f64) -> (Vec<(f64, f64)>, f64) {
+    let mut p = ManipulatorParameters { damping_ratio: 1.0, ..ManipulatorParameters::jhu_27() };
+    p.contact.friction_coefficient = 0.0;
+    let base = BaseMotion::at_rest(Isometry3::translation(0.0, 0.0, height_m));
+    let mut m = Manipulator::new(p, &base).unwrap();
     let shaft: Vec<usize> = (0..m.proxy_spheres().len())
         .filter(|i| matches!(m.proxy_spheres()[*i].kind, SphereKind::Shaft))
         .collect();
-    let (first, last) = (shaft[0], shaft[shaft.len() - 1]);
-    let mut planes = Vec::new();
+    let last = shaft[shaft.len() - 1];
     for _ in 0..300 {
-        planes.clear();
-        // 20 um of overlap at the last sphere alone.
         let sphere = m.proxy_spheres()[last];
         let gap_m = sphere.centre_m.x - 20e-6;
         let normal = Unit::new_unchecked(Vector3::x());
-        planes.push(ContactPlane { sphere_index: last, point_m: sphere.centre_m, normal, gap_m });
-        m.step(DT_S, &pull([0.0; 2], &planes)).unwrap();
+        let plane = [ContactPlane { sphere_index: last, point_m: sphere.centre_m, normal, gap_m }];
+        m.step(DT_S, &StepInput { base, ..pull([0.0; 2], &plane) }).unwrap();
     }
-    let at = |sphere: usize| {
-        let own = m.contact_results().iter().filter(|c| c.sphere_index == sphere);
-        own.map(|c| c.normal_force_n).sum::<f64>()
-    };
-    let arm = |sphere: usize| m.proxy_spheres()[sphere].centre_m.z;
+    let forces = shaft.iter().map(|sphere| {
+        let own = m.contact_results().iter().filter(|c| c.sphere_index == *sphere);
+        (own.map(|c| c.normal_force_n).sum::<f64>(), m.proxy_spheres()[*sphere].centre_m.z)
+    });
+    (forces.collect(), m.flange_wrench().torque_nm.y)
+}
+
+#[test]
+fn s3_each_shaft_sphere_answers_for_itself_wherever_the_tool_is() {
+    const UP_M: f64 = 1.0;
+    let (forces, flange_nm) = touched_at_the_shaft(0.0);
+    let (force_n, arm_m) = forces[forces.len() - 1];
+    let (exact_nm, first_n) = (force_n * arm_m, forces[0].0);
     // The published rule: the first cursor's impulse for all six.
-    let published_nm: f64 = shaft.iter().map(|sphere| at(first) * arm(*sphere)).sum();
-    let exact_nm = at(last) * arm(last);
-    let flange_nm = m.flange_wrench().torque_nm.y;
+    let published_nm: f64 = forces.iter().map(|(_, arm_m)| first_n * arm_m).sum();
+    let (up, up_nm) = touched_at_the_shaft(UP_M);
+    // And the point in the world taken for the arm.
+    let published_up_nm = up[up.len() - 1].0 * up[up.len() - 1].1;
     println!(
-        "force {:.3} N: moment {exact_nm:.5}, published {published_nm:.5}, ours {flange_nm:.5} N m",
-        at(last)
+        "force {force_n:.3} N: moment {exact_nm:.5}, published {published_nm:.5}, ours {flange_nm:.5} N m; {UP_M} m up: published {published_up_nm:.3}, ours {up_nm:.5} N m"
     );
-    assert!(at(last) > 0.5 && at(first) == 0.0);
+    assert!(force_n > 0.5 && first_n == 0.0);
     assert!(published_nm.abs() < 0.01 * exact_nm, "it transmits nothing");
-    assert!((flange_nm - exact_nm).abs() < 1e-3 * exact_nm);
+    assert!(published_up_nm > 10.0 * exact_nm, "it twists by where the tool stands");
+    for moment_nm in [flange_nm, up_nm] {
+        assert!((moment_nm - exact_nm).abs() < 1e-3 * exact_nm);
+    }
 }
 
 #[test]
@@ -188,6 +203,54 @@ fn s5_a_tendon_pulls_only_rubs_and_bends_along_its_whole_length() {
     );
     assert!(published.bend_rad().to_degrees() < -40.0, "it pushes");
     assert!(pushed.abs() < 1e-9 && unloading > loading + 5.0 && pair.abs() < 1e-6);
+}
+
+const FREE_TOOL: &str = r#"
+name = "free_tool"
+[run]
+mode = "lockstep"
+duration_s = 3.0
+[tool]
+burr_start_mm = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+[[controller]]
+name = "test"
+drives = ["tendon"]
+external = true
+"#;
+
+/// Pull of tendon 0 after 0.4 s of a motion to 4 mm, m.
+fn pulled_after_0_4_s(dt_ms: f64) -> f64 {
+    let text = FREE_TOOL.replacen("[run]\n", &format!("[run]\ndt_ms = {dt_ms:?}\n"), 1);
+    let scene = Scene::parse(&text, std::path::Path::new("free_tool.toml")).unwrap();
+    let mut simulation = Simulation::new(&scene, None).unwrap();
+    let command = Command {
+        sequence: 1,
+        tendon_mode: TENDON_MOVE_JP,
+        tendon_displacement_m: [4e-3, 0.0, 0.0, 0.0],
+        ..Command::zeroed()
+    };
+    for tick in 0..(400.0 / dt_ms) as u64 {
+        let source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
+        let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
+        latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick, command };
+        simulation.step(&latched).unwrap();
+    }
+    simulation.state().tendon_displacement_m[0]
+}
+
+#[test]
+fn s5_a_tendon_moves_as_fast_whatever_the_step() {
+    let steps_ms = [0.5, 1.0, 2.0];
+    // 0.001 of its units a step toward the goal.
+    let published = steps_ms.map(|dt_ms| (0.4e3 / dt_ms * 0.001f64).min(1.0));
+    let ours = steps_ms.map(pulled_after_0_4_s);
+    println!("after 0.4 s, steps of {steps_ms:?} ms: published {published:?} units, ours {ours:?} m");
+    assert!(published[0] > 3.9 * published[2]);
+    // On the way, and equal: half of the largest step at 5 mm/s is 5 um.
+    assert!(ours[0] > 0.5e-3 && ours[0] < 3.5e-3);
+    assert!(ours.iter().all(|pull| (pull - ours[0]).abs() < 5e-6));
 }
 
 fn slab(hu: &[i16]) -> (GridGeometry, Vec<i16>) {

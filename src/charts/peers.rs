@@ -23,14 +23,17 @@ pub fn scripts(folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     Ok(scripts.into_iter().map(named).collect())
 }
 
-/// Runs a script with the folder of its input, in an environment below it with the packages of `NAME.txt` beside the script;
-/// what it printed, or the last line of what went wrong.
+/// Runs a script in the folder of its input (absolute), which it is given, in an environment below it with the packages of
+/// `NAME.txt` beside the script; what it printed, or the last line of what went wrong.
 ///
 /// # Errors
 /// It cannot be installed or run.
 pub fn run(script: &Path, name: &str, work: &Path) -> Result<String, String> {
+    let script = std::path::absolute(script).map_err(|cause| cause.to_string())?;
+    // Some write logs where they run.
     let call = |program: &Path, arguments: &[&std::ffi::OsStr]| {
-        let output = Command::new(program).args(arguments).output().map_err(|cause| cause.to_string())?;
+        let mut command = Command::new(program);
+        let output = command.args(arguments).current_dir(work).output().map_err(|cause| cause.to_string())?;
         if output.status.success() {
             return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
         }

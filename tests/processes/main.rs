@@ -6,6 +6,7 @@
 
 mod bad_input;
 mod calibrate;
+mod charts;
 mod clients;
 #[allow(dead_code, reason = "other tests share it, too")]
 mod common;

@@ -8,6 +8,7 @@ mod problems;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use plotters::style::RGBColor;
 
@@ -41,7 +42,13 @@ const COLOURS: [RGBColor; 9] = [
     RGBColor(213, 94, 0),
 ];
 
-const PEER_COLOURS: [RGBColor; 3] = [RGBColor(200, 0, 0), RGBColor(120, 60, 0), RGBColor(0, 0, 0)];
+const PEER_COLOURS: [RGBColor; 5] = [
+    RGBColor(200, 0, 0),
+    RGBColor(120, 60, 0),
+    RGBColor(90, 0, 140),
+    RGBColor(0, 110, 60),
+    RGBColor(0, 0, 0),
+];
 
 /// What is measured, and where to.
 #[derive(Debug, Clone)]
@@ -64,17 +71,22 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     let folder = &plan.out;
     std::fs::create_dir_all(folder)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
-    let mut measured = Vec::new();
+    let (all, mut measured) = (Instant::now(), Vec::new());
     for problem in if plan.settings_only { &[][..] } else { &Problem::BEAM[..] } {
+        let began = Instant::now();
         measured.push((*problem, measure_all(*problem, plan.effort)?));
+        took(problem.key(), began);
     }
     let mut peers = Vec::new();
     if let Some(scripts) = &plan.peers {
+        let began = Instant::now();
         peers = peers::measure(scripts, folder, plan.effort)?;
-        peers::compare(&measured, &peers);
+        took("peers", began);
     }
     let save = |rows: &[Row]| write(folder, "physics-plan.csv", &crate::plan::write(rows));
+    let began = Instant::now();
     let (rows, coarse_mm) = candidates::measure(plan.effort, save)?;
+    took("settings and drilled path", began);
     measured.push((Problem::Drilled, drilled_points(&rows)));
     let mut text = csv(&measured);
     // Writing to a String cannot fail.
@@ -84,10 +96,20 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         let (problem, name) = (peer.problem, &peer.name);
         let head = format!("{},{name},{},{}", problem.key(), peer.links, peer.dt_ms);
         let _ = writeln!(text, "{head},{:.3},{},{:.6e}", peer.us_per_ms, problem.axis(), peer.error);
+        if let Some(ratio) = peer.cost_ratio {
+            let _ =
+                writeln!(text, "{head},{:.3},cost over ours at no larger error,{ratio:.3}", peer.us_per_ms);
+        }
     }
     write(folder, "accuracy-physics.csv", &text)?;
     let written = draw(&measured, &peers).and_then(|figure| figure.write(folder, "accuracy-physics"));
-    written.map_err(|cause| Failure::failed(cause.to_string()))
+    written.map_err(|cause| Failure::failed(cause.to_string()))?;
+    took("all", all);
+    Ok(())
+}
+
+fn took(what: &str, began: Instant) {
+    say!("({what}: {:.0} s)", began.elapsed().as_secs_f64());
 }
 
 fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> {

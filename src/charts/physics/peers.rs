@@ -11,6 +11,7 @@ use serde_json::json;
 use super::elastica::elastica;
 use super::problems::{
     BEAM_HZ, DENSITY_KG_PER_M, END_MOMENT_NM, Effort, LENGTH_M, Point, Problem, RIGIDITY_NM2,
+    measure as measure_own,
 };
 use crate::charts::method::Method;
 use crate::charts::peers::{run, scripts};
@@ -18,7 +19,14 @@ use crate::failure::Failure;
 use physics_proc::manipulator::{Integrator, Rung};
 
 /// Who has a place in the figure.
-pub const NAMES: [&str; 3] = ["mujoco", "mujoco_cable", "pyelastica"];
+pub const NAMES: [&str; 5] = ["mujoco", "mujoco_cable", "drake", "pybullet", "pyelastica"];
+/// What the scripts measure.
+const PROBLEMS: [Problem; 3] = [Problem::EndMoment, Problem::TipForce, Problem::Vibration];
+/// Beside which of ours.
+const OURS: [Method; 2] = [
+    Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler),
+    Method::Rung(Rung::Planar, Integrator::Hybrid),
+];
 
 /// A peer's point.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,6 +43,8 @@ pub struct Peer {
     pub us_per_ms: f64,
     /// In the problem's unit; the worst load of `tip_force`.
     pub error: f64,
+    /// Its cost over that of our cheapest planar setting of no larger error, if there is one; timed before and after the peer.
+    pub cost_ratio: Option<f64>,
 }
 
 /// Runs every script; one that cannot be installed or run is told of, and no failure.
@@ -58,25 +68,42 @@ pub fn measure(folder: &Path, out: &Path, effort: Effort) -> Result<Vec<Peer>, F
         "dt_ms": [0.1, 0.05],
     });
     std::fs::write(work.join("beam.json"), beam.to_string()).map_err(failed)?;
-    let mut peers = Vec::new();
+    let mut all = Vec::new();
     for (name, script) in scripts(folder)? {
+        let (before, mut peers) = (ours(effort)?, Vec::new());
         match run(&script, &name, &work) {
             Err(reason) => say!("peer {name}: not measured ({reason})"),
             Ok(printed) => printed.lines().for_each(|line| collect(line, &mut peers)),
         }
+        if peers.is_empty() {
+            continue;
+        }
+        let own = between(before, &ours(effort)?);
+        peers.iter_mut().for_each(|peer| compare(peer, &own));
+        all.append(&mut peers);
     }
-    for peer in &peers {
-        say!(
-            "{:<11} {:<19} {:>2} links, dt {:>7} ms: {:>9.2} us/ms, error {:.4}",
-            peer.problem.key(),
-            peer.name,
-            peer.links,
-            peer.dt_ms,
-            peer.us_per_ms,
-            peer.error
-        );
+    Ok(all)
+}
+
+/// The planar rung on the problems of the scripts.
+fn ours(effort: Effort) -> Result<Vec<(Problem, Point)>, Failure> {
+    let mut points = Vec::new();
+    for problem in PROBLEMS {
+        for method in OURS {
+            let own = measure_own(problem, method, effort);
+            let own = own.map_err(|cause| Failure::failed(cause.to_string()))?;
+            points.extend(own.into_iter().map(|point| (problem, point)));
+        }
     }
-    Ok(peers)
+    Ok(points)
+}
+
+/// The same points, each with the mean of its two costs.
+fn between(mut before: Vec<(Problem, Point)>, after: &[(Problem, Point)]) -> Vec<(Problem, Point)> {
+    for ((_, first), (_, second)) in before.iter_mut().zip(after) {
+        first.us_per_ms = 0.5 * (first.us_per_ms + second.us_per_ms);
+    }
+    before
 }
 
 /// Adds a printed line; the loads of one setting become one point. Lines that are none are left out.
@@ -96,7 +123,8 @@ fn collect(line: &str, peers: &mut Vec<Peer>) {
         "vibration" => (Problem::Vibration, (x / BEAM_HZ - 1.0).abs() * 100.0),
         _ => return,
     };
-    let point = Peer { problem, name: (*name).to_owned(), links: links as usize, dt_ms, us_per_ms, error };
+    let name = (*name).to_owned();
+    let point = Peer { problem, name, links: links as usize, dt_ms, us_per_ms, error, cost_ratio: None };
     let same = |other: &&mut Peer| Peer { us_per_ms, error, ..(*other).clone() } == point;
     match peers.iter_mut().find(same) {
         // What is not a number is the worst, and stays.
@@ -106,42 +134,36 @@ fn collect(line: &str, peers: &mut Vec<Peer>) {
     }
 }
 
-/// Prints what a peer costs over what the planar rung costs at an error no larger.
-pub fn compare(measured: &[(Problem, Vec<Point>)], peers: &[Peer]) {
-    for (problem, points) in measured {
-        let planar = |point: &&Point| {
-            matches!(
-                point.method,
-                Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler | Integrator::Hybrid)
-            )
-        };
-        for peer in peers.iter().filter(|peer| peer.problem == *problem && peer.error.is_finite()) {
-            // Two programs that solve the same equations differ by rounding.
-            let as_good = points.iter().filter(planar).filter(|point| point.error <= peer.error * 1.01);
-            match as_good.min_by(|a, b| a.us_per_ms.total_cmp(&b.us_per_ms)) {
-                Some(own) => say!(
-                    "{:<11} {} with {} links at {} ms costs {:.2} times our {} with {} at {} ms, at an error no larger ({:.4}, ours {:.4})",
-                    problem.key(),
-                    peer.name,
-                    peer.links,
-                    peer.dt_ms,
-                    peer.us_per_ms / own.us_per_ms,
-                    own.method.name(),
-                    own.links,
-                    own.dt_ms,
-                    peer.error,
-                    own.error
-                ),
-                None => say!(
-                    "{:<11} {} with {} links at {} ms: none of ours is as good ({:.4})",
-                    problem.key(),
-                    peer.name,
-                    peer.links,
-                    peer.dt_ms,
-                    peer.error
-                ),
-            }
-        }
+/// Prints a peer's point, and beside it the cheapest of ours with no larger error.
+fn compare(peer: &mut Peer, own: &[(Problem, Point)]) {
+    let head = format!(
+        "{:<11} {:<19} {:>2} links, dt {:>7} ms: {:>9.2} us/ms, error {:.4}",
+        peer.problem.key(),
+        peer.name,
+        peer.links,
+        peer.dt_ms,
+        peer.us_per_ms,
+        peer.error
+    );
+    // Euler's own damping hides its frequency: what swings is compared with what keeps its swing.
+    let comparable = |problem: Problem, method: Method| problem != Problem::Vibration || method == OURS[1];
+    // Two programs that solve the same equations differ by rounding.
+    let as_good = own
+        .iter()
+        .filter(|(problem, own)| *problem == peer.problem && comparable(*problem, own.method))
+        .filter(|(_, own)| own.error <= peer.error * 1.01);
+    let best = as_good.map(|(_, own)| own).min_by(|a, b| a.us_per_ms.total_cmp(&b.us_per_ms));
+    peer.cost_ratio = best.map(|own| peer.us_per_ms / own.us_per_ms);
+    match (best, peer.cost_ratio) {
+        (Some(own), Some(ratio)) => say!(
+            "{head}; {ratio:.2} times our {} with {} links at {} ms, error {:.4}",
+            own.method.name(),
+            own.links,
+            own.dt_ms,
+            own.error
+        ),
+        _ if peer.error.is_finite() => say!("{head}; none of ours is as good"),
+        _ => say!("{head}; lost"),
     }
 }
 

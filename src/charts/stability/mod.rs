@@ -1,4 +1,4 @@
-//! `trabecula chart stability`: every method over stiffness, mass, step and eight hard cases.
+//! `trabecula chart stability`: every method over stiffness, mass, step and nine hard cases.
 
 mod cases;
 mod figure;
@@ -26,8 +26,10 @@ pub const MASS: [f64; 3] = [1.0, 0.1, 0.01];
 pub const DT_MS: [f64; 5] = [0.5, 1.0, 2.0, 5.0, 10.0];
 /// A tip within this of the converged one has converged, m.
 const TOLERANCE_M: f64 = 0.2e-3;
-/// Step of the converged solutions, ms.
+/// Largest step of the converged solutions, ms.
 const REFERENCE_DT_MS: f64 = 0.25;
+/// One radian of the first mode of the tool (26 Hz), ms.
+const FIRST_MODE_MS: f64 = 6.0;
 
 /// Time between two lines of progress.
 const SAY_EVERY: Duration = Duration::from_secs(5);
@@ -108,6 +110,11 @@ fn reference_of(method: Method) -> Method {
     }
 }
 
+/// Within a radian of the first mode, whose frequency goes with the root of stiffness over mass.
+fn reference_dt_ms(stiffness: f64, mass: f64) -> f64 {
+    REFERENCE_DT_MS.min(FIRST_MODE_MS / (stiffness / mass).sqrt())
+}
+
 /// A run to make: method, case, factor of stiffness, factor of mass, step in ms.
 type Job = (Method, Case, f64, f64, f64);
 
@@ -143,7 +150,7 @@ fn measure(quick: bool, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorError>
         for case in Case::ALL {
             for &stiffness in &pick(&STIFFNESS) {
                 for &mass in &pick(&MASS) {
-                    let own = (reference_of(method), case, stiffness, mass, REFERENCE_DT_MS);
+                    let own = (reference_of(method), case, stiffness, mass, reference_dt_ms(stiffness, mass));
                     if !references.contains(&own) {
                         references.push(own);
                     }
@@ -168,7 +175,7 @@ fn measure(quick: bool, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorError>
     jobs.par_iter()
         .filter_map(|job| {
             let (method, case, stiffness, mass, dt_ms) = *job;
-            let own = (reference_of(method), case, stiffness, mass, REFERENCE_DT_MS);
+            let own = (reference_of(method), case, stiffness, mass, reference_dt_ms(stiffness, mass));
             let (_, converged) = converged.iter().find(|(other, _)| *other == own)?;
             let cell = |ending: Ending| {
                 let off_m = (ending.tip_m - converged).norm();
@@ -191,21 +198,36 @@ fn verdict(ending: &Ending, off_m: f64) -> Verdict {
     }
 }
 
+/// The cases that are claimed, and where the one that is not is right.
 fn print_counts(cells: &[Cell]) {
-    say!("{:<20} {:>9} {:>6} {:>6} {:>12}", "method", "converged", "wrong", "blown", "energy grew");
+    let head = ["method", "converged", "wrong", "blown", "energy grew", "2.3 x Euler's load"];
+    say!("{:<20} {:>9} {:>6} {:>6} {:>12}  {}", head[0], head[1], head[2], head[3], head[4], head[5]);
     for method in Method::WITH_PROXIES {
-        let own: Vec<&Cell> = cells.iter().filter(|cell| cell.method == method).collect();
+        let (own, far): (Vec<&Cell>, Vec<&Cell>) =
+            cells.iter().filter(|cell| cell.method == method).partition(|cell| cell.case.is_claimed());
         let count = |verdict| own.iter().filter(|cell| cell.verdict == verdict).count();
         let grew = own.iter().filter(|cell| cell.energy_grew).count();
         say!(
-            "{:<20} {:>9} {:>6} {:>6} {:>12}",
+            "{:<20} {:>9} {:>6} {:>6} {:>12}  {}",
             method.name(),
             count(Verdict::Converged),
             count(Verdict::Wrong),
             count(Verdict::Blown),
-            grew
+            grew,
+            right_steps(&far)
         );
     }
+}
+
+/// How many are right, and up to which step, in radians of the first mode, all are.
+fn right_steps(cells: &[&Cell]) -> String {
+    let angle = |cell: &Cell| cell.dt_ms / FIRST_MODE_MS * (cell.stiffness / cell.mass).sqrt();
+    let right = cells.iter().filter(|cell| cell.verdict == Verdict::Converged).count();
+    let wrong = cells.iter().filter(|cell| cell.verdict != Verdict::Converged);
+    let least = wrong.map(|cell| angle(cell)).fold(f64::INFINITY, f64::min);
+    // Steps as long as that one, but for rounding, are not below it.
+    let below = cells.iter().map(|cell| angle(cell)).filter(|own| *own < 0.999 * least).fold(0.0, f64::max);
+    format!("{right} of {} right, all up to {below:.1} rad a step", cells.len())
 }
 
 fn csv(cells: &[Cell]) -> String {
@@ -239,6 +261,7 @@ mod tests {
             (Case::TensionStep, 1.0, 1.0, 1.0),
             (Case::StiffWall, 100.0, 0.1, 5.0),
             (Case::FarAnatomy, 1.0, 1.0, 1.0),
+            (Case::Buckling, 100.0, 0.01, 10.0),
         ] {
             let p = tool(stiffness, mass);
             let play =
