@@ -2,6 +2,7 @@
 
 pub mod drr;
 mod drr_layers;
+mod growth;
 pub mod latency;
 pub mod log;
 pub mod machine;

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Subcommand;
+use ipc_types::scene::Policy;
 
-use super::run::DEFAULT_SCENE;
+use super::run::{DEFAULT_SCENE, PolicyArgument};
 use crate::bench::ping_pong::Wait;
 use crate::bench::{drr, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer};
 use crate::failure::Failure;
@@ -112,14 +113,17 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
     },
-    /// A long run in real time with frames: misses, memory of each process, log verified and replayed.
+    /// A long run in real time with frames: misses by cause, memory of each process over time, log verified by replay.
     Soak {
-        /// Scene.
+        /// Scene; a feed is slowed so that it drills all the time.
         #[arg(default_value = DEFAULT_SCENE)]
         scene: PathBuf,
         /// Minutes, up to 60.
         #[arg(long, default_value_t = 10.0)]
         minutes: f64,
+        /// How the scheduler treats physics and controllers, instead of what the scene says.
+        #[arg(long, value_enum)]
+        policy: Option<PolicyArgument>,
         /// Folder that keeps the logs; without it they are removed.
         #[arg(long)]
         output: Option<PathBuf>,
@@ -169,9 +173,9 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             in_range("--seconds", *seconds, 1.0, 3600.0)?;
             viewer::run(scene, *seconds, *rounds as usize)
         }
-        BenchCommand::Soak { scene, minutes, output } => {
+        BenchCommand::Soak { scene, minutes, policy, output } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;
-            soak::run(scene, *minutes, output.as_deref())
+            soak::run(scene, *minutes, policy.map(Policy::from), output.as_deref())
         }
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }
