@@ -83,15 +83,16 @@ pub fn end_with_parent() {
     let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
 }
 
-/// Has the kernel do the same to a program that is not ours, and keeps the terminal's Ctrl-C from it: the launcher
-/// ends its parts in order.
+/// Has the kernel do the same to a program that is not ours, and makes it a session of its own: that keeps the terminal's
+/// Ctrl-C from it, as the launcher ends its parts in order, and the kernel then shares cores between it and all else
+/// ([`prioritise`]).
 pub fn bind_to_parent(command: &mut Command) -> &mut Command {
-    command.process_group(0);
-    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes one
-    // system call (prctl), allocates nothing and takes no lock.
+    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes two
+    // system calls (prctl, setsid), allocates nothing and takes no lock.
     unsafe {
         command.pre_exec(|| {
             end_with_parent();
+            rustix::process::setsid()?;
             Ok(())
         })
     }
@@ -144,10 +145,17 @@ const SHORTEST_SLICE_NS: u64 = 100_000;
 /// Gives this thread, and those that it starts from now on, the priority of a role, or what the system permits of it:
 /// more weight than others needs a right (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), less does not. Returns what
 /// it has got.
+///
+/// Linux shares a core between sessions first and between the threads of one only then (autogroup, sched(7)): a process
+/// that leads a session of its own gives that the same nice value, which else would count among its own threads only.
 pub fn prioritise(role: Role, policy: Policy) -> Priority {
     let wanted = role.priority(policy);
     let own = |nice: i32| rustix::process::setpriority_process(None, nice).is_ok();
     let nice = if own(wanted.nice) { wanted.nice } else { 0 };
+    if rustix::process::getsid(None).is_ok_and(|leader| leader == rustix::process::getpid()) {
+        // Kernels without autogroups have no such file, and need none.
+        let _ = std::fs::write("/proc/self/autogroup", nice.to_string());
+    }
     let slice_ns = wanted.slice_ns.filter(|slice_ns| set_slice(*slice_ns, nice).is_ok());
     let fifo = wanted.fifo.filter(|priority| set_fifo(*priority).is_ok());
     Priority { fifo, nice, slice_ns }

@@ -6,6 +6,7 @@
 //! mantissas. The images are noise, 512 × 512 at 15 Hz, the worst case for a compressor.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a measurement, not a part of the product")]
 
+use fastrand::Rng;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -65,7 +66,7 @@ fn write(path: &std::path::Path, seconds: u64, with_images: bool) -> (f64, Vec<f
         build: BuildInfo::current(),
     };
     let mut log = RunLog::create_file(path, &header).expect("the folder is writable");
-    let mut random = Random(1);
+    let mut random = Rng::with_seed(1);
     let mut total_s = 0.0;
     let mut tick_us = Vec::new();
     for tick in 0..=seconds * 1000 {
@@ -88,53 +89,40 @@ fn write(path: &std::path::Path, seconds: u64, with_images: bool) -> (f64, Vec<f
     (total_s + began.elapsed().as_secs_f64(), tick_us)
 }
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn word(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// A number below 0.1 m, rad or N with a random mantissa.
-    fn fill(&mut self, values: &mut [f64]) {
-        values.iter_mut().for_each(|value| *value = (self.word() >> 11) as f64 * (0.1 / (1u64 << 53) as f64));
-    }
+/// Numbers below 0.1 m, rad or N with random mantissas.
+fn fill(values: &mut [f64], random: &mut Rng) {
+    values.iter_mut().for_each(|value| *value = 0.1 * random.f64());
 }
 
-fn messages(tick: u64, random: &mut Random) -> (Latched, State) {
+fn messages(tick: u64, random: &mut Rng) -> (Latched, State) {
     let mut state = State::zeroed();
     (state.tick, state.joint_count, state.contact_count) = (tick, 27, 10);
-    state.hash = [random.word(), random.word()];
-    random.fill(&mut state.joint_position_rad[..27]);
-    random.fill(&mut state.joint_velocity_rad_per_s[..27]);
+    state.hash = [random.u64(..), random.u64(..)];
+    fill(&mut state.joint_position_rad[..27], random);
+    fill(&mut state.joint_velocity_rad_per_s[..27], random);
     for pose in &mut state.t_world_link[..27] {
-        random.fill(&mut pose.position_m);
-        random.fill(&mut pose.orientation_xyzw);
+        fill(&mut pose.position_m, random);
+        fill(&mut pose.orientation_xyzw, random);
     }
     for contact in &mut state.contacts[..10] {
-        random.fill(&mut contact.point_m);
-        random.fill(&mut contact.normal);
-        random.fill(&mut contact.friction_force_n);
+        fill(&mut contact.point_m, random);
+        fill(&mut contact.normal, random);
+        fill(&mut contact.friction_force_n, random);
     }
     let mut latched = Latched::zeroed();
     (latched.tick, latched.controller_count) = (tick.saturating_sub(1), 2);
     for entry in &mut latched.commands[..2] {
         entry.command.sequence = tick;
-        random.fill(&mut entry.command.tendon_force_n[..2]);
-        random.fill(&mut entry.command.arm_joint_position_rad);
+        fill(&mut entry.command.tendon_force_n[..2], random);
+        fill(&mut entry.command.arm_joint_position_rad, random);
     }
     (latched, state)
 }
 
-fn frame(tick: u64, random: &mut Random) -> Vec<u8> {
+fn frame(tick: u64, random: &mut Rng) -> Vec<u8> {
     let mut frame = Frame::zeroed();
     (frame.sequence, frame.tick) = (tick / TICKS_PER_FRAME + 1, tick);
     let prefix = ImagePrefix::mono16(SIDE, SIDE, tick as f64 * 1e-3);
-    let pixels: Vec<u64> = (0..SIDE * SIDE / 4).map(|_| random.word() & 0x0fff_0fff_0fff_0fff).collect();
+    let pixels: Vec<u64> = (0..SIDE * SIDE / 4).map(|_| random.u64(..) & 0x0fff_0fff_0fff_0fff).collect();
     [frame.as_bytes(), prefix.as_bytes(), pixels.as_bytes()].concat()
 }

@@ -174,6 +174,9 @@ pub struct Misses {
     pub by_cause: [u64; 7],
     /// Lost time of all misses.
     pub lost: LostTime,
+    /// What the machine's own counter (`/proc/stat`, in steps of 10 ms) says was stolen from the core of a late tick in
+    /// the up to 100 ms before it, over all misses: the check of what is called stolen here.
+    pub steal_counter_ns: u64,
     /// Ticks in which a controller's command was late. No time is lost to it in real time: its last command holds.
     pub late_controller_ticks: u64,
 }
@@ -187,6 +190,7 @@ impl Misses {
             self.missed += 1;
             self.by_cause[lost.main_cause() as usize] += 1;
             self.lost.add(&lost);
+            self.steal_counter_ns = self.steal_counter_ns.saturating_add(timing.stolen_ns);
         }
     }
 
@@ -195,6 +199,13 @@ impl Misses {
         let total_ns = self.lost.total_ns();
         let named_ns = total_ns - self.lost.of(Cause::Unknown).min(total_ns);
         (total_ns > 0).then(|| named_ns as f64 / total_ns as f64)
+    }
+
+    /// The same if only so much is called stolen as the machine's own counter shows.
+    pub fn confirmed_share(&self) -> Option<f64> {
+        let (total_ns, stolen_ns) = (self.lost.total_ns(), self.lost.of(Cause::Stolen));
+        let doubted_ns = stolen_ns.saturating_sub(self.steal_counter_ns);
+        self.explained_share().map(|share| (share - doubted_ns as f64 / total_ns as f64).max(0.0))
     }
 
     /// Misses that no hypervisor caused.
@@ -299,6 +310,20 @@ mod tests {
             "2 missed (66.67 %): 1 own computation, 1 stolen; 4.0 ms lost, 100.0 % explained"
         );
         assert_eq!((misses.not_stolen(), misses.late_controller_ticks), (1, 1));
+    }
+
+    #[test]
+    fn what_is_called_stolen_is_held_against_the_machines_counter() {
+        let mut misses = Misses::default();
+        assert_eq!(misses.confirmed_share(), None);
+        misses.add(&missed(30, -1));
+        misses.add(&TickTiming { run_queue_wait_ns: 10 * MS, ..missed(10, -1) });
+        // 30 of 40 ms are called stolen, and the counter shows nothing: a quarter is sure.
+        assert_eq!((misses.explained_share(), misses.confirmed_share()), (Some(1.0), Some(0.25)));
+        misses.add(&TickTiming { stolen_ns: 20 * MS, ..missed(0, -1) });
+        assert_eq!(misses.confirmed_share(), Some(0.75));
+        misses.add(&TickTiming { stolen_ns: 90 * MS, ..missed(0, -1) });
+        assert_eq!(misses.confirmed_share(), Some(1.0));
     }
 
     proptest! {

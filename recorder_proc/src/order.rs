@@ -135,4 +135,21 @@ mod tests {
         let ticks: Vec<_> = out.iter().map(tick).collect();
         assert_eq!(ticks, [("state", 0), ("latched", 0), ("state", 1), ("latched", 1)]);
     }
+
+    /// A recorder that was stopped for two seconds found one queue full, took it whole, and wrote states without their
+    /// commands when more than 1024 waited: a gap that no reader passes.
+    #[test]
+    fn a_whole_queue_of_states_waits_for_its_commands() {
+        let mut order = TickOrder::default();
+        let ticks = STATE.lossless_length as u64;
+        (0..=ticks).for_each(|tick| order.state(&State { tick, ..State::zeroed() }));
+        assert_eq!(order.next(false).len(), 1, "the first state has none");
+        assert!(order.next(false).is_empty(), "its commands come later");
+        for tick in 0..ticks {
+            order.latched(&Latched { tick, ..Latched::zeroed() });
+            let next = order.next(false);
+            let pair = matches!(&next[..], [Ordered::Latched(l), Ordered::State(s)] if l.tick == tick && s.tick == tick + 1);
+            assert!(pair, "tick {tick}: {} messages", next.len());
+        }
+    }
 }

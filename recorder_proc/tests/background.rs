@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
+use fastrand::Rng;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
@@ -27,16 +28,16 @@ fn any_pieces_and_flushes_leave_the_same_bytes() {
     for folder in folders() {
         for (round, direct) in (0..6).flat_map(|round| [(round, true), (round, false)]) {
             let path = folder.path().join("file");
-            let mut random = Random(round);
+            let mut random = Rng::with_seed(round);
             let options = BackgroundOptions { direct, ..SMALL };
             let mut file = BackgroundFile::create(&path, options).unwrap();
             let mut wanted = Vec::new();
             for _ in 0..200 {
-                let most = [3, 700, 9000, 30_000][random.below(4)];
-                let piece: Vec<u8> = (0..random.below(most)).map(|_| random.word() as u8 | 1).collect();
+                let most = [3, 700, 9000, 30_000][random.usize(..4)];
+                let piece: Vec<u8> = (0..random.usize(..most)).map(|_| random.u8(..) | 1).collect();
                 file.write_all(&piece).unwrap();
                 wanted.extend_from_slice(&piece);
-                if random.below(3) == 0 {
+                if random.usize(..3) == 0 {
                     file.flush().unwrap();
                 }
             }

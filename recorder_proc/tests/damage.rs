@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
+use fastrand::Rng;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
@@ -29,8 +30,8 @@ fn chunk_ends(bytes: &[u8]) -> Vec<(usize, u64)> {
 fn a_log_cut_anywhere_reads_up_to_the_last_complete_tick() {
     let bytes = write_log(&run_messages(1000, None));
     let ends = chunk_ends(&bytes);
-    let mut random = Random(1);
-    let mut cuts: Vec<usize> = (0..300).map(|_| random.below(bytes.len())).collect();
+    let mut random = Rng::with_seed(1);
+    let mut cuts: Vec<usize> = (0..300).map(|_| random.usize(..bytes.len())).collect();
     cuts.extend(ends.iter().flat_map(|(end, _)| [end - 1, *end, end + 1]));
     cuts.extend(bytes.len() - 60..bytes.len());
     let (mut readable, mut complete) = (0, 0);
@@ -162,12 +163,12 @@ fn flipped_bytes_never_panic_and_never_pass() {
         let footer = bytes.len() - 8 - 20;
         u64::from_le_bytes(bytes[footer..footer + 8].try_into().unwrap()) as usize
     };
-    let mut random = Random(5);
+    let mut random = Rng::with_seed(5);
     let (mut refused, mut stopped, mut harmless) = (0, 0, 0);
     for _ in 0..2500 {
         let mut changed = bytes.clone();
-        let at = random.below(changed.len());
-        changed[at] ^= 1 << random.below(8);
+        let at = random.usize(..changed.len());
+        changed[at] ^= 1 << random.usize(..8);
         let mut reader = match open_bytes(&changed) {
             Ok(reader) => reader,
             Err(_) => {
@@ -204,20 +205,20 @@ fn flipped_bytes_never_panic_and_never_pass() {
 #[test]
 fn garbage_never_panics() {
     let bytes = write_log(&run_messages(120, None));
-    let mut random = Random(9);
+    let mut random = Rng::with_seed(9);
     for round in 0..1500 {
         let mut changed = bytes.clone();
-        for _ in 0..1 + random.below(6) {
-            let at = random.below(changed.len());
-            match random.below(5) {
-                0 => changed[at] = random.word() as u8,
+        for _ in 0..1 + random.usize(..6) {
+            let at = random.usize(..changed.len());
+            match random.usize(..5) {
+                0 => changed[at] = random.u8(..),
                 1 => changed.truncate(at.max(1)),
                 2 => {
-                    let until = (at + 1 + random.below(40)).min(changed.len());
+                    let until = (at + 1 + random.usize(..40)).min(changed.len());
                     changed.drain(at..until);
                 }
                 3 => {
-                    let noise: Vec<u8> = (0..random.below(40)).map(|_| random.word() as u8).collect();
+                    let noise: Vec<u8> = (0..random.usize(..40)).map(|_| random.u8(..)).collect();
                     changed.splice(at..at, noise);
                 }
                 _ => {
@@ -234,8 +235,8 @@ fn garbage_never_panics() {
         }
     }
     for round in 0..500 {
-        let mut noise = bytes[..9 + random.below(3000)].to_vec();
-        noise.extend((0..2000).map(|_| random.word() as u8 >> (round % 8)));
+        let mut noise = bytes[..9 + random.usize(..3000)].to_vec();
+        noise.extend((0..2000).map(|_| random.u8(..) >> (round % 8)));
         if let Ok(reader) = open_bytes(&noise) {
             let _ = reader.count();
         }

@@ -3,6 +3,7 @@
 
 mod common;
 use common::*;
+use fastrand::Rng;
 use ipc_types::layout::hex;
 use proptest::prelude::*;
 use recorder_proc::{ReadOptions, diff};
@@ -88,9 +89,9 @@ fn delayed(steps: &[Step], mut ticks: impl FnMut() -> u64) -> Vec<Step> {
 fn the_speed_of_the_renderer_does_not_matter() {
     let steps = run_messages(2000, None);
     let prompt = write_log(&steps);
-    let mut random = common::Random(8);
+    let mut random = Rng::with_seed(8);
     for most in [1, 40, 299] {
-        let slow = delayed(&steps, || random.word() % most);
+        let slow = delayed(&steps, || random.u64(..) % most);
         assert_eq!(digest(&prompt), digest(&write_log(&slow)), "up to {most} ticks late");
     }
     let late = write_log(&delayed(&steps, || 700));

@@ -6,37 +6,38 @@ mod common;
 mod targets;
 
 use common::*;
+use fastrand::Rng;
 
 /// Numbers at which readers go wrong.
 const EDGES: [u64; 8] = [0, 1, 0xff, 0x7fff_ffff, 0xffff_ffff, 1 << 40, u64::MAX - 8, u64::MAX];
 
-fn mutate(seed: &[u8], random: &mut Random) -> Vec<u8> {
+fn mutate(seed: &[u8], random: &mut Rng) -> Vec<u8> {
     let mut data = seed.to_vec();
-    for _ in 0..1 + random.below(8) {
+    for _ in 0..1 + random.usize(..8) {
         if data.is_empty() {
-            data.push(random.word() as u8);
+            data.push(random.u8(..));
         }
-        let at = random.below(data.len());
-        match random.below(7) {
-            0 => data[at] ^= 1 << random.below(8),
-            1 => data[at] = random.word() as u8,
+        let at = random.usize(..data.len());
+        match random.usize(..7) {
+            0 => data[at] ^= 1 << random.usize(..8),
+            1 => data[at] = random.u8(..),
             2 => data.truncate(at),
             3 => {
-                let end = (at + random.below(64)).min(data.len());
+                let end = (at + random.usize(..64)).min(data.len());
                 data.drain(at..end);
             }
             4 => {
-                let from = random.below(data.len());
-                let piece = data[from..(from + random.below(200)).min(data.len())].to_vec();
+                let from = random.usize(..data.len());
+                let piece = data[from..(from + random.usize(..200)).min(data.len())].to_vec();
                 data.splice(at..at, piece);
             }
             5 => {
-                let width = [1, 2, 4, 8][random.below(4)].min(data.len() - at);
-                let edge = EDGES[random.below(EDGES.len())].to_le_bytes();
+                let width = [1, 2, 4, 8][random.usize(..4)].min(data.len() - at);
+                let edge = EDGES[random.usize(..EDGES.len())].to_le_bytes();
                 data[at..at + width].copy_from_slice(&edge[..width]);
             }
             _ => {
-                let noise: Vec<u8> = (0..random.below(16)).map(|_| random.word() as u8).collect();
+                let noise: Vec<u8> = (0..random.usize(..16)).map(|_| random.u8(..)).collect();
                 data.splice(at..at, noise);
             }
         }
@@ -45,10 +46,10 @@ fn mutate(seed: &[u8], random: &mut Random) -> Vec<u8> {
 }
 
 fn run(target: fn(&[u8]), corpus: &[Vec<u8>], executions: usize, seed: u64) {
-    let mut random = Random(seed);
+    let mut random = Rng::with_seed(seed);
     corpus.iter().for_each(|data| target(data));
     for _ in 0..executions {
-        let data = mutate(&corpus[random.below(corpus.len())], &mut random);
+        let data = mutate(&corpus[random.usize(..corpus.len())], &mut random);
         target(&data);
     }
 }

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
+use fastrand::Rng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
@@ -41,8 +42,8 @@ fn expected(description: &'static Description, bytes: &[u8], prefix: &str, out: 
 }
 
 /// A state with other bits in every field. Exponents stay below the one of infinity and NaN.
-fn random_state(random: &mut Random, tick: u64, removed: u32) -> State {
-    let words: Vec<u64> = (0..State::DESCRIPTION.size / 8).map(|_| random.word() & !(1 << 62)).collect();
+fn random_state(random: &mut Rng, tick: u64, removed: u32) -> State {
+    let words: Vec<u64> = (0..State::DESCRIPTION.size / 8).map(|_| random.u64(..) & !(1 << 62)).collect();
     let mut state = State::read_from_bytes(words.as_bytes()).unwrap();
     (state.tick, state.removed_in_tick) = (tick, removed);
     state
@@ -61,11 +62,11 @@ fn python_decodes_every_field_of_states_removals_and_images() {
             return;
         }
     };
-    let mut random = Random(3);
+    let mut random = Rng::with_seed(3);
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let mut wanted = BTreeSet::new();
     for tick in 0..4u64 {
-        let voxels: Vec<u32> = (0..tick).map(|_| random.word() as u32).collect();
+        let voxels: Vec<u32> = (0..tick).map(|_| random.u64(..) as u32).collect();
         let mut state = random_state(&mut random, tick, voxels.len() as u32);
         state.removed_total = tick << 40;
         if tick > 0 {

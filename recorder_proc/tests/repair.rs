@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
+use fastrand::Rng;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -61,10 +62,10 @@ fn a_cut_log_is_whole_after_its_repair() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = write_log(&run_messages(600, Some(333)));
     let all = messages(&bytes);
-    let mut random = Random(21);
+    let mut random = Rng::with_seed(21);
     let mut repaired_count = 0;
     for round in 0..120 {
-        let cut = if round == 0 { bytes.len() - 1 } else { random.below(bytes.len()) };
+        let cut = if round == 0 { bytes.len() - 1 } else { random.usize(..bytes.len()) };
         let Ok(mut reader) = open_bytes(&bytes[..cut]) else {
             // Without its first state a log may still have a header; without that it is none.
             match repaired(folder.path(), &bytes[..cut]) {
@@ -169,23 +170,23 @@ fn any_damage_is_repaired_or_refused() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = write_log(&run_messages(150, None));
     let all = messages(&bytes);
-    let mut random = Random(77);
+    let mut random = Rng::with_seed(77);
     let (mut refused, mut kept_all) = (0, 0);
     for _ in 0..400 {
         let mut changed = bytes.clone();
-        for _ in 0..1 + random.below(4) {
-            let at = random.below(changed.len());
-            match random.below(4) {
-                0 => changed[at] ^= 1 << random.below(8),
+        for _ in 0..1 + random.usize(..4) {
+            let at = random.usize(..changed.len());
+            match random.usize(..4) {
+                0 => changed[at] ^= 1 << random.usize(..8),
                 1 => {
-                    let end = (at + random.below(60)).min(changed.len());
+                    let end = (at + random.usize(..60)).min(changed.len());
                     changed.drain(at..end);
                 }
                 2 => {
-                    let noise: Vec<u8> = (0..random.below(60)).map(|_| random.word() as u8).collect();
+                    let noise: Vec<u8> = (0..random.usize(..60)).map(|_| random.u8(..)).collect();
                     changed.splice(at..at, noise);
                 }
-                _ => changed.truncate(changed.len() - random.below(60)),
+                _ => changed.truncate(changed.len() - random.usize(..60)),
             }
         }
         let found = match repaired(folder.path(), &changed) {
@@ -219,7 +220,7 @@ fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
         let footer = bytes.len() - 8 - 20;
         u64::from_le_bytes(bytes[footer..footer + 8].try_into().unwrap()) as usize
     };
-    let mut random = Random(4);
+    let mut random = Rng::with_seed(4);
     let read = |changed: &[u8], what: &str| {
         let Ok(mut reader) = open_bytes(changed) else { return false };
         let mut error = None;
@@ -237,15 +238,15 @@ fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
         told
     };
     for _ in 0..1000 {
-        let cut = random.below(bytes.len());
+        let cut = random.usize(..bytes.len());
         let what = format!("cut at {cut}");
         let opened = open_bytes(&bytes[..cut]).is_ok();
         assert_eq!(read(&bytes[..cut], &what), opened, "{what}: a cut is always told");
     }
     for _ in 0..1000 {
-        let at = random.below(bytes.len());
+        let at = random.usize(..bytes.len());
         let mut changed = bytes.clone();
-        changed[at] ^= 1 << random.below(8);
+        changed[at] ^= 1 << random.usize(..8);
         let opened = open_bytes(&changed).is_ok();
         let told = read(&changed, &format!("byte {at} flipped"));
         assert!(told || !opened || at >= summary_start, "byte {at}");

@@ -2,6 +2,7 @@
 
 pub mod drr;
 mod drr_layers;
+mod growth;
 pub mod instructions;
 pub mod latency;
 pub mod log;

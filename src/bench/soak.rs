@@ -3,88 +3,263 @@
 use std::path::Path;
 use std::time::Instant;
 
-use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Scene};
+use ipc_types::messages::PHASE_RUNNING;
+use ipc_types::process::{EndRequest, Role, prioritise};
+use ipc_types::scene::{Mode, Policy, Scene};
 use recorder_proc::{MessageStream, ReadOptions, frames};
 
+use super::growth::{Course, Growth};
 use super::machine::Machine;
-use super::{complete_run, failed, log, row};
-use crate::failure::Failure;
+use super::{failed, log, row};
+use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
-use crate::launcher::run::RunPlan;
+use crate::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene};
+use crate::report::{self, Summary};
 
 /// Bytes of a mebibyte.
 const MEBIBYTE: f64 = 1_048_576.0;
+/// Looks at the memory over the run, and those of them that are said.
+const SAMPLES: f64 = 120.0;
+const SAMPLES_A_LINE: usize = 4;
+/// Share of the run that the feed takes, where it is slowed.
+const FEED_SHARE: f64 = 0.9;
+/// The slowest feed that a scene may have.
+const SLOWEST_MM_PER_S: f64 = 0.01;
+/// Least growth over the whole run that is called one: what an allocator gives back and takes again moves less.
+const FLAT_BYTES: f64 = MEBIBYTE;
 
-/// Runs the scene in real time for `minutes` and verifies its log: whole, nothing lost, every tick replayed to the same
-/// hash, every frame there.
+/// Runs the scene in real time for `minutes`, its feed slowed so that it drills all the time, and says what is left of
+/// it: whether the log is whole, nothing lost, every tick replayed to the same hash, every frame there, and no process's
+/// memory grown. Ctrl-C ends the run early; what is done is measured all the same.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails; a log that is not whole, or lost messages, or replays differently.
-pub fn run(scene: &Path, minutes: f64, output: Option<&Path>) -> Result<(), Failure> {
+/// A scene that is not one (2); a run that fails; a log that is not whole, or lost messages, or replays differently;
+/// Ctrl-C (130).
+pub fn run(scene: &Path, minutes: f64, policy: Option<Policy>, output: Option<&Path>) -> Result<(), Failure> {
     let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
     scene.run.mode = Mode::Realtime;
     scene.run.duration_s = minutes * 60.0;
+    scene.run.policy = policy.unwrap_or(scene.run.policy);
+    let slowed = slow_down(&mut scene);
     let end = EndRequest::install().map_err(failed)?;
     let own = tempfile::tempdir().map_err(failed)?;
     let folder = output.unwrap_or(own.path());
     std::fs::create_dir_all(folder).map_err(failed)?;
     let machine = Machine::watch();
     let plan = RunPlan { scene, output: Some(folder.to_owned()), view: None };
-    let (mut status, mut early, began) = (None, Memory::default(), Instant::now());
-    let result = complete_run(&plan, &end, |glance| {
-        status = glance.status.copied().or(status);
-        // The launcher's own memory after a tenth of the run, beside its peak at the end.
-        if began.elapsed().as_secs_f64() < minutes * 6.0 {
-            early.measure("self");
+    let mut watch = Watch::new(minutes, plan.scene.run.policy);
+    let result = run_scene(&plan, &end, |glance| watch.look(glance)).map_err(failed)?;
+    let summary = report::write(folder, &result.facts(String::new())).map_err(failed)?;
+    say!(
+        "scene {}, {minutes} minutes in real time, recorded; {}",
+        plan.scene.name,
+        result.facts(String::new()).outcome
+    );
+    slowed.iter().for_each(|line| say!("{line}"));
+    say!();
+    print_run(&result, &summary);
+    let grown = print_memory(&watch.growth);
+    machine.print();
+    let problems = check(&plan.scene, folder, &result)?;
+    match (&result.outcome, problems.first().or(grown.first())) {
+        (_, Some(problem)) => Err(Failure::failed(problem)),
+        (Outcome::Interrupted, None) => {
+            let message =
+                format!("interrupted after {:.1} of {minutes} minutes", result.running.as_secs_f64() / 60.0);
+            Err(Failure { message, code: EXIT_INTERRUPTED })
         }
-    })?;
-    say!("scene {}, {minutes} minutes in real time, recorded\n", plan.scene.name);
-    let ticks = plan.scene.tick_count();
-    let missed = status.map_or(0, |status| status.missed_ticks);
-    let share = 100.0 * missed as f64 / ticks.max(1) as f64;
-    row("run", &format!("{:.2} s wall, {ticks} ticks", result.running.as_secs_f64()));
-    row("ticks missed", &format!("{missed} ({share:.3} %)"));
+        (_, None) => Ok(()),
+    }
+}
+
+/// Slows each feed that would end before most of the run is over; says which.
+fn slow_down(scene: &mut Scene) -> Vec<String> {
+    let feed_s = FEED_SHARE * scene.run.duration_s;
+    let mut said = Vec::new();
+    for controller in &mut scene.controller {
+        let (length_mm, feed_mm_per_s) = match (&mut controller.curved_drilling, &mut controller.skiving) {
+            (Some(plan), _) => (plan.insertion_mm, &mut plan.feed_mm_per_s),
+            (None, Some(plan)) => (plan.depth_mm, &mut plan.feed_mm_per_s),
+            (None, None) => continue,
+        };
+        let slow_mm_per_s = (length_mm / feed_s).max(SLOWEST_MM_PER_S);
+        if slow_mm_per_s < *feed_mm_per_s {
+            *feed_mm_per_s = slow_mm_per_s;
+            let drills_min = length_mm / slow_mm_per_s / 60.0;
+            said.push(format!(
+                "`{}` feeds at {slow_mm_per_s:.4} mm/s, so that it drills for {drills_min:.1} minutes",
+                controller.name
+            ));
+        }
+    }
+    said
+}
+
+/// What is seen while it runs.
+struct Watch {
+    minutes: f64,
+    policy: Policy,
+    /// Of the first tick.
+    began: Option<Instant>,
+    samples: usize,
+    growth: Growth,
+}
+
+impl Watch {
+    fn new(minutes: f64, policy: Policy) -> Watch {
+        Watch { minutes, policy, began: None, samples: 0, growth: Growth::default() }
+    }
+
+    fn look(&mut self, glance: &Glance) {
+        if self.began.is_none() {
+            if glance.status.is_none_or(|status| status.phase < PHASE_RUNNING) {
+                return;
+            }
+            // The parts have started: what follows is for people, and gives way to them.
+            prioritise(Role::Viewer, self.policy);
+        }
+        let at = self.began.get_or_insert_with(Instant::now).elapsed();
+        let due_s = self.samples as f64 * self.minutes * 60.0 / SAMPLES;
+        if at.as_secs_f64() < due_s || glance.parts.is_empty() {
+            return;
+        }
+        for part in glance.parts {
+            self.growth.add(&part.name, at, part.memory.private);
+        }
+        let mut own = Memory::default();
+        own.measure("self");
+        self.growth.add("launcher", at, own.private);
+        if self.samples.is_multiple_of(SAMPLES_A_LINE) {
+            let done_min = at.as_secs_f64() / 60.0;
+            let missed = glance.status.map_or(0, |status| status.missed_ticks);
+            let left_min = (self.minutes - done_min).max(0.0);
+            eprintln!(
+                "{done_min:.1} min, {missed} ticks missed, {} frames; about {left_min:.1} min left",
+                glance.frames
+            );
+        }
+        self.samples += 1;
+    }
+}
+
+fn print_run(result: &RunResult, summary: &Summary) {
+    let share = 100.0 * summary.timing.missed_ticks as f64 / summary.ticks.max(1) as f64;
+    row("run", &format!("{:.2} s wall, {} ticks", result.running.as_secs_f64(), summary.ticks));
+    row("ticks missed", &format!("{} ({share:.3} %)", summary.timing.missed_ticks));
+    let misses = &summary.timing.misses;
+    for (cause, count) in &misses.by_cause {
+        let lost_ms = misses.lost_ms.get(cause).copied().unwrap_or(0.0);
+        row(&format!("  because of: {cause}"), &format!("{count} ({lost_ms:.1} ms lost)"));
+    }
+    if let (Some(explained), Some(confirmed)) = (misses.explained_share, misses.confirmed_share) {
+        let stolen_ms = misses.lost_ms.get("stolen").copied().unwrap_or(0.0);
+        let counter_ms = misses.steal_counter_ms;
+        row("  with a named cause", &format!("{:.1} % of the lost time", 100.0 * explained));
+        let text = format!("{stolen_ms:.1} ms; the machine's counter {counter_ms:.0} ms at these ticks");
+        row("  called stolen", &text);
+        row("  with no more of it than the counter", &format!("{:.1} % of the lost time", 100.0 * confirmed));
+    }
+    row("ticks with a late command", &misses.late_controller_ticks.to_string());
+    if let Some(late) = summary.timing.lateness_us {
+        let text = format!(
+            "p50 {:.1}  p99 {:.1}  p99.9 {:.1}  max {:.1} us",
+            late.p50, late.p99, late.p99_9, late.max
+        );
+        row("how late ticks began", &text);
+    }
+    if let Some(drr) = &summary.drr {
+        let rate = drr.frames_per_wall_s.map_or(String::new(), |rate| format!(", {rate:.2} a second"));
+        row("frames", &format!("{}{rate}", drr.frames));
+    }
+    if let Some(drilling) = &summary.drilling {
+        let text = format!(
+            "{} voxels, contact in {:.1} % of ticks",
+            drilling.removed_voxels,
+            100.0 * drilling.contact_share
+        );
+        row("drilled", &text);
+    }
+    let dropped: u64 = summary.logs.lost_messages.values().sum();
+    row("messages that somebody missed", &dropped.to_string());
     for (name, memory) in &result.memory {
         let [resident, private] =
             [memory.peak_resident, memory.peak_private].map(|bytes| bytes as f64 / MEBIBYTE);
         row(&format!("{name}: peak resident, its own"), &format!("{resident:.1} MiB, {private:.1} MiB"));
     }
-    row(
-        "launcher after a tenth of the run, its own",
-        &format!("{:.1} MiB", early.peak_private as f64 / MEBIBYTE),
-    );
-    for lane in ["run.mcap", "timing.mcap"] {
-        verify_lane(&folder.join(lane), lane, plan.scene.run.duration_s)?;
-    }
-    let shown = frames(&folder.join("run.mcap"), ReadOptions::default()).map_err(failed)?;
-    let mut count = 0_u64;
-    for frame in shown {
-        frame.map_err(failed)?;
-        count += 1;
-    }
-    row("frames", &format!("{count}, none missing"));
-    let replay_s = log::replay(&plan.scene, &folder.join("run.mcap"))?;
-    let speed = plan.scene.run.duration_s / replay_s;
-    row("replay", &format!("every hash the same; {replay_s:.1} s, {speed:.1} times real time"));
-    machine.print();
-    Ok(())
 }
 
-/// Reads a lane to its end: it must have its end marker and have lost nothing.
-fn verify_lane(path: &Path, lane: &str, simulated_s: f64) -> Result<(), Failure> {
-    let mut stream = MessageStream::open(path, ReadOptions::default()).map_err(failed)?;
-    let mut messages = 0_u64;
-    while stream.next_message().map_err(failed)?.is_some() {
+/// The table of own memory; the processes that have grown.
+fn print_memory(growth: &Growth) -> Vec<String> {
+    say!("\n{:<22} {:>12} {:>12} {:>12} {:>16}", "own memory", "start", "middle", "end", "growth a minute");
+    let mut grown = Vec::new();
+    for (name, Course { bytes, bytes_per_minute }) in growth.courses() {
+        let [start, middle, end] = bytes.map(|bytes| format!("{:.2} MiB", bytes as f64 / MEBIBYTE));
+        let rate = format!("{:.1} KiB", bytes_per_minute / 1024.0);
+        say!("{name:<22} {start:>12} {middle:>12} {end:>12} {rate:>16}");
+        if bytes[2] as f64 - bytes[0] as f64 > FLAT_BYTES {
+            grown.push(format!("the memory of `{name}` has grown from {start} to {end}"));
+        }
+    }
+    say!("start: after a tenth of the run; growth: the slope from there on\n");
+    grown
+}
+
+/// What is wrong with the logs; they are read to their ends, and every tick is made again.
+fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>, Failure> {
+    let mut problems = Vec::new();
+    if let Outcome::PartDied { name, how, .. } = &result.outcome {
+        problems.push(format!("part `{name}` died ({how})"));
+    }
+    let mut simulated_s = 0.0;
+    for lane in ["run.mcap", "timing.mcap"] {
+        let path = folder.join(lane);
+        match lane_end(&path) {
+            Ok((messages, end_s)) => {
+                simulated_s = end_s;
+                let megabytes = std::fs::metadata(&path).map_err(failed)?.len() as f64 * 1e-6;
+                let rate = megabytes / end_s.max(1e-3);
+                row(lane, &format!("{megabytes:.1} MB, {rate:.2} MB/s, {messages} messages, none lost"));
+            }
+            Err(problem) => problems.push(problem),
+        }
+    }
+    let run_log = folder.join("run.mcap");
+    let shown = frames(&run_log, ReadOptions::default()).map_err(failed)?;
+    let missing = shown.filter_map(Result::err).next().map(|error| error.to_string());
+    if scene.drr.is_some() {
+        row("every frame in the log", missing.as_deref().unwrap_or("yes"));
+    }
+    problems.extend(missing);
+    match log::verify(&run_log) {
+        Ok((verify_s, threads)) => {
+            let speed = simulated_s / verify_s;
+            row(
+                "verified by replay",
+                &format!("yes; {verify_s:.1} s, {speed:.1} times real time, {threads} threads"),
+            );
+        }
+        Err(failure) => {
+            row("verified by replay", "no");
+            problems.push(failure.message);
+        }
+    }
+    Ok(problems)
+}
+
+/// Reads a lane to its end: messages, and the simulated time of the last. It must have its end marker and have lost
+/// nothing; the error says what is wrong.
+fn lane_end(path: &Path) -> Result<(u64, f64), String> {
+    let wrong = |error: recorder_proc::LogError| format!("{}: {error}", path.display());
+    let mut stream = MessageStream::open(path, ReadOptions::default()).map_err(wrong)?;
+    let (mut messages, mut end_ns) = (0_u64, 0);
+    while let Some(message) = stream.next_message().map_err(wrong)? {
         messages += 1;
+        end_ns = message.log_time_ns;
     }
     let ending = stream.ending();
     let lost = ending.marker.as_ref().map_or(0, |marker| marker.lost.values().sum::<u64>());
     if !ending.is_complete() || lost > 0 {
-        return Err(Failure::failed(format!("{}: {}", path.display(), ending.describe())));
+        return Err(format!("{}: {}", path.display(), ending.describe()));
     }
-    let megabytes = std::fs::metadata(path).map_err(failed)?.len() as f64 * 1e-6;
-    let rate = megabytes / simulated_s;
-    row(lane, &format!("{megabytes:.1} MB, {rate:.2} MB/s, {messages} messages, none lost"));
-    Ok(())
+    Ok((messages, end_ns as f64 * 1e-9))
 }

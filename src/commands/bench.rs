@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Subcommand;
+use ipc_types::scene::Policy;
 
-use super::run::DEFAULT_SCENE;
+use super::run::{DEFAULT_SCENE, PolicyArgument};
 use crate::bench::ping_pong::Wait;
 use crate::bench::{
     drr, instructions, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer,
@@ -139,14 +140,17 @@ pub enum BenchCommand {
         #[arg(long)]
         rate_hz: Option<f64>,
     },
-    /// A long run in real time with frames: misses, memory of each process, log verified and replayed.
+    /// A long run in real time with frames: misses by cause, memory of each process over time, log verified by replay.
     Soak {
-        /// Scene.
+        /// Scene; a feed is slowed so that it drills all the time.
         #[arg(default_value = DEFAULT_SCENE)]
         scene: PathBuf,
         /// Minutes, up to 60.
         #[arg(long, default_value_t = 10.0)]
         minutes: f64,
+        /// How the scheduler treats physics and controllers, instead of what the scene says.
+        #[arg(long, value_enum)]
+        policy: Option<PolicyArgument>,
         /// Folder that keeps the logs; without it they are removed.
         #[arg(long)]
         output: Option<PathBuf>,
@@ -207,9 +211,9 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             }
             xray::run(scene, *seconds, *rounds as usize, *rate_hz)
         }
-        BenchCommand::Soak { scene, minutes, output } => {
+        BenchCommand::Soak { scene, minutes, policy, output } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;
-            soak::run(scene, *minutes, output.as_deref())
+            soak::run(scene, *minutes, policy.map(Policy::from), output.as_deref())
         }
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }

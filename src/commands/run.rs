@@ -1,6 +1,5 @@
 //! `trabecula run SCENE`: a whole run.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -9,10 +8,9 @@ use ipc_types::scene::{Images, Mode, Policy, Scene, Wait};
 
 use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
-use crate::launcher::part::Memory;
 use crate::launcher::progress::{Display, Manner};
 use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run as run_scene};
-use crate::report::{self, NOT_SHARED, RunFacts};
+use crate::report;
 
 /// The scene that runs when none is named.
 pub const DEFAULT_SCENE: &str = "configs/femur_curved_drilling.toml";
@@ -214,14 +212,7 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
 /// Pictures, numbers, and the table at the end.
 fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
-    let facts = RunFacts {
-        wall_s: result.running.as_secs_f64(),
-        startup_s: result.starting.as_secs_f64(),
-        outcome: outcome_text(&result.outcome),
-        peak_memory_bytes: memory_by_name(&result.memory),
-        processor_s: result.processor.iter().map(|(name, time)| (name.clone(), time.as_secs_f64())).collect(),
-        replay_command: replay_command.clone(),
-    };
+    let facts = result.facts(replay_command.clone());
     let summary = report::write(output, &facts).map_err(|error| Failure::failed(error.to_string()))?;
     if json {
         say!("{}", serde_json::json!({"phase": "ended", "folder": output, "outcome": facts.outcome}));
@@ -235,21 +226,6 @@ fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Fai
 /// How the user called this program.
 fn program_name() -> String {
     std::env::args().next().unwrap_or_else(|| "trabecula".to_owned())
-}
-
-fn memory_by_name(memory: &[(String, Memory)]) -> BTreeMap<String, u64> {
-    let both = |(name, memory): &(String, Memory)| {
-        [(name.clone(), memory.peak_resident), (format!("{name}{NOT_SHARED}"), memory.peak_private)]
-    };
-    memory.iter().flat_map(both).collect()
-}
-
-fn outcome_text(outcome: &Outcome) -> String {
-    match outcome {
-        Outcome::Completed => "completed".to_owned(),
-        Outcome::Interrupted => "interrupted".to_owned(),
-        Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
-    }
 }
 
 fn judge(result: &RunResult) -> Result<(), Failure> {

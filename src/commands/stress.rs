@@ -71,8 +71,8 @@ pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
         say!("since {}: late p50, late p99, step p50, round trip p50, missed", old.began);
         comparison(old, &report).iter().for_each(|row| say!("  {}", row.join(" | ")));
     }
-    if let Some(share) = report.explained_share() {
-        say!("{:.1} % of the lost time has a named cause", 100.0 * share);
+    if let Some(share) = report.explained() {
+        say!("{share}");
     }
     say!("report       {}", plan.output.join("index.html").display());
     let done = report.tested.len();

@@ -40,6 +40,8 @@ pub struct Memory {
     pub peak_resident: u64,
     /// Most of its own: resident, but not shared memory.
     pub peak_private: u64,
+    /// Its own when it was last measured.
+    pub private: u64,
 }
 
 impl Memory {
@@ -53,6 +55,7 @@ impl Memory {
         let private = field("RssAnon:").unwrap_or(0) + field("RssFile:").unwrap_or(0);
         self.peak_resident = self.peak_resident.max(field("VmHWM:").unwrap_or(0));
         self.peak_private = self.peak_private.max(private);
+        self.private = private;
     }
 }
 

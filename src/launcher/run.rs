@@ -22,6 +22,7 @@ use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
 use super::part::{Memory, Part, processor_time};
 use super::understudy::Understudies;
 use super::volume_source;
+use crate::report::{NOT_SHARED, RunFacts};
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
 /// How long a part may take to end after it has been asked.
@@ -87,6 +88,32 @@ pub struct RunResult {
     pub processor: Vec<(String, Duration)>,
 }
 
+impl RunResult {
+    /// What the report of the run takes from it.
+    pub fn facts(&self, replay_command: String) -> RunFacts {
+        let outcome = match &self.outcome {
+            Outcome::Completed => "completed".to_owned(),
+            Outcome::Interrupted => "interrupted".to_owned(),
+            Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
+        };
+        let both = |(name, memory): &(String, Memory)| {
+            [(name.clone(), memory.peak_resident), (format!("{name}{NOT_SHARED}"), memory.peak_private)]
+        };
+        RunFacts {
+            wall_s: self.running.as_secs_f64(),
+            startup_s: self.starting.as_secs_f64(),
+            outcome,
+            peak_memory_bytes: self.memory.iter().flat_map(both).collect(),
+            processor_s: self
+                .processor
+                .iter()
+                .map(|(name, time)| (name.clone(), time.as_secs_f64()))
+                .collect(),
+            replay_command,
+        }
+    }
+}
+
 /// Why a run could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
@@ -119,6 +146,8 @@ pub struct Glance<'a> {
     pub timings: &'a [TickTiming],
     /// Frames so far.
     pub frames: u64,
+    /// Running parts with what they use.
+    pub parts: &'a [Part],
 }
 
 /// Makes a run; `show` is called at every look.
@@ -143,7 +172,7 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     let outcome = loop {
         hub.serve_late_joiners()?;
         eyes.look()?;
-        show(&eyes.glance(hub.folder(), &awaited));
+        show(&eyes.glance(hub.folder(), &awaited, &parts));
         if first_tick.is_none() && eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING) {
             first_tick = Some(Instant::now());
         }
@@ -174,7 +203,7 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
         viewer.wait(VIEWER_END_LIMIT);
     }
     eyes.look()?;
-    show(&eyes.glance(hub.folder(), &awaited));
+    show(&eyes.glance(hub.folder(), &awaited, &[]));
     let mut memory: Vec<(String, Memory)> =
         parts.iter().chain(&understudies.gone).map(|part| (part.name.clone(), part.memory)).collect();
     own_memory.measure("self");
@@ -359,7 +388,7 @@ impl Eyes {
         Ok(())
     }
 
-    fn glance<'a>(&'a self, session: &'a Path, awaited: &'a [String]) -> Glance<'a> {
+    fn glance<'a>(&'a self, session: &'a Path, awaited: &'a [String], parts: &'a [Part]) -> Glance<'a> {
         Glance {
             session,
             awaited,
@@ -367,6 +396,7 @@ impl Eyes {
             status: self.status.as_ref(),
             timings: &self.timings,
             frames: self.frames,
+            parts,
         }
     }
 

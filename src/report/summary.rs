@@ -137,6 +137,12 @@ pub struct MissSummary {
     pub lost_ms: BTreeMap<String, f64>,
     /// Share of the lost time that has a named cause; none without lost time.
     pub explained_share: Option<f64>,
+    /// The same if only so much is called stolen as the machine's own counter shows.
+    #[serde(default)]
+    pub confirmed_share: Option<f64>,
+    /// What that counter, `/proc/stat`, shows for the late ticks, in steps of 10 ms.
+    #[serde(default)]
+    pub steal_counter_ms: f64,
     /// Ticks in which a controller's command was late, so that its last or the safe one held.
     pub late_controller_ticks: u64,
 }
@@ -151,6 +157,8 @@ impl MissSummary {
             by_cause: counts.map(|(cause, count)| (cause.name().to_owned(), count)).collect(),
             lost_ms: lost.map(|(cause, lost_ns)| (cause.name().to_owned(), lost_ns as f64 * 1e-6)).collect(),
             explained_share: misses.explained_share(),
+            confirmed_share: misses.confirmed_share(),
+            steal_counter_ms: misses.steal_counter_ns as f64 * 1e-6,
             late_controller_ticks: misses.late_controller_ticks,
         }
     }

@@ -8,9 +8,10 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use fastrand::Rng;
 use ipc_types::process::{bind_to_parent, end_with_parent};
 
-use super::plan::{Load, LoadKind, Random};
+use super::plan::{Load, LoadKind};
 use crate::failure::Failure;
 
 /// Memory that a memory load goes over, in words of 8 bytes.
@@ -33,11 +34,11 @@ impl Loads {
     pub fn start(load: Load, seed: u64, folder: &Path, limit: Duration) -> std::io::Result<Loads> {
         let program = std::env::current_exe()?;
         let mut loads = Loads::default();
-        let mut random = Random(seed);
+        let mut random = Rng::with_seed(seed);
         for _ in 0..load.count {
             let Some(kind) = load.kind else { break };
             let mut command = Command::new(&program);
-            command.arg("load").arg(kind.name()).arg("--seed").arg(random.word().to_string());
+            command.arg("load").arg(kind.name()).arg("--seed").arg(random.u64(..).to_string());
             command.arg("--folder").arg(folder).arg("--limit-s").arg(limit.as_secs().to_string());
             let command = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
             loads.0.push(bind_to_parent(command).spawn()?);
@@ -64,12 +65,12 @@ pub fn disturb(kind: LoadKind, seed: u64, folder: &Path, limit: Duration) -> Res
     end_with_parent();
     let failed = |cause: std::io::Error| Failure::failed(format!("load {}: {cause}", kind.name()));
     let end = Instant::now() + limit;
-    let mut random = Random(seed);
+    let mut random = Rng::with_seed(seed);
     match kind {
         LoadKind::Spin => {
             while Instant::now() < end {
                 (0..STEPS).for_each(|_| {
-                    std::hint::black_box(random.word());
+                    std::hint::black_box(random.u64(..));
                 });
             }
         }
@@ -77,7 +78,7 @@ pub fn disturb(kind: LoadKind, seed: u64, folder: &Path, limit: Duration) -> Res
             let mut words = vec![seed; MEMORY_WORDS];
             while Instant::now() < end {
                 for _ in 0..STEPS {
-                    let word = random.word();
+                    let word = random.u64(..);
                     words[word as usize % MEMORY_WORDS] ^= word;
                 }
             }
@@ -96,14 +97,14 @@ pub fn disturb(kind: LoadKind, seed: u64, folder: &Path, limit: Duration) -> Res
     Ok(())
 }
 
-fn disturb_disk(random: &mut Random, folder: &Path, end: Instant) -> std::io::Result<()> {
+fn disturb_disk(random: &mut Rng, folder: &Path, end: Instant) -> std::io::Result<()> {
     // It has no name, so nothing is left behind.
     let mut file = tempfile::tempfile_in(folder)?;
     let mut bytes = vec![0_u8; DISK_WRITE_BYTES];
     let mut written = 0;
     while Instant::now() < end {
-        bytes.chunks_exact_mut(8).for_each(|chunk| chunk.copy_from_slice(&random.word().to_le_bytes()));
-        let length = 4096 + random.word() as usize % (DISK_WRITE_BYTES - 4096);
+        random.fill(&mut bytes);
+        let length = random.usize(4096..DISK_WRITE_BYTES);
         file.write_all(&bytes[..length])?;
         file.sync_data()?;
         written += length as u64;

@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use fastrand::Rng;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 
@@ -24,7 +25,7 @@ use crate::failure::Failure;
 use crate::launcher::part::Part;
 use confine::Confinement;
 use load::Loads;
-use plan::{Combination, Random, policy_name, wait_name};
+use plan::{Combination, policy_name, wait_name};
 use report::{StressReport, Tested};
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
@@ -117,7 +118,7 @@ fn test(
         let confined = Confinement::enter(combination.cores, plan.quota_percent).map_err(io)?;
         not_permitted.extend(confined.remark.clone());
         let limit = RUN_LIMIT + Duration::from_secs_f64(plan.seconds);
-        let seed = Random(plan.seed.wrapping_add(index as u64)).word();
+        let seed = Rng::with_seed(plan.seed.wrapping_add(index as u64)).u64(..);
         let _loads = Loads::start(combination.load, seed, &plan.output, limit).map_err(io)?;
         let mut command = command(plan, combination, &logs).map_err(io)?;
         let mut part = Part::start("run", &mut command, false).map_err(io)?;

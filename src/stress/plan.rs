@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
+use fastrand::Rng;
 use ipc_types::scene::{Policy, Wait};
 use serde::{Deserialize, Serialize};
 
@@ -147,21 +148,6 @@ pub fn all(cores: &[usize], loads: &[Load], policies: &[Policy], waits: &[Wait])
     combinations
 }
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
-#[derive(Debug, Clone)]
-pub struct Random(pub u64);
-
-impl Random {
-    /// The next 64 bits.
-    pub fn word(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-}
-
 /// A pair of levels of two factors, by the factors' numbers and the levels' names.
 type Pair = (usize, String, usize, String);
 
@@ -181,8 +167,8 @@ fn pairs(combination: &Combination) -> Vec<Pair> {
 /// `count` of the combinations, in their order, chosen so that few combinations hold as many pairs of levels as they
 /// can: each next one is the one with the most pairs that no chosen one has; the seed decides between equals.
 pub fn subset(combinations: &[Combination], count: usize, seed: u64) -> Vec<Combination> {
-    let mut random = Random(seed);
-    let mut left: Vec<(u64, usize)> = (0..combinations.len()).map(|index| (random.word(), index)).collect();
+    let mut random = Rng::with_seed(seed);
+    let mut left: Vec<(u64, usize)> = (0..combinations.len()).map(|index| (random.u64(..), index)).collect();
     left.sort_unstable();
     let mut seen: BTreeSet<Pair> = BTreeSet::new();
     let mut chosen: BTreeSet<usize> = BTreeSet::new();

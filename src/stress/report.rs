@@ -1,7 +1,9 @@
 //! The result of a stress test as JSON, CSV and a table, and its comparison with an older one.
 
+use std::fmt;
 use std::path::Path;
 
+use recorder_proc::Cause;
 use serde::{Deserialize, Serialize};
 
 use super::machine::MachineFacts;
@@ -64,6 +66,31 @@ pub const COLUMNS: [Column; 5] = [
     ("round_trip", |m| m.round_trip_us),
     ("frame_age", |m| m.frame_age_us),
 ];
+
+/// How much of the lost time has a named cause.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Explained {
+    /// Share of it that has.
+    pub named: f64,
+    /// The same if only so much is called stolen as the machine's own counter shows.
+    pub confirmed: f64,
+    /// What is called stolen.
+    pub stolen_ms: f64,
+    /// What that counter, `/proc/stat`, shows for the late ticks.
+    pub counter_ms: f64,
+}
+
+impl fmt::Display for Explained {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Explained { named, confirmed, stolen_ms, counter_ms } = self;
+        let (named, confirmed) = (100.0 * named, 100.0 * confirmed);
+        write!(
+            out,
+            "{named:.1} % of the lost time has a named cause; {stolen_ms:.1} ms of it are called stolen, the machine's own \
+             counter shows {counter_ms:.0} ms at the late ticks: {confirmed:.1} % if no more than that is believed"
+        )
+    }
+}
 
 impl StressReport {
     /// Reads the JSON of an older test.
@@ -136,13 +163,23 @@ impl StressReport {
         text
     }
 
-    /// Lost time with a named cause over all lost time, of all combinations; none without lost time.
-    pub fn explained_share(&self) -> Option<f64> {
-        let lost = |all: bool| -> f64 {
-            let parts = self.tested.iter().flat_map(|tested| &tested.measured.misses.lost_ms);
-            parts.filter(|(name, _)| all || name.as_str() != "unknown").map(|(_, lost_ms)| lost_ms).sum()
+    /// What the lost time of all combinations comes to; none without lost time.
+    pub fn explained(&self) -> Option<Explained> {
+        let all = || self.tested.iter().map(|tested| &tested.measured.misses);
+        let lost = |of: &dyn Fn(&str) -> bool| -> f64 {
+            let parts = all().flat_map(|misses| &misses.lost_ms);
+            parts.filter(|(name, _)| of(name)).map(|(_, lost_ms)| lost_ms).sum()
         };
-        (lost(true) > 0.0).then(|| lost(false) / lost(true))
+        let (total_ms, unknown_ms) = (lost(&|_| true), lost(&|name| name == Cause::Unknown.name()));
+        let stolen_ms = lost(&|name| name == Cause::Stolen.name());
+        let counter_ms: f64 = all().map(|misses| misses.steal_counter_ms).sum();
+        let doubted_ms = (stolen_ms - counter_ms).max(0.0);
+        (total_ms > 0.0).then(|| Explained {
+            named: 1.0 - unknown_ms / total_ms,
+            confirmed: (1.0 - (unknown_ms + doubted_ms) / total_ms).max(0.0),
+            stolen_ms,
+            counter_ms,
+        })
     }
 
     /// The older test's result for a combination.

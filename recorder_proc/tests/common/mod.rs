@@ -9,6 +9,7 @@
 
 pub mod python;
 
+use fastrand::Rng;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -27,22 +28,6 @@ pub fn header() -> LogHeader {
         mode: RunMode::RealTime,
         controllers: vec!["a".to_string(), "b-2".to_string()],
         build: BuildInfo::current(),
-    }
-}
-
-/// SplitMix64 (Steele, Lea, Flood 2014): a deterministic stream of test numbers.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn word(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.word() % n as u64) as usize
     }
 }
 
@@ -144,8 +129,8 @@ pub fn frame_bytes(sequence: u64, tick: u64, columns: u32, rows: u32) -> Vec<u8>
     frame.sim_time_s = tick as f64 * 1e-3;
     frame.geometry.columns = columns;
     frame.geometry.rows = rows;
-    let mut random = Random(sequence);
-    let pixels: Vec<u8> = (0..columns * rows * 2).map(|_| random.word() as u8).collect();
+    let mut random = Rng::with_seed(sequence);
+    let pixels: Vec<u8> = (0..columns * rows * 2).map(|_| random.u8(..)).collect();
     let prefix = ImagePrefix::mono16(columns, rows, frame.sim_time_s);
     [frame.as_bytes(), prefix.as_bytes(), &pixels].concat()
 }

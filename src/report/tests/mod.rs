@@ -6,8 +6,9 @@ use std::fs;
 use std::path::Path;
 
 use super::*;
+use fastrand::Rng;
 use recorder_proc::{EndReason, LogHeader, RunLog, RunMode, TimingLog};
-use synthetic::{BURR_RADIUS_M, FRAME_TICKS, Random};
+use synthetic::{BURR_RADIUS_M, FRAME_TICKS};
 
 const TICKS: u64 = 2000;
 
@@ -52,7 +53,7 @@ fn a_run_is_summed_up() {
     let summary = write(folder.path(), &facts()).unwrap();
     check_figures(folder.path());
 
-    let last = synthetic::state(TICKS, TICKS, &mut Random(1));
+    let last = synthetic::state(TICKS, TICKS, &mut Rng::with_seed(1));
     let (tool, drilling) = (summary.tool.as_ref().unwrap(), summary.drilling.as_ref().unwrap());
     assert_eq!((summary.ticks, summary.simulated_s, summary.real_time_factor), (TICKS, 2.0, Some(0.5)));
     assert_eq!(summary.final_hash.as_deref(), Some(format!("{:016x}{TICKS:016x}", !TICKS).as_str()));
@@ -103,7 +104,7 @@ fn step_quantiles_are_those_of_the_sorted_samples() {
     synthetic::write_run(folder.path(), 500);
     let step = write(folder.path(), &facts()).unwrap().timing.step_us.unwrap();
     // The same stream of random numbers as in write_run.
-    let mut random = Random(1);
+    let mut random = Rng::with_seed(1);
     synthetic::state(0, 500, &mut random);
     let sample = |k: u64| {
         synthetic::state(k + 1, 500, &mut random);
@@ -161,7 +162,7 @@ fn a_run_without_ticks_or_logs_is_reported() {
 
     let header = LogHeader { mode: RunMode::Lockstep, ..synthetic::header() };
     let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &header).unwrap();
-    run.state(&synthetic::state(0, 1, &mut Random(1))).unwrap();
+    run.state(&synthetic::state(0, 1, &mut Rng::with_seed(1))).unwrap();
     run.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
     let timing = TimingLog::create_file(&folder.path().join("timing.mcap"), &header).unwrap();
     timing.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
@@ -180,7 +181,7 @@ fn numbers_that_are_none_do_not_stop_the_drawing() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &synthetic::header()).unwrap();
     for tick in 0..50 {
-        let mut state = synthetic::state(tick, 50, &mut Random(1));
+        let mut state = synthetic::state(tick, 50, &mut Rng::with_seed(1));
         if tick > 20 {
             state.bend_rad = f64::NAN;
             state.burr_force_n = if tick % 2 == 0 { f64::INFINITY } else { 1e200 };

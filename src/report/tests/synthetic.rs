@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use fastrand::Rng;
 use ipc_types::layout::Message;
 use ipc_types::messages::*;
 use recorder_proc::{BuildInfo, EndReason, LogHeader, RunLog, RunMode, TimingLog, topics};
@@ -48,24 +49,6 @@ pub const BURR_RADIUS_M: f64 = 3e-3;
 /// Ticks between frames.
 pub const FRAME_TICKS: u64 = 100;
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
-pub struct Random(pub u64);
-
-impl Random {
-    fn word(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// Uniform in 0..1.
-    pub fn share(&mut self) -> f64 {
-        (self.word() >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
 /// Header of both lanes, in real time.
 pub fn header() -> LogHeader {
     LogHeader {
@@ -82,7 +65,7 @@ pub fn header() -> LogHeader {
 }
 
 /// The state after `tick` of `ticks` ticks. The bend grows to 0.8 rad, the tension to 12 N.
-pub fn state(tick: u64, ticks: u64, random: &mut Random) -> State {
+pub fn state(tick: u64, ticks: u64, random: &mut Rng) -> State {
     let mut s = State::zeroed();
     let progress = ((tick as f64 / ticks.max(1) as f64 - 0.1) / 0.8).clamp(0.0, 1.0);
     let drilling = progress > 0.0 && progress < 1.0;
@@ -91,9 +74,9 @@ pub fn state(tick: u64, ticks: u64, random: &mut Random) -> State {
     (s.joint_count, s.tendon_count, s.controller_count) = (JOINTS as u32, 1, 2);
     s.bend_rad = 0.8 * progress;
     s.tendon_tension_n[0] = 12.0 * progress * progress;
-    let noise = random.share() - 0.5;
+    let noise = random.f64() - 0.5;
     s.burr_force_n = if drilling { 3.0 + (9.0 * progress).sin() + 2.0 * noise } else { 0.0 };
-    s.contact_total = if drilling { 1 + (3.0 * random.share()) as u32 } else { 0 };
+    s.contact_total = if drilling { 1 + (3.0 * random.f64()) as u32 } else { 0 };
     s.contact_count = s.contact_total;
     s.contacts[0].normal_force_n = 2.0 * s.burr_force_n;
     s.removed_total = (4000.0 * progress) as u64;
@@ -115,14 +98,14 @@ pub fn state(tick: u64, ticks: u64, random: &mut Random) -> State {
 }
 
 /// Wall-clock facts of a tick: usually 40 µs, now and then long; every 997th is missed.
-pub fn timing(tick: u64, random: &mut Random) -> TickTiming {
+pub fn timing(tick: u64, random: &mut Rng) -> TickTiming {
     let mut t = TickTiming::zeroed();
-    let long = if random.share() > 0.995 { 8.0 } else { 1.0 };
+    let long = if random.f64() > 0.995 { 8.0 } else { 1.0 };
     t.tick = tick;
-    t.step_ns = (30e3 * long * (1.0 + random.share() * random.share())) as u64;
-    t.wake_lateness_ns = (8e3 * long * (0.3 + random.share())) as i64;
+    t.step_ns = (30e3 * long * (1.0 + random.f64() * random.f64())) as u64;
+    t.wake_lateness_ns = (8e3 * long * (0.3 + random.f64())) as i64;
     t.round_trip_ns =
-        [(60e3 * (1.0 + random.share())) as u64, (15e3 * (1.0 + 2.0 * random.share())) as u64, 0, 0];
+        [(60e3 * (1.0 + random.f64())) as u64, (15e3 * (1.0 + 2.0 * random.f64())) as u64, 0, 0];
     if tick % 997 == 996 {
         (t.missed, t.wake_lateness_ns) = (1, 2_300_000);
     }
@@ -149,7 +132,7 @@ fn event(tick: u64, severity: u32, code: u32, text: &str) -> Vec<u8> {
 
 /// Writes both lanes of a run of `ticks` ticks into a folder.
 pub fn write_run(folder: &Path, ticks: u64) {
-    let mut random = Random(1);
+    let mut random = Rng::with_seed(1);
     let mut run = RunLog::create_file(&folder.join("run.mcap"), &header()).unwrap();
     let mut lane = TimingLog::create_file(&folder.join("timing.mcap"), &header()).unwrap();
     run.state(&state(0, ticks, &mut random)).unwrap();
