@@ -7,6 +7,8 @@
 use rayon::prelude::*;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
+use super::pages::Pages;
+
 /// Voxels of a cell.
 pub(crate) const CELL: usize = 32;
 /// Side of the squares that are transposed at a time.
@@ -96,7 +98,7 @@ fn voxels_mut<T: Voxel>(cells: &mut [T::Cell]) -> &mut [T] {
 /// One order of the volume.
 pub(crate) struct Copy3<T: Voxel> {
     /// A row of zeros, which stands for rows beyond the volume; then the planes of equal z.
-    data: Vec<T::Cell>,
+    data: Pages<T::Cell>,
     dims: [usize; 3],
     /// The axis along which rows are contiguous.
     fast: usize,
@@ -123,11 +125,18 @@ pub(crate) fn copy_elements(dims: [usize; 3], fast: usize) -> u64 {
 
 impl<T: Voxel> Copy3<T> {
     /// Makes the copy with rows along `fast` (0 or 1). `fill_row(y, z, row)` writes the voxels of a row along x.
-    pub fn new(dims: [usize; 3], fast: usize, fill_row: impl Fn(usize, usize, &mut [T]) + Sync) -> Self {
+    ///
+    /// # Errors
+    /// The system's refusal to give as much memory.
+    pub fn new(
+        dims: [usize; 3],
+        fast: usize,
+        fill_row: impl Fn(usize, usize, &mut [T]) + Sync,
+    ) -> std::io::Result<Self> {
         let [nx, ny, nz] = dims;
         let (row_cells, plane_cells) = extents(dims, fast);
         let width = row_cells * CELL;
-        let mut data = vec![T::Cell::default(); row_cells + plane_cells * nz];
+        let mut data = Pages::zeroed(row_cells + plane_cells * nz)?;
         data[row_cells..].par_chunks_mut(plane_cells).enumerate().for_each_init(
             || vec![T::default(); if fast == 0 { 0 } else { nx * ny }],
             |flat, (z, plane)| {
@@ -148,7 +157,7 @@ impl<T: Voxel> Copy3<T> {
         let mut copy =
             Self { data, dims, fast, row_cells, plane_cells, occupancy: Vec::new(), words_per_row };
         copy.occupancy = copy.occupied_rows();
-        copy
+        Ok(copy)
     }
 
     fn occupied_rows(&self) -> Vec<u64> {
@@ -219,12 +228,6 @@ impl<T: Voxel> Copy3<T> {
         self.row_cells
     }
 
-    /// Cells from one slice across an axis to the next.
-    #[inline(always)]
-    pub fn stride(&self, slow: usize) -> usize {
-        if slow == 2 { self.plane_cells } else { self.row_cells }
-    }
-
     /// First cell of a row of slice `k` across `slow`, or of zeros beyond the volume; and its occupancy.
     #[inline(always)]
     pub fn row(&self, slow: usize, k: usize, v_axis: usize, v: i64) -> (usize, &[u64]) {
@@ -245,7 +248,7 @@ impl<T: Voxel> Copy3<T> {
 
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.data.as_slice()) + self.occupancy.len() * 8
+        size_of_val(&*self.data) + self.occupancy.len() * 8
     }
 
     /// Share of the cells in which something attenuates.

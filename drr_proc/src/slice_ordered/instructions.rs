@@ -1,7 +1,7 @@
 //! Which instructions run the sum, chosen at run time; the result's bits are the same with all of them.
 
 use super::copies::{Copy3, Voxel};
-use super::kernel::{Scalar, Work, sum_tile};
+use super::kernel::{Scalar, Work, sum_tiles};
 use super::plan::Plan;
 
 /// An instruction set that this machine has.
@@ -68,8 +68,8 @@ impl Instructions {
         }
     }
 
-    /// Sums a tile.
-    pub(super) fn sum_tile<T: Voxel>(
+    /// Sums some tiles.
+    pub(super) fn sum_tiles<T: Voxel>(
         self,
         copy: &Copy3<T>,
         plan: &Plan,
@@ -78,13 +78,13 @@ impl Instructions {
         work: &mut Work,
         out: &mut [i64],
     ) {
-        let tile = Tile { copy, plan, flush_after, first_row, work, out };
+        let tiles = Tiles { copy, plan, flush_after, first_row, work, out };
         match self.0 {
-            Set::Scalar => tile.sum(Scalar),
+            Set::Scalar => tiles.sum(Scalar),
             #[cfg(target_arch = "x86_64")]
-            Set::Avx2(v3) => v3.vectorize(With(super::x86::Avx2(v3), tile)),
+            Set::Avx2(v3) => v3.vectorize(With(super::x86::Avx2(v3), tiles)),
             #[cfg(target_arch = "x86_64")]
-            Set::Avx512(v4) => v4.vectorize(With(super::x86::Avx512(v4), tile)),
+            Set::Avx512(v4) => v4.vectorize(With(super::x86::Avx512(v4), tiles)),
         }
     }
 }
@@ -108,7 +108,7 @@ impl<C: Plain> pulp::NullaryFnOnce for Call<C> {
     }
 }
 
-struct Tile<'a, T: Voxel> {
+struct Tiles<'a, T: Voxel> {
     copy: &'a Copy3<T>,
     plan: &'a Plan,
     flush_after: usize,
@@ -117,16 +117,16 @@ struct Tile<'a, T: Voxel> {
     out: &'a mut [i64],
 }
 
-impl<T: Voxel> Tile<'_, T> {
+impl<T: Voxel> Tiles<'_, T> {
     #[inline(always)]
     fn sum<L: super::kernel::Lanes>(self, lanes: L) {
-        sum_tile(lanes, self.copy, self.plan, self.flush_after, self.first_row, self.work, self.out);
+        sum_tiles(lanes, self.copy, self.plan, self.flush_after, self.first_row, self.work, self.out);
     }
 }
 
 /// A call that must be inlined into the function that enables the instructions.
 #[cfg(target_arch = "x86_64")]
-struct With<'a, L, T: Voxel>(L, Tile<'a, T>);
+struct With<'a, L, T: Voxel>(L, Tiles<'a, T>);
 
 #[cfg(target_arch = "x86_64")]
 impl<L: super::kernel::Lanes, T: Voxel> pulp::NullaryFnOnce for With<'_, L, T> {

@@ -2,8 +2,9 @@
 //!
 //! In each slice the rows of voxels are first blended into the eight rows that the image has there, as 16-bit integers, 32 voxels at a
 //! time; then groups of 16 samples are interpolated along these rows and added to 32-bit sums, which go over into 64-bit ones
-//! before they can overflow. Cells in which nothing attenuates are left out. [`Lanes`] is the part that instruction sets do differently;
-//! all of them compute the same integers.
+//! before they can overflow. Cells in which nothing attenuates are left out. What the tile reads in the next slice is asked for
+//! between the groups of this one ([`Ahead`]). [`Lanes`] is the part that instruction sets do differently; all of them compute the
+//! same integers.
 
 use super::copies::{CELL, Cell16, Copy3, Voxel, voxels};
 use super::plan::{FRACTION_MASK, GROUP, LANE_BITS, Plan, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS};
@@ -13,6 +14,9 @@ pub(crate) type GroupSums = [[i32; GROUP]; TILE_ROWS];
 
 /// Most rows of voxels that the eight image rows of a tile read: the step is at most one voxel.
 const MAX_LINES: usize = TILE_ROWS + 2;
+/// Tiles that are summed together, and slices that are summed into one of them before the next one is.
+pub(crate) const TILES: usize = 4;
+const BLOCK_SLICES: usize = 32;
 /// Runs of cells with fewer empty ones between them are joined: a group of samples then reads one run only.
 const JOINED: usize = 2;
 /// Voxels that a group's window holds from the one on in which the group begins.
@@ -108,7 +112,14 @@ pub(crate) fn window(row: &[i16], first: usize) -> Option<&[i16; WINDOW]> {
     row.get(first..).and_then(|rest| rest.first_chunk())
 }
 
-/// How a tile's rows lie in a slice.
+/// A run of cells that are summed at once, and the groups that read them, both half open.
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    cells: (usize, usize),
+    groups: (usize, usize),
+}
+
+/// How a tile's rows lie in a slice, and what there is in them.
 #[derive(Debug, Default)]
 struct TileRows {
     /// For each image row its first line, and the 15-bit fraction to the next.
@@ -117,32 +128,129 @@ struct TileRows {
     /// First cells of the lines in the copy.
     offsets: [usize; MAX_LINES],
     lines: usize,
-}
-
-/// Work space of a thread.
-pub(crate) struct Work {
-    sums: Vec<GroupSums>,
-    /// Eight rows of cells, with one of zeros on either side.
-    blended: Vec<Cell16>,
+    /// Cells of the lines, one bit each: whether one of them holds anything.
     occupied: Vec<u64>,
-    rows: TileRows,
+    runs: Vec<Run>,
 }
 
-impl Work {
-    pub fn new<T: Voxel>(plan: &Plan, copy: &Copy3<T>) -> Self {
-        Self {
-            sums: vec![[[0; GROUP]; TILE_ROWS]; plan.columns / GROUP],
-            blended: vec![Cell16::default(); TILE_ROWS * (copy.row_cells() + 2)],
-            occupied: vec![0; copy.words_per_row()],
-            rows: TileRows::default(),
+impl TileRows {
+    /// Works out which lines of voxels the tile reads in a slice; false if nothing attenuates in them.
+    #[inline(always)]
+    fn place<T: Voxel>(&mut self, copy: &Copy3<T>, plan: &Plan, slice: &Slice, first_row: usize) -> bool {
+        self.runs.clear();
+        let (first_line, _) = slice.row(first_row);
+        let (last_line, _) = slice.row(first_row + TILE_ROWS - 1);
+        self.lines = ((last_line - first_line) as usize + 2).min(MAX_LINES);
+        self.occupied.fill(0);
+        for line in 0..self.lines {
+            let (offset, occupied) =
+                copy.row(plan.axes.slow, slice.index, plan.axes.v, first_line + line as i64);
+            self.offsets[line] = offset;
+            for (all, word) in self.occupied.iter_mut().zip(occupied) {
+                *all |= word;
+            }
+        }
+        let mut from = 0;
+        while let Some((first, end)) = next_run(&self.occupied, from) {
+            from = end;
+            let end = end.min(copy.row_cells());
+            let groups = slice.groups_reading((first * CELL) as i64, (end * CELL) as i64);
+            if groups.0 < groups.1 {
+                self.runs.push(Run { cells: (first, end), groups });
+            }
+        }
+        if self.runs.is_empty() {
+            return false;
+        }
+        for row in 0..TILE_ROWS {
+            let (line, fraction) = slice.row(first_row + row);
+            self.line[row] = ((line - first_line) as usize).min(MAX_LINES - 2);
+            self.fraction[row] = fraction;
+        }
+        true
+    }
+}
+
+/// Asks for what the tile reads in the next slice, a few cells at a time, so that memory and sums work at the same time.
+struct Ahead<'a> {
+    rows: &'a TileRows,
+    run: usize,
+    cell: usize,
+    /// Columns of cells to ask for, and groups that are summed meanwhile.
+    cells: usize,
+    groups: usize,
+    due: usize,
+}
+
+impl<'a> Ahead<'a> {
+    #[inline(always)]
+    fn new(now: &TileRows, rows: &'a TileRows) -> Self {
+        let cells = rows.runs.iter().map(|run| run.cells.1 - run.cells.0).sum();
+        let groups = now.runs.iter().map(|run| run.groups.1 - run.groups.0).sum();
+        Self { rows, run: 0, cell: rows.runs.first().map_or(0, |run| run.cells.0), cells, groups, due: 0 }
+    }
+
+    /// Another group is summed.
+    #[inline(always)]
+    fn group<T: Voxel, L: Lanes>(&mut self, lanes: L, data: &[T::Cell]) {
+        self.due += self.cells;
+        while self.due >= self.groups {
+            self.due -= self.groups;
+            let Some(run) = self.rows.runs.get(self.run) else { return };
+            for &offset in self.rows.offsets.get(..self.rows.lines).unwrap_or(&[]) {
+                lanes.prefetch(data, offset + self.cell);
+            }
+            self.cell += 1;
+            if self.cell >= run.cells.1 {
+                self.run += 1;
+                self.cell = self.rows.runs.get(self.run).map_or(0, |run| run.cells.0);
+            }
         }
     }
 }
 
-/// Sums all slices into the tile of eight rows that begins at image row `first_row`; `out` is the tile, row by row.
+/// 32-bit sums of a tile.
+#[derive(Clone)]
+struct TileSums {
+    groups: Vec<GroupSums>,
+    /// Slices in them, and groups that are not zero.
+    summed: usize,
+    touched: (usize, usize),
+}
+
+/// Work space of a thread.
+pub(crate) struct Work {
+    sums: Vec<TileSums>,
+    /// Eight rows of cells, with one of zeros on either side.
+    blended: Vec<Cell16>,
+    /// Of the slice that is summed, and of the one after it.
+    rows: [TileRows; 2],
+}
+
+impl Work {
+    pub fn new<T: Voxel>(plan: &Plan, copy: &Copy3<T>) -> Self {
+        let rows = || TileRows { occupied: vec![0; copy.words_per_row()], ..TileRows::default() };
+        Self {
+            sums: vec![
+                TileSums {
+                    groups: vec![[[0; GROUP]; TILE_ROWS]; plan.columns / GROUP],
+                    summed: 0,
+                    touched: (usize::MAX, 0),
+                };
+                TILES
+            ],
+            blended: vec![Cell16::default(); TILE_ROWS * (copy.row_cells() + 2)],
+            rows: [rows(), rows()],
+        }
+    }
+}
+
+/// Sums all slices into the tiles of eight rows from image row `first_row` on; `out` are the tiles, row by row.
 /// `flush_after` slices at most are summed in 32 bits.
+///
+/// Some slices are summed into all of the tiles before the next ones are: a line of voxels that two tiles read comes from memory once.
 #[inline(always)]
-pub(crate) fn sum_tile<T: Voxel, L: Lanes>(
+pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     lanes: L,
     copy: &Copy3<T>,
     plan: &Plan,
@@ -152,56 +260,36 @@ pub(crate) fn sum_tile<T: Voxel, L: Lanes>(
     out: &mut [i64],
 ) {
     out.fill(0);
-    let mut summed = 0;
-    let mut touched = (usize::MAX, 0);
-    for slice in &plan.slices {
-        let (low, high) = (slice.rows.0.max(first_row), slice.rows.1.min(first_row + TILE_ROWS));
-        if low >= high || slice.groups.0 >= slice.groups.1 {
-            continue;
+    let length = (TILE_ROWS * plan.columns).max(1);
+    let tiles = out.len() / length;
+    let Work { sums, blended, rows: [now, next] } = work;
+    let mut slices = plan
+        .slices
+        .chunks(BLOCK_SLICES)
+        .flat_map(|block| (0..tiles).flat_map(move |tile| block.iter().map(move |slice| (tile, slice))));
+    let mut find = |rows: &mut TileRows| {
+        slices.find(|(tile, slice)| {
+            let from = first_row + tile * TILE_ROWS;
+            rows.runs.clear();
+            let meets = slice.rows.0.max(from) < slice.rows.1.min(from + TILE_ROWS);
+            meets && slice.groups.0 < slice.groups.1 && rows.place(copy, plan, slice, from)
+        })
+    };
+    let mut current = find(now);
+    while let Some((tile, slice)) = current {
+        next.runs.clear();
+        current = find(next);
+        if let Some(tile_sums) = sums.get_mut(tile) {
+            sum_slice(lanes, copy, slice, (&*now, &*next), blended, tile_sums);
+            if tile_sums.summed == flush_after {
+                flush(tile_sums, plan.columns, out.get_mut(tile * length..).unwrap_or(&mut []));
+            }
         }
-        if !place_rows(copy, plan, slice, first_row, work) {
-            continue;
-        }
-        sum_slice(lanes, copy, plan, slice, work, &mut touched);
-        summed += 1;
-        if summed == flush_after {
-            flush(work, plan.columns, touched, out);
-            (summed, touched) = (0, (usize::MAX, 0));
-        }
+        core::mem::swap(now, next);
     }
-    flush(work, plan.columns, touched, out);
-}
-
-/// Works out which lines of voxels the tile reads in a slice; false if nothing attenuates in them.
-#[inline(always)]
-fn place_rows<T: Voxel>(
-    copy: &Copy3<T>,
-    plan: &Plan,
-    slice: &Slice,
-    first_row: usize,
-    work: &mut Work,
-) -> bool {
-    let (first_line, _) = slice.row(first_row);
-    let (last_line, _) = slice.row(first_row + TILE_ROWS - 1);
-    let rows = &mut work.rows;
-    rows.lines = ((last_line - first_line) as usize + 2).min(MAX_LINES);
-    work.occupied.fill(0);
-    for line in 0..rows.lines {
-        let (offset, occupied) = copy.row(plan.axes.slow, slice.index, plan.axes.v, first_line + line as i64);
-        rows.offsets[line] = offset;
-        for (all, word) in work.occupied.iter_mut().zip(occupied) {
-            *all |= word;
-        }
+    for (sums, out) in sums.iter_mut().zip(out.chunks_mut(length)) {
+        flush(sums, plan.columns, out);
     }
-    if work.occupied.iter().all(|&word| word == 0) {
-        return false;
-    }
-    for row in 0..TILE_ROWS {
-        let (line, fraction) = slice.row(first_row + row);
-        rows.line[row] = ((line - first_line) as usize).min(MAX_LINES - 2);
-        rows.fraction[row] = fraction;
-    }
-    true
 }
 
 /// The first run of occupied cells from `from` on, half open.
@@ -238,30 +326,17 @@ fn next_run(occupied: &[u64], from: usize) -> Option<(usize, usize)> {
 fn sum_slice<T: Voxel, L: Lanes>(
     lanes: L,
     copy: &Copy3<T>,
-    plan: &Plan,
     slice: &Slice,
-    work: &mut Work,
-    touched: &mut (usize, usize),
+    (rows, next): (&TileRows, &TileRows),
+    blended: &mut [Cell16],
+    sums: &mut TileSums,
 ) {
-    let Work { sums, blended, occupied, rows } = work;
-    let (data, row_cells) = (copy.data(), copy.row_cells());
-    let stride = row_cells + 2;
-    let next_slice = copy.stride(plan.axes.slow);
+    let data = copy.data();
+    let stride = copy.row_cells() + 2;
     let constants = lanes.per_slice(slice.lane_step());
-    let mut from = 0;
-    while let Some((first, end)) = next_run(occupied, from) {
-        from = end;
-        let end = end.min(row_cells);
-        let (low, high) = slice.groups_reading((first * CELL) as i64, (end * CELL) as i64);
-        if low >= high {
-            continue;
-        }
-        // The same lines of the next slice: the positions there differ by less than a voxel or two.
-        for &offset in &rows.offsets[..rows.lines] {
-            for cell in first..end {
-                lanes.prefetch(data, offset + next_slice + cell);
-            }
-        }
+    let mut ahead = Ahead::new(rows, next);
+    for run in &rows.runs {
+        let (first, end) = run.cells;
         for (row, out) in blended.chunks_exact_mut(stride).enumerate() {
             let line = |line: usize| {
                 let start = rows.offsets[rows.line[row] + line] + first;
@@ -273,32 +348,41 @@ fn sum_slice<T: Voxel, L: Lanes>(
         }
         let blended = voxels::<i16>(blended);
         let length = stride * CELL;
-        let rows: BlendedRows<'_> =
-            core::array::from_fn(|row| blended.get(row * length..(row + 1) * length).unwrap_or(&[]));
-        let groups = sums.get_mut(low..high).unwrap_or(&mut []);
+        let mut lines: BlendedRows<'_> = [&[]; TILE_ROWS];
+        for (row, line) in lines.iter_mut().enumerate() {
+            let Some(whole) = blended.get(row * length..row * length + length) else { return };
+            *line = whole;
+        }
+        let (low, high) = run.groups;
+        let groups = sums.groups.get_mut(low..high).unwrap_or(&mut []);
         for (n, sums) in groups.iter_mut().enumerate() {
             let start = slice.group(low + n);
             // One cell of zeros lies before the row.
             let place = GroupPlace { first: (start.voxel + CELL as i64) as usize, fraction: start.fraction };
-            lanes.add_group(constants, &rows, place, sums);
+            lanes.add_group(constants, &lines, place, sums);
+            ahead.group::<T, L>(lanes, data);
         }
-        *touched = (touched.0.min(low), touched.1.max(high));
+        sums.touched = (sums.touched.0.min(low), sums.touched.1.max(high));
     }
+    sums.summed += 1;
 }
 
 /// Moves the 32-bit sums over into the 64-bit ones.
 #[inline(always)]
-fn flush(work: &mut Work, columns: usize, (first, end): (usize, usize), out: &mut [i64]) {
-    for group in first..end {
-        let Some(sums) = work.sums.get_mut(group) else { continue };
+fn flush(sums: &mut TileSums, columns: usize, out: &mut [i64]) {
+    for group in sums.touched.0..sums.touched.1 {
+        let Some(sums) = sums.groups.get_mut(group) else { continue };
         for (row, sums) in sums.iter_mut().enumerate() {
             let start = row * columns + group * GROUP;
-            if let Some(out) = out.get_mut(start..start + GROUP) {
-                for (o, s) in out.iter_mut().zip(sums.iter_mut()) {
-                    *o += i64::from(*s);
-                    *s = 0;
-                }
-            }
+            let Some(out) = out.get_mut(start..).and_then(|rest| rest.first_chunk_mut::<GROUP>()) else {
+                continue;
+            };
+            // Both are read before one is written: vector code then.
+            let (before, new) = (*out, *sums);
+            *out = core::array::from_fn(|n| before[n] + i64::from(new[n]));
+            *sums = [0; GROUP];
         }
     }
+    sums.touched = (usize::MAX, 0);
+    sums.summed = 0;
 }

@@ -16,6 +16,7 @@
 mod copies;
 mod instructions;
 mod kernel;
+mod pages;
 mod plan;
 mod splat;
 mod warp;
@@ -35,7 +36,7 @@ use crate::grid::{Grid, VolumeView};
 use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
 use copies::{Copy3, Voxel, copy_elements};
-use kernel::Work;
+use kernel::{TILES, Work};
 use plan::{Plan, TILE_ROWS, WEIGHT_BITS};
 use splat::{Dirty, Splatter, slices_until_flush};
 use warp::{Rect, SharpenRow, Warp, WarpRow, pixels_of};
@@ -44,6 +45,8 @@ use warp::{Rect, SharpenRow, Warp, WarpRow, pixels_of};
 const PARALLEL_FROM: usize = 1 << 14;
 /// Most changed voxels that are worked in without the worker threads.
 const ALONE_UP_TO: usize = 4096;
+/// Fewest changed voxels that are worked in in the order of memory instead of their own.
+const SORTED_FROM: usize = 1024;
 /// Updates by which a measured cost is averaged.
 const SMOOTHING: f64 = 0.25;
 
@@ -184,7 +187,9 @@ impl<T: Voxel> Copies<T> {
             return Ok(());
         }
         check_memory(self.dims, fast, size_of::<T>())?;
-        let mut copy = Copy3::new(self.dims, fast, fill_row);
+        let copy = Copy3::new(self.dims, fast, fill_row);
+        let mut copy =
+            copy.map_err(|_| refusal(self.dims, fast, size_of::<T>(), available_memory().unwrap_or(0)))?;
         self.largest = self.largest.max(copy.largest());
         changed.for_each(|(voxel, value)| copy.set(voxel, value));
         self.by_fast[fast] = Some(copy);
@@ -196,9 +201,11 @@ impl<T: Voxel> Copies<T> {
         sums.resize(plan.pixels(), 0);
         let Some(copy) = &self.by_fast[plan.axes.u] else { return };
         let flush_after = slices_until_flush(self.largest * T::UNIT);
-        sums.par_chunks_mut((TILE_ROWS * plan.columns).max(1)).enumerate().for_each_init(
+        sums.par_chunks_mut((TILES * TILE_ROWS * plan.columns).max(1)).enumerate().for_each_init(
             || Work::new(plan, copy),
-            |work, (tile, out)| with.sum_tile(copy, plan, flush_after, tile * TILE_ROWS, work, out),
+            |work, (tiles, out)| {
+                with.sum_tiles(copy, plan, flush_after, tiles * TILES * TILE_ROWS, work, out)
+            },
         );
     }
 
@@ -551,6 +558,10 @@ impl SliceOrdered {
             return;
         }
         let began = Instant::now();
+        if self.waiting.len() >= SORTED_FROM {
+            // In the order in which they lie in memory; changes of the same voxel stay in theirs.
+            self.waiting.sort_by_key(|&(linear, _)| linear);
+        }
         match (&mut self.standing, &mut self.store) {
             (Some(standing), Store::Whole(copies)) => copies.splat(standing, &self.waiting),
             (Some(standing), Store::Preview { copies, .. }) => copies.splat(standing, &self.waiting),
@@ -639,11 +650,14 @@ impl SliceOrdered {
 fn check_memory(dims: [usize; 3], fast: usize, bytes_each: usize) -> Result<(), DrrError> {
     let needed = copy_elements(dims, fast) * bytes_each as u64;
     match available_memory() {
-        Some(available) if needed > available => {
-            Err(DrrError::Memory { dims, bytes_each, needed_bytes: needed, available_bytes: available })
-        }
+        Some(available) if needed > available => Err(refusal(dims, fast, bytes_each, available)),
         _ => Ok(()),
     }
+}
+
+fn refusal(dims: [usize; 3], fast: usize, bytes_each: usize, available_bytes: u64) -> DrrError {
+    let needed_bytes = copy_elements(dims, fast) * bytes_each as u64;
+    DrrError::Memory { dims, bytes_each, needed_bytes, available_bytes }
 }
 
 /// `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)), in bytes; `None` where there is none.
