@@ -18,6 +18,7 @@ use crate::failure::Failure;
 const POSES: [(&str, f64, f64); 3] = [("ap", 0.0, 0.0), ("oblique", 37.0, 18.0), ("lateral", 90.0, 5.0)];
 /// Every how many pixels in both directions the error is taken: Siddon's method is slow.
 const ERROR_STRIDE: u32 = 8;
+/// Voxel size up to 512 voxels along an edge; more are smaller, so that the C-arm stays around the volume.
 const SPACING_M: f64 = 0.5e-3;
 /// Field of view of the detector, m.
 const FIELD_M: f64 = 0.307;
@@ -60,14 +61,16 @@ pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrE
 /// # Errors
 /// A volume too large for the memory.
 pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
-    let grid = Grid::centred(dimensions, [SPACING_M; 3]).map_err(Failure::bad_input)?;
+    let longest = dimensions.into_iter().max().unwrap_or(1);
+    let spacing_m = SPACING_M * (512.0 / longest as f64).min(1.0);
+    let grid = Grid::centred(dimensions, [spacing_m; 3]).map_err(Failure::bad_input)?;
     // The thigh fills 240 x 200 x 320 mm at size 1; it goes on beyond the ends of a shorter volume.
-    let size = dimensions[0].min(dimensions[1]) as f64 * SPACING_M / 0.24;
+    let size = dimensions[0].min(dimensions[1]) as f64 * spacing_m / 0.24;
     let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
     let hu = Phantom { solids }.voxelise(&grid, 2);
     let view = VolumeView::new(grid, &hu).map_err(failed)?;
     let machine = Machine::watch();
-    say!("volume {dimensions:?}, {SPACING_M} m; ms as least (median) of {rounds} interleaved rounds\n");
+    say!("volume {dimensions:?}, {spacing_m} m; ms as least (median) of {rounds} interleaved rounds\n");
     let bandwidth = bandwidth(&hu, rounds)?;
     for instructions in Instructions::available() {
         // Scalar code is there to be right.
