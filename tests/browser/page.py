@@ -70,8 +70,9 @@ class Page:
         return seen
 
     def still(self) -> None:
-        """Waits until the 3D view does not change any more."""
-        self.settled(lambda: self.page.evaluate("[trabecula.view.pictures, trabecula.view.surface.triangles, trabecula.view.busy]"))
+        """Waits until the 3D view is drawn and does not change any more."""
+        self.until("the picture", lambda: not self.page.evaluate("trabecula.view.busy"))
+        self.settled(lambda: self.page.evaluate("[trabecula.view.pictures, trabecula.view.surface.triangles]"))
 
     def value(self, plot: str, which: int = 0) -> float:
         """A plot's newest value, as its heading shows it."""

@@ -1,4 +1,4 @@
-"""Makes docs/pictures/viewer.png and viewer_dark.png: the page of a live run of the default scene.
+"""Makes docs/pictures/viewer.png: the page of a live run of the default scene.
 
 From the repository's root, after `cargo build --release` and `cargo test --release --test browser`, which makes the environment:
 
@@ -34,8 +34,8 @@ def address(viewer: subprocess.Popen) -> str:
     raise SystemExit("the viewer ended without an address")
 
 
-def pictures(url: str) -> tuple[Image.Image, Image.Image]:
-    """The page when the simulation has come to the moment to show, light and dark."""
+def picture(url: str) -> Image.Image:
+    """The page when the simulation has come to the moment to show."""
     with page.browser(ROOT / "target/tmp") as browser:
         shown = page.Page(browser, url, SIZE)
         shown.until("the moment to show", lambda: shown.number("time") >= SHOWN_AT_S, 600.0)
@@ -44,25 +44,9 @@ def pictures(url: str) -> tuple[Image.Image, Image.Image]:
         shown.page.evaluate("document.activeElement.blur()")
         shown.page.mouse.move(0, 0)
         shown.until("the surface is there", lambda: shown.page.evaluate("trabecula.view.surface.triangles > 0"))
-        light = still(shown)
-        shown.page.keyboard.press("t")
-        dark = still(shown)
+        shown.still()
         shown.clean()
-        return light, dark
-
-
-def still(shown: page.Page) -> Image.Image:
-    """The page when nothing of it changes any more."""
-    shown.still()
-    return Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
-
-
-def save(picture: Image.Image, out: Path) -> None:
-    # Few colours: a palette keeps text and lines sharp in a small file.
-    picture.quantize(256, dither=Image.Dither.NONE).save(out, optimize=True)
-    size = out.stat().st_size
-    assert size < LIMIT_BYTES, f"{out} has {size} bytes, more than {LIMIT_BYTES}"
-    print(f"{out} {size} bytes")
+        return Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
 
 
 def main() -> None:
@@ -81,13 +65,16 @@ def main() -> None:
             session = Path(folder) / "trabecula"
             while not list(session.glob("*/session.json")):
                 time.sleep(0.1)
-            light, dark = pictures(address(start("view", "--port", "0", "--no-open", "--page-folder", ROOT / "viewer_proc/page")))
+            shown = picture(address(start("view", "--port", "0", "--no-open", "--page-folder", ROOT / "viewer_proc/page")))
         finally:
             for process in reversed(started):
                 process.terminate()
                 process.wait()
-    save(light, out)
-    save(dark, out.with_stem(f"{out.stem}_dark"))
+    # Few colours: a palette keeps text and lines sharp in a small file.
+    shown.quantize(256, dither=Image.Dither.NONE).save(out, optimize=True)
+    size = out.stat().st_size
+    assert size < LIMIT_BYTES, f"{out} has {size} bytes, more than {LIMIT_BYTES}"
+    print(f"{out} {size} bytes")
 
 
 if __name__ == "__main__":
