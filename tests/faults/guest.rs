@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command as Program, Stdio};
 use std::time::Duration;
 
+use fastrand::Rng;
 use ipc_types::messages::{Command, DrrRequest, Event, Progress, RunControl};
 use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session, SessionError};
@@ -12,7 +13,6 @@ use rustix::process::Signal;
 use trabecula_client::{Client, Connection};
 
 use crate::common::program::signal;
-use crate::random::Random;
 
 const BEHAVIOUR: &str = "TRABECULA_TEST_GUEST";
 const NAME: &str = "TRABECULA_TEST_GUEST_NAME";
@@ -42,8 +42,8 @@ impl Behaviour {
     ];
 
     /// One that makes trouble for others.
-    pub fn bad(random: &mut Random) -> Behaviour {
-        [Behaviour::Slow, Behaviour::Flood, Behaviour::Garbage, Behaviour::Loan][random.below(4) as usize]
+    pub fn bad(random: &mut Rng) -> Behaviour {
+        [Behaviour::Slow, Behaviour::Flood, Behaviour::Garbage, Behaviour::Loan][random.u64(..4) as usize]
     }
 }
 
@@ -160,13 +160,13 @@ fn garbage(folder: &Path, name: &str, seed: u64) -> Result<(), Box<dyn std::erro
     let requests = session.publisher::<DrrRequest>(&services::DRR_REQUEST)?;
     let events = session.publisher::<Event>(&services::EVENT)?;
     let progress = session.publisher::<Progress>(&services::PROGRESS)?;
-    let mut random = Random(seed);
+    let mut random = Rng::with_seed(seed);
     println!("\n{READY}");
     loop {
         let mut bytes = |most: usize| -> Vec<u8> {
             // One in four has the right length.
-            let length = if random.one_in(4) { most } else { random.below(most as u64) as usize };
-            (0..length).map(|_| random.next() as u8).collect()
+            let length = if random.u64(..4) == 0 { most } else { random.u64(..most as u64) as usize };
+            (0..length).map(|_| random.u8(..)).collect()
         };
         commands.send_parts(&[&bytes(size_of::<Command>())])?;
         control.send_parts(&[&bytes(size_of::<RunControl>())])?;

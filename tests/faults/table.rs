@@ -12,7 +12,9 @@ pub struct Outcome {
     pub skipped: bool,
     /// The run went on until the test stopped it; otherwise it ended with an error that names the cause.
     pub went_on: bool,
-    /// From the fault to the error, in milliseconds.
+    /// From the fault to the error, in looks of 5 ms.
+    pub named_after_looks: Option<u64>,
+    /// The same in milliseconds.
     pub named_after_ms: Option<u64>,
     /// From the fault to the end of the last process, in milliseconds; of runs that ended.
     pub over_after_ms: Option<u64>,
@@ -30,6 +32,7 @@ struct Row {
     skipped: u64,
     went_on: u64,
     named: u64,
+    slowest_name_looks: u64,
     slowest_name_ms: u64,
     slowest_end_ms: u64,
     ticks: u64,
@@ -51,6 +54,7 @@ impl Table {
         }
         row.went_on += u64::from(outcome.went_on);
         row.named += u64::from(!outcome.went_on);
+        row.slowest_name_looks = row.slowest_name_looks.max(outcome.named_after_looks.unwrap_or(0));
         row.slowest_name_ms = row.slowest_name_ms.max(outcome.named_after_ms.unwrap_or(0));
         row.slowest_end_ms = row.slowest_end_ms.max(outcome.over_after_ms.unwrap_or(0));
         row.ticks += outcome.ticks;
@@ -60,8 +64,8 @@ impl Table {
 
     pub fn text(&self) -> String {
         let mut text = String::from(
-            "\n| fault | trials | skipped | run went on | run ended | slowest error ms | slowest end ms | \
-             ticks replayed | most published ticks lost | messages lost in all |\n|---|---|---|---|---|---|---|---|---|---|\n",
+            "\n| fault | trials | skipped | run went on | run ended | slowest error, looks of 5 ms | slowest error ms | slowest end ms | \
+             ticks replayed | most published ticks lost | messages lost in all |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
         );
         let mut sum = Row::default();
         for (name, row) in &self.0 {
@@ -70,6 +74,7 @@ impl Table {
             sum.skipped += row.skipped;
             sum.went_on += row.went_on;
             sum.named += row.named;
+            sum.slowest_name_looks = sum.slowest_name_looks.max(row.slowest_name_looks);
             sum.slowest_name_ms = sum.slowest_name_ms.max(row.slowest_name_ms);
             sum.slowest_end_ms = sum.slowest_end_ms.max(row.slowest_end_ms);
             sum.ticks += row.ticks;
@@ -84,11 +89,12 @@ impl Table {
 fn write_row(text: &mut String, name: &str, row: &Row) {
     let _ = writeln!(
         text,
-        "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+        "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
         row.trials,
         row.skipped,
         row.went_on,
         row.named,
+        row.slowest_name_looks,
         row.slowest_name_ms,
         row.slowest_end_ms,
         row.ticks,

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
+use fastrand::Rng;
 use ipc_types::messages::CONTROL_STOP;
 use recorder_proc::EndReason;
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
@@ -17,8 +18,8 @@ use crate::common::program::{
 use crate::common::scenes;
 use crate::fault::{Fault, Victim};
 use crate::guest::{Behaviour, Guest};
+use crate::looks::{LOOK_LIMIT, Looks};
 use crate::name_space::NameSpace;
-use crate::random::Random;
 use crate::table::Outcome;
 
 /// Ticks that a run must make after a fault for it to have gone on.
@@ -34,13 +35,13 @@ fn scene(lockstep: bool) -> String {
     let guest =
         "\n[[controller]]\nname = \"guest\"\ndrives = [\"c_arm\"]\nexternal = true\noptional = true\n";
     // Long enough for a lockstep run to be under way at the fault; late controllers are soon replaced or named.
-    let keys = "seed = 7\nhold_ticks = 20\ncontroller_limit_ms = 2000.0";
+    let keys = "seed = 7\nhold_ticks = 20\ncontroller_limit_ms = 1500.0";
     scenes::drill(mode, 600.0).replace("seed = 7", keys) + guest + &scenes::keyframes(0.25)
 }
 
 /// Makes a trial. It panics if something is not as it must be.
 pub fn make(fault: Fault, seed: u64) -> Outcome {
-    let mut random = Random(seed);
+    let mut random = Rng::with_seed(seed);
     let random = &mut random;
     let outcome = match fault {
         Fault::AwaitedJoinDeath => awaited_join_death(random),
@@ -105,13 +106,16 @@ impl Watched {
     }
 }
 
-/// Signals a process as the fault wants it.
-fn disturb(fault: Fault, pid: u32) {
+/// Signals a process as the fault wants it; `look` is called all the while.
+fn disturb(fault: Fault, pid: u32, mut look: impl FnMut()) {
     match fault {
         Fault::Kill(_) => signal(pid, Signal::KILL),
         Fault::Stop(_) => {
             signal(pid, Signal::STOP);
-            std::thread::sleep(STOP_TIME);
+            let end = Instant::now() + STOP_TIME;
+            while Instant::now() < end {
+                look();
+            }
             signal(pid, Signal::CONT);
         }
         _ => {
@@ -119,15 +123,15 @@ fn disturb(fault: Fault, pid: u32) {
                 signal(pid, Signal::STOP);
                 std::thread::sleep(Duration::from_millis(20));
                 signal(pid, Signal::CONT);
-                std::thread::sleep(Duration::from_millis(5));
+                look();
             }
         }
     }
 }
 
 /// Starts the run, makes the fault, and sees what comes of it.
-fn in_the_middle(fault: Fault, random: &mut Random) -> Result<Outcome, String> {
-    let lockstep = random.one_in(3);
+fn in_the_middle(fault: Fault, random: &mut Rng) -> Result<Outcome, String> {
+    let lockstep = random.u64(..3) == 0;
     let preload = match fault {
         Fault::ClockStep => Some(stepping_clock()?),
         _ => None,
@@ -138,41 +142,40 @@ fn in_the_middle(fault: Fault, random: &mut Random) -> Result<Outcome, String> {
     if fault.needs_guest() {
         guests.push(guest(&watched, Behaviour::Steady, random));
     }
-    watched.wait_for_tick(100 + random.below(300));
+    watched.wait_for_tick(100 + random.u64(..300));
     // In lockstep its silence would end the run.
-    if fault.may_have_company() && !lockstep && random.one_in(3) {
+    if fault.may_have_company() && !lockstep && random.u64(..3) == 0 {
         let behaviour = Behaviour::bad(random);
-        guests.push(Guest::start(&watched.session, "guest", behaviour, random.next()));
-        std::thread::sleep(Duration::from_millis(random.below(200)));
+        guests.push(Guest::start(&watched.session, "guest", behaviour, random.u64(..)));
+        std::thread::sleep(Duration::from_millis(random.u64(..200)));
     }
     let published = watched.published();
-    let began = Instant::now();
-    act(fault, &mut watched, &mut guests, random);
-    let (ended, went_on, named_after_ms) = observe(fault, &mut watched, began);
-    let over_after_ms = (!went_on).then(|| began.elapsed().as_millis() as u64);
+    let mut looks = Looks::new(fault.allowed(lockstep).errors);
+    act(fault, &mut watched, &mut guests, random, &mut looks);
+    if !matches!(fault, Fault::Kill(_) | Fault::Stop(_) | Fault::Starve(_)) {
+        // What it took to make the fault does not count.
+        looks.restart();
+    }
+    let (ended, went_on) = observe(fault, &mut watched, &mut looks);
     drop(guests);
-    Ok(judge(
-        fault,
-        &watched,
-        &ended,
-        published,
-        Outcome { went_on, named_after_ms, over_after_ms, ..Outcome::default() },
-    ))
+    Ok(judge(fault, &watched, &ended, published, looks.outcome(went_on)))
 }
 
-fn guest(watched: &Watched, behaviour: Behaviour, random: &mut Random) -> Guest {
-    let mut guest = Guest::start(&watched.session, "guest", behaviour, random.next());
+fn guest(watched: &Watched, behaviour: Behaviour, random: &mut Rng) -> Guest {
+    let mut guest = Guest::start(&watched.session, "guest", behaviour, random.u64(..));
     guest.ready().unwrap();
     guest
 }
 
-fn act(fault: Fault, watched: &mut Watched, guests: &mut Vec<Guest>, random: &mut Random) {
+fn act(fault: Fault, watched: &mut Watched, guests: &mut Vec<Guest>, random: &mut Rng, looks: &mut Looks) {
     match fault {
-        Fault::Kill(Victim::Client) | Fault::Stop(Victim::Client) | Fault::Starve(Victim::Client) => {
-            disturb(fault, guests[0].pid());
-        }
         Fault::Kill(victim) | Fault::Stop(victim) | Fault::Starve(victim) => {
-            disturb(fault, watched.pid_of(victim));
+            let pid = match victim {
+                Victim::Client => guests[0].pid(),
+                part => watched.pid_of(part),
+            };
+            looks.restart();
+            disturb(fault, pid, || looks.look(&watched.run));
         }
         Fault::SlowReader => guests.push(guest(watched, Behaviour::Slow, random)),
         Fault::Flood => guests.push(guest(watched, Behaviour::Flood, random)),
@@ -184,7 +187,7 @@ fn act(fault: Fault, watched: &mut Watched, guests: &mut Vec<Guest>, random: &mu
         }
         Fault::FileLimit => {
             let recorder = Pid::from_raw(watched.pid_of(Victim::Recorder) as i32).unwrap();
-            let limit = Some(3_000_000 + random.below(3_000_000));
+            let limit = Some(3_000_000 + random.u64(..3_000_000));
             prlimit(Some(recorder), Resource::Fsize, Rlimit { current: limit, maximum: limit }).unwrap();
         }
         Fault::AllKilled => {
@@ -203,68 +206,86 @@ fn act(fault: Fault, watched: &mut Watched, guests: &mut Vec<Guest>, random: &mu
 }
 
 /// Clients that are killed at any moment of their joining.
-fn killed_joining(session: &Path, name: &str, random: &mut Random) {
+fn killed_joining(session: &Path, name: &str, random: &mut Rng) {
     for _ in 0..3 {
-        let mut guest = Guest::start(session, name, Behaviour::Steady, random.next());
-        std::thread::sleep(Duration::from_micros(random.below(30_000)));
+        let mut guest = Guest::start(session, name, Behaviour::Steady, random.u64(..));
+        std::thread::sleep(Duration::from_micros(random.u64(..30_000)));
         guest.kill();
     }
 }
 
 /// Another hub runs for a while; one of its processes is killed.
-fn second_hub(random: &mut Random) {
+fn second_hub(random: &mut Rng) {
     let place = Place::new();
     let run = place.start(&scenes::hold("realtime", 60.0));
     let session = run.session();
     let client = Client::join(&session);
     client.wait_for_state(|state| state.tick >= 100);
     drop(client);
-    let launcher = random.one_in(2);
+    let launcher = random.u64(..2) == 0;
     signal(if launcher { run.pid() } else { run.part("physics") }, Signal::KILL);
     let ended = run.end();
     assert_eq!(ended.code, if launcher { None } else { Some(1) }, "{}", ended.err);
     wait_for("the end of its parts", || parts_of(&session).is_empty().then_some(()));
 }
 
-/// Waits until the run has ended, or has made enough ticks after the fault and is stopped.
-fn observe(fault: Fault, watched: &mut Watched, began: Instant) -> (Ended, bool, Option<u64>) {
+/// Waits until the run has ended, or has made enough ticks after the fault and is stopped. It must say what is wrong, or
+/// make a tick, within the limit of looks.
+fn observe(fault: Fault, watched: &mut Watched, looks: &mut Looks) -> (Ended, bool) {
     let allowed = fault.allowed(watched.lockstep);
-    let mut named = None;
-    let mut target = None;
-    let went_on = wait_for("the end of a disturbed run", || {
-        if named.is_none() && allowed.errors.iter().any(|words| watched.run.said().contains(words)) {
-            named = Some(began.elapsed().as_millis() as u64);
-        }
+    let log =
+        |watched: &Watched| watched.run.log().and_then(|log| log.metadata().ok()).map(|meta| meta.len());
+    let mut length = None;
+    // What was in the queue does not count.
+    let newest = watched.published();
+    let (before, mut first) = (looks.count(), None);
+    let went_on = loop {
+        looks.look(&watched.run);
         if watched.run.is_over() {
-            return Some(false);
+            break false;
+        }
+        if fault == Fault::FileLimit && length != log(watched) {
+            // It has not come yet.
+            length = log(watched);
+            looks.restart();
         }
         if !allowed.goes_on {
-            return None;
+            continue;
         }
-        let newest = watched.published();
-        // What was in the queue does not count.
-        let target = *target.get_or_insert(newest + TICKS_AFTER);
-        (newest >= target).then_some(true)
-    });
-    // A launcher that is killed leaves its parts to the kernel's signal.
+        let made = watched.published() - newest;
+        if made > 0 {
+            first.get_or_insert(looks.count() - before);
+        }
+        if made >= TICKS_AFTER {
+            break true;
+        }
+    };
     if went_on {
+        assert!(first <= Some(LOOK_LIMIT), "{}: the next tick came after {first:?} looks", fault.name());
         watched.client.as_ref().unwrap().ask(CONTROL_STOP, 0);
     }
     watched.client = None;
     let session = watched.session.clone();
     let run = std::mem::replace(&mut watched.run, Run::of(Program::new("true"), PathBuf::new()));
     let ended = run.end();
+    // A launcher that is killed leaves its parts to the kernel's signal.
     wait_for("the end of all parts", || parts_of(&session).is_empty().then_some(()));
-    if named.is_none() && allowed.errors.iter().any(|words| ended.err.contains(words)) {
-        named = Some(began.elapsed().as_millis() as u64);
+    looks.end(&ended.err);
+    if !went_on && !is_launcher_killed(fault) {
+        looks.assert_in_time(&format!("the error after {}", fault.name()));
     }
-    (ended, went_on, named)
+    (ended, went_on)
+}
+
+/// Nobody is left to say anything; the log's end names the launcher.
+fn is_launcher_killed(fault: Fault) -> bool {
+    matches!(fault, Fault::Kill(Victim::Launcher) | Fault::AllKilled)
 }
 
 /// What must hold after every fault.
 fn judge(fault: Fault, watched: &Watched, ended: &Ended, published: u64, outcome: Outcome) -> Outcome {
     let said = format!("{}: exit {:?}\n{}\n{}", fault.name(), ended.code, ended.err, ended.out);
-    let launcher_killed = matches!(fault, Fault::Kill(Victim::Launcher) | Fault::AllKilled);
+    let launcher_killed = is_launcher_killed(fault);
     assert!(!ended.err.contains("panicked"), "{said}");
     if outcome.went_on {
         assert_eq!(ended.code, Some(0), "{said}");
@@ -330,9 +351,9 @@ fn next_run_starts(place: &Place) {
 }
 
 /// The controller that the start waits for dies while it joins, and comes back.
-fn awaited_join_death(random: &mut Random) -> Result<Outcome, String> {
+fn awaited_join_death(random: &mut Rng) -> Result<Outcome, String> {
     let place = Place::new();
-    let mode = if random.one_in(2) { "lockstep" } else { "realtime" };
+    let mode = if random.u64(..2) == 0 { "lockstep" } else { "realtime" };
     let run = place.start(&scenes::piloted(mode, 0.3, ""));
     let session = run.session();
     killed_joining(&session, "pilot", random);
@@ -347,10 +368,10 @@ fn awaited_join_death(random: &mut Random) -> Result<Outcome, String> {
     Ok(Outcome { went_on: true, ticks, ..Outcome::default() })
 }
 
-const MEMORY: &str = "/dev/shm";
+pub const MEMORY: &str = "/dev/shm";
 
 /// Runs the hold scene in a namespace.
-fn start_in(space: &NameSpace, place: &Place, output: &Path, scene: &str) -> Run {
+pub fn start_in(space: &NameSpace, place: &Place, output: &Path, scene: &str) -> Run {
     let file = place.scene(scene);
     let mut command = space.command();
     command
@@ -363,39 +384,41 @@ fn start_in(space: &NameSpace, place: &Place, output: &Path, scene: &str) -> Run
     Run::of(command, output.to_owned())
 }
 
-fn memory_left(space: &NameSpace) -> Vec<String> {
+pub fn memory_left(space: &NameSpace) -> Vec<String> {
     let entries = std::fs::read_dir(space.path(Path::new(MEMORY))).unwrap().flatten();
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
 /// A session finds too little shared memory, by any amount; with enough, the same scene runs.
-fn memory_full_at_start(random: &mut Random) -> Result<Outcome, String> {
-    let bytes = (1 << random.below(28)).max(4096) + random.below(1 << 16) * 4096 % (1 << 24);
+fn memory_full_at_start(random: &mut Rng) -> Result<Outcome, String> {
+    let bytes = (1 << random.u64(..28)).max(4096) + random.u64(..1 << 16) * 4096 % (1 << 24);
     let space = NameSpace::with_tmpfs(Path::new(MEMORY), bytes)?;
     let place = Place::new();
     let output = place.path("out");
-    let began = Instant::now();
-    let ended = start_in(&space, &place, &output, &scenes::hold("lockstep", 0.02)).end();
-    let over_after_ms = Some(began.elapsed().as_millis() as u64);
+    let mut looks = Looks::new([MEMORY, MEMORY]);
+    let mut run = start_in(&space, &place, &output, &scenes::hold("lockstep", 0.02));
+    while !run.is_over() {
+        looks.look(&run);
+    }
+    let ended = run.end();
+    looks.end(&ended.err);
     let said = format!("{bytes} bytes: exit {:?}\n{}\n{}", ended.code, ended.err, ended.out);
     assert!(!ended.err.contains("panicked"), "{said}");
     let went_on = ended.code == Some(0);
     assert!(went_on || (ended.code == Some(1) && ended.err.contains(MEMORY)), "{said}");
+    if !went_on {
+        looks.assert_in_time("the error of a start without memory");
+    }
     assert_eq!(memory_left(&space), Vec::<String>::new(), "{said}");
     assert!(!session_folder(ended.pid).exists(), "{said}");
     space.resize(Path::new(MEMORY), 1 << 30);
     let ended = start_in(&space, &place, &output, &scenes::hold("lockstep", 0.02)).end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
-    Ok(Outcome {
-        went_on,
-        named_after_ms: over_after_ms.filter(|_| !went_on),
-        over_after_ms,
-        ..Outcome::default()
-    })
+    Ok(looks.outcome(went_on))
 }
 
 /// All shared memory is taken in the middle of a run, and clients try to join: the run goes on.
-fn memory_full(random: &mut Random) -> Result<Outcome, String> {
+fn memory_full(random: &mut Rng) -> Result<Outcome, String> {
     let space = NameSpace::with_tmpfs(Path::new(MEMORY), 1 << 30)?;
     let place = Place::new();
     let run = start_in(&space, &place, &place.path("out"), &scene(false));
@@ -404,7 +427,7 @@ fn memory_full(random: &mut Random) -> Result<Outcome, String> {
         let folder = std::fs::read_dir(place.path("out")).ok()?.flatten().next()?.path();
         std::fs::metadata(folder.join("run.mcap")).ok().map(|meta| meta.len())
     };
-    wait_for("a log", || log().filter(|bytes| *bytes > 1_000_000 + random.below(1_000_000)));
+    wait_for("a log", || log().filter(|bytes| *bytes > 1_000_000 + random.u64(..1_000_000)));
     let filler = space.fill(Path::new(MEMORY));
     let guest = |behaviour| {
         let mut command = space.command();
@@ -432,19 +455,28 @@ fn memory_full(random: &mut Random) -> Result<Outcome, String> {
 }
 
 /// The file system of the log is full.
-fn disk_full(random: &mut Random) -> Result<Outcome, String> {
+fn disk_full(random: &mut Rng) -> Result<Outcome, String> {
     let place = Place::new();
     let output = place.path("out");
     std::fs::create_dir(&output).unwrap();
-    let bytes = 2_000_000 + random.below(6_000_000);
+    let bytes = 2_000_000 + random.u64(..6_000_000);
     let space = NameSpace::with_tmpfs(&output, bytes)?;
-    let began = Instant::now();
-    let mut run = start_in(&space, &place, &output, &scene(false));
-    wait_for("the end of the run", || run.is_over().then_some(()));
-    let over_after_ms = Some(began.elapsed().as_millis() as u64);
-    let ended = run.end();
-    let said = format!("{bytes} bytes: exit {:?}\n{}\n{}", ended.code, ended.err, ended.out);
     let errors = Fault::DiskFull.allowed(false).errors;
+    let mut looks = Looks::new(errors);
+    let mut run = start_in(&space, &place, &output, &scene(false));
+    let left = || rustix::fs::statvfs(space.path(&output)).map_or(0, |info| info.f_bavail);
+    let mut before = left();
+    while !run.is_over() {
+        looks.look(&run);
+        if std::mem::replace(&mut before, left()) != before {
+            // It is not full yet.
+            looks.restart();
+        }
+    }
+    let ended = run.end();
+    looks.end(&ended.err);
+    looks.assert_in_time("the error of a full disk");
+    let said = format!("{bytes} bytes: exit {:?}\n{}\n{}", ended.code, ended.err, ended.out);
     assert_eq!(ended.code, Some(1), "{said}");
     assert!(errors.iter().any(|words| ended.err.contains(words)), "{said}");
     assert!(!ended.err.contains("panicked"), "{said}");
@@ -453,5 +485,5 @@ fn disk_full(random: &mut Random) -> Result<Outcome, String> {
     let ticks = read(&folder).ticks.len() as u64;
     assert_replays(&folder);
     next_run_starts(&place);
-    Ok(Outcome { ticks, over_after_ms, ..Outcome::default() })
+    Ok(Outcome { ticks, ..looks.outcome(false) })
 }

@@ -38,6 +38,12 @@ fn ctrl_c_ends_all_cleanly_with_a_valid_log() {
     assert!(ended.out.contains("interrupted") && ended.folder.join("summary.json").exists(), "{}", ended.out);
 }
 
+/// How many there are beside the logs: `.end_reason` is how the launcher tells the recorder why the run ends.
+fn hidden_files(ended: &Ended) -> usize {
+    let files = fs::read_dir(&ended.folder).unwrap().flatten();
+    files.filter(|file| file.file_name().to_string_lossy().starts_with('.')).count()
+}
+
 /// Kills a part; the launcher must name it, and the log must replay to its end.
 fn assert_death_is_told(part: &str, name: &str) {
     let place = Place::new();
@@ -50,6 +56,7 @@ fn assert_death_is_told(part: &str, name: &str) {
     );
     assert!(ended.err.contains("its last words:\n  nothing"), "{}", ended.err);
     assert_nothing_left(ended.pid);
+    assert_eq!(hidden_files(&ended), 0, "the reason of the end is left, for nobody has read it");
     let log = read(&ended.folder);
     assert!(log.ticks.len() >= 200, "only {} ticks", log.ticks.len());
     let said = assert_replays(&ended.folder);
@@ -160,9 +167,5 @@ fn a_stopped_run_leaves_no_reason_file_behind() {
     let place = Place::new();
     let ended = disturbed(&place, |run| signal(run.pid(), Signal::TERM));
     assert_eq!(ended.code, Some(130), "{}", ended.err);
-    let hidden = fs::read_dir(&ended.folder)
-        .unwrap()
-        .flatten()
-        .filter(|e| e.file_name().to_string_lossy().starts_with('.'));
-    assert_eq!(hidden.count(), 0);
+    assert_eq!(hidden_files(&ended), 0);
 }

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use controller_proc::Controller;
 use controller_proc::process::run_controller;
+use fastrand::Rng;
 use ipc_types::messages::{
     ARM_HOLD, ARM_MOVE_CP, ARM_SERVO_JP, BURR_SPEED, Command, SOURCE_HELD, SOURCE_SAFE, State,
     TENDON_SERVO_JF,
@@ -32,39 +33,22 @@ const PILOT_VARIABLE: &str = "TRABECULA_TEST_PILOT_SEED";
 const FEW: u64 = 4;
 const RUN_S: f64 = 1.0;
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, n: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ (z >> 31)) % n
-    }
-
-    fn one_in(&mut self, n: u64) -> bool {
-        self.below(n) == 0
-    }
-}
-
 /// Drives everything about at random, with answers that are at times late.
-struct Erratic(Random);
+struct Erratic(Rng);
 
 impl Controller for Erratic {
     fn step(&mut self, state: &State, command: &mut Command) {
         let random = &mut self.0;
         command.tendon_mode = TENDON_SERVO_JF;
-        command.tendon_force_n[random.below(2) as usize] = random.below(60) as f64 * 0.1;
+        command.tendon_force_n[random.u64(..2) as usize] = random.u64(..60) as f64 * 0.1;
         command.burr_mode = BURR_SPEED;
-        command.burr_speed_rad_per_s = random.below(900) as f64;
-        match random.below(40) {
+        command.burr_speed_rad_per_s = random.u64(..900) as f64;
+        match random.u64(..40) {
             0 => command.arm_mode = ARM_HOLD,
             1..=5 => {
                 command.arm_mode = ARM_MOVE_CP;
                 command.t_world_base = state.t_world_flange;
-                command.t_world_base.position_m[2] += random.below(30) as f64 * 1e-4;
+                command.t_world_base.position_m[2] += random.u64(..30) as f64 * 1e-4;
                 command.arm_speed_m_per_s = 0.02;
             }
             6 => {
@@ -74,8 +58,8 @@ impl Controller for Erratic {
             }
             _ => {}
         }
-        if random.one_in(50) {
-            std::thread::sleep(Duration::from_millis(random.below(40)));
+        if random.u64(..50) == 0 {
+            std::thread::sleep(Duration::from_millis(random.u64(..40)));
         }
     }
 }
@@ -85,7 +69,7 @@ impl Controller for Erratic {
 fn pilot_program() {
     let Ok(seed) = std::env::var(PILOT_VARIABLE) else { return };
     let session = std::env::var_os(SESSION_VARIABLE).unwrap();
-    let mut controller = Erratic(Random(seed.parse().unwrap()));
+    let mut controller = Erratic(Rng::with_seed(seed.parse().unwrap()));
     // A run that has just ended cannot be joined.
     let _ = run_controller(Path::new(&session), "pilot", &mut controller);
 }
@@ -137,16 +121,16 @@ fn every_thread(pid: u32, act: impl Fn(Pid)) {
 
 /// Makes a run under the schedule of a seed, and replays it.
 fn play(seed: u64) -> Row {
-    let mut random = Random(seed);
+    let mut random = Rng::with_seed(seed);
     let place = Place::new();
-    let with_frames = random.one_in(2);
+    let with_frames = random.u64(..2) == 0;
     let run = place.start(&scenes::scheduled(RUN_S, with_frames));
     let session = run.session();
-    let mut row = Row { neighbours: random.below(4), one_core: random.one_in(2), ..Row::default() };
+    let mut row = Row { neighbours: random.u64(..4), one_core: random.u64(..2) == 0, ..Row::default() };
     let neighbours = BusyLoops::start(row.neighbours as usize);
     let mut pilot = Some(Pilot::start(&session, seed));
     let parts: Vec<u32> = ["physics", "recorder"].iter().map(|part| run.part(part)).collect();
-    row.nice = random.one_in(2);
+    row.nice = random.u64(..2) == 0;
     let pilot_pid = pilot.as_ref().map(Pilot::pid);
     for pid in parts.iter().copied().chain(pilot_pid) {
         if row.one_core {
@@ -155,8 +139,8 @@ fn play(seed: u64) -> Row {
             // A thread that has just ended, or a machine that forbids it, changes nothing.
             every_thread(pid, |thread| sched_setaffinity(Some(thread), &core).unwrap_or_default());
         }
-        if row.nice && random.one_in(2) {
-            let niceness = 1 + random.below(15) as i32;
+        if row.nice && random.u64(..2) == 0 {
+            let niceness = 1 + random.u64(..15) as i32;
             every_thread(pid, |thread| setpriority_process(Some(thread), niceness).unwrap_or_default());
         }
     }
@@ -171,7 +155,7 @@ fn play(seed: u64) -> Row {
 
 /// Stops, continues, kills and restarts until the run's time is about over.
 fn disturb(
-    random: &mut Random,
+    random: &mut Rng,
     run: &Run,
     session: &Path,
     parts: &[u32],
@@ -180,16 +164,16 @@ fn disturb(
 ) {
     let end = Instant::now() + Duration::from_secs_f64(RUN_S * 0.9);
     while Instant::now() < end && Path::new(&format!("/proc/{}", run.pid())).exists() {
-        std::thread::sleep(Duration::from_millis(random.below(120)));
-        let pause = Duration::from_millis(2 + random.below(90));
-        if random.one_in(3) {
+        std::thread::sleep(Duration::from_millis(random.u64(..120)));
+        let pause = Duration::from_millis(2 + random.u64(..90));
+        if random.u64(..3) == 0 {
             // The physics waits for a controller only at the start: from then on it runs with or without.
             drop(pilot.take());
             std::thread::sleep(pause);
             *pilot = Some(Pilot::start(session, row.restarts + 1000));
             row.restarts += 1;
         } else {
-            let pid = match random.below(3) {
+            let pid = match random.u64(..3) {
                 0 => pilot.as_ref().map(Pilot::pid),
                 part => parts.get(part as usize - 1).copied(),
             };

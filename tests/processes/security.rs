@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use ipc_types::messages::CONTROL_STOP;
 
 use crate::common::client::Client;
-use crate::common::logs::{rewrite_as, verify};
+use crate::common::logs::{rename_attachments, rewrite_as, verify};
 use crate::common::program::{Place, Run, assert_nothing_left, trabecula};
 use crate::common::scenes;
 
@@ -167,16 +167,59 @@ fn a_scene_whose_names_are_paths_is_refused_and_nothing_is_written() {
     }
 }
 
+/// Gives a log to every command that reads one; returns the commands' exit codes. What is outside of the folder that they
+/// are told to write to stays as it is.
+fn read_by_every_command(place: &Place, log: &Path, inside: &Path) -> Vec<i32> {
+    fs::create_dir(inside).unwrap();
+    let outside = || -> Vec<_> {
+        tree(&place.path("")).into_iter().filter(|(path, _)| !path.starts_with(inside)).collect()
+    };
+    let before = outside();
+    let told = |name: &str| inside.join(name).to_str().unwrap().to_owned();
+    let log = log.to_str().unwrap().to_owned();
+    let to = |words: &[&str], name: &str| {
+        let words = words.iter().map(|word| (*word).to_owned());
+        words.chain([log.clone(), "-o".to_owned(), told(name)]).collect::<Vec<_>>()
+    };
+    let alone = |words: &[&str], more: &[&str]| {
+        let words = words.iter().map(|word| (*word).to_owned()).chain([log.clone()]);
+        words.chain(more.iter().map(|word| (*word).to_owned())).collect::<Vec<_>>()
+    };
+    let all = [
+        alone(&["log", "info"], &[]),
+        alone(&["log", "cat"], &[]),
+        to(&["log", "repair"], "r.mcap"),
+        to(&["log", "compress"], "c.mcap"),
+        to(&["log", "export"], "t.csv"),
+        to(&["log", "export", "--frames"], "frames"),
+        to(&["log", "split"], "s"),
+        alone(&["replay"], &["--verify", "--frames"]),
+    ];
+    let codes = all.iter().map(|arguments| {
+        let words: Vec<&dyn AsRef<std::ffi::OsStr>> =
+            arguments.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>).collect();
+        let done = trabecula(&words);
+        done.code.filter(|code| *code <= 2).unwrap_or_else(|| panic!("{arguments:?}: {}", done.err))
+    });
+    let codes = codes.collect();
+    assert_eq!(outside(), before, "{log}");
+    codes
+}
+
+/// A log of 0.3 s in `good.mcap`, and a folder deep enough that a name can lead out of it.
+fn deep(place: &Place) -> (PathBuf, PathBuf) {
+    let ended = place.complete(&scenes::drill("lockstep", 0.3));
+    fs::create_dir_all(place.path("in/deep/folder")).unwrap();
+    fs::rename(ended.folder.join("run.mcap"), place.path("good.mcap")).unwrap();
+    (place.path("good.mcap"), place.path("in/deep/folder/evil.mcap"))
+}
+
 /// The log of a stranger: its scene, controllers and names are what the stranger likes.
 #[test]
 fn a_log_whose_names_are_paths_writes_only_where_it_is_told_to() {
     let place = Place::new();
-    let ended = place.complete(&scenes::drill("lockstep", 0.3));
-    fs::create_dir_all(place.path("in/deep/folder")).unwrap();
-    fs::rename(ended.folder.join("run.mcap"), place.path("good.mcap")).unwrap();
-    for evil in ["../../evil", "/tmp/trabecula_evil"] {
-        let log = place.path("in/deep/folder/evil.mcap");
-        let good = place.path("good.mcap");
+    let (good, log) = deep(&place);
+    for (index, evil) in ["../../evil", "/tmp/trabecula_evil"].into_iter().enumerate() {
         rewrite_as(
             &good,
             &log,
@@ -188,45 +231,34 @@ fn a_log_whose_names_are_paths_writes_only_where_it_is_told_to() {
             |_| {},
             |_| {},
         );
-        let inside = place.path("in/deep/folder/told");
-        fs::create_dir(&inside).unwrap();
-        let before = tree(&place.path(""));
-        let told = |name: &str| inside.join(name);
-        let folder = told("frames");
-        let all: [Vec<&dyn AsRef<std::ffi::OsStr>>; 8] = [
-            vec![&"log", &"info", &log],
-            vec![&"log", &"cat", &log],
-            vec![&"log", &"repair", &log, &"-o", &"REPAIRED"],
-            vec![&"log", &"compress", &log, &"-o", &"COMPRESSED"],
-            vec![&"log", &"export", &log, &"-o", &"TABLE"],
-            vec![&"log", &"export", &good, &"--frames", &"-o", &folder],
-            vec![&"log", &"split", &log, &"-o", &"SPLIT"],
-            vec![&"replay", &log, &"--verify", &"--frames"],
-        ];
-        for arguments in all {
-            let names =
-                [("REPAIRED", "r.mcap"), ("COMPRESSED", "c.mcap"), ("TABLE", "t.csv"), ("SPLIT", "s")];
-            let arguments: Vec<PathBuf> = arguments
-                .iter()
-                .map(|word| {
-                    let word = word.as_ref().to_owned();
-                    let given = names.iter().find(|(name, _)| *name == word);
-                    given.map_or_else(|| PathBuf::from(&word), |(_, file)| told(file))
-                })
-                .collect();
-            let words: Vec<&dyn AsRef<std::ffi::OsStr>> =
-                arguments.iter().map(|word| word as &dyn AsRef<std::ffi::OsStr>).collect();
-            let done = trabecula(&words);
-            assert!(done.code.is_some_and(|code| code <= 2), "{arguments:?}: {}", done.err);
-        }
-        let after: Vec<_> =
-            tree(&place.path("")).into_iter().filter(|(path, _)| !path.starts_with(&inside)).collect();
-        let before: Vec<_> = before.into_iter().filter(|(path, _)| !path.starts_with(&inside)).collect();
-        assert_eq!(after, before, "{evil}");
+        let inside = place.path(&format!("in/deep/folder/told{index}"));
+        read_by_every_command(&place, &log, &inside);
         assert!(tree(&inside).len() >= 3, "{:?}", tree(&inside));
         assert!(!Path::new("/tmp/trabecula_evil").exists());
         // Its scene is not one: it is read and refused, never followed.
         assert_eq!(verify(&log).code, Some(2));
-        fs::remove_dir_all(inside).unwrap();
     }
+}
+
+/// Pictures are numbered, tables have the name that they are given: no command takes a name from the log.
+#[test]
+fn exported_pictures_and_attachments_with_paths_for_names_stay_in_the_folder() {
+    let place = Place::new();
+    let (good, log) = deep(&place);
+    // As long as `scene.toml` and `calibration.json`.
+    let renamed = rename_attachments(
+        &good,
+        &log,
+        &[("scene.toml", "../../evil"), ("calibration.json", "/tmp/trabecula_e")],
+    );
+    assert_eq!(renamed, 2);
+    read_by_every_command(&place, &log, &place.path("in/deep/folder/told"));
+    // With names that it knows, the same log is exported whole.
+    assert_eq!(rename_attachments(&log, &place.path("back.mcap"), &[("../../evil", "scene.toml")]), 1);
+    let inside = place.path("in/deep/folder/back");
+    let codes = read_by_every_command(&place, &place.path("back.mcap"), &inside);
+    assert_eq!(codes, [0; 8], "info, cat, repair, compress, export twice, split, replay");
+    let pictures = fs::read_dir(inside.join("frames")).unwrap().count();
+    assert!(pictures >= 3, "{pictures} pictures");
+    assert!(!Path::new("/tmp/trabecula_e").exists());
 }

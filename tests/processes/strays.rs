@@ -4,8 +4,8 @@ use std::process::Command;
 use std::time::Duration;
 
 use ipc_types::messages::{
-    CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Pose,
-    SOURCE_FRESH, TENDON_SERVO_JF,
+    CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST,
+    EVENT_REQUEST_REFUSED, Event, Pose, Progress, RunControl, SOURCE_FRESH, TENDON_SERVO_JF,
 };
 use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session};
@@ -74,6 +74,37 @@ fn a_client_that_floods_or_stops_reading_is_counted_and_stops_nobody() {
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_nothing_left(ended.pid);
+    assert_replays(&ended.folder);
+}
+
+/// A message of a wrong length once ended whoever read it: the recorder with its log, the DRR process, the physics.
+#[test]
+fn garbage_of_a_stray_publisher_is_refused_and_ends_nobody() {
+    let place = Place::new();
+    let scene = scenes::drill("realtime", 60.0)
+        + "\n[[controller]]\nname = \"pilot\"\ndrives = [\"c_arm\"]\nexternal = true\noptional = true\n";
+    let run = place.start(&scene);
+    let mut observer = joined(&run, "");
+    observer.next_event().unwrap();
+    observer.wait_state(LIMIT).unwrap();
+    let stray = Session::join(&run.session()).unwrap();
+    let bytes = [0x5a; 7];
+    stray.command_publisher("pilot").unwrap().send_parts(&[&bytes]).unwrap();
+    stray.publisher::<RunControl>(&services::RUN_CONTROL).unwrap().send_parts(&[&bytes]).unwrap();
+    stray.publisher::<DrrRequest>(&services::DRR_REQUEST).unwrap().send_parts(&[&bytes]).unwrap();
+    stray.publisher::<Event>(&services::EVENT).unwrap().send_parts(&[&bytes]).unwrap();
+    stray.publisher::<Progress>(&services::PROGRESS).unwrap().send_parts(&[&bytes]).unwrap();
+    await_event(&mut observer, EVENT_COMMAND_REFUSED, "controller `pilot`: a message of 7 bytes");
+    drop(stray);
+    // Everybody goes on: the physics, the DRR process, and the recorder, whose log is whole.
+    let request = observer.request_frame(None, observer.state().unwrap().tick).unwrap();
+    observer.wait_frame(request, LIMIT).unwrap();
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(observer);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
     assert_replays(&ended.folder);
 }
 

@@ -128,6 +128,43 @@ fn an_interrupted_stress_test_keeps_what_is_done_and_leaves_no_neighbour() {
     assert_eq!(processes_with(report.to_str().unwrap()), 0);
 }
 
+/// A number in a file of `/proc/PID`, behind a name.
+fn number_of(pid: u32, file: &str, name: &str) -> u64 {
+    let text = fs::read_to_string(format!("/proc/{pid}/{file}")).unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix(name));
+    line.and_then(|rest| rest.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+}
+
+#[test]
+fn each_neighbour_does_what_its_name_says_until_its_limit() {
+    let place = Place::new();
+    type Sign = fn(u32) -> bool;
+    let kinds: [(&str, Sign); 4] = [
+        ("spin", |pid| processor_time(pid, 11) > 0),
+        ("memory", |pid| number_of(pid, "status", "VmRSS:") >= 64 << 10),
+        ("disk", |pid| number_of(pid, "io", "write_bytes:") >= 1 << 20),
+        // That of the processes which it has started.
+        ("fork", |pid| processor_time(pid, 13) > 0),
+    ];
+    for (kind, sign) in kinds {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+        command.args(["load", kind, "--seed", "7", "--limit-s", "1", "--folder"]).arg(place.path(""));
+        let mut child = command.spawn().unwrap();
+        wait_for(kind, || sign(child.id()).then_some(()));
+        let status = wait_for("its limit", || child.try_wait().unwrap());
+        assert_eq!(status.code(), Some(0), "{kind}");
+    }
+    assert_eq!(place.entries(), Vec::<String>::new(), "a load leaves no file");
+}
+
+/// User and system time in hundredths of a second: two fields of `/proc/PID/stat` behind the name, the process's own from 11
+/// on, its ended children's from 13 on (proc_pid_stat(5)).
+fn processor_time(pid: u32, first: usize) -> u64 {
+    let text = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let fields = text.rsplit_once(')').map_or("", |(_, fields)| fields);
+    fields.split_whitespace().skip(first).take(2).filter_map(|field| field.parse::<u64>().ok()).sum()
+}
+
 #[test]
 fn a_killed_stress_test_leaves_no_neighbour() {
     let place = Place::new();
@@ -190,6 +227,16 @@ fn parts_in_real_time_have_priorities_in_their_order_and_misses_have_causes() {
     let nice = |pid: u32| getpriority_process(Pid::from_raw(pid as i32)).unwrap();
     let parts = ["physics", "controller", "recorder", "drr"].map(|name| nice(run.part(name)));
     let launcher = nice(run.pid());
+    // Without autogroups there is no such file, or one group for all.
+    let group = |name: &str| fs::read_to_string(format!("/proc/{}/autogroup", run.part(name)));
+    let switched_on =
+        fs::read_to_string("/proc/sys/kernel/sched_autogroup_enabled").is_ok_and(|on| on.trim() == "1");
+    if switched_on {
+        for (name, nice) in ["physics", "controller", "recorder", "drr"].into_iter().zip(parts) {
+            let group = group(name).unwrap();
+            assert!(group.trim().ends_with(&format!(" nice {nice}")), "{name}: {group}");
+        }
+    }
     drop(client);
     signal(run.pid(), Signal::INT);
     let ended = run.end();

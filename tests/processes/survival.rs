@@ -51,6 +51,29 @@ fn a_killed_process_other_than_the_recorder_loses_nothing_that_was_published() {
 }
 
 /// Repairs a log; the result must be whole and replay to the same tick. Returns what the command said.
+/// It once lost what came in the meantime: its queues were too short, and it took one whole before the next.
+#[test]
+fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 60.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 100);
+    let recorder = run.part("recorder");
+    signal(recorder, Signal::STOP);
+    // More ticks than the 1024 that it once took for a loss.
+    let tick = client.wait_for_state(|_| true).tick;
+    client.wait_for_state(|state| state.tick >= tick + 1500);
+    signal(recorder, Signal::CONT);
+    client.ask(CONTROL_STOP, 0);
+    drop(client);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let log = read(&ended.folder);
+    assert!(log.ticks.len() as u64 >= tick + 1500, "{} ticks", log.ticks.len());
+    assert!(log.marker.unwrap().lost.is_empty());
+    assert_replays(&ended.folder);
+}
+
 fn assert_repairs(place: &Place, folder: &Path) -> String {
     let before = read(folder).ticks.len();
     let whole = place.path("whole.mcap");

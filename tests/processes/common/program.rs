@@ -134,6 +134,12 @@ impl Run {
         fs::read_to_string(self.words.path().join("err")).unwrap()
     }
 
+    /// The log of the run, once it is there.
+    pub fn log(&self) -> Option<PathBuf> {
+        let folder = fs::read_dir(&self.output).ok()?.flatten().next()?.path();
+        Some(folder.join("run.mcap")).filter(|log| log.exists())
+    }
+
     /// Whether the launcher has ended.
     pub fn is_over(&mut self) -> bool {
         self.child.try_wait().unwrap().is_some()
