@@ -238,7 +238,6 @@ impl Line {
 
 #[cfg(test)]
 mod tests {
-    use ipc_types::layout::Message;
 
     use super::*;
 

@@ -197,7 +197,6 @@ pub fn timing_marks(path: &Path) -> Vec<Mark> {
 
 #[cfg(test)]
 mod tests {
-    use ipc_types::layout::Message;
     use recorder_proc::{BuildInfo, RunMode};
     use zerocopy::IntoBytes;
 
