@@ -89,7 +89,6 @@ impl FrameOrder {
 
 #[cfg(test)]
 mod tests {
-    use ipc_types::layout::Message;
     use ipc_types::messages::{DRR_ACCEPTED, DrrReply};
 
     use super::FrameOrder;

@@ -238,7 +238,6 @@ impl Line {
 
 #[cfg(test)]
 mod tests {
-
     use super::*;
 
     #[test]
