@@ -44,6 +44,9 @@ impl CatOptions {
 }
 
 /// Writes the selected messages. Floats have as many digits as identify them; infinities and NaN are strings.
+///
+/// # Errors
+/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], behind the messages of the others; a log that cannot be read.
 pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<Ending, LogError> {
     check_fields(&options.fields)?;
     let mut stream = match options.topics.as_slice() {
@@ -65,7 +68,11 @@ pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<End
         line.insert("message".to_string(), content);
         writeln!(out, "{}", Value::Object(line))?;
     }
-    Ok(stream.ending().clone())
+    let topics = stream.topics();
+    match options.topics.iter().find(|topic| !topics.contains(topic.as_str())) {
+        Some(unknown) => Err(stream.no_such_topic(unknown)),
+        None => Ok(stream.ending().clone()),
+    }
 }
 
 /// A field that no message has is a mistake of whoever asks, not an empty answer.

@@ -95,12 +95,11 @@ pub fn description_of_topic(path: &Path, topic: &str) -> Result<&'static Descrip
     let first = stream.next_message()?.map(|message| message.description);
     let of_run_lane =
         || topics::RUN.iter().find(|(name, _)| *name == topic).map(|(_, description)| *description);
-    first.or_else(of_run_lane).ok_or_else(|| {
-        let counted = stream.ending().marker.as_ref().map(|marker| marker.counts.keys().cloned().collect());
-        let topics: Vec<String> = counted.unwrap_or_else(|| stream.counts().into_keys().collect());
-        let topics = topics.join(", ");
-        LogError::NoSuchTopic { path: path.into(), topic: topic.to_owned(), topics }
-    })
+    match first.or_else(of_run_lane) {
+        Some(description) => Ok(description),
+        // One without a message has no description to be read by.
+        None => Err(stream.no_such_topic(topic)),
+    }
 }
 
 /// Reads the messages of a topic in a range of ticks (both included) into rows.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use ipc_types::layout::Message;
-use ipc_types::messages::{Frame, ImagePrefix, Latched};
+use ipc_types::layout::{Description, Message};
+use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare, compare_removed};
@@ -13,6 +13,7 @@ use crate::end::{EndReason, Ending};
 use crate::error::LogError;
 use crate::frames::{FrameRecord, frames};
 use crate::reader::{LogReader, ReadOptions, TickRecord};
+use crate::stream::MessageStream;
 use crate::topics;
 use crate::verify::compare_state;
 
@@ -29,14 +30,18 @@ pub struct DiffReport {
     pub ticks: Option<Divergence>,
     /// The first frame that differs.
     pub frames: Option<Divergence>,
+    /// The first keyframe part and the first reply that differ.
+    pub messages: Vec<Divergence>,
     /// What one log has and the other lacks, and how each ends if not both end alike.
     pub remarks: Vec<String>,
 }
 
 impl DiffReport {
-    /// True if both hold the same ticks and the same frames. Header entries may differ (another build, another mode).
+    /// True if both hold the same ticks, frames, keyframes and replies. Header entries may differ (another build, another
+    /// mode).
     pub fn same_run(&self) -> bool {
-        self.ticks.is_none() && self.frames.is_none() && self.remarks.is_empty()
+        let none_differs = self.ticks.is_none() && self.frames.is_none() && self.messages.is_empty();
+        none_differs && self.remarks.is_empty()
     }
 
     /// Writes the comparison for people.
@@ -49,7 +54,7 @@ impl DiffReport {
             "{} identical ticks, {} identical frames",
             self.identical_ticks, self.identical_frames
         )?;
-        for divergence in self.ticks.iter().chain(&self.frames) {
+        for divergence in self.ticks.iter().chain(&self.frames).chain(&self.messages) {
             writeln!(out, "{divergence}")?;
         }
         for remark in &self.remarks {
@@ -62,12 +67,15 @@ impl DiffReport {
     }
 }
 
-/// Compares two `run.mcap`: headers, every tick, every frame. Two logs of one run may interleave frames and ticks
-/// differently; that is no difference.
+/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run may
+/// interleave frames and ticks differently; that is no difference.
 pub fn diff(first: &Path, second: &Path, options: ReadOptions) -> Result<DiffReport, LogError> {
     let mut report = DiffReport::default();
     compare_ticks(first, second, options, &mut report)?;
     compare_frames(first, second, options, &mut report)?;
+    for topic in [(topics::KEYFRAME, Keyframe::DESCRIPTION), (topics::DRR_REPLY, DrrReply::DESCRIPTION)] {
+        compare_messages(first, second, topic, options, &mut report)?;
+    }
     Ok(report)
 }
 
@@ -156,6 +164,36 @@ fn compare_frames(
         }
     }
     Ok(())
+}
+
+/// The messages of a topic, in their order, byte by byte.
+fn compare_messages(
+    first: &Path,
+    second: &Path,
+    (topic, description): (&'static str, &'static Description),
+    options: ReadOptions,
+    out: &mut DiffReport,
+) -> Result<(), LogError> {
+    let open = |path: &Path| MessageStream::open_topics(path, &[topic.to_owned()], options);
+    let (mut a, mut b) = (open(first)?, open(second)?);
+    let dt_ns = a.header().dt_ns.max(1);
+    loop {
+        match (a.next_message()?, b.next_message()?) {
+            (Some(x), Some(y)) => {
+                let tick = x.log_time_ns / dt_ns;
+                if let Some(divergence) = compare(topic, tick, description, x.body, y.body) {
+                    out.messages.push(divergence);
+                    return Ok(());
+                }
+            }
+            (None, None) => return Ok(()),
+            (more_in_first, _) => {
+                let long = if more_in_first.is_some() { first } else { second };
+                out.remarks.push(format!("{} has more of {topic}", long.display()));
+                return Ok(());
+            }
+        }
+    }
 }
 
 /// A log may hold hashes instead of images: then the frames' own fields decide, the hash among them.

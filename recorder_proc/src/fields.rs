@@ -16,6 +16,16 @@ pub enum Scalar {
 }
 
 impl Scalar {
+    /// The nearest number, for figures.
+    pub fn nearest_f64(self) -> f64 {
+        match self {
+            Scalar::Unsigned(value) => value as f64,
+            Scalar::Signed(value) => value as f64,
+            Scalar::Float32(value) => f64::from(value),
+            Scalar::Float64(value) => value,
+        }
+    }
+
     /// Reads a little-endian scalar of a ROS type; none if the name is no scalar or the bytes are too few.
     pub fn read(ros_type: &str, bytes: &[u8]) -> Option<Scalar> {
         let word = |n: usize| -> Option<u64> {

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ipc_types::messages::{DrrReply, Frame};
+use ipc_types::messages::{DRR_ACCEPTED, DrrReply, Frame};
 use ipc_types::services::{FRAME, STATE};
 
 use crate::header::{LogHeader, RunMode};
@@ -29,7 +29,8 @@ pub(crate) struct FrameOrder {
     lag_ticks: u64,
     /// Tick of the last state written.
     tick: Option<u64>,
-    replies: VecDeque<(u64, DrrReply)>,
+    /// When each is due, the tick at which it stands, the reply.
+    replies: VecDeque<(u64, u64, DrrReply)>,
     frames: VecDeque<(u64, Frame, Option<Vec<u8>>)>,
     held_bytes: usize,
 }
@@ -46,10 +47,15 @@ impl FrameOrder {
     }
 
     /// Takes a reply. None overtakes an earlier one.
+    ///
+    /// A refusal may carry a tick that never comes: it then stands where it came, and holds no later one.
     pub fn reply(&mut self, reply: &DrrReply) {
-        let due = reply.tick.saturating_add(self.lag_ticks);
-        let due = self.replies.back().map_or(due, |(earlier, _)| due.max(*earlier));
-        self.replies.push_back((due, *reply));
+        let now = self.tick.unwrap_or(0);
+        let comes = reply.status == DRR_ACCEPTED || reply.tick <= now.saturating_add(self.lag_ticks);
+        let tick = if comes { reply.tick } else { now };
+        let due = tick.saturating_add(self.lag_ticks);
+        let due = self.replies.back().map_or(due, |(earlier, _, _)| due.max(*earlier));
+        self.replies.push_back((due, tick, *reply));
     }
 
     /// Takes a frame, with its image if that is logged. None overtakes an earlier one.
@@ -60,11 +66,11 @@ impl FrameOrder {
         self.frames.push_back((due, *frame, image.map(<[u8]>::to_vec)));
     }
 
-    /// The next reply whose tick has come; with `last`, any.
-    pub fn next_reply(&mut self, last: bool) -> Option<DrrReply> {
+    /// The next reply whose tick has come, with the tick at which it stands; with `last`, any.
+    pub fn next_reply(&mut self, last: bool) -> Option<(u64, DrrReply)> {
         let due = self.replies.front()?.0;
-        let (_, reply) = self.is_due(due, last).then(|| self.replies.pop_front())??;
-        Some(reply)
+        let (_, tick, reply) = self.is_due(due, last).then(|| self.replies.pop_front())??;
+        Some((tick, reply))
     }
 
     /// The next frame whose tick has come; with `last` or too many held, any.
@@ -78,5 +84,40 @@ impl FrameOrder {
 
     fn is_due(&self, due: u64, any: bool) -> bool {
         any || self.tick.is_some_and(|tick| due <= tick)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ipc_types::messages::{DRR_ACCEPTED, DrrReply};
+
+    use super::FrameOrder;
+
+    fn order() -> FrameOrder {
+        FrameOrder {
+            lag_ticks: 10,
+            tick: Some(100),
+            replies: Default::default(),
+            frames: Default::default(),
+            held_bytes: 0,
+        }
+    }
+
+    #[test]
+    fn a_refusal_of_a_tick_that_never_comes_holds_no_later_reply() {
+        let mut order = order();
+        let refused = DRR_ACCEPTED + 1;
+        let reply = |tick, status| DrrReply { tick, status, ..DrrReply::zeroed() };
+        order.reply(&reply(u64::MAX, refused));
+        order.reply(&reply(104, DRR_ACCEPTED));
+        order.reply(&reply(103, refused));
+        let mut written = Vec::new();
+        for tick in 101..120 {
+            order.tick(tick);
+            while let Some((stands, reply)) = order.next_reply(false) {
+                written.push((tick, stands, reply.tick));
+            }
+        }
+        assert_eq!(written, [(110, 100, u64::MAX), (114, 104, 104), (114, 103, 103)]);
     }
 }

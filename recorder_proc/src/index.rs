@@ -1,43 +1,79 @@
-//! Which chunks hold which topics, from a whole log's index: a question about one topic need not read the others.
+//! What a whole log's summary says: which chunks hold which topics, so that a question about one topic need not read the
+//! others; and the declarations, for a log whose own are damaged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, SeekFrom};
 
 use mcap::MAGIC;
-use mcap::records::{Record, op};
+use mcap::records::{Channel, ChunkIndex, Record, SchemaHeader, op};
 
 use crate::records::{MAX_RECORD_BYTES, RECORD_HEADER, chunk_record};
+use crate::topics;
 
 /// Bytes of the footer's fields and of the whole end of a file.
 const FOOTER: usize = 8 + 8 + 4;
 const END: usize = RECORD_HEADER + FOOTER + MAGIC.len();
 
-/// Offsets of the chunks that hold nothing of the topics; none if the file has no index that can be trusted: then
-/// everything is read.
-pub(crate) fn chunks_without<R: Read + Seek>(source: &mut R, topics: &[String]) -> Option<BTreeSet<u64>> {
-    let summary = summary(source)?;
-    let (mut channels, mut chunks) = (BTreeMap::new(), Vec::new());
-    let mut rest = summary.as_slice();
-    while !rest.is_empty() {
-        let (opcode, body, length) = chunk_record(rest)?;
-        match (opcode, mcap::parse_record(opcode, body)) {
-            (op::CHANNEL, Ok(Record::Channel(channel))) => {
-                channels.insert(channel.id, channel.topic);
+/// What a log's summary repeats of its chunks.
+#[derive(Default)]
+pub(crate) struct Summary {
+    /// Schemas with their text.
+    pub schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
+    pub channels: BTreeMap<u16, Channel>,
+    chunks: Vec<ChunkIndex>,
+}
+
+impl Summary {
+    /// None if the file has no index that can be trusted. `data_end` is where the summary begins; without it the footer
+    /// says so.
+    pub fn read<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Summary> {
+        let records = records(source, data_end)?;
+        let (mut summary, mut rest) = (Summary::default(), records.as_slice());
+        while !rest.is_empty() {
+            let (opcode, body, length) = chunk_record(rest)?;
+            if matches!(opcode, op::SCHEMA | op::CHANNEL | op::CHUNK_INDEX) {
+                match mcap::parse_record(opcode, body).ok()? {
+                    Record::Schema { header, data } => {
+                        summary.schemas.insert(header.id, (header, data.to_vec()));
+                    }
+                    Record::Channel(channel) => {
+                        summary.channels.insert(channel.id, channel);
+                    }
+                    Record::ChunkIndex(index) => summary.chunks.push(index),
+                    _ => {}
+                }
             }
-            (op::CHUNK_INDEX, Ok(Record::ChunkIndex(index))) => chunks.push(index),
-            (_, Ok(_)) => {}
-            (_, Err(_)) => return None,
+            rest = &rest[length..];
         }
-        rest = &rest[length..];
+        Some(summary)
     }
-    let wanted = |id: &u16| channels.get(id).is_none_or(|topic| topics.contains(topic));
-    // The first chunk declares the channels of the run lane.
-    let without = chunks.iter().skip(1).filter(|chunk| !chunk.message_index_offsets.keys().any(wanted));
-    Some(without.map(|chunk| chunk.chunk_start_offset).collect())
+
+    /// What this build's writer declares in a run lane: both are numbered from 1 in the order of the topics.
+    pub fn of_run_lane() -> Summary {
+        let mut summary = Summary::default();
+        for (id, (topic, description)) in (1..).zip(topics::RUN) {
+            let (name, text) = topics::schema_of(description);
+            let header = SchemaHeader { id, name: name.to_string(), encoding: "ros2msg".to_string() };
+            summary.schemas.insert(id, (header, text.into_bytes()));
+            let (topic, message_encoding) = (topic.to_string(), "cdr".to_string());
+            let metadata = topics::channel_metadata(description);
+            summary.channels.insert(id, Channel { id, schema_id: id, topic, message_encoding, metadata });
+        }
+        summary
+    }
+
+    /// Offsets of the chunks that hold nothing of the topics.
+    pub fn chunks_without(&self, topics: &[String]) -> BTreeSet<u64> {
+        let wanted = |id: &u16| self.channels.get(id).is_none_or(|channel| topics.contains(&channel.topic));
+        // The first chunk declares the channels of the run lane.
+        let others = self.chunks.iter().skip(1);
+        let without = others.filter(|chunk| !chunk.message_index_offsets.keys().any(wanted));
+        without.map(|chunk| chunk.chunk_start_offset).collect()
+    }
 }
 
 /// The summary section's records, their checksum checked.
-fn summary<R: Read + Seek>(source: &mut R) -> Option<Vec<u8>> {
+fn records<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Vec<u8>> {
     let length = source.seek(SeekFrom::End(0)).ok()?;
     let end = length.checked_sub(END as u64)?;
     let tail = read(source, end, END as u64)?;
@@ -45,7 +81,8 @@ fn summary<R: Read + Seek>(source: &mut R) -> Option<Vec<u8>> {
         return None;
     }
     let word = |at: usize| Some(u64::from_le_bytes(tail.get(at..at + 8)?.try_into().ok()?));
-    let (start, offsets) = (word(RECORD_HEADER)?, word(RECORD_HEADER + 8)?);
+    let (told_start, offsets) = (word(RECORD_HEADER)?, word(RECORD_HEADER + 8)?);
+    let start = data_end.unwrap_or(told_start);
     let bytes = end.checked_sub(start).filter(|bytes| start > 0 && *bytes <= MAX_RECORD_BYTES)?;
     let mut summary = read(source, start, bytes)?;
     // The checksum covers the summary and the footer up to itself (MCAP specification, "Footer").
@@ -57,8 +94,8 @@ fn summary<R: Read + Seek>(source: &mut R) -> Option<Vec<u8>> {
     if crc == 0 || hasher.finalize() != crc {
         return None;
     }
-    if offsets >= start {
-        summary.truncate((offsets - start) as usize);
+    if let Some(length) = offsets.checked_sub(told_start) {
+        summary.truncate(usize::try_from(length).unwrap_or(usize::MAX));
     }
     Some(summary)
 }

@@ -10,6 +10,7 @@ use sha2::{Digest, Sha256};
 use crate::end::END_RECORD;
 use crate::error::LogError;
 use crate::header::{HEADER_RECORD, RUNS_RECORD};
+use crate::new_file::NewFile;
 use crate::rewrite::{Packing, Rewriter};
 use crate::walk::{Piece, walk};
 
@@ -60,9 +61,8 @@ fn digest(path: &Path) -> Result<[u8; 32], LogError> {
 pub fn compress(input: &Path, output: &Path, packing: Packing) -> Result<(u64, u64), LogError> {
     let mut out = Rewriter::create(output, packing)?;
     walk_whole(input, &mut |piece| out.piece(piece))?;
-    out.finish()?;
+    let made = out.finish()?;
     if digest(input)? != digest(output)? {
-        let _ = std::fs::remove_file(output);
         let cause = "the packed log reads back differently".to_string();
         return Err(LogError::Damaged { path: output.into(), offset: 0, cause });
     }
@@ -70,7 +70,9 @@ pub fn compress(input: &Path, output: &Path, packing: Packing) -> Result<(u64, u
         let found = std::fs::metadata(path).map(|metadata| metadata.len());
         found.map_err(|source| LogError::Open { path: path.into(), source })
     };
-    Ok((bytes(input)?, bytes(output)?))
+    let sizes = (bytes(input)?, bytes(output)?);
+    made.keep();
+    Ok(sizes)
 }
 
 /// What stands before the topics, attachments and metadata of a run in a file of several.
@@ -103,7 +105,7 @@ pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
             other => out.piece(other),
         })?;
     }
-    out.finish()
+    out.finish().map(NewFile::keep)
 }
 
 /// Makes a log of each run of a file of several: `run1.mcap`, `run2.mcap`, … in the folder `output`. Returns their
@@ -127,13 +129,13 @@ pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     }
     std::fs::create_dir_all(output).map_err(|source| LogError::Create { path: output.into(), source })?;
     let paths: Vec<PathBuf> = (1..=count).map(|run| output.join(format!("run{run}.mcap"))).collect();
-    for (index, path) in paths.iter().enumerate() {
-        split_one(input, path, &prefix(index + 1))?;
-    }
+    let made = paths.iter().enumerate().map(|(index, path)| split_one(input, path, &prefix(index + 1)));
+    // All of them, or none.
+    made.collect::<Result<Vec<_>, _>>()?.into_iter().for_each(NewFile::keep);
     Ok(paths)
 }
 
-fn split_one(input: &Path, output: &Path, prefix: &str) -> Result<(), LogError> {
+fn split_one(input: &Path, output: &Path, prefix: &str) -> Result<NewFile, LogError> {
     let mut out = Rewriter::create(output, Packing::RECORDED)?;
     let topic_prefix = format!("/{}", prefix.trim_end_matches('/'));
     // A schema stands in the file once, for all runs; it is written with the first channel of this run that needs it.

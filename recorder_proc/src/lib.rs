@@ -17,6 +17,7 @@
 //! | [`misses`] | why ticks began late |
 //! | [`repair`](mod@repair), [`join`] | logs made of logs: repaired, packed, joined, split |
 //! | [`columns`], [`export`] | a topic as a table: CSV and Parquet |
+//! | [`new_file`] | files that a command makes |
 //! | [`background`] | the thread that writes |
 
 pub mod background;
@@ -36,6 +37,7 @@ mod index;
 pub mod info;
 pub mod join;
 pub mod misses;
+pub mod new_file;
 mod order;
 pub mod process;
 pub mod reader;
@@ -61,6 +63,7 @@ pub use header::{BuildInfo, LogHeader, RunMode};
 pub use info::{LogInfo, info};
 pub use join::{cat_files, compress, split};
 pub use misses::{Cause, LostTime, Misses};
+pub use new_file::NewFile;
 pub use reader::{LogReader, ReadOptions, SavedState, TickRecord};
 pub use repair::{RepairReport, repair};
 pub use rewrite::Packing;

@@ -12,6 +12,9 @@ pub use crate::stream::ReadOptions;
 use crate::stream::{LogMessage, MessageStream};
 use crate::topics;
 
+/// Most voxels of a volume that this build reads (`volume_io::MAX_VOXELS`), whatever a header says.
+const MAX_VOXELS: u64 = 1 << 29;
+
 /// One complete tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TickRecord {
@@ -45,6 +48,8 @@ pub struct LogReader {
     predrilled: Vec<u32>,
     last: u64,
     pending: Pending,
+    /// Most voxels that a tick can remove.
+    voxels: u64,
     done: bool,
 }
 
@@ -53,6 +58,8 @@ pub struct LogReader {
 struct Pending {
     latched: Option<Latched>,
     removals: Vec<(Removed, Vec<u32>)>,
+    /// Their voxels; a message without any counts as one.
+    held: u64,
     /// Number of removal messages so far.
     removal_count: u64,
     /// `removed_total` of the last state.
@@ -78,6 +85,7 @@ impl LogReader {
     pub fn from_stream(mut stream: MessageStream) -> Result<LogReader, LogError> {
         let path: PathBuf = stream.path().into();
         let mut pending = Pending::default();
+        let voxels = voxels_of(stream.header());
         let initial = loop {
             let Some(message) = stream.next_message()? else { return Err(LogError::NoInitialState { path }) };
             if message.topic == topics::LATCHED {
@@ -88,11 +96,11 @@ impl LogReader {
                 Some(state) => {
                     return Err(gap(&path, topics::STATE, 0, &format!("state {} comes first", state.tick)));
                 }
-                None => (),
+                None => pending.check_size(&stream, voxels)?,
             }
         };
         let (predrilled, _) = pending.removed_of(&path, &initial, false)?;
-        Ok(LogReader { stream, initial, predrilled, last: 0, pending, done: false })
+        Ok(LogReader { stream, initial, predrilled, last: 0, pending, voxels, done: false })
     }
 
     /// What the log is about.
@@ -135,7 +143,10 @@ impl LogReader {
     fn next_tick(&mut self) -> Result<Option<TickRecord>, LogError> {
         let path: PathBuf = self.stream.path().into();
         while let Some(message) = self.stream.next_message()? {
-            let Some(state) = self.pending.take(&path, &message, Some(self.last))? else { continue };
+            let Some(state) = self.pending.take(&path, &message, Some(self.last))? else {
+                self.pending.check_size(&self.stream, self.voxels)?;
+                continue;
+            };
             let tick = state.tick;
             let Some(latched) = self.pending.latched.take() else {
                 return Err(gap(
@@ -193,8 +204,8 @@ impl Pending {
                         &format!("a removal of tick {}", removed.tick),
                     ));
                 }
-                let voxels =
-                    tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+                let voxels = voxel_indices(tail);
+                self.held += voxels.len().max(1) as u64;
                 self.removals.push((removed, voxels));
             }
             topics::KEYFRAME => self.take_keyframe_part(path, message.body, last)?,
@@ -202,6 +213,16 @@ impl Pending {
             _ => (),
         }
         Ok(None)
+    }
+
+    /// A log that removes without end and never says a state would fill the memory.
+    fn check_size(&self, stream: &MessageStream, most: u64) -> Result<(), LogError> {
+        // After a reset without predrilled voxels there is a message that holds none.
+        if self.held <= most.saturating_add(1) {
+            return Ok(());
+        }
+        let cause = format!("removals of {} voxels in a tick, the volume has {most}", self.held);
+        Err(LogError::Damaged { path: stream.path().into(), offset: stream.offset(), cause })
     }
 
     fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<u64>) -> Result<(), LogError> {
@@ -237,6 +258,7 @@ impl Pending {
     ) -> Result<(Vec<u32>, Option<Vec<u32>>), LogError> {
         let missing = |found: String| gap(path, topics::REMOVED, state.tick, &found);
         let removals = std::mem::take(&mut self.removals);
+        self.held = 0;
         let total = removals.last().map_or(self.removed_total, |(removed, _)| removed.removed_total);
         if total != state.removed_total {
             return Err(missing(format!(
@@ -278,6 +300,20 @@ impl Iterator for LogReader {
         self.done = !matches!(item, Ok(Some(_)));
         item.transpose()
     }
+}
+
+/// Voxels of the log's volume.
+pub fn voxels_of(header: &LogHeader) -> u64 {
+    header
+        .volume_dimensions
+        .iter()
+        .fold(1_u64, |count, n| count.saturating_mul(u64::from(*n)))
+        .min(MAX_VOXELS)
+}
+
+/// The voxel indices behind a `Removed`.
+pub fn voxel_indices(tail: &[u8]) -> Vec<u32> {
+    tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
 }
 
 fn gap(path: &Path, topic: &'static str, tick: u64, found: &str) -> LogError {

@@ -96,11 +96,7 @@ impl Records {
         let mut magic = Vec::new();
         let read = source.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic);
         read.map_err(|source| LogError::Read { path: path.into(), offset: 0, source })?;
-        if magic != MAGIC {
-            let found = magic.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
-            let found = if found.is_empty() { "nothing".to_string() } else { found };
-            return Err(LogError::NotMcap { path: path.into(), found });
-        }
+        check_magic(&magic, path)?;
         let mut crc = crc32fast::Hasher::new();
         crc.update(MAGIC);
         Ok(Records {
@@ -274,6 +270,16 @@ impl Records {
             Err(LogError::Damaged { path: self.path.clone(), offset: self.offset, cause })
         }
     }
+}
+
+/// Whether a file begins as an MCAP file does.
+pub(crate) fn check_magic(found: &[u8], path: &Path) -> Result<(), LogError> {
+    if found == MAGIC {
+        return Ok(());
+    }
+    let found = found.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
+    let found = if found.is_empty() { "nothing".to_string() } else { found };
+    Err(LogError::NotMcap { path: path.into(), found })
 }
 
 /// Unpacks a chunk and checks its CRC before anyone sees a record of it.

@@ -1,10 +1,12 @@
 //! `repair` — makes a whole log of a cut or damaged one, and says what is missing.
 //!
 //! Every message whose chunk's checksum is right is kept, with its number, its time and its place; the index and the
-//! summary are written anew. What is missing is counted by the messages' numbers and, if the end marker is still
-//! there, by its counts; both stand in the new end marker, whose reason is `repaired`.
+//! summary are written anew. If the chunk that declares a topic is damaged, the old summary declares it; in a run lane
+//! that was cut besides, the order in which every run lane declares its topics. What is missing is counted by the
+//! messages' numbers and, if the end marker is still there, by its counts; both stand in the new end marker, whose
+//! reason is `repaired`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, Write};
 use std::path::Path;
@@ -16,8 +18,10 @@ use zerocopy::FromBytes;
 use crate::end::{END_RECORD, EndMarker, EndReason, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::header::HEADER_RECORD;
+use crate::index::Summary;
 use crate::reader::{LogReader, ReadOptions};
 use crate::rewrite::{Packing, Rewriter};
+use crate::stream::other_layout;
 use crate::topics;
 pub use crate::walk::Lost;
 use crate::walk::{Piece, walk};
@@ -38,6 +42,8 @@ pub struct RepairReport {
     pub topics: BTreeMap<String, TopicRepair>,
     /// Pieces of the file that were left out.
     pub pieces: Vec<Lost>,
+    /// Messages that nothing tells the topic of; left out.
+    pub undeclared: u64,
     /// Where the file stops before its end: offset of the incomplete record, bytes of it.
     pub cut: Option<(u64, u64)>,
     /// The end marker that was there.
@@ -52,13 +58,16 @@ pub struct RepairReport {
 impl RepairReport {
     /// True if nothing was wrong with the log.
     pub fn was_whole(&self) -> bool {
-        self.pieces.is_empty() && self.cut.is_none() && self.marker.is_some()
+        self.pieces.is_empty() && self.undeclared == 0 && self.cut.is_none() && self.marker.is_some()
     }
 
     /// Writes the report for people.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for Lost { offset, bytes, cause } in &self.pieces {
             writeln!(out, "left out    {bytes} bytes from byte {offset}: {cause}")?;
+        }
+        if self.undeclared > 0 {
+            writeln!(out, "left out    {} messages whose topic is declared nowhere", self.undeclared)?;
         }
         if let Some((offset, bytes)) = self.cut {
             writeln!(out, "cut         after byte {offset}, {bytes} bytes of an incomplete record left out")?;
@@ -104,10 +113,11 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
         let file = File::open(input).map_err(|source| LogError::Open { path: input.into(), source })?;
         Ok(BufReader::with_capacity(1 << 20, file))
     };
-    let survey = Survey::of(open()?, input)?;
+    let mut survey = Survey::of(open()?, input)?;
     let mut rewriter = Rewriter::create(output, Packing::RECORDED)?;
+    rewriter.declare(std::mem::take(&mut survey.declared));
     write_repaired(open()?, input, &survey, &mut rewriter)?;
-    rewriter.finish()?;
+    rewriter.finish()?.keep();
     let mut report = survey.report;
     // As the result reads, not as it should.
     let options = ReadOptions { allow_other_layouts: true };
@@ -132,33 +142,73 @@ struct Survey {
     report: RepairReport,
     /// Topics of the channels, by their identifier in the input.
     topics: BTreeMap<u16, String>,
+    schemas: BTreeSet<u16>,
+    /// What declares the channels whose own declaration is gone.
+    declared: Summary,
+    /// Whether a channel is known of which there is no schema.
+    lacks_schema: bool,
+    /// Where the summary begins.
+    data_end: Option<u64>,
+    /// The header is a run lane's of this build's layouts, which no repair has written.
+    is_our_run_lane: bool,
     last_state: Option<Box<State>>,
     has_header: bool,
 }
 
 impl Survey {
-    fn of<R: Read + Seek>(source: R, path: &Path) -> Result<Survey, LogError> {
+    fn of<R: Read + Seek>(mut source: R, path: &Path) -> Result<Survey, LogError> {
         let mut survey = Survey::default();
-        walk(source, path, &mut |piece| survey.see(path, piece))?;
+        walk(&mut source, path, &mut |piece| survey.see(path, piece))?;
         if !survey.has_header {
             return Err(LogError::NoHeader { path: path.into(), offset: 0 });
+        }
+        if (survey.report.undeclared > 0 || survey.lacks_schema)
+            && let Some(declared) = survey.declarations(&mut source)
+        {
+            survey = Survey::default();
+            survey.declare(declared);
+            walk(&mut source, path, &mut |piece| survey.see(path, piece))?;
         }
         survey.count_behind_the_last();
         Ok(survey)
     }
 
+    fn declarations<R: Read + Seek>(&self, source: &mut R) -> Option<Summary> {
+        Summary::read(source, self.data_end).or_else(|| self.is_our_run_lane.then(Summary::of_run_lane))
+    }
+
+    fn declare(&mut self, declared: Summary) {
+        for channel in declared.channels.values() {
+            self.report.topics.entry(channel.topic.clone()).or_default();
+            self.topics.insert(channel.id, channel.topic.clone());
+        }
+        self.schemas.extend(declared.schemas.keys());
+        self.declared = declared;
+    }
+
     fn see(&mut self, path: &Path, piece: Piece<'_>) -> Result<(), LogError> {
         match piece {
-            Piece::Metadata { name, .. } if name == HEADER_RECORD => self.has_header = true,
+            Piece::Metadata { name, entries } if name == HEADER_RECORD => {
+                self.has_header = true;
+                let lane = entries.get("lane").map(String::as_str);
+                self.is_our_run_lane = lane == Some("run") && other_layout(&entries).is_none();
+            }
             Piece::Metadata { name, entries } if name == END_RECORD => {
                 // One that cannot be read is as good as none.
                 self.report.marker = EndMarker::from_metadata(path, &entries).ok();
             }
+            // It may declare its topics in another order.
+            Piece::Metadata { name, .. } if name == REPAIR_RECORD => self.is_our_run_lane = false,
+            Piece::Schema { header, .. } => {
+                self.schemas.insert(header.id);
+            }
             Piece::Channel(channel) => {
+                self.lacks_schema |= !self.schemas.contains(&channel.schema_id);
                 self.report.topics.entry(channel.topic.clone()).or_default();
                 self.topics.insert(channel.id, channel.topic);
             }
             Piece::Message { header, data } => self.message(header.channel_id, header.sequence, data),
+            Piece::DataEnd(offset) => self.data_end = Some(offset),
             Piece::Lost(lost) => self.report.pieces.push(lost),
             Piece::Cut { offset, incomplete_bytes } => self.report.cut = Some((offset, incomplete_bytes)),
             _ => {}
@@ -167,7 +217,10 @@ impl Survey {
     }
 
     fn message(&mut self, channel: u16, sequence: u32, data: &[u8]) {
-        let Some(topic) = self.topics.get(&channel) else { return };
+        let Some(topic) = self.topics.get(&channel) else {
+            self.report.undeclared += 1;
+            return;
+        };
         let count = self.report.topics.entry(topic.clone()).or_default();
         let jump = sequence.wrapping_sub((count.recovered + count.lost) as u32);
         // A number that goes back is no gap; the reader of the result will say what it thinks of it.

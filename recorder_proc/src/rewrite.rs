@@ -7,10 +7,12 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{Channel, MessageHeader, Metadata, SchemaHeader};
 use mcap::write::NoSeek;
-use mcap::{Attachment, Compression, WriteOptions, Writer};
+use mcap::{Attachment, Compression, Writer};
 
 use crate::error::LogError;
-use crate::sink::{PROFILE, encode_error};
+use crate::index::Summary;
+use crate::new_file::NewFile;
+use crate::sink::{encode_error, write_options};
 use crate::walk::Piece;
 
 /// How chunks are packed.
@@ -37,15 +39,18 @@ impl Packing {
     }
 }
 
-/// A new file made of others' records. A file that is not finished is removed.
+/// A new file made of others' records.
 pub(crate) struct Rewriter {
-    writer: Option<Writer<NoSeek<BufWriter<File>>>>,
+    writer: Writer<NoSeek<BufWriter<File>>>,
+    made: NewFile,
     path: PathBuf,
     /// New identifiers of the present source's schemas and channels.
     schemas: BTreeMap<u16, u16>,
     channels: BTreeMap<u16, u16>,
     /// What stands before the topics of the present source.
     prefix: String,
+    /// What declares the channels whose own declaration is gone.
+    declared: Summary,
 }
 
 impl Rewriter {
@@ -54,29 +59,20 @@ impl Rewriter {
     /// # Errors
     /// [`LogError::Exists`], [`LogError::Create`], or the header cannot be written.
     pub fn create(path: &Path, packing: Packing) -> Result<Rewriter, LogError> {
-        let file = File::create_new(path).map_err(|source| match source.kind() {
-            std::io::ErrorKind::AlreadyExists => LogError::Exists { path: path.into() },
-            _ => LogError::Create { path: path.into(), source },
-        })?;
+        let (file, made) = NewFile::create(path)?;
         let (compression, level) = packing.compression();
-        let options = WriteOptions::new()
-            .library(concat!("trabecula ", env!("CARGO_PKG_VERSION")))
-            .profile(PROFILE)
-            .compression(compression)
-            .compression_level(level)
-            .compression_threads(0)
-            .chunk_size(None)
-            .disable_seeking(true);
+        let options =
+            write_options().compression(compression).compression_level(level).compression_threads(0);
         let writer = options.create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)));
-        let mut rewriter = Rewriter {
-            writer: None,
+        Ok(Rewriter {
+            writer: writer.map_err(|error| encode_error(path, error))?,
+            made,
             path: path.into(),
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             prefix: String::new(),
-        };
-        rewriter.writer = Some(writer.map_err(|error| encode_error(path, error))?);
-        Ok(rewriter)
+            declared: Summary::default(),
+        })
     }
 
     /// The records of another source follow: its identifiers are its own, its topics begin with `prefix`.
@@ -84,6 +80,12 @@ impl Rewriter {
         self.schemas.clear();
         self.channels.clear();
         self.prefix = prefix.to_owned();
+    }
+
+    /// Channels and schemas of the present source that need not be declared again: each is written before the first record
+    /// that needs it.
+    pub fn declare(&mut self, declared: Summary) {
+        self.declared = declared;
     }
 
     /// Whether a channel of the present source is written.
@@ -95,9 +97,7 @@ impl Rewriter {
         &mut self,
         act: impl FnOnce(&mut Writer<NoSeek<BufWriter<File>>>) -> mcap::McapResult<T>,
     ) -> Result<T, LogError> {
-        let gone = || mcap::McapError::Io(std::io::Error::other("the file is finished"));
-        let result = self.writer.as_mut().ok_or_else(gone).and_then(act);
-        result.map_err(|error| encode_error(&self.path, error))
+        act(&mut self.writer).map_err(|error| encode_error(&self.path, error))
     }
 
     /// Writes a piece as it is; losses and the end are the caller's.
@@ -117,7 +117,7 @@ impl Rewriter {
             Piece::Channel(channel) => self.channel(channel),
             Piece::Message { header, data } => self.message(header, data),
             Piece::ChunkEnd => self.with(Writer::flush),
-            Piece::Lost(_) | Piece::Cut { .. } => Ok(()),
+            Piece::DataEnd(_) | Piece::Lost(_) | Piece::Cut { .. } => Ok(()),
         }
     }
 
@@ -132,6 +132,11 @@ impl Rewriter {
     }
 
     fn channel(&mut self, channel: Channel) -> Result<(), LogError> {
+        if !self.schemas.contains_key(&channel.schema_id)
+            && let Some((header, data)) = self.declared.schemas.remove(&channel.schema_id)
+        {
+            self.schema(&header, &data)?;
+        }
         let schema = self.schemas.get(&channel.schema_id).copied().unwrap_or(0);
         let topic = format!("{}{}", self.prefix, channel.topic);
         let id = self.with(|writer| {
@@ -142,30 +147,22 @@ impl Rewriter {
     }
 
     fn message(&mut self, header: MessageHeader, data: &[u8]) -> Result<(), LogError> {
+        if !self.knows(header.channel_id)
+            && let Some(channel) = self.declared.channels.remove(&header.channel_id)
+        {
+            self.channel(channel)?;
+        }
         let Some(&channel_id) = self.channels.get(&header.channel_id) else { return Ok(()) };
         let header = MessageHeader { channel_id, ..header };
         self.with(|writer| writer.write_to_known_channel(&header, data))
     }
 
-    /// Writes the index and the footer.
-    pub fn finish(mut self) -> Result<(), LogError> {
+    /// Writes the index and the footer. The file is the caller's to keep.
+    pub fn finish(mut self) -> Result<NewFile, LogError> {
         self.with(|writer| writer.finish().map(|_| ()))?;
-        if let Some(writer) = self.writer.take() {
-            let mut file = writer.into_inner().into_inner();
-            let flushed = std::io::Write::flush(&mut file);
-            if let Err(source) = flushed {
-                let _ = std::fs::remove_file(&self.path);
-                return Err(LogError::Write { path: self.path.clone(), source });
-            }
-        }
-        Ok(())
-    }
-}
-
-impl Drop for Rewriter {
-    fn drop(&mut self) {
-        if self.writer.take().is_some() {
-            let _ = std::fs::remove_file(&self.path);
-        }
+        let mut file = self.writer.into_inner().into_inner();
+        let flushed = std::io::Write::flush(&mut file);
+        flushed.map_err(|source| LogError::Write { path: self.path, source })?;
+        Ok(self.made)
     }
 }

@@ -306,8 +306,8 @@ impl<W: Write> RunLog<W> {
     }
 
     fn write_frames(&mut self, last: bool) -> Result<(), LogError> {
-        while let Some(reply) = self.frames.next_reply(last) {
-            self.sink.message(self.channels.reply, reply.tick, &[reply.as_bytes()])?;
+        while let Some((tick, reply)) = self.frames.next_reply(last) {
+            self.sink.message(self.channels.reply, tick, &[reply.as_bytes()])?;
         }
         while let Some((frame, image)) = self.frames.next_frame(last) {
             let missed = frame.sequence.saturating_sub(self.expected.frame_sequence);

@@ -27,6 +27,8 @@ const BLOCK_TICKS: usize = 64;
 /// Blocks of a segment that may wait: the default interval of 2 s, and some more.
 const SEGMENT_BLOCKS: usize = 40;
 
+const PANICKED: &str = "the simulation panicked (its message is above)";
+
 /// What to verify, and how.
 #[derive(Debug, Clone)]
 pub struct SegmentOptions {
@@ -105,6 +107,7 @@ pub fn verify_segments<S: Resumable>(
     options: &SegmentOptions,
 ) -> SegmentReport {
     let bound = AtomicU64::new(options.to_tick.unwrap_or(u64::MAX));
+    let first_tick = options.start.as_ref().map_or(0, |start| start.tick);
     let (queue, segments) = sync_channel::<Segment>(1);
     let segments = Mutex::new(segments);
     let (read, outcomes) = std::thread::scope(|scope| {
@@ -112,7 +115,7 @@ pub fn verify_segments<S: Resumable>(
         let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
         let read = feed(reader, options, queue, &bound);
         let outcomes = workers.into_iter().flat_map(|worker| {
-            worker.join().unwrap_or_default() //
+            worker.join().unwrap_or_else(|_| vec![Outcome::without_worker(first_tick)]) //
         });
         (read, outcomes.collect())
     });
@@ -181,6 +184,9 @@ fn work<S: Resumable>(
     segments: &Mutex<Receiver<Segment>>,
     bound: &AtomicU64,
 ) -> Vec<Outcome> {
+    // A worker that panicked would leave its segments waiting for ever.
+    let make =
+        || std::panic::catch_unwind(AssertUnwindSafe(make)).unwrap_or_else(|_| Err(PANICKED.to_owned()));
     let mut simulation = make();
     let mut outcomes = Vec::new();
     loop {
@@ -199,9 +205,8 @@ fn work<S: Resumable>(
                 // A keyframe that somebody has altered may break what it is restored into.
                 let replayed = AssertUnwindSafe(|| outcome.replay(it, segment));
                 if std::panic::catch_unwind(replayed).is_err() {
-                    let cause = "the simulation panicked (its message is above)".to_owned();
-                    outcome.problem = Some(Problem::Cannot(outcome.last_tick + 1, cause.clone()));
-                    simulation = Err(cause);
+                    outcome.problem = Some(Problem::Cannot(outcome.last_tick + 1, PANICKED.to_owned()));
+                    simulation = Err(PANICKED.to_owned());
                 }
             }
             Err(cause) => outcome.problem = Some(Problem::Cannot(outcome.start_tick, cause.clone())),
@@ -222,6 +227,18 @@ impl Outcome {
             last_tick: start.state.tick,
             hash: start.state.hash,
             problem: None,
+        }
+    }
+
+    /// Of a worker that has not come back: what it replayed is proven by nothing.
+    fn without_worker(start_tick: u64) -> Outcome {
+        Outcome {
+            start_tick,
+            identical_ticks: 0,
+            keyframes: 0,
+            last_tick: start_tick,
+            hash: [0; 2],
+            problem: Some(Problem::Cannot(start_tick, PANICKED.to_owned())),
         }
     }
 

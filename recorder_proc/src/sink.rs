@@ -16,7 +16,7 @@ use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTA
 use crate::topics;
 
 /// Says that all channels are `cdr` of `ros2msg` schemas; `rosbags` opens no file without it.
-pub(crate) const PROFILE: &str = "ros2";
+const PROFILE: &str = "ros2";
 /// A chunk is closed after this much simulated time, so that a killed recorder loses no more.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.
@@ -51,17 +51,18 @@ pub(crate) fn create_file(path: &Path) -> Result<BufWriter<File>, LogError> {
     Ok(BufWriter::with_capacity(1 << 16, file))
 }
 
+/// Of all logs: chunks end where we say, and the bytes depend on nothing but the calls.
+pub(crate) fn write_options() -> WriteOptions {
+    let library = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
+    WriteOptions::new().library(library).profile(PROFILE).chunk_size(None).disable_seeking(true)
+}
+
 impl<W: Write> Sink<W> {
     /// Writes the header: scene and calibration as attachments, everything else as metadata.
     pub fn create(w: W, path: &Path, header: &LogHeader, lane: &str) -> Result<Sink<W>, LogError> {
         let fail = |error| encode_error(path, error);
-        let options = WriteOptions::new()
-            .library(concat!("trabecula ", env!("CARGO_PKG_VERSION")))
-            .profile(PROFILE)
-            .compression(Some(Compression::Lz4))
-            .chunk_size(None)
-            .disable_seeking(true);
-        let mut writer = options.create(NoSeek::new(w)).map_err(fail)?;
+        let mut writer =
+            write_options().compression(Some(Compression::Lz4)).create(NoSeek::new(w)).map_err(fail)?;
         let attachments = [
             (SCENE_ATTACHMENT, "application/toml", Some(&header.scene_toml)),
             (CALIBRATION_ATTACHMENT, "application/json", header.calibration_json.as_ref()),

@@ -1,12 +1,14 @@
 //! The messages of a log, one after the other, checked.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::ops::Range;
 use std::path::Path;
 
-use ipc_types::layout::{CDR_LITTLE_ENDIAN, Description};
+use ipc_types::layout::{CDR_LITTLE_ENDIAN, Description, Message};
+use ipc_types::messages::Removed;
+use ipc_types::services::MAX_REMOVED_PER_TICK;
 use mcap::records::{Record, op};
 
 use crate::end::{END_RECORD, EndMarker, Ending, REPAIR_RECORD};
@@ -15,9 +17,12 @@ use crate::fields::message_size;
 use crate::header::{
     CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, RUNS_RECORD, SCENE_ATTACHMENT, layout_hashes,
 };
-use crate::index::chunks_without;
+use crate::index::Summary;
 use crate::records::{FileRecord, Records, Source, chunk_record};
 use crate::topics;
+
+/// Longest removal: with as many voxels as its service takes.
+const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4;
 
 /// How strict a reader is.
 #[derive(Debug, Clone, Copy, Default)]
@@ -109,9 +114,11 @@ impl MessageStream {
     ) -> Result<MessageStream, LogError> {
         let mut stream = MessageStream::open(path, options)?;
         if let Ok(mut file) = File::open(path)
-            && let Some(chunks) = chunks_without(&mut file, topics)
+            && let Some(summary) = Summary::read(&mut file, None)
         {
-            stream.records.pass_over(chunks);
+            stream.records.pass_over(summary.chunks_without(topics));
+            // A schema stands in a file once: it may lie in a chunk that is passed over.
+            stream.schemas = summary.schemas.into_iter().map(|(id, (header, _))| (id, header.name)).collect();
         }
         stream.wanted = Some(topics.to_vec());
         Ok(stream)
@@ -199,6 +206,18 @@ impl MessageStream {
             TopicCount { messages: count, bytes, missing }
         };
         self.channels.values().map(|channel| (channel.topic.clone(), count(channel))).collect()
+    }
+
+    /// Topics of the log. All of them are known once [`next_message`](Self::next_message) has returned none.
+    pub(crate) fn topics(&self) -> BTreeSet<&str> {
+        let declared = self.channels.values().map(|channel| channel.topic.as_str());
+        let counted = self.ending.marker.iter().flat_map(|marker| marker.counts.keys().map(String::as_str));
+        declared.chain(counted).collect()
+    }
+
+    pub(crate) fn no_such_topic(&self, topic: &str) -> LogError {
+        let topics = Vec::from_iter(self.topics()).join(", ");
+        LogError::NoSuchTopic { path: self.path().into(), topic: topic.to_owned(), topics }
     }
 
     /// Bytes of the file that have been read.
@@ -310,6 +329,10 @@ impl MessageStream {
         }
         let schema = self.schemas.get(&channel.schema_id).cloned();
         let Some(schema) = schema else {
+            // Of a topic that nobody wants: its messages are passed over too.
+            if !self.wants(&channel.topic) {
+                return Ok(());
+            }
             return Err(self.damaged(format!("{} has no schema", channel.topic)));
         };
         let description = topics::description_of(&schema);
@@ -359,6 +382,15 @@ impl MessageStream {
                 format!("a message of {} of {} bytes, expected {expected}", channel.topic, body.len());
             return Err(self.damaged(cause));
         }
+        // A tick's voxels are held until its state comes: no message holds more than one can publish.
+        if channel.topic == topics::REMOVED && body.len() > MAX_REMOVED_BYTES {
+            let cause = format!(
+                "a message of {} of {} bytes, at most {MAX_REMOVED_BYTES}",
+                channel.topic,
+                body.len()
+            );
+            return Err(self.damaged(cause));
+        }
         let body = data.end - body.len()..data.end;
         if let Some(channel) = self.channels.get_mut(&header.channel_id) {
             channel.count += 1;
@@ -379,15 +411,21 @@ fn check_layouts(
     metadata: &BTreeMap<String, String>,
     header: &LogHeader,
 ) -> Result<(), LogError> {
-    let build = layout_hashes();
-    for (message, log) in metadata.iter().filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)))
-    {
-        let ours = build.get(message).cloned().unwrap_or_default();
-        if ours != *log {
-            let (message, log) = (message.to_string(), log.clone());
+    match other_layout(metadata) {
+        None => Ok(()),
+        Some((message, log, build)) => {
             let version = header.build.version.clone();
-            return Err(LogError::Layout { path: path.into(), message, log, build: ours, version });
+            Err(LogError::Layout { path: path.into(), message, log, build, version })
         }
     }
-    Ok(())
+}
+
+/// The first message whose layout is not this build's: its name, the log's hash, this build's.
+pub(crate) fn other_layout(metadata: &BTreeMap<String, String>) -> Option<(String, String, String)> {
+    let build = layout_hashes();
+    let of_log = metadata.iter().filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)));
+    let with_ours =
+        of_log.map(|(message, log)| (message, log, build.get(message).cloned().unwrap_or_default()));
+    let mut others = with_ours.filter(|(_, log, ours)| ours != *log);
+    others.next().map(|(message, log, ours)| (message.to_string(), log.clone(), ours))
 }

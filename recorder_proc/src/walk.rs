@@ -13,7 +13,9 @@ use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
 
 use crate::end::END_RECORD;
 use crate::error::LogError;
-use crate::records::{Attached, MAX_RECORD_BYTES, RECORD_HEADER, attachment, chunk_record, unpack};
+use crate::records::{
+    Attached, MAX_RECORD_BYTES, RECORD_HEADER, attachment, check_magic, chunk_record, unpack,
+};
 
 /// Bytes that a search for the next chunk looks at together.
 const WINDOW: usize = 1 << 20;
@@ -37,6 +39,8 @@ pub(crate) enum Piece<'a> {
         data: &'a [u8],
     },
     ChunkEnd,
+    /// The data end here; where the summary begins.
+    DataEnd(u64),
     /// Bytes that are no record, or a record whose checksum is wrong.
     Lost(Lost),
     /// The file stops here before the format's own end, with so many bytes of an incomplete record.
@@ -69,11 +73,7 @@ pub(crate) fn walk<R: Read + Seek>(
     let mut walker = Walker { source, at: 0, length: 0, record: Vec::new(), chunk: Vec::new() };
     let read_error = |at: u64, source| LogError::Read { path: path.into(), offset: at, source };
     walker.open().map_err(|source| read_error(0, source))?;
-    if walker.record != MAGIC {
-        let found = walker.record.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
-        let found = if found.is_empty() { "nothing".to_string() } else { found };
-        return Err(LogError::NotMcap { path: path.into(), found });
-    }
+    check_magic(&walker.record, path)?;
     loop {
         let at = walker.at;
         let (opcode, next) = match walker.load().map_err(|source| read_error(at, source))? {
@@ -94,8 +94,13 @@ pub(crate) fn walk<R: Read + Seek>(
             return Ok(());
         }
         let bytes = next - at;
-        match walker.pieces(opcode, visit)? {
-            Ok(()) => walker.at = next,
+        match walker.pieces(path, (opcode, next), visit)? {
+            Ok(()) => {
+                if opcode == op::DATA_END {
+                    visit(Piece::DataEnd(next))?;
+                }
+                walker.at = next;
+            }
             Err(cause) => {
                 let follows = walker.begins_record(next).map_err(|source| read_error(next, source))?;
                 let next = match follows {
@@ -183,10 +188,18 @@ impl<R: Read + Seek> Walker<R> {
         }))
     }
 
-    /// Hands out the loaded record; the inner error says what is wrong with it.
+    /// Whether a length that leads here can be right: a record, a part of one, or what a cut log ends in.
+    fn leads_on(&mut self, at: u64) -> io::Result<bool> {
+        Ok(self
+            .header(at)?
+            .is_none_or(|(opcode, length)| (opcode, length) == (0, 0) || plausible(opcode, length)))
+    }
+
+    /// Hands out the loaded record, which ends at `next`; the inner error says what is wrong with it.
     fn pieces(
         &mut self,
-        opcode: u8,
+        path: &Path,
+        (opcode, next): (u8, u64),
         visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         match opcode {
@@ -209,7 +222,12 @@ impl<R: Read + Seek> Walker<R> {
                 Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
                 Err(cause) => Ok(Err(cause)),
             },
-            _ => Ok(Ok(())),
+            // Nothing else of these can be checked; a wrong length would pass over whole chunks.
+            _ => match self.leads_on(next) {
+                Ok(true) => Ok(Ok(())),
+                Ok(false) => Ok(Err("a record whose length leads to no other".to_string())),
+                Err(source) => Err(LogError::Read { path: path.into(), offset: next, source }),
+            },
         }
     }
 

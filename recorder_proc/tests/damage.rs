@@ -134,6 +134,34 @@ fn a_missing_message_is_named_and_counted() {
     assert!(matches!(error, LogError::Gap { topic: "/state", tick: 0, .. }), "{error}");
 }
 
+/// The log of a stranger may pack removals without end into few bytes, and never say a state.
+#[test]
+fn removals_that_no_volume_can_hold_are_refused() {
+    let log = |dimensions: [u32; 3], messages: u64, voxels: usize| {
+        let header = LogHeader { volume_dimensions: dimensions, ..header() };
+        let mut log = TimingLog::create(Vec::new(), &header).unwrap();
+        let indices: Vec<u32> = vec![7; voxels];
+        let description = <ipc_types::messages::Removed as ipc_types::layout::Message>::DESCRIPTION;
+        for sequence in 1..=messages {
+            let bytes = removed_bytes(0, sequence, sequence * voxels as u64, &indices);
+            log.message("/removed", description, 0, &bytes).unwrap();
+        }
+        log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
+    };
+    let refused = |bytes: &[u8], word: &str| {
+        let error = open_bytes(bytes).err().unwrap();
+        assert!(matches!(error, LogError::Damaged { .. }) && error.to_string().contains(word), "{error}");
+    };
+    // More than a tick can publish, more than the volume has, and messages without voxels.
+    refused(&log([512, 400, 3], 1, 4097), "/removed of 16420 bytes, at most 16416");
+    let endless = log([100, 10, 3], 5000, 600);
+    refused(&endless, "removals of 3600 voxels in a tick, the volume has 3000");
+    refused(&log([4, 4, 4], 1000, 0), "removals of 66 voxels in a tick, the volume has 64");
+    // As many as it has are none too many.
+    let error = open_bytes(&log([100, 10, 3], 5, 600)).err().unwrap();
+    assert!(matches!(error, LogError::NoInitialState { .. }), "{error}");
+}
+
 #[test]
 fn a_missing_frame_is_named_and_counted() {
     let mut count = 0;

@@ -7,7 +7,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use common::*;
+use ipc_types::layout::Message;
 use recorder_proc::*;
+use zerocopy::IntoBytes;
 
 /// Messages of a whole file by the mcap crate's own reader: topic, number, bytes.
 fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
@@ -148,6 +150,106 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
     }
 }
 
+/// Damage in the chunk that declares every topic takes that chunk and no more: the summary declares them again, wherever it
+/// stands now, and in a log that was cut besides, the order in which every run lane declares them.
+#[test]
+fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_log(&run_messages(600, None));
+    let all = messages(&bytes);
+    let chunks = chunks(&bytes);
+    let (start, end, first) = &chunks[0];
+    assert_eq!(first["/state"], 1, "the chunk of the initial state");
+    let mut flipped = bytes.clone();
+    flipped[(start + end) / 2] ^= 1;
+    let mut moved = flipped.clone();
+    let between = chunks[3].1;
+    moved.splice(between..between, [0_u8; 37]);
+    let cut = &flipped[..flipped.len() - 40];
+    for (what, changed) in [("summary", &flipped[..]), ("moved", &moved[..]), ("cut", cut)] {
+        let found = repaired(folder.path(), changed).unwrap();
+        let kept = messages(&found.bytes);
+        let lost = first.values().sum::<u64>() as usize;
+        assert_eq!(kept.len(), all.len() - lost, "{what}");
+        assert!(all.ends_with(&kept), "{what}");
+        assert_eq!(found.report.topics["/state"], repair::TopicRepair { recovered: 600, lost: 1 }, "{what}");
+        assert_eq!((found.report.undeclared, found.report.last_tick), (0, Some(600)), "{what}");
+        // Schemas are there too, and the log reads as far as its gap.
+        let summary = mcap::Summary::read(&found.bytes).unwrap().unwrap();
+        let original = mcap::Summary::read(&bytes).unwrap().unwrap();
+        for channel in summary.channels.values() {
+            let of_topic = |other: &&std::sync::Arc<mcap::Channel<'_>>| other.topic == channel.topic;
+            let before = original.channels.values().find(of_topic).unwrap();
+            let schema = |channel: &mcap::Channel<'_>| {
+                channel.schema.as_ref().map(|schema| (schema.name.clone(), schema.data.to_vec()))
+            };
+            assert!(schema(channel).is_some() && schema(channel) == schema(before), "{what}");
+            assert_eq!(channel.metadata, before.metadata, "{what}");
+        }
+        let path = folder.path().join("out.mcap");
+        let mut stream = MessageStream::open(&path, ReadOptions::default()).unwrap();
+        let mut count = 0;
+        while stream.next_message().unwrap().is_some() {
+            count += 1;
+        }
+        assert_eq!(count, kept.len(), "{what}");
+    }
+
+    // A topic of the timing lane is declared with its first message.
+    let bytes = write_timing(&[("/command/a", 500), ("/command/b", 900), ("/command/a", 1300)]);
+    let all = messages(&bytes);
+    let mut flipped = bytes.clone();
+    let (start, end, _) = self::chunks(&bytes)[0];
+    flipped[(start + end) / 2] ^= 1;
+    let found = repaired(folder.path(), &flipped).unwrap();
+    assert!(messages(&found.bytes) == all[1..] && found.report.lost()["/command/a"] == 1);
+    // Without the summary nothing tells the topic of what is left: that is said.
+    let data_end = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[2].clone();
+    let cut = (data_end.chunk_start_offset + data_end.chunk_length) as usize;
+    let found = repaired(folder.path(), &flipped[..cut]).unwrap();
+    assert_eq!(found.report.undeclared, 1, "{:?}", found.report);
+    let mut text = Vec::new();
+    found.report.write(&mut text).unwrap();
+    assert!(String::from_utf8(text).unwrap().contains("1 messages whose topic is declared nowhere"));
+}
+
+/// A timing lane with a chunk a message.
+fn write_timing(messages: &[(&str, u64)]) -> Vec<u8> {
+    let mut log = TimingLog::create(Vec::new(), &header()).unwrap();
+    for (topic, tick) in messages {
+        let command = ipc_types::messages::Command { state_tick: *tick, ..zerocopy::FromZeros::new_zeroed() };
+        let timing: ipc_types::messages::FrameTiming = zerocopy::FromZeros::new_zeroed();
+        let (description, bytes) = match *topic {
+            "/timing/frame" => (ipc_types::messages::FrameTiming::DESCRIPTION, timing.as_bytes()),
+            _ => (ipc_types::messages::Command::DESCRIPTION, command.as_bytes()),
+        };
+        log.message(topic, description, *tick, bytes).unwrap();
+    }
+    log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
+}
+
+/// MCAP writes a schema once: the chunk that holds it may be one that is passed over.
+#[test]
+fn a_topic_whose_schema_lies_in_a_chunk_that_is_passed_over_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = write_timing(&[
+        ("/timing/frame", 100),
+        ("/command/a", 500),
+        ("/command/b", 900),
+        ("/timing/frame", 1300),
+    ]);
+    assert_eq!(chunks(&bytes).len(), 4);
+    let path = save(folder.path(), "timing.mcap", &bytes);
+    for (topic, count) in [("/command/a", 1), ("/command/b", 1), ("/timing/frame", 2), ("/command/c", 0)] {
+        let mut stream =
+            MessageStream::open_topics(&path, &[topic.to_owned()], ReadOptions::default()).unwrap();
+        for _ in 0..count {
+            assert_eq!(stream.next_message().unwrap().unwrap().topic, topic);
+        }
+        assert!(stream.next_message().unwrap().is_none() && stream.ending().is_complete(), "{topic}");
+    }
+}
+
 /// Without the repair's note at its start, a jump in the numbers is damage.
 #[test]
 fn a_gap_that_no_repair_has_told_is_damage() {
@@ -170,6 +272,7 @@ fn any_damage_is_repaired_or_refused() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = write_log(&run_messages(150, None));
     let all = messages(&bytes);
+    let chunks = chunks(&bytes);
     let mut random = Rng::with_seed(77);
     let (mut refused, mut kept_all) = (0, 0);
     for _ in 0..400 {
@@ -201,6 +304,13 @@ fn any_damage_is_repaired_or_refused() {
         let kept = messages(&found.bytes);
         let mut rest = all.iter();
         assert!(kept.iter().all(|message| rest.any(|original| original == message)));
+        // What stands in chunks that nothing has touched is kept, whatever else is gone.
+        let there = |(start, end, _): &&(usize, usize, _)| {
+            changed.windows(end - start).any(|window| window == &bytes[*start..*end])
+        };
+        let untouched: u64 = chunks.iter().filter(there).flat_map(|(_, _, counts)| counts.values()).sum();
+        let told = found.report.undeclared;
+        assert!(kept.len() as u64 + told >= untouched, "{} of {untouched} kept", kept.len());
         if found.report.marker.is_some() {
             let lost: u64 = found.report.lost().values().sum();
             assert_eq!(kept.len() as u64 + lost, all.len() as u64);
@@ -331,6 +441,10 @@ fn joined_logs_split_into_what_they_were() {
         assert!(std::fs::read(path).unwrap() == *original, "{}", path.display());
     }
     assert!(matches!(split(&inputs[0], &out), Err(LogError::NotWhole { .. })));
+    // A run that cannot be written leaves none of the others, and what was there as it was.
+    std::fs::remove_file(&paths[0]).unwrap();
+    assert!(matches!(split(&joined, &out), Err(LogError::Exists { path }) if path == paths[1]));
+    assert!(!paths[0].exists() && std::fs::read(&paths[1]).unwrap() == runs[1]);
 }
 
 /// Reading one topic passes over the other chunks and gives the same messages; a gap in it is still damage.

@@ -121,6 +121,49 @@ fn a_replay_begins_at_the_last_keyframe_before_a_tick() {
     assert_eq!(report.identical_keyframes, 3);
 }
 
+/// It must neither wait for a worker that is gone nor call a log proven that nobody has looked at.
+#[test]
+fn a_panic_while_a_simulation_is_built_is_a_simulation_error() {
+    let panicked = Some((0, "the simulation panicked (its message is above)".to_string()));
+    // Short, so that all of it fits into the queues, and long.
+    for bytes in [write_log(&run_messages(20, None)), log_with(900, |_, _| ())] {
+        for threads in [1, 3] {
+            let make = || -> Result<Toy, String> { panic!("this toy cannot be built") };
+            let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &make, &options(threads));
+            assert_eq!((&report.replay.simulation_error, report.replay.identical_ticks), (&panicked, 0));
+            assert!(!report.replay.is_identical());
+        }
+    }
+}
+
+/// Whatever lies behind it, a keyframe or a reply that differs is a difference of the logs.
+#[test]
+fn logs_whose_keyframes_or_replies_differ_are_not_identical() {
+    let folder = tempfile::tempdir().unwrap();
+    let save = |name: &str, bytes: &[u8]| save(folder.path(), name, bytes);
+    let first = save("a.mcap", &log_with(500, |_, _| ()));
+    let compared = |bytes: &[u8]| diff(&first, &save("b.mcap", bytes), ReadOptions::default()).unwrap();
+    assert!(compared(&log_with(500, |_, _| ())).same_run());
+    let altered = compared(&log_with(500, |tick, bytes| bytes[200] ^= u8::from(tick == 300)));
+    assert!(!altered.same_run() && altered.ticks.is_none() && altered.frames.is_none());
+    assert_eq!((altered.messages[0].topic, altered.messages[0].tick), (topics::KEYFRAME, 300));
+    let without = compared(&write_log(&run_messages(500, Some(250))));
+    assert!(!without.same_run() && without.messages.is_empty());
+    assert!(without.remarks[0].ends_with("a.mcap has more of /keyframe"), "{:?}", without.remarks);
+
+    let mut steps = run_messages(500, None);
+    let plain = save("c.mcap", &write_log(&steps));
+    for step in &mut steps {
+        if let Step::Reply(reply) = step {
+            reply.requester ^= u32::from(reply.frame_sequence == 4);
+        }
+    }
+    let altered = diff(&plain, &save("d.mcap", &write_log(&steps)), ReadOptions::default()).unwrap();
+    assert!(!altered.same_run() && altered.ticks.is_none());
+    let differs = &altered.messages[0];
+    assert_eq!((differs.topic, differs.differences[0].path.as_str()), (topics::DRR_REPLY, "requester"));
+}
+
 /// A keyframe that is not the run's is found at its tick, before it can lead anything astray.
 #[test]
 fn an_altered_keyframe_differs_at_its_tick() {

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use recorder_proc::columns::{Column, Rows, columns, description_of_topic, read_rows};
 use recorder_proc::fields::Scalar;
-use recorder_proc::{LogError, topics};
+use recorder_proc::{LogError, NewFile, topics};
 
+use super::replay::log_path;
 use crate::failure::Failure;
 use crate::report::axis::{Axis, bounds};
 use crate::report::panel::{INK, Panel, Rect};
@@ -41,9 +42,9 @@ pub struct PlotArguments {
 /// Draws the figure.
 ///
 /// # Errors
-/// A log or field that is not there (2), a file that cannot be written (1).
+/// A log or field that is not there, a figure that is there already (2), a file that cannot be written (1).
 pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
-    let log = if arguments.log.is_dir() { arguments.log.join("run.mcap") } else { arguments.log.clone() };
+    let log = log_path(&arguments.log);
     let bad = |error: LogError| Failure::bad_input(error);
     let description = description_of_topic(&log, &arguments.topic).map_err(bad)?;
     if arguments.fields.len() > MOST_PANELS {
@@ -65,9 +66,12 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
         arguments.output.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let stem = arguments.output.file_name().map(|name| name.to_string_lossy().into_owned());
     let stem = stem.ok_or_else(|| Failure::bad_input("--output names no file"))?;
+    let paths = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
+    let made = paths.iter().map(|path| NewFile::create(path).map(|(_, made)| made));
+    let made = made.collect::<Result<Vec<_>, _>>().map_err(bad)?;
     figure.write(folder, &stem).map_err(|error| Failure::failed(error.to_string()))?;
-    say!("{}", folder.join(format!("{stem}.png")).display());
-    say!("{}", folder.join(format!("{stem}.svg")).display());
+    made.into_iter().for_each(NewFile::keep);
+    paths.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
 }
 
@@ -76,18 +80,9 @@ struct Lines(Vec<Timeline<Extremes>>);
 impl Rows for Lines {
     fn row(&mut self, _tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
         for (line, value) in self.0.iter_mut().zip(values) {
-            line.bin(log_time_ns).add(number(value));
+            line.bin(log_time_ns).add(value.nearest_f64());
         }
         Ok(())
-    }
-}
-
-fn number(scalar: &Scalar) -> f64 {
-    match *scalar {
-        Scalar::Unsigned(value) => value as f64,
-        Scalar::Signed(value) => value as f64,
-        Scalar::Float32(value) => f64::from(value),
-        Scalar::Float64(value) => value,
     }
 }
 

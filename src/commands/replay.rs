@@ -147,6 +147,18 @@ fn replay(
         step_only(log, start, to)?
     };
     told.wall_s = began.elapsed().as_secs_f64();
+    let ended_early = report.log_error.is_none() && report.simulation_error.is_none();
+    if ended_early && report.divergence.is_none() && from > 0 {
+        let last = report.last_tick;
+        if from > last {
+            return Err(Failure::bad_input(format!("--from is tick {from}, the log ends at tick {last}")));
+        }
+        if report.identical_ticks == 0 {
+            return Err(Failure::bad_input(format!(
+                "--from is tick {from}: no tick follows that could be replayed"
+            )));
+        }
+    }
     told.tell(&report)
 }
 

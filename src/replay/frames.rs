@@ -110,9 +110,12 @@ impl<'l> FrameReplay<'l> {
 /// Renders the frames of ticks in `from..=to` again and compares them; returns their number.
 ///
 /// # Errors
-/// The first frame that differs (1), or a log that cannot be read.
+/// The log has none of them (2); the first frame that differs (1), or a log that cannot be read.
 pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) -> Result<u64, Failure> {
-    let Some(mut replay) = FrameReplay::new(log, threads)? else { return Ok(0) };
+    let nothing = |what: &str| Failure::bad_input(format!("--frames: {}: {what}", log.path.display()));
+    let Some(mut replay) = FrameReplay::new(log, threads)? else {
+        return Err(nothing("the scene has no X-ray"));
+    };
     let mut identical = 0;
     while let Some(recorded) = replay.next_recorded()? {
         if (from..=to).contains(&recorded.frame.tick) {
@@ -126,6 +129,9 @@ pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) ->
             })?;
             identical += 1;
         }
+    }
+    if identical == 0 {
+        return Err(nothing("the log holds no frame of these ticks"));
     }
     Ok(identical)
 }

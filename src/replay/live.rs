@@ -60,6 +60,14 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let answers = Answers::read(log, &indices)?;
+    // In closed loop it is asked at every tick.
+    let asked = |expected: &BTreeMap<u64, Command>| match plan.closed_loop {
+        true => plan.to_tick > 0,
+        false => expected.range(..plan.to_tick).next().is_some(),
+    };
+    if let Some(live) = answers.expected.iter().position(|expected| !asked(expected)) {
+        return Err(nothing_to_compare(log, plan, live));
+    }
     let mut scene = log.scene.clone();
     if plan.closed_loop {
         scene.run.mode = Mode::Lockstep;
@@ -79,7 +87,18 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     };
     play.finish();
     played?;
+    if let Some(live) = play.identical.iter().position(|identical| *identical == 0) {
+        return Err(nothing_to_compare(log, plan, live));
+    }
     Ok(plan.controllers.iter().map(|(name, _)| name.clone()).zip(play.identical).collect())
+}
+
+/// A controller of which the log holds no command has not been compared with anything.
+fn nothing_to_compare(log: &OpenedLog, plan: &LivePlan, live: usize) -> Failure {
+    let (name, log) = (&plan.controllers[live].0, log.path.display());
+    Failure::bad_input(format!(
+        "--controller `{name}`: {log}: no command of it in these ticks to compare with"
+    ))
 }
 
 /// Where the live controllers stand in the scene.

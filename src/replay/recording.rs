@@ -9,7 +9,7 @@ use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Remov
 use ipc_types::services::{KEYFRAME_PART_BYTES, MAX_REMOVED_PER_TICK};
 use recorder_proc::verify::compare_state;
 use recorder_proc::{
-    EndReason, FrameRecord, LogMessage, MessageStream, Resumable, RunLog, Simulation, topics,
+    EndReason, FrameRecord, LogMessage, MessageStream, NewFile, Resumable, RunLog, Simulation, topics,
 };
 use sha2::{Digest, Sha256};
 use zerocopy::{FromBytes, IntoBytes};
@@ -38,7 +38,7 @@ pub struct Recorded {
 /// Every message takes the place that it has in the log: in real time, when a frame was ready is no function of the run.
 ///
 /// # Errors
-/// The first difference; a log that cannot be read to its end; a folder that cannot be written.
+/// The first difference; a log that cannot be read to its end; a folder that cannot be written. Then there is no file.
 pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
     let path = folder.join("run.mcap");
     if path.exists() {
@@ -47,16 +47,18 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
             folder.display()
         )));
     }
-    std::fs::create_dir_all(folder)
-        .map_err(|cause| Failure::bad_input(format!("--record {}: {cause}", folder.display())))?;
     let mut stream = MessageStream::open(&log.path, log.options()).map_err(Failure::bad_input)?;
-    let mut out = RunLog::create_file(&path, stream.header()).map_err(failed)?;
-    out.keep_places();
     let frames = match frame_threads {
         Some(threads) => FrameReplay::new(log, threads)?,
         None => None,
     };
     let world = log.world().map_err(Failure::failed)?;
+    std::fs::create_dir_all(folder)
+        .map_err(|cause| Failure::bad_input(format!("--record {}: {cause}", folder.display())))?;
+    let (file, made) = NewFile::create(&path).map_err(Failure::bad_input)?;
+    let file = BufWriter::with_capacity(1 << 16, file);
+    let mut out = RunLog::create_named(file, &path, stream.header()).map_err(failed)?;
+    out.keep_places();
     let mut copy = Copy {
         log,
         out,
@@ -83,6 +85,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     copy.out.finish(reason, &lost).map_err(failed)?;
     let remark = (!stream.ending().is_complete()).then(|| stream.ending().describe());
     let sha256 = [sha256(&log.path)?, sha256(&path)?];
+    made.keep();
     Ok(Recorded { path, ticks, frames, sha256, remark })
 }
 

@@ -1,7 +1,9 @@
 //! `trabecula log …` and the recording options, on logs of real runs.
 
 use std::fs;
+use std::path::Path;
 
+use parquet::file::reader::{FileReader, SerializedFileReader};
 use recorder_proc::{ReadOptions, frames};
 use rustix::process::Signal;
 
@@ -68,7 +70,7 @@ fn logs_are_packed_joined_split_and_exported() {
     run(&[&"log", &"export", &folder, &"-o", &path("tip.csv"), &field[0], &field[1]]);
     assert_eq!(fs::read_to_string(path("tip.csv")).unwrap().lines().count(), 402);
     run(&[&"log", &"export", &folder, &"-o", &path("tip.parquet"), &field[0], &field[1]]);
-    assert!(fs::read(path("tip.parquet")).unwrap().starts_with(b"PAR1"));
+    assert_eq!(parquet_rows(&path("tip.parquet")), 401);
     run(&[&"log", &"export", &folder, &"-o", &path("pictures"), &"--frames"]);
     let recorded: Vec<_> =
         frames(&folder.join("run.mcap"), ReadOptions::default()).unwrap().map(Result::unwrap).collect();
@@ -98,6 +100,49 @@ fn logs_are_packed_joined_split_and_exported() {
     }
 }
 
+fn parquet_rows(file: &Path) -> i64 {
+    let reader = SerializedFileReader::new(fs::File::open(file).unwrap()).unwrap();
+    let rows = reader.metadata().file_metadata().num_rows();
+    assert_eq!(reader.get_row_iter(None).unwrap().map(Result::unwrap).count() as i64, rows);
+    rows
+}
+
+#[test]
+fn the_table_of_a_damaged_log_can_be_read() {
+    let place = Place::new();
+    let folder = place.complete(&scenes::hold("lockstep", 0.5)).folder;
+    let mut bytes = fs::read(folder.join("run.mcap")).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(folder.join("run.mcap"), &bytes).unwrap();
+    let [csv, parquet] = ["x.csv", "x.parquet"].map(|name| place.path(name));
+    for table in [&csv, &parquet] {
+        let done = trabecula(&[&"log", &"export", &folder, &"-o", table]);
+        assert!(done.code == Some(1) && done.err.contains("damaged at byte"), "{}", done.err);
+    }
+    let rows = fs::read_to_string(csv).unwrap().lines().count() as i64 - 1;
+    assert!(rows > 50 && rows < 501 && parquet_rows(&parquet) == rows, "{rows}");
+}
+
+#[test]
+fn a_topic_that_a_log_has_not_is_no_empty_answer() {
+    let place = Place::new();
+    let folder = place.complete(&scenes::hold("lockstep", 0.1)).folder;
+    let cat = |topic: &str| trabecula(&[&"log", &"cat", &folder, &"--topic", &topic]);
+    let done = cat("/statee");
+    assert!(done.code == Some(2) && done.out.is_empty(), "{}", done.out);
+    assert!(done.err.contains("no topic /statee; it has ") && done.err.contains(", /state"), "{}", done.err);
+    // A topic without messages is there.
+    let done = cat("/drr/frame");
+    assert!(done.code == Some(0) && done.out.is_empty() && done.err.is_empty(), "{}", done.err);
+    // How a log ends is said, but not among the messages.
+    let bytes = fs::read(folder.join("run.mcap")).unwrap();
+    fs::write(folder.join("run.mcap"), &bytes[..bytes.len() / 2]).unwrap();
+    let done = cat("/state");
+    assert!(done.code == Some(0) && done.err.contains("no end marker"), "{}", done.err);
+    assert!(done.out.lines().all(|line| line.starts_with('{')) && !done.out.is_empty());
+}
+
 #[test]
 fn the_drilled_ct_is_written_while_the_run_goes_on() {
     let place = Place::new();
@@ -105,20 +150,33 @@ fn the_drilled_ct_is_written_while_the_run_goes_on() {
     let run = Run::start(&scene, place.path("out"), &[]);
     let file = place.path("drilled.nrrd");
     let gone_in = || volume_io::read(&file).unwrap().hu.iter().filter(|hu| **hu == -1000).count();
+    let drilled = |more: &[&dyn AsRef<std::ffi::OsStr>], folder: &Path| {
+        let mut words: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"volume", &"drilled", &folder, &file];
+        words.extend(more);
+        trabecula(&words)
+    };
     let early = wait_for("a log with drilled voxels", || {
         let folder = fs::read_dir(place.path("out")).ok()?.flatten().next()?.path();
-        let done = trabecula(&[&"volume", &"drilled", &folder, &file, &"--tick", &"0"]);
+        let _ = fs::remove_file(&file);
+        let done = drilled(&[&"--tick", &"0"], &folder);
         let untouched = (done.code == Some(0)).then(gone_in)?;
-        let done = trabecula(&[&"volume", &"drilled", &folder, &file]);
+        fs::remove_file(&file).unwrap();
+        let done = drilled(&[], &folder);
         (done.code == Some(0) && gone_in() > untouched).then(gone_in)
     });
     assert!(trabecula(&[&"volume", &"info", &file]).code == Some(0));
     signal(run.pid(), Signal::INT);
     let ended = run.end();
     assert_eq!(ended.code, Some(130), "{}", ended.err);
-    let done = trabecula(&[&"volume", &"drilled", &ended.folder, &file]);
+    // No file is written over.
+    let before = fs::read(&file).unwrap();
+    let done = drilled(&[], &ended.folder);
+    assert!(done.code == Some(2) && done.err.contains("drilled.nrrd: create failed"), "{}", done.err);
+    assert!(fs::read(&file).unwrap() == before);
+    fs::remove_file(&file).unwrap();
+    let done = drilled(&[], &ended.folder);
     assert_eq!(done.code, Some(0), "{}", done.err);
     assert!(gone_in() >= early);
-    let done = trabecula(&[&"volume", &"drilled", &ended.folder, &file, &"--tick", &"999999999"]);
+    let done = drilled(&[&"--tick", &"999999999"], &ended.folder);
     assert!(done.code == Some(2) && done.err.contains("the log ends at tick"), "{}", done.err);
 }

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use ipc_types::messages::SOURCE_HELD;
+
 use crate::common::logs::{assert_replays, read, rewrite, verify};
 use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
@@ -101,6 +103,48 @@ fn promise_7_truncation_a_cut_log_replays_to_its_last_complete_tick_and_says_so(
         );
         last = ticks;
     }
+}
+
+/// "All identical" is said of something.
+#[test]
+fn a_replay_that_would_compare_nothing_says_so() {
+    let place = Place::new();
+    let held = place.complete(&scenes::hold("lockstep", 0.1)).folder.join("run.mcap");
+    let other = Place::new();
+    let drilled = other.complete(&scenes::drill("lockstep", 0.2)).folder.join("run.mcap");
+    let unheard = place.path("unheard.mcap");
+    rewrite(&held, &unheard, |latched| latched.commands[0].source = SOURCE_HELD, |_| {});
+    let program = "/no/such/program";
+    let cases: [(&Path, &[&str], &str); 6] = [
+        (&held, &["--verify", "--frames"], "the scene has no X-ray"),
+        (&drilled, &["--frames", "--from", "110", "--to", "120"], "no frame of these ticks"),
+        (&held, &["--verify", "--from", "5000"], "--from is tick 5000, the log ends at tick 100"),
+        (&held, &["--from", "0.2s"], "--from is tick 200, the log ends at tick 100"),
+        (&unheard, &["--controller", program], "--controller `holder`:"),
+        (&held, &["--controller", program, "--closed-loop", "--to", "0"], "no command of it in these ticks"),
+    ];
+    for (log, more, said) in cases {
+        let mut words: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"replay", &log];
+        more.iter().for_each(|word| words.push(word));
+        let done = trabecula(&words);
+        assert!(done.code == Some(2) && done.err.contains(said), "{more:?}: {}{}", done.out, done.err);
+        assert!(!done.out.contains("frames again"), "{more:?}: {}", done.out);
+    }
+}
+
+#[test]
+fn a_recorded_replay_that_differs_leaves_no_file() {
+    let place = Place::new();
+    let original = place.complete(&scenes::hold("lockstep", 0.1)).folder.join("run.mcap");
+    let changed = place.path("changed.mcap");
+    rewrite(&original, &changed, |_| {}, |state| state.hash[0] ^= u64::from(state.tick == 70));
+    let again = place.path("again");
+    let done = trabecula(&[&"replay", &changed, &"--record", &again]);
+    assert!(done.code == Some(1) && done.err.contains("tick 70"), "{}", done.err);
+    assert!(!again.join("run.mcap").exists());
+    // So that it can be said again, of a log that is right.
+    let done = trabecula(&[&"replay", &original, &"--record", &again]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
 }
 
 #[test]

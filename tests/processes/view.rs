@@ -368,6 +368,16 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     let fields = ["tendon_tension_n[0]", "t_world_tip.position_m"];
     let done = trabecula(&[&"plot", &ended.folder, &fields[0], &fields[1], &"--output", &figure]);
     assert_eq!(done.code, Some(0), "{}", done.err);
+    // No figure is written over, not even half of one.
+    std::fs::remove_file(figure.with_extension("png")).unwrap();
+    let before = std::fs::read(figure.with_extension("svg")).unwrap();
+    let again = trabecula(&[&"plot", &ended.folder, &fields[0], &"--output", &figure]);
+    assert!(again.code == Some(2) && again.err.contains("is there already"), "{}", again.err);
+    assert!(!figure.with_extension("png").exists());
+    assert!(std::fs::read(figure.with_extension("svg")).unwrap() == before);
+    std::fs::remove_file(figure.with_extension("svg")).unwrap();
+    let done = trabecula(&[&"plot", &ended.folder, &fields[0], &fields[1], &"--output", &figure]);
+    assert_eq!(done.code, Some(0), "{}", done.err);
     let png = std::fs::read(figure.with_extension("png")).unwrap();
     assert!(png.starts_with(b"\x89PNG"));
     let svg = std::fs::read_to_string(figure.with_extension("svg")).unwrap();

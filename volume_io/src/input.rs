@@ -136,6 +136,35 @@ pub(crate) fn skip(
     Ok(())
 }
 
+/// What follows the voxels of a stream that `field` says the size of, `needed` bytes of at most `most_bytes`.
+///
+/// More compressed bytes mean that the header is wrong, and every voxel with it. Behind raw voxels other programs leave
+/// padding and trailers; ITK and nibabel read the voxels and pass over the rest, and so it is done here, with a note.
+pub(crate) fn check_end(
+    path: &Path,
+    field: &str,
+    (codec, reader): (Codec, &mut dyn Read),
+    (needed, most_bytes): (u64, u64),
+    notes: &mut Vec<String>,
+) -> Result<(), VolumeError> {
+    if codec == Codec::Raw {
+        if most_bytes > needed {
+            notes.push(format!("{} bytes behind the voxels are not read", most_bytes - needed));
+        }
+        return Ok(());
+    }
+    let mut one = [0_u8];
+    if read_full(path, codec.name(), reader, &mut one)? == 0 {
+        return Ok(());
+    }
+    Err(VolumeError::Header {
+        path: path.into(),
+        field: field.into(),
+        given: format!("more than {needed} bytes of data"),
+        expected: "as many bytes as the voxels need".into(),
+    })
+}
+
 /// The first bytes of a stream, up to `count`.
 pub(crate) fn head(path: &Path, offset: u64, codec: Codec, count: usize) -> Result<Vec<u8>, VolumeError> {
     let (mut reader, _) = open_stream(path, offset, codec)?;

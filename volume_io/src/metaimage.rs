@@ -33,7 +33,7 @@ pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
     let (encoding, stored_as) = if header.flag("BinaryData", true)? {
         let endian = header.endian()?;
         let layout = Layout { scalar, endian, scale: Scale::IDENTITY };
-        let codec = header.read_binary(&data_path, start, layout, count, &mut sink)?;
+        let codec = header.read_binary((&data_path, start), layout, count, (&mut sink, &mut notes))?;
         (codec.name(), scalar.describe(endian))
     } else {
         read_ascii(&data_path, start, count, &mut sink)?;
@@ -227,11 +227,10 @@ impl<'a> Header<'a> {
 
     fn read_binary(
         &self,
-        path: &Path,
-        start: u64,
+        (path, start): (&Path, u64),
         layout: Layout,
         count: usize,
-        sink: &mut HuSink,
+        (sink, notes): (&mut HuSink, &mut Vec<String>),
     ) -> Result<Codec, VolumeError> {
         let needed = layout.byte_count(count);
         let codec = if self.flag("CompressedData", false)? {
@@ -264,6 +263,7 @@ impl<'a> Header<'a> {
         let (mut reader, most_bytes) = input::open_stream(path, offset, codec)?;
         input::check_length(path, most_bytes, needed)?;
         layout.read(path, codec.name(), reader.as_mut(), count, sink)?;
+        input::check_end(path, "DimSize", (codec, reader.as_mut()), (needed, most_bytes), notes)?;
         Ok(codec)
     }
 }

@@ -30,6 +30,8 @@ pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
     header.layout.read(&data_path, data_codec.name(), reader.as_mut(), count, &mut sink)?;
 
     let mut notes = header.notes;
+    let bytes = (header.data_offset.saturating_add(needed), most_bytes);
+    input::check_end(&data_path, "dim", (data_codec, reader.as_mut()), bytes, &mut notes)?;
     if header.layout.scale != crate::scalar::Scale::IDENTITY {
         let scale = header.layout.scale;
         notes.push(format!("values are {} x stored + {}", scale.slope, scale.intercept));

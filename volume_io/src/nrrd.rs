@@ -48,7 +48,7 @@ pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
                 other => return Err(header.unsupported("encoding", other, "raw, gzip, bzip2 or ascii")),
             };
             let layout = Layout { scalar, endian: header.endian(scalar)?, scale: Scale::IDENTITY };
-            header.read_binary(layout, codec, count, &mut sink)?;
+            header.read_binary(layout, codec, count, (&mut sink, &mut notes))?;
             layout.scalar.describe(layout.endian)
         }
     };
@@ -377,7 +377,7 @@ impl<'a> Header<'a> {
         layout: Layout,
         codec: Codec,
         count: usize,
-        sink: &mut HuSink,
+        (sink, notes): (&mut HuSink, &mut Vec<String>),
     ) -> Result<(), VolumeError> {
         let (path, start) = self.data_start()?;
         let needed = layout.byte_count(count);
@@ -395,21 +395,8 @@ impl<'a> Header<'a> {
         input::check_length(&path, most_bytes, skip.saturating_add(needed))?;
         input::skip(&path, codec.name(), reader.as_mut(), skip)?;
         layout.read(&path, codec.name(), reader.as_mut(), count, sink)?;
-        // More bytes than voxels mean that the sizes or the skip are wrong, and every voxel with them.
-        let mut one = [0_u8];
-        if codec != Codec::Raw && input::read_full(&path, codec.name(), reader.as_mut(), &mut one)? > 0 {
-            return Err(wrong(
-                self.path,
-                "sizes, byte skip",
-                &format!(
-                    "sizes {}, more than {} bytes of data",
-                    self.get("sizes").unwrap_or(""),
-                    needed + skip
-                ),
-                "as many bytes as the sizes and skips need",
-            ));
-        }
-        Ok(())
+        let bytes = (skip.saturating_add(needed), most_bytes);
+        input::check_end(&path, "sizes, byte skip", (codec, reader.as_mut()), bytes, notes)
     }
 }
 

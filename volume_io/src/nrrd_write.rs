@@ -15,11 +15,19 @@ use std::path::Path;
 /// stores metres as millimetres and the product of direction and spacing.
 ///
 /// # Errors
-/// [`VolumeError::Io`] when the file cannot be written; as [`Volume::check`] for a volume that is not consistent.
+/// [`VolumeError::Io`] when the file is there already or cannot be written, then nothing is left of it; as
+/// [`Volume::check`] for a volume that is not consistent.
 pub fn write_nrrd(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
     volume.check(path)?;
-    let file = File::create(path).map_err(io_error(path, "create"))?;
+    let file = File::create_new(path).map_err(io_error(path, "create"))?;
+    write_into(file, path, volume).inspect_err(|_| {
+        // The error that counts is the first one.
+        let _ = std::fs::remove_file(path);
+    })
+}
+
+fn write_into(file: File, path: &Path, volume: &Volume) -> Result<(), VolumeError> {
     let mut writer = BufWriter::with_capacity(1 << 16, file);
     writer.write_all(header(volume).as_bytes()).map_err(io_error(path, "write"))?;
     // Level 6 is gzip's own default: higher levels cost several times the time for a few per cent.

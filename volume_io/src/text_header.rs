@@ -76,6 +76,12 @@ pub(crate) fn read_ascii(
     let mut buffer = vec![0_u8; 1 << 16];
     let mut word = Vec::new();
     let mut found = 0_usize;
+    let wrong_count = |given: String| VolumeError::Header {
+        path: path.into(),
+        field: "voxel data".into(),
+        given,
+        expected: format!("{count} numbers"),
+    };
     loop {
         let got = read_full(path, Codec::Raw.name(), reader.as_mut(), &mut buffer)?;
         // One separator after the end closes the last word.
@@ -91,7 +97,7 @@ pub(crate) fn read_ascii(
                         "numbers as text",
                     ));
                 }
-            } else if !word.is_empty() && found < count {
+            } else if found < count && !word.is_empty() {
                 let text = String::from_utf8_lossy(&word);
                 let value = text.parse::<f64>();
                 sink.push(
@@ -100,20 +106,12 @@ pub(crate) fn read_ascii(
                 );
                 found += 1;
                 word.clear();
-            } else {
-                word.clear();
+            } else if !word.is_empty() {
+                return Err(wrong_count("more".into()));
             }
         }
-        if found == count {
-            return Ok(());
-        }
         if got == 0 {
-            return Err(VolumeError::Header {
-                path: path.into(),
-                field: "voxel data".into(),
-                given: format!("{found} numbers"),
-                expected: format!("{count} numbers"),
-            });
+            return if found == count { Ok(()) } else { Err(wrong_count(format!("{found} numbers"))) };
         }
     }
 }

@@ -102,6 +102,8 @@ proptest! {
         near(&back.direction.concat(), &volume.direction.concat(), 1e-14);
         prop_assert!(info.notes.is_empty(), "{:?}", info.notes);
         // Writing what was read gives the same volume again.
+        prop_assert!(write_nrrd(&path, &back).is_err(), "no file is written over");
+        std::fs::remove_file(&path).unwrap();
         write_nrrd(&path, &back).unwrap();
         prop_assert_eq!(read(&path).unwrap().hu, volume.hu);
         let p = back.voxel_to_world_m([0.25, 1.5, -2.0]);

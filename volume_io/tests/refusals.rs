@@ -138,6 +138,50 @@ fn more_promised_than_there_is() {
     assert!(matches!(refuse("v.nii.gz", &encoder.finish().unwrap()), VolumeError::Truncated { .. }));
 }
 
+/// Behind raw voxels ITK and nibabel pass over what follows; of anything else more data mean a header that is wrong.
+#[test]
+fn more_data_than_the_header_says_is_refused_or_noted() {
+    let header = |error: VolumeError| assert!(matches!(error, VolumeError::Header { .. }), "{error}");
+    let noted = |name: &str, bytes: &[u8]| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        let (volume, info) = volume_io::read_with_info(&path).unwrap();
+        assert_eq!(volume.hu.len(), 24, "{name}");
+        assert!(
+            info.notes.iter().any(|note| note == "6 bytes behind the voxels are not read"),
+            "{:?}",
+            info.notes
+        );
+    };
+    let gzip = |bytes: &[u8]| {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        std::io::Write::write_all(&mut encoder, bytes).unwrap();
+        encoder.finish().unwrap()
+    };
+    let nifti = |count: usize| NiftiBytes::new([2, 3, 4], IDENTITY_MM, &vec![7; count]).0;
+    noted("v.nii", &nifti(27));
+    header(refuse("v.nii.gz", &gzip(&nifti(27))));
+    let geometry = "type: short\ndimension: 3\nsizes: 2 3 4\nspace: LPS\n\
+                    space directions: (1,0,0) (0,1,0) (0,0,1)\nendian: little\n";
+    let nrrd = |encoding: &str, data: &[u8]| {
+        [format!("NRRD0005\n{geometry}encoding: {encoding}\n\n").as_bytes(), data].concat()
+    };
+    noted("v.nrrd", &nrrd("raw", &[0; 54]));
+    header(refuse("v.nrrd", &nrrd("gzip", &gzip(&[0; 54]))));
+    header(refuse("v.nrrd", &nrrd("ascii", "5 ".repeat(25).as_bytes())));
+    let mha = |fields: &str, data: &[u8]| {
+        let text = format!(
+            "ObjectType = Image\nNDims = 3\nDimSize = 2 3 4\nElementSpacing = 1 1 1\n{fields}\n\
+             ElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+        );
+        [text.as_bytes(), data].concat()
+    };
+    noted("v.mha", &mha("BinaryData = True", &[0; 54]));
+    header(refuse("v.mha", &mha("CompressedData = True", &gzip(&[0; 54]))));
+    header(refuse("v.mha", &mha("BinaryData = False", "5 ".repeat(25).as_bytes())));
+}
+
 #[test]
 fn nrrd_header() {
     let lps = "type: short\ndimension: 3\nsizes: 2 3 4\nspace: LPS\n";

@@ -37,7 +37,7 @@ pub struct CatArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such field (2); a log that is damaged (1), behind the messages before the damage.
+/// Not a log, no such field or topic (2); a log that is damaged (1), behind the messages before the damage.
 pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let options = CatOptions {
         topics: arguments.topics.clone(),
@@ -48,7 +48,14 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
         last_ns: arguments.to_s.map(|time_s| nanoseconds("--to-s", time_s)).transpose()?,
         read: ReadOptions::default(),
     };
-    quiet_pipe(cat(&log_path(&arguments.log), &options, out).map(|_ending| ()))
+    let log = log_path(&arguments.log);
+    let ending = cat(&log, &options, out);
+    if let Ok(ending) = &ending
+        && !ending.is_complete()
+    {
+        eprintln!("trabecula: {}: {}", log.display(), ending.describe());
+    }
+    quiet_pipe(ending.map(|_| ()))
 }
 
 fn nanoseconds(option: &str, time_s: f64) -> Result<u64, Failure> {

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use recorder_proc::columns::{columns, description_of_topic, read_rows};
 use recorder_proc::export::{Csv, Parquet, ending_of};
-use recorder_proc::{Ending, FrameRecord, LogError, ReadOptions, frames, topics};
+use recorder_proc::{Ending, FrameRecord, LogError, NewFile, ReadOptions, frames, topics};
 
 use super::{Out, failure};
 use crate::commands::replay::log_path;
@@ -64,23 +64,23 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Ending), Fa
     let columns = columns(description, &arguments.fields).map_err(failure)?;
     let file = BufWriter::new(new_file(&arguments.output)?);
     let range = (arguments.from, arguments.to);
-    let read = if ending == "csv" {
+    // The rows before a damage are a whole table too.
+    let (read, finished) = if ending == "csv" {
         let mut rows = Csv::new(file, &columns).map_err(failure)?;
-        read_rows(log, &arguments.topic, &columns, range, &mut rows)
-            .and_then(|end| rows.finish().map(|()| end))
+        (read_rows(log, &arguments.topic, &columns, range, &mut rows), rows.finish())
     } else {
         let mut rows = Parquet::new(file, &columns).map_err(failure)?;
-        read_rows(log, &arguments.topic, &columns, range, &mut rows)
-            .and_then(|end| rows.finish().map(|()| end))
+        (read_rows(log, &arguments.topic, &columns, range, &mut rows), rows.finish())
     };
+    let read = read.and_then(|end| finished.map(|()| end));
     Ok((format!("{} columns of {}", columns.len() + 2, arguments.topic), read.map_err(failure)?))
 }
 
 fn new_file(path: &Path) -> Result<File, Failure> {
-    File::create_new(path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::AlreadyExists => failure(LogError::Exists { path: path.into() }),
-        _ => failure(LogError::Create { path: path.into(), source }),
-    })
+    let (file, made) = NewFile::create(path).map_err(failure)?;
+    // What of it can be written is worth having.
+    made.keep();
+    Ok(file)
 }
 
 fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Ending), Failure> {

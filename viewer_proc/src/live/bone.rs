@@ -11,8 +11,8 @@ use ipc_types::messages::{Removed, RunStatus, Volume};
 use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
-use recorder_proc::topics;
-use recorder_proc::{MessageStream, ReadOptions};
+use recorder_proc::reader::voxel_indices;
+use recorder_proc::{MessageStream, ReadOptions, topics};
 use zerocopy::FromBytes;
 
 use crate::board::Board;
@@ -21,6 +21,8 @@ use crate::surface::bone::Bone;
 
 /// Time between two looks at the removals; the queue holds half a second of them at 1 kHz.
 const LOOK_TIME: Duration = Duration::from_millis(4);
+/// Most removals that are taken before the bone is meshed.
+const ROUND: usize = 4096;
 /// Time between two meshings.
 const MESH_PERIOD: Duration = Duration::from_millis(50);
 /// Time between two looks into the log for removals that were before our time.
@@ -116,11 +118,7 @@ fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
 struct Removals {
     messages: Subscriber<Removed>,
     status: Subscriber<RunStatus>,
-    waiting: BTreeMap<u64, (Removed, Vec<u32>)>,
-    /// Number of the last one that was handed out.
-    last: u64,
-    /// Removals that the physics has sent, as far as is known.
-    sent: u64,
+    line: Line,
     /// The log that is being written, if there is one.
     log: Option<PathBuf>,
     looked: Option<Instant>,
@@ -133,9 +131,7 @@ impl Removals {
         Ok(Removals {
             messages: session.subscriber(&services::REMOVED)?,
             status: session.subscriber(&services::RUN_STATUS)?,
-            waiting: BTreeMap::new(),
-            last: 0,
-            sent: 0,
+            line: Line::default(),
             log: output.map(|output| PathBuf::from(output).join("run.mcap")),
             looked: None,
             incomplete: false,
@@ -143,53 +139,94 @@ impl Removals {
     }
 
     fn look(&mut self, board: &Board) -> Result<(), PortError> {
-        while let Some(received) = self.messages.receive()? {
-            self.keep(*received.message(), received.tail());
+        for _ in 0..ROUND {
+            let Some(received) = self.messages.receive_valid(|_| {})? else { break };
+            self.line.keep(*received.message(), received.tail());
         }
         if let Some(status) = self.status.receive_newest()? {
-            self.sent = self.sent.max(status.message().removed_messages);
+            self.line.sent = self.line.sent.max(status.message().removed_messages);
         }
-        let missing = !self.waiting.contains_key(&(self.last + 1)) && self.sent > self.last;
-        if missing && self.looked.is_none_or(|looked| looked.elapsed() >= LOG_PERIOD) {
+        if self.line.lacks_next() && self.looked.is_none_or(|looked| looked.elapsed() >= LOG_PERIOD) {
             self.looked = Some(Instant::now());
             self.read_log(board);
         }
         Ok(())
     }
 
-    fn keep(&mut self, removed: Removed, tail: &[u8]) {
-        if removed.sequence > self.last {
-            self.sent = self.sent.max(removed.sequence);
-            self.waiting.insert(removed.sequence, (removed, indices(tail)));
-        }
-    }
-
     /// Reads what is missing. Its newest part may not be on the disk yet: it is then read again.
     fn read_log(&mut self, board: &Board) {
-        let Some(path) = self.log.clone() else {
+        let Some(path) = &self.log else {
             // Without a log what was drilled before is not known: it goes on from what is.
-            if let Some(first) = self.waiting.keys().next() {
-                self.last = first - 1;
-            }
-            if !self.incomplete {
-                self.incomplete = true;
-                board.notice(
-                    "warning",
-                    "nothing is recorded: bone that was drilled before the viewer joined is shown whole",
-                );
-            }
-            return;
+            self.line.go_on();
+            let text = "nothing is recorded: bone that was drilled before the viewer joined is shown whole";
+            return self.say_incomplete(text, board);
         };
         let Ok(mut stream) =
-            MessageStream::open_topics(&path, &[topics::REMOVED.to_owned()], ReadOptions::default())
+            MessageStream::open_topics(path, &[topics::REMOVED.to_owned()], ReadOptions::default())
         else {
             return;
         };
+        let mut logged = 0;
         while let Ok(Some(message)) = stream.next_message() {
             if let Ok((removed, tail)) = Removed::read_from_prefix(message.body) {
-                self.keep(removed, tail);
+                logged = removed.sequence;
+                self.line.keep(removed, tail);
             }
         }
+        if self.line.step_over_lost(logged) {
+            self.say_incomplete("removals are missing in the log: bone that they took is shown whole", board);
+        }
+    }
+
+    fn say_incomplete(&mut self, text: &str, board: &Board) {
+        if !std::mem::replace(&mut self.incomplete, true) {
+            board.notice("warning", text);
+        }
+    }
+
+    fn next(&mut self) -> Option<(Removed, Vec<u32>)> {
+        self.line.next()
+    }
+}
+
+/// Removals that wait for those before them.
+#[derive(Default)]
+struct Line {
+    waiting: BTreeMap<u64, (Removed, Vec<u32>)>,
+    /// Number of the last one that was handed out.
+    last: u64,
+    /// Removals that the physics has sent, as far as is known.
+    sent: u64,
+}
+
+impl Line {
+    fn keep(&mut self, removed: Removed, tail: &[u8]) {
+        if removed.sequence > self.last {
+            self.sent = self.sent.max(removed.sequence);
+            self.waiting.insert(removed.sequence, (removed, voxel_indices(tail)));
+        }
+    }
+
+    /// Whether the next one has been sent and is not here.
+    fn lacks_next(&self) -> bool {
+        self.sent > self.last && !self.waiting.contains_key(&(self.last + 1))
+    }
+
+    /// Goes on from the first one that is here.
+    fn go_on(&mut self) {
+        if let Some(first) = self.waiting.keys().next() {
+            self.last = first - 1;
+        }
+    }
+
+    /// A log holds its removals in their order: the next one will not come if the log, read up to number `logged`, is
+    /// beyond it. Whether any were stepped over.
+    fn step_over_lost(&mut self, logged: u64) -> bool {
+        let lost = self.lacks_next() && logged > self.last;
+        if lost {
+            self.go_on();
+        }
+        lost
     }
 
     fn next(&mut self) -> Option<(Removed, Vec<u32>)> {
@@ -199,7 +236,30 @@ impl Removals {
     }
 }
 
-/// Voxel indices of a removal's tail.
-pub(crate) fn indices(tail: &[u8]) -> Vec<u32> {
-    tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_removal_that_the_recorder_lost_is_stepped_over() {
+        let mut line = Line::default();
+        let keep = |line: &mut Line, sequence: u64| {
+            line.keep(Removed { sequence, ..Removed::zeroed() }, &(sequence as u32).to_le_bytes());
+        };
+        // Seen: 5 and 6, from the bus. The log has not come as far as 2.
+        [5, 6].into_iter().for_each(|sequence| keep(&mut line, sequence));
+        keep(&mut line, 1);
+        assert!(!line.step_over_lost(1) && line.next().is_some());
+        assert!(line.lacks_next() && !line.step_over_lost(1) && line.next().is_none());
+        // It goes on with 3: 2 will never come, 4 may.
+        [1, 3].into_iter().for_each(|sequence| keep(&mut line, sequence));
+        assert!(line.step_over_lost(3));
+        assert_eq!(line.next().map(|(removed, voxels)| (removed.sequence, voxels)), Some((3, vec![3])));
+        assert!(line.lacks_next() && !line.step_over_lost(3));
+        keep(&mut line, 4);
+        let rest: Vec<u64> =
+            std::iter::from_fn(|| line.next()).map(|(removed, _)| removed.sequence).collect();
+        assert_eq!(rest, [4, 5, 6]);
+        assert!(!line.lacks_next());
+    }
 }

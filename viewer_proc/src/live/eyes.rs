@@ -63,7 +63,8 @@ impl<M: Message> Forward for Topic<M> {
     }
 }
 
-/// Forwards what waits: every message if somebody wants the topic, else the newest only. Returns how many came.
+/// Forwards what waits, but for malformed messages: every message if somebody wants the topic, else the newest only.
+/// Returns how many came.
 fn forward<M: Message>(
     subscriber: &Subscriber<M>,
     topic: &str,
@@ -74,7 +75,7 @@ fn forward<M: Message>(
     let wanted = board.wants(topic);
     let (mut count, mut newest) = (0, None);
     while count < ROUND
-        && let Some(received) = subscriber.receive()?
+        && let Some(received) = subscriber.receive_valid(|_| {})?
     {
         count += 1;
         see(received.message());
@@ -153,7 +154,8 @@ impl Eyes {
             },
         )?;
         self.ended = ended;
-        while let Some(progress) = self.progress.receive()? {
+        for _ in 0..ROUND {
+            let Some(progress) = self.progress.receive_valid(|_| {})? else { break };
             recorded += usize::from(progress.message().consumer == SENDER_RECORDER);
         }
         self.parts.saw("recorder", recorded);
@@ -192,7 +194,9 @@ impl Eyes {
     fn look_at_frames(&mut self, board: &Board) -> Result<(), PortError> {
         let Some(frames) = self.frames.take() else { return Ok(()) };
         let mut count = 0;
-        while let Some(received) = frames.receive()? {
+        while count < ROUND
+            && let Some(received) = frames.receive_valid(|_| {})?
+        {
             count += 1;
             // A frame's reply is sent before it.
             self.look_at_replies(board)?;

@@ -23,7 +23,6 @@ use crate::server::{Server, ServerOptions};
 use crate::services::{Call, Calls, Request};
 use crate::surface::bone::volume_box;
 use bone::BoneThread;
-pub(crate) use bone::indices;
 use control::Control;
 use drive::Driver;
 use eyes::Eyes;

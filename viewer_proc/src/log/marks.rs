@@ -3,14 +3,15 @@
 use std::path::Path;
 
 use ipc_types::messages::{Event, Removed, State, TickTiming};
+use recorder_proc::reader::{voxel_indices, voxels_of};
 use recorder_proc::{LogError, LogHeader, MessageStream, ReadOptions, topics};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
-use crate::live::indices;
-
 /// Most marks of one kind; of more, the first.
 const MOST: usize = 2000;
+/// Most removed voxels that are held, over all resets: 1 GiB.
+const MOST_REMOVED: u64 = 1 << 28;
 
 /// A place on the time line.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -45,6 +46,11 @@ pub struct Outline {
     pub has_frames: bool,
     /// What the user should know.
     pub notices: Vec<String>,
+    /// Voxels removed since the last reset, and in all.
+    since_reset: u64,
+    kept: u64,
+    /// Whether removals are missing at the end.
+    cut_short: bool,
 }
 
 /// Reads a run lane through. What is damaged ends it, with a notice.
@@ -54,15 +60,7 @@ pub struct Outline {
 pub fn outline(path: &Path) -> Result<Outline, LogError> {
     let wanted = [topics::STATE, topics::REMOVED, topics::DRR_FRAME].map(str::to_owned);
     let mut stream = MessageStream::open_topics(path, &wanted, ReadOptions::default())?;
-    let header = stream.header().clone();
-    let mut outline = Outline {
-        header,
-        states: Vec::new(),
-        removals: Vec::new(),
-        marks: Vec::new(),
-        has_frames: false,
-        notices: Vec::new(),
-    };
+    let mut outline = Outline::new(stream.header().clone());
     loop {
         match stream.next_message() {
             Ok(Some(message)) => outline.take(message.topic, message.log_time_ns, message.body),
@@ -88,6 +86,20 @@ pub fn outline(path: &Path) -> Result<Outline, LogError> {
 }
 
 impl Outline {
+    fn new(header: LogHeader) -> Outline {
+        Outline {
+            header,
+            states: Vec::new(),
+            removals: Vec::new(),
+            marks: Vec::new(),
+            has_frames: false,
+            notices: Vec::new(),
+            since_reset: 0,
+            kept: 0,
+            cut_short: false,
+        }
+    }
+
     fn take(&mut self, topic: &str, time_ns: u64, body: &[u8]) {
         match topic {
             topics::STATE => {
@@ -97,20 +109,46 @@ impl Outline {
                     return;
                 };
                 if let Some((last, _)) = self.states.last()
-                    && last + 1 != state.tick
+                    && last.checked_add(1) != Some(state.tick)
                     && self.marks.len() < MOST
                 {
-                    let text = format!("ticks {} to {} are missing", last + 1, state.tick.saturating_sub(1));
+                    let (from, to) = (last.saturating_add(1), state.tick.saturating_sub(1));
+                    let text = format!("ticks {from} to {to} are missing");
                     self.marks.push(Mark { time_ns, kind: "gap", text });
                 }
                 self.states.push((state.tick, state.hash));
             }
             topics::REMOVED => {
                 if let Ok((removed, tail)) = Removed::read_from_prefix(body) {
-                    self.removals.push((time_ns, removed, indices(tail)));
+                    self.remove(time_ns, removed, voxel_indices(tail));
                 }
             }
             _ => self.has_frames = true,
+        }
+    }
+
+    /// Keeps a removal, as long as a run can have made it and the memory holds it: a stranger's log may pack any number of
+    /// them into few bytes.
+    fn remove(&mut self, time_ns: u64, removed: Removed, voxels: Vec<u32>) {
+        // One without voxels takes room too.
+        let count = voxels.len().max(1) as u64;
+        if removed.restore_first != 0 {
+            self.since_reset = 0;
+        }
+        self.since_reset += count;
+        self.kept += count;
+        // A reset's own message may hold no voxel.
+        let impossible = self.since_reset > voxels_of(&self.header).saturating_add(1);
+        if (impossible || self.kept > MOST_REMOVED) && !self.cut_short {
+            self.cut_short = true;
+            let tick = removed.tick;
+            let cause = if impossible { "the volume has" } else { "a viewer holds" };
+            self.notices.push(format!(
+                "the bone is shown as before tick {tick}: more voxels are removed than {cause}"
+            ));
+        }
+        if !self.cut_short {
+            self.removals.push((time_ns, removed, voxels));
         }
     }
 
@@ -169,7 +207,56 @@ pub fn timing_marks(path: &Path, dt_ns: u64) -> Vec<Mark> {
 
 #[cfg(test)]
 mod tests {
+    use recorder_proc::{BuildInfo, RunMode};
+    use zerocopy::IntoBytes;
+
     use super::*;
+
+    fn outline_of(volume_dimensions: [u32; 3]) -> Outline {
+        Outline::new(LogHeader {
+            scene_toml: String::new(),
+            calibration_json: None,
+            scene_name: String::new(),
+            volume_sha256: None,
+            volume_dimensions,
+            dt_ns: 1_000_000,
+            mode: RunMode::RealTime,
+            controllers: Vec::new(),
+            build: BuildInfo::current(),
+        })
+    }
+
+    #[test]
+    fn a_state_of_the_last_tick_there_is_panics_nowhere() {
+        let mut outline = outline_of([1; 3]);
+        for tick in [0, u64::MAX, 0, 1] {
+            let state = State { tick, ..State::zeroed() };
+            outline.take(topics::STATE, 0, state.as_bytes());
+        }
+        let texts: Vec<&str> = outline.marks.iter().map(|mark| mark.text.as_str()).collect();
+        let last = u64::MAX;
+        let first = format!("ticks 1 to {} are missing", last - 1);
+        assert_eq!(texts, [first, format!("ticks {last} to 0 are missing")]);
+    }
+
+    #[test]
+    fn removals_that_no_volume_can_hold_are_not_kept() {
+        let mut outline = outline_of([4, 4, 4]);
+        let message = |restore_first: u32, voxels: u32| {
+            let removed = Removed { restore_first, voxel_index_length: voxels, ..Removed::zeroed() };
+            [removed.as_bytes(), &vec![0; voxels as usize * 4]].concat()
+        };
+        outline.take(topics::REMOVED, 0, &message(0, 64));
+        outline.take(topics::REMOVED, 1, &message(1, 0));
+        outline.take(topics::REMOVED, 2, &message(0, 64));
+        assert_eq!((outline.removals.len(), outline.notices.len()), (3, 0));
+        for _ in 0..1000 {
+            outline.take(topics::REMOVED, 3, &message(0, 0));
+        }
+        outline.take(topics::REMOVED, 4, &message(1, 1));
+        assert_eq!((outline.removals.len(), outline.notices.len()), (3, 1));
+        assert!(outline.notices[0].contains("more voxels are removed than the volume has"));
+    }
 
     fn states(all: &[(u64, u64)]) -> Vec<(u64, [u64; 2])> {
         all.iter().map(|(tick, hash)| (*tick, [*hash, 0])).collect()

@@ -402,14 +402,7 @@ fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result<String, Pl
 /// Fields of two states that differ, at most [`MOST_ROWS`]: the state's own before those of its poses and contacts, of either
 /// the largest relative differences first; of an array the element that differs most.
 fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
-    let number = |scalar: Option<Scalar>| {
-        scalar.map(|scalar| match scalar {
-            Scalar::Unsigned(value) => value as f64,
-            Scalar::Signed(value) => value as f64,
-            Scalar::Float32(value) => f64::from(value),
-            Scalar::Float64(value) => value,
-        })
-    };
+    let number = |scalar: Option<Scalar>| scalar.map(Scalar::nearest_f64);
     let mut rows: Vec<(f64, String, f64, f64)> = difference::all_differences(State::DESCRIPTION, a, b)
         .into_iter()
         .filter(|difference| !difference.path.starts_with("hash["))

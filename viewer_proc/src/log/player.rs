@@ -29,6 +29,8 @@ pub struct Player {
 impl Player {
     /// At the beginning, standing still.
     pub fn new(begin_ns: u64, end_ns: u64, dt_ns: u64, mut marks: Vec<Mark>) -> Player {
+        // A stranger's index may say that a log ends before it begins.
+        let end_ns = end_ns.max(begin_ns);
         marks.sort_by_key(|mark| mark.time_ns);
         Player {
             begin_ns,
@@ -152,6 +154,15 @@ mod tests {
         for speed in [0.0, f64::NAN, f64::INFINITY, 1e9] {
             assert!(player.obey(&Playback { speed: Some(speed), ..request(PlaybackAction::Speed) }).is_err());
         }
+    }
+
+    #[test]
+    fn a_log_that_ends_before_it_begins_panics_nowhere() {
+        let mut player = Player::new(1000, 0, 10, Vec::new());
+        player.obey(&Playback { time_ns: Some(500), ..request(PlaybackAction::Seek) }).unwrap();
+        player.obey(&Playback { speed: Some(-1.0), ..request(PlaybackAction::Play) }).unwrap();
+        player.advance(Duration::from_nanos(100));
+        assert_eq!((player.time_ns(), player.playing), (1000, false));
     }
 
     #[test]
