@@ -13,6 +13,9 @@ use thiserror::Error;
 
 use crate::layout::Message;
 
+/// Messages of a wrong length that are taken off a queue in one look: who floods with them holds nobody up.
+const MOST_REFUSED: usize = 64;
+
 /// Why a message could not be sent or taken.
 #[derive(Debug, Error)]
 pub enum PortError {
@@ -197,7 +200,7 @@ impl<M: Message> Subscriber<M> {
     }
 
     /// The oldest message of a right length that waits, if any, for services that every client may write: others are
-    /// taken off the queue and handed to `refused`.
+    /// taken off the queue and handed to `refused`, 64 at most; then none has come, for now.
     ///
     /// # Errors
     /// [`PortError::Receive`].
@@ -205,12 +208,13 @@ impl<M: Message> Subscriber<M> {
         &self,
         mut refused: impl FnMut(&PortError),
     ) -> Result<Option<Received<M>>, PortError> {
-        loop {
+        for _ in 0..MOST_REFUSED {
             match self.receive() {
                 Err(error @ PortError::Length { .. }) => refused(&error),
                 other => return other,
             }
         }
+        Ok(None)
     }
 
     /// The newest message that waits, if any; older ones are dropped.

@@ -54,6 +54,9 @@ pub const KEYFRAME_PART_BYTES: usize = 16 << 10;
 /// Bytes of an event's text with its NUL.
 pub const MAX_EVENT_TEXT: usize = 1024;
 
+/// Subscribers of what observers watch: besides the parts of the run, about ten programs.
+const WATCHERS: usize = 16;
+
 const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) -> Service {
     Service {
         name,
@@ -69,7 +72,7 @@ const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) 
 }
 
 /// `State`, once a tick. Half a second of queue at 1 kHz, four seconds for the recorder.
-pub const STATE: Service = fixed::<State>("state", Lane::Run, 512);
+pub const STATE: Service = Service { max_subscribers: WATCHERS, ..fixed::<State>("state", Lane::Run, 512) };
 /// `Latched`, once a tick, before the state that it leads to.
 pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, 512);
 /// `Removed`, for ticks that removed voxels.
@@ -92,7 +95,8 @@ pub const COMMAND: Service = Service { history: 0, ..fixed::<Command>("command",
 pub const VOLUME: Service =
     Service { lossless_length: 1, max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, 1) };
 /// `Frame` with its image; `max_bytes` is that of the scene's detector.
-pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, 8) };
+pub const FRAME: Service =
+    Service { max_bytes: 0, max_subscribers: WATCHERS, ..fixed::<Frame>("frame", Lane::Run, 8) };
 /// `DrrRequest`.
 pub const DRR_REQUEST: Service =
     Service { history: 0, max_publishers: 8, ..fixed::<DrrRequest>("drr_request", Lane::Timing, 64) };
@@ -105,11 +109,13 @@ pub const RUN_CONTROL: Service =
 pub const RUN_CONTROL_REPLY: Service =
     Service { history: 0, ..fixed::<RunControlReply>("run_control_reply", Lane::Timing, 16) };
 /// `RunStatus`.
-pub const RUN_STATUS: Service = fixed::<RunStatus>("run_status", Lane::Timing, 16);
+pub const RUN_STATUS: Service =
+    Service { max_subscribers: WATCHERS, ..fixed::<RunStatus>("run_status", Lane::Timing, 16) };
 /// `Event`.
 pub const EVENT: Service = Service {
     history: 0,
     max_publishers: 16,
+    max_subscribers: WATCHERS,
     max_bytes: Event::DESCRIPTION.size + MAX_EVENT_TEXT,
     ..fixed::<Event>("event", Lane::Timing, 256)
 };
