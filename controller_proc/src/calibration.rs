@@ -54,6 +54,15 @@ pub enum CalibrationError {
         /// The system's reason.
         cause: std::io::Error,
     },
+    /// The target lies where tendon 0 does not bend to.
+    #[error(
+        "`target_mm` lies {:.2} deg on the side away from `tool.bend_toward`; turn `bend_toward` to the target's side",
+        -wanted_deg
+    )]
+    OtherSide {
+        /// Bend of the arc, negative away from the side that the tool bends to.
+        wanted_deg: f64,
+    },
     /// A line is not one of a calibration.
     #[error("calibration {}, line {line}: {problem}", path.display())]
     Malformed {

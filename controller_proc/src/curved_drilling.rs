@@ -36,6 +36,7 @@ pub struct CurvedDrillingController {
     start: Option<Start>,
     correction_n: f64,
     phase: Phase,
+    removed_total: u64,
     remark: Option<String>,
 }
 
@@ -68,7 +69,8 @@ impl CurvedDrillingController {
     /// A controller for this plan in this scene.
     ///
     /// # Errors
-    /// The plan's calibration cannot be read, or does not reach the bend of the arc to the target.
+    /// The plan's calibration cannot be read, or does not reach the bend of the arc to the target; the target lies on the
+    /// side to which the tool does not bend.
     pub fn new(plan: &CurvedDrilling, scene: &Scene) -> Result<CurvedDrillingController, CalibrationError> {
         let calibration = plan.calibration.as_deref().map(Calibration::load).transpose()?;
         let controller = CurvedDrillingController {
@@ -80,6 +82,7 @@ impl CurvedDrillingController {
             start: None,
             correction_n: 0.0,
             phase: Phase::Feeding,
+            removed_total: 0,
             remark: None,
         };
         if let Some(calibration) = &controller.calibration {
@@ -87,7 +90,12 @@ impl CurvedDrillingController {
             let toward = Vector3::from(scene.tool.bend_toward);
             let bend = (toward - along * toward.dot(&along)).normalize();
             let burr_m = Vector3::from(scene.tool.burr_start_mm) * 1e-3;
-            calibration.tension_for_bend_n(controller.arc_deg(&burr_m, &along, &bend))?;
+            let arc_deg = controller.arc_deg(&burr_m, &along, &bend);
+            // Rounding puts a target straight ahead this far aside.
+            if arc_deg < -1e-9 {
+                return Err(CalibrationError::OtherSide { wanted_deg: arc_deg });
+            }
+            calibration.tension_for_bend_n(arc_deg)?;
         }
         Ok(controller)
     }
@@ -102,6 +110,12 @@ impl CurvedDrillingController {
     }
 
     fn begin(&mut self, state: &State) -> Start {
+        // Bone comes back only when the run is set back to its beginning: so is this controller.
+        if state.removed_total < self.removed_total {
+            (self.start, self.phase, self.correction_n, self.shape_due_s) = (None, Phase::Feeding, 0.0, 0.0);
+            self.remark = Some("the run was set back: begins anew".to_owned());
+        }
+        self.removed_total = state.removed_total;
         let turn = rotation(&state.t_world_base);
         let start = Start {
             t_world_flange: state.t_world_flange,

@@ -120,7 +120,8 @@ impl Ports {
         let scene = session_scene(session_folder)?;
         let index = session.controller_index(name)?;
         let frames = match scene.drr {
-            Some(_) => Some(Frames::new(session.subscriber(&services::FRAME)?, &scene)),
+            // Frames that others ask for must not push out the one that is due.
+            Some(_) => Some(Frames::new(session.lossless_subscriber(&services::FRAME)?, &scene)),
             None => None,
         };
         Ok(Ports {

@@ -27,6 +27,7 @@ pub struct SkivingController {
     plan: Skiving,
     start: Option<Start>,
     points: Vec<SkivingPoint>,
+    removed_total: u64,
     remark: Option<String>,
 }
 
@@ -42,7 +43,13 @@ struct Start {
 impl SkivingController {
     /// A controller for this plan.
     pub fn new(plan: &Skiving) -> SkivingController {
-        SkivingController { plan: plan.clone(), start: None, points: Vec::new(), remark: None }
+        SkivingController {
+            plan: plan.clone(),
+            start: None,
+            points: Vec::new(),
+            removed_total: 0,
+            remark: None,
+        }
     }
 
     /// What has been reported so far: one point a millimetre, and one at the end.
@@ -85,6 +92,11 @@ impl Controller for SkivingController {
             across: turn * Vector3::y(),
             along: turn * Vector3::z(),
         };
+        // Bone comes back only when the run is set back to its beginning: so is this controller.
+        if state.removed_total < self.removed_total {
+            (self.start, self.points) = (None, Vec::new());
+        }
+        self.removed_total = state.removed_total;
         let start = *self.start.get_or_insert(begin);
         self.look(&start, state);
         command.tendon_mode = TENDON_SERVO_JF;

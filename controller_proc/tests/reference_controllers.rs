@@ -174,3 +174,55 @@ fn a_target_beyond_the_calibration_is_refused() {
     let error = CurvedDrillingController::new(plan, &scene).err().unwrap().to_string();
     assert!(error.contains("no_such.csv") && error.contains("trabecula calibrate"), "{error}");
 }
+
+/// Such a target gave an arc of a negative angle, for which the calibration's tension is 0 N: the tool went straight on.
+#[test]
+fn a_target_on_the_side_away_from_the_bend_is_refused() {
+    let text = std::fs::read_to_string(config("curved_open_loop.toml")).unwrap();
+    let away = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [-5.0, 0.0, 8.0]");
+    assert_ne!(text, away);
+    let scene = Scene::parse(&away, &config("curved_open_loop.toml")).unwrap();
+    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
+    let error = CurvedDrillingController::new(plan, &scene).err().unwrap().to_string();
+    assert!(error.contains("away from `tool.bend_toward`"), "{error}");
+    let ahead = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [0.0, 0.0, 8.0]");
+    let scene = Scene::parse(&ahead, &config("curved_open_loop.toml")).unwrap();
+    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
+    assert!(CurvedDrillingController::new(plan, &scene).is_ok(), "straight ahead is no side");
+}
+
+/// A controller that had drilled went on where it was when the run was set back: the tension of the end of its ramp in
+/// front of the bone.
+#[test]
+fn a_reset_sets_the_reference_controllers_back() {
+    let scene = Scene::load(&config("curved_shape_feedback.toml")).unwrap();
+    let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
+    let fresh = CurvedDrillingController::new(plan, &scene).unwrap();
+    let skiving = Scene::load(&config("skiving.toml")).unwrap();
+    let skiving = SkivingController::new(skiving.controller[0].skiving.as_ref().unwrap());
+    let begin =
+        *Simulation::new(&scene, Some(CtView { geometry: block(1.0).0, hu: &block(1.0).1 })).unwrap().state();
+    // 20 mm further on, 3 mm aside and as many voxels gone.
+    let mut deep = State { removed_total: 5_000, tick: 4_000, sim_time_s: 4.0, ..begin };
+    for pose in [&mut deep.t_world_flange, &mut deep.t_world_burr, &mut deep.t_world_base] {
+        pose.position_m[2] += 0.02;
+    }
+    deep.t_world_burr.position_m[0] += 3e-3;
+    let back = State { tick: 4_001, sim_time_s: 4.001, ..begin };
+    let answer = |controller: &mut dyn Controller, states: &[&State]| {
+        let mut command = Command::zeroed();
+        for state in states {
+            command = Command::zeroed();
+            controller.step(state, &mut command);
+        }
+        command
+    };
+    let used = answer(&mut fresh.clone(), &[&begin, &deep]);
+    assert!(used.tendon_force_n[0] > 1.0, "on its ramp: {used:?}");
+    let set_back = answer(&mut fresh.clone(), &[&begin, &deep, &back]);
+    assert_eq!(set_back, answer(&mut fresh.clone(), &[&back]));
+    assert_eq!(set_back.tendon_force_n[0], 0.0);
+    let mut controller = skiving;
+    answer(&mut controller, &[&begin, &deep, &back]);
+    assert_eq!(controller.points().len(), 1, "the first millimetre's report, again");
+}

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::publisher::PublisherCreateError;
+use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{AllocationStrategy, Node, ipc};
 use iceoryx2::service::attribute::AttributeVerifier;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
@@ -33,7 +34,8 @@ impl Session {
     /// Joins the session in a folder; waits up to ten seconds for its announcement.
     ///
     /// # Errors
-    /// [`SessionError::NoSession`], [`SessionError::Transport`], or a transport failure.
+    /// [`SessionError::NoSession`]; [`SessionError::Version`], [`SessionError::Transport`] or [`SessionError::Layout`] for
+    /// a hub of another version; a transport failure.
     pub fn join(folder: &Path) -> Result<Session, SessionError> {
         Session::join_within(folder, JOIN_TIME)
     }
@@ -44,9 +46,7 @@ impl Session {
     /// As [`Session::join`].
     pub fn join_within(folder: &Path, limit: Duration) -> Result<Session, SessionError> {
         let announcement = read_announcement(folder, limit)?;
-        if announcement.iceoryx2 != ICEORYX2_VERSION {
-            return Err(SessionError::Transport { path: folder.to_owned(), theirs: announcement.iceoryx2 });
-        }
+        check_layouts(&announcement)?;
         let node = create_node(folder, &session_id(folder))?;
         let flags_path = folder.join(FLAGS_FILE);
         let flags = WakeFlags::open(&flags_path, false).map_err(file_error(&flags_path))?;
@@ -99,8 +99,6 @@ impl Session {
     /// [`SessionError::ControllerTaken`], and those of [`Session::publisher`].
     pub fn command_publisher(&self, controller: &str) -> Result<Publisher<Command>, SessionError> {
         self.controller_index(controller)?;
-        // A controller that was killed still holds its place until somebody cleans up behind it.
-        self.node.try_cleanup_dead_nodes();
         self.named_publisher(&services::command_name(controller), &services::COMMAND)
     }
 
@@ -235,11 +233,22 @@ impl Session {
         };
         require_free_memory(name, (service.samples() * (max_bytes + SAMPLE_HEADER)) as u64)?;
         let mut builder = self.open::<M>(name)?;
-        let raw = publisher_of(&mut builder, max_bytes, service).map_err(|cause| match cause {
+        let mut made = publisher_of(&mut builder, max_bytes, service);
+        if matches!(made, Err(PublisherCreateError::ExceedsMaxSupportedPublishers)) {
+            // Programs that were killed hold their places until somebody cleans up behind them.
+            self.node.try_cleanup_dead_nodes();
+            made = publisher_of(&mut builder, max_bytes, service);
+        }
+        let raw = made.map_err(|cause| match cause {
             PublisherCreateError::ExceedsMaxSupportedPublishers if service.name == services::COMMAND.name => {
                 let controller = name.rsplit('/').next().unwrap_or(name);
                 SessionError::ControllerTaken { name: controller.to_owned() }
             }
+            PublisherCreateError::ExceedsMaxSupportedPublishers => SessionError::Crowded {
+                service: name.to_owned(),
+                what: "write",
+                limit: service.max_publishers,
+            },
             other => transported(name, "publishing")(other),
         })?;
         self.reserve_shared_memory(name)?;
@@ -252,12 +261,21 @@ impl Session {
         service: &Service,
     ) -> Result<Subscriber<M>, SessionError> {
         require_free_memory(name, 0)?;
-        let raw = self
-            .open::<M>(name)?
-            .subscriber_builder()
-            .buffer_size(service.queue_length)
-            .create()
-            .map_err(transported(name, "subscribing"))?;
+        let factory = self.open::<M>(name)?;
+        let subscriber = || factory.subscriber_builder().buffer_size(service.queue_length).create();
+        let mut made = subscriber();
+        if matches!(made, Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers)) {
+            self.node.try_cleanup_dead_nodes();
+            made = subscriber();
+        }
+        let raw = made.map_err(|cause| match cause {
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => SessionError::Crowded {
+                service: name.to_owned(),
+                what: "read",
+                limit: service.max_subscribers,
+            },
+            other => transported(name, "subscribing")(other),
+        })?;
         Ok(Subscriber::new(raw, name.to_owned()))
     }
 
@@ -328,12 +346,47 @@ fn read_announcement(folder: &Path, limit: Duration) -> Result<Announcement, Ses
     let end = Instant::now() + limit;
     loop {
         match fs::read_to_string(&path) {
-            Ok(text) => {
-                return serde_json::from_str(&text)
-                    .map_err(|cause| SessionError::File { path, cause: std::io::Error::other(cause) });
-            }
+            Ok(text) => return announcement_of(&text, folder, &path),
             Err(_) if folder.is_dir() && Instant::now() < end => std::thread::sleep(RETRY_TIME),
             Err(_) => return Err(SessionError::NoSession { path: PathBuf::from(folder) }),
         }
     }
+}
+
+/// The versions come first: what else another version writes is its own affair.
+fn announcement_of(text: &str, folder: &Path, path: &Path) -> Result<Announcement, SessionError> {
+    let malformed = |cause: serde_json::Error| SessionError::File {
+        path: path.to_owned(),
+        cause: std::io::Error::other(cause),
+    };
+    let value: serde_json::Value = serde_json::from_str(text).map_err(malformed)?;
+    let theirs = |key: &str| value[key].as_str().unwrap_or("of an unknown version").to_owned();
+    let path = folder.to_owned();
+    if theirs("iceoryx2") != ICEORYX2_VERSION {
+        return Err(SessionError::Transport { path, theirs: theirs("iceoryx2") });
+    }
+    if theirs("trabecula") != env!("CARGO_PKG_VERSION") {
+        return Err(SessionError::Version { path, theirs: theirs("trabecula") });
+    }
+    serde_json::from_value(value).map_err(malformed)
+}
+
+/// Compares the layout of every service that the hub has with this program's.
+fn check_layouts(announcement: &Announcement) -> Result<(), SessionError> {
+    for (name, theirs) in &announcement.layouts {
+        let kind = name.split('/').next().unwrap_or(name);
+        let service = services::ALL.iter().chain([&services::COMMAND]).find(|service| service.name == kind);
+        let Some(service) = service else { continue };
+        let ours = service.description.layout_hash();
+        if *theirs != ours {
+            let message = service.description.name;
+            return Err(SessionError::Layout {
+                service: name.clone(),
+                message,
+                theirs: theirs.clone(),
+                ours,
+            });
+        }
+    }
+    Ok(())
 }

@@ -80,6 +80,14 @@ pub enum CommandRefusal {
         /// Newest accepted.
         last: u64,
     },
+    /// The command answers an older state than one before it did.
+    #[error("`state_tick` is {state_tick}, but an earlier command of this connection answered {last}")]
+    PastState {
+        /// Tick given.
+        state_tick: u64,
+        /// Tick of the newest accepted command.
+        last: u64,
+    },
     /// The command answers a state that there has not been.
     #[error("`state_tick` is {state_tick}, but the newest state is {newest}")]
     FutureState {

@@ -4,6 +4,7 @@ use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use iceoryx2::service::dynamic_config::publish_subscribe::PublisherDetails;
 
+use crate::layout::Message;
 use crate::messages::{Command, DrrRequest};
 use crate::ports::Received;
 use crate::services;
@@ -38,7 +39,7 @@ impl Requesters {
     /// Index of the controller that has sent a request; none if it came from an observer, or from a program that has
     /// gone meanwhile.
     pub fn controller_of(&self, request: &Received<DrrRequest>) -> Option<usize> {
-        let sender = request.publisher();
+        let Sender(sender) = request.sender();
         let node = publishers(&self.requests).find(|details| details.publisher_id == sender)?.node_id;
         self.commands.iter().position(|service| publishers(service).any(|details| details.node_id == node))
     }
@@ -53,8 +54,20 @@ fn publishers(service: &ByteService) -> impl Iterator<Item = PublisherDetails> {
     all.into_iter()
 }
 
-impl Received<DrrRequest> {
-    fn publisher(&self) -> UniquePublisherId {
-        self.sample.header().publisher_id()
+/// One connection of a program that sends: another one each time that it connects.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sender(UniquePublisherId);
+
+impl Sender {
+    /// A number that no other connection has.
+    pub fn number(self) -> u128 {
+        self.0.value()
+    }
+}
+
+impl<M: Message> Received<M> {
+    /// Which connection this message came over.
+    pub fn sender(&self) -> Sender {
+        Sender(self.sample.header().publisher_id())
     }
 }

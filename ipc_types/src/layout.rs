@@ -233,14 +233,17 @@ impl Description {
 
     /// Identifies the layout: the first 16 hexadecimal digits of the SHA-256 of schema and offsets.
     pub fn layout_hash(&self) -> String {
-        let mut hasher = Sha256::new();
-        hasher.update(self.name);
-        hasher.update(self.schema());
+        let mut text = format!("{}{}", self.name, self.schema());
         for field in self.fields {
-            hasher.update(format!("{}@{}+{}\n", field.name, field.offset, field.size));
+            text.push_str(&format!("{}@{}+{}\n", field.name, field.offset, field.size));
         }
-        hex(&hasher.finalize()[..8])
+        fingerprint(&text)
     }
+}
+
+/// The first 16 hexadecimal digits of a text's SHA-256.
+pub fn fingerprint(text: &str) -> String {
+    hex(&Sha256::digest(text)[..8])
 }
 
 /// Lower-case hexadecimal digits of some bytes.

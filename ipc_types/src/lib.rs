@@ -25,6 +25,7 @@
 //! | [`services`] | names, queues, lanes |
 //! | [`session`], [`ports`], [`wake`] | creating and joining a session, sending and receiving, waiting and waking |
 //! | [`identity`] | which controller a message comes from, as the transport knows it |
+//! | [`ration`] | what a reader grants programs that flood |
 //! | [`command_check`] | what a command must be before it may reach the model |
 //! | [`scene`] | scene files |
 //! | [`process`] | signals, exit codes, events: what every process does alike |
@@ -37,6 +38,7 @@ pub mod layout;
 pub mod messages;
 pub mod ports;
 pub mod process;
+pub mod ration;
 pub mod reference;
 pub mod scene;
 pub mod scene_reference;

@@ -57,8 +57,6 @@ pub const MAX_EVENT_TEXT: usize = 1024;
 /// A whole session has nine subscribers of the run's status: four controllers, DRR, recorder, launcher and the viewer's two. The
 /// others are for clients that only watch. Each costs two samples of every publisher.
 const MAX_SUBSCRIBERS: usize = 16;
-/// Of frames, which are large: four controllers, recorder, launcher, and two viewers.
-const MAX_FRAME_SUBSCRIBERS: usize = 8;
 
 const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) -> Service {
     Service {
@@ -98,8 +96,7 @@ pub const COMMAND: Service = Service { history: 0, ..fixed::<Command>("command",
 pub const VOLUME: Service =
     Service { lossless_length: 1, max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, 1) };
 /// `Frame` with its image; `max_bytes` is that of the scene's detector.
-pub const FRAME: Service =
-    Service { max_subscribers: MAX_FRAME_SUBSCRIBERS, max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, 8) };
+pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, 8) };
 /// `DrrRequest`.
 pub const DRR_REQUEST: Service =
     Service { history: 0, max_publishers: 8, ..fixed::<DrrRequest>("drr_request", Lane::Timing, 64) };

@@ -84,6 +84,17 @@ pub enum SessionError {
         /// The hub's version.
         theirs: String,
     },
+    /// The hub is of another version.
+    #[error(
+        "the hub of {path} is Trabecula {theirs}, this program is {}; build both from one version",
+        env!("CARGO_PKG_VERSION")
+    )]
+    Version {
+        /// Session folder.
+        path: PathBuf,
+        /// The hub's version.
+        theirs: String,
+    },
     /// A service has another layout than this program was built with.
     #[error(
         "service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; build both from one version"
@@ -113,6 +124,16 @@ pub enum SessionError {
     ControllerTaken {
         /// Its name.
         name: String,
+    },
+    /// No more programs can be connected to a service.
+    #[error("service `{service}`: {limit} programs {what} it already, which is the most; end one of them")]
+    Crowded {
+        /// Service name.
+        service: String,
+        /// Whether they read or write.
+        what: &'static str,
+        /// How many there may be.
+        limit: usize,
     },
     /// Shared memory is short.
     #[error(

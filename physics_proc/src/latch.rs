@@ -1,7 +1,7 @@
 //! Latching: deciding u_k, the commands that hold for tick k.
 //!
 //! Pure: what has been offered, in its order, decides. A controller's newest valid command holds; when it answers a
-//! state that is more than `hold_ticks` old, the safe command holds instead.
+//! state that is more than `hold_ticks` old, or is waited for no longer, the safe command holds instead.
 
 use ipc_types::command_check::CommandRefusal;
 use ipc_types::messages::{
@@ -21,8 +21,13 @@ pub struct Latch {
 struct Slot {
     drives: Vec<Drives>,
     newest: Option<Command>,
+    /// Of the newest accepted command of this connection.
     last_sequence: u64,
-    latched_sequence: u64,
+    last_state_tick: u64,
+    /// Not latched yet.
+    fresh: bool,
+    /// Nobody waits for it: see [`Latch::release`].
+    released: bool,
     source: u32,
 }
 
@@ -33,7 +38,9 @@ impl Latch {
             drives: drives.clone(),
             newest: None,
             last_sequence: 0,
-            latched_sequence: 0,
+            last_state_tick: 0,
+            fresh: false,
+            released: false,
             source: SOURCE_NONE,
         };
         Latch {
@@ -48,16 +55,33 @@ impl Latch {
     /// The [`CommandRefusal`]; nothing has changed then.
     pub fn offer(&mut self, controller: usize, command: &Command, tick: u64) -> Result<(), CommandRefusal> {
         let slot = &mut self.slots[controller];
-        // A controller that connects anew begins its sequence again.
-        let reconnected = command.sequence == 1;
-        let last_sequence = if reconnected { 0 } else { slot.last_sequence };
-        command.check(&slot.drives, last_sequence, tick)?;
-        if reconnected {
-            slot.latched_sequence = 0;
+        let last = slot.last_state_tick;
+        if command.state_tick < last {
+            return Err(CommandRefusal::PastState { state_tick: command.state_tick, last });
         }
+        command.check(&slot.drives, slot.last_sequence, tick)?;
         slot.last_sequence = command.sequence;
+        slot.last_state_tick = command.state_tick;
         slot.newest = Some(*command);
+        slot.fresh = true;
+        slot.released = false;
         Ok(())
+    }
+
+    /// A controller has connected anew: it begins its numbers again. Until it commands, its last command acts on.
+    pub fn connect(&mut self, controller: usize) {
+        let slot = &mut self.slots[controller];
+        (slot.last_sequence, slot.last_state_tick) = (0, 0);
+    }
+
+    /// Replaces a controller's command by the safe one, until its next command.
+    pub fn release(&mut self, controller: usize) {
+        self.slots[controller].released = true;
+    }
+
+    /// Whether a controller has been released and has not commanded since.
+    pub fn is_released(&self, controller: usize) -> bool {
+        self.slots[controller].released
     }
 
     /// Whether a controller's newest command answers the state of this tick.
@@ -98,14 +122,13 @@ impl Slot {
             return LatchedCommand::zeroed();
         };
         let age_ticks = tick.saturating_sub(command.state_tick);
-        let late = hold_ticks.is_some_and(|limit| age_ticks > limit);
-        let fresh = command.sequence != self.latched_sequence;
+        let late = self.released || hold_ticks.is_some_and(|limit| age_ticks > limit);
+        let fresh = std::mem::take(&mut self.fresh);
         let (source, command) = match (late, fresh) {
             (true, _) => (SOURCE_SAFE, self.safe_command(&command)),
             (false, true) => (SOURCE_FRESH, command),
             (false, false) => (SOURCE_HELD, command),
         };
-        self.latched_sequence = command.sequence;
         self.source = source;
         LatchedCommand { source, controller_index: 0, age_ticks, command }
     }

@@ -111,3 +111,26 @@ fn a_snapshot_continues_bit_for_bit_and_a_reset_returns_to_the_initial_state() {
     (after.tick, after.sim_time_s, after.hash) = (1, fresh.state().sim_time_s, fresh.state().hash);
     assert_eq!(after.as_bytes(), fresh.state().as_bytes());
 }
+
+/// A goal out of reach is refused for the arm alone: tendon and burr do what the same command says.
+#[test]
+fn each_part_of_a_command_acts_or_is_refused_on_its_own() {
+    let scene = Scene::parse(SCENE, Path::new("tight_tunnel.toml")).unwrap();
+    let (geometry, hu) = bone();
+    let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
+    let start = *simulation.state();
+    let mut first = latched(0, &start);
+    first.commands[0].command.t_world_base.position_m[0] += 5.0;
+    simulation.step(&first).unwrap();
+    let refusals = simulation.refusals();
+    assert!(refusals.len() == 1 && refusals[0].reason.starts_with("arm: "), "{refusals:?}");
+    for tick in 1..200 {
+        let mut held = first;
+        (held.tick, held.commands[0].source) = (tick, SOURCE_HELD);
+        simulation.step(&held).unwrap();
+    }
+    let state = simulation.state();
+    assert_eq!(state.arm_joint_position_rad, start.arm_joint_position_rad, "the arm stands");
+    assert_eq!(state.burr_speed_rad_per_s, 800.0);
+    assert!(state.tendon_tension_n[0] > 2.0, "{} N", state.tendon_tension_n[0]);
+}

@@ -321,7 +321,7 @@ impl Play<'_> {
         for live in 0..self.stage.live.len() {
             let index = self.stage.live[live].index;
             let (recorded, mut answered) = (record.latched.commands[index], decided.commands[index]);
-            // A controller that has started anew counts anew.
+            // A log's controller may have started anew and counted anew; the live one counts on.
             answered.command.sequence = recorded.command.sequence;
             self.compare_command(live, tick, &recorded.command, &answered.command)?;
             if (recorded.source, recorded.age_ticks) != (answered.source, answered.age_ticks) {

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use ipc_types::messages::{
     ARM_HOLD, ARM_MOVE_CP, BURR_SPEED, CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET,
-    CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, PHASE_PAUSED, State, TENDON_SERVO_JF,
+    CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, PHASE_CONNECTING, PHASE_PAUSED, State,
+    TENDON_SERVO_JF,
 };
 use recorder_proc::EndReason;
 
@@ -131,6 +132,30 @@ fn a_pause_gives_up_the_steps_that_are_not_made_yet() {
     pilot.client.ask(CONTROL_PAUSE, 0);
     pilot.answer(&state, rest(&state));
     assert_stands(&pilot, 20);
+    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
+    drop(pilot);
+    assert_eq!(run.end().code, Some(0));
+}
+
+/// Steps were added up without a bound: with the largest number of them, further ones wrapped round to none. And a
+/// request during the connection was answered with the phase "running".
+#[test]
+fn steps_without_end_stay_so_and_a_pause_before_the_start_is_no_start() {
+    let place = Place::new();
+    let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
+    let mut pilot = Pilot::join(&run.session(), "pilot");
+    assert_eq!(pilot.client.ask(CONTROL_PAUSE, 0).status, CONTROL_DONE);
+    let status = wait_for("the status", || pilot.client.status.receive_newest().unwrap());
+    assert_eq!(status.message().phase, PHASE_CONNECTING);
+    drop(status);
+    let initial = pilot.next_state();
+    pilot.answer(&initial, rest(&initial));
+    assert_stands(&pilot, 0);
+    for _ in 0..2 {
+        assert_eq!(pilot.client.ask(CONTROL_STEP, u64::MAX - 1).status, CONTROL_DONE);
+    }
+    assert_eq!(pilot.client.ask(CONTROL_STEP, 4).status, CONTROL_DONE);
+    pilot.drive_to(40, rest);
     assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
     drop(pilot);
     assert_eq!(run.end().code, Some(0));

@@ -1,6 +1,7 @@
 //! Clients that flood, stop reading, die or come late, through the client library: the run goes on.
 
-use std::process::Command;
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use ipc_types::messages::{
@@ -9,10 +10,11 @@ use ipc_types::messages::{
 };
 use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session};
+use rustix::process::Signal;
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, wait_for};
+use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
 use crate::languages::{clients, output_of, python, skip};
 
@@ -28,7 +30,7 @@ pub fn joined(run: &Run, controller: &str) -> Client {
 }
 
 /// Answers the newest state with a tension.
-fn answer(client: &mut Client, tension_n: f64) {
+pub fn answer(client: &mut Client, tension_n: f64) {
     let step = |_: &_, command: &mut trabecula_client::Command| {
         command.tendon_mode = TENDON_SERVO_JF;
         command.tendon_force_n[0] = tension_n;
@@ -37,7 +39,7 @@ fn answer(client: &mut Client, tension_n: f64) {
 }
 
 /// Takes events until one has these words.
-fn await_event(client: &mut Client, code: u32, words: &str) {
+pub fn await_event(client: &mut Client, code: u32, words: &str) {
     let end = std::time::Instant::now() + LIMIT;
     loop {
         match client.next_event().unwrap() {
@@ -288,4 +290,41 @@ fn every_defect_of_a_python_client_is_refused_by_name_and_the_run_goes_on() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_nothing_left(ended.pid);
     assert_replays(&ended.folder);
+}
+
+/// Connecting, run control and the volume waited inside the library until their own limit, deaf to Ctrl-C.
+#[test]
+fn a_python_client_hears_ctrl_c_while_it_waits() {
+    let python = match python() {
+        Ok(python) => python,
+        Err(reason) => return skip(&reason),
+    };
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 120.0));
+    let mut observer = joined(&run, "");
+    observer.wait_state(LIMIT).unwrap();
+    let physics = run.part("physics");
+    signal(physics, Signal::STOP);
+    for waiting in [
+        "trabecula.Client(session='no-such-session', timeout_s=1e6)",
+        "trabecula.Client(controller='').run_control(trabecula.CONTROL_PAUSE, timeout_s=1e6)",
+    ] {
+        let script = format!(
+            "import trabecula\ntry:\n    print('waiting', flush=True)\n    {waiting}\nexcept KeyboardInterrupt:\n    print('heard')\n"
+        );
+        let mut command = Command::new(&python);
+        command.args(["-c", &script]).env(SESSION_VARIABLE, run.session()).stdout(Stdio::piped());
+        let mut program = command.spawn().unwrap();
+        let mut said = BufReader::new(program.stdout.take().unwrap()).lines();
+        assert_eq!(said.next().unwrap().unwrap(), "waiting");
+        // Into the wait.
+        std::thread::sleep(Duration::from_millis(300));
+        signal(program.id(), Signal::INT);
+        assert_eq!(said.next().unwrap().unwrap(), "heard", "{waiting}");
+        program.wait().unwrap();
+    }
+    signal(physics, Signal::CONT);
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(observer);
+    assert_eq!(run.end().code, Some(0));
 }

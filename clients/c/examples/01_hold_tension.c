@@ -4,7 +4,7 @@
 int main(void) {
     trb_client client = connected();
     const trb_state *state;
-    while (checked(trb_wait_state(client, 30.0, &state)) == TRB_OK) {
+    while (checked(trb_wait_state(client, INFINITY, &state)) == TRB_OK) {
         if (state->tick % 200 == 0) {
             const double *tip_m = state->t_world_tip.position_m;
             printf("tick %4" PRIu64 "  tip %8.3f %8.3f %8.3f mm\n", state->tick, tip_m[0] * 1e3, tip_m[1] * 1e3, tip_m[2] * 1e3);

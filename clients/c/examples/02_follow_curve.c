@@ -18,7 +18,7 @@ int main(void) {
     trb_client client = connected();
     const trb_state *state;
     double integral_rad_s = 0.0;
-    while (checked(trb_wait_state(client, 30.0, &state)) == TRB_OK) {
+    while (checked(trb_wait_state(client, INFINITY, &state)) == TRB_OK) {
         double error_rad = planned_bend_rad(state->sim_time_s) - state->bend_rad;
         integral_rad_s += error_rad * TICK_S;
         double tension_n = PROPORTIONAL_N_PER_RAD * error_rad + INTEGRAL_N_PER_RAD_S * integral_rad_s;

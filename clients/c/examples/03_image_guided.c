@@ -5,7 +5,7 @@
  * error, and the error the tension. */
 #include "example.h"
 
-static const double LIMIT_S = 30.0;
+static const double FRAME_LIMIT_S = 30.0;
 static const uint64_t TICKS_BETWEEN_FRAMES = 100;
 /* Below this share of full scale a pixel shows metal. */
 static const uint16_t DARK = 8000;
@@ -67,13 +67,15 @@ int main(void) {
     checked(trb_get_info(client, &info));
     const trb_state *state;
     double tension_n = 0.0;
-    while (checked(trb_wait_state(client, LIMIT_S, &state)) == TRB_OK) {
+    while (checked(trb_wait_state(client, INFINITY, &state)) == TRB_OK) {
         if (state->tick % TICKS_BETWEEN_FRAMES == 0 && state->tick < info.tick_count) {
             uint64_t request;
             trb_frame_view view;
             double column, row;
             checked(trb_request_frame(client, NULL, state->tick, &request));
-            checked(trb_wait_frame(client, request, LIMIT_S, &view));
+            if (checked(trb_wait_frame(client, request, FRAME_LIMIT_S, &view)) == TRB_ENDED) {
+                break;
+            }
             if (find_tip(&view, &column, &row)) {
                 double error_m = TARGET_M - sideways_m(&view, column);
                 tension_n += GAIN_N_PER_M * error_m;

@@ -2,7 +2,9 @@
 #ifndef EXAMPLE_H
 #define EXAMPLE_H
 
+/* A paused run publishes nothing, so the examples wait for a state as long as it takes: INFINITY. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 

@@ -52,7 +52,8 @@ extern "C" {
     "AppliedCommand=116d7b58e2c912bb;" \
     "LatchedCommand=614dac6c95076e87;" \
     "CArmGeometry=7864e87c0e8671ed;" \
-    "CArmProjection=46e6726030fe2f0e"
+    "CArmProjection=46e6726030fe2f0e;" \
+    "Abi=811254d74fb1c537"
 
 /* Status codes. */
 #define TRB_OK (0) /* Done. */
@@ -82,6 +83,12 @@ extern "C" {
 #define TRB_ARM_SERVO_CP 3
 #define TRB_ARM_MOVE_CP 4
 #define TRB_ARM_HOLD 5
+#define TRB_ARM_SERVO_JV 6
+#define TRB_ARM_INSERT 7
+#define TRB_ARM_RCM 8
+#define TRB_ARM_MOVING 0
+#define TRB_ARM_DONE 1
+#define TRB_ARM_FAULT 2
 #define TRB_BURR_NONE 0
 #define TRB_BURR_SPEED 1
 #define TRB_SOURCE_NONE 0
@@ -96,6 +103,13 @@ extern "C" {
 #define TRB_CONTROL_STEP 3
 #define TRB_CONTROL_RESET 4
 #define TRB_CONTROL_STOP 5
+#define TRB_CONTROL_DONE 0
+#define TRB_CONTROL_REFUSED 1
+#define TRB_GEOMETRY_SCENE 0
+#define TRB_GEOMETRY_REQUEST 1
+#define TRB_DRR_ACCEPTED 0
+#define TRB_DRR_REFUSED 1
+#define TRB_DRR_BUSY 2
 #define TRB_PHASE_CONNECTING 0
 #define TRB_PHASE_RUNNING 1
 #define TRB_PHASE_PAUSED 2
@@ -128,6 +142,7 @@ extern "C" {
 #define TRB_MAX_BURR_SPEED_RAD_PER_S 6283.2
 #define TRB_MAX_POSITION_M 10.0
 #define TRB_MAX_SPEED_M_PER_S 1.0
+#define TRB_MAX_DEPTH_M 0.5
 
 /* Messages. */
 
@@ -947,8 +962,8 @@ typedef uint64_t trb_client;
 /* Version of the library. The text lives for ever. */
 const char *trb_version(void);
 
-/* Layouts of all messages as the library has them: "State=729b226247fc0784;Command=...". The text
- * lives for ever. */
+/* Layouts of all messages and of this interface as the library has them:
+ * "State=729b226247fc0784;Command=...;Abi=...". The text lives for ever. */
 const char *trb_layouts(void);
 
 /* What went wrong in this thread's last call that returned an error: what was given, what was
@@ -956,12 +971,12 @@ const char *trb_layouts(void);
 const char *trb_last_error(void);
 
 /* Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; a
- * message that the library or the hub lays out otherwise is refused by name. `session` is a session's
- * folder or name; null takes the folder in the environment variable TRABECULA_SESSION, or else this
- * user's session that was announced last. `controller` is a controller's name in the scene, or empty
- * for an observer that commands nothing; null takes the name in TRABECULA_CONTROLLER, or else the
- * scene's only external controller. Waits at most `timeout_s` for the session. `client` receives a
- * handle, which belongs to the calling thread. */
+ * message that the library or the hub lays out otherwise, or another version of these functions (Abi),
+ * is refused by name. `session` is a session's folder or name; null takes the folder in the
+ * environment variable TRABECULA_SESSION, or else this user's session that was announced last.
+ * `controller` is a controller's name in the scene, or empty for an observer that commands nothing;
+ * null takes the name in TRABECULA_CONTROLLER, or else the scene's only external controller. Waits at
+ * most `timeout_s` for the session. `client` receives a handle, which belongs to the calling thread. */
 int32_t trb_connect(const char *layouts, const char *session, const char *controller, double timeout_s, trb_client *client);
 
 /* Leaves the session. Every pointer that this client has given ends here. A process that ends without
@@ -993,8 +1008,9 @@ int32_t trb_states_missed(trb_client client, uint64_t *count);
  * trb_discard_command or trb_disconnect, where it ends. */
 int32_t trb_loan_command(trb_client client, trb_command **command);
 
-/* Sends the loaned command and wakes the physics, which checks it: what it refuses changes nothing, is
- * counted in the status and said in an event. */
+/* Sends the loaned command and wakes the physics, which checks it: a command that it refuses changes
+ * nothing. Of one that it takes, a part that the tool cannot follow (a goal out of reach) changes
+ * nothing, the others act. Both are counted in the status and said in an event. */
 int32_t trb_send_command(trb_client client);
 
 /* Gives the loaned command back unsent. Without one it does nothing. */
@@ -1008,8 +1024,9 @@ int32_t trb_request_frame(trb_client client, const trb_pose *t_world_c_arm, uint
 
 /* Waits for a frame: that of a request, or with `request_id` 0 the next one of any kind; with a
  * request, others that come before it are passed over. Frames are kept from this client's first call
- * of trb_request_frame or trb_wait_frame on, eight at most. What `view` points at lies in shared
- * memory and stays, unchanged, until this client's next call of trb_wait_frame or trb_disconnect. */
+ * of trb_request_frame or trb_wait_frame on, 64 at most. TRB_ENDED says that the run is over and none
+ * is being rendered. What `view` points at lies in shared memory and stays, unchanged, until this
+ * client's next call of trb_wait_frame or trb_disconnect. */
 int32_t trb_wait_frame(trb_client client, uint64_t request_id, double timeout_s, trb_frame_view *view);
 
 /* The CT volume as it was at the start. What `view` points at lies in shared memory and stays until
@@ -1017,7 +1034,8 @@ int32_t trb_wait_frame(trb_client client, uint64_t request_id, double timeout_s,
 int32_t trb_get_volume(trb_client client, double timeout_s, trb_volume_view *view);
 
 /* Asks run control for an action (TRB_CONTROL_PAUSE and so on; `ticks` is for TRB_CONTROL_STEP) and
- * waits for the answer. `reply` may be null. */
+ * waits for the answer. Action 0 asks for nothing and waits on for the answer of a call that timed
+ * out. `reply` may be null. */
 int32_t trb_control_run(trb_client client, uint32_t action, uint64_t ticks, double timeout_s, trb_run_control_reply *reply);
 
 /* Where the run stands: a copy of the newest status. TRB_TIMEOUT if none has come yet. */

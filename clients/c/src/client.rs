@@ -1,6 +1,7 @@
 //! One program's connection to a session.
 
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::{
@@ -12,7 +13,7 @@ use ipc_types::process::{EventSender, session_scene};
 use ipc_types::scene::{Mode, Scene};
 use ipc_types::services;
 use ipc_types::session::{
-    CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, Session, newest_session, sessions_folder,
+    CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, Session, host_is_alive, newest_session, sessions_folder,
 };
 use ipc_types::wake::{Waiter, Waker};
 
@@ -95,6 +96,8 @@ pub struct Client {
     states_missed: u64,
     newest_status: Option<RunStatus>,
     hub_seen: Instant,
+    /// When this client has heard that the run is over.
+    pub(crate) ended: Option<Instant>,
     control: Option<Control>,
     events: Option<Subscriber<Event>>,
     pub(crate) event: Option<Received<Event>>,
@@ -104,6 +107,7 @@ pub struct Client {
     pub(crate) frames: Option<Subscriber<Frame>>,
     pub(crate) frame: Option<Received<Frame>>,
     pub(crate) requests: Option<Requests>,
+    pub(crate) volumes: Option<Subscriber<Volume>>,
     pub(crate) volume: Option<Received<Volume>>,
 }
 
@@ -111,7 +115,8 @@ pub struct Client {
 struct Control {
     publisher: Publisher<RunControl>,
     replies: Subscriber<RunControlReply>,
-    next_id: u64,
+    /// The newest request: its number and what it asks for.
+    asked: Option<(u64, u32)>,
 }
 
 #[derive(Debug)]
@@ -119,7 +124,8 @@ pub(crate) struct Requests {
     pub(crate) publisher: Publisher<DrrRequest>,
     pub(crate) replies: Subscriber<DrrReply>,
     pub(crate) drr: Waker,
-    pub(crate) next_id: u64,
+    /// The newest request that the DRR process has said it renders.
+    pub(crate) accepted: u64,
 }
 
 /// A duration from seconds as foreign callers give it.
@@ -174,6 +180,7 @@ impl Client {
             states_missed: 0,
             newest_status: None,
             hub_seen: Instant::now(),
+            ended: None,
             control: None,
             events: None,
             event: None,
@@ -183,6 +190,7 @@ impl Client {
             frames: None,
             frame: None,
             requests: None,
+            volumes: None,
             volume: None,
             session,
             scene,
@@ -290,19 +298,27 @@ impl Client {
 
     /// An error if nothing will come any more.
     fn check_end(&mut self) -> Result<(), ClientError> {
-        if let Some(status) = self.status()?
-            && status.phase == PHASE_ENDED
-        {
-            // The last state was published before the status; it may have come since the queue was looked at.
-            return if self.states.has_message() { Ok(()) } else { Err(ClientError::Ended) };
+        // The last state was published before the status; it may have come since the queue was looked at.
+        if self.has_ended()? && !self.states.has_message() { Err(ClientError::Ended) } else { Ok(()) }
+    }
+
+    /// Whether the run is over; an error if the hub is gone without having said so.
+    pub(crate) fn has_ended(&mut self) -> Result<bool, ClientError> {
+        if self.ended.is_some() {
+            return Ok(true);
+        }
+        if self.status()?.is_some_and(|status| status.phase == PHASE_ENDED) {
+            self.ended = Some(Instant::now());
+            return Ok(true);
         }
         if self.hub_seen.elapsed() >= HUB_LOOK {
-            if !self.info.folder.join("session.json").exists() {
-                return Err(ClientError::HubGone { folder: self.info.folder.clone() });
+            let folder = &self.info.folder;
+            if !(folder.join("session.json").exists() && host_is_alive(folder)) {
+                return Err(ClientError::HubGone { folder: folder.clone() });
             }
             self.hub_seen = Instant::now();
         }
-        Ok(())
+        Ok(false)
     }
 
     /// Where the run stands, if that has come.
@@ -375,33 +391,53 @@ impl Client {
     /// Asks run control for an action (one of the `CONTROL_` constants; `ticks` is for a step) and waits for the answer.
     ///
     /// # Errors
-    /// [`ClientError::ControlRefused`], [`ClientError::TimedOut`]; the transport's.
+    /// [`ClientError::ControlRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.
     pub fn run_control(
         &mut self,
         action: u32,
         ticks: u64,
         limit: Duration,
     ) -> Result<RunControlReply, ClientError> {
-        if self.control.is_none() {
-            self.control = Some(Control {
+        let control = match &mut self.control {
+            Some(control) => control,
+            none => none.insert(Control {
                 publisher: self.session.publisher(&services::RUN_CONTROL)?,
-                replies: self.session.subscriber(&services::RUN_CONTROL_REPLY)?,
-                next_id: own_ids(),
-            });
-        }
-        let Some(control) = &mut self.control else { return Err(ClientError::Ended) };
-        control.next_id += 1;
-        let request_id = control.next_id;
+                // Answers to others must not push out the one to this client.
+                replies: self.session.lossless_subscriber(&services::RUN_CONTROL_REPLY)?,
+                asked: None,
+            }),
+        };
+        let request_id = new_request_id();
         control.publisher.send(&RunControl { request_id, ticks, action, reserved: 0 })?;
+        control.asked = Some((request_id, action));
         self.physics.wake();
+        self.await_control(limit)
+    }
+
+    /// Waits on for the answer to the action that was asked for last, when that has timed out.
+    ///
+    /// # Errors
+    /// [`ClientError::Misuse`] if no answer is due; otherwise as [`Client::run_control`].
+    pub fn await_control(&mut self, limit: Duration) -> Result<RunControlReply, ClientError> {
         let deadline = Instant::now() + limit;
         loop {
+            // The answer is published before the end: what is not there by then will not come.
+            let ended = self.has_ended()?;
+            let control =
+                self.control.as_mut().and_then(|control| control.asked.map(|asked| (control, asked)));
+            let Some((control, (request_id, action))) = control else {
+                return Err(ClientError::Misuse("no action has been asked for whose answer is due"));
+            };
             while let Some(reply) = control.replies.receive()? {
                 let reply = *reply.message();
                 if reply.request_id == request_id {
+                    control.asked = None;
                     let refused = reply.status == CONTROL_REFUSED;
                     return if refused { Err(ClientError::ControlRefused { action }) } else { Ok(reply) };
                 }
+            }
+            if ended {
+                return Err(ClientError::Ended);
             }
             if Instant::now() >= deadline {
                 return Err(ClientError::TimedOut(limit));
@@ -458,9 +494,11 @@ pub(crate) fn event_text(event: &Received<Event>) -> &str {
     std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).unwrap_or("")
 }
 
-/// Request numbers that differ from those of other clients of the session.
-pub(crate) fn own_ids() -> u64 {
-    u64::from(std::process::id()) << 32
+/// A request number that no other client of the session has, in this process or another.
+pub(crate) fn new_request_id() -> u64 {
+    static COUNT: AtomicU64 = AtomicU64::new(1);
+    let count = COUNT.fetch_add(1, Ordering::Relaxed) & u64::from(u32::MAX);
+    (u64::from(std::process::id()) << 32) | count
 }
 
 /// Looks again and again, with sleep between.
@@ -479,7 +517,7 @@ fn await_folder(connection: &Connection) -> Result<PathBuf, ClientError> {
     });
     let end = Instant::now() + connection.limit;
     loop {
-        let folder = named.clone().filter(|folder| folder.is_dir()).or_else(|| match named {
+        let folder = named.clone().filter(|folder| host_is_alive(folder)).or_else(|| match named {
             Some(_) => None,
             None => newest_session(),
         });
@@ -488,8 +526,7 @@ fn await_folder(connection: &Connection) -> Result<PathBuf, ClientError> {
         }
         if Instant::now() >= end {
             let folder = named.unwrap_or_else(sessions_folder);
-            let limit_s = connection.limit.as_secs_f64();
-            return Err(ClientError::NoSession { folder, limit_s });
+            return Err(ClientError::NoSession { folder });
         }
         std::thread::sleep(RETRY_TIME);
     }

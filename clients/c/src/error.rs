@@ -19,12 +19,10 @@ pub enum ClientError {
     #[error(transparent)]
     Port(#[from] PortError),
     /// No session was announced in time.
-    #[error("no running session in {folder} after {limit_s:.1} s; start one with `trabecula run SCENE`")]
+    #[error("no running session in {folder}; start one with `trabecula run SCENE`")]
     NoSession {
         /// Folder that was looked into.
         folder: PathBuf,
-        /// Seconds waited.
-        limit_s: f64,
     },
     /// The client's own declarations of a message are not those of this library.
     #[error(

@@ -7,14 +7,19 @@ use ipc_types::messages::{
     CArmGeometry, DRR_ACCEPTED, DRR_BUSY, DrrRequest, Frame, GEOMETRY_REQUEST, GEOMETRY_SCENE, ImagePrefix,
     Pose, Volume,
 };
-use ipc_types::ports::Received;
+use ipc_types::ports::{Received, Subscriber};
 use ipc_types::scene::Drr;
 use ipc_types::services;
 use ipc_types::session::Reader;
 use zerocopy::FromBytes;
 
-use crate::client::{Client, Requests, look_until, own_ids};
+use crate::client::{Client, Requests, look_until, new_request_id};
 use crate::error::ClientError;
+
+/// How often a client that waits for the volume looks.
+const RETRY_TIME: Duration = Duration::from_millis(2);
+/// How long after a run's end its last frames may still come.
+const LAST_FRAMES: Duration = Duration::from_secs(1);
 
 /// A frame in shared memory.
 #[derive(Debug, Clone, Copy)]
@@ -47,33 +52,34 @@ impl Client {
         let drr = self.scene.drr.as_ref().ok_or(ClientError::NoDrr)?;
         let geometry = t_world_c_arm.map(|pose| geometry_at(pose, drr)).transpose()?;
         let requester = self.info.controller.as_ref().map_or(u32::MAX, |(_, index)| *index as u32);
-        if self.requests.is_none() {
-            self.requests = Some(Requests {
+        let requests = match &mut self.requests {
+            Some(requests) => requests,
+            none => none.insert(Requests {
                 publisher: self.session.publisher(&services::DRR_REQUEST)?,
-                replies: self.session.subscriber(&services::DRR_REPLY)?,
+                replies: self.session.lossless_subscriber(&services::DRR_REPLY)?,
                 drr: self.session.waker(Reader::Drr)?,
-                next_id: own_ids(),
-            });
-        }
-        let Some(requests) = &mut self.requests else { return Err(ClientError::NoDrr) };
-        requests.next_id += 1;
+                accepted: 0,
+            }),
+        };
+        let request_id = new_request_id();
         requests.publisher.send(&DrrRequest {
-            request_id: requests.next_id,
+            request_id,
             tick,
             requester,
             use_geometry: if geometry.is_some() { GEOMETRY_REQUEST } else { GEOMETRY_SCENE },
             geometry: geometry.unwrap_or_else(CArmGeometry::zeroed),
         })?;
         requests.drr.wake();
-        Ok(requests.next_id)
+        Ok(request_id)
     }
 
     /// Waits for a frame: the one of a request, or with 0 the next one of any kind. Frames are kept for this client
-    /// from its first call of this or [`Client::request_frame`] on, eight at most. It stays in shared memory, and is not
+    /// from its first call of this or [`Client::request_frame`] on, 64 at most. It stays in shared memory, and is not
     /// overwritten, until the next call.
     ///
     /// # Errors
-    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`]; the transport's.
+    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`] when the
+    /// run is over and no frame is being rendered; the transport's.
     pub fn wait_frame(&mut self, request_id: u64, limit: Duration) -> Result<FrameView<'_>, ClientError> {
         self.open_frames()?;
         self.frame = None;
@@ -93,9 +99,18 @@ impl Client {
             }
             let slice = deadline.min(Instant::now() + Duration::from_millis(2));
             look_until(slice, || frames.has_message());
+            self.check_frames_come(request_id)?;
         }
         let view = self.frame.as_ref().and_then(frame_view);
         view.ok_or(ClientError::Misuse("a frame came whose pixels are not those it announces"))
+    }
+
+    /// An error when the run has ended and no frame will come: none is being rendered.
+    fn check_frames_come(&mut self, request_id: u64) -> Result<(), ClientError> {
+        let ended = self.has_ended()? && self.ended.is_some_and(|since| since.elapsed() >= LAST_FRAMES);
+        let accepted = self.requests.as_ref().map_or(0, |requests| requests.accepted);
+        let rendered = request_id != 0 && accepted == request_id;
+        if ended && !rendered { Err(ClientError::Ended) } else { Ok(()) }
     }
 
     fn open_frames(&mut self) -> Result<(), ClientError> {
@@ -103,16 +118,22 @@ impl Client {
             return Err(ClientError::NoDrr);
         }
         if self.frames.is_none() {
-            self.frames = Some(self.session.subscriber(&services::FRAME)?);
+            // Frames that others ask for must not push out one that this client waits for.
+            self.frames = Some(self.session.lossless_subscriber(&services::FRAME)?);
         }
         Ok(())
     }
 
     fn check_replies(&mut self, request_id: u64) -> Result<(), ClientError> {
-        let Some(requests) = &self.requests else { return Ok(()) };
+        let Some(requests) = &mut self.requests else { return Ok(()) };
         while let Some(reply) = requests.replies.receive()? {
             let reply = reply.message();
-            if reply.request_id == request_id && request_id != 0 && reply.status != DRR_ACCEPTED {
+            if reply.request_id != request_id || request_id == 0 {
+                continue;
+            }
+            if reply.status == DRR_ACCEPTED {
+                requests.accepted = request_id;
+            } else {
                 let how = if reply.status == DRR_BUSY { "turned away: too many wait" } else { "refused" };
                 return Err(ClientError::FrameRefused { request_id, how });
             }
@@ -123,16 +144,26 @@ impl Client {
     /// The CT volume as it was at the start, in place. It stays for as long as the client does.
     ///
     /// # Errors
-    /// [`ClientError::NoVolume`], [`ClientError::TimedOut`]; the transport's.
+    /// [`ClientError::NoVolume`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.
     pub fn volume(&mut self, limit: Duration) -> Result<VolumeView<'_>, ClientError> {
         if self.scene.volume.is_none() {
             return Err(ClientError::NoVolume);
         }
         if self.volume.is_none() {
-            let subscriber = self.session.subscriber::<Volume>(&services::VOLUME)?;
             let deadline = Instant::now() + limit;
-            look_until(deadline, || subscriber.has_message());
-            self.volume = subscriber.receive()?;
+            if self.volumes.is_none() {
+                self.volumes = Some(self.session.subscriber(&services::VOLUME)?);
+            }
+            loop {
+                self.volume = self.volumes.as_ref().map_or(Ok(None), Subscriber::receive)?;
+                if self.volume.is_some() || Instant::now() >= deadline {
+                    break;
+                }
+                if self.has_ended()? {
+                    return Err(ClientError::Ended);
+                }
+                std::thread::sleep(RETRY_TIME);
+            }
         }
         let volume = self.volume.as_ref().ok_or(ClientError::TimedOut(limit))?;
         let wrong = ClientError::Misuse("the volume's voxels are not those it announces");

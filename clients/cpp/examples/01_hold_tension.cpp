@@ -6,7 +6,7 @@
 
 int main() try {
     trabecula::Client client;
-    while (const trb_state *state = client.wait_state(30.0)) {
+    while (const trb_state *state = client.wait_state()) {
         if (state->tick % 200 == 0) {
             const double *tip_m = state->t_world_tip.position_m;
             std::printf("tick %4" PRIu64 "  tip %8.3f %8.3f %8.3f mm\n", state->tick, tip_m[0] * 1e3, tip_m[1] * 1e3,

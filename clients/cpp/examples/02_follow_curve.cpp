@@ -20,7 +20,7 @@ static double planned_bend_rad(double time_s) {
 int main() try {
     trabecula::Client client;
     double integral_rad_s = 0.0;
-    while (const trb_state *state = client.wait_state(30.0)) {
+    while (const trb_state *state = client.wait_state()) {
         double error_rad = planned_bend_rad(state->sim_time_s) - state->bend_rad;
         integral_rad_s += error_rad * TICK_S;
         double tension_n = PROPORTIONAL_N_PER_RAD * error_rad + INTEGRAL_N_PER_RAD_S * integral_rad_s;

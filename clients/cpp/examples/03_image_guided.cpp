@@ -9,7 +9,7 @@
 
 #include "trabecula.hpp"
 
-constexpr double LIMIT_S = 30.0;
+constexpr double FRAME_LIMIT_S = 30.0;
 constexpr std::uint64_t TICKS_BETWEEN_FRAMES = 100;
 // Below this share of full scale a pixel shows metal.
 constexpr std::uint16_t DARK = 8000;
@@ -63,9 +63,9 @@ int main() try {
     trabecula::Client client;
     const std::uint64_t last_tick = client.info().tick_count;
     double tension_n = 0.0;
-    while (const trb_state *state = client.wait_state(LIMIT_S)) {
+    while (const trb_state *state = client.wait_state()) {
         if (state->tick % TICKS_BETWEEN_FRAMES == 0 && state->tick < last_tick) {
-            const auto view = client.wait_frame(client.request_frame(state->tick), LIMIT_S);
+            const auto view = client.wait_frame(client.request_frame(state->tick), FRAME_LIMIT_S);
             if (const auto tip = find_tip(view)) {
                 const double error_m = TARGET_M - sideways_m(view, tip->column);
                 tension_n += GAIN_N_PER_M * error_m;
@@ -80,6 +80,7 @@ int main() try {
         command.send();
     }
 } catch (const trabecula::Error &error) {
+    if (error.status() == TRB_ENDED) return 0;  // while a frame was waited for
     std::fprintf(stderr, "error %d: %s\n", error.status(), error.what());
     return 1;
 }

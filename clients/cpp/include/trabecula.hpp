@@ -5,6 +5,7 @@
 #ifndef TRABECULA_HPP
 #define TRABECULA_HPP
 
+#include <cmath>
 #include <cstdint>
 #include <optional>
 #include <stdexcept>
@@ -19,8 +20,11 @@ namespace trabecula {
 class Error : public std::runtime_error {
 public:
     explicit Error(int status)
-        : std::runtime_error(status < 0 ? trb_last_error() : "nothing came in time"), status_(status) {}
-    // One of the TRB_ statuses; TRB_TIMEOUT if nothing came in time.
+        : std::runtime_error(status < 0             ? trb_last_error()
+                             : status == TRB_ENDED ? "the run has ended"
+                                                   : "nothing came in time"),
+          status_(status) {}
+    // One of the TRB_ statuses; TRB_TIMEOUT if nothing came in time, TRB_ENDED if the run is over.
     int status() const noexcept { return status_; }
 
 private:
@@ -90,10 +94,11 @@ public:
         return info;
     }
 
-    // The newest state; null when the run is over. Stays until the next state is taken.
-    const trb_state *wait_state(double timeout_s) { return state(trb_wait_state(client_, timeout_s, &state_)); }
+    // The newest state; null when the run is over. Stays until the next state is taken. A paused run publishes none: without
+    // a limit this waits on.
+    const trb_state *wait_state(double timeout_s = INFINITY) { return state(trb_wait_state(client_, timeout_s, &state_)); }
     // The oldest state that has not been taken; null when the run is over.
-    const trb_state *next_state(double timeout_s) { return state(trb_next_state(client_, timeout_s, &state_)); }
+    const trb_state *next_state(double timeout_s = INFINITY) { return state(trb_next_state(client_, timeout_s, &state_)); }
     // The newest state if one has come; null if not. Throws Error with TRB_ENDED when the run is over.
     const trb_state *poll_state() { return came(trb_poll_state(client_, &state_)) ? state_ : nullptr; }
     std::uint64_t states_missed() const {

@@ -75,10 +75,16 @@ state_layout = next(pair for pair in _generated.LAYOUTS.split(";") if pair.start
 for layouts, words in [
     (_generated.LAYOUTS.replace(state_layout, "State=0123456789abcdef"), ["State", "0123456789abcdef"]),
     ("", ["no such message"]),
+    # All messages the same, but a library of other functions.
+    (_generated.LAYOUTS.rsplit(";", 1)[0], ["Abi"]),
 ]:
     status = _client._library.trb_connect(layouts.encode(), None, b"pilot", 1.0, ctypes.byref(handle))
     text = _client._library.trb_last_error().decode()
     assert status == t.ERROR_VERSION and all(word in text for word in words), (status, text)
+
+# Every code has its name, and nothing else is exported.
+assert (t.ARM_SERVO_JV, t.ARM_INSERT, t.ARM_RCM, t.ARM_FAULT, t.MAX_DEPTH_M) == (6, 7, 8, 2, 0.5)
+assert not {"np", "ctypes", "field", "nested"} & set(t.__all__) and {"Client", "ARM_INSERT"} <= set(t.__all__)
 
 # Null pointers and handles that are none.
 assert _client._library.trb_connect(_generated.LAYOUTS.encode(), None, None, 1.0, None) == t.ERROR_NULL
@@ -141,12 +147,15 @@ with t.Client(controller="holder") as holder:
     # For the past: a number that has been.
     answer(client, lambda command: setattr(command, "sequence", 2))
     wait_for_events(client, "`sequence` is 2, expected more than")
+    # An older state than the one answered last.
+    answer(client, lambda command: setattr(command, "state_tick", 1))
+    wait_for_events(client, "`state_tick` is 1, but an earlier command of this connection answered")
     # The next number follows the one that was sent; the right one is taken up again.
     newest = applied(client, lambda state: True).applied["sequence"][0]
     answer(client, lambda command: setattr(command, "sequence", int(newest) + 100))
     applied(client, lambda state: state.applied["sequence"][0] > newest + 100)
     deadline = time.monotonic() + LIMIT_S
-    while client.status.refused_commands < before + 6:
+    while client.status.refused_commands < before + 7:
         assert time.monotonic() < deadline, client.status
         time.sleep(0.01)
 

@@ -11,9 +11,21 @@
 States, frames and the CT volume are views of shared memory: nothing is copied. Units are SI and end the names.
 """
 
+from . import _generated
 from ._client import Client, Ct, Ended, Error, Image, Info, Removal, SessionEvent
 from ._generated import *  # noqa: F403  messages and constants
 from ._generated import VERSION as __version__
 from ._view import View
 
-__all__ = [name for name in dir() if not name.startswith("_") and not name.startswith("trb_")]
+__all__ = [
+    "Client",
+    "Ct",
+    "Ended",
+    "Error",
+    "Image",
+    "Info",
+    "Removal",
+    "SessionEvent",
+    "View",
+    *_generated.__all__,
+]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,6 +46,18 @@ def _check(status: int) -> None:
     raise Error(status, _library.trb_last_error().decode())
 
 
+def _slices(timeout_s: float) -> Iterator[tuple[float, bool]]:
+    """Lengths of the waits inside the library that make up a wait, and whether each is the last."""
+    if not timeout_s >= 0.0:
+        raise Error(g.ERROR_ARGUMENT, f"`timeout_s` is {timeout_s}, expected 0 or more seconds")
+    deadline = time.monotonic() + timeout_s
+    last = False
+    while not last:
+        left_s = deadline - time.monotonic()
+        last = left_s <= _SLICE_S
+        yield max(0.0, min(_SLICE_S, left_s)), last
+
+
 def _text(text: Optional[str]) -> Optional[bytes]:
     return None if text is None else text.encode()
 
@@ -56,7 +69,12 @@ class _Connection:
         self.handle = 0
         handle = ctypes.c_uint64()
         layouts = g.LAYOUTS.encode()
-        _check(_library.trb_connect(layouts, _text(session), _text(controller), timeout_s, _byref(handle)))
+        for slice_s, last in _slices(timeout_s):
+            given = (layouts, _text(session), _text(controller), slice_s)
+            status = _library.trb_connect(*given, _byref(handle))
+            if status != g.ERROR_NO_SESSION or last:
+                break
+        _check(status)
         self.handle = handle.value
 
     def __del__(self, disconnect=_library.trb_disconnect) -> None:
@@ -198,13 +216,11 @@ class Client:
 
     def _await(self, function, timeout_s: float, *arguments: object) -> None:
         """Calls a waiting function of the library in slices."""
-        deadline = time.monotonic() + timeout_s
-        while True:
-            left_s = deadline - time.monotonic()
-            status = function(*arguments[:-1], max(0.0, min(_SLICE_S, left_s)), arguments[-1])
+        for slice_s, last in _slices(timeout_s):
+            status = function(*arguments[:-1], slice_s, arguments[-1])
             if status == g.OK:
                 return
-            if status != g.TIMEOUT or left_s <= _SLICE_S:
+            if status != g.TIMEOUT or last:
                 _check(status)
 
     @property
@@ -246,8 +262,12 @@ class Client:
         _check(status)
         return self._view(g.State, self._pointer.value)
 
-    def states(self, timeout_s: float = 30.0) -> Iterator[g.State]:
-        """The newest state again and again, until the run is over."""
+    def states(self, timeout_s: float = math.inf) -> Iterator[g.State]:
+        """The newest state again and again, until the run is over. A paused run publishes none: this waits on.
+
+        Raises:
+            TimeoutError: None came within `timeout_s`.
+        """
         while True:
             try:
                 state = self.wait_state(timeout_s)
@@ -270,8 +290,9 @@ class Client:
         return self._view(g.Command, self._pointer.value, writable=True)
 
     def send_command(self) -> None:
-        """Sends the loaned command. The physics checks it: what it refuses changes nothing, is counted, and said in an
-        event.
+        """Sends the loaned command. The physics checks it: a command that it refuses changes nothing. Of one that it takes,
+        a part that the tool cannot follow (a goal out of reach) changes nothing, the others act. Both are counted, and
+        said in an event.
         """
         _check(_library.trb_send_command(self._handle))
 
@@ -315,10 +336,11 @@ class Client:
 
     def wait_frame(self, request_id: int = 0, timeout_s: float = 30.0) -> Image:
         """Waits for the frame of a request, or with 0 for the next one of any kind. Its memory is used again after the next
-        call. Frames are kept from the first call of this or `request_frame` on, eight at most.
+        call. Frames are kept from the first call of this or `request_frame` on, 64 at most.
 
         Raises:
             TimeoutError: None came in time.
+            Ended: The run is over, and none is being rendered.
             Error: The request was refused, or the scene has no X-ray.
         """
         view = g.trb_frame_view()
@@ -331,7 +353,7 @@ class Client:
     def volume(self, timeout_s: float = 30.0) -> Ct:
         """The CT volume as it was at the start, in place; it stays as long as the connection."""
         view = g.trb_volume_view()
-        _check(_library.trb_get_volume(self._handle, timeout_s, _byref(view)))
+        self._await(_library.trb_get_volume, timeout_s, self._handle, _byref(view))
         volume = self._view(g.Volume, view.volume)
         hu = self._array(view.hu, "<i2", view.voxel_count)
         return Ct(volume, hu.reshape(volume.dimensions[::-1]))
@@ -339,10 +361,23 @@ class Client:
     def run_control(self, action: int, ticks: int = 0, timeout_s: float = 10.0) -> int:
         """Asks for an action (`CONTROL_PAUSE` …; `ticks` is for `CONTROL_STEP`) and returns the tick at which it took
         effect.
+
+        Raises:
+            TimeoutError: No answer came in time.
+            Ended: The run is over.
+            Error: The action was refused.
         """
+        if action == 0:
+            raise Error(g.ERROR_REFUSED, "run control knows no action 0; actions are 1 to 5")
         reply = g.RunControlReply()
         address = reply.array.ctypes.data
-        _check(_library.trb_control_run(self._handle, action, ticks, timeout_s, address))
+        for slice_s, last in _slices(timeout_s):
+            status = _library.trb_control_run(self._handle, action, ticks, slice_s, address)
+            # What has been asked for is only waited for from here on.
+            action = 0
+            if status != g.TIMEOUT or last:
+                break
+        _check(status)
         return reply.tick
 
     @property

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
-from typing import Any, Optional
+from typing import Any, Optional, TypeVar
 
 import numpy as np
+
+_V = TypeVar("_V", bound="View")
 
 
 class View:
@@ -30,7 +32,7 @@ class View:
             self._array = np.frombuffer(self._buffer, self.dtype, count=1).reshape(())
         return self._array
 
-    def copy(self) -> "View":
+    def copy(self: _V) -> _V:
         """The same in memory of its own, which stays after the connection is closed."""
         return type(self)(memoryview(bytearray(self._buffer)))
 

@@ -53,12 +53,21 @@ fn sideways_m(view: &FrameView, column: f64) -> f64 {
 }
 
 fn main() -> Result<(), ClientError> {
+    match guide() {
+        Err(ClientError::Ended) => Ok(()),
+        other => other,
+    }
+}
+
+/// Until the run ends, which comes as an error.
+fn guide() -> Result<(), ClientError> {
     let mut client = Client::connect(&Connection::default())?;
     let mut tension_n = 0.0;
     loop {
         let tick = match client.wait_state(LIMIT) {
             Ok(State { tick, .. }) => *tick,
-            Err(ClientError::Ended) => return Ok(()),
+            // A paused run publishes none.
+            Err(ClientError::TimedOut(_)) => continue,
             Err(other) => return Err(other),
         };
         if tick % TICKS_BETWEEN_FRAMES == 0 && tick < client.info().tick_count {

@@ -7,7 +7,7 @@
 const example = @import("example.zig");
 const c = example.c;
 
-const limit_s: f64 = 30.0;
+const frame_limit_s: f64 = 30.0;
 const ticks_between_frames: u64 = 100;
 /// Below this share of full scale a pixel shows metal.
 const dark: u16 = 8000;
@@ -72,7 +72,7 @@ pub fn main() void {
             var request: u64 = 0;
             var view: c.trb_frame_view = undefined;
             _ = example.checked(c.trb_request_frame(client, null, state.tick, &request));
-            _ = example.checked(c.trb_wait_frame(client, request, limit_s, &view));
+            if (!example.checked(c.trb_wait_frame(client, request, frame_limit_s, &view))) break;
             if (findTip(view)) |tip| {
                 const error_m = target_m - sidewaysM(view, tip.column);
                 tension_n += gain_n_per_m * error_m;

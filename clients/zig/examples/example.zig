@@ -23,10 +23,10 @@ pub fn connected() c.trb_client {
     return client;
 }
 
-/// The newest state; null when the run is over.
+/// The newest state; null when the run is over. A paused run publishes none: this waits on.
 pub fn nextState(client: c.trb_client) ?*const c.trb_state {
     var state: [*c]const c.trb_state = null;
-    return if (checked(c.trb_wait_state(client, 30.0, &state))) state else null;
+    return if (checked(c.trb_wait_state(client, std.math.inf(f64), &state))) state else null;
 }
 
 /// Sends a tension on tendon 0.

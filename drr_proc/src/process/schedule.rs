@@ -4,9 +4,12 @@ use std::collections::VecDeque;
 
 use ipc_types::messages::DrrRequest;
 use ipc_types::scene::Mode;
+use ipc_types::services::DRR_REQUEST;
 
-/// Requests that may wait; further ones are refused as busy.
-const MAX_WAITING: usize = 16;
+/// Requests of one program that may wait; further ones are refused as busy.
+const MAX_WAITING_EACH: usize = 4;
+/// Requests of all programs that may wait: of as many as may be connected.
+const MAX_WAITING: usize = MAX_WAITING_EACH * DRR_REQUEST.max_publishers;
 
 /// A frame to be rendered now.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,7 +26,8 @@ pub(super) struct Schedule {
     mode: Mode,
     period_ticks: Option<u64>,
     next_tick: u64,
-    requests: VecDeque<DrrRequest>,
+    /// With the connection that each came over.
+    requests: VecDeque<(u128, DrrRequest)>,
 }
 
 impl Schedule {
@@ -31,12 +35,13 @@ impl Schedule {
         Schedule { mode, period_ticks, next_tick: 0, requests: VecDeque::new() }
     }
 
-    /// Queues a request; false if too many wait.
-    pub(super) fn request(&mut self, request: DrrRequest) -> bool {
-        if self.requests.len() >= MAX_WAITING {
+    /// Queues a request that came over this connection; false if too many wait.
+    pub(super) fn request(&mut self, sender: u128, request: DrrRequest) -> bool {
+        let own = self.requests.iter().filter(|(other, _)| *other == sender).count();
+        if own >= MAX_WAITING_EACH || self.requests.len() >= MAX_WAITING {
             return false;
         }
-        self.requests.push_back(request);
+        self.requests.push_back((sender, request));
         true
     }
 
@@ -52,8 +57,8 @@ impl Schedule {
             self.next_tick = (tick / period + 1) * period;
             return Some(Due::Scheduled);
         }
-        let index = self.requests.iter().position(|request| request.tick <= tick)?;
-        self.requests.remove(index).map(Due::Requested)
+        let index = self.requests.iter().position(|(_, request)| request.tick <= tick)?;
+        self.requests.remove(index).map(|(_, request)| Due::Requested(request))
     }
 }
 
@@ -82,10 +87,21 @@ mod tests {
     fn a_request_waits_for_its_tick_and_too_many_are_refused() {
         let mut schedule = Schedule::new(Mode::Lockstep, None);
         let request = DrrRequest { request_id: 5, tick: 10, ..DrrRequest::zeroed() };
-        assert!(schedule.request(request));
+        assert!(schedule.request(1, request));
         assert_eq!(schedule.due(9, true), None);
         assert_eq!(schedule.due(10, true), Some(Due::Requested(request)));
-        assert!((0..MAX_WAITING).all(|_| schedule.request(request)));
-        assert!(!schedule.request(request));
+        assert!((0..MAX_WAITING_EACH).all(|_| schedule.request(1, request)));
+        assert!(!schedule.request(1, request));
+    }
+
+    /// All programs shared 16 places: one that asked for ticks far ahead took them from everybody.
+    #[test]
+    fn a_program_that_floods_takes_no_place_from_another() {
+        let mut schedule = Schedule::new(Mode::Lockstep, None);
+        let far = DrrRequest { tick: 1_000_000, ..DrrRequest::zeroed() };
+        for sender in 0..DRR_REQUEST.max_publishers as u128 {
+            let taken = (0..100).filter(|_| schedule.request(sender, far)).count();
+            assert_eq!(taken, MAX_WAITING_EACH);
+        }
     }
 }

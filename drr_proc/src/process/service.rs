@@ -8,7 +8,9 @@ use ipc_types::messages::{
     DRR_ACCEPTED, DRR_BUSY, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming,
     GEOMETRY_REQUEST, PHASE_ENDED, SEVERITY_WARNING, State,
 };
+use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
+use ipc_types::ration::{LOOKED_AT, Ration, Remarks};
 use ipc_types::scene::{Drives, Mode, Notch, Scene};
 use zerocopy::FromBytes;
 
@@ -56,6 +58,7 @@ struct Service {
     ports: Ports,
     schedule: Schedule,
     lockstep: bool,
+    tick_count: u64,
     /// Whether frames come by themselves.
     scheduled: bool,
     c_arm: CArm,
@@ -69,6 +72,8 @@ struct Service {
     outcomes: Receiver<Outcome>,
     in_flight: usize,
     sequence: u64,
+    ration: Ration,
+    remarks: Remarks,
     removals: Removals,
     newest: Option<Box<State>>,
     shown_tick: Option<u64>,
@@ -87,6 +92,7 @@ impl Service {
             ports,
             schedule: Schedule::new(scene.run.mode, scene.frame_period_ticks()),
             lockstep: scene.run.mode == Mode::Lockstep,
+            tick_count: scene.tick_count(),
             scheduled: scene.frame_period_ticks().is_some(),
             c_arm,
             isocentre_m: scene_isocentre_m(scene),
@@ -102,6 +108,8 @@ impl Service {
             outcomes,
             in_flight: 0,
             sequence: 0,
+            ration: Ration::default(),
+            remarks: Remarks::default(),
             removals: Removals::default(),
             newest: None,
             shown_tick: None,
@@ -191,14 +199,17 @@ impl Service {
         self.removals.advance(state)
     }
 
+    /// Takes the requests that have come; of each program no more than its ration, so that who floods holds up no frame.
     fn take_requests(&mut self) -> Result<(), DrrProcessError> {
-        loop {
-            let mut malformed = Vec::new();
-            let request = self.ports.requests.receive_valid(|error| malformed.push(error.to_string()))?;
-            for reason in malformed {
-                self.warn(&format!("{reason}; refused"))?;
+        let mut refused = Vec::new();
+        for _ in 0..LOOKED_AT {
+            let malformed = |error: &PortError| refused.push(format!("{error}; refused"));
+            let Some(request) = self.ports.requests.receive_valid(malformed)? else { break };
+            let connection = request.sender();
+            if !self.ration.allows(connection) {
+                refused.push("a program asks for more frames than can be answered; refused".to_owned());
+                continue;
             }
-            let Some(request) = request else { return Ok(()) };
             let sender = self.ports.requesters.controller_of(&request).map_or(u32::MAX, |index| index as u32);
             let request = *request.message();
             let refusal = match self.geometry_of(&request) {
@@ -213,15 +224,28 @@ impl Service {
                     Some((DRR_REFUSED, "the scene gives the C-arm to another controller".to_owned()))
                 }
                 Err(cause) => Some((DRR_REFUSED, cause.to_string())),
-                Ok(_) if !self.schedule.request(request) => {
+                Ok(_) if request.tick > self.tick_count => Some((
+                    DRR_REFUSED,
+                    format!("`tick` is {}, the run ends at {}", request.tick, self.tick_count),
+                )),
+                Ok(_) if !self.schedule.request(connection.number(), request) => {
                     Some((DRR_BUSY, "too many requests wait".to_owned()))
                 }
                 Ok(_) => None,
             };
             if let Some((status, reason)) = refusal {
                 self.reply(&request, 0, request.tick, status, &self.c_arm)?;
-                self.warn(&format!("request {} for a frame: {reason}; refused", request.request_id))?;
+                refused.push(format!("request {} for a frame: {reason}; refused", request.request_id));
             }
+        }
+        for text in refused {
+            if self.remarks.allows() {
+                self.warn(&text)?;
+            }
+        }
+        match self.remarks.unsaid() {
+            None => Ok(()),
+            Some(more) => self.warn(&format!("{more} more requests for frames refused")),
         }
     }
 

@@ -36,6 +36,9 @@ pub(super) enum Aim {
     Along { axis: Vector3<f64>, depth_m: f64 },
 }
 
+/// Two axes that differ by less, each coordinate, are one: what a program computes anew each tick is rounded anew.
+const SAME_AXIS: f64 = 1e-6;
+
 /// The line of an insertion: kept while insertions along the same axis follow each other.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Insertion {
@@ -64,8 +67,12 @@ impl Arm {
         let limits = self.parameters.cartesian_limits;
         let speed = (check_speed("feed_m_s", Some(feed_m_s), limits.speed_m_s)?, limits.angular_speed_rad_s);
         let base = &self.parameters.t_world_arm_base;
-        let axis = base.rotation.inverse_transform_vector(axis_world) / length;
-        match self.insertion.filter(|insertion| insertion.axis_world == *axis_world) {
+        let same = |insertion: &Insertion| (insertion.axis_world - axis_world).amax() <= SAME_AXIS;
+        let standing = self.insertion.filter(same);
+        // The axis that it began with: on another the depth would lead to another line.
+        let along = standing.map_or(*axis_world, |insertion| insertion.axis_world);
+        let axis = base.rotation.inverse_transform_vector(&along) / along.norm();
+        match standing {
             Some(insertion) => {
                 let mut goal = insertion.start;
                 goal.translation.vector += axis * depth_m;

@@ -2,12 +2,14 @@
 
 use std::time::Duration;
 
+use ipc_types::identity::Sender;
 use ipc_types::messages::{
     Command, Latched, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_DRR, SENDER_PHYSICS,
     SENDER_RECORDER, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::EventSender;
+use ipc_types::ration::Remarks;
 use ipc_types::scene::Scene;
 use ipc_types::services::{self, MAX_REMOVED_PER_TICK};
 use ipc_types::session::{Reader, Session, SessionError};
@@ -16,6 +18,9 @@ use zerocopy::IntoBytes;
 
 use super::keyframes::Keyframes;
 use crate::simulation::Simulation;
+
+/// Reports of consumers that are taken in one look: every client may send them.
+const REPORTS_PER_LOOK: usize = 64;
 
 pub(super) struct Ports {
     pub(super) state: Publisher<State>,
@@ -49,6 +54,11 @@ pub(super) struct ControllerPort {
     pub(super) how_to_connect: String,
     /// Sequence of the newest command that was taken off the queue.
     pub(super) seen_sequence: u64,
+    /// Commands that never came and of which nothing has been said.
+    pub(super) lost: u64,
+    pub(super) remarks: Remarks,
+    /// The connection that the newest command came over.
+    pub(super) sender: Option<Sender>,
 }
 
 impl Ports {
@@ -67,6 +77,9 @@ impl Ports {
                     String::new()
                 },
                 seen_sequence: 0,
+                lost: 0,
+                remarks: Remarks::default(),
+                sender: None,
             })
         });
         Ok(Ports {
@@ -156,7 +169,8 @@ impl Consumers {
 
     /// Takes in what the consumers have reported.
     pub(super) fn update(&mut self) -> Result<(), PortError> {
-        while let Some(report) = self.progress.receive_valid(|_| {})? {
+        for _ in 0..REPORTS_PER_LOOK {
+            let Some(report) = self.progress.receive_valid(|_| {})? else { break };
             let report = report.message();
             for consumer in self.list.iter_mut().filter(|consumer| consumer.sender == report.consumer) {
                 consumer.tick = Some(report.tick);

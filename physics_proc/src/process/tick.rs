@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use ipc_types::identity::Sender;
 use ipc_types::messages::{
     CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
     EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, EVENT_RUN,
@@ -11,6 +12,7 @@ use ipc_types::messages::{
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise};
+use ipc_types::ration::{LOOKED_AT, Ration, Remarks};
 use ipc_types::scene::{Mode, Policy, Scene};
 use ipc_types::services::COMMAND;
 
@@ -31,8 +33,6 @@ const LEAD_TICKS: u64 = 256;
 const CONSUMER_LIMIT: Duration = Duration::from_secs(120);
 /// The same at the end of a run that something has ended before its time.
 const ABANDONED_LIMIT: Duration = Duration::from_secs(2);
-/// Refusals of one controller that are said one by one each time its queue is read.
-const REFUSALS_SAID: u64 = 16;
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
 const PAUSE_LOOK: Duration = Duration::from_millis(20);
 
@@ -47,6 +47,7 @@ pub(super) struct Runner<'v> {
     tick_count: u64,
     controller_limit: Duration,
     tick: u64,
+    connected: bool,
     published: Instant,
     paused: bool,
     steps_left: u64,
@@ -54,6 +55,8 @@ pub(super) struct Runner<'v> {
     stopped: bool,
     refused_commands: u64,
     missed_ticks: u64,
+    control_ration: Ration,
+    control_remarks: Remarks,
     status_sent: Option<Instant>,
     sleeper: Sleeper,
     disturbances: Disturbances,
@@ -82,6 +85,7 @@ impl<'v> Runner<'v> {
             tick_count: scene.tick_count(),
             controller_limit: Duration::from_micros((scene.run.controller_limit_ms * 1e3) as u64),
             tick: 0,
+            connected: false,
             published: Instant::now(),
             paused: false,
             steps_left: 0,
@@ -89,6 +93,8 @@ impl<'v> Runner<'v> {
             stopped: false,
             refused_commands: 0,
             missed_ticks: 0,
+            control_ration: Ration::default(),
+            control_remarks: Remarks::default(),
             status_sent: None,
             sleeper: Sleeper::new(scene.run.wait),
             disturbances: Disturbances::new(),
@@ -137,23 +143,24 @@ impl<'v> Runner<'v> {
     fn connect(&mut self) -> Result<(), PhysicsError> {
         let predrilled = self.simulation.predrilled().to_vec();
         let began = Instant::now();
-        let mut shown = false;
+        // A controller is measured from when there is a state to answer.
+        let mut shown = None;
         loop {
             self.ports.consumers.update()?;
             let missing = self.ports.consumers.missing();
             let missing = missing.map(|consumer| (consumer.part.to_owned(), CONNECT_LIMIT, String::new()));
-            if missing.is_none() && !shown {
+            if missing.is_none() && shown.is_none() {
                 // Only now, so that no consumer misses the first messages.
                 self.ports.publish_predrilled(&predrilled)?;
                 self.publish_state()?;
-                shown = true;
+                shown = Some(Instant::now());
             }
             self.collect_commands()?;
             let Some((part, limit, hint)) = missing.or_else(|| self.awaited_controller()) else { break };
             if self.ends() {
                 break;
             }
-            if began.elapsed() >= limit {
+            if shown.unwrap_or(began).elapsed() >= limit {
                 return Err(PhysicsError::NotConnected { part, limit_s: limit.as_secs(), hint });
             }
             self.obey()?;
@@ -163,7 +170,8 @@ impl<'v> Runner<'v> {
         }
         let text = "every part has connected";
         self.ports.events.inform(self.tick, EVENT_RUN, text)?;
-        self.send_status(PHASE_RUNNING, true)?;
+        self.connected = true;
+        self.send_status(self.phase(), true)?;
         Ok(())
     }
 
@@ -174,10 +182,10 @@ impl<'v> Runner<'v> {
         Some((format!("controller `{}`", port.name), port.connect_limit, port.how_to_connect.clone()))
     }
 
-    /// Whether lockstep need not wait for a controller: it has answered, or may stay away and has never been here.
+    /// Whether lockstep need not wait for a controller: it has answered, or may stay away and is not here.
     fn is_settled(&self, index: usize) -> bool {
-        let absent = self.ports.controllers[index].optional && !self.latch.has_command(index);
-        absent || self.latch.has_answer(index, self.tick)
+        let away = !self.latch.has_command(index) || self.latch.is_released(index);
+        (away && self.ports.controllers[index].optional) || self.latch.has_answer(index, self.tick)
     }
 
     /// Keeps all memory of this process resident, where the system permits it.
@@ -239,26 +247,40 @@ impl<'v> Runner<'v> {
             else {
                 return Ok(());
             };
-            if self.end.is_set() {
-                self.stopped = true;
-                return Ok(());
+            // At every turn, also when messages come that are no answer.
+            if Instant::now() >= limit {
+                self.give_up(silent)?;
+                continue;
             }
             let commands = &self.ports.controllers[silent].commands;
             let slice = (Instant::now() + Duration::from_millis(200)).min(limit);
-            if !self.ports.waiter.wait_until(slice, || commands.has_message()) {
-                self.obey()?;
-                if self.stopped || self.rests() {
-                    return Ok(());
-                }
+            let came = self.ports.waiter.wait_until(slice, || commands.has_message());
+            self.obey()?;
+            if self.ends() || self.rests() {
+                return Ok(());
+            }
+            if !came {
                 // A controller that has come back needs the state that it is to answer.
                 self.ports.state.deliver_history()?;
-                if Instant::now() >= limit {
-                    let name = self.ports.controllers[silent].name.clone();
-                    let limit_ms = self.controller_limit.as_secs_f64() * 1e3;
-                    return Err(PhysicsError::ControllerSilent { name, tick: self.tick, limit_ms });
-                }
             }
         }
+    }
+
+    /// A controller has not answered within its limit in lockstep: without an optional one the run goes on.
+    fn give_up(&mut self, silent: usize) -> Result<(), PhysicsError> {
+        let limit_ms = self.controller_limit.as_secs_f64() * 1e3;
+        let port = &self.ports.controllers[silent];
+        if !port.optional {
+            let name = port.name.clone();
+            return Err(PhysicsError::ControllerSilent { name, tick: self.tick, limit_ms });
+        }
+        self.latch.release(silent);
+        let text = format!(
+            "no answer to tick {} within {limit_ms} ms (`run.controller_limit_ms`); it is optional: burr off, arm stopped, \
+             and the run goes on without it until it commands again",
+            self.tick
+        );
+        Ok(self.warn(silent, EVENT_SAFE_COMMAND, &text)?)
     }
 
     /// Waits until every consumer has taken the state of `tick`.
@@ -293,18 +315,23 @@ impl<'v> Runner<'v> {
     /// floods is read no longer than its queue is, so that it cannot hold up the tick, and its refusals are said together.
     fn collect_commands(&mut self) -> Result<(), PortError> {
         for index in 0..self.ports.controllers.len() {
-            let (mut refused, mut lost) = (0, 0);
             for _ in 0..COMMAND.queue_length {
                 let port = &mut self.ports.controllers[index];
                 let refusal = match port.commands.receive() {
                     Ok(None) => break,
                     Ok(Some(command)) => {
+                        let sender = Some(command.sender());
+                        if sender != port.sender {
+                            (port.sender, port.seen_sequence) = (sender, 0);
+                            self.latch.connect(index);
+                        }
                         // A copy: what is checked must be what is latched, whatever its writer does meanwhile.
                         let command = *command.message();
                         if command.state_tick == self.tick && port.round_trip_ns == 0 {
                             port.round_trip_ns = elapsed_ns(self.published).max(1);
                         }
-                        lost += overwritten(&mut port.seen_sequence, command.sequence);
+                        let lost = overwritten(&mut port.seen_sequence, command.sequence);
+                        port.lost = port.lost.saturating_add(lost);
                         let outcome = self.latch.offer(index, &command, self.tick);
                         outcome.err().map(|cause| format!("command {}: {cause}", command.sequence))
                     }
@@ -314,18 +341,19 @@ impl<'v> Runner<'v> {
                     Err(other) => return Err(other),
                 };
                 if let Some(reason) = refusal {
-                    refused += 1;
                     self.refused_commands += 1;
-                    if refused <= REFUSALS_SAID {
+                    if self.ports.controllers[index].remarks.allows() {
                         self.warn(index, EVENT_COMMAND_REFUSED, &format!("{reason}; refused"))?;
                     }
                 }
             }
-            if refused > REFUSALS_SAID {
-                let text = format!("{} more commands refused", refused - REFUSALS_SAID);
-                self.warn(index, EVENT_COMMAND_REFUSED, &text)?;
+            let port = &mut self.ports.controllers[index];
+            if let Some(more) = port.remarks.unsaid() {
+                self.warn(index, EVENT_COMMAND_REFUSED, &format!("{more} more commands refused"))?;
             }
-            if lost > 0 {
+            let port = &mut self.ports.controllers[index];
+            if port.lost > 0 && port.remarks.allows() {
+                let lost = std::mem::take(&mut port.lost);
                 let length = COMMAND.queue_length;
                 let text =
                     format!("{lost} commands never came: a queue holds {length}, or numbers were left out");
@@ -398,14 +426,15 @@ impl<'v> Runner<'v> {
             let (source, before) = (latched.commands[index].source, self.sources[index]);
             self.sources[index] = source;
             let [held, safe] = &mut self.late_notes[index];
-            let (notes, severity, code, what) = if source == SOURCE_SAFE && before != SOURCE_SAFE {
-                let what = "late for longer than `run.hold_ticks`: burr off, arm stopped";
-                (safe, SEVERITY_WARNING, EVENT_SAFE_COMMAND, what)
-            } else if source == SOURCE_HELD && before == SOURCE_FRESH {
-                (held, SEVERITY_INFO, EVENT_COMMAND_HELD, "late: its last command is held")
-            } else {
-                continue;
-            };
+            let (notes, severity, code, what) =
+                if source == SOURCE_SAFE && before != SOURCE_SAFE && self.mode == Mode::Realtime {
+                    let what = "late for longer than `run.hold_ticks`: burr off, arm stopped";
+                    (safe, SEVERITY_WARNING, EVENT_SAFE_COMMAND, what)
+                } else if source == SOURCE_HELD && before == SOURCE_FRESH {
+                    (held, SEVERITY_INFO, EVENT_COMMAND_HELD, "late: its last command is held")
+                } else {
+                    continue;
+                };
             if let Some(more) = notes.add(latched.tick, self.period_ns) {
                 let text = format!("controller `{}` is {what}{more}", port.name);
                 self.ports.events.send(latched.tick, severity, code, &text)?;
@@ -425,9 +454,26 @@ impl<'v> Runner<'v> {
         Ok(())
     }
 
-    /// Does what run control asks for.
+    fn phase(&self) -> u32 {
+        match (self.connected, self.paused) {
+            (false, _) => PHASE_CONNECTING,
+            (true, true) => PHASE_PAUSED,
+            (true, false) => PHASE_RUNNING,
+        }
+    }
+
+    /// Does what run control asks for; of each program no more than its ration, so that who floods holds nobody up.
     fn obey(&mut self) -> Result<(), PortError> {
-        while let Some(request) = self.next_request()? {
+        let mut asked = false;
+        for _ in 0..LOOKED_AT {
+            let Some((request, sender)) = self.next_request()? else { break };
+            if !self.control_ration.allows(sender) {
+                if self.control_remarks.allows() {
+                    self.refuse_control("a program sends more than can be answered")?;
+                }
+                continue;
+            }
+            asked = true;
             let status = if self.obey_one(&request) { CONTROL_DONE } else { CONTROL_REFUSED };
             let reply = RunControlReply {
                 request_id: request.request_id,
@@ -436,21 +482,28 @@ impl<'v> Runner<'v> {
                 status,
             };
             self.ports.control_reply.send(&reply)?;
-            let phase = if self.paused { PHASE_PAUSED } else { PHASE_RUNNING };
-            self.send_status(phase, true)?;
         }
-        Ok(())
+        if let Some(more) = self.control_remarks.unsaid() {
+            self.refuse_control(&format!("{more} more requests"))?;
+        }
+        if asked { self.send_status(self.phase(), true) } else { Ok(()) }
     }
 
     /// The next request to run control; a message of a wrong length is none.
-    fn next_request(&mut self) -> Result<Option<RunControl>, PortError> {
-        let mut malformed = None;
-        let request = self.ports.control.receive_valid(|error| malformed = Some(error.to_string()))?;
-        if let Some(reason) = malformed {
-            let text = format!("run control: {reason}; refused");
-            self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+    fn next_request(&mut self) -> Result<Option<(RunControl, Sender)>, PortError> {
+        let mut malformed = Vec::new();
+        let request = self.ports.control.receive_valid(|error| malformed.push(error.to_string()))?;
+        for reason in malformed {
+            if self.control_remarks.allows() {
+                self.refuse_control(&reason)?;
+            }
         }
-        Ok(request.map(|request| *request.message()))
+        Ok(request.map(|request| (*request.message(), request.sender())))
+    }
+
+    fn refuse_control(&mut self, reason: &str) -> Result<(), PortError> {
+        let text = format!("run control: {reason}; refused");
+        self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)
     }
 
     fn obey_one(&mut self, request: &RunControl) -> bool {
@@ -523,9 +576,9 @@ fn late_controllers(latched: &Latched) -> u32 {
     late.filter(|(_, command)| command.source != SOURCE_FRESH).fold(0, |bits, (index, _)| bits | 1 << index)
 }
 
-/// Commands between the one seen last and this one: a client numbers its commands without a gap, so these were overwritten.
+/// Commands between the newest one seen and this one: a client numbers its commands without a gap, so these were overwritten.
 fn overwritten(seen: &mut u64, sequence: u64) -> u64 {
     let gap = sequence.saturating_sub(seen.saturating_add(1));
-    *seen = sequence;
+    *seen = sequence.max(*seen);
     gap
 }

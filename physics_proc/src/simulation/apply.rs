@@ -11,8 +11,8 @@ use super::Simulation;
 use crate::arm::ArmCommand;
 use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
 
-/// A valid command that the model could not follow (an unreachable goal), by which nothing has changed; or an accepted arm
-/// motion that was given up later.
+/// Part of a valid command that the model could not follow (an unreachable goal), by which this part, tendon or arm, has
+/// not changed; the command's other parts act. Or an accepted arm motion that was given up later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
     /// Index of the controller in the scene.
@@ -33,14 +33,14 @@ impl Simulation<'_> {
             if entry.source != SOURCE_FRESH && entry.source != SOURCE_SAFE {
                 continue;
             }
-            let outcome = self.apply_tendon(&entry.command).and_then(|()| self.apply_arm(&entry.command));
-            if entry.command.arm_mode != ARM_NONE {
+            let outcomes = [self.apply_tendon(&entry.command), self.apply_arm(&entry.command)];
+            if entry.command.arm_mode != ARM_NONE && outcomes[1].is_ok() {
                 self.arm_driver = (entry.controller_index, entry.command.sequence);
             }
             if entry.command.burr_mode == BURR_SPEED {
                 self.burr_speed_rad_per_s = entry.command.burr_speed_rad_per_s;
             }
-            if let Err(reason) = outcome {
+            for reason in outcomes.into_iter().filter_map(Result::err) {
                 self.refusals.push(Refusal {
                     controller_index: entry.controller_index,
                     sequence: entry.command.sequence,

@@ -9,6 +9,8 @@ mod sockets;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use ipc_types::layout::Message;
+use ipc_types::messages::{Command, State};
 
 pub use peers::answer;
 
@@ -67,7 +69,10 @@ struct Row {
 pub fn run(rounds: usize, turns: usize, python: PathBuf) -> Result<(), Failure> {
     let machine = Machine::watch();
     let programs = Programs::prepare(python);
-    say!("round trip from state (7000 bytes) to command (216 bytes), us; {turns} turns of {rounds} each");
+    let (state, command) = (State::DESCRIPTION.size, Command::DESCRIPTION.size);
+    say!(
+        "round trip from state ({state} bytes) to command ({command} bytes), us; {turns} turns of {rounds} each"
+    );
     for cores in Cores::available() {
         for wait in [Wait::Spin, Wait::Hybrid] {
             let shared_spin = wait == Wait::Spin && cores == Cores::One;

@@ -1,7 +1,8 @@
 //! The constants that clients need, by name.
 
 use ipc_types::command_check::{
-    MAX_BURR_SPEED_RAD_PER_S, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_SPEED_M_PER_S, MAX_TENSION_N,
+    MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_DISPLACEMENT_M, MAX_POSITION_M, MAX_SPEED_M_PER_S,
+    MAX_TENSION_N,
 };
 use ipc_types::messages::*;
 
@@ -21,6 +22,12 @@ pub(super) const WHOLE: &[(&str, u64)] = named![
     ARM_SERVO_CP,
     ARM_MOVE_CP,
     ARM_HOLD,
+    ARM_SERVO_JV,
+    ARM_INSERT,
+    ARM_RCM,
+    ARM_MOVING,
+    ARM_DONE,
+    ARM_FAULT,
     BURR_NONE,
     BURR_SPEED,
     SOURCE_NONE,
@@ -35,6 +42,13 @@ pub(super) const WHOLE: &[(&str, u64)] = named![
     CONTROL_STEP,
     CONTROL_RESET,
     CONTROL_STOP,
+    CONTROL_DONE,
+    CONTROL_REFUSED,
+    GEOMETRY_SCENE,
+    GEOMETRY_REQUEST,
+    DRR_ACCEPTED,
+    DRR_REFUSED,
+    DRR_BUSY,
     PHASE_CONNECTING,
     PHASE_RUNNING,
     PHASE_PAUSED,
@@ -69,4 +83,31 @@ pub(super) const LIMITS: &[(&str, f64)] = &[
     ("MAX_BURR_SPEED_RAD_PER_S", MAX_BURR_SPEED_RAD_PER_S),
     ("MAX_POSITION_M", MAX_POSITION_M),
     ("MAX_SPEED_M_PER_S", MAX_SPEED_M_PER_S),
+    ("MAX_DEPTH_M", MAX_DEPTH_M),
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The codes of `servo_jv`, `insert`, `rcm` and others were missing from C, C++, Python and Zig.
+    #[test]
+    fn every_code_of_a_message_has_its_name_in_every_language() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ipc_types/src/messages");
+        let mut codes = 0;
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let text = std::fs::read_to_string(entry.unwrap().path()).unwrap();
+            let names =
+                text.lines().filter_map(|line| line.strip_prefix("pub const ")?.split_once(": u32 = "));
+            for (name, value) in names {
+                let value = value.trim_end_matches(';').parse().unwrap();
+                assert!(
+                    WHOLE.contains(&(name, value)),
+                    "{name} = {value} is not among the bindings' constants"
+                );
+                codes += 1;
+            }
+        }
+        assert!(codes >= 50, "{codes} codes found");
+    }
+}

@@ -7,38 +7,65 @@ mod python;
 pub use c::c_header;
 pub use python::python_module;
 
-use ipc_types::layout::{Description, Element};
+use ipc_types::layout::{Description, Element, fingerprint};
 use ipc_types::reference::every_message;
 
 use crate::error::ClientError;
+use crate::ffi::{FUNCTIONS, STATUSES, VIEWS};
 
-/// Layouts of all messages: `State=729b226247fc0784;Command=…`.
+/// What stands for the library's own functions, structures and statuses among the layouts.
+const ABI: &str = "Abi";
+
+/// Layouts of all messages, and of the C interface itself: `State=729b226247fc0784;Command=…;Abi=…`.
 pub fn layouts() -> String {
     let all = every_message();
-    let each: Vec<String> = all.iter().map(|m| format!("{}={}", m.short_name(), m.layout_hash())).collect();
+    let messages = all.iter().map(|message| (message.short_name(), message.layout_hash()));
+    let each: Vec<String> =
+        messages.chain([(ABI, abi_hash())]).map(|(name, hash)| format!("{name}={hash}")).collect();
     each.join(";")
+}
+
+/// Identifies the functions with their types, the structures with their offsets, and the statuses.
+fn abi_hash() -> String {
+    let mut text = String::new();
+    for function in FUNCTIONS {
+        text.push_str(&format!("{} {:?} {}\n", function.name, function.arguments, function.returns));
+    }
+    for view in VIEWS {
+        let fields: Vec<_> =
+            view.fields.iter().map(|(name, c_type, offset, _)| (name, c_type, offset)).collect();
+        text.push_str(&format!("{} {fields:?} {}\n", view.name, view.size));
+    }
+    let statuses: Vec<_> = STATUSES.iter().map(|(name, value, _)| (name, value)).collect();
+    text.push_str(&format!("{statuses:?}"));
+    fingerprint(&text)
 }
 
 /// Compares the layouts that a program was built with to this library's.
 ///
 /// # Errors
-/// [`ClientError::Layout`] with the first message that differs.
+/// [`ClientError::Layout`] with the first message that differs, or with `Abi`.
 pub fn check_layouts(given: &str) -> Result<(), ClientError> {
     let all = every_message();
+    let differs = |name: &str, layout: &str, ours: String| {
+        let (message, given) = (name.to_owned(), layout.to_owned());
+        Err(ClientError::Layout { message, given, ours, version: env!("CARGO_PKG_VERSION") })
+    };
+    let mut abi = "none";
     for pair in given.split(';') {
         let (name, layout) = pair.split_once('=').unwrap_or((pair, "none"));
+        if name == ABI {
+            abi = layout;
+            continue;
+        }
         let known = all.iter().find(|message| message.short_name() == name);
         let ours = known.map_or_else(|| "no such message".to_owned(), |message| message.layout_hash());
         if ours != layout {
-            return Err(ClientError::Layout {
-                message: name.to_owned(),
-                given: layout.to_owned(),
-                ours,
-                version: env!("CARGO_PKG_VERSION"),
-            });
+            return differs(name, layout, ours);
         }
     }
-    Ok(())
+    // Also a program whose header had no such entry is of another version.
+    if abi == abi_hash() { Ok(()) } else { differs(ABI, abi, abi_hash()) }
 }
 
 /// Every message, each behind those that it contains.
@@ -103,6 +130,17 @@ mod tests {
         assert!(["State", "0123456789abcdef", &state].iter().all(|word| refusal.contains(word)), "{refusal}");
         assert!(check_layouts("Nonsense=1").unwrap_err().to_string().contains("no such message"));
         assert!(check_layouts("").is_err(), "no layouts at all is no agreement");
+    }
+
+    /// Only messages were compared: a program built against other functions or structures of the library was taken.
+    #[test]
+    fn another_c_interface_is_refused_though_all_messages_are_the_same() {
+        let (messages, abi) =
+            layouts().rsplit_once(";Abi=").map(|(m, a)| (m.to_owned(), a.to_owned())).unwrap();
+        for given in [messages.clone(), format!("{messages};Abi=0123456789abcdef")] {
+            let refusal = check_layouts(&given).unwrap_err().to_string();
+            assert!(refusal.contains("Abi") && refusal.contains(&abi), "{refusal}");
+        }
     }
 
     #[test]

@@ -51,7 +51,8 @@ functions! {
             .as_ptr()
     }
 
-    /// Layouts of all messages as the library has them: "State=729b226247fc0784;Command=...". The text lives for ever.
+    /// Layouts of all messages and of this interface as the library has them:
+    /// "State=729b226247fc0784;Command=...;Abi=...". The text lives for ever.
     fn trb_layouts() -> *const c_char {
         static LAYOUTS: OnceLock<CString> = OnceLock::new();
         LAYOUTS.get_or_init(|| CString::new(bindings::layouts()).unwrap_or_default()).as_ptr()
@@ -64,7 +65,7 @@ functions! {
     }
 
     /// Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; a message that the
-    /// library or the hub lays out otherwise is refused by name. `session` is a session's folder or name; null takes the
+    /// library or the hub lays out otherwise, or another version of these functions (Abi), is refused by name. `session` is a session's folder or name; null takes the
     /// folder in the environment variable TRABECULA_SESSION, or else this user's session that was announced last.
     /// `controller` is a controller's name in the scene, or empty for an observer that commands nothing; null takes the name
     /// in TRABECULA_CONTROLLER, or else the scene's only external controller. Waits at most `timeout_s` for the session.
@@ -182,8 +183,9 @@ functions! {
         })
     }
 
-    /// Sends the loaned command and wakes the physics, which checks it: what it refuses changes nothing, is counted in
-    /// the status and said in an event.
+    /// Sends the loaned command and wakes the physics, which checks it: a command that it refuses changes nothing. Of one
+    /// that it takes, a part that the tool cannot follow (a goal out of reach) changes nothing, the others act. Both are
+    /// counted in the status and said in an event.
     fn trb_send_command(client: u64) -> i32 {
         outcome(|| table::with(client, |slot| slot.client.send()))
     }
@@ -215,7 +217,7 @@ functions! {
 
     /// Waits for a frame: that of a request, or with `request_id` 0 the next one of any kind; with a request, others that
     /// come before it are passed over. Frames are kept from this client's first call of trb_request_frame or
-    /// trb_wait_frame on, eight at most. What `view` points at lies in shared memory and stays, unchanged, until this
+    /// trb_wait_frame on, 64 at most. TRB_ENDED says that the run is over and none is being rendered. What `view` points at lies in shared memory and stays, unchanged, until this
     /// client's next call of trb_wait_frame or trb_disconnect.
     fn trb_wait_frame(client: u64, request_id: u64, timeout_s: f64, view: *mut FramePointers) -> i32 {
         outcome(|| {
@@ -255,11 +257,14 @@ functions! {
     }
 
     /// Asks run control for an action (TRB_CONTROL_PAUSE and so on; `ticks` is for TRB_CONTROL_STEP) and waits for the
-    /// answer. `reply` may be null.
+    /// answer. Action 0 asks for nothing and waits on for the answer of a call that timed out. `reply` may be null.
     fn trb_control_run(client: u64, action: u32, ticks: u64, timeout_s: f64, reply: *mut RunControlReply) -> i32 {
         outcome(|| {
             let limit = limit_of(timeout_s)?;
-            let answer = table::with(client, |slot| slot.client.run_control(action, ticks, limit))?;
+            let answer = table::with(client, |slot| match action {
+                0 => slot.client.await_control(limit),
+                _ => slot.client.run_control(action, ticks, limit),
+            })?;
             if reply.is_null() {
                 return Ok(());
             }

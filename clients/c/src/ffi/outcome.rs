@@ -84,7 +84,9 @@ fn client_status(cause: &ClientError) -> i32 {
             ERROR_NO_SESSION
         }
         ClientError::Layout { .. }
-        | ClientError::Session(SessionError::Layout { .. } | SessionError::Transport { .. }) => ERROR_VERSION,
+        | ClientError::Session(
+            SessionError::Layout { .. } | SessionError::Transport { .. } | SessionError::Version { .. },
+        ) => ERROR_VERSION,
         ClientError::WhichController { .. }
         | ClientError::Session(SessionError::UnknownController { .. }) => ERROR_CONTROLLER,
         ClientError::Session(SessionError::ControllerTaken { .. }) => ERROR_TAKEN,

@@ -1,0 +1,91 @@
+"""Floods in lockstep: each is refused by name, the run is held up by none of them, and its end is heard.
+
+Run by the test `tests/processes/floods.rs` as the external controller `mine` of a lockstep run with X-ray. Ends the run
+itself.
+"""
+
+import math
+import threading
+
+import trabecula as t
+from trabecula import _client
+
+LIMIT_S = 60.0
+library = _client._library
+
+
+def answer(client):
+    with client.command() as command:
+        command.tendon_mode = t.TENDON_SERVO_JF
+        command.tendon_force_n[0] = 2.0
+
+
+client = t.Client()
+client.events()
+tick = client.wait_state(LIMIT_S).tick
+answer(client)
+client.wait_state(LIMIT_S)
+
+# Commands that are none: the tick waits for the one that is.
+for _ in range(5000):
+    with client.command() as command:
+        command.tendon_mode = t.TENDON_SERVO_JF
+        command.tendon_force_n[0] = math.nan
+answer(client)
+assert client.wait_state(LIMIT_S).tick == tick + 2
+
+# Run control: every request is sent, no answer is waited for.
+for _ in range(5000):
+    assert library.trb_control_run(client._handle, 77, 0, 0.0, None) in (t.ERROR_REFUSED, _client.g.TIMEOUT)
+answer(client)
+assert client.wait_state(LIMIT_S).tick == tick + 3
+
+# Frames: beyond the run's end, and far ahead.
+try:
+    client.wait_frame(client.request_frame(10**9), LIMIT_S)
+    raise AssertionError("not refused")
+except t.Error as error:
+    assert error.status == t.ERROR_REFUSED, error
+for _ in range(2000):
+    client.request_frame(999)
+with t.Client(controller="other") as other:
+    # Another program's place is free.
+    state = other.wait_state(LIMIT_S)
+    request = other.request_frame(state.tick)
+    assert other.wait_frame(request, LIMIT_S).frame.request_id == request
+answer(client)
+assert client.wait_state(LIMIT_S).tick == tick + 4
+
+# A client belongs to the thread that made it.
+seen = []
+thread = threading.Thread(target=lambda: seen.append(library.trb_send_command(client._handle)))
+thread.start()
+thread.join()
+assert seen == [t.ERROR_HANDLE], seen
+
+# Waits without an end, or none at all.
+for wait in [
+    lambda: client.wait_state(math.nan),
+    lambda: client.volume(math.nan),
+    lambda: client.run_control(t.CONTROL_PAUSE, timeout_s=math.nan),
+    lambda: t.Client(timeout_s=-1.0),
+]:
+    try:
+        wait()
+        raise AssertionError("not refused")
+    except t.Error as error:
+        assert error.status == t.ERROR_ARGUMENT and "`timeout_s` is" in str(error), error
+
+# A pause is no end; the end ends the wait for a frame that will not come.
+client.run_control(t.CONTROL_PAUSE)
+try:
+    client.wait_state(0.3)
+    raise AssertionError("a tick was made while paused")
+except TimeoutError:
+    pass
+client.run_control(t.CONTROL_STOP)
+try:
+    client.wait_frame(2**63, LIMIT_S)
+    raise AssertionError("a frame came")
+except t.Ended:
+    print("ended")

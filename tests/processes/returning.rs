@@ -1,0 +1,223 @@
+//! Controllers that come late, are killed, and come back.
+
+use std::process::{Child, Command as Program, Stdio};
+use std::time::Duration;
+
+use ipc_types::messages::{
+    ARM_HOLD, CONTROL_PAUSE, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, EVENT_SAFE_COMMAND,
+    SOURCE_FRESH, SOURCE_SAFE, TENDON_SERVO_JF,
+};
+use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
+use rustix::process::Signal;
+use trabecula_client::{Client, ClientError};
+
+use crate::common::client::Pilot;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{LIMIT, Place, Run, signal, wait_for};
+use crate::common::scenes;
+use crate::languages::built;
+use crate::strays::{answer, await_event, joined};
+
+fn holding() -> Command {
+    let mut command = Command { tendon_mode: TENDON_SERVO_JF, arm_mode: ARM_HOLD, ..Command::zeroed() };
+    command.tendon_force_n[0] = 3.0;
+    command
+}
+
+/// A program of a user's own that is the `pilot`.
+fn pilot(run: &Run) -> Child {
+    let mut program = Program::new(built().join("examples/01_hold_tension"));
+    program.env(SESSION_VARIABLE, run.session()).env(CONTROLLER_VARIABLE, "pilot").stdout(Stdio::null());
+    program.spawn().unwrap()
+}
+
+fn kill(mut program: Child) {
+    program.kill().unwrap();
+    program.wait().unwrap();
+}
+
+/// Waits until the pilot's command of the newest state is the one that holds.
+fn await_fresh(observer: &mut Client) -> u64 {
+    loop {
+        let state = observer.wait_state(LIMIT).unwrap();
+        if state.applied[0].source == SOURCE_FRESH {
+            return state.tick;
+        }
+    }
+}
+
+/// A new connection was known by the number 1 of its first command: when that was refused, so were all that followed,
+/// until they had counted past the old ones.
+#[test]
+fn a_returning_controller_whose_first_command_is_refused_goes_on_with_its_second() {
+    let place = Place::new();
+    let run = place.start(&scenes::shared("lockstep", 0.2));
+    let folder = run.session();
+    let mut first = Pilot::join(&folder, "pilot");
+    first.drive_to(100, |_| holding());
+    drop(first);
+    let mut second = Pilot::join(&folder, "pilot");
+    let state = second.next_state();
+    let mut refused = holding();
+    refused.tendon_force_n[0] = f64::NAN;
+    second.answer(&state, refused);
+    second.answer(&state, holding());
+    second.drive_to(200, |_| holding());
+    drop(second);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let applied = read(&ended.folder).ticks[100].state.applied[0];
+    assert_eq!((applied.sequence, applied.source), (2, SOURCE_FRESH));
+    assert_replays(&ended.folder);
+}
+
+/// Only an optional controller that had never commanded could stay away: one that left ended the run.
+#[test]
+fn an_optional_controller_that_is_killed_ends_no_lockstep_run() {
+    let place = Place::new();
+    let scene = scenes::shared("lockstep", 3.0)
+        .replace("external = true", "external = true\noptional = true")
+        .replace("seed = 7", "seed = 7\ncontroller_limit_ms = 400.0");
+    let run = place.start(&scene);
+    let mut observer = joined(&run, "");
+    observer.next_event().unwrap();
+    observer.run_control(CONTROL_PAUSE, 0, LIMIT).unwrap();
+    let pilot = pilot(&run);
+    // Tick by tick until it is there.
+    wait_for("the pilot's command", || {
+        observer.run_control(CONTROL_STEP, 1, LIMIT).unwrap();
+        let state = observer.wait_state(LIMIT).unwrap();
+        (state.applied[0].source == SOURCE_FRESH).then_some(())
+    });
+    kill(pilot);
+    observer.run_control(CONTROL_RESUME, 0, LIMIT).unwrap();
+    await_event(&mut observer, EVENT_SAFE_COMMAND, "controller `pilot`: no answer to tick");
+    drop(observer);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let log = read(&ended.folder);
+    assert_eq!(log.ticks.len(), 3000);
+    assert_eq!(log.ticks.last().unwrap().latched.commands[0].source, SOURCE_SAFE);
+    assert_replays(&ended.folder);
+}
+
+/// An external controller that is killed and started again within its limit is waited for.
+#[test]
+fn a_killed_controller_returns_to_a_lockstep_run() {
+    let place = Place::new();
+    let scene =
+        scenes::shared("lockstep", 600.0).replace("seed = 7", "seed = 7\ncontroller_limit_ms = 60000.0");
+    let run = place.start(&scene);
+    let mut observer = joined(&run, "");
+    let mut ticks = Vec::new();
+    for _ in 0..2 {
+        let pilot = pilot(&run);
+        let begun = await_fresh(&mut observer);
+        while observer.wait_state(LIMIT).unwrap().tick < begun + 20 {}
+        kill(pilot);
+        // Nobody answers: the run stands.
+        while observer.wait_state(Duration::from_millis(100)).is_ok() {}
+        ticks.push(observer.state().unwrap().tick);
+    }
+    assert!(ticks[1] > ticks[0] + 20, "{ticks:?}");
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(observer);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_replays(&ended.folder);
+}
+
+#[test]
+fn an_optional_controller_joins_a_real_time_run_late() {
+    let place = Place::new();
+    let scene =
+        scenes::shared("realtime", 120.0).replace("external = true", "external = true\noptional = true");
+    let run = place.start(&scene);
+    let mut observer = joined(&run, "");
+    while observer.wait_state(LIMIT).unwrap().tick < 100 {}
+    let mut client = joined(&run, "pilot");
+    while client.state().is_none_or(|state| state.applied[0].source != SOURCE_FRESH) {
+        answer(&mut client, 3.0);
+    }
+    assert!(client.state().unwrap().tick > 100);
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop((client, observer));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(read(&ended.folder).ticks[50].latched.commands[0].source, 0, "it was not there at the start");
+    assert_replays(&ended.folder);
+}
+
+/// A controller that dies holding a command in shared memory gives its name and the memory free.
+#[test]
+fn a_controller_that_dies_with_a_loaned_command_can_be_replaced() {
+    const VICTIM: &str = "TRABECULA_TEST_DIES_WITH_A_LOAN";
+    if std::env::var_os(VICTIM).is_some() {
+        let mut client = Client::connect(&trabecula_client::Connection::default()).unwrap();
+        client.wait_state(LIMIT).unwrap();
+        client.command().unwrap().tendon_mode = TENDON_SERVO_JF;
+        signal(std::process::id(), Signal::KILL);
+    }
+    let place = Place::new();
+    let run = place.start(&scenes::shared("lockstep", 600.0));
+    let name = "returning::a_controller_that_dies_with_a_loaned_command_can_be_replaced";
+    let mut victim = Program::new(std::env::current_exe().unwrap());
+    victim.args([name, "--exact"]).env(VICTIM, "1").stdout(Stdio::null());
+    victim.env(SESSION_VARIABLE, run.session()).env(CONTROLLER_VARIABLE, "pilot");
+    let status = victim.status().unwrap();
+    assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(9), "{status}");
+    let mut client = joined(&run, "pilot");
+    for _ in 0..20 {
+        answer(&mut client, 3.0);
+    }
+    assert!(client.wait_state(LIMIT).unwrap().tick >= 20);
+    client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(client);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_replays(&ended.folder);
+}
+
+/// The limit of an external controller ran from the start, though there was nothing to answer before the recorder was
+/// there.
+#[test]
+fn a_controller_is_measured_from_the_first_state_on() {
+    let place = Place::new();
+    let scene =
+        scenes::shared("lockstep", 0.2).replace("external = true", "external = true\nconnect_limit_s = 1.0");
+    let run = place.start(&scene);
+    let recorder = run.part("recorder");
+    signal(recorder, Signal::STOP);
+    let mut pilot = Pilot::join(&run.session(), "pilot");
+    std::thread::sleep(Duration::from_millis(1500));
+    signal(recorder, Signal::CONT);
+    pilot.drive_to(200, |_| holding());
+    drop(pilot);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+}
+
+/// A hub that was killed leaves its folder: its clients took it for alive.
+#[test]
+fn a_killed_hub_is_noticed_though_its_folder_is_left() {
+    let place = Place::new();
+    let run = place.start(&scenes::shared("lockstep", 600.0));
+    let folder = run.session();
+    let mut client = joined(&run, "pilot");
+    client.wait_state(LIMIT).unwrap();
+    let physics = run.part("physics");
+    // It must not say that the run has ended.
+    signal(physics, Signal::STOP);
+    signal(run.pid(), Signal::KILL);
+    let outcome = client.wait_state(LIMIT).map(|state| state.tick);
+    signal(physics, Signal::KILL);
+    assert!(matches!(outcome, Err(ClientError::HubGone { .. })), "{outcome:?}");
+    assert!(folder.join("session.json").exists());
+    let limit = Duration::from_millis(50);
+    let session = Some(folder.to_str().unwrap().to_owned());
+    let again = Client::connect(&trabecula_client::Connection { session, controller: None, limit });
+    assert!(matches!(again, Err(ClientError::NoSession { .. })), "{again:?}");
+    drop(client);
+    run.end();
+    ipc_types::session::wipe_dead_sessions();
+}

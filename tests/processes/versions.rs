@@ -1,0 +1,63 @@
+//! A hub of another version, and more programs than a session has room for.
+
+use std::fs;
+
+use ipc_types::messages::{CONTROL_STOP, State};
+use ipc_types::services;
+use ipc_types::session::{Session, SessionError};
+use trabecula_client::{Client, ClientError, Connection};
+
+use crate::common::program::{LIMIT, Place};
+use crate::common::scenes;
+use crate::strays::joined;
+
+/// What another version writes into its files was read first, and its error was one of reading.
+#[test]
+fn a_hub_of_another_version_is_refused_as_such_whatever_its_files_say() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 120.0));
+    let folder = run.session();
+    let mut observer = joined(&run, "");
+    let files = ["session.json", "scene.toml"].map(|name| folder.join(name));
+    let texts = files.clone().map(|path| fs::read_to_string(path).unwrap());
+    let mut announcement: serde_json::Value = serde_json::from_str(&texts[0]).unwrap();
+    announcement["trabecula"] = "0.2.0".into();
+    announcement.as_object_mut().unwrap().remove("policy");
+    fs::write(&files[0], announcement.to_string()).unwrap();
+    fs::write(&files[1], format!("a_key_of_another_version = 1\n{}", texts[1])).unwrap();
+    let session = Some(folder.to_str().unwrap().to_owned());
+    let refused = Client::connect(&Connection { session, controller: Some(String::new()), limit: LIMIT });
+    files.iter().zip(&texts).for_each(|(path, text)| fs::write(path, text).unwrap());
+    let error = refused.unwrap_err();
+    assert!(matches!(error, ClientError::Session(SessionError::Version { .. })), "{error}");
+    let text = error.to_string();
+    assert!(text.contains("Trabecula 0.2.0") && text.contains(env!("CARGO_PKG_VERSION")), "{text}");
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(observer);
+    assert_eq!(run.end().code, Some(0));
+}
+
+/// The ninth program that read the states was refused with the transport's own words.
+#[test]
+fn a_session_has_room_for_ten_observers_and_refuses_more_by_name() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 120.0));
+    let mut observer = joined(&run, "");
+    observer.wait_state(LIMIT).unwrap();
+    let session = Session::join(&run.session()).unwrap();
+    let mut readers = Vec::new();
+    let error = loop {
+        match session.subscriber::<State>(&services::STATE) {
+            Ok(reader) => readers.push(reader),
+            Err(error) => break error,
+        }
+    };
+    assert!(readers.len() >= 10, "{} more readers", readers.len());
+    let text = error.to_string();
+    assert!(matches!(error, SessionError::Crowded { .. }), "{text}");
+    assert!(text.contains("service `state`: 16 programs read it already"), "{text}");
+    drop(readers);
+    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(observer);
+    assert_eq!(run.end().code, Some(0));
+}
