@@ -312,7 +312,7 @@ const CONNECTIONS_BYTES: u64 = 2 << 20;
 
 /// The transport touches memory before it is reserved; where there is none that is a SIGBUS, so a port is made only
 /// where there is enough.
-fn require_free_memory(service: &str, bytes: u64) -> Result<(), SessionError> {
+pub(crate) fn require_free_memory(service: &str, bytes: u64) -> Result<(), SessionError> {
     let bytes = bytes + CONNECTIONS_BYTES;
     match rustix::fs::statvfs(SHARED_MEMORY) {
         Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {

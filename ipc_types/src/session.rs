@@ -21,6 +21,7 @@ use rustix::fs::FlockOperation;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::client::require_free_memory;
 use crate::scene::{Policy, Wait};
 use crate::services::{self, SAMPLES_HELD, Service};
 use crate::wake::WakeFlags;
@@ -351,6 +352,8 @@ fn transport_config(folder: &Path, id: &str) -> Result<Config, SessionError> {
 }
 
 pub(crate) fn create_node(folder: &Path, id: &str) -> Result<Node<ipc::Service>, SessionError> {
+    // The node's and the services' own segments come before any port's.
+    require_free_memory("session", 0)?;
     // Every failure comes back as an error of ours; the transport's own log would only say it twice.
     set_log_level(LogLevel::Fatal);
     NodeBuilder::new()

@@ -95,10 +95,11 @@ fn a_client_of_another_layout_is_refused_with_both_layouts() {
     announcement.layouts.insert("state".to_owned(), "0123456789abcdef".to_owned());
     std::fs::write(host.session.folder().join("session.json"), serde_json::to_string(&announcement).unwrap())
         .unwrap();
-    let client = Session::join(host.session.folder()).unwrap();
-    let refusal = client.subscriber::<State>(&services::STATE).unwrap_err().to_string();
+    let refusal = Session::join(host.session.folder()).unwrap_err().to_string();
     assert!(refusal.contains("0123456789abcdef") && refusal.contains("State"), "{refusal}");
     // A message of another type under a known name is refused as well.
+    host.announce().unwrap();
+    let client = Session::join(host.session.folder()).unwrap();
     assert!(client.subscriber::<Event>(&services::STATE).is_err());
     assert!(client.subscriber::<Command>(&services::EVENT).is_err());
 }

@@ -43,6 +43,7 @@ impl Flood {
             |session| {
                 let states = session.subscriber::<State>(&services::STATE).unwrap();
                 let commands = session.command_publisher("pilot").unwrap();
+                wait_for("the first state", || states.receive().unwrap().map(|_| ()));
                 // The first one is taken, so that the run begins.
                 let command = Command { sequence: 1, ..Command::zeroed() };
                 commands.send(&command).unwrap();

@@ -144,11 +144,12 @@ fn steps_without_end_stay_so_and_a_pause_before_the_start_is_no_start() {
     let place = Place::new();
     let run = place.start(&scenes::piloted("lockstep", 100.0, ""));
     let mut pilot = Pilot::join(&run.session(), "pilot");
+    // The physics is there, and waits for the pilot's first command.
+    let initial = pilot.next_state();
     assert_eq!(pilot.client.ask(CONTROL_PAUSE, 0).status, CONTROL_DONE);
     let status = wait_for("the status", || pilot.client.status.receive_newest().unwrap());
     assert_eq!(status.message().phase, PHASE_CONNECTING);
     drop(status);
-    let initial = pilot.next_state();
     pilot.answer(&initial, rest(&initial));
     assert_stands(&pilot, 0);
     for _ in 0..2 {

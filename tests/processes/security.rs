@@ -294,7 +294,8 @@ fn exported_pictures_and_attachments_with_paths_for_names_stay_in_the_folder() {
     assert_eq!(rename_attachments(&log, &place.path("back.mcap"), &[("../../evil", "scene.toml")]), 1);
     let inside = place.path("in/deep/folder/back");
     let codes = read_by_every_command(&place, &place.path("back.mcap"), &inside);
-    assert_eq!(codes, [0; 8], "info, cat, repair, compress, export twice, split, replay");
+    // There is nothing to split in a log of one run.
+    assert_eq!(codes, [0, 0, 0, 0, 0, 0, 1, 0], "info, cat, repair, compress, export twice, split, replay");
     let pictures = fs::read_dir(inside.join("frames")).unwrap().count();
     assert!(pictures >= 3, "{pictures} pictures");
     assert!(!Path::new("/tmp/trabecula_e").exists());

@@ -91,13 +91,19 @@ fn garbage_of_a_stray_publisher_is_refused_and_ends_nobody() {
     observer.wait_state(LIMIT).unwrap();
     let stray = Session::join(&run.session()).unwrap();
     let bytes = [0x5a; 7];
-    stray.command_publisher("pilot").unwrap().send_parts(&[&bytes]).unwrap();
-    stray.publisher::<RunControl>(&services::RUN_CONTROL).unwrap().send_parts(&[&bytes]).unwrap();
-    stray.publisher::<DrrRequest>(&services::DRR_REQUEST).unwrap().send_parts(&[&bytes]).unwrap();
-    stray.publisher::<Event>(&services::EVENT).unwrap().send_parts(&[&bytes]).unwrap();
-    stray.publisher::<Progress>(&services::PROGRESS).unwrap().send_parts(&[&bytes]).unwrap();
+    // They live until the event is here: a message goes with its publisher.
+    let command = stray.command_publisher("pilot").unwrap();
+    let control = stray.publisher::<RunControl>(&services::RUN_CONTROL).unwrap();
+    let request = stray.publisher::<DrrRequest>(&services::DRR_REQUEST).unwrap();
+    let event = stray.publisher::<Event>(&services::EVENT).unwrap();
+    let progress = stray.publisher::<Progress>(&services::PROGRESS).unwrap();
+    command.send_parts(&[&bytes]).unwrap();
+    control.send_parts(&[&bytes]).unwrap();
+    request.send_parts(&[&bytes]).unwrap();
+    event.send_parts(&[&bytes]).unwrap();
+    progress.send_parts(&[&bytes]).unwrap();
     await_event(&mut observer, EVENT_COMMAND_REFUSED, "controller `pilot`: a message of 7 bytes");
-    drop(stray);
+    drop((command, control, request, event, progress, stray));
     // Everybody goes on: the physics, the DRR process, and the recorder, whose log is whole.
     let request = observer.request_frame(None, observer.state().unwrap().tick).unwrap();
     observer.wait_frame(request, LIMIT).unwrap();

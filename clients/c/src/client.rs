@@ -398,6 +398,14 @@ impl Client {
         ticks: u64,
         limit: Duration,
     ) -> Result<RunControlReply, ClientError> {
+        // Whoever obeys says first that it is there; what was sent before that is lost.
+        let deadline = Instant::now() + limit;
+        while self.status()?.is_none() {
+            if Instant::now() >= deadline {
+                return Err(ClientError::TimedOut(limit));
+            }
+            std::thread::sleep(OBSERVER_LOOK);
+        }
         let control = match &mut self.control {
             Some(control) => control,
             none => none.insert(Control {

@@ -7,7 +7,7 @@ use ipc_types::scene::Mode;
 use ipc_types::services::DRR_REQUEST;
 
 /// Requests of one program that may wait; further ones are refused as busy.
-const MAX_WAITING_EACH: usize = 4;
+const MAX_WAITING_EACH: usize = 8;
 /// Requests of all programs that may wait: of as many as may be connected.
 const MAX_WAITING: usize = MAX_WAITING_EACH * DRR_REQUEST.max_publishers;
 

@@ -259,6 +259,7 @@ impl<'v> Runner<'v> {
             if self.ends() || self.rests() {
                 return Ok(());
             }
+            self.send_status(self.phase(), false)?;
             if !came {
                 // A controller that has come back needs the state that it is to answer.
                 self.ports.state.deliver_history()?;
