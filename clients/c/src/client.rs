@@ -117,6 +117,8 @@ struct Control {
     replies: Subscriber<RunControlReply>,
     /// The newest request: its number and what it asks for.
     asked: Option<(u64, u32)>,
+    /// What has not been sent yet, because nobody who would obey has been heard of.
+    unsent: Option<RunControl>,
 }
 
 #[derive(Debug)]
@@ -398,14 +400,6 @@ impl Client {
         ticks: u64,
         limit: Duration,
     ) -> Result<RunControlReply, ClientError> {
-        // Whoever obeys says first that it is there; what was sent before that is lost.
-        let deadline = Instant::now() + limit;
-        while self.status()?.is_none() {
-            if Instant::now() >= deadline {
-                return Err(ClientError::TimedOut(limit));
-            }
-            std::thread::sleep(OBSERVER_LOOK);
-        }
         let control = match &mut self.control {
             Some(control) => control,
             none => none.insert(Control {
@@ -413,12 +407,12 @@ impl Client {
                 // Answers to others must not push out the one to this client.
                 replies: self.session.lossless_subscriber(&services::RUN_CONTROL_REPLY)?,
                 asked: None,
+                unsent: None,
             }),
         };
         let request_id = new_request_id();
-        control.publisher.send(&RunControl { request_id, ticks, action, reserved: 0 })?;
+        control.unsent = Some(RunControl { request_id, ticks, action, reserved: 0 });
         control.asked = Some((request_id, action));
-        self.physics.wake();
         self.await_control(limit)
     }
 
@@ -436,6 +430,13 @@ impl Client {
             let Some((control, (request_id, action))) = control else {
                 return Err(ClientError::Misuse("no action has been asked for whose answer is due"));
             };
+            // Whoever obeys says first that it is there; what was sent before that is lost.
+            if self.newest_status.is_some()
+                && let Some(request) = control.unsent.take()
+            {
+                control.publisher.send(&request)?;
+                self.physics.wake();
+            }
             while let Some(reply) = control.replies.receive()? {
                 let reply = *reply.message();
                 if reply.request_id == request_id {
