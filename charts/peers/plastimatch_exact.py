@@ -1,9 +1,7 @@
-"""plastimatch's exact projector (Siddon) on the volume and poses of `trabecula chart drr`.
+"""plastimatch's exact projector (Siddon) on the volume and poses of `trabecula chart drr`: see poses.py.
 
-Input: the folder with mu.raw and poses.json; output as src/charts/drr/peers.rs says. The time is what the program prints for the
-projection alone, without reading and writing.
+The time is what the program prints for the projection alone, without reading and writing.
 """
-import json
 import os
 import re
 import subprocess
@@ -12,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-folder = Path(sys.argv[1])
-plan = json.loads((folder / "poses.json").read_text())
+from poses import folder, plan, save, threads_of_all
+
 program = Path(sys.executable).with_name("plastimatch")
 volume = folder / "plastimatch.mha"
 words = lambda values: " ".join(str(v) for v in values)
@@ -32,7 +30,7 @@ for pose in plan["poses"]:
     # The isocentre is where the user says; here in the middle between source and detector. The normal points to the source.
     normal = (source - centre) / distance
     middle = 0.5 * (source + centre)
-    for threads in (1, 2):
+    for threads in threads_of_all:
         for _ in range(plan["rounds"]):
             run = subprocess.run(
                 [program, "drr", "-A", "cpu", "-i", "exact", "-P", "none", "-t", "raw",
@@ -47,4 +45,4 @@ for pose in plan["poses"]:
             print(pose["name"], threads, (total - files) * 1e3, flush=True)
         # plastimatch integrates over centimetres, and its rows run the other way.
         image = 10.0 * np.fromfile(folder / "plastimatch_0000.raw", dtype="<f4").reshape(rows, columns)[:, ::-1]
-        image.astype("<f4").tofile(folder / f"plastimatch_exact_{pose['name']}_{threads}.raw")
+        save("plastimatch_exact", pose, threads, image)

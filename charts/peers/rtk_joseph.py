@@ -1,23 +1,15 @@
-"""RTK's Joseph forward projector on the volume and poses of `trabecula chart drr`.
-
-Input: the folder with mu.raw and poses.json; output as src/charts/drr/peers.rs says.
-"""
+"""RTK's Joseph forward projector on the volume and poses of `trabecula chart drr`: see poses.py."""
 import itertools
-import json
 import sys
 import time
-from pathlib import Path
 
 import itk
 import numpy as np
 from itk import RTK as rtk
 
-folder = Path(sys.argv[1])
-plan = json.loads((folder / "poses.json").read_text())
-nx, ny, nz = plan["dims"]
-array = np.fromfile(folder / "mu.raw", dtype="<f4").reshape(nz, ny, nx)
-volume = itk.image_from_array(array)
-volume.SetSpacing(plan["spacing_mm"])
+from poses import itk_volume, plan, save, threads_of_all
+
+volume = itk_volume()
 volume.SetOrigin(plan["origin_mm"])
 image_type = type(volume)
 
@@ -42,8 +34,7 @@ for pose in plan["poses"]:
         differences = (u / w - hit @ row) / pitch[0], (v / w - hit @ column) / pitch[1]
         if max(map(abs, differences)) > 1e-6:
             sys.exit(f"{pose['name']}: RTK sees {point} {differences} pixel away")
-    for threads in (1, 2):
-        best = None
+    for threads in threads_of_all:
         for _ in range(plan["rounds"]):
             blank = itk.image_from_array(np.zeros((1, rows, columns), dtype="<f4"))
             blank.SetSpacing([pitch[0], pitch[1], 1.0])
@@ -57,5 +48,5 @@ for pose in plan["poses"]:
             began = time.perf_counter()
             projector.Update()
             print(pose["name"], threads, (time.perf_counter() - began) * 1e3, flush=True)
-            best = itk.array_from_image(projector.GetOutput())
-        best.astype("<f4").tofile(folder / f"rtk_joseph_{pose['name']}_{threads}.raw")
+            image = itk.array_from_image(projector.GetOutput())
+        save("rtk_joseph", pose, threads, image)

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::failure::Failure;
 
-/// The scripts `NAME.py` of a folder, with their names, in order.
+/// The scripts `NAME.py` of a folder that have their packages in `NAME.txt`, with their names, in order; others are what these share.
 ///
 /// # Errors
 /// Bad input: no folder.
@@ -13,7 +13,7 @@ pub fn scripts(folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     let mut scripts: Vec<PathBuf> = std::fs::read_dir(folder)
         .map_err(|cause| Failure::bad_input(format!("{}: cannot be read ({cause})", folder.display())))?
         .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| path.extension().is_some_and(|e| e == "py"))
+        .filter(|path| path.extension().is_some_and(|e| e == "py") && path.with_extension("txt").exists())
         .collect();
     scripts.sort();
     let named = |script: PathBuf| {
