@@ -36,6 +36,7 @@ pub mod header;
 mod index;
 pub mod info;
 pub mod join;
+mod mcap_writer;
 pub mod misses;
 pub mod new_file;
 mod order;

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{Channel, MessageHeader, Metadata, SchemaHeader};
 use mcap::write::NoSeek;
-use mcap::{Attachment, Compression, Writer};
+use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use crate::error::LogError;
 use crate::index::Summary;
 use crate::new_file::NewFile;
-use crate::sink::{encode_error, write_options};
+use crate::sink::{LIBRARY, PROFILE};
 use crate::walk::Piece;
 
 /// How chunks are packed.
@@ -61,8 +61,10 @@ impl Rewriter {
     pub fn create(path: &Path, packing: Packing) -> Result<Rewriter, LogError> {
         let (file, made) = NewFile::create(path)?;
         let (compression, level) = packing.compression();
+        // Chunks end where we say, and the bytes depend on nothing but the calls.
         let options =
-            write_options().compression(compression).compression_level(level).compression_threads(0);
+            WriteOptions::new().library(LIBRARY).profile(PROFILE).chunk_size(None).disable_seeking(true);
+        let options = options.compression(compression).compression_level(level).compression_threads(0);
         let writer = options.create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)));
         Ok(Rewriter {
             writer: writer.map_err(|error| encode_error(path, error))?,
@@ -164,5 +166,12 @@ impl Rewriter {
         let flushed = std::io::Write::flush(&mut file);
         flushed.map_err(|source| LogError::Write { path: self.path, source })?;
         Ok(self.made)
+    }
+}
+
+fn encode_error(path: &Path, error: McapError) -> LogError {
+    match error {
+        McapError::Io(source) => LogError::Write { path: path.into(), source },
+        source => LogError::Encode { path: path.into(), source },
     }
 }

@@ -6,17 +6,18 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use ipc_types::layout::{CDR_LITTLE_ENDIAN, Description};
-use mcap::records::{MessageHeader, Metadata};
-use mcap::write::NoSeek;
-use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
+use mcap::records::MessageHeader;
 
 use crate::end::{END_RECORD, EndMarker};
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTACHMENT};
+use crate::mcap_writer::McapWriter;
 use crate::topics;
 
 /// Says that all channels are `cdr` of `ros2msg` schemas; `rosbags` opens no file without it.
-const PROFILE: &str = "ros2";
+pub(crate) const PROFILE: &str = "ros2";
+/// Who wrote a log.
+pub(crate) const LIBRARY: &str = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
 /// A chunk is closed after this much simulated time, so that a killed recorder loses no more.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.
@@ -32,7 +33,7 @@ struct Channel {
 
 /// An MCAP file being written. Its bytes are a function of the calls alone.
 pub(crate) struct Sink<W: Write> {
-    writer: Writer<NoSeek<W>>,
+    writer: McapWriter<W>,
     path: PathBuf,
     channels: Vec<Channel>,
     dt_ns: u64,
@@ -51,33 +52,21 @@ pub(crate) fn create_file(path: &Path) -> Result<BufWriter<File>, LogError> {
     Ok(BufWriter::with_capacity(1 << 16, file))
 }
 
-/// Of all logs: chunks end where we say, and the bytes depend on nothing but the calls.
-pub(crate) fn write_options() -> WriteOptions {
-    let library = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
-    WriteOptions::new().library(library).profile(PROFILE).chunk_size(None).disable_seeking(true)
-}
-
 impl<W: Write> Sink<W> {
     /// Writes the header: scene and calibration as attachments, everything else as metadata.
     pub fn create(w: W, path: &Path, header: &LogHeader, lane: &str) -> Result<Sink<W>, LogError> {
-        let fail = |error| encode_error(path, error);
-        let mut writer =
-            write_options().compression(Some(Compression::Lz4)).create(NoSeek::new(w)).map_err(fail)?;
+        let fail = |source| LogError::Write { path: path.into(), source };
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let mut writer = McapWriter::create(w, folder, PROFILE, LIBRARY).map_err(fail)?;
         let attachments = [
             (SCENE_ATTACHMENT, "application/toml", Some(&header.scene_toml)),
             (CALIBRATION_ATTACHMENT, "application/json", header.calibration_json.as_ref()),
         ];
         for (name, media_type, text) in attachments {
             let Some(text) = text else { continue };
-            let (name, media_type) = (name.to_string(), media_type.to_string());
-            let data = text.as_bytes().into();
-            let attachment = Attachment { log_time: 0, create_time: 0, name, media_type, data };
-            writer.attach(&attachment).map_err(fail)?;
+            writer.attach(name, media_type, text.as_bytes()).map_err(fail)?;
         }
-        let entries = header.to_metadata(lane);
-        writer
-            .write_metadata(&Metadata { name: HEADER_RECORD.to_string(), metadata: entries })
-            .map_err(fail)?;
+        writer.metadata(HEADER_RECORD, header.to_metadata(lane)).map_err(fail)?;
         let dt_ns = header.dt_ns.max(1);
         Ok(Sink {
             writer,
@@ -103,10 +92,10 @@ impl<W: Write> Sink<W> {
         }
         let (name, text) = topics::schema_of(description);
         let path = &self.path;
-        let fail = |error| encode_error(path, error);
-        let schema = self.writer.add_schema(name, "ros2msg", text.as_bytes()).map_err(fail)?;
+        let fail = |source| LogError::Write { path: path.clone(), source };
+        let schema = self.writer.schema(name, "ros2msg", text.as_bytes()).map_err(fail)?;
         let facts = topics::channel_metadata(description);
-        let id = self.writer.add_channel(schema, topic, "cdr", &facts).map_err(fail)?;
+        let id = self.writer.channel(schema, topic, "cdr", facts).map_err(fail)?;
         self.channels.push(Channel { topic: topic.to_string(), id, count: 0 });
         Ok(self.channels.len() - 1)
     }
@@ -126,9 +115,8 @@ impl<W: Write> Sink<W> {
         let time = tick.saturating_mul(self.dt_ns);
         let sequence = channel.count as u32;
         let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
-        self.writer
-            .write_to_known_channel(&header, &self.scratch)
-            .map_err(|e| encode_error(&self.path, e))?;
+        let written = self.writer.message(&header, &self.scratch);
+        written.map_err(|source| LogError::Write { path: self.path.clone(), source })?;
         channel.count += 1;
         self.chunk_bytes += self.scratch.len();
         Ok(())
@@ -147,7 +135,7 @@ impl<W: Write> Sink<W> {
     /// Closes the open chunk and hands its bytes to the operating system.
     pub fn close_chunk(&mut self) -> Result<(), LogError> {
         self.chunk_bytes = 0;
-        self.writer.flush().map_err(|error| encode_error(&self.path, error))
+        self.writer.flush().map_err(|source| LogError::Write { path: self.path.clone(), source })
     }
 
     /// Messages written, by topic.
@@ -158,19 +146,8 @@ impl<W: Write> Sink<W> {
     /// Writes the end marker, the index and the footer.
     pub fn finish(mut self, marker: &EndMarker) -> Result<W, LogError> {
         self.close_chunk()?;
-        let fail = |error| encode_error(&self.path, error);
-        let metadata = Metadata { name: END_RECORD.to_string(), metadata: marker.to_metadata() };
-        self.writer.write_metadata(&metadata).map_err(fail)?;
-        self.writer.finish().map_err(fail)?;
-        let mut inner = self.writer.into_inner().into_inner();
-        inner.flush().map_err(|source| LogError::Write { path: self.path.clone(), source })?;
-        Ok(inner)
-    }
-}
-
-pub(crate) fn encode_error(path: &Path, error: McapError) -> LogError {
-    match error {
-        McapError::Io(source) => LogError::Write { path: path.into(), source },
-        source => LogError::Encode { path: path.into(), source },
+        let fail = |source| LogError::Write { path: self.path.clone(), source };
+        self.writer.metadata(END_RECORD, marker.to_metadata()).map_err(fail)?;
+        self.writer.finish().map_err(fail)
     }
 }
