@@ -12,6 +12,7 @@ use ipc_types::scene::{CurvedDrilling, Feedback, Scene};
 use nalgebra::Vector3;
 
 use crate::Controller;
+use crate::bone_seen::BoneSeen;
 use crate::calibration::{Calibration, CalibrationError};
 use crate::geometry::{back_project, position_m, rotation};
 use crate::tip_finder::find_tip;
@@ -36,7 +37,7 @@ pub struct CurvedDrillingController {
     start: Option<Start>,
     correction_n: f64,
     phase: Phase,
-    removed_total: u64,
+    bone: BoneSeen,
     remark: Option<String>,
 }
 
@@ -82,7 +83,7 @@ impl CurvedDrillingController {
             start: None,
             correction_n: 0.0,
             phase: Phase::Feeding,
-            removed_total: 0,
+            bone: BoneSeen::default(),
             remark: None,
         };
         if let Some(calibration) = &controller.calibration {
@@ -110,12 +111,10 @@ impl CurvedDrillingController {
     }
 
     fn begin(&mut self, state: &State) -> Start {
-        // Bone comes back only when the run is set back to its beginning: so is this controller.
-        if state.removed_total < self.removed_total {
+        if self.bone.is_back(state) {
             (self.start, self.phase, self.correction_n, self.shape_due_s) = (None, Phase::Feeding, 0.0, 0.0);
             self.remark = Some("the run was set back: begins anew".to_owned());
         }
-        self.removed_total = state.removed_total;
         let turn = rotation(&state.t_world_base);
         let start = Start {
             t_world_flange: state.t_world_flange,

@@ -3,6 +3,7 @@
 //! A controller is anything that turns a [`State`] into a [`Command`] once a tick. Those here are deterministic: no
 //! clock, no randomness, so that a lockstep run repeats bit for bit.
 
+mod bone_seen;
 mod calibration;
 mod curved_drilling;
 mod geometry;

@@ -5,6 +5,7 @@ use ipc_types::scene::Skiving;
 use nalgebra::Vector3;
 
 use crate::Controller;
+use crate::bone_seen::BoneSeen;
 use crate::geometry::{position_m, rotation};
 
 /// Depth between two reports.
@@ -27,7 +28,7 @@ pub struct SkivingController {
     plan: Skiving,
     start: Option<Start>,
     points: Vec<SkivingPoint>,
-    removed_total: u64,
+    bone: BoneSeen,
     remark: Option<String>,
 }
 
@@ -43,13 +44,8 @@ struct Start {
 impl SkivingController {
     /// A controller for this plan.
     pub fn new(plan: &Skiving) -> SkivingController {
-        SkivingController {
-            plan: plan.clone(),
-            start: None,
-            points: Vec::new(),
-            removed_total: 0,
-            remark: None,
-        }
+        let bone = BoneSeen::default();
+        SkivingController { plan: plan.clone(), start: None, points: Vec::new(), bone, remark: None }
     }
 
     /// What has been reported so far: one point a millimetre, and one at the end.
@@ -92,11 +88,9 @@ impl Controller for SkivingController {
             across: turn * Vector3::y(),
             along: turn * Vector3::z(),
         };
-        // Bone comes back only when the run is set back to its beginning: so is this controller.
-        if state.removed_total < self.removed_total {
+        if self.bone.is_back(state) {
             (self.start, self.points) = (None, Vec::new());
         }
-        self.removed_total = state.removed_total;
         let start = *self.start.get_or_insert(begin);
         self.look(&start, state);
         command.tendon_mode = TENDON_SERVO_JF;

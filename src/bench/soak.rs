@@ -49,12 +49,9 @@ pub fn run(scene: &Path, minutes: f64, policy: Option<Policy>, output: Option<&P
     let plan = RunPlan { scene, output: Some(folder.to_owned()), view: None };
     let mut watch = Watch::new(minutes, plan.scene.run.policy);
     let result = run_scene(&plan, &end, |glance| watch.look(glance)).map_err(failed)?;
-    let summary = report::write(folder, &result.facts(String::new())).map_err(failed)?;
-    say!(
-        "scene {}, {minutes} minutes in real time, recorded; {}",
-        plan.scene.name,
-        result.facts(String::new()).outcome
-    );
+    let facts = result.facts(String::new());
+    let summary = report::write(folder, &facts).map_err(failed)?;
+    say!("scene {}, {minutes} minutes in real time, recorded; {}", plan.scene.name, facts.outcome);
     slowed.iter().for_each(|line| say!("{line}"));
     say!();
     print_run(&result, &summary);
@@ -133,7 +130,7 @@ impl Watch {
             let done_min = at.as_secs_f64() / 60.0;
             let missed = glance.status.map_or(0, |status| status.missed_ticks);
             let left_min = (self.minutes - done_min).max(0.0);
-            eprintln!(
+            tell!(
                 "{done_min:.1} min, {missed} ticks missed, {} frames; about {left_min:.1} min left",
                 glance.frames
             );

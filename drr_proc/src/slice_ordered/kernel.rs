@@ -270,7 +270,6 @@ pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     let mut find = |rows: &mut TileRows| {
         slices.find(|(tile, slice)| {
             let from = first_row + tile * TILE_ROWS;
-            rows.runs.clear();
             let meets = slice.rows.0.max(from) < slice.rows.1.min(from + TILE_ROWS);
             meets && slice.groups.0 < slice.groups.1 && rows.place(copy, plan, slice, from)
         })

@@ -137,7 +137,7 @@ impl Progress {
         if said.elapsed() > SAY_EVERY {
             *said = Instant::now();
             let rest = self.began.elapsed().as_secs_f64() * (self.all - done) as f64 / done as f64;
-            eprintln!("stability: {done} of {} runs, about {rest:.0} s left", self.all);
+            tell!("stability: {done} of {} runs, about {rest:.0} s left", self.all);
         }
     }
 }

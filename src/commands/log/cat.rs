@@ -53,7 +53,7 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     if let Ok(ending) = &ending
         && !ending.is_complete()
     {
-        eprintln!("trabecula: {}: {}", log.display(), ending.describe());
+        tell!("trabecula: {}: {}", log.display(), ending.describe());
     }
     quiet_pipe(ending.map(|_| ()))
 }

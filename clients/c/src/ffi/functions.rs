@@ -65,8 +65,9 @@ functions! {
     }
 
     /// Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; a message that the
-    /// library or the hub lays out otherwise, or another version of these functions (Abi), is refused by name. `session` is a session's folder or name; null takes the
-    /// folder in the environment variable TRABECULA_SESSION, or else this user's session that was announced last.
+    /// library or the hub lays out otherwise, or another version of these functions (Abi), is refused by name. `session` is
+    /// a session's folder or name; null takes the folder in the environment variable TRABECULA_SESSION, or else this
+    /// user's session that was announced last.
     /// `controller` is a controller's name in the scene, or empty for an observer that commands nothing; null takes the name
     /// in TRABECULA_CONTROLLER, or else the scene's only external controller. Waits at most `timeout_s` for the session.
     /// `client` receives a handle, which belongs to the calling thread.
@@ -217,8 +218,8 @@ functions! {
 
     /// Waits for a frame: that of a request, or with `request_id` 0 the next one of any kind; with a request, others that
     /// come before it are passed over. Frames are kept from this client's first call of trb_request_frame or
-    /// trb_wait_frame on, 64 at most. TRB_ENDED says that the run is over and none is being rendered. What `view` points at lies in shared memory and stays, unchanged, until this
-    /// client's next call of trb_wait_frame or trb_disconnect.
+    /// trb_wait_frame on, 64 at most. TRB_ENDED says that the run is over and none is being rendered. What `view` points at
+    /// lies in shared memory and stays, unchanged, until this client's next call of trb_wait_frame or trb_disconnect.
     fn trb_wait_frame(client: u64, request_id: u64, timeout_s: f64, view: *mut FramePointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;
