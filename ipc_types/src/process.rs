@@ -98,6 +98,27 @@ pub fn bind_to_parent(command: &mut Command) -> &mut Command {
     }
 }
 
+/// Processor time of a process so far, in user and in system mode.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ProcessorTime {
+    /// Of all its threads.
+    pub own: Duration,
+    /// Of the processes that it started and that have ended.
+    pub children: Duration,
+}
+
+impl ProcessorTime {
+    /// Of a process by its number, or of `self`; none for one that is gone.
+    pub fn of(process: &str) -> Option<ProcessorTime> {
+        let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+        // Fields 14 to 17 of all, 11 to 14 behind the name, which may hold anything (proc_pid_stat(5)); hundredths of a second.
+        let (_, fields) = text.rsplit_once(')')?;
+        let mut times = fields.split_whitespace().skip(11).map(|field| field.parse::<u64>().ok());
+        let mut two = || Some(Duration::from_millis(10 * (times.next()?? + times.next()??)));
+        Some(ProcessorTime { own: two()?, children: two()? })
+    }
+}
+
 /// What a part is to the run, the most urgent first. Under overload a later one gives way to an earlier one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {

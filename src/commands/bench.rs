@@ -1,8 +1,8 @@
 //! `trabecula bench`: what the hub costs on this machine.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use clap::Subcommand;
+use clap::{Args, Subcommand};
 use ipc_types::scene::Policy;
 
 use super::run::{DEFAULT_SCENE, PolicyArgument};
@@ -12,6 +12,28 @@ use crate::bench::{
     xray,
 };
 use crate::failure::Failure;
+
+/// A scene in real time, without and with something in turn.
+#[derive(Debug, Args)]
+pub struct InTurn {
+    /// Scene.
+    #[arg(default_value = DEFAULT_SCENE)]
+    scene: PathBuf,
+    /// Seconds of a run, 1 to 3600.
+    #[arg(long, default_value_t = 10.0)]
+    seconds: f64,
+    /// Rounds, 1 to 1000.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    rounds: u64,
+}
+
+impl InTurn {
+    /// The three, checked.
+    fn checked(&self) -> Result<(&Path, f64, usize), Failure> {
+        in_range("--seconds", self.seconds, 1.0, 3600.0)?;
+        Ok((&self.scene, self.seconds, self.rounds as usize))
+    }
+}
 
 /// What to measure.
 #[derive(Debug, Subcommand)]
@@ -102,40 +124,13 @@ pub enum BenchCommand {
         ticks: u64,
     },
     /// What the recorder costs the physics: the scene in real time without and with it, in turn.
-    Recorder {
-        /// Scene.
-        #[arg(default_value = DEFAULT_SCENE)]
-        scene: PathBuf,
-        /// Seconds of a run, 1 to 3600.
-        #[arg(long, default_value_t = 10.0)]
-        seconds: f64,
-        /// Rounds, 1 to 1000.
-        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
-        rounds: u64,
-    },
+    Recorder(InTurn),
     /// What the viewer costs the physics: the scene in real time without and with it, in turn.
-    Viewer {
-        /// Scene.
-        #[arg(default_value = DEFAULT_SCENE)]
-        scene: PathBuf,
-        /// Seconds of a run, 1 to 3600.
-        #[arg(long, default_value_t = 10.0)]
-        seconds: f64,
-        /// Rounds, 1 to 1000.
-        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
-        rounds: u64,
-    },
+    Viewer(InTurn),
     /// What X-ray frames cost the physics: the scene in real time without and with them, in turn.
     Xray {
-        /// Scene with X-ray.
-        #[arg(default_value = DEFAULT_SCENE)]
-        scene: PathBuf,
-        /// Seconds of a run, 1 to 3600.
-        #[arg(long, default_value_t = 10.0)]
-        seconds: f64,
-        /// Rounds, 1 to 1000.
-        #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
-        rounds: u64,
+        #[command(flatten)]
+        in_turn: InTurn,
         /// Frames a second instead of the scene's, 1 to 200.
         #[arg(long)]
         rate_hz: Option<f64>,
@@ -196,20 +191,20 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             readings::run(*ticks);
             Ok(())
         }
-        BenchCommand::Recorder { scene, seconds, rounds } => {
-            in_range("--seconds", *seconds, 1.0, 3600.0)?;
-            recorder::run(scene, *seconds, *rounds as usize)
+        BenchCommand::Recorder(plan) => {
+            let (scene, seconds, rounds) = plan.checked()?;
+            recorder::run(scene, seconds, rounds)
         }
-        BenchCommand::Viewer { scene, seconds, rounds } => {
-            in_range("--seconds", *seconds, 1.0, 3600.0)?;
-            viewer::run(scene, *seconds, *rounds as usize)
+        BenchCommand::Viewer(plan) => {
+            let (scene, seconds, rounds) = plan.checked()?;
+            viewer::run(scene, seconds, rounds)
         }
-        BenchCommand::Xray { scene, seconds, rounds, rate_hz } => {
-            in_range("--seconds", *seconds, 1.0, 3600.0)?;
+        BenchCommand::Xray { in_turn, rate_hz } => {
+            let (scene, seconds, rounds) = in_turn.checked()?;
             if let Some(rate_hz) = rate_hz {
                 in_range("--rate-hz", *rate_hz, 1.0, 200.0)?;
             }
-            xray::run(scene, *seconds, *rounds as usize, *rate_hz)
+            xray::run(scene, seconds, rounds, *rate_hz)
         }
         BenchCommand::Soak { scene, minutes, policy, output } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;

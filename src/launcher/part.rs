@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use ipc_types::process::bind_to_parent;
+use ipc_types::process::{ProcessorTime, bind_to_parent};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 
 /// Lines that are kept of what a part said.
@@ -57,16 +57,6 @@ impl Memory {
         self.peak_private = self.peak_private.max(private);
         self.private = private;
     }
-}
-
-/// Processor time of all threads of a process, a number or `self`, in steps of 10 ms.
-pub fn processor_time(process: &str) -> Option<Duration> {
-    let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    // Behind the name in brackets, which may hold anything: state is the first, utime the 12th, stime the 13th
-    // (proc_pid_stat(5)), both in hundredths of a second.
-    let (_, fields) = text.rsplit_once(')')?;
-    let times = fields.split_whitespace().skip(11).take(2).map(|field| field.parse::<u64>().ok());
-    times.sum::<Option<u64>>().map(|hundredths| Duration::from_millis(hundredths * 10))
 }
 
 impl Part {
@@ -136,7 +126,7 @@ impl Part {
     pub fn measure(&mut self) {
         let process = self.child.id().to_string();
         self.memory.measure(&process);
-        self.processor = processor_time(&process).unwrap_or(self.processor);
+        self.processor = ProcessorTime::of(&process).map_or(self.processor, |time| time.own);
     }
 
     /// Asks it to end (SIGTERM).

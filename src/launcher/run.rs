@@ -10,7 +10,7 @@ use ipc_types::messages::{
     CONTROL_STOP, Frame, PHASE_ENDED, PHASE_RUNNING, RunControl, RunStatus, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
-use ipc_types::process::EndRequest;
+use ipc_types::process::{EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
@@ -19,7 +19,7 @@ use ipc_types::wake::Waker;
 use recorder_proc::process::OUTPUT_FILE;
 
 use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
-use super::part::{Memory, Part, processor_time};
+use super::part::{Memory, Part};
 use super::understudy::Understudies;
 use super::volume_source;
 use crate::report::{NOT_SHARED, RunFacts};
@@ -210,7 +210,7 @@ pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> R
     memory.push(("launcher".to_owned(), own_memory));
     let mut processor: Vec<(String, Duration)> =
         parts.iter().chain(&understudies.gone).map(|part| (part.name.clone(), part.processor)).collect();
-    processor.push(("launcher".to_owned(), processor_time("self").unwrap_or_default()));
+    processor.push(("launcher".to_owned(), ProcessorTime::of("self").unwrap_or_default().own));
     Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory, processor })
 }
 

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use ipc_types::process::ProcessorTime;
 use rustix::process::{Pid, Signal, getpriority_process};
 use serde_json::Value;
 
@@ -140,11 +141,11 @@ fn each_neighbour_does_what_its_name_says_until_its_limit() {
     let place = Place::new();
     type Sign = fn(u32) -> bool;
     let kinds: [(&str, Sign); 4] = [
-        ("spin", |pid| processor_time(pid, 11) > 0),
+        ("spin", |pid| !processor_time(pid).own.is_zero()),
         ("memory", |pid| number_of(pid, "status", "VmRSS:") >= 64 << 10),
         ("disk", |pid| number_of(pid, "io", "write_bytes:") >= 1 << 20),
         // That of the processes which it has started.
-        ("fork", |pid| processor_time(pid, 13) > 0),
+        ("fork", |pid| !processor_time(pid).children.is_zero()),
     ];
     for (kind, sign) in kinds {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
@@ -157,12 +158,8 @@ fn each_neighbour_does_what_its_name_says_until_its_limit() {
     assert_eq!(place.entries(), Vec::<String>::new(), "a load leaves no file");
 }
 
-/// User and system time in hundredths of a second: two fields of `/proc/PID/stat` behind the name, the process's own from 11
-/// on, its ended children's from 13 on (proc_pid_stat(5)).
-fn processor_time(pid: u32, first: usize) -> u64 {
-    let text = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-    let fields = text.rsplit_once(')').map_or("", |(_, fields)| fields);
-    fields.split_whitespace().skip(first).take(2).filter_map(|field| field.parse::<u64>().ok()).sum()
+fn processor_time(pid: u32) -> ProcessorTime {
+    ProcessorTime::of(&pid.to_string()).expect("a process that runs")
 }
 
 #[test]
