@@ -14,7 +14,7 @@ use rustix::process::Signal;
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, signal, wait_for};
+use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
 use crate::languages::{clients, output_of, python, skip};
 
@@ -27,6 +27,15 @@ pub fn joined(run: &Run, controller: &str) -> Client {
         limit: LIMIT,
     })
     .unwrap()
+}
+
+/// Stops a run, lets go of it, and waits for its end.
+pub fn stopped<T>(run: Run, mut client: Client, others: T) -> Ended {
+    client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop((client, others));
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    ended
 }
 
 /// Answers the newest state with a tension.
@@ -71,10 +80,7 @@ fn a_client_that_floods_or_stops_reading_is_counted_and_stops_nobody() {
     while observer.wait_state(LIMIT).unwrap().tick < first + 700 {}
     assert!(client.wait_state(LIMIT).unwrap().tick >= first + 700);
     assert!(client.states_missed() >= missed + 699, "{} missed", client.states_missed());
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((client, observer));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, client);
     assert_nothing_left(ended.pid);
     assert_replays(&ended.folder);
 }
@@ -107,10 +113,7 @@ fn garbage_of_a_stray_publisher_is_refused_and_ends_nobody() {
     // Everybody goes on: the physics, the DRR process, and the recorder, whose log is whole.
     let request = observer.request_frame(None, observer.state().unwrap().tick).unwrap();
     observer.wait_frame(request, LIMIT).unwrap();
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(observer);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, ());
     assert_nothing_left(ended.pid);
     assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
     assert_replays(&ended.folder);
@@ -138,10 +141,7 @@ fn an_optional_controller_may_join_late() {
         answer_here(&mut client);
         client.wait_state(LIMIT).unwrap();
     }
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((client, observer));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, client);
     let log = read(&ended.folder);
     assert!(log.ticks.iter().any(|tick| tick.latched.commands[0].source == SOURCE_FRESH));
     assert_eq!(log.ticks[50].latched.commands[0].source, 0, "it was not there at the start");
@@ -201,10 +201,7 @@ fn a_client_that_does_not_drive_the_c_arm_may_not_move_it() {
     assert!(near(standing.frame.geometry.column_axis, moved.frame.geometry.column_axis));
     assert_eq!(standing.pixels.len(), 128 * 128);
     answer_here(&mut mine);
-    mine.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((mine, other));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, mine, other);
     assert_replays(&ended.folder);
 }
 
@@ -241,10 +238,7 @@ fn a_request_that_names_another_controller_is_refused() {
     let request = mine.request_frame(None, tick).unwrap();
     mine.wait_frame(request, LIMIT).unwrap();
     answer_here(&mut mine);
-    mine.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(mine);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, mine, ());
     assert_replays(&ended.folder);
 }
 
@@ -275,9 +269,7 @@ with trabecula.Client(controller='') as client:
     let mut mine = joined(&run, "mine");
     mine.wait_state(LIMIT).unwrap();
     answer_here(&mut mine);
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((observer, mine));
-    assert_eq!(run.end().code, Some(0));
+    stopped(run, observer, mine);
 }
 
 #[test]
@@ -316,7 +308,10 @@ fn a_python_client_hears_ctrl_c_while_it_waits() {
         "trabecula.Client(controller='').run_control(trabecula.CONTROL_PAUSE, timeout_s=1e6)",
     ] {
         let script = format!(
-            "import trabecula\ntry:\n    print('waiting', flush=True)\n    {waiting}\nexcept KeyboardInterrupt:\n    print('heard')\n"
+            "import signal, trabecula\n\
+             # Whoever started the tests may have them ignore it (`cargo test &`).\n\
+             signal.signal(signal.SIGINT, signal.default_int_handler)\n\
+             try:\n    print('waiting', flush=True)\n    {waiting}\nexcept KeyboardInterrupt:\n    print('heard')\n"
         );
         let mut command = Command::new(&python);
         command.args(["-c", &script]).env(SESSION_VARIABLE, run.session()).stdout(Stdio::piped());
@@ -330,7 +325,5 @@ fn a_python_client_hears_ctrl_c_while_it_waits() {
         program.wait().unwrap();
     }
     signal(physics, Signal::CONT);
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(observer);
-    assert_eq!(run.end().code, Some(0));
+    stopped(run, observer, ());
 }

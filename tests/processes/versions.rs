@@ -2,14 +2,14 @@
 
 use std::fs;
 
-use ipc_types::messages::{CONTROL_STOP, State};
+use ipc_types::messages::State;
 use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
 use trabecula_client::{Client, ClientError, Connection};
 
 use crate::common::program::{LIMIT, Place};
 use crate::common::scenes;
-use crate::strays::joined;
+use crate::strays::{joined, stopped};
 
 /// What another version writes into its files was read first, and its error was one of reading.
 #[test]
@@ -18,6 +18,8 @@ fn a_hub_of_another_version_is_refused_as_such_whatever_its_files_say() {
     let run = place.start(&scenes::hold("realtime", 120.0));
     let folder = run.session();
     let mut observer = joined(&run, "");
+    // The run's own parts have read the files by now.
+    observer.wait_state(LIMIT).unwrap();
     let files = ["session.json", "scene.toml"].map(|name| folder.join(name));
     let texts = files.clone().map(|path| fs::read_to_string(path).unwrap());
     let mut announcement: serde_json::Value = serde_json::from_str(&texts[0]).unwrap();
@@ -32,9 +34,7 @@ fn a_hub_of_another_version_is_refused_as_such_whatever_its_files_say() {
     assert!(matches!(error, ClientError::Session(SessionError::Version { .. })), "{error}");
     let text = error.to_string();
     assert!(text.contains("Trabecula 0.2.0") && text.contains(env!("CARGO_PKG_VERSION")), "{text}");
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(observer);
-    assert_eq!(run.end().code, Some(0));
+    stopped(run, observer, ());
 }
 
 /// The ninth program that read the states was refused with the transport's own words.
@@ -57,7 +57,5 @@ fn a_session_has_room_for_ten_observers_and_refuses_more_by_name() {
     assert!(matches!(error, SessionError::Crowded { .. }), "{text}");
     assert!(text.contains("service `state`: 16 programs read it already"), "{text}");
     drop(readers);
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(observer);
-    assert_eq!(run.end().code, Some(0));
+    stopped(run, observer, ());
 }
