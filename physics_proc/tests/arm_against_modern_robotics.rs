@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use physics_proc::arm::{ArmParameters, Joints, UrGeometry};
@@ -13,11 +13,6 @@ mod python;
 
 const PACKAGES: [&str; 2] = ["modern_robotics==1.1.1", "numpy==2.4.6"];
 const POSES: usize = 1_000;
-
-/// The interpreter; the error is the reason why there is none.
-fn python() -> Result<PathBuf, String> {
-    python::environment("modern-robotics-1.1.1", &PACKAGES, "modern_robotics")
-}
 
 /// SplitMix64: a fixed stream of uniform numbers.
 struct Uniform(u64);
@@ -55,13 +50,8 @@ fn case(geometry: &UrGeometry, q: &Joints, reference: &Joints) -> String {
 
 #[test]
 fn a_thousand_random_poses_agree_with_modern_robotics() {
-    let python = match python() {
-        Ok(python) => python,
-        Err(reason) => {
-            println!("\n*** SKIPPED: no Python environment with {PACKAGES:?}: {reason} ***\n");
-            return;
-        }
-    };
+    let python = python::or_skip("modern-robotics-1.1.1", &PACKAGES, "modern_robotics");
+    let Some(python) = python else { return };
     let geometry = UrGeometry::ur5();
     let mut uniform = Uniform(11);
     let mut lines = Vec::new();

@@ -57,6 +57,17 @@ fn scattered(spacing_m: [f64; 3], scatter: u64) -> (GridGeometry, Vec<i16>) {
     (geometry, hu)
 }
 
+/// What happens; the voxels' size, the burr's radius, how scattered the bone is (0: solid), where in the grid it begins.
+fn drilled() -> impl Strategy<Value = (Vec<Event>, [f64; 3], f64, u64, [f64; 3])> {
+    (
+        prop::collection::vec(event(), 1..60),
+        prop::array::uniform3(0.35e-3..0.9e-3f64),
+        1.0e-3..3.9e-3f64,
+        prop_oneof![3 => Just(0u64), 1 => 2u64..6],
+        prop::array::uniform3(0.2..0.8f64),
+    )
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
@@ -64,11 +75,7 @@ proptest! {
     /// narrow tents; three spheres of one size near the hole's end.
     #[test]
     fn tracked_planes_are_the_fresh_ones_bit_for_bit(
-        events in prop::collection::vec(event(), 1..60),
-        spacing in prop::array::uniform3(0.35e-3..0.9e-3f64),
-        radius_m in 1.0e-3..3.9e-3f64,
-        scatter in prop_oneof![3 => Just(0u64), 1 => 2u64..6],
-        place in prop::array::uniform3(0.2..0.8f64),
+        (events, spacing, radius_m, scatter, place) in drilled(),
         contact in prop_oneof![3 => Just(ContactKind::Planes), 1 => Just(ContactKind::VoxelBalls)],
     ) {
         let (geometry, hu) = scattered(spacing, scatter);
@@ -112,14 +119,11 @@ proptest! {
             prop_assert_eq!(bits(&tracked), bits(&fresh));
         }
     }
+
     /// Two fields drilled alike; one of them is saved and restored before every tick, after which it remembers nothing.
     #[test]
     fn a_burr_that_was_searched_before_cuts_what_a_fresh_one_cuts_bit_for_bit(
-        events in prop::collection::vec(event(), 1..60),
-        spacing in prop::array::uniform3(0.35e-3..0.9e-3f64),
-        radius_m in 1.0e-3..3.9e-3f64,
-        scatter in prop_oneof![3 => Just(0u64), 1 => 2u64..6],
-        place in prop::array::uniform3(0.2..0.8f64),
+        (events, spacing, radius_m, scatter, place) in drilled(),
         rule in prop_oneof![4 => Just(Removal::Energy), 1 => Just(Removal::Capped), 1 => Just(Removal::Decrement)],
     ) {
         let (geometry, hu) = scattered(spacing, scatter);

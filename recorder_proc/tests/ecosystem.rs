@@ -3,10 +3,10 @@
 
 mod common;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
-use common::python::environment;
+use common::python::or_skip;
 use common::*;
 use recorder_proc::columns::{columns, description_of_topic, read_rows};
 use recorder_proc::export::Parquet;
@@ -16,16 +16,6 @@ use serde_json::Value;
 const PACKAGES: [&str; 5] =
     ["mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9", "rerun-sdk==0.41.0", "pyarrow==26.0.1"];
 
-fn python() -> Option<PathBuf> {
-    match environment("log-readers-1", &PACKAGES, "mcap_ros2.reader, rosbags.highlevel, rerun, pyarrow") {
-        Ok(python) => Some(python),
-        Err(reason) => {
-            println!("\n*** SKIPPED: no Python environment with {PACKAGES:?}: {reason} ***\n");
-            None
-        }
-    }
-}
-
 fn text(output: Output) -> String {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
@@ -34,7 +24,8 @@ fn text(output: Output) -> String {
 /// One test, so that the environment is made once.
 #[test]
 fn rosbags_rerun_pyarrow_and_the_guides_five_lines_read_a_log() {
-    let Some(python) = python() else { return };
+    let modules = "mcap_ros2.reader, rosbags.highlevel, rerun, pyarrow";
+    let Some(python) = or_skip("log-readers-1", &PACKAGES, modules) else { return };
     let folder = tempfile::tempdir().unwrap();
     let steps = run_messages(250, None);
     let path = save(folder.path(), "run.mcap", &write_log(&steps));

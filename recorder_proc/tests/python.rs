@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 
-use common::python::environment;
+use common::python::or_skip;
 use common::*;
 use ipc_types::layout::{Description, Element, Message};
 use ipc_types::messages::*;
@@ -55,13 +55,7 @@ fn add(out: &mut BTreeSet<String>, prefix: &str, fields: BTreeSet<String>) {
 
 #[test]
 fn python_decodes_every_field_of_states_removals_and_images() {
-    let python = match environment("mcap-ros2-support-0.6.0", &PACKAGES, "mcap_ros2.decoder") {
-        Ok(python) => python,
-        Err(reason) => {
-            println!("\n*** SKIPPED: no Python environment with {PACKAGES:?}: {reason} ***\n");
-            return;
-        }
-    };
+    let Some(python) = or_skip("mcap-ros2-support-0.6.0", &PACKAGES, "mcap_ros2.decoder") else { return };
     let mut random = Rng::with_seed(3);
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let mut wanted = BTreeSet::new();

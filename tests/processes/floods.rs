@@ -15,7 +15,7 @@ use crate::common::logs::assert_replays;
 use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, wait_for};
 use crate::common::scenes;
 use crate::languages::{clients, output_of, python, skip};
-use crate::strays::{answer_here, await_event, joined};
+use crate::strays::{answer_here, await_event, joined, stopped};
 
 /// A thread that does something again and again until dropped, with a connection of its own.
 struct Flood(Arc<AtomicBool>, Option<JoinHandle<()>>);
@@ -99,10 +99,7 @@ fn a_stop_is_heard_while_a_controller_floods_in_lockstep() {
     while observer.status().unwrap().is_none_or(|status| status.refused_commands < 1000) {
         std::thread::yield_now();
     }
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((flood, observer));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, flood);
     assert_nothing_left(ended.pid);
 }
 
@@ -123,10 +120,7 @@ fn a_flood_of_run_control_stops_no_tick_and_no_other_request() {
         },
     );
     while observer.wait_state(LIMIT).unwrap().tick < tick + 500 {}
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((flood, observer));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, flood);
     assert_replays(&ended.folder);
 }
 
@@ -165,10 +159,7 @@ fn a_flood_of_requests_takes_no_frame_from_another_program() {
         answer_here(&mut mine);
         mine.wait_state(LIMIT).unwrap();
     }
-    mine.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((flood, mine));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, mine, flood);
     assert_replays(&ended.folder);
 }
 
@@ -185,9 +176,7 @@ fn two_clients_of_one_process_have_requests_of_their_own() {
         assert_eq!(client.wait_frame(request, LIMIT).unwrap().frame.request_id, request);
     }
     answer_here(&mut mine);
-    other.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((mine, other));
-    assert_eq!(run.end().code, Some(0));
+    stopped(run, other, mine);
 }
 
 /// Waiting for a frame, for the volume or for run control went on after the run's end until the caller's own limit.

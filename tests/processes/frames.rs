@@ -2,7 +2,7 @@
 
 use drr_proc::DrrRenderer;
 use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, scene_isocentre_m, volume_view};
-use ipc_types::messages::{CONTROL_STOP, Pose, Volume as VolumeMessage};
+use ipc_types::messages::{Pose, Volume as VolumeMessage};
 use ipc_types::scene::Scene;
 use recorder_proc::{FrameRecord, ReadOptions, frames};
 use zerocopy::IntoBytes;
@@ -11,7 +11,7 @@ use crate::common::logs::{Whole, read};
 use crate::common::program::{Ended, LIMIT, Place, trabecula};
 use crate::common::scenes;
 use crate::languages::clients;
-use crate::strays::{answer_here, joined};
+use crate::strays::{answer_here, joined, stopped};
 
 fn frames_of(ended: &Ended) -> Vec<FrameRecord> {
     frames(&ended.folder.join("run.mcap"), ReadOptions::default()).unwrap().map(Result::unwrap).collect()
@@ -136,10 +136,7 @@ fn a_batch_of_poses_is_answered_in_order_and_leaves_the_scheduled_frames_alone()
             }
             answer_here(&mut client);
         }
-        client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-        drop(client);
-        let ended = run.end();
-        assert_eq!(ended.code, Some(0), "{}", ended.err);
+        let ended = stopped(run, client, ());
         let frames = frames_of(&ended);
         assert_eq!(frames.iter().filter(|frame| frame.frame.request_id != 0).count(), 2 * batch as usize);
         let shown = frames.iter().filter(|frame| frame.frame.request_id == 0 && frame.frame.tick <= 40);

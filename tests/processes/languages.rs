@@ -12,6 +12,7 @@ use ipc_types::session::SESSION_VARIABLE;
 
 use crate::common::logs::read;
 use crate::common::program::{Place, Run, assert_nothing_left};
+use crate::python::environment;
 
 const EXAMPLES: [(&str, &str); 3] = [
     ("01_hold_tension", "free_space.toml"),
@@ -79,7 +80,7 @@ pub fn python() -> Result<PathBuf, String> {
 }
 
 fn make_python() -> Result<PathBuf, String> {
-    let python = environment(NUMPY, "import numpy")?;
+    let python = environment_with(NUMPY, "numpy")?;
     // As the README says, but for the library, which is built already.
     let pip = ["-m", "pip", "install", "-q", "--no-deps", "--force-reinstall", "--disable-pip-version-check"];
     let install = Command::new(&python)
@@ -92,21 +93,9 @@ fn make_python() -> Result<PathBuf, String> {
     Ok(python)
 }
 
-/// Makes a virtual environment with one pinned package below the target folder, once; the error is the reason.
-pub fn environment(package: &str, probe: &str) -> Result<PathBuf, String> {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(package.replace("==", "-"));
-    let python = folder.join("bin/python3");
-    let run = |command: &mut Command| -> Result<(), String> {
-        let output = command.output().map_err(|error| error.to_string())?;
-        let text = String::from_utf8_lossy(&output.stderr);
-        if output.status.success() { Ok(()) } else { Err(text.trim().to_owned()) }
-    };
-    if run(Command::new(&python).args(["-c", probe])).is_err() {
-        run(Command::new("python3").args(["-m", "venv"]).arg(&folder))?;
-        let pip = ["-m", "pip", "install", "-q", "--retries", "1", "--timeout", "10", package];
-        run(Command::new(&python).args(pip))?;
-    }
-    Ok(python)
+/// An environment with one pinned package; the error is the reason why there is none.
+pub fn environment_with(package: &str, module: &str) -> Result<PathBuf, String> {
+    environment(&package.replace("==", "-"), &[package], module)
 }
 
 pub fn skip(reason: &str) {
@@ -135,7 +124,7 @@ fn program_of(language: &str, name: &str, place: &Place) -> Option<Command> {
                 None
             }
         },
-        "zig" => match environment(ZIG, "import ziglang") {
+        "zig" => match environment_with(ZIG, "ziglang") {
             Ok(python) => Some(Command::new(compiled_by_zig(&python, name, place))),
             Err(reason) => {
                 println!("\n*** SKIPPED for Zig: no environment with {ZIG}: {reason} ***\n");

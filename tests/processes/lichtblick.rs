@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::common::program::Place;
 use crate::common::scenes;
-use crate::python::environment;
+use crate::python::or_skip;
 use crate::view::View;
 
 const PACKAGES: [&str; 5] = [
@@ -18,14 +18,8 @@ const PACKAGES: [&str; 5] = [
 
 #[test]
 fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
-    let python =
-        match environment("lichtblick-1", &PACKAGES, "foxglove_schemas_protobuf, mcap_ros2, websockets") {
-            Ok(python) => python,
-            Err(reason) => {
-                println!("\n*** SKIPPED: no Python environment with {PACKAGES:?}: {reason} ***\n");
-                return;
-            }
-        };
+    let modules = "foxglove_schemas_protobuf, mcap_ros2, websockets";
+    let Some(python) = or_skip("lichtblick-1", &PACKAGES, modules) else { return };
     let place = Place::new();
     let ended = place.complete(&scenes::drill("lockstep", 0.5));
     let view = View::start(&[&ended.folder], None);

@@ -7,7 +7,7 @@ use std::fs;
 use std::process::Command;
 
 use crate::common::program::{LIMIT, Place};
-use crate::languages::{ZIG, built, clients, environment, library, python};
+use crate::languages::{ZIG, built, clients, environment_with, library, python};
 
 /// The first block of shell lines of a README.
 fn shell_lines(language: &str) -> Vec<String> {
@@ -33,7 +33,7 @@ fn checkout() -> Place {
 fn pasted(language: &str) -> Result<String, String> {
     let python = match language {
         "python" => Some(python()?),
-        "zig" => Some(environment(ZIG, "import ziglang")?),
+        "zig" => Some(environment_with(ZIG, "ziglang")?),
         _ => None,
     };
     let place = checkout();

@@ -4,8 +4,8 @@ use std::process::{Child, Command as Program, Stdio};
 use std::time::Duration;
 
 use ipc_types::messages::{
-    ARM_HOLD, CONTROL_PAUSE, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, EVENT_SAFE_COMMAND,
-    SOURCE_FRESH, SOURCE_SAFE, TENDON_SERVO_JF,
+    ARM_HOLD, CONTROL_PAUSE, CONTROL_RESUME, CONTROL_STEP, Command, EVENT_SAFE_COMMAND, SOURCE_FRESH,
+    SOURCE_SAFE, TENDON_SERVO_JF,
 };
 use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 use rustix::process::Signal;
@@ -16,7 +16,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{LIMIT, Place, Run, signal, wait_for};
 use crate::common::scenes;
 use crate::languages::built;
-use crate::strays::{answer, await_event, joined};
+use crate::strays::{answer, await_event, joined, stopped};
 
 fn holding() -> Command {
     let mut command = Command { tendon_mode: TENDON_SERVO_JF, arm_mode: ARM_HOLD, ..Command::zeroed() };
@@ -94,10 +94,7 @@ fn an_optional_controller_that_is_killed_ends_no_lockstep_run() {
     await_event(&mut observer, EVENT_SAFE_COMMAND, "controller `pilot`: no answer to tick");
     let alone = observer.wait_state(LIMIT).unwrap().tick;
     while observer.wait_state(LIMIT).unwrap().tick < alone + 100 {}
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(observer);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, ());
     let log = read(&ended.folder);
     assert_eq!(log.ticks.last().unwrap().latched.commands[0].source, SOURCE_SAFE);
     assert_replays(&ended.folder);
@@ -122,10 +119,7 @@ fn a_killed_controller_returns_to_a_lockstep_run() {
         ticks.push(observer.state().unwrap().tick);
     }
     assert!(ticks[1] > ticks[0] + 20, "{ticks:?}");
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(observer);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, ());
     assert_replays(&ended.folder);
 }
 
@@ -142,10 +136,7 @@ fn an_optional_controller_joins_a_real_time_run_late() {
         answer(&mut client, 3.0);
     }
     assert!(client.state().unwrap().tick > 100);
-    observer.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop((client, observer));
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, observer, client);
     assert_eq!(read(&ended.folder).ticks[50].latched.commands[0].source, 0, "it was not there at the start");
     assert_replays(&ended.folder);
 }
@@ -173,10 +164,7 @@ fn a_controller_that_dies_with_a_loaned_command_can_be_replaced() {
         answer(&mut client, 3.0);
     }
     assert!(client.wait_state(LIMIT).unwrap().tick >= 20);
-    client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
-    drop(client);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, client, ());
     assert_replays(&ended.folder);
 }
 

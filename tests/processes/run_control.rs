@@ -11,7 +11,7 @@ use recorder_proc::EndReason;
 
 use crate::common::client::Pilot;
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Place, assert_nothing_left, wait_for};
+use crate::common::program::{Ended, Place, Run, assert_nothing_left, wait_for};
 use crate::common::scenes;
 
 /// How long nothing must happen. Too short a time on a slow machine can only hide a fault, not report one.
@@ -37,6 +37,15 @@ fn drilling(start: &State) -> Command {
     command.t_world_base.position_m[2] += 0.02;
     command.burr_speed_rad_per_s = 800.0;
     command
+}
+
+/// Stops a run, lets go of it, and waits for its end.
+fn stopped(run: Run, pilot: Pilot) -> Ended {
+    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
+    drop(pilot);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    ended
 }
 
 /// Silence, at this tick.
@@ -103,10 +112,7 @@ fn a_pause_while_a_controller_thinks_holds_the_tick() {
     assert_eq!(next.tick, 51);
     pilot.answer(&next, rest(&next));
     assert_stands(&pilot, 51);
-    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
-    drop(pilot);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, pilot);
     assert_replays(&ended.folder);
 }
 
@@ -132,9 +138,7 @@ fn a_pause_gives_up_the_steps_that_are_not_made_yet() {
     pilot.client.ask(CONTROL_PAUSE, 0);
     pilot.answer(&state, rest(&state));
     assert_stands(&pilot, 20);
-    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
-    drop(pilot);
-    assert_eq!(run.end().code, Some(0));
+    stopped(run, pilot);
 }
 
 /// Steps were added up without a bound: with the largest number of them, further ones wrapped round to none. And a
@@ -157,9 +161,7 @@ fn steps_without_end_stay_so_and_a_pause_before_the_start_is_no_start() {
     }
     assert_eq!(pilot.client.ask(CONTROL_STEP, 4).status, CONTROL_DONE);
     pilot.drive_to(40, rest);
-    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
-    drop(pilot);
-    assert_eq!(run.end().code, Some(0));
+    stopped(run, pilot);
 }
 
 /// A state without what a reset does not set back: tick, time, hash, and the numbers of the commands.
@@ -191,10 +193,7 @@ fn a_reset_sets_all_back_and_the_run_replays_identically() {
     pilot.send(&Command { sequence: pilot.sequence, state_tick: 720, ..rest(&start) });
     let again = pilot.drive_to(900, |state| if state.tick < 760 { rest(state) } else { drilling(&start) });
     assert!(again.removed_total < deep.removed_total);
-    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
-    drop(pilot);
-    let ended = run.end();
-    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let ended = stopped(run, pilot);
 
     let log = read(&ended.folder);
     let resets: Vec<u64> =

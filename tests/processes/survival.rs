@@ -50,7 +50,6 @@ fn a_killed_process_other_than_the_recorder_loses_nothing_that_was_published() {
     }
 }
 
-/// Repairs a log; the result must be whole and replay to the same tick. Returns what the command said.
 /// It once lost what came in the meantime: its queues were too short, and it took one whole before the next.
 #[test]
 fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
@@ -74,6 +73,7 @@ fn a_recorder_that_is_stopped_for_a_second_loses_nothing() {
     assert_replays(&ended.folder);
 }
 
+/// Repairs a log; the result must be whole and replay to the same tick. Returns what the command said.
 fn assert_repairs(place: &Place, folder: &Path) -> String {
     let before = read(folder).ticks.len();
     let whole = place.path("whole.mcap");

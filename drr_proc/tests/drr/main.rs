@@ -39,14 +39,7 @@ mod tool;
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "helpers of tests")]
 fn run_python(name: &str, packages: &[&str], probe: &str, script: &str) -> Option<String> {
-    let python = match python::environment(name, packages, probe) {
-        Ok(python) => python,
-        Err(reason) => {
-            assert!(std::env::var_os("CI").is_none(), "no {packages:?}: {reason}");
-            eprintln!("SKIPPED: no {packages:?} from PyPI: {reason}");
-            return None;
-        }
-    };
+    let python = python::or_skip(name, packages, probe)?;
     let output = std::process::Command::new(&python).args(["-c", script]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(String::from_utf8(output.stdout).unwrap())

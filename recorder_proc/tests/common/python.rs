@@ -3,6 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// The interpreter of [`environment`]; where there is none (never in CI) the reason is said, loudly.
+pub fn or_skip(name: &str, packages: &[&str], probe: &str) -> Option<PathBuf> {
+    environment(name, packages, probe)
+        .inspect_err(|reason| {
+            assert!(std::env::var_os("CI").is_none(), "no {packages:?}: {reason}");
+            println!("\n*** SKIPPED: no Python environment with {packages:?}: {reason} ***\n");
+        })
+        .ok()
+}
+
 /// A virtual environment with the packages below the target folder; made once. The error is the reason.
 pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
