@@ -42,7 +42,7 @@ fn sideways(state: &State, command: &mut Command) {
     command.burr_mode = BURR_SPEED;
     command.burr_speed_rad_per_s = 800.0;
     command.tendon_mode = TENDON_SERVO_JF;
-    command.tendon_force_n[0] = 2e-3 * state.tick.saturating_sub(FEED) as f64;
+    command.tendon_force_n[0] = 2e-3 * state.tick.saturating_sub(FEED).min(TICKS) as f64;
     feed(state, command, 5e-3, 3e-3);
 }
 
@@ -213,13 +213,13 @@ fn steered(state: &State) -> Command {
     command
 }
 
-/// Messages of the ticks behind `FEED`, by topic, in a lane.
-fn messages_behind(log: &Path, topics: &[&str]) -> u64 {
+/// Messages of the ticks behind a tick, by topic, in a lane.
+fn messages_behind(from: u64, log: &Path, topics: &[&str]) -> u64 {
     let mut stream = MessageStream::open(log, ReadOptions::default()).unwrap();
     let mut count = 0;
     while let Some(message) = stream.next_message().unwrap() {
         let tick = message.log_time_ns / 1_000_000;
-        let counted = (FEED + 1..=FEED + TICKS).contains(&tick) && topics.contains(&message.topic);
+        let counted = (from + 1..=from + TICKS).contains(&tick) && topics.contains(&message.topic);
         count += u64::from(counted);
     }
     count
@@ -227,7 +227,8 @@ fn messages_behind(log: &Path, topics: &[&str]) -> u64 {
 
 /// iceoryx2 makes one small object (an `Rc` of 48 bytes, `port/details/chunk_mut_shared_state.rs`) for every sample that it
 /// lends, and drops it when the sample is sent: three a tick for state, commands and timing, and one each for the status,
-/// ten times a second of wall time, and removed voxels. There is no way to lend without. Nothing else calls malloc.
+/// ten times a second of wall time, and removed voxels. There is no way to lend without. Nothing else calls malloc, but for
+/// some hundred calls when a program connects: on a busy machine the launcher may do so late, so there are two looks.
 #[test]
 fn the_loop_of_the_physics_process_calls_no_malloc_but_for_its_loans() {
     let library = match counter() {
@@ -237,13 +238,15 @@ fn the_loop_of_the_physics_process_calls_no_malloc_but_for_its_loans() {
     let folder = tempfile::tempdir().unwrap();
     let (_place, run, mut pilot) =
         piloted("lockstep", &[(COUNTS, folder.path()), ("LD_PRELOAD", library.as_path())]);
-    let state = pilot.drive_to(FEED, steered);
-    // It waits for an answer: nothing moves while the counter is read.
+    let mut state = pilot.drive_to(FEED, steered);
     let calls = Calls::of(folder.path(), run.part("physics"));
-    let before = calls.read();
-    pilot.answer(&state, steered(&state));
-    pilot.drive_to(FEED + TICKS, steered);
-    let after = calls.read();
+    let looks = [FEED, FEED + TICKS].map(|from| {
+        // It waits for an answer: nothing moves while the counter is read.
+        let before = calls.read();
+        pilot.answer(&state, steered(&state));
+        state = pilot.drive_to(from + TICKS, steered);
+        (from, calls.read() - before)
+    });
     pilot.client.ask(CONTROL_STOP, 0);
     drop(pilot);
     let ended = run.end();
@@ -251,12 +254,15 @@ fn the_loop_of_the_physics_process_calls_no_malloc_but_for_its_loans() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     let of_ticks = [topics::STATE, topics::LATCHED, topics::REMOVED, topics::KEYFRAME];
     let of_time = [topics::TICK_TIMING, topics::RUN_STATUS, topics::EVENT];
-    let sent = messages_behind(&ended.folder.join("run.mcap"), &of_ticks)
-        + messages_behind(&ended.folder.join("timing.mcap"), &of_time);
-    println!("{TICKS} ticks of the process: {sent} messages, {} calls of malloc and free", after - before);
-    assert!(sent > 3 * TICKS, "state, commands, timing, and removed voxels: {sent}");
+    let more = looks.map(|(from, calls)| {
+        let sent = messages_behind(from, &ended.folder.join("run.mcap"), &of_ticks)
+            + messages_behind(from, &ended.folder.join("timing.mcap"), &of_time);
+        println!("{TICKS} ticks of the process: {sent} messages, {calls} calls of malloc and free");
+        assert!(sent >= 3 * TICKS, "state, commands, timing, and removed voxels: {sent}");
+        calls.abs_diff(2 * sent)
+    });
     // When the counter is read, the last messages of its tick, the timing and a status, may still be on their way.
-    assert!((after - before).abs_diff(2 * sent) <= 2 * 2 * 2, "{} calls for {sent} messages", after - before);
+    assert!(more.iter().any(|more| *more <= 2 * 2 * 2), "{more:?} calls more or less than for messages");
 }
 
 /// What the loop may ask the kernel for: sleeping, waking and being woken, and its own counters.
