@@ -6,39 +6,18 @@
 //! The debug build makes the same hashes: `cargo test -p physics_proc --test promise` (about a minute when cold).
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use std::path::Path;
+mod common;
 
 use ipc_types::messages::{
     ARM_HOLD, ARM_MOVE_CP, ARM_MOVE_JP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH,
     SOURCE_HELD, State, TENDON_MOVE_JP, TENDON_SERVO_JF,
 };
 use ipc_types::scene::Scene;
-use nalgebra::Vector3;
 use physics_proc::bone::GridGeometry;
 use physics_proc::simulation::{CtView, Simulation};
 use zerocopy::IntoBytes;
 
-const TOOL: &str = r#"
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[[controller]]
-name = "test"
-drives = ["tendon", "arm", "burr"]
-external = true
-"#;
-
-/// A tunnel in bone, tight around the tool, drilled further.
-const DRILLING: &str = r#"
-name = "drilling"
-run = { mode = "lockstep", duration_s = 1.0 }
-volume = { phantom = "block" }
-[[predrill]]
-from_mm = [0.0, 0.0, -110.0]
-to_mm = [0.0, 0.0, 0.0]
-diameter_mm = 6.6
-"#;
+use common::{TUNNEL, bone, scene};
 
 /// A loose block on a clamp in front of the burr, under gravity.
 const BODIES: &str = r#"
@@ -75,7 +54,7 @@ struct Golden {
 /// x86_64-unknown-linux-gnu, glibc.
 const GOLDEN: [Golden; 3] = [
     Golden {
-        scene: DRILLING,
+        scene: TUNNEL,
         in_bone: true,
         command: feed,
         ticks: 1000,
@@ -141,16 +120,9 @@ fn wander(tick: u64, start: &State) -> Command {
     command
 }
 
-/// Uniform bone, 0.5 mm voxels, 24 × 24 × 120 mm, the tool along +z inside it.
-fn bone() -> (GridGeometry, Vec<i16>) {
-    let dims = [48, 48, 240];
-    let origin = Vector3::new(-11.75e-3, -11.75e-3, -99.75e-3);
-    (GridGeometry::axis_aligned(dims, [0.5e-3; 3], origin), vec![400; dims.iter().product()])
-}
-
 impl Golden {
     fn scene(&self) -> Scene {
-        Scene::parse(&format!("{}{TOOL}", self.scene), Path::new("golden.toml")).unwrap()
+        scene(self.scene)
     }
 
     fn simulation<'v>(&self, bone: &'v (GridGeometry, Vec<i16>)) -> Simulation<'v> {

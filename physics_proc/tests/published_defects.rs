@@ -3,8 +3,9 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot build its tool has failed")]
 
+mod common;
+
 use ipc_types::messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, TENDON_MOVE_JP};
-use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
 use physics_proc::baselines::published::{
     PenaltyContact, hardness_through_integers, penetration_with_absolute_arm_m, spring_that_runs,
@@ -17,6 +18,8 @@ use physics_proc::manipulator::{
     BaseMotion, Manipulator, ManipulatorParameters, SphereKind, StepInput, TendonCommand, Wrench,
 };
 use physics_proc::simulation::Simulation;
+
+use common::scene;
 
 const DT_S: f64 = 1e-3;
 
@@ -205,25 +208,10 @@ fn s5_a_tendon_pulls_only_rubs_and_bends_along_its_whole_length() {
     assert!(pushed.abs() < 1e-9 && unloading > loading + 5.0 && pair.abs() < 1e-6);
 }
 
-const FREE_TOOL: &str = r#"
-name = "free_tool"
-[run]
-mode = "lockstep"
-duration_s = 3.0
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[[controller]]
-name = "test"
-drives = ["tendon"]
-external = true
-"#;
-
 /// Pull of tendon 0 after 0.4 s of a motion to 4 mm, m.
 fn pulled_after_0_4_s(dt_ms: f64) -> f64 {
-    let text = FREE_TOOL.replacen("[run]\n", &format!("[run]\ndt_ms = {dt_ms:?}\n"), 1);
-    let scene = Scene::parse(&text, std::path::Path::new("free_tool.toml")).unwrap();
+    let run = format!("{{ mode = \"lockstep\", duration_s = 3.0, dt_ms = {dt_ms:?} }}");
+    let scene = scene(&format!("name = \"free_tool\"\nrun = {run}\n"));
     let mut simulation = Simulation::new(&scene, None).unwrap();
     let command = Command {
         sequence: 1,

@@ -1,44 +1,16 @@
 //! The whole tick: arm, manipulator, bone, burr.
 
-use std::path::Path;
+mod common;
 
 use ipc_types::messages::{
     ARM_MOVE_CP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
     TENDON_SERVO_JF,
 };
-use ipc_types::scene::Scene;
 use nalgebra::Vector3;
-use physics_proc::bone::GridGeometry;
 use physics_proc::simulation::{CtView, Simulation};
 use zerocopy::IntoBytes;
 
-const SCENE: &str = r#"
-name = "tight_tunnel"
-[run]
-mode = "lockstep"
-duration_s = 3.0
-[volume]
-phantom = "block"
-[[predrill]]
-from_mm = [0.0, 0.0, -110.0]
-to_mm = [0.0, 0.0, 0.0]
-diameter_mm = 6.6
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[[controller]]
-name = "test"
-drives = ["tendon", "arm", "burr"]
-external = true
-"#;
-
-/// Uniform bone, 0.5 mm voxels, 24 × 24 × 120 mm, the tool along +z inside it.
-fn bone() -> (GridGeometry, Vec<i16>) {
-    let dims = [48, 48, 240];
-    let origin = Vector3::new(-11.75e-3, -11.75e-3, -99.75e-3);
-    (GridGeometry::axis_aligned(dims, [0.5e-3; 3], origin), vec![400; dims.iter().product()])
-}
+use common::{TUNNEL, bone, scene};
 
 /// Feeds 1.5 mm/s along +z from the start with the burr on and 3 N on tendon 0.
 fn latched(tick: u64, start: &State) -> Latched {
@@ -65,7 +37,7 @@ fn latched(tick: u64, start: &State) -> Latched {
 /// arm pressed with hundreds of newtons.
 #[test]
 fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
-    let scene = Scene::parse(SCENE, Path::new("tight_tunnel.toml")).unwrap();
+    let scene = scene(TUNNEL);
     let (geometry, hu) = bone();
     let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
     let start = *simulation.state();
@@ -87,7 +59,7 @@ fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
 
 #[test]
 fn a_snapshot_continues_bit_for_bit_and_a_reset_returns_to_the_initial_state() {
-    let scene = Scene::parse(SCENE, Path::new("tight_tunnel.toml")).unwrap();
+    let scene = scene(TUNNEL);
     let (geometry, hu) = bone();
     let ct = Some(CtView { geometry, hu: &hu });
     let mut simulation = Simulation::new(&scene, ct).unwrap();
@@ -115,7 +87,7 @@ fn a_snapshot_continues_bit_for_bit_and_a_reset_returns_to_the_initial_state() {
 /// A goal out of reach is refused for the arm alone: tendon and burr do what the same command says.
 #[test]
 fn each_part_of_a_command_acts_or_is_refused_on_its_own() {
-    let scene = Scene::parse(SCENE, Path::new("tight_tunnel.toml")).unwrap();
+    let scene = scene(TUNNEL);
     let (geometry, hu) = bone();
     let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
     let start = *simulation.state();

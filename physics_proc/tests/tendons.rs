@@ -1,16 +1,17 @@
 //! Any number of tendons, in channels at any place of the section, against closed forms.
 #![allow(clippy::unwrap_used, reason = "a helper that fails is a failed test")]
 
-use std::path::Path;
+mod common;
 
 use ipc_types::messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, TENDON_SERVO_JF, TENDON_SERVO_JP};
-use ipc_types::scene::Scene;
 use nalgebra::{Isometry3, Vector3};
 use physics_proc::manipulator::{
     AnyManipulator, BaseMotion, ManipulatorModel, ManipulatorParameters, Rung, StepInput, TendonCommand,
     Wrench,
 };
 use physics_proc::simulation::Simulation;
+
+use common::{scene, try_scene};
 
 const LENGTH_M: f64 = 0.035;
 const RIGIDITY_NM2: f64 = 1.3369e-3;
@@ -175,10 +176,6 @@ name = "three_tendons"
 [run]
 mode = "lockstep"
 duration_s = 1.0
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
 [manipulator]
 model = "spatial"
 damping_ratio = 1.0
@@ -190,16 +187,11 @@ across_mm = 2.165
 [[tendon]]
 toward_mm = -1.25
 across_mm = -2.165
-[[controller]]
-name = "test"
-drives = ["tendon"]
-external = true
 "#;
-    let path = Path::new("three_tendons.toml");
     let flat = text.replace("spatial", "planar");
-    let refused = Scene::parse(&flat, path).unwrap_err().to_string();
+    let refused = try_scene(&flat).unwrap_err().to_string();
     assert!(refused.contains("`tendon.across_mm` bends out of the plane"), "{refused}");
-    let scene = Scene::parse(text, path).unwrap();
+    let scene = scene(text);
     let mut simulation = Simulation::new(&scene, None).unwrap();
     assert_eq!(simulation.state().tendon_count, 3);
     let start = simulation.state().t_world_burr.position_m;
