@@ -294,7 +294,9 @@ fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Par
         for part in parts.iter_mut().filter(|part| order(part) == turn) {
             // Only the physics ends by run control; when it has, DRR and controllers have heard so, unless it died.
             let goes_on = !failed && turn == 1 && part.name != DRR && !part.ends_within(CONTROLLER_END_TIME);
-            if turn == 2 || failed || goes_on {
+            // A physics that has not been heard of does not listen to run control yet.
+            let is_deaf = turn == 0 && stop && eyes.status.is_none();
+            if turn == 2 || failed || goes_on || is_deaf {
                 part.ask_to_end();
             }
             // The recorder is never cut short: what was published is to be in the log.

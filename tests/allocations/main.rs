@@ -258,7 +258,7 @@ fn the_loop_of_the_physics_process_calls_no_malloc_but_for_its_loans() {
         let sent = messages_behind(from, &ended.folder.join("run.mcap"), &of_ticks)
             + messages_behind(from, &ended.folder.join("timing.mcap"), &of_time);
         println!("{TICKS} ticks of the process: {sent} messages, {calls} calls of malloc and free");
-        assert!(sent >= 3 * TICKS, "state, commands, timing, and removed voxels: {sent}");
+        assert!(sent > 3 * TICKS, "state, commands, timing, and removed voxels: {sent}");
         calls.abs_diff(2 * sent)
     });
     // When the counter is read, the last messages of its tick, the timing and a status, may still be on their way.

@@ -34,6 +34,10 @@ pub(super) struct Control {
     requests: Publisher<RunControl>,
     replies: Subscriber<RunControlReply>,
     physics: Waker,
+    /// Whether the physics has been heard of: what is sent before that is lost.
+    listens: bool,
+    /// What is sent when it is heard of.
+    unsent: Vec<RunControl>,
     next_id: u64,
     waiting: BTreeMap<u64, Answer>,
     pace: Option<Pace>,
@@ -74,6 +78,8 @@ impl Control {
             requests: session.publisher(&services::RUN_CONTROL)?,
             replies: session.subscriber(&services::RUN_CONTROL_REPLY)?,
             physics: session.waker(Reader::Physics)?,
+            listens: false,
+            unsent: Vec::new(),
             // Other senders count from elsewhere.
             next_id: u64::from(std::process::id()) << 32,
             waiting: BTreeMap::new(),
@@ -132,9 +138,25 @@ impl Control {
     fn send(&mut self, action: u32, ticks: u64) -> Result<u64, String> {
         self.next_id += 1;
         let request = RunControl { request_id: self.next_id, ticks, action, reserved: 0 };
-        self.requests.send(&request).map_err(|error| error.to_string())?;
-        self.physics.wake();
+        if self.listens {
+            self.requests.send(&request).map_err(|error| error.to_string())?;
+            self.physics.wake();
+        } else if self.unsent.len() < services::RUN_CONTROL.queue_length {
+            self.unsent.push(request);
+        } else {
+            return Err("the physics has not started yet, and earlier requests wait for it".to_owned());
+        }
         Ok(self.next_id)
+    }
+
+    /// The physics has been heard of, so it listens.
+    pub(super) fn physics_listens(&mut self) -> Result<(), PortError> {
+        self.listens = true;
+        for request in self.unsent.drain(..) {
+            self.requests.send(&request)?;
+            self.physics.wake();
+        }
+        Ok(())
     }
 
     /// Takes replies, and steps a run that goes at a given speed.
@@ -157,6 +179,7 @@ impl Control {
         self.waiting.retain(|_, answer| !answer.is_closed());
         let elapsed = self.paced.elapsed();
         if elapsed >= STEP_PERIOD
+            && self.listens
             && let Some(pace) = &mut self.pace
         {
             self.paced = Instant::now();
@@ -173,7 +196,11 @@ impl Control {
 
 #[cfg(test)]
 mod tests {
+    use ipc_types::scene::{Policy, Wait};
+    use ipc_types::session::{SessionHost, SessionPlan};
+
     use super::*;
+    use crate::channels::Channels;
 
     fn pace(speed: f64) -> Pace {
         Pace { speed, due: 0.0, goal: 0 }
@@ -205,5 +232,45 @@ mod tests {
         let mut slow = Pace { speed: 0.1, due: 0.0, goal: 0 };
         let steps: u64 = (0..90).map(|_| slow.ticks(STEP_PERIOD, 3, 100_000_000)).sum();
         assert_eq!(steps, 1);
+    }
+
+    /// A speed asked for while the physics was starting was lost, and the page waited 10 s for an answer that never came.
+    #[test]
+    fn what_is_asked_before_the_physics_listens_is_sent_when_it_is_heard_of() {
+        let plan = SessionPlan {
+            controllers: Vec::new(),
+            volume_bytes: 4096,
+            frame_bytes: 0,
+            recorder: false,
+            wait: Wait::Hybrid,
+            policy: Policy::Other,
+        };
+        let host = SessionHost::create(&plan).unwrap();
+        host.announce().unwrap();
+        let mut control = Control::open(&host.session).unwrap();
+        let ask = |control: &mut Control, action| {
+            let (answer, answered) = oneshot::channel();
+            control.ask(&Request { action, ticks: None, speed: Some(0.5) }, answer);
+            answered
+        };
+        let mut answered = ask(&mut control, Action::Speed);
+        let physics = host.session.subscriber::<RunControl>(&services::RUN_CONTROL).unwrap();
+        let replies = host.session.publisher::<RunControlReply>(&services::RUN_CONTROL_REPLY).unwrap();
+        let board = Board::new(Channels::new(&[]));
+        control.look(&board, 1_000_000).unwrap();
+        assert!(physics.receive().unwrap().is_none(), "not before it is heard of");
+        control.physics_listens().unwrap();
+        let request = *physics.receive().unwrap().unwrap().message();
+        assert_eq!((request.action, physics.receive().unwrap().is_none()), (CONTROL_PAUSE, true));
+        let RunControl { request_id, action, .. } = request;
+        replies.send(&RunControlReply { request_id, tick: 0, action, status: CONTROL_DONE }).unwrap();
+        control.look(&board, 1_000_000).unwrap();
+        assert_eq!(answered.try_recv(), Ok(Ok(())));
+        // No queue without a limit while it does not.
+        control.listens = false;
+        let waiting: Vec<_> =
+            (0..=services::RUN_CONTROL.queue_length).map(|_| ask(&mut control, Action::Pause)).collect();
+        let refused = waiting.into_iter().next_back().unwrap().try_recv().unwrap().unwrap_err();
+        assert!(refused.contains("not started yet"), "{refused}");
     }
 }

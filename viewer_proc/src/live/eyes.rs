@@ -45,6 +45,7 @@ pub(super) struct Eyes {
     dt_ns: u64,
     tick: u64,
     ended: bool,
+    physics_heard: bool,
 }
 
 /// A queue whose messages go to a topic as they are.
@@ -127,12 +128,18 @@ impl Eyes {
             dt_ns: scene.dt_ns(),
             tick: 0,
             ended: false,
+            physics_heard: false,
         })
     }
 
     /// Whether the run says so.
     pub(super) fn run_has_ended(&self) -> bool {
         self.ended
+    }
+
+    /// Whether the physics has said that it is there.
+    pub(super) fn physics_is_heard(&self) -> bool {
+        self.physics_heard
     }
 
     /// Takes what has come since the last look.
@@ -144,7 +151,7 @@ impl Eyes {
         }
         self.look_at_frames(board)?;
         let (mut ended, mut recorded) = (self.ended, 0);
-        forward(
+        let heard = forward(
             &self.status,
             topics::RUN_STATUS,
             board,
@@ -154,6 +161,7 @@ impl Eyes {
             },
         )?;
         self.ended = ended;
+        self.physics_heard |= heard > 0;
         for _ in 0..ROUND {
             let Some(progress) = self.progress.receive_valid(|_| {})? else { break };
             recorded += usize::from(progress.message().consumer == SENDER_RECORDER);

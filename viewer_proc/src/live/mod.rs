@@ -103,6 +103,9 @@ impl Live {
         let mut alive_seen = Instant::now();
         loop {
             self.eyes.look(&self.board)?;
+            if self.eyes.physics_is_heard() {
+                self.control.physics_listens()?;
+            }
             self.control.look(&self.board, self.dt_ns)?;
             while let Ok(call) = self.called.try_recv() {
                 self.dispatch(call);
