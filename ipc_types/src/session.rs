@@ -10,6 +10,7 @@ use std::fs;
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -470,21 +471,25 @@ fn locked_flags(folder: &Path) -> Result<(WakeFlags, fs::File), SessionError> {
     Ok((flags, alive))
 }
 
+static NEXT_SESSION: AtomicU32 = AtomicU32::new(0);
+
 fn new_session_folder() -> Result<(PathBuf, String), SessionError> {
     let parent = sessions_folder();
     fs::DirBuilder::new().recursive(true).mode(0o700).create(&parent).map_err(file_error(&parent))?;
     if !is_private(&parent) {
         return Err(SessionError::NotPrivate { path: parent });
     }
-    for attempt in 0u32.. {
-        let id = format!("{}-{attempt}", std::process::id());
+    for _ in 0..1000 {
+        // Each name once in a process: whoever has looked at an earlier session's lock must not wipe the next one's folder.
+        let number = NEXT_SESSION.fetch_add(1, Ordering::Relaxed);
+        let id = format!("{}-{number}", std::process::id());
         let folder = parent.join(&id);
         if folder.as_os_str().len() > MAX_ROOT_PATH {
             return Err(SessionError::PathTooLong { path: folder });
         }
         match fs::DirBuilder::new().mode(0o700).create(&folder) {
             Ok(()) => return Ok((folder, id)),
-            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists && attempt < 1000 => {}
+            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {}
             Err(cause) => return Err(SessionError::File { path: folder, cause }),
         }
     }

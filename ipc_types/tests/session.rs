@@ -194,6 +194,14 @@ fn a_session_whose_host_is_gone_is_wiped_though_its_number_lives() {
     assert!(first.session.folder().join("wake.flags").exists(), "a living host's session is not touched");
 }
 
+/// A host that had looked at the lock of a session that just ended then wiped the next one, which had its name.
+#[test]
+fn a_session_does_not_have_the_name_of_an_earlier_one() {
+    let folder = |host: SessionHost| host.session.folder().to_owned();
+    let [first, second] = [(), ()].map(|()| folder(SessionHost::create(&plan(&[])).unwrap()));
+    assert_ne!(first, second);
+}
+
 /// A host looks for dead sessions while another one is being made: what it finds half made is not dead.
 #[test]
 fn a_session_in_the_making_is_not_taken_for_a_dead_one() {

@@ -7,7 +7,7 @@ use drr_proc::process::{c_arm_message, scene_c_arm};
 use ipc_types::layout::Message;
 use ipc_types::messages::{CArmGeometry, Volume as VolumeMessage};
 use ipc_types::ports::{PortError, Publisher};
-use ipc_types::scene::Scene;
+use ipc_types::scene::{Mode, Scene, Wait};
 use ipc_types::services;
 use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan};
 use recorder_proc::cat::whole;
@@ -64,6 +64,15 @@ pub enum HubError {
     },
 }
 
+/// In real time the next state is a period away: a hybrid wait for it would yield in vain, and a yield may cost the core for as
+/// long as a renderer's thread wants it.
+fn wait_for_each_other(scene: &Scene) -> Wait {
+    match (scene.run.mode, scene.run.wait) {
+        (Mode::Realtime, Wait::Hybrid) => Wait::Event,
+        (_, wait) => wait,
+    }
+}
+
 impl Hub {
     /// Makes the session of a scene, publishes its volume, and announces it.
     ///
@@ -79,7 +88,7 @@ impl Hub {
             volume_bytes: volume.map_or(0, |(volume, _)| volume_source::message_bytes(volume)),
             frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
             recorder,
-            wait: scene.run.wait,
+            wait: wait_for_each_other(scene),
             policy: scene.run.policy,
         };
         let host = SessionHost::create(&plan)?;

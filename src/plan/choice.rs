@@ -1,10 +1,10 @@
 //! Which settings a scene gets.
 
-use ipc_types::scene::{Integrator, ManipulatorRung, Scene};
+use ipc_types::scene::{ContactVoxels, Integrator, ManipulatorRung, Scene};
 use physics_proc::manipulator::Rung;
 
 use super::TABLE;
-use super::table::{Row, Settings, integrator_name, read};
+use super::table::{Row, Settings, contact_name, integrator_name, read};
 use crate::failure::Failure;
 
 /// What the scene's author has named and the choice must keep.
@@ -18,6 +18,8 @@ pub struct Given {
     pub integrator: Option<Integrator>,
     /// `run.dt_ms`.
     pub dt_ms: Option<f64>,
+    /// `contact.voxels`.
+    pub contact: Option<ContactVoxels>,
 }
 
 impl Given {
@@ -31,6 +33,7 @@ impl Given {
             links: manipulator.links,
             integrator: manipulator.integrator,
             dt_ms: names_dt.then_some(scene.run.dt_ms),
+            contact: scene.contact.voxels,
         }
     }
 
@@ -39,6 +42,7 @@ impl Given {
             && self.links.is_none_or(|links| links == settings.links)
             && self.integrator.is_none_or(|integrator| integrator == settings.integrator)
             && self.dt_ms.is_none_or(|dt_ms| dt_ms == settings.dt_ms)
+            && self.contact.is_none_or(|contact| contact == settings.contact)
     }
 
     fn text(&self) -> String {
@@ -47,6 +51,7 @@ impl Given {
             self.links.map(|links| format!("{links} links")),
             self.integrator.map(|integrator| integrator_name(integrator).to_owned()),
             self.dt_ms.map(|dt_ms| format!("dt {dt_ms} ms")),
+            self.contact.map(|contact| format!("contact {}", contact_name(contact))),
         ];
         let named: Vec<String> = named.into_iter().flatten().collect();
         if named.is_empty() { "nothing".to_owned() } else { named.join(", ") }
@@ -69,14 +74,15 @@ impl Choice {
     pub fn text(&self) -> String {
         let row = &self.row;
         format!(
-            "settings      {}, contact sphere to plane\nnamed         {} (kept)\ntip error     {:.4} mm expected (end moment {:.4}, tip force {:.4}, capstan {:.4}, wall {:.4})\npath error    {:.4} mm r.m.s. expected (wall {:.4}, sudden pull {:.4}{})\ncost          {:.1} us a simulated millisecond, as measured for the table",
+            "settings      {}\nnamed         {} (kept)\ntip error     {:.4} mm expected (end moment {:.4}, tip force {:.4}, capstan {:.4}, wall {:.4}{})\npath error    {:.4} mm r.m.s. expected (wall {:.4}, sudden pull {:.4}{})\ncost          {:.1} us a simulated millisecond, as measured for the table",
             row.settings.text(),
             self.given.text(),
-            row.tip_mm(),
+            row.tip_mm(self.bone),
             row.end_moment_mm,
             row.tip_force_mm,
             row.capstan_mm,
             row.wall_mm,
+            if self.bone { format!(", voxels {:.4}", row.voxel_wall_mm) } else { String::new() },
             row.path_mm(self.bone),
             row.wall_path_mm,
             row.swing_path_mm,
@@ -128,7 +134,9 @@ fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, F
     let within = |error: f64, allowed: Option<f64>| allowed.is_none_or(|allowed| error <= allowed);
     let best = rows
         .iter()
-        .filter(|row| within(row.tip_mm(), tolerance.tip_mm) && within(row.path_mm(bone), tolerance.path_mm))
+        .filter(|row| {
+            within(row.tip_mm(bone), tolerance.tip_mm) && within(row.path_mm(bone), tolerance.path_mm)
+        })
         .min_by(|a, b| a.us_per_ms(bone).total_cmp(&b.us_per_ms(bone)));
     match best {
         Some(row) => Ok(Some(Choice { row: **row, bone, given })),
@@ -161,7 +169,7 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], bone: bool) -> Failure {
         ));
     }
     let least = |error: &dyn Fn(&Row) -> f64| rows.iter().fold(f64::INFINITY, |low, row| low.min(error(row)));
-    let tip_mm = least(&|row| row.tip_mm());
+    let tip_mm = least(&|row| row.tip_mm(bone));
     let path_mm = least(&|row| row.path_mm(bone));
     let tolerance = scene.tolerance.unwrap_or_default();
     let ask = |key: &str, asked: Option<f64>, least: f64| {
@@ -208,21 +216,30 @@ bend_toward = [1.0, 0.0, 0.0]
         for (rung, place) in Rung::ALL.into_iter().zip(1..) {
             for links in [4, 8, 27] {
                 for integrator in [Integrator::LinearlyImplicitEuler, Integrator::Hybrid] {
-                    for dt_ms in [0.5, 1.0, 2.0] {
+                    let contacts = [ContactVoxels::Planes, ContactVoxels::Balls];
+                    for (dt_ms, contact) in
+                        [0.5, 1.0, 2.0].into_iter().flat_map(|dt| contacts.map(|kind| (dt, kind)))
+                    {
+                        let balls = contact == ContactVoxels::Balls;
                         let tip = if place == 1 { 5.0 } else { 10.0 / (links * links) as f64 };
                         let order = if integrator == Integrator::Hybrid { 0.1 } else { 1.0 };
                         let us = f64::from(place) * links as f64 / dt_ms * (2.0 - order);
                         rows.push(Row {
-                            settings: Settings { rung, links, integrator, dt_ms },
+                            settings: Settings { rung, links, integrator, dt_ms, contact },
                             end_moment_mm: 0.5 * tip,
                             tip_force_mm: tip,
                             capstan_mm: 0.1 * tip,
                             wall_mm: 0.2 * tip,
+                            voxel_wall_mm: if balls { 0.2 } else { 0.0 },
                             wall_path_mm: tip + 0.5 * order * dt_ms,
                             swing_path_mm: tip + order * dt_ms,
                             drilled_path_mm: if links == 27 { tip + dt_ms } else { f64::NAN },
                             free_us_per_ms: us,
-                            drilling_us_per_ms: if links == 27 { us + 20.0 } else { f64::NAN },
+                            drilling_us_per_ms: match (links, balls) {
+                                (27, true) => us + 10.0,
+                                (27, false) => us + 20.0,
+                                _ => f64::NAN,
+                            },
                         });
                     }
                 }
@@ -247,7 +264,7 @@ bend_toward = [1.0, 0.0, 0.0]
     fn the_choice_is_in_the_resolved_scene_and_stays_when_resolved_again() {
         let (mut after, choice) = planned("tolerance = { tip_mm = 0.1, path_mm = 0.5 }").unwrap();
         let choice = choice.unwrap();
-        assert!(choice.row.tip_mm() <= 0.1 && choice.row.path_mm(false) <= 0.5, "{choice:?}");
+        assert!(choice.row.tip_mm(false) <= 0.1 && choice.row.path_mm(false) <= 0.5, "{choice:?}");
         assert_eq!(after.run.dt_ms, choice.row.settings.dt_ms);
         let resolved = after.clone();
         let text = toml::to_string(&after).unwrap();
@@ -263,6 +280,22 @@ bend_toward = [1.0, 0.0, 0.0]
         let bone = planned(&format!("{block}tolerance = {{ path_mm = 2.0 }}")).unwrap().1.unwrap();
         assert!(free.row.settings.links < 27 && bone.row.settings.links == 27, "{free:?} {bone:?}");
         assert!(bone.text().contains("drilled") && !free.text().contains("drilled"));
+    }
+
+    /// Balls are cheaper in this table, and no better than 0.2 mm.
+    #[test]
+    fn the_contact_is_chosen_by_its_measured_error_where_there_is_bone() {
+        let bone = |more: &str| planned(&format!("volume = {{ phantom = \"block\" }}\n{more}")).unwrap();
+        for (tip_mm, contact) in [(0.5, ContactVoxels::Balls), (0.1, ContactVoxels::Planes)] {
+            let (after, choice) = bone(&format!("tolerance = {{ tip_mm = {tip_mm} }}"));
+            assert_eq!(choice.unwrap().row.settings.contact, contact);
+            assert_eq!(after.contact.voxels, Some(contact));
+        }
+        let named = bone("tolerance = { tip_mm = 0.5 }\ncontact = { voxels = \"planes\" }").1.unwrap();
+        assert_eq!(named.row.settings.contact, ContactVoxels::Planes);
+        assert!(named.text().contains("contact planes (kept)"), "{}", named.text());
+        let (free, _) = planned("tolerance = { tip_mm = 0.5 }").unwrap();
+        assert_eq!(free.contact.voxels, None, "no bone, no contact with it");
     }
 
     #[test]
@@ -306,7 +339,7 @@ bend_toward = [1.0, 0.0, 0.0]
             let tolerance = scene.tolerance.as_mut().unwrap();
             (tolerance.tip_mm, tolerance.path_mm) = (Some(tip_mm), Some(path_mm));
             let choice = choose(&scene, Given::default(), &rows).ok()??;
-            assert!(choice.row.tip_mm() <= tip_mm && choice.row.path_mm(false) <= path_mm);
+            assert!(choice.row.tip_mm(false) <= tip_mm && choice.row.path_mm(false) <= path_mm);
             Some(choice.row.us_per_ms(false))
         };
         let steps: Vec<f64> = (0..24).map(|place| 0.005 * 1.4_f64.powi(place)).collect();

@@ -2,13 +2,13 @@
 
 use std::fmt::Write as _;
 
-use ipc_types::scene::{Integrator, ManipulatorRung, Scene};
+use ipc_types::scene::{ContactVoxels, Integrator, ManipulatorRung, Scene};
 use physics_proc::manipulator::Rung;
 
 /// Flexures of the standard tool.
 const OWN_LINKS: usize = 27;
 
-/// What a row of the table was measured with. The contact of all is sphere against plane, the one that there is.
+/// What a row of the table was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// Rung.
@@ -19,13 +19,17 @@ pub struct Settings {
     pub integrator: Integrator,
     /// Step, ms.
     pub dt_ms: f64,
+    /// What a voxel of bone is to the tool's spheres.
+    pub contact: ContactVoxels,
 }
 
 impl Settings {
     /// As tables and messages write it.
     pub fn text(&self) -> String {
         let integrator = integrator_name(self.integrator);
-        format!("{}, {} links, {integrator}, dt {} ms", self.rung.name(), self.links, self.dt_ms)
+        let contact = contact_name(self.contact);
+        let Settings { rung, links, dt_ms, .. } = self;
+        format!("{}, {links} links, {integrator}, dt {dt_ms} ms, contact {contact}", rung.name())
     }
 
     /// Makes them those of a scene.
@@ -42,6 +46,17 @@ impl Settings {
         }
         scene.manipulator.integrator = Some(self.integrator);
         scene.run.dt_ms = self.dt_ms;
+        if scene.volume.is_some() {
+            scene.contact.voxels = Some(self.contact);
+        }
+    }
+}
+
+/// A scene's name of a contact kind.
+pub fn contact_name(contact: ContactVoxels) -> &'static str {
+    match contact {
+        ContactVoxels::Planes => "planes",
+        ContactVoxels::Balls => "balls",
     }
 }
 
@@ -66,6 +81,8 @@ pub struct Row {
     pub capstan_mm: f64,
     /// Tip at rest against a wall, against the converged solution.
     pub wall_mm: f64,
+    /// A sphere of the tool at rest on a flat wall of voxels.
+    pub voxel_wall_mm: f64,
     /// Path onto the wall, r.m.s.
     pub wall_path_mm: f64,
     /// Path of a sudden pull in free space, r.m.s.
@@ -78,15 +95,17 @@ pub struct Row {
     pub drilling_us_per_ms: f64,
 }
 
-const COLUMNS: [&str; 13] = [
+const COLUMNS: [&str; 15] = [
     "rung",
     "links",
     "integrator",
     "dt_ms",
+    "contact",
     "end_moment_mm",
     "tip_force_mm",
     "capstan_mm",
     "wall_mm",
+    "voxel_wall_mm",
     "wall_path_mm",
     "swing_path_mm",
     "drilled_path_mm",
@@ -95,9 +114,10 @@ const COLUMNS: [&str; 13] = [
 ];
 
 impl Row {
-    /// Error of the burr's place at rest: the worst problem.
-    pub fn tip_mm(&self) -> f64 {
-        worst(&[self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm])
+    /// Error of the burr's place at rest: the worst problem; that of voxels counts where there is bone.
+    pub fn tip_mm(&self, bone: bool) -> f64 {
+        let voxel_wall_mm = if bone { self.voxel_wall_mm } else { 0.0 };
+        worst(&[self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm, voxel_wall_mm])
     }
 
     /// Error of the burr's path: the worst problem; drilling counts where there is bone.
@@ -123,12 +143,14 @@ pub fn write(rows: &[Row]) -> String {
     text.push('\n');
     for row in rows {
         let s = &row.settings;
-        let _ = write!(text, "{},{},{},{}", s.rung.name(), s.links, integrator_name(s.integrator), s.dt_ms);
+        let (integrator, contact) = (integrator_name(s.integrator), contact_name(s.contact));
+        let _ = write!(text, "{},{},{integrator},{},{contact}", s.rung.name(), s.links, s.dt_ms);
         for error in [
             row.end_moment_mm,
             row.tip_force_mm,
             row.capstan_mm,
             row.wall_mm,
+            row.voxel_wall_mm,
             row.wall_path_mm,
             row.swing_path_mm,
             row.drilled_path_mm,
@@ -164,16 +186,20 @@ fn row(line: &str) -> Option<Row> {
                 .into_iter()
                 .find(|integrator| Some(&integrator_name(*integrator)) == cells.get(2))?,
             dt_ms: number(3)?,
+            contact: [ContactVoxels::Planes, ContactVoxels::Balls]
+                .into_iter()
+                .find(|contact| Some(&contact_name(*contact)) == cells.get(4))?,
         },
-        end_moment_mm: number(4)?,
-        tip_force_mm: number(5)?,
-        capstan_mm: number(6)?,
-        wall_mm: number(7)?,
-        wall_path_mm: number(8)?,
-        swing_path_mm: number(9)?,
-        drilled_path_mm: number(10)?,
-        free_us_per_ms: number(11)?,
-        drilling_us_per_ms: number(12)?,
+        end_moment_mm: number(5)?,
+        tip_force_mm: number(6)?,
+        capstan_mm: number(7)?,
+        wall_mm: number(8)?,
+        voxel_wall_mm: number(9)?,
+        wall_path_mm: number(10)?,
+        swing_path_mm: number(11)?,
+        drilled_path_mm: number(12)?,
+        free_us_per_ms: number(13)?,
+        drilling_us_per_ms: number(14)?,
     })
 }
 
@@ -193,7 +219,7 @@ mod tests {
     #[test]
     fn what_was_lost_is_infinitely_wrong() {
         let row = Row { wall_mm: f64::NAN, ..read(TABLE).unwrap()[0] };
-        assert_eq!(row.tip_mm(), f64::INFINITY);
+        assert_eq!(row.tip_mm(false), f64::INFINITY);
         assert_eq!(read("rung,links\nplanar,4\n"), None);
     }
 }

@@ -4,7 +4,7 @@ use std::num::NonZeroU64;
 use std::time::Instant;
 
 use ipc_types::scene::Wait;
-use ipc_types::wake::{Crowd, allowed_cores};
+use ipc_types::wake::allowed_cores;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 /// Monotonic clock in nanoseconds.
@@ -27,36 +27,35 @@ const SPIN_TIME_NS: u64 = 100_000;
 pub(super) struct Sleeper {
     wait: Wait,
     cores: usize,
-    crowd: Crowd,
 }
 
 impl Sleeper {
     /// For this thread, with the cores that it may use now.
     pub(super) fn new(wait: Wait) -> Sleeper {
-        Sleeper { wait, cores: allowed_cores(), crowd: Crowd::default() }
+        Sleeper { wait, cores: allowed_cores() }
     }
 
-    /// Waits until the monotonic clock shows `deadline_ns`. A signal ends the wait early. Nothing spins on one core, and
-    /// a hybrid wait not while its yields show that somebody else has the core.
+    /// Waits until the monotonic clock shows `deadline_ns`. A signal ends the wait early. Nothing spins on one core.
+    ///
+    /// The last moments before the deadline are the tick's: a yield there would give the core to a renderer's thread, which Linux does
+    /// not take it from before its next tick, up to 4 ms later.
     pub(super) fn wait_until(&self, deadline_ns: u64) {
         match self.wait {
             Wait::Event => sleep_until(deadline_ns),
             _ if self.cores <= 1 => sleep_until(deadline_ns),
-            Wait::Spin => {
-                while now_ns() < deadline_ns {
-                    std::hint::spin_loop();
-                }
-            }
-            Wait::Hybrid if !self.crowd.core_seems_free() => sleep_until(deadline_ns),
+            Wait::Spin => spin_until(deadline_ns),
             Wait::Hybrid => {
-                let awake_ns = deadline_ns.saturating_sub(SPIN_TIME_NS);
-                if now_ns() < awake_ns {
-                    sleep_until(awake_ns);
-                }
-                while now_ns() < deadline_ns && self.crowd.offer_core() {}
-                sleep_until(deadline_ns);
+                sleep_until(deadline_ns.saturating_sub(SPIN_TIME_NS));
+                spin_until(deadline_ns);
             }
         }
+    }
+}
+
+/// Looks at the monotonic clock until it shows `deadline_ns`.
+fn spin_until(deadline_ns: u64) {
+    while now_ns() < deadline_ns {
+        std::hint::spin_loop();
     }
 }
 

@@ -5,6 +5,7 @@ mod drilled;
 mod elastica;
 mod peers;
 mod problems;
+mod voxel_wall;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
