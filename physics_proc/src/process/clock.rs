@@ -45,8 +45,11 @@ impl Sleeper {
             _ if self.cores <= 1 => sleep_until(deadline_ns),
             Wait::Spin => spin_until(deadline_ns),
             Wait::Hybrid => {
-                sleep_until(deadline_ns.saturating_sub(SPIN_TIME_NS));
-                spin_until(deadline_ns);
+                let awake_ns = deadline_ns.saturating_sub(SPIN_TIME_NS);
+                sleep_until(awake_ns);
+                if now_ns() >= awake_ns {
+                    spin_until(deadline_ns);
+                }
             }
         }
     }
