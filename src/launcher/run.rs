@@ -279,6 +279,12 @@ fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Par
     if stop {
         eyes.ask_to_stop();
     }
+    // A physics that has not been heard of does not listen to run control yet, and may end without a word to the others.
+    let is_deaf = stop && eyes.status.is_none();
+    // Of a run that did not begin nobody has anything to finish.
+    let judged = |name: &str, outcome: Outcome, parts: &mut [Part]| {
+        if is_deaf { outcome } else { with_end_of(name, outcome, parts) }
+    };
     let limit = if failed { FAILED_END_LIMIT } else { END_LIMIT };
     let mut over = Instant::now();
     let order = |part: &Part| match part.name.as_str() {
@@ -288,14 +294,12 @@ fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Par
     };
     for turn in 0..3 {
         if turn == 2 {
-            outcome = with_end_of(DRR, outcome, parts);
+            outcome = judged(DRR, outcome, parts);
             write_reason(plan, &outcome);
         }
         for part in parts.iter_mut().filter(|part| order(part) == turn) {
             // Only the physics ends by run control; when it has, DRR and controllers have heard so, unless it died.
             let goes_on = !failed && turn == 1 && part.name != DRR && !part.ends_within(CONTROLLER_END_TIME);
-            // A physics that has not been heard of does not listen to run control yet.
-            let is_deaf = turn == 0 && stop && eyes.status.is_none();
             if turn == 2 || failed || goes_on || is_deaf {
                 part.ask_to_end();
             }
@@ -312,7 +316,7 @@ fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Par
         // A recorder that died has not taken it.
         let _ = std::fs::remove_file(output.join(recorder_proc::process::REASON_FILE));
     }
-    (over, with_end_of(RECORDER, outcome, parts))
+    (over, judged(RECORDER, outcome, parts))
 }
 
 /// A run whose log could not be finished, or whose last frames are missing, has not succeeded, though all its ticks were made.

@@ -38,6 +38,21 @@ fn ctrl_c_ends_all_cleanly_with_a_valid_log() {
     assert!(ended.out.contains("interrupted") && ended.folder.join("summary.json").exists(), "{}", ended.out);
 }
 
+/// The physics was asked before it listened, and the launcher waited two minutes for its end.
+#[test]
+fn ctrl_c_while_the_parts_start_ends_all() {
+    for wait_ms in [0, 40, 160] {
+        let place = Place::new();
+        let run = place.start(&scenes::drill("realtime", 600.0));
+        run.session();
+        std::thread::sleep(std::time::Duration::from_millis(wait_ms));
+        signal(run.pid(), Signal::INT);
+        let ended = run.end();
+        assert_eq!(ended.code, Some(130), "{}", ended.err);
+        assert_nothing_left(ended.pid);
+    }
+}
+
 /// How many there are beside the logs: `.end_reason` is how the launcher tells the recorder why the run ends.
 fn hidden_files(ended: &Ended) -> usize {
     let files = fs::read_dir(&ended.folder).unwrap().flatten();
