@@ -11,7 +11,7 @@ use thiserror::Error;
 pub enum ClientError {
     /// The session cannot be joined, or a port of it not be opened.
     #[error(transparent)]
-    Session(#[from] SessionError),
+    Session(SessionError),
     /// The session's scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
@@ -96,4 +96,14 @@ pub enum ClientError {
     /// Nothing came in time.
     #[error("nothing came within {:.3} s", .0.as_secs_f64())]
     TimedOut(Duration),
+}
+
+impl From<SessionError> for ClientError {
+    fn from(error: SessionError) -> ClientError {
+        match error {
+            // One that goes while it is being joined is one that is not there.
+            SessionError::NoSession { path } => ClientError::NoSession { folder: path },
+            other => ClientError::Session(other),
+        }
+    }
 }

@@ -80,9 +80,7 @@ fn client_status(cause: &ClientError) -> i32 {
     match cause {
         ClientError::TimedOut(_) => TIMEOUT,
         ClientError::Ended => ENDED,
-        ClientError::NoSession { .. } | ClientError::Session(SessionError::NoSession { .. }) => {
-            ERROR_NO_SESSION
-        }
+        ClientError::NoSession { .. } => ERROR_NO_SESSION,
         ClientError::Layout { .. }
         | ClientError::Session(
             SessionError::Layout { .. } | SessionError::Transport { .. } | SessionError::Version { .. },
