@@ -35,7 +35,7 @@ use tendon_drive::{TendonDrive, TendonDriveState};
 
 pub use apply::Refusal;
 pub use keyframe::KeyframeError;
-pub use setup::manipulator_parameters;
+pub use setup::{contact_kind, manipulator_parameters};
 
 /// Gap within which a contact plane takes part in a tick, beyond what the sphere can travel in it.
 const CONTACT_MARGIN_M: f64 = 1.0e-4;

@@ -232,10 +232,7 @@ fn bone<'v>(
     if let Some(coefficient) = drilling.cutting_coefficient {
         parameters.cutting.cutting_friction = coefficient;
     }
-    parameters.contact = match scene.contact.voxels {
-        Some(SceneContactVoxels::Balls) => ContactKind::VoxelBalls,
-        Some(SceneContactVoxels::Planes) | None => ContactKind::Planes,
-    };
+    parameters.contact = contact_kind(scene.contact.voxels);
     parameters.removal = match drilling.removal {
         Some(SceneRemoval::Naive) => Removal::Naive,
         Some(SceneRemoval::Capped) => Removal::Capped,
@@ -251,4 +248,12 @@ fn bone<'v>(
     }
     predrilled.sort_unstable();
     Ok((Bone { hu: ct.hu, field, contacts: ContactBuffer::with_capacity(MAX_CONTACTS) }, predrilled))
+}
+
+/// What a scene's `contact.voxels` means.
+pub fn contact_kind(voxels: Option<SceneContactVoxels>) -> ContactKind {
+    match voxels {
+        Some(SceneContactVoxels::Balls) => ContactKind::VoxelBalls,
+        Some(SceneContactVoxels::Planes) | None => ContactKind::Planes,
+    }
 }

@@ -1,8 +1,9 @@
 //! A sphere of the tool at rest on a flat wall of voxels: what the contact kind alone makes wrong.
 
 use ipc_types::scene::ContactVoxels;
-use nalgebra::{Matrix3, Vector3};
-use physics_proc::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry};
+use nalgebra::Vector3;
+use physics_proc::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, GridGeometry};
+use physics_proc::simulation::contact_kind;
 
 /// Proxy spheres of the flexures (Phalen et al. 2023).
 const RADIUS_MM: f64 = 3.0;
@@ -18,20 +19,12 @@ const PLACES: usize = 8;
 /// The grid is refused.
 pub fn voxel_wall_mm(contact: ContactVoxels, spacing_mm: f64) -> Result<f64, BoneError> {
     let h = spacing_mm * 1e-3;
-    let geometry = GridGeometry {
-        dims: [ACROSS; 3],
-        spacing_m: [h; 3],
-        direction_world_grid: Matrix3::identity(),
-        origin_world_m: Vector3::zeros(),
-    };
+    let geometry = GridGeometry::axis_aligned([ACROSS; 3], [h; 3], Vector3::zeros());
     let hu: Vec<i16> = (0..geometry.voxel_count())
         .map(|n| if n / (ACROSS * ACROSS) < LAYERS { 1000 } else { -1000 })
         .collect();
-    let contact = match contact {
-        ContactVoxels::Planes => ContactKind::Planes,
-        ContactVoxels::Balls => ContactKind::VoxelBalls,
-    };
-    let field = BoneField::new(geometry, &hu, BoneParameters { contact, ..BoneParameters::default() })?;
+    let parameters = BoneParameters { contact: contact_kind(Some(contact)), ..BoneParameters::default() };
+    let field = BoneField::new(geometry, &hu, parameters)?;
     // Voxel centres are on whole multiples.
     let wall_m = (LAYERS as f64 - 0.5) * h;
     let mut worst_m: f64 = 0.0;
