@@ -41,7 +41,7 @@ impl BoneField {
         }
         let (depth, axis) = best.unwrap_or((0.0, Vector3::z()));
         let exit = centre + axis * depth;
-        let sample = self.sample_surface(&exit, &self.tent_sizes(radius_m));
+        let sample = self.sample_surface(&exit, &self.tent_sizes(radius_m), None);
         let smooth = sample.outward_per_m / sample.outward_per_m.norm().max(1e-300);
         let normal = if smooth.dot(&axis) > NORMAL_AGREEMENT_COSINE { smooth } else { axis };
         (exit, normal, -depth * normal.dot(&axis) - radius_m)

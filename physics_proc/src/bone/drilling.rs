@@ -6,7 +6,7 @@
 //!
 //! **Who gets it.** Voxels whose surface (the measure of [`super::query`]) lies within the burr grown by `reach_m` share it
 //! by pressure times area, the pressure in proportion to the depth (an elastic foundation of thickness `reach_m`): weight =
-//! volume x min(depth / width, 1). So soft bone recedes until the hard bone beside it carries the load.
+//! min(depth / width, 1), since all voxels have one volume. So soft bone recedes until the hard bone beside it carries the load.
 //!
 //! **What a voxel can take.** Its energy is `u(HU) x volume`. It loses at most the part that lies within the grown burr, and
 //! recedes no faster than `feed_per_revolution_max_m` a revolution. What a full voxel cannot take goes to the others; what
@@ -19,18 +19,21 @@
 //! of it falls off if less than `sliver_fraction` remains: the hole in the voxels has on average the burr's size.
 
 use nalgebra::Vector3;
+use pulp::Arch;
 
 use super::BoneError;
-use super::field::{BoneField, BoneParameters, check_volume};
+use super::field::{BoneField, check_volume};
+use super::gather::widening;
 use super::grid::GridGeometry;
-use super::reach::Reach;
+use super::reach::{Press, Reach};
+use super::remembered::Change;
 use super::removal::Removal;
 use super::strength::{NO_PLACE, block_of};
 
 /// Rounds of sharing the energy; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
 /// Sums run side by side, in a fixed order.
-const LANES: usize = 4;
+const LANES: usize = 8;
 
 /// How a burr turns force and speed into cutting energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -121,58 +124,67 @@ pub struct GrindReport {
     pub energy_shed_j: f64,
 }
 
-/// A voxel in reach of the burr.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Share {
-    pub index: u32,
-    pub place: usize,
-    /// Depth of the voxel in the burr as a fraction of its width, times its volume.
-    pub weight: f64,
-    /// Fraction of its energy that is spent.
-    spent: f64,
-    /// Energy of the whole voxel.
-    full_j: f64,
-}
-
 /// Working memory of [`BoneField::grind`], reserved for the largest burr.
 #[derive(Debug, Clone)]
 pub(super) struct DrillScratch {
-    pub(super) shares: Vec<Share>,
-    /// Weights of the shares and what each can take in this tick, J; then zeros up to a multiple of [`LANES`].
+    /// Weights of the voxels that the burr presses on, in their order, and what each can take in this tick, J; then zeros up to a
+    /// multiple of [`LANES`]. Without the others between them, so that the sums do not depend on what else is near.
     weight: Vec<f64>,
     room_j: Vec<f64>,
-    capacity: usize,
+    count: usize,
+    /// The voxels themselves, by their place in the list of those in reach; for [`super::removal`] only.
+    pub(super) kept: Vec<u32>,
+}
+
+/// How the energy is shared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Level {
+    /// Energy in J that a unit of weight is offered.
+    level_j: f64,
+    /// What all take of it, J.
+    taken_j: f64,
 }
 
 impl DrillScratch {
-    /// Room for every voxel that the largest burr can reach.
-    pub fn new(geometry: &GridGeometry, parameters: &BoneParameters) -> Result<Self, BoneError> {
-        let value = parameters.max_burr_radius_m;
-        if !(value.is_finite() && value > 0.0) {
-            return Err(BoneError::Parameter {
-                name: "max_burr_radius_m",
-                value,
-                expected: "a finite number above 0",
-            });
+    /// Room for `capacity` voxels.
+    pub fn new(capacity: usize) -> Self {
+        let numbers = || vec![0.0; capacity.next_multiple_of(LANES)];
+        Self { weight: numbers(), room_j: numbers(), count: 0, kept: Vec::with_capacity(capacity) }
+    }
+
+    /// Takes over the voxels that have depth.
+    fn keep(&mut self, depth: &[f64], room_j: &[f64]) {
+        let mut out = self.weight.iter_mut().zip(&mut self.room_j);
+        let mut count = 0;
+        for (depth, room) in depth.iter().zip(room_j) {
+            if *depth > 0.0
+                && let Some((weight_out, room_out)) = out.next()
+            {
+                (*weight_out, *room_out) = (*depth, *room);
+                count += 1;
+            }
         }
-        let capacity = voxels_in_cube(geometry, value + parameters.cutting.reach_m);
-        let numbers = || Vec::with_capacity(capacity.next_multiple_of(LANES));
-        Ok(Self { shares: Vec::with_capacity(capacity), weight: numbers(), room_j: numbers(), capacity })
+        out.take(LANES - 1).for_each(|(weight, room)| (*weight, *room) = (0.0, 0.0));
+        self.count = count;
     }
 
-    fn clear(&mut self) {
-        self.shares.clear();
-        self.weight.clear();
-        self.room_j.clear();
+    /// Shares the energy by weight; what exceeds a voxel's room goes to the others.
+    fn share(&self, arch: Arch, energy_j: f64) -> Level {
+        let padded = self.count.next_multiple_of(LANES);
+        arch.dispatch(Share { energy_j, weight: &self.weight[..padded], room_j: &self.room_j[..padded] })
     }
+}
 
-    fn push(&mut self, share: Share, room_j: f64) {
-        self.weight.push(share.weight);
-        self.room_j.push(room_j);
-        self.shares.push(share);
-    }
+/// The loops of [`DrillScratch::share`], compiled for each instruction set; the order of every sum is written out.
+struct Share<'a> {
+    energy_j: f64,
+    weight: &'a [f64],
+    room_j: &'a [f64],
+}
 
-    /// What all take at `level_j`, the energy a unit of weight is offered, and the weight of those that could take more.
+impl Share<'_> {
+    /// What all take at a level, and the weight of those that could take more.
+    #[inline(always)]
     fn taken_at(&self, level_j: f64) -> (f64, f64) {
         let (mut taken, mut open) = ([0.0; LANES], [0.0; LANES]);
         for (weights, rooms) in self.weight.chunks_exact(LANES).zip(self.room_j.chunks_exact(LANES)) {
@@ -185,15 +197,34 @@ impl DrillScratch {
         }
         (taken.iter().sum(), open.iter().sum())
     }
+}
 
-    /// What a share takes at a level.
-    fn given_j(&self, place: usize, level_j: f64) -> f64 {
-        (level_j * self.weight[place]).min(self.room_j[place])
-    }
+impl pulp::WithSimd for Share<'_> {
+    type Output = Level;
 
-    pub fn capacity(&self) -> usize {
-        self.capacity
+    /// Newton's steps on the level at which all is taken. What is taken bends only where a voxel is full, so a step after which the
+    /// same voxels are open was the last.
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Level {
+        let mut level_j = 0.0;
+        let mut open_before = f64::INFINITY;
+        let mut round = 0;
+        loop {
+            let (taken_j, open) = self.taken_at(level_j);
+            let rest_j = self.energy_j - taken_j;
+            if open <= 0.0 || rest_j <= 0.0 || open >= open_before || round == SHARE_ROUNDS {
+                return Level { level_j, taken_j };
+            }
+            level_j += rest_j / open;
+            open_before = open;
+            round += 1;
+        }
     }
+}
+
+/// Rounding of spent + (1 - spent): what is nearer to the end than 1e-12 is at the end.
+fn is_ended(spent: f64) -> bool {
+    spent > 1.0 - 1e-12
 }
 
 /// Most voxels that a cube of half edge `half_m` can meet.
@@ -212,16 +243,15 @@ impl BoneField {
         self.check_burr(burr, dt_s)?;
         let mut report = GrindReport::default();
         self.removed.clear();
-        let cutting = self.parameters.cutting;
-        report.energy_offered_j = cutting.power_w(burr) * dt_s;
+        let mut change = Change::NOTHING;
+        report.energy_offered_j = self.parameters.cutting.power_w(burr) * dt_s;
         if report.energy_offered_j > 0.0 {
-            self.scratch.clear();
-            self.collect(hu, burr, dt_s, &mut report);
+            self.collect(hu, &self.press(burr, dt_s), &mut report, &mut change);
             match self.parameters.removal {
                 Removal::Energy => {
-                    let level_j = self.share(report.energy_offered_j);
-                    report.energy_used_j = self.scratch.taken_at(level_j).0;
-                    self.apply(level_j, &mut report);
+                    let level = self.scratch.share(self.arch, report.energy_offered_j);
+                    report.energy_used_j = level.taken_j;
+                    self.apply(level.level_j, &mut report);
                 }
                 rule => {
                     report.energy_offered_j = 0.0;
@@ -229,8 +259,21 @@ impl BoneField {
                 }
             }
         }
-        self.remove_spent(&mut report);
+        self.remove_spent(&mut report, &mut change);
+        if change != Change::NOTHING {
+            self.changes.note(change);
+        }
         Ok(report)
+    }
+
+    fn press(&self, burr: &BurrState, dt_s: f64) -> Press {
+        let cutting = &self.parameters.cutting;
+        Press {
+            centre: self.geometry.point_to_grid(&burr.centre_m),
+            reach: Reach::of_burr(burr.radius_m, &self.geometry, cutting),
+            recession_m: cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s
+                / core::f64::consts::TAU,
+        }
     }
 
     fn check_burr(&self, burr: &BurrState, dt_s: f64) -> Result<(), BoneError> {
@@ -255,105 +298,93 @@ impl BoneField {
         Ok(())
     }
 
-    /// Lists the voxels in reach with their weights, and sheds slivers that the burr has left behind.
-    fn collect(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64, report: &mut GrindReport) {
-        let cutting = self.parameters.cutting;
-        let reach = Reach::of_burr(burr.radius_m, &self.geometry, &cutting);
-        self.reach(hu, &self.geometry.point_to_grid(&burr.centre_m), &reach);
-        let recession =
-            cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s / core::f64::consts::TAU;
-        let volume = self.geometry.voxel_volume_m3();
-        for place in 0..self.reached.kept.len() {
-            let voxel = self.reached.kept[place] as usize;
-            let (surface, width) = (self.reached.surface[voxel], self.reached.width[voxel]);
-            let (spent, full_j) = (self.reached.spent[voxel], self.reached.full_j[voxel]);
-            let index = self.reached.index[voxel];
-            let Some(place) = self.claim(voxel) else {
+    /// Lists the voxels that the burr presses on, and sheds slivers that it has left behind.
+    fn collect(&mut self, hu: &[i16], press: &Press, report: &mut GrindReport, change: &mut Change) {
+        if self.reach(hu, press) {
+            self.shed_slivers(press, report, change);
+        }
+        for voxel in 0..self.reached.place.len() {
+            if self.reached.place[voxel] == NO_PLACE && self.reached.depth[voxel] > 0.0 && !self.claim(voxel)
+            {
+                self.reached.depth[voxel] = 0.0;
                 report.refused_count += 1;
-                continue;
-            };
-            let left = 1.0 - spent;
-            // Cut or, beyond, a sliver.
-            if surface >= reach.cut_m {
-                if self.waiting.len() < self.waiting.capacity() {
-                    self.pool.set(place, 1.0);
-                    self.waiting.push(index);
-                    report.energy_shed_j += left * full_j;
-                }
-            } else if self.scratch.shares.len() < self.scratch.capacity {
-                let depth = ((reach.cut_m - surface) / width).min(1.0);
-                let advance = (recession / width).min(1.0);
-                let room_j = depth.min(left).min(advance) * full_j;
-                let weight = depth * volume;
-                self.scratch.push(Share { index, place, weight, spent, full_j }, room_j);
+            }
+        }
+        self.scratch.keep(&self.reached.depth, &self.reached.room_j);
+        if self.scratch.count > 0 {
+            // A surface in reach lies in a box in reach.
+            (change.centre, change.reach_m) =
+                (press.centre, press.reach.cut_m + widening(self.geometry.spacing_m));
+        }
+    }
+
+    fn shed_slivers(&mut self, press: &Press, report: &mut GrindReport, change: &mut Change) {
+        for voxel in 0..self.reached.index.len() {
+            let sliver = self.reached.is_sliver(voxel, press, self.parameters.cutting.sliver_fraction);
+            if sliver && self.waiting.len() < self.waiting.capacity() {
+                report.energy_shed_j += (1.0 - self.reached.spent[voxel]) * self.reached.full_j[voxel];
+                self.set_spent(voxel, 1.0);
+                let index = self.reached.index[voxel];
+                self.waiting.push(index);
+                change.voxels = change.voxels.with(self.voxel_of_index(index as usize).map(|x| x as i64));
             }
         }
     }
 
-    /// Where a voxel in reach keeps its spent fraction, taking a block if needed; `None` if the pool is full.
-    fn claim(&mut self, voxel: usize) -> Option<usize> {
-        if self.reached.place[voxel] == NO_PLACE {
-            let [i, j, k] = self.voxel_of_index(self.reached.index[voxel] as usize);
-            let used = self.pool.used();
-            self.reached.place[voxel] = self.pool.claim(i, j, k)?;
-            if self.pool.used() > used {
-                self.tracks.forget_box(&block_of([i, j, k]));
-            }
+    /// Finds a voxel in reach the place where its spent fraction is kept, taking a block; false if the pool is full.
+    fn claim(&mut self, voxel: usize) -> bool {
+        let [i, j, k] = self.voxel_of_index(self.reached.index[voxel] as usize);
+        let used = self.pool.used();
+        let Some(place) = self.pool.claim(i, j, k) else { return false };
+        self.reached.place[voxel] = place;
+        if self.pool.used() > used {
+            self.tracks.forget_box(&block_of([i, j, k]));
         }
-        Some(self.reached.place[voxel])
+        true
     }
 
-    /// Shares the energy by weight; what exceeds a voxel's room goes to the others. Returns the energy that a unit of weight is
-    /// offered: Newton's steps on the level at which all is taken.
-    fn share(&mut self, energy_j: f64) -> f64 {
-        let padded = self.scratch.shares.len().next_multiple_of(LANES);
-        self.scratch.weight.resize(padded, 0.0);
-        self.scratch.room_j.resize(padded, 0.0);
-        let mut level_j = 0.0;
-        for _ in 0..SHARE_ROUNDS {
-            let (taken_j, open) = self.scratch.taken_at(level_j);
-            let rest_j = energy_j - taken_j;
-            if open <= 0.0 || rest_j <= 0.0 {
-                break;
-            }
-            level_j += rest_j / open;
-        }
-        level_j
+    /// Sets the spent fraction of a voxel in reach that has a place.
+    pub(super) fn set_spent(&mut self, voxel: usize, spent: f64) {
+        self.reached.spent[voxel] = spent;
+        self.pool.set(self.reached.place[voxel], spent);
     }
 
     /// Books the energy and queues the voxels that are spent.
     fn apply(&mut self, level_j: f64, report: &mut GrindReport) {
-        for place in 0..self.scratch.shares.len() {
-            let share = self.scratch.shares[place];
-            let given_j = self.scratch.given_j(place, level_j);
-            if given_j <= 0.0 {
-                continue;
+        report.cut_count = self.scratch.count;
+        let mut any_ended = false;
+        let reached = self.reached.spend(self.arch, level_j);
+        for ((place, spent), depth) in reached.place.iter().zip(&reached.spent).zip(&reached.depth) {
+            if *depth > 0.0 {
+                self.pool.set(*place, *spent);
+                any_ended |= is_ended(*spent);
             }
-            report.cut_count += 1;
-            let mut spent = (share.spent + given_j / share.full_j).min(1.0);
-            // Rounding of spent + (1 - spent): what is nearer to the end than 1e-12 is at the end.
-            if spent > 1.0 - 1e-12 {
-                if self.waiting.len() < self.waiting.capacity() {
-                    spent = 1.0;
-                    self.waiting.push(share.index);
-                } else {
-                    // No room even to wait: it keeps a trace of strength and ends in a later tick.
-                    spent = 1.0 - 1e-9;
+        }
+        if !any_ended {
+            return;
+        }
+        for voxel in 0..self.reached.index.len() {
+            if self.reached.depth[voxel] > 0.0 && is_ended(self.reached.spent[voxel]) {
+                let waits = self.waiting.len() < self.waiting.capacity();
+                if waits {
+                    self.waiting.push(self.reached.index[voxel]);
                 }
+                // Without room even to wait it keeps a trace of strength and ends in a later tick.
+                self.set_spent(voxel, if waits { 1.0 } else { 1.0 - 1e-9 });
             }
-            self.pool.set(share.place, spent);
         }
     }
 
     /// Takes spent voxels out of the bone, as many as the tick's list holds.
-    fn remove_spent(&mut self, report: &mut GrindReport) {
+    fn remove_spent(&mut self, report: &mut GrindReport, change: &mut Change) {
         let count = self.waiting.len().min(self.parameters.removed_per_tick);
         for place in 0..count {
             let index = self.waiting[place];
             let [i, j, k] = self.voxel_of_index(index as usize);
             self.occupancy.set(i, j, k, false);
-            self.tracks
-                .forget_near(self.voxel_position([i, j, k].map(|x| x as i64)), self.geometry.spacing_m);
+            let voxel = [i, j, k].map(|x| x as i64);
+            change.voxels = change.voxels.with(voxel);
+            self.tracks.forget_near(self.voxel_position(voxel), self.geometry.spacing_m);
             self.removed.push(index);
         }
         self.waiting.drain(..count);

@@ -7,6 +7,7 @@ use super::material::{CuttingTable, MaterialLaw};
 use super::occupancy::Occupancy;
 use super::query::ContactKind;
 use super::reach::ReachedVoxels;
+use super::remembered::Changes;
 use super::removal::Removal;
 use super::strength::SpentPool;
 use super::tracked::Tracks;
@@ -48,6 +49,21 @@ impl Default for BoneParameters {
     }
 }
 
+impl BoneParameters {
+    fn check_burr_radius(&self) -> Result<(), BoneError> {
+        let value = self.max_burr_radius_m;
+        if value.is_finite() && value > 0.0 {
+            Ok(())
+        } else {
+            Err(BoneError::Parameter {
+                name: "max_burr_radius_m",
+                value,
+                expected: "a finite number above 0",
+            })
+        }
+    }
+}
+
 /// Bone of one CT: occupancy and strength that is left. See the [module](super).
 #[derive(Debug, Clone)]
 pub struct BoneField {
@@ -68,6 +84,10 @@ pub struct BoneField {
     pub(super) removed_total: u64,
     /// What contact queries remember; changes no result.
     pub(super) tracks: Tracks,
+    /// Where drilling has changed bone of late.
+    pub(super) changes: Changes,
+    /// The machine's vector instructions.
+    pub(super) arch: pulp::Arch,
 }
 
 /// What drilling has changed in a field: enough to continue bit for bit in a field of the same CT and scene.
@@ -90,7 +110,7 @@ impl BoneField {
         check_volume(&geometry, hu)?;
         parameters.cutting.check()?;
         let cutting_table = CuttingTable::new(&parameters.material, parameters.threshold_hu)?;
-        let scratch = DrillScratch::new(&geometry, &parameters)?;
+        parameters.check_burr_radius()?;
         if parameters.removed_per_tick == 0 {
             return Err(BoneError::Parameter {
                 name: "removed_per_tick",
@@ -98,7 +118,6 @@ impl BoneField {
                 expected: "at least 1",
             });
         }
-        let waiting = Vec::with_capacity(scratch.capacity());
         let reached = ReachedVoxels::new(&geometry, parameters.max_burr_radius_m, &parameters.cutting);
         Ok(Self {
             geometry,
@@ -106,13 +125,15 @@ impl BoneField {
             occupancy: Occupancy::from_threshold(geometry.dims, hu, parameters.threshold_hu),
             pool: SpentPool::new(geometry.dims, parameters.pool_blocks),
             cutting_table,
-            scratch,
+            scratch: DrillScratch::new(reached.capacity()),
+            waiting: Vec::with_capacity(reached.capacity()),
             reached,
             predrilled_count: 0,
             removed: Vec::with_capacity(parameters.removed_per_tick),
-            waiting,
             removed_total: 0,
             tracks: Tracks::new(),
+            changes: Changes::new(),
+            arch: pulp::Arch::new(),
         })
     }
 
@@ -253,9 +274,15 @@ impl BoneField {
         Ok(())
     }
 
+    /// Goes on without vector instructions: slower, and the same bits.
+    pub fn use_plain_instructions(&mut self) {
+        self.arch = pulp::Arch::Scalar;
+    }
+
     /// For any change of the bone but drilling.
     pub(super) fn forget_searches(&mut self) {
         self.tracks.forget_all();
+        self.changes.forget_all();
         self.reached.forget();
     }
 

@@ -22,6 +22,7 @@ mod occupancy;
 mod predrill;
 pub mod query;
 mod reach;
+mod remembered;
 pub mod removal;
 mod saved;
 mod spline;

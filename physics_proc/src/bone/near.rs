@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::field::BoneField;
 use super::gather::{Sphere, outside};
-use super::query::ContactKind;
+use super::query::{ContactKind, VoxelEnd};
 use super::strength::NO_PLACE;
 
 /// Voxels kept a sphere.
@@ -96,6 +96,8 @@ pub(super) struct Candidates {
     length2: [f64; MAX_NEAR],
     /// Infinite for a voxel out of reach or dropped, and from `count` on up to a multiple of `LANES`.
     distance2: [f64; MAX_NEAR],
+    /// Spent fractions.
+    spent: [f64; MAX_NEAR],
 }
 
 impl Candidates {
@@ -105,11 +107,14 @@ impl Candidates {
             offset: [[0.0; MAX_NEAR]; 3],
             length2: [0.0; MAX_NEAR],
             distance2: [f64::INFINITY; MAX_NEAR],
+            spent: [0.0; MAX_NEAR],
         }
     }
 
-    /// Distances to the boxes of whole voxels; those of `sphere.reach` and more do not count.
-    fn see_boxes(&mut self, near: &NearVoxels, sphere: &Sphere, spacing: &[f64; 3]) {
+    /// Distances to the boxes of whole voxels; those of `sphere.reach` and more do not count. Returns whether the centre lies on or in
+    /// one of the boxes.
+    #[inline(always)]
+    fn see_boxes(&mut self, near: &NearVoxels, sphere: &Sphere, spacing: &[f64; 3]) -> bool {
         let count = near.count;
         self.count = count;
         let [x, y, z] = [0, 1, 2].map(|a| &near.position[a][..count]);
@@ -117,6 +122,7 @@ impl Candidates {
         let (to_x, to_y, to_z) = (&mut to_x[..count], &mut to_y[..count], &mut to_z[..count]);
         let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
         let reach2 = sphere.reach * sphere.reach;
+        let mut touching = 0_u64;
         for voxel in 0..count {
             let to_box = [
                 outside(sphere.centre.x - x[voxel], spacing[0]),
@@ -127,8 +133,51 @@ impl Candidates {
             (to_x[voxel], to_y[voxel], to_z[voxel]) = (to_box[0], to_box[1], to_box[2]);
             length2[voxel] = square;
             distance2[voxel] = if square < reach2 { square } else { f64::INFINITY };
+            touching |= u64::from(square <= 0.0);
         }
-        self.distance2[count..count.next_multiple_of(LANES)].fill(f64::INFINITY);
+        self.end_lanes();
+        touching != 0
+    }
+
+    /// The same for voxels that may be cut in part.
+    #[inline(always)]
+    fn see_cut_boxes(
+        &mut self,
+        near: &NearVoxels,
+        sphere: &Sphere,
+        spacing: &[f64; 3],
+        spent_at: impl Fn(usize) -> f64,
+    ) -> bool {
+        let count = near.count;
+        self.count = count;
+        let spent = &mut self.spent[..count];
+        spent.iter_mut().zip(&near.place).for_each(|(spent, place)| *spent = spent_at(*place));
+        let [x, y, z] = [0, 1, 2].map(|a| &near.position[a][..count]);
+        let [to_x, to_y, to_z] = &mut self.offset;
+        let (to_x, to_y, to_z) = (&mut to_x[..count], &mut to_y[..count], &mut to_z[..count]);
+        let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
+        let reach2 = sphere.reach * sphere.reach;
+        let mut touching = 0_u64;
+        for voxel in 0..count {
+            let from = [sphere.centre.x - x[voxel], sphere.centre.y - y[voxel], sphere.centre.z - z[voxel]];
+            let end = VoxelEnd::seen(from, *spacing, spent[voxel]);
+            let cut2 = end.cut_distance * end.cut_distance;
+            let cut = (end.cut_distance > 0.0) & (cut2 > end.box2);
+            to_x[voxel] = if cut { from[0] } else { end.to_box[0] };
+            to_y[voxel] = if cut { from[1] } else { end.to_box[1] };
+            to_z[voxel] = if cut { from[2] } else { end.to_box[2] };
+            length2[voxel] = if cut { end.length2 } else { end.box2 };
+            let surface2 = if cut { cut2 } else { end.box2 };
+            distance2[voxel] = if surface2 < reach2 { surface2 } else { f64::INFINITY };
+            touching |= u64::from(surface2 <= 0.0);
+        }
+        self.end_lanes();
+        touching != 0
+    }
+
+    #[inline(always)]
+    fn end_lanes(&mut self) {
+        self.distance2[self.count..self.count.next_multiple_of(LANES)].fill(f64::INFINITY);
     }
 
     /// Distances to voxels that are balls of the given radius, less what is spent of it on either side.
@@ -143,7 +192,7 @@ impl Candidates {
             let distance2 = if counts { distance * distance } else { f64::INFINITY };
             self.put(voxel, &Seed { offset, length2, distance2 });
         }
-        self.distance2[near.count..near.count.next_multiple_of(LANES)].fill(f64::INFINITY);
+        self.end_lanes();
     }
 
     fn put(&mut self, voxel: usize, seed: &Seed) {
@@ -155,6 +204,7 @@ impl Candidates {
     }
 
     /// Drops the candidates that lie within 60 degrees of either direction.
+    #[inline(always)]
     pub fn drop_near(&mut self, first: &Vector3<f64>, second: &Vector3<f64>) {
         const LIMIT: f64 = SAME_PLANE_COSINE * SAME_PLANE_COSINE;
         let count = self.count;
@@ -170,6 +220,7 @@ impl Candidates {
     }
 
     /// The first of the nearest candidates.
+    #[inline(always)]
     pub fn nearest(&self) -> Option<Seed> {
         let padded = &self.distance2[..self.count.next_multiple_of(LANES)];
         let mut low = [f64::INFINITY; LANES];
@@ -190,46 +241,36 @@ impl Candidates {
 
 impl BoneField {
     /// How far the near voxels' surfaces are from a sphere; those out of its reach do not count.
+    #[inline(always)]
     pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
+        let spacing = &self.geometry.spacing_m;
         if self.parameters.contact == ContactKind::VoxelBalls {
             let radius_m = 0.5 * self.geometry.smallest_spacing_m();
             candidates.see_balls(near, sphere, radius_m, |place| self.pool.spent_at(place));
             return;
         }
-        candidates.see_boxes(near, sphere, &self.geometry.spacing_m);
-        let on_a_box = candidates.nearest().is_some_and(|seed| seed.distance2 <= 0.0);
-        if !near.any_place && !on_a_box {
-            return;
-        }
-        for voxel in 0..near.count {
-            let spent = self.pool.spent_at(near.place[voxel]);
-            let box_distance2 = candidates.distance2[voxel];
-            if box_distance2 < f64::INFINITY && (spent > 0.0 || box_distance2 <= 0.0) {
-                let position = [0, 1, 2].map(|a| near.position[a][voxel]);
-                let to_box = [0, 1, 2].map(|a| candidates.offset[a][voxel]);
-                match self.see_cut(sphere, &position, to_box, spent) {
-                    Some(seed) => candidates.put(voxel, &seed),
-                    None => candidates.distance2[voxel] = f64::INFINITY,
-                }
-            }
+        let touching = if near.any_place {
+            candidates.see_cut_boxes(near, sphere, spacing, |place| self.pool.spent_at(place))
+        } else {
+            candidates.see_boxes(near, sphere, spacing)
+        };
+        if touching {
+            self.see_touching(near, sphere, candidates);
         }
     }
 
-    /// A voxel that is cut in part or whose box holds the centre; `None` if its surface is out of reach.
-    fn see_cut(&self, sphere: &Sphere, position: &[f64; 3], to_box: [f64; 3], spent: f64) -> Option<Seed> {
-        let surface = self.voxel_surface(&sphere.centre, position, to_box, spent);
-        let offset = if surface.cut {
-            surface.from_centre
-        } else if surface.distance > 0.0 {
-            Vector3::from(to_box)
-        } else {
-            // The centre lies exactly on the voxel's boundary: out through the face it lies on.
-            self.face_direction(&surface.from_centre)
-        };
-        let length2 = offset.norm_squared();
-        let distance2 = surface.distance * surface.distance;
-        // A voxel that is more than half cut and holds the centre at its middle has no direction to push in.
-        (surface.distance < sphere.reach && length2 > 0.0).then_some(Seed { offset, length2, distance2 })
+    /// Voxels on whose boundary the centre lies exactly: out through the face it lies on.
+    fn see_touching(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
+        for voxel in 0..near.count {
+            if candidates.length2[voxel] <= 0.0 {
+                let position = Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));
+                let offset = self.face_direction(&(sphere.centre - position));
+                // A voxel that is more than half cut and holds the centre at its middle has no direction to push in.
+                let pushes = self.pool.spent_at(near.place[voxel]) <= 0.5;
+                let distance2 = if pushes { 0.0 } else { f64::INFINITY };
+                candidates.put(voxel, &Seed { offset, length2: 1.0, distance2 });
+            }
+        }
     }
 
     /// Unit vector along the axis on which an offset from a voxel's centre is largest in voxels.

@@ -23,10 +23,29 @@ pub(super) struct Occupancy {
 }
 
 /// An inclusive box of voxel indices inside the grid.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct VoxelBox {
     pub low: [i64; 3],
     pub high: [i64; 3],
+}
+
+impl VoxelBox {
+    /// No voxels.
+    pub const NOTHING: Self = Self { low: [i64::MAX; 3], high: [i64::MIN; 3] };
+
+    /// Whether the two have a voxel in common.
+    #[inline]
+    pub fn meets(&self, other: &Self) -> bool {
+        (0..3).all(|a| self.low[a] <= other.high[a] && other.low[a] <= self.high[a])
+    }
+
+    /// The smallest box with another voxel in it.
+    pub fn with(&self, voxel: [i64; 3]) -> Self {
+        Self {
+            low: [0, 1, 2].map(|a| self.low[a].min(voxel[a])),
+            high: [0, 1, 2].map(|a| self.high[a].max(voxel[a])),
+        }
+    }
 }
 
 /// Where a window lies within every row.

@@ -19,9 +19,10 @@ use nalgebra::{Unit, Vector3};
 use crate::contact_plane::ContactPlane;
 
 use super::field::BoneField;
-use super::gather::Sphere;
+use super::gather::{Sphere, outside};
 use super::grid::floor_to_i64;
 use super::near::{Candidates, NearVoxels};
+use super::remembered::RememberedCells;
 use super::surface::TentSizes;
 
 /// What a voxel is to a sphere that touches it.
@@ -37,6 +38,8 @@ pub enum ContactKind {
 
 /// Most planes a sphere can get.
 pub const MAX_PLANES: usize = 4;
+/// Seeds of a sphere: each round drops at least its own; twice the planes bounds the rounds that end in a duplicate.
+pub(super) const MAX_SEEDS: usize = 2 * MAX_PLANES;
 /// Planes whose smoothed normals are nearer than this (cosine, 37 degrees) are one.
 const DUPLICATE_COSINE: f64 = 0.8;
 /// A smoothed normal farther than this (cosine) from the seed's direction is not trusted: thin sheets, single voxels.
@@ -91,15 +94,35 @@ impl ContactBuffer {
     }
 }
 
-/// Where a voxel ends, seen from a point.
+/// Where a voxel ends, seen from a point: see the [module](self).
 #[derive(Clone, Copy)]
-pub(super) struct VoxelSurface {
-    /// From the point to the surface in metres.
-    pub distance: f64,
-    /// From the voxel's centre to the point.
-    pub from_centre: Vector3<f64>,
-    /// Whether the receded surface lies behind the box's own.
-    pub cut: bool,
+pub(super) struct VoxelEnd {
+    /// From its box to the point, metres; 0 along an axis on which the point lies between two faces.
+    pub to_box: [f64; 3],
+    /// Square of that, m².
+    pub box2: f64,
+    /// Square of the distance from its centre to the point, m².
+    pub length2: f64,
+    /// Its width along that direction, metres; 0 where there is none.
+    pub width: f64,
+    /// From the point to the plane that cuts it, metres; 0 for a whole voxel.
+    pub cut_distance: f64,
+}
+
+impl VoxelEnd {
+    /// `from_centre` leads from the voxel's centre to the point; `spacing` are the voxel's edges.
+    #[inline(always)]
+    pub fn seen(from_centre: [f64; 3], spacing: [f64; 3], spent: f64) -> Self {
+        let [[dx, dy, dz], [hx, hy, hz]] = [from_centre, spacing];
+        let to_box = [outside(dx, hx), outside(dy, hy), outside(dz, hz)];
+        let box2 = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
+        let length2 = dx * dx + dy * dy + dz * dz;
+        let length = length2.sqrt();
+        let length = if length > 1e-300 { length } else { 1e-300 };
+        let width = (dx.abs() * hx + dy.abs() * hy + dz.abs() * hz) / length;
+        let cut_distance = if spent > 0.0 { length - (0.5 - spent) * width } else { 0.0 };
+        Self { to_box, box2, length2, width, cut_distance }
+    }
 }
 
 impl BoneField {
@@ -170,7 +193,7 @@ impl BoneField {
             near.push_nearest(sphere, &self.geometry.spacing_m, self.voxel_position(voxel), place);
         });
         self.see(near, sphere, candidates);
-        self.cluster(sphere_index, &sphere.centre, radius_m, out);
+        self.cluster(sphere_index, &sphere.centre, radius_m, out, None);
     }
 
     /// Whether a voxel is bone and at least half of it is left.
@@ -180,6 +203,7 @@ impl BoneField {
             && self.pool.spent(voxel[0] as usize, voxel[1] as usize, voxel[2] as usize) <= 0.5
     }
 
+    #[inline(always)]
     fn world_plane(
         &self,
         sphere_index: usize,
@@ -202,53 +226,27 @@ impl BoneField {
         [0, 1, 2].map(|a| voxel[a] as f64 * self.geometry.spacing_m[a])
     }
 
-    /// Where a voxel, whose centre is at `position`, with the given spent fraction ends, seen from a point: see the module.
-    /// `to_box` is the offset of the point from the voxel's box ([`outside`] along each axis).
-    #[inline]
-    pub(super) fn voxel_surface(
-        &self,
-        point: &Vector3<f64>,
-        position: &[f64; 3],
-        to_box: [f64; 3],
-        spent: f64,
-    ) -> VoxelSurface {
-        let box_distance = (to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2]).sqrt();
-        let from_centre = point - Vector3::from(*position);
-        if spent <= 0.0 {
-            return VoxelSurface { distance: box_distance, from_centre, cut: false };
-        }
-        let length = from_centre.norm().max(1e-300);
-        let cut_distance = length - (0.5 - spent) * self.width_along(&from_centre, length);
-        let cut = cut_distance > box_distance;
-        VoxelSurface { distance: if cut { cut_distance } else { box_distance }, from_centre, cut }
-    }
-
-    /// Width of a voxel along a direction of the given length.
-    #[inline]
-    pub(super) fn width_along(&self, direction: &Vector3<f64>, length: f64) -> f64 {
-        let [hx, hy, hz] = self.geometry.spacing_m;
-        (direction.x.abs() * hx + direction.y.abs() * hy + direction.z.abs() * hz) / length
-    }
-
-    /// Turns candidates into planes, nearest first.
+    /// Turns candidates into planes, nearest first; `cells` are what is remembered of the same sphere.
+    #[inline(always)]
     pub(super) fn cluster(
         &self,
         sphere_index: usize,
         centre: &Vector3<f64>,
         radius_m: f64,
         out: &mut ContactBuffer,
+        mut cells: Option<&mut RememberedCells>,
     ) {
         let tent = self.tent_sizes(radius_m);
         let mut normals = [Vector3::zeros(); MAX_PLANES];
         let mut count = 0;
-        // Each round drops at least its own seed; twice the planes bounds the rounds that end in a duplicate.
-        for _ in 0..2 * MAX_PLANES {
+        for _ in 0..MAX_SEEDS {
             let Some(seed) = out.candidates.nearest() else { break };
             let direction = seed.offset * (1.0 / seed.length2.sqrt());
             let seed_distance = seed.distance2.sqrt();
             let (normal, stands_out) = match self.parameters.contact {
                 ContactKind::Planes => {
-                    self.smoothed(&(centre - direction * seed_distance), &direction, &tent)
+                    let point = centre - direction * seed_distance;
+                    self.smoothed(&point, &direction, &tent, cells.as_deref_mut())
                 }
                 ContactKind::VoxelBalls => (direction, 0.0),
             };
@@ -269,14 +267,15 @@ impl BoneField {
     }
 
     /// Normal of the smoothed surface at a point, `direction` where it cannot be trusted, and what the point stands out of it.
-    #[inline]
+    #[inline(always)]
     fn smoothed(
         &self,
         point: &Vector3<f64>,
         direction: &Vector3<f64>,
         tent: &TentSizes,
+        remembered: Option<&mut RememberedCells>,
     ) -> (Vector3<f64>, f64) {
-        let sample = self.sample_surface(point, tent);
+        let sample = self.sample_surface(point, tent, remembered);
         let steepness = sample.outward_per_m.norm();
         let smooth = sample.outward_per_m * (1.0 / steepness.max(1e-300));
         if steepness > 0.0 && smooth.dot(direction) > NORMAL_AGREEMENT_COSINE {

@@ -3,17 +3,19 @@
 //! A voxel matters to a tick of drilling if its surface lies within the burr's reach, or if it is a sliver that the burr has
 //! left behind (see [`super::drilling`]). The list holds the voxels of both kinds about a burr whose reach is a little wider
 //! ([`SLACK_VOXELS`]). As long as the burr stays within that slack of where it was searched, the list contains all that count:
-//! bone never comes back in a tick, and what is out of reach and no sliver yet cannot become one. Distances and spent fractions
-//! are always taken afresh, and the order is that of the grid whatever the burr's place, so the results are those of a fresh
-//! search bit for bit, and the list is no part of the state.
+//! bone never comes back in a tick, and what is out of reach and no sliver yet cannot become one. Distances
+//! are always taken afresh, drilling keeps the list's spent fractions as it keeps the field's, and the order is that of the grid
+//! whatever the burr's place, so the results are those of a fresh search bit for bit, and the list is no part of the state.
 
 use nalgebra::Vector3;
+use pulp::Arch;
 
 use super::drilling::{CuttingLaw, voxels_in_cube};
 use super::field::BoneField;
 use super::gather::outside;
 use super::grid::{GridGeometry, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
+use super::query::VoxelEnd;
 
 /// How much wider the remembered reach is, in voxels of the smallest spacing. A burr fed at 1.5 mm/s in voxels of 0.5 mm is
 /// searched every 33 ticks.
@@ -42,6 +44,16 @@ impl Reach {
     }
 }
 
+/// What of a tick decides how deep a burr is in a voxel and what it can take there.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Press {
+    /// The burr's centre in the grid's metric frame.
+    pub centre: Vector3<f64>,
+    pub reach: Reach,
+    /// Farthest that a surface recedes in the tick, metres.
+    pub recession_m: f64,
+}
+
 /// The voxels in reach, in the order of the grid, x fastest; numbers side by side, for loops without branches.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ReachedVoxels {
@@ -51,16 +63,18 @@ pub(super) struct ReachedVoxels {
     position: [Vec<f64>; 3],
     /// Linear indices.
     pub index: Vec<u32>,
-    /// Where each one's spent fraction is kept, if anywhere.
+    /// Where each one's spent fraction is kept, if anywhere, and the fraction.
     pub place: Vec<usize>,
+    pub spent: Vec<f64>,
     /// Energy that the whole voxel takes, J.
     pub full_j: Vec<f64>,
-    /// Of this tick: spent fractions, distances from the burr's centre to the surfaces, widths seen from there.
-    pub spent: Vec<f64>,
+    /// Of this tick: distances from the burr's centre to the surfaces, m; how deep the burr is in each, as a fraction of its width;
+    /// what it can take, J.
     pub surface: Vec<f64>,
-    pub width: Vec<f64>,
-    /// Of this tick: those that are cut or are slivers, by place in the lists.
-    pub kept: Vec<u32>,
+    pub depth: Vec<f64>,
+    pub room_j: Vec<f64>,
+    /// Room for all lists.
+    capacity: usize,
 }
 
 impl ReachedVoxels {
@@ -74,12 +88,18 @@ impl ReachedVoxels {
             position: [numbers(), numbers(), numbers()],
             index: Vec::with_capacity(capacity),
             place: Vec::with_capacity(capacity),
-            full_j: numbers(),
             spent: numbers(),
+            full_j: numbers(),
             surface: numbers(),
-            width: numbers(),
-            kept: Vec::with_capacity(capacity),
+            depth: numbers(),
+            room_j: numbers(),
+            capacity,
         }
+    }
+
+    /// Voxels that can be in the lists.
+    pub fn capacity(&self) -> usize {
+        self.capacity
     }
 
     /// For any change of the bone but drilling.
@@ -91,6 +111,7 @@ impl ReachedVoxels {
         self.position.iter_mut().for_each(Vec::clear);
         self.index.clear();
         self.place.clear();
+        self.spent.clear();
         self.full_j.clear();
     }
 
@@ -100,59 +121,129 @@ impl ReachedVoxels {
         })
     }
 
-    /// Distances, widths, and which voxels are kept.
-    fn measure(&mut self, centre: &Vector3<f64>, spacing: [f64; 3], reach: &Reach, sliver_fraction: f64) {
+    /// Surfaces, depths and rooms of all; whether there may be slivers among them.
+    fn measure(&mut self, arch: Arch, press: &Press, spacing: [f64; 3], sliver_fraction: f64) -> bool {
         let count = self.index.len();
-        self.surface.resize(count, 0.0);
-        self.width.resize(count, 0.0);
-        self.kept.resize(count, 0);
-        let [x, y, z] = [0, 1, 2].map(|axis| &self.position[axis][..count]);
-        let spent = &self.spent[..count];
-        let (surface, width) = (&mut self.surface[..count], &mut self.width[..count]);
-        let [hx, hy, hz] = spacing;
+        for list in [&mut self.surface, &mut self.depth, &mut self.room_j] {
+            list.resize(count, 0.0);
+        }
+        arch.dispatch(Measure {
+            press,
+            spacing,
+            sliver_fraction,
+            position: self.position.each_ref().map(Vec::as_slice),
+            spent: &self.spent,
+            full_j: &self.full_j,
+            out: [&mut self.surface, &mut self.depth, &mut self.room_j],
+        })
+    }
+
+    /// Takes the energy of a level from all that have depth.
+    pub fn spend(&mut self, arch: Arch, level_j: f64) -> &Self {
+        let [depth, room_j, full_j] = [&self.depth, &self.room_j, &self.full_j];
+        arch.dispatch(Spend { level_j, depth, room_j, full_j, spent: &mut self.spent });
+        self
+    }
+
+    /// Whether the burr has left a voxel behind of which less than `sliver_fraction` remains.
+    pub fn is_sliver(&self, voxel: usize, press: &Press, sliver_fraction: f64) -> bool {
+        let offset = [0, 1, 2].map(|axis| press.centre[axis] - self.position[axis][voxel]);
+        is_sliver(self.spent[voxel], self.surface[voxel], offset, &press.reach, sliver_fraction)
+    }
+}
+
+#[inline(always)]
+fn is_sliver(spent: f64, surface: f64, [dx, dy, dz]: [f64; 3], reach: &Reach, sliver_fraction: f64) -> bool {
+    let left = 1.0 - spent;
+    let near = dx * dx <= reach.outer_m * reach.outer_m - dz * dz - dy * dy;
+    (spent > 0.0) & (left > 0.0) & (left < sliver_fraction) & (surface > reach.left_m) & near
+}
+
+/// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. None of them changes a bit: each number is worked out for
+/// itself, by operations that IEEE 754 rounds correctly.
+struct Measure<'a> {
+    press: &'a Press,
+    spacing: [f64; 3],
+    sliver_fraction: f64,
+    position: [&'a [f64]; 3],
+    spent: &'a [f64],
+    full_j: &'a [f64],
+    out: [&'a mut [f64]; 3],
+}
+
+impl pulp::WithSimd for Measure<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> bool {
+        let count = self.spent.len();
+        let Press { centre, reach, recession_m } = *self.press;
+        let [x, y, z] = self.position.map(|along| &along[..count]);
+        let (spent, full_j) = (&self.spent[..count], &self.full_j[..count]);
+        let [surface, depth, room_j] = self.out.map(|list| &mut list[..count]);
+        let mut slivers = 0_u64;
         for voxel in 0..count {
-            let (dx, dy, dz) = (centre.x - x[voxel], centre.y - y[voxel], centre.z - z[voxel]);
-            let (to_x, to_y, to_z) = (outside(dx, hx), outside(dy, hy), outside(dz, hz));
-            let box_distance = (to_x * to_x + to_y * to_y + to_z * to_z).sqrt();
-            let length = (dx * dx + dy * dy + dz * dz).sqrt();
-            let divisor = if length > 1e-300 { length } else { 1e-300 };
-            let along = (dx.abs() * hx + dy.abs() * hy + dz.abs() * hz) / divisor;
-            let cut_distance = divisor - (0.5 - spent[voxel]) * along;
-            // A whole voxel is its box.
-            let cut_distance = if spent[voxel] > 0.0 { cut_distance } else { 0.0 };
-            surface[voxel] = if cut_distance > box_distance { cut_distance } else { box_distance };
+            let from = [centre.x - x[voxel], centre.y - y[voxel], centre.z - z[voxel]];
+            let end = VoxelEnd::seen(from, self.spacing, spent[voxel]);
+            let box_distance = end.box2.sqrt();
+            let distance = if end.cut_distance > box_distance { end.cut_distance } else { box_distance };
             // A burr centred on a voxel has all of it in reach, whatever the direction.
-            width[voxel] = if length > 0.0 { along } else { hx };
-        }
-        let outer2 = reach.outer_m * reach.outer_m;
-        let mut kept = 0;
-        for voxel in 0..count {
-            let (dx, dy, dz) = (centre.x - x[voxel], centre.y - y[voxel], centre.z - z[voxel]);
+            let per_width = 1.0 / if end.width > 0.0 { end.width } else { self.spacing[0] };
             let left = 1.0 - spent[voxel];
-            let near = dx * dx <= outer2 - dz * dz - dy * dy;
-            let sliver =
-                (spent[voxel] > 0.0) & (left < sliver_fraction) & (surface[voxel] > reach.left_m) & near;
-            self.kept[kept] = voxel as u32;
-            kept += usize::from((left > 0.0) & ((surface[voxel] < reach.cut_m) | sliver));
+            let deep = (reach.cut_m - distance) * per_width;
+            let deep = if deep > 0.0 && left > 0.0 { deep } else { 0.0 };
+            let deep = if deep < 1.0 { deep } else { 1.0 };
+            // Not more than there is, and than the teeth take.
+            let advance = recession_m * per_width;
+            let room = if deep < left { deep } else { left };
+            let room = if room < advance { room } else { advance };
+            surface[voxel] = distance;
+            depth[voxel] = deep;
+            room_j[voxel] = room * full_j[voxel];
+            slivers |= u64::from(is_sliver(spent[voxel], distance, from, &reach, self.sliver_fraction));
         }
-        self.kept.truncate(kept);
+        slivers != 0
+    }
+}
+
+/// The loop of [`ReachedVoxels::spend`].
+struct Spend<'a> {
+    level_j: f64,
+    depth: &'a [f64],
+    room_j: &'a [f64],
+    full_j: &'a [f64],
+    spent: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Spend<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let takes = self.depth.iter().zip(self.room_j).zip(self.full_j);
+        for (spent, ((depth, room_j), full_j)) in self.spent.iter_mut().zip(takes) {
+            let offered = self.level_j * depth;
+            let given = if offered < *room_j { offered } else { *room_j };
+            let given = if *depth > 0.0 { given } else { 0.0 };
+            let sum = *spent + given / full_j;
+            *spent = if sum < 1.0 { sum } else { 1.0 };
+        }
     }
 }
 
 impl BoneField {
-    /// Brings `reached` to this tick: the voxels that are cut, and the slivers.
-    pub(super) fn reach(&mut self, hu: &[i16], centre: &Vector3<f64>, reach: &Reach) {
-        let spacing = self.geometry.spacing_m;
+    /// Brings `reached` to this tick; returns whether there may be slivers in it.
+    pub(super) fn reach(&mut self, hu: &[i16], press: &Press) -> bool {
+        let (centre, reach) = (&press.centre, &press.reach);
         let slack_m = SLACK_VOXELS * self.geometry.smallest_spacing_m();
-        let mut reached = core::mem::take(&mut self.reached);
-        if !reached.holds(centre, reach, slack_m) {
+        if !self.reached.holds(centre, reach, slack_m) {
+            let mut reached = core::mem::take(&mut self.reached);
             self.search_reach(hu, centre, reach, slack_m, &mut reached);
             reached.searched = Some((*centre, *reach));
+            self.reached = reached;
         }
-        reached.spent.clear();
-        reached.spent.extend(reached.place.iter().map(|place| self.pool.spent_at(*place)));
-        reached.measure(centre, spacing, reach, self.parameters.cutting.sliver_fraction);
-        self.reached = reached;
+        let sliver_fraction = self.parameters.cutting.sliver_fraction;
+        self.reached.measure(self.arch, press, self.geometry.spacing_m, sliver_fraction)
     }
 
     fn search_reach(
@@ -224,7 +315,9 @@ impl BoneField {
             along.push(position);
         }
         reached.index.push(index as u32);
-        reached.place.push(self.pool.place(inside));
+        let place = self.pool.place(inside);
+        reached.place.push(place);
+        reached.spent.push(self.pool.spent_at(place));
         reached
             .full_j
             .push(self.cutting_table.specific_energy_j_m3(hu[index]) * self.geometry.voxel_volume_m3());

@@ -35,7 +35,7 @@ pub const RULE_SPEED_RAD_S: f64 = 235.619_449_019_234_5;
 const DOSE_SCALE: f64 = 1.0 / (1u64 << 30) as f64;
 
 impl BoneField {
-    /// Removes, or weakens, the voxels that the burr touches, which are listed in the scratch.
+    /// Removes, or weakens, the voxels in reach that the burr touches; they have a place in the pool.
     pub(super) fn remove_by_rule(
         &mut self,
         rule: Removal,
@@ -44,6 +44,9 @@ impl BoneField {
         report: &mut GrindReport,
     ) {
         let speed = speed_rad_s / RULE_SPEED_RAD_S;
+        self.scratch.kept.clear();
+        let touched = self.reached.depth.iter().enumerate().filter(|(_, depth)| **depth > 0.0);
+        self.scratch.kept.extend(touched.map(|(voxel, _)| voxel as u32));
         match rule {
             Removal::Energy => {}
             Removal::Naive => self.end_first(usize::MAX, report),
@@ -51,10 +54,11 @@ impl BoneField {
                 // Equal depths in an order that follows no axis: the order of the grid would push the burr aside.
                 let mixed =
                     |index: u32| index.wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca6b);
-                let deeper = |a: &super::drilling::Share, b: &super::drilling::Share| {
-                    b.weight.total_cmp(&a.weight).then(mixed(a.index).cmp(&mixed(b.index)))
-                };
-                self.scratch.shares.sort_unstable_by(deeper);
+                let (depth, index) = (&self.reached.depth, &self.reached.index);
+                self.scratch.kept.sort_unstable_by(|a, b| {
+                    let [a, b] = [*a, *b].map(|voxel| voxel as usize);
+                    depth[b].total_cmp(&depth[a]).then(mixed(index[a]).cmp(&mixed(index[b])))
+                });
                 self.end_first((CAP_PER_TICK * speed + 0.5) as usize, report);
             }
             Removal::Decrement => self.weaken(hu, speed, report),
@@ -63,13 +67,13 @@ impl BoneField {
 
     /// Ends the first `count` of the listed voxels.
     fn end_first(&mut self, count: usize, report: &mut GrindReport) {
-        for place in 0..self.scratch.shares.len().min(count) {
-            let share = self.scratch.shares[place];
+        for place in 0..self.scratch.kept.len().min(count) {
+            let voxel = self.scratch.kept[place] as usize;
             if self.waiting.len() == self.waiting.capacity() {
                 return;
             }
-            self.pool.set(share.place, 1.0);
-            self.waiting.push(share.index);
+            self.set_spent(voxel, 1.0);
+            self.waiting.push(self.reached.index[voxel]);
             report.cut_count += 1;
         }
     }
@@ -77,15 +81,16 @@ impl BoneField {
     /// Takes one tick's dose from each listed voxel.
     fn weaken(&mut self, hu: &[i16], speed: f64, report: &mut GrindReport) {
         let law = self.parameters.material;
-        for place in 0..self.scratch.shares.len() {
-            let share = self.scratch.shares[place];
-            let strength = law.density_kg_m3(hu[share.index as usize]) / law.density_ref_kg_m3;
-            let dose = self.pool.at(share.place) + DOSE_SCALE * speed / (DECREMENT_TICKS * strength);
+        for place in 0..self.scratch.kept.len() {
+            let voxel = self.scratch.kept[place] as usize;
+            let index = self.reached.index[voxel];
+            let strength = law.density_kg_m3(hu[index as usize]) / law.density_ref_kg_m3;
+            let dose = self.reached.spent[voxel] + DOSE_SCALE * speed / (DECREMENT_TICKS * strength);
             // Rounding of the sum of equal doses.
             let ended = dose >= DOSE_SCALE * (1.0 - 1e-9) && self.waiting.len() < self.waiting.capacity();
-            self.pool.set(share.place, if ended { 1.0 } else { dose });
+            self.set_spent(voxel, if ended { 1.0 } else { dose });
             if ended {
-                self.waiting.push(share.index);
+                self.waiting.push(index);
             }
             report.cut_count += 1;
         }

@@ -3,12 +3,15 @@
 //! Over the seven voxels that a tent of half width 3 meets, the weights are quadratic polynomials of where the point lies
 //! between two faces, `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. So the smoothed occupancy is a polynomial in
 //! (u_x, u_y, u_z) whose 27 coefficients are sums of small whole numbers over the voxels that are bone: no rounding, and three
-//! coefficients fit one word.
+//! coefficients fit one word. What is spent of voxels is then taken from the coefficients. They hold as long as nothing changes in
+//! the seven voxels of each axis and the point stays between the same faces ([`super::remembered`]).
+
+use core::ops::Range;
 
 use nalgebra::Vector3;
 
 use super::field::BoneField;
-use super::strength::BlocksAbout;
+use super::strength::{BLOCK_EDGE, BlocksAbout};
 use super::surface::SurfaceSample;
 
 /// Voxels along an axis.
@@ -17,6 +20,16 @@ pub(super) const SPLINE_VOXELS: usize = 7;
 /// u/3, (u+1)/3, (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
 const WEIGHT_18: [[i64; 3]; SPLINE_VOXELS] =
     [[0, 0, 1], [1, 2, 0], [3, 2, 0], [5, 2, -2], [5, -2, 0], [3, -2, 0], [1, -2, 1]];
+/// The same for sums with fractions.
+const WEIGHT_18_F64: [[f64; 3]; SPLINE_VOXELS] = {
+    let mut weights = [[0.0; 3]; SPLINE_VOXELS];
+    let mut place = 0;
+    while place < 3 * SPLINE_VOXELS {
+        weights[place / 3][place % 3] = WEIGHT_18[place / 3][place % 3] as f64;
+        place += 1;
+    }
+    weights
+};
 /// Bits of a field. The largest sum, of 7 x 7 x 7 products, is below 2^15.
 const FIELD_BITS: u32 = 21;
 /// Inverse of 18 cubed.
@@ -62,17 +75,53 @@ fn slope(c: [f64; 3], u: f64) -> f64 {
     c[1] + 2.0 * u * c[2]
 }
 
-/// Weight and rise of each voxel along an axis.
-fn weights(u: f64) -> [[f64; 2]; SPLINE_VOXELS] {
-    WEIGHT_18.map(|c| {
-        let c = c.map(|x| x as f64 / 18.0);
-        [value(c, u), slope(c, u)]
-    })
+/// A smoothed surface between the faces of one cell: eighteenths cubed of the coefficients by the powers of u_z, u_y, u_x.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SplineCell {
+    coefficients: [[[f64; 3]; 3]; 3],
+}
+
+impl SplineCell {
+    /// Nothing but air.
+    pub const AIR: Self = Self { coefficients: [[[0.0; 3]; 3]; 3] };
+
+    /// Takes sums for a power of u_y by those of u_z, whose places in a row `place` gives for each voxel, if it is there.
+    #[inline(always)]
+    fn take_rows(
+        &mut self,
+        y_power: usize,
+        by_z: &[[f64; BLOCK_EDGE]; 3],
+        place: impl Fn(usize) -> Option<usize>,
+    ) {
+        for (voxel, weights) in WEIGHT_18_F64.iter().enumerate() {
+            let Some(place) = place(voxel).filter(|place| *place < BLOCK_EDGE) else { continue };
+            for (by_y, sums) in self.coefficients.iter_mut().zip(by_z) {
+                for (along_x, weight) in by_y[y_power].iter_mut().zip(weights) {
+                    *along_x -= weight * sums[place];
+                }
+            }
+        }
+    }
+
+    /// The smoothed occupancy and its slopes along u.
+    #[inline(always)]
+    pub fn sample(&self, u: [f64; 3]) -> SurfaceSample {
+        let (mut level, mut slope_x, mut slope_y) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        for (z_power, along_x) in self.coefficients.iter().enumerate() {
+            let values = along_x.map(|c| value(c, u[0]));
+            level[z_power] = value(values, u[1]);
+            slope_x[z_power] = value(along_x.map(|c| slope(c, u[0])), u[1]);
+            slope_y[z_power] = slope(values, u[1]);
+        }
+        let slopes = Vector3::new(value(slope_x, u[2]), value(slope_y, u[2]), slope(level, u[2]));
+        SurfaceSample { outward_per_m: slopes * PER_18_CUBED, level: value(level, u[2]) * PER_18_CUBED }
+    }
 }
 
 impl BoneField {
-    /// The smoothed occupancy and its slopes along u about the voxels `start..start + 7` of each axis.
-    pub(super) fn sample_spline(&self, start: [i64; 3], u: [f64; 3]) -> SurfaceSample {
+    /// The smoothed surface about the voxels `start..start + 7` of each axis.
+    #[inline(always)]
+    pub(super) fn spline_cell(&self, start: [i64; 3]) -> SplineCell {
         let mut slices = [[0; 3]; SPLINE_VOXELS];
         let mut rows = [[0u8; SPLINE_VOXELS]; SPLINE_VOXELS];
         self.occupancy.cube(start, &mut rows);
@@ -80,51 +129,89 @@ impl BoneField {
             *slice = combine(&rows.map(|bits| ROW_SUMS[usize::from(bits & 0x7f)]));
         }
         let by_y = [0, 1, 2].map(|y_power| combine(&slices.map(|slice| slice[y_power])));
-        let (mut level, mut slope_x, mut slope_y) = ([0.0; 3], [0.0; 3], [0.0; 3]);
-        for z_power in 0..3 {
-            let along_x = by_y.map(|words| fields(words[z_power]));
-            let values = along_x.map(|c| value(c, u[0]));
-            level[z_power] = value(values, u[1]);
-            slope_x[z_power] = value(along_x.map(|c| slope(c, u[0])), u[1]);
-            slope_y[z_power] = slope(values, u[1]);
-        }
-        let slopes = Vector3::new(value(slope_x, u[2]), value(slope_y, u[2]), slope(level, u[2]));
-        let mut sample =
-            SurfaceSample { outward_per_m: slopes * PER_18_CUBED, level: value(level, u[2]) * PER_18_CUBED };
+        let mut cell =
+            SplineCell { coefficients: [0, 1, 2].map(|z_power| by_y.map(|words| fields(words[z_power]))) };
         if let Some(blocks) = self.pool.blocks_about(start, SPLINE_VOXELS as i64 - 1) {
-            self.take_spent(start, &blocks, &u.map(weights), &rows, &mut sample);
+            self.take_spent(start, &blocks, &rows, &mut cell);
         }
-        sample
+        cell
     }
 
-    /// Takes what is spent of the bone from a sample.
+    /// Takes what is spent of the bone from a cell: block by block of the pool, eight voxels at a time.
+    #[inline(always)]
     fn take_spent(
         &self,
         start: [i64; 3],
         blocks: &BlocksAbout,
-        [x, y, z]: &[[[f64; 2]; SPLINE_VOXELS]; 3],
         rows: &[[u8; SPLINE_VOXELS]; SPLINE_VOXELS],
-        sample: &mut SurfaceSample,
+        cell: &mut SplineCell,
     ) {
-        for (slice, row) in
-            (0..SPLINE_VOXELS).flat_map(|slice| (0..SPLINE_VOXELS).map(move |row| (slice, row)))
-        {
-            let solid = rows[slice][row] & 0x7f;
-            if solid == 0 {
-                continue;
+        let within = start.map(|x| (x & 7) as usize);
+        for side in 0..2 {
+            // By the power of u_y.
+            let mut slices = [[[0.0; BLOCK_EDGE]; SPLINE_VOXELS]; 3];
+            let mut any = false;
+            for slice in 0..SPLINE_VOXELS {
+                let z = within[2] + slice;
+                let mut counted_rows = [[0.0; BLOCK_EDGE]; SPLINE_VOXELS];
+                let mut any_in_slice = false;
+                for y_side in 0..2 {
+                    let Some(block) = self.pool.block(blocks, [side, y_side, z / BLOCK_EDGE]) else {
+                        continue;
+                    };
+                    for row in voxels_in_block(within[1], y_side) {
+                        let bone = u16::from(rows[slice][row] & 0x7f) << within[0] >> (BLOCK_EDGE * side);
+                        let (partial, spent) = block.row(within[1] + row, z);
+                        let counted = bone as u8 & partial;
+                        if counted != 0 {
+                            any_in_slice = true;
+                            set_where(counted, spent, &mut counted_rows[row]);
+                        }
+                    }
+                }
+                if any_in_slice {
+                    any = true;
+                    let [one, two, three] = &mut slices;
+                    combine_rows(&counted_rows, [&mut one[slice], &mut two[slice], &mut three[slice]]);
+                }
             }
-            let places =
-                self.pool.partial_row(blocks, [start[0], start[1] + row as i64, start[2] + slice as i64]);
-            let mut partial = solid & places.bits;
-            while partial != 0 {
-                let voxel = partial.trailing_zeros() as usize;
-                partial &= partial - 1;
-                let spent = self.pool.spent_at(places.place(voxel));
-                let ([x, x_rise], [y, y_rise], [z, z_rise]) = (x[voxel], y[row], z[slice]);
-                sample.level -= x * y * z * spent;
-                sample.outward_per_m -= Vector3::new(x_rise * y * z, x * y_rise * z, x * y * z_rise) * spent;
+            if any {
+                for (y_power, slices) in slices.iter().enumerate() {
+                    let [mut one, mut two, mut three] = [[0.0; BLOCK_EDGE]; 3];
+                    combine_rows(slices, [&mut one, &mut two, &mut three]);
+                    cell.take_rows(y_power, &[one, two, three], |voxel| {
+                        (voxel + within[0]).checked_sub(BLOCK_EDGE * side)
+                    });
+                }
             }
         }
+    }
+}
+
+/// The voxels of an axis that lie in its first or second block, if the first voxel is the one at `within` of the first block.
+#[inline(always)]
+fn voxels_in_block(within: usize, side: usize) -> Range<usize> {
+    let border = (BLOCK_EDGE - within).min(SPLINE_VOXELS);
+    if side == 0 { 0..border } else { border..SPLINE_VOXELS }
+}
+
+/// The numbers whose bit is set, 0 for the others.
+#[inline(always)]
+fn set_where(bits: u8, numbers: &[f64; BLOCK_EDGE], out: &mut [f64; BLOCK_EDGE]) {
+    for lane in 0..BLOCK_EDGE {
+        out[lane] = if u64::from(bits) & (1 << lane) != 0 { numbers[lane] } else { 0.0 };
+    }
+}
+
+/// [`combine`] for eight voxels of each row at a time.
+#[inline(always)]
+fn combine_rows(p: &[[f64; BLOCK_EDGE]; SPLINE_VOXELS], [one, u, u2]: [&mut [f64; BLOCK_EDGE]; 3]) {
+    for lane in 0..BLOCK_EDGE {
+        let [p0, p1, p2, p3] = [p[0][lane], p[1][lane], p[2][lane], p[3][lane]];
+        let [p4, p5, p6] = [p[4][lane], p[5][lane], p[6][lane]];
+        one[lane] = p1 + p6 + 3.0 * (p2 + p5) + 5.0 * (p3 + p4);
+        u[lane] = 2.0 * (p1 + p2 + p3 - p4 - p5 - p6);
+        u2[lane] = p0 + p6 - 2.0 * p3;
     }
 }
 
@@ -162,7 +249,7 @@ mod tests {
             let position = dims.map(|n| (n as f64 + 10.0) * next() - 5.0);
             let mut point = Vector3::from(position);
             point.iter_mut().zip(field.geometry.spacing_m).for_each(|(x, spacing)| *x *= spacing);
-            let fast = field.sample_surface(&point, &tent);
+            let fast = field.sample_surface(&point, &tent, None);
             let mut slow = field.sample_tents(position, &tent);
             for axis in 0..3 {
                 slow.outward_per_m[axis] -= fast.outward_per_m[axis] * field.geometry.spacing_m[axis];

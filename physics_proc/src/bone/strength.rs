@@ -4,9 +4,11 @@ use super::occupancy::VoxelBox;
 
 /// Edge of a block is `1 << BLOCK_SHIFT` voxels.
 const BLOCK_SHIFT: usize = 3;
-const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
+pub(super) const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
 /// Voxels in a block.
 pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
+/// Rows along x in a block.
+const BLOCK_ROWS: usize = BLOCK_EDGE * BLOCK_EDGE;
 /// Table entry of a block that nothing has touched.
 const UNTOUCHED: u32 = u32::MAX;
 /// Place of a voxel in a block that nothing has touched.
@@ -21,29 +23,25 @@ pub(super) fn block_of(voxel: [usize; 3]) -> VoxelBox {
 /// The blocks in use about a small cube of voxels, two along each axis at most, looked up once.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlocksAbout {
-    /// The block that holds the cube's first voxel.
-    first: [i64; 3],
     /// First place of each block by z, y, x; [`NO_PLACE`] if nothing has touched it.
     place: [[[usize; 2]; 2]; 2],
 }
 
-/// Voxels of a row along x that lie in two neighbouring blocks.
+/// The fractions of a block.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct PartialRow {
-    /// Bit b: voxel `start + b` may have a spent fraction above 0.
-    pub bits: u8,
-    /// First places of the rows of the two blocks.
-    place: [usize; 2],
-    /// Where in the first block the row begins.
-    within: usize,
+pub(super) struct Block<'p> {
+    spent: &'p [f64; BLOCK_VOXELS],
+    partial: &'p [u8; BLOCK_ROWS],
 }
 
-impl PartialRow {
-    /// Where the fraction of a voxel is kept whose bit is set.
-    #[inline]
-    pub fn place(&self, voxel: usize) -> usize {
-        let along = self.within + voxel;
-        self.place[usize::from(along >= BLOCK_EDGE)].wrapping_add(along % BLOCK_EDGE)
+impl<'p> Block<'p> {
+    /// The row at (y, z), counted in the block or from the first of it and its neighbours: which of its voxels may have a spent
+    /// fraction above 0, and the fractions.
+    #[inline(always)]
+    pub fn row(&self, y: usize, z: usize) -> (u8, &'p [f64; BLOCK_EDGE]) {
+        let row = ((z % BLOCK_EDGE) << BLOCK_SHIFT) + y % BLOCK_EDGE;
+        // A row of the block: there always is one.
+        (self.partial[row], self.spent[row * BLOCK_EDGE..].first_chunk().unwrap_or(&[0.0; BLOCK_EDGE]))
     }
 }
 
@@ -139,15 +137,14 @@ impl SpentPool {
         Some(self.table[block] as usize * BLOCK_VOXELS + offset)
     }
 
-    /// The fraction at a place that [`Self::claim`] returned.
-    pub fn at(&self, place: usize) -> f64 {
-        self.spent[place]
-    }
-
     /// Sets the fraction at a place that [`Self::claim`] returned.
     pub fn set(&mut self, place: usize, spent: f64) {
-        self.spent[place] = spent;
-        self.partial[place / BLOCK_EDGE] |= u8::from(spent > 0.0) << (place % BLOCK_EDGE);
+        let kept = &mut self.spent[place];
+        // The bit stays once it is set.
+        if *kept == 0.0 && spent > 0.0 {
+            self.partial[place / BLOCK_EDGE] |= 1 << (place % BLOCK_EDGE);
+        }
+        *kept = spent;
     }
 
     /// Bit b: voxel `start + b` of row (j, k), which lies in the grid, may have a spent fraction above 0.
@@ -201,26 +198,16 @@ impl SpentPool {
                 }
             }
         }
-        any.then_some(BlocksAbout { first, place })
+        any.then_some(BlocksAbout { place })
     }
 
-    /// A row of the cube of [`Self::blocks_about`], of up to eight voxels from `low` on.
-    #[inline]
-    pub fn partial_row(&self, blocks: &BlocksAbout, low: [i64; 3]) -> PartialRow {
-        let [y, z] = [1, 2].map(|axis| usize::from((low[axis] >> BLOCK_SHIFT) != blocks.first[axis]));
-        let [within, j, k] = low.map(|x| (x & (BLOCK_EDGE as i64 - 1)) as usize);
-        let row_in_block = (k << BLOCK_SHIFT) + j;
-        let mut bits = 0;
-        let place = [0, 1].map(|x| {
-            let block = blocks.place[z][y][x];
-            if block == NO_PLACE {
-                return NO_PLACE;
-            }
-            let place = block + row_in_block * BLOCK_EDGE;
-            bits |= u16::from(self.partial[place / BLOCK_EDGE]) << (BLOCK_EDGE * x);
-            place
-        });
-        PartialRow { bits: (bits >> within) as u8, place, within }
+    /// One of the blocks about a cube, by its side along x, y, z; `None` if nothing has touched it.
+    #[inline(always)]
+    pub fn block(&self, blocks: &BlocksAbout, [x, y, z]: [usize; 3]) -> Option<Block<'_>> {
+        let place = blocks.place[z][y][x];
+        let spent = self.spent.get(place..)?.first_chunk()?;
+        let partial = self.partial.get(place / BLOCK_EDGE..)?.first_chunk()?;
+        Some(Block { spent, partial })
     }
 
     /// [`Self::partial_window`] for `count` voxels, at most 64.

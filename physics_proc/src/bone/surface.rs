@@ -11,6 +11,7 @@ use nalgebra::Vector3;
 use super::field::BoneField;
 use super::grid::floor_to_i64;
 use super::occupancy::WindowPlace;
+use super::remembered::RememberedCells;
 
 /// Tent half width in voxels: at most this, less for spheres of a few voxels so that a corner's two walls stay apart. With 3
 /// the normal on a slanted wall is within 2 degrees (slope 0.3 and more), with 2 within 9; measured in `tests/bone_query.rs`.
@@ -84,13 +85,23 @@ impl BoneField {
         TentSizes { per_spacing, half_width, per_half_width: half_width.map(|half| 1.0 / half) }
     }
 
-    /// Samples the smoothed surface at a point of the grid's metric frame.
-    pub(super) fn sample_surface(&self, point: &Vector3<f64>, tent: &TentSizes) -> SurfaceSample {
+    /// Samples the smoothed surface at a point of the grid's metric frame; the cell that the point lies in is
+    /// looked for in `remembered`, and is there afterwards.
+    #[inline(always)]
+    pub(super) fn sample_surface(
+        &self,
+        point: &Vector3<f64>,
+        tent: &TentSizes,
+        remembered: Option<&mut RememberedCells>,
+    ) -> SurfaceSample {
         let position = [0, 1, 2].map(|axis| point[axis] * tent.per_spacing[axis]);
         let mut sample = if tent.half_width == [TENT_MAX_VOXELS; 3] {
             let start = position.map(|position| floor_to_i64(position - TENT_MAX_VOXELS + 0.5));
             let behind = [0, 1, 2].map(|axis| start[axis] as f64 + TENT_MAX_VOXELS + 0.5 - position[axis]);
-            self.sample_spline(start, behind)
+            match remembered {
+                Some(remembered) => self.remembered_cell(remembered, start).sample(behind),
+                None => self.spline_cell(start).sample(behind),
+            }
         } else {
             self.sample_tents(position, tent)
         };

@@ -14,15 +14,13 @@ use super::gather::{Sphere, outside, widening};
 use super::near::NearVoxels;
 use super::occupancy::VoxelBox;
 use super::query::ContactBuffer;
+use super::remembered::RememberedCells;
 
 /// Spheres with a memory; those of a higher index are searched afresh.
 const TRACKED_SPHERES: usize = 64;
 /// How much wider the remembered reach is, in voxels of the smallest spacing. A tool fed at 1.5 mm/s in voxels of 0.5 mm is
 /// searched every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
-
-/// A box without voxels.
-const NOTHING: VoxelBox = VoxelBox { low: [0; 3], high: [-1; 3] };
 
 /// What is remembered for one sphere.
 #[derive(Debug, Clone)]
@@ -32,6 +30,8 @@ struct Track {
     /// The voxels looked at.
     box_searched: VoxelBox,
     near: NearVoxels,
+    /// The smoothed surface where the nearest voxels are.
+    cells: RememberedCells,
 }
 
 impl Track {
@@ -52,7 +52,12 @@ pub(super) struct Tracks {
 
 impl Tracks {
     pub fn new() -> Self {
-        let empty = || Track { sphere: None, box_searched: NOTHING, near: NearVoxels::new() };
+        let empty = || Track {
+            sphere: None,
+            box_searched: VoxelBox::NOTHING,
+            near: NearVoxels::new(),
+            cells: RememberedCells::new(),
+        };
         Self { items: (0..TRACKED_SPHERES).map(|_| empty()).collect() }
     }
 
@@ -81,11 +86,31 @@ impl Tracks {
     /// For voxels whose spent fractions are now kept elsewhere.
     pub fn forget_box(&mut self, voxels: &VoxelBox) {
         for track in &mut self.items {
-            let VoxelBox { low, high } = track.box_searched;
-            if (0..3).all(|a| low[a] <= voxels.high[a] && voxels.low[a] <= high[a]) {
+            if track.box_searched.meets(voxels) {
                 track.sphere = None;
             }
         }
+    }
+}
+
+/// The planes among a track's voxels, compiled for each instruction set; no bit depends on it, as no operation is reordered or fused.
+struct PlanesOfTrack<'a> {
+    field: &'a BoneField,
+    sphere_index: usize,
+    sphere: &'a Sphere,
+    radius_m: f64,
+    track: &'a mut Track,
+    out: &'a mut ContactBuffer,
+}
+
+impl pulp::WithSimd for PlanesOfTrack<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Self { field, sphere_index, sphere, radius_m, track, out } = self;
+        field.see(&track.near, sphere, &mut out.candidates);
+        field.cluster(sphere_index, &sphere.centre, radius_m, out, Some(&mut track.cells));
     }
 }
 
@@ -104,24 +129,28 @@ impl BoneField {
         if self.lead_out(sphere_index, &sphere, radius_m, out) {
             return;
         }
-        let holds = self.tracks.items.get(sphere_index).is_some_and(|track| track.holds(&sphere));
-        if !holds && !self.search(sphere_index, &sphere) {
-            self.planes_of_search(sphere_index, &sphere, radius_m, out);
-            return;
-        }
-        self.see(&self.tracks.items[sphere_index].near, &sphere, &mut out.candidates);
-        self.cluster(sphere_index, &sphere.centre, radius_m, out);
-    }
-
-    /// Remembers the voxels near a sphere; false if there is no room for them (scattered voxels have much surface).
-    fn search(&mut self, sphere_index: usize, sphere: &Sphere) -> bool {
         let mut tracks = core::mem::take(&mut self.tracks);
-        let fits = tracks.items.get_mut(sphere_index).is_some_and(|track| self.search_into(track, sphere));
+        let track = tracks.items.get_mut(sphere_index);
+        if let Some(track) = track.and_then(|track| self.bring(track, &sphere)) {
+            self.arch.dispatch(PlanesOfTrack {
+                field: self,
+                sphere_index,
+                sphere: &sphere,
+                radius_m,
+                track,
+                out,
+            });
+        } else {
+            self.planes_of_search(sphere_index, &sphere, radius_m, out);
+        }
         self.tracks = tracks;
-        fits
     }
 
-    fn search_into(&self, track: &mut Track, sphere: &Sphere) -> bool {
+    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have much surface).
+    fn bring<'t>(&self, track: &'t mut Track, sphere: &Sphere) -> Option<&'t mut Track> {
+        if track.holds(sphere) {
+            return Some(track);
+        }
         let slack_m = SLACK_VOXELS * self.geometry.smallest_spacing_m();
         let widened = Sphere { reach: sphere.reach + slack_m, ..*sphere };
         let near = &mut track.near;
@@ -132,8 +161,8 @@ impl BoneField {
             fits &= near.push(self.voxel_position(voxel), place);
         });
         // Outside the grid nothing ever changes.
-        track.box_searched = searched.unwrap_or(NOTHING);
+        track.box_searched = searched.unwrap_or(VoxelBox::NOTHING);
         track.sphere = fits.then_some(widened);
-        fits
+        fits.then_some(track)
     }
 }

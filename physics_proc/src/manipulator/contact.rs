@@ -61,6 +61,25 @@ pub(super) struct ContactSolver {
     lateral_direction: f64,
     impulse: [f64; MAX_ROWS],
     pub lateral_impulse: f64,
+    /// The machine's vector instructions.
+    pub arch: pulp::Arch,
+}
+
+/// [`ContactSolver::solve`], compiled for each instruction set; no bit depends on it, as no operation is reordered or fused.
+struct Solve<'a> {
+    solver: &'a mut ContactSolver,
+    articulated: &'a Articulated,
+    free: &'a Generalised,
+    limits: (usize, f64),
+}
+
+impl pulp::WithSimd for Solve<'_> {
+    type Output = Outcome;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Outcome {
+        self.solver.sweep(self.articulated, self.free, self.limits)
+    }
 }
 
 impl ContactSolver {
@@ -81,6 +100,7 @@ impl ContactSolver {
             lateral_direction: 0.0,
             impulse: [0.0; MAX_ROWS],
             lateral_impulse: 0.0,
+            arch: pulp::Arch::new(),
         }
     }
 
@@ -232,6 +252,16 @@ impl ContactSolver {
         free: &Generalised,
         (max_iterations, tolerance): (usize, f64),
     ) -> Outcome {
+        self.arch.dispatch(Solve { solver: self, articulated, free, limits: (max_iterations, tolerance) })
+    }
+
+    #[inline(always)]
+    fn sweep(
+        &mut self,
+        articulated: &Articulated,
+        free: &Generalised,
+        (max_iterations, tolerance): (usize, f64),
+    ) -> Outcome {
         let lateral = articulated.lateral;
         self.delassus.velocities(articulated, free, &mut self.velocity);
         self.lateral_velocity = free.mount[1];
@@ -260,6 +290,7 @@ impl ContactSolver {
     }
 
     /// Applies the start impulses to the probe velocities.
+    #[inline(always)]
     fn apply_start(&mut self, lateral: f64) {
         self.accumulate();
         for row in 0..self.delassus.rows() {
@@ -272,6 +303,7 @@ impl ContactSolver {
     }
 
     /// Sums the row impulses by probe.
+    #[inline(always)]
     fn accumulate(&mut self) {
         let rows = self.delassus.rows();
         self.impulse[..rows].fill(0.0);
@@ -289,6 +321,7 @@ impl ContactSolver {
     }
 
     /// Remembers impulses and velocities before a sweep.
+    #[inline(always)]
     fn keep(&mut self) {
         for row in &mut self.row[..self.row_count] {
             row.before = row.impulse;
@@ -304,6 +337,7 @@ impl ContactSolver {
     /// Goes on along the last sweeps' direction: nonsmooth nonlinear conjugate gradients on the sweep (Silcowitz,
     /// Niebe, Erleben 2010, "A nonsmooth nonlinear conjugate gradient method for interactive contact force problems",
     /// Visual Computer 26). `last` is the squared gradient of the sweep before, 0 at the start; returns this one's.
+    #[inline(always)]
     fn accelerate(&mut self, last: f64) -> f64 {
         let mut squared = 0.0;
         for row in &self.row[..self.row_count] {
@@ -342,6 +376,7 @@ impl ContactSolver {
     }
 
     /// Relaxes all contacts of one sphere probe.
+    #[inline(always)]
     fn relax_sphere(&mut self, probe: usize, lateral: f64, residual: &mut f64) {
         let base = 3 * probe;
         let block = [0, 1, 2].map(|i| {
@@ -369,13 +404,15 @@ impl ContactSolver {
             }
         }
         if total != [0.0; 4] {
-            for i in 0..3 {
-                add_scaled(&mut self.velocity, total[i], self.delassus.column(base + i));
+            let [x, y, z] = [0, 1, 2].map(|i| self.delassus.column(base + i));
+            for (v, ((x, y), z)) in self.velocity.iter_mut().zip(x.iter().zip(y).zip(z)) {
+                *v = *v + total[0] * x + total[1] * y + total[2] * z;
             }
             self.lateral_velocity += lateral * total[3];
         }
     }
 
+    #[inline(always)]
     fn relax_stop(&mut self, k: usize, residual: &mut f64) {
         let row = 3 * self.delassus.sphere_count + k;
         let stop = &mut self.stop[k];
@@ -430,6 +467,7 @@ impl ContactSolver {
 }
 
 /// velocity += scale column.
+#[inline(always)]
 fn add_scaled(velocity: &mut [f64; MAX_ROWS], scale: f64, column: &[f64]) {
     for (v, c) in velocity.iter_mut().zip(column) {
         *v += scale * c;

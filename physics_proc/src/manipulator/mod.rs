@@ -142,6 +142,11 @@ impl Manipulator {
         Ok(manipulator)
     }
 
+    /// Goes on without vector instructions: slower, and the same bits.
+    pub fn use_plain_instructions(&mut self) {
+        self.contact.arch = pulp::Arch::Scalar;
+    }
+
     /// Links and spheres for the present state.
     fn update_configuration(&mut self) {
         let state = &self.state;

@@ -213,6 +213,13 @@ impl AnyManipulator {
         })
     }
 
+    /// Goes on without vector instructions where there are any: slower, and the same bits.
+    pub fn use_plain_instructions(&mut self) {
+        if let Self::Planar(tool) = self {
+            tool.use_plain_instructions();
+        }
+    }
+
     /// The whole dynamic state.
     pub(crate) fn state(&self) -> AnyManipulatorStateRef<'_> {
         match self {

@@ -78,6 +78,7 @@ impl Row {
     }
 
     /// Probe impulse of normal and tangential impulses `p`.
+    #[inline(always)]
     pub fn combined(&self, p: &[f64; 3]) -> [f64; 4] {
         let [t0, t1] = &self.tangent;
         [0, 1, 2, 3].map(|j| self.normal[j] * p[0] + t0[j] * p[1] + t1[j] * p[2])
@@ -85,6 +86,7 @@ impl Row {
 
     /// Relaxes the contact at the sphere's velocity `local` (omega_y, x, z, y): normal, then friction within the cone of
     /// the new normal impulse. Raises `residual` to the largest velocity change.
+    #[inline(always)]
     pub fn relax(&mut self, local: &[f64; 4], residual: &mut f64) {
         let velocity = dot4(&self.normal, local) + self.drive[0];
         let wanted = self.target - velocity - self.compliance * self.impulse[0];
@@ -113,6 +115,7 @@ impl Row {
 
 impl Stop {
     /// Relaxes the stop at joint velocity `rate`; returns the change of the joint's impulse.
+    #[inline(always)]
     pub fn relax(&mut self, rate: f64, residual: &mut f64) -> f64 {
         let velocity = self.sign * rate + self.compliance * self.impulse;
         let impulse = (self.impulse + (self.target - velocity) * self.inverse).max(0.0);
@@ -124,6 +127,7 @@ impl Stop {
 }
 
 /// 4-vector dot product in the order (omega, x, z, y).
+#[inline(always)]
 fn dot4(a: &[f64; 4], b: &[f64; 4]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }
@@ -149,6 +153,7 @@ pub(super) fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
 /// Coulomb's law for one contact: the impulse p with |p| <= radius such that v = free + W p vanishes, or |p| = radius
 /// and v points against p. On the circle (W + shift 1) p = -free; the shift is found by Newton's method on 1/|p|
 /// (More and Sorensen 1983, eq. 3.10).
+#[inline(always)]
 pub(super) fn cone(w: &[f64; 3], free: &[f64; 2], radius: f64, shift: &mut f64) -> [f64; 2] {
     let solve = |s: f64, b: &[f64; 2]| {
         let (a, d) = (w[0] + s, w[2] + s);

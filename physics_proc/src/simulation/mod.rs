@@ -126,6 +126,14 @@ impl<'v> Simulation<'v> {
         Ok(simulation)
     }
 
+    /// Goes on without vector instructions: slower, and the same bits.
+    pub fn use_plain_instructions(&mut self) {
+        self.manipulator.use_plain_instructions();
+        if let Some(bone) = &mut self.bone {
+            bone.field.use_plain_instructions();
+        }
+    }
+
     /// The state after the last tick.
     pub fn state(&self) -> &State {
         &self.state
