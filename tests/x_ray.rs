@@ -173,8 +173,8 @@ fn the_quick_chart_has_every_projector_with_its_error() {
     assert_eq!(done.code, Some(0), "{}", done.err);
     let csv = fs::read_to_string(place.path().join("drr.csv")).unwrap();
     let lines: Vec<Vec<&str>> = csv.lines().skip(1).map(|line| line.split(',').collect()).collect();
-    // 8 projectors, 3 poses, 3 resolutions, 1 and 2 threads.
-    assert_eq!(lines.len(), 8 * 3 * 3 * 2);
+    // 10 projectors, 3 poses, 3 resolutions, 1 and 2 threads.
+    assert_eq!(lines.len(), 10 * 3 * 3 * 2);
     let errors = |method: &str, column: usize| -> Vec<f64> {
         let finest = lines.iter().filter(|line| line[0] == method && line[1] == "8");
         finest.map(|line| line[column].parse().unwrap()).collect()

@@ -184,6 +184,8 @@ fn errors(view: &VolumeView<'_>) -> Result<(), Failure> {
     let rungs = [
         ("os 1", SliceOrderedOptions::default()),
         ("os 1, not sharpened", SliceOrderedOptions { sharpen: false, ..SliceOrderedOptions::default() }),
+        ("os 0.9", SliceOrderedOptions { oversampling: 0.9, ..SliceOrderedOptions::default() }),
+        ("os 0.8", SliceOrderedOptions { oversampling: 0.8, ..SliceOrderedOptions::default() }),
         ("os 1.5", SliceOrderedOptions { oversampling: 1.5, ..SliceOrderedOptions::default() }),
         ("preview 2", SliceOrderedOptions { reduction: 2, ..SliceOrderedOptions::default() }),
     ];

@@ -7,13 +7,13 @@
 //! same integers.
 
 use super::copies::{CELL, Cell16, Copy3, Voxel, voxels};
-use super::plan::{FRACTION_MASK, GROUP, LANE_BITS, Plan, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS};
+use super::plan::{
+    FRACTION_MASK, GROUP, GROUP_REACH, LANE_BITS, MAX_LINES, Plan, ROW_BITS, Slice, TILE_ROWS, WEIGHT_BITS,
+};
 
 /// 32-bit sums of one group: eight rows of 16 samples.
 pub(crate) type GroupSums = [[i32; GROUP]; TILE_ROWS];
 
-/// Most rows of voxels that the eight image rows of a tile read: the step is at most one voxel.
-const MAX_LINES: usize = TILE_ROWS + 2;
 /// Tiles that are summed together, and slices that are summed into one of them before the next one is.
 pub(crate) const TILES: usize = 4;
 const BLOCK_SLICES: usize = 32;
@@ -29,8 +29,23 @@ pub(crate) struct GroupPlace {
     pub fraction: u32,
 }
 
-/// The blended rows of a tile, of equal length.
-pub(crate) type BlendedRows<'a> = [&'a [i16]; TILE_ROWS];
+/// The blended rows of a tile, one after the other.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct BlendedRows<'a> {
+    voxels: &'a [i16],
+    /// Voxels of a row, at least 1. The same for all, so that the compiler compares a group's place with it only once.
+    length: usize,
+}
+
+impl<'a> BlendedRows<'a> {
+    /// The windows of a group; the cells before and behind the rows rule out that there is none.
+    #[inline(always)]
+    pub fn windows(self, first: usize) -> impl Iterator<Item = &'a [i16; WINDOW]> {
+        self.voxels
+            .chunks_exact(self.length)
+            .map_while(move |row| row.get(first..first + WINDOW).and_then(|window| window.first_chunk()))
+    }
+}
 
 /// An instruction set.
 pub(crate) trait Lanes: Copy {
@@ -44,7 +59,7 @@ pub(crate) trait Lanes: Copy {
     fn add_group(
         self,
         constants: Self::PerSlice,
-        rows: &BlendedRows<'_>,
+        rows: BlendedRows<'_>,
         place: GroupPlace,
         sums: &mut GroupSums,
     );
@@ -83,18 +98,17 @@ impl Lanes for Scalar {
     }
 
     #[inline(always)]
-    fn add_group(self, lane_step: u32, rows: &BlendedRows<'_>, place: GroupPlace, sums: &mut GroupSums) {
+    fn add_group(self, lane_step: u32, rows: BlendedRows<'_>, place: GroupPlace, sums: &mut GroupSums) {
         let mut offsets = [0_usize; GROUP];
         let mut weights = [[0_i32; 2]; GROUP];
         for lane in 0..GROUP {
             let position = place.fraction + lane as u32 * lane_step;
             let fraction = (position >> (LANE_BITS - WEIGHT_BITS)) & FRACTION_MASK;
-            // Within the window: the step is at most one voxel.
-            offsets[lane] = ((position >> LANE_BITS) as usize).min(GROUP);
+            // Within the window, as the compiler cannot know.
+            offsets[lane] = ((position >> LANE_BITS) as usize).min(GROUP_REACH as usize);
             weights[lane] = [(1 << WEIGHT_BITS) - fraction as i32, fraction as i32];
         }
-        for (row, sums) in rows.iter().zip(sums) {
-            let Some(window) = window(row, place.first) else { return };
+        for (window, sums) in rows.windows(place.first).zip(sums) {
             for lane in 0..GROUP {
                 let (x, w) = (offsets[lane], weights[lane]);
                 sums[lane] += i32::from(window[x]) * w[0] + i32::from(window[x + 1]) * w[1];
@@ -104,12 +118,6 @@ impl Lanes for Scalar {
 
     #[inline(always)]
     fn prefetch<T>(self, _data: &[T], _offset: usize) {}
-}
-
-/// The window of a group in a blended row; the cells before and behind the row rule out that there is none.
-#[inline(always)]
-pub(crate) fn window(row: &[i16], first: usize) -> Option<&[i16; WINDOW]> {
-    row.get(first..).and_then(|rest| rest.first_chunk())
 }
 
 /// A run of cells that are summed at once, and the groups that read them, both half open.
@@ -345,20 +353,14 @@ fn sum_slice<T: Voxel, L: Lanes>(
             out[end + 1] = Cell16::default();
             lanes.blend::<T>(line(0), line(1), rows.fraction[row], &mut out[first + 1..=end]);
         }
-        let blended = voxels::<i16>(blended);
-        let length = stride * CELL;
-        let mut lines: BlendedRows<'_> = [&[]; TILE_ROWS];
-        for (row, line) in lines.iter_mut().enumerate() {
-            let Some(whole) = blended.get(row * length..row * length + length) else { return };
-            *line = whole;
-        }
+        let lines = BlendedRows { voxels: voxels(blended), length: stride * CELL };
         let (low, high) = run.groups;
         let groups = sums.groups.get_mut(low..high).unwrap_or(&mut []);
         for (n, sums) in groups.iter_mut().enumerate() {
             let start = slice.group(low + n);
             // One cell of zeros lies before the row.
             let place = GroupPlace { first: (start.voxel + CELL as i64) as usize, fraction: start.fraction };
-            lanes.add_group(constants, &lines, place, sums);
+            lanes.add_group(constants, lines, place, sums);
             ahead.group::<T, L>(lanes, data);
         }
         sums.touched = (sums.touched.0.min(low), sums.touched.1.max(high));

@@ -23,6 +23,7 @@ mod warp;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -37,7 +38,7 @@ use crate::ray::RayFan;
 use crate::removal::RemovedVoxels;
 use copies::{Copy3, Voxel, copy_elements};
 use kernel::{TILES, Work};
-use plan::{Plan, TILE_ROWS, WEIGHT_BITS};
+use plan::{LEAST_OVERSAMPLING, Plan, TILE_ROWS, WEIGHT_BITS};
 use splat::{Dirty, Splatter, slices_until_flush};
 use warp::{Rect, SharpenRow, Warp, WarpRow, pixels_of};
 
@@ -53,7 +54,7 @@ const SMOOTHING: f64 = 0.25;
 /// How the sum is done.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SliceOrderedOptions {
-    /// Samples of the intermediate image for each voxel of the farthest slice, 1 to 4.
+    /// Samples of the intermediate image for each voxel of the farthest slice, 0.8 to 4.
     pub oversampling: f64,
     /// Whether the blur of the interpolation is taken back.
     pub sharpen: bool,
@@ -75,7 +76,7 @@ impl SliceOrderedOptions {
     /// # Errors
     /// The first field that is out of range, by name.
     pub fn validate(&self) -> Result<(), DrrError> {
-        check_range("oversampling", self.oversampling, 1.0, 4.0, "1 to 4")?;
+        check_range("oversampling", self.oversampling, LEAST_OVERSAMPLING, 4.0, "0.8 to 4")?;
         check_range("reduction", f64::from(self.reduction), 1.0, 8.0, "1 to 8")
     }
 
@@ -201,12 +202,16 @@ impl<T: Voxel> Copies<T> {
         sums.resize(plan.pixels(), 0);
         let Some(copy) = &self.by_fast[plan.axes.u] else { return };
         let flush_after = slices_until_flush(self.largest * T::UNIT);
-        sums.par_chunks_mut((TILES * TILE_ROWS * plan.columns).max(1)).enumerate().for_each_init(
-            || Work::new(plan, copy),
-            |work, (tiles, out)| {
-                with.sum_tiles(copy, plan, flush_after, tiles * TILES * TILE_ROWS, work, out)
-            },
-        );
+        // One at a time, because those in the middle of the picture take longest; work space goes from one to the next.
+        let spare = Mutex::new(Vec::new());
+        let spare = || spare.lock().unwrap_or_else(PoisonError::into_inner);
+        let tiles = sums.par_chunks_mut((TILES * TILE_ROWS * plan.columns).max(1)).enumerate();
+        tiles.with_max_len(1).for_each(|(tiles, out)| {
+            let work = spare().pop();
+            let mut work = work.unwrap_or_else(|| Work::new(plan, copy));
+            with.sum_tiles(copy, plan, flush_after, tiles * TILES * TILE_ROWS, &mut work, out);
+            spare().push(work);
+        });
     }
 
     fn bytes(&self) -> [usize; 2] {

@@ -13,8 +13,15 @@ use crate::ray::RayFan;
 
 /// Samples of a row that share one 32.32 base.
 pub(crate) const GROUP: usize = 16;
-/// Voxels that a group may read behind the one that it begins in: 16 steps of at most one voxel, and the neighbour.
-pub(crate) const GROUP_REACH: i64 = GROUP as i64 + 1;
+/// Fewest samples for each voxel of the farthest slice. With fewer than one, voxels there may lie between samples; in the middle of the
+/// volume the samples are then as far apart as the voxels.
+pub(crate) const LEAST_OVERSAMPLING: f64 = 0.8;
+/// Longest step between samples in a slice, 32.32 voxels.
+const MAX_STEP: i64 = ONE + ONE / 4;
+/// Voxels that a group may read behind the one that it begins in: 16 steps, and the neighbour.
+pub(crate) const GROUP_REACH: i64 = (GROUP as i64 * MAX_STEP) / ONE + 1;
+/// Most lines of voxels that the rows of a tile read.
+pub(crate) const MAX_LINES: usize = (TILE_ROWS as i64 * MAX_STEP / ONE) as usize + 2;
 /// Rows of the intermediate image that are summed together.
 pub(crate) const TILE_ROWS: usize = 8;
 /// Bits of the weights along a row: the two of a sample add up to 2^14 exactly.
@@ -63,7 +70,7 @@ pub(crate) struct Slice {
     pub index: usize,
     /// Position of the image's pixel (0, 0), 32.32 voxels.
     pub start: [i64; 2],
-    /// Step between pixels, the same along rows and columns, 32.32 voxels, at most one voxel.
+    /// Step between pixels, the same along rows and columns, 32.32 voxels, at most [`MAX_STEP`].
     pub step: i64,
     /// One over the step: pixels for each 2^-32 of a voxel, rounded.
     pub samples_per_position: f64,
@@ -187,10 +194,10 @@ impl Plan {
     }
 
     fn slice(&self, index: usize, ratio: f64, dims: [usize; 3]) -> Slice {
-        let step = fixed(ratio / self.oversampling).min(ONE);
+        let step = fixed(ratio / self.oversampling).min(MAX_STEP);
         let axes = [self.axes.u, self.axes.v];
         let start = [0, 1].map(|m| fixed(self.source[axes[m]] * (1.0 - ratio)) + self.first[m] * step);
-        // A group reaches 16 voxels beyond its first; a sample reads its voxel and the next.
+        // A sample reads its voxel and the next.
         let range = |m: usize, unit: i64, reach: i64, count: usize| {
             let stride = unit * step;
             let low = (-(reach * ONE) - start[m]).div_euclid(stride);
@@ -198,12 +205,12 @@ impl Plan {
             let clamp = |x: i64| x.clamp(0, count as i64) as usize;
             (clamp(low), clamp(high))
         };
-        let groups = range(0, GROUP as i64, GROUP as i64 + 1, self.columns / GROUP);
+        let groups = range(0, GROUP as i64, GROUP_REACH, self.columns / GROUP);
         let rows = range(1, 1, 1, self.rows);
         let samples_per_position = 1.0 / step as f64;
         let mut slice = Slice { index, start, step, samples_per_position, groups, rows };
         // `div_euclid` rounds down: the first group or row may lie just outside.
-        while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < -(GROUP as i64) - 1 {
+        while slice.groups.0 < slice.groups.1 && slice.group(slice.groups.0).voxel < -GROUP_REACH {
             slice.groups.0 += 1;
         }
         while slice.rows.0 < slice.rows.1 && slice.row(slice.rows.0).0 < -1 {

@@ -98,13 +98,14 @@ impl Warp<'_> {
         }
         let mut places =
             Places { corner: [0; CHUNK], x: [0.0; CHUNK], y: [0.0; CHUNK], factor: [0.0; CHUNK] };
+        let Some(rows) = self.rows() else { return };
         let mut columns = [[0.0_f32; 4]; CHUNK];
         for (chunk, out) in out.chunks_mut(CHUNK).enumerate() {
             self.place(row, first_column + (chunk * CHUNK) as u32, &mut places);
             let weights = catmull_rom(&places.y);
             for (n, columns) in columns.iter_mut().enumerate().take(out.len()) {
                 // The way out keeps the compiler from loading these one by one for many pixels at a time (vgather), which is slower.
-                let Some(taps) = self.taps(places.corner[n] as usize) else { break };
+                let Some(taps) = taps(&rows, places.corner[n] as usize) else { break };
                 for (c, v) in columns.iter_mut().enumerate() {
                     *v = (weights[0][n] * taps[0][c] + weights[1][n] * taps[1][c])
                         + (weights[2][n] * taps[2][c] + weights[3][n] * taps[3][c]);
@@ -154,13 +155,22 @@ impl Warp<'_> {
         }
     }
 
-    /// Four samples of each of four rows. Positions are kept inside the image: there always are.
+    /// The image, and the image from its second, third and fourth row on: all of one length, so that the compiler compares a place with
+    /// it only once. `None` for an image of fewer rows; there is none.
     #[inline(always)]
-    fn taps(&self, corner: usize) -> Option<[&[f32; 4]; 4]> {
+    fn rows(&self) -> Option<[&[f32]; 4]> {
         let width = self.plan.columns;
-        let row = |n: usize| self.image.get(corner + n * width..).and_then(|rest| rest.first_chunk());
+        let length = self.image.len().checked_sub(3 * width)?;
+        let row = |n: usize| self.image.get(n * width..n * width + length);
         Some([row(0)?, row(1)?, row(2)?, row(3)?])
     }
+}
+
+/// Four samples of each of four rows. Positions are kept inside the image: there always are.
+#[inline(always)]
+fn taps<'i>(rows: &[&'i [f32]; 4], corner: usize) -> Option<[&'i [f32; 4]; 4]> {
+    let row = |n: usize| rows[n].get(corner..corner + 4).and_then(|four| four.first_chunk());
+    Some([row(0)?, row(1)?, row(2)?, row(3)?])
 }
 
 /// Weights of the four neighbours at fractions t between the middle two.

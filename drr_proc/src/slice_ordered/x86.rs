@@ -8,7 +8,7 @@ use pulp::bytemuck::cast;
 use pulp::x86::{V3, V4};
 
 use super::copies::{Cell16, Voxel};
-use super::kernel::{BlendedRows, GroupPlace, GroupSums, Lanes, window};
+use super::kernel::{BlendedRows, GroupPlace, GroupSums, Lanes, WINDOW};
 use super::plan::{FRACTION_MASK, GROUP, LANE_BITS, WEIGHT_BITS};
 
 /// AVX-512.
@@ -36,7 +36,7 @@ impl Lanes for Avx512 {
     }
 
     #[inline(always)]
-    fn add_group(self, steps: __m512i, rows: &BlendedRows<'_>, place: GroupPlace, sums: &mut GroupSums) {
+    fn add_group(self, steps: __m512i, rows: BlendedRows<'_>, place: GroupPlace, sums: &mut GroupSums) {
         let (f, bw) = (self.0.avx512f, self.0.avx512bw);
         let position = f._mm512_add_epi32(f._mm512_set1_epi32(place.fraction as i32), steps);
         let offset = f._mm512_srli_epi32::<LANE_BITS>(position);
@@ -47,9 +47,8 @@ impl Lanes for Avx512 {
         let pairs = f._mm512_add_epi32(doubled, f._mm512_set1_epi32(0x1_0000));
         let whole = f._mm512_set1_epi32(1 << WEIGHT_BITS);
         let along = f._mm512_or_si512(f._mm512_sub_epi32(whole, fx), f._mm512_slli_epi32::<16>(fx));
-        for (row, sums) in rows.iter().zip(sums) {
-            let Some(voxels) = window(row, place.first) else { return };
-            let voxels: __m512i = cast(*voxels);
+        for (window, sums) in rows.windows(place.first).zip(sums) {
+            let voxels: __m512i = cast(*window);
             let products = bw._mm512_madd_epi16(bw._mm512_permutexvar_epi16(pairs, voxels), along);
             *sums = cast(f._mm512_add_epi32(cast(*sums), products));
         }
@@ -68,61 +67,77 @@ pub(crate) struct Avx2(pub V3);
 /// Lanes of a 256-bit register.
 const HALF: usize = GROUP / 2;
 
+/// Steps of eight samples from the beginning of their group.
+#[derive(Clone, Copy)]
+pub(crate) struct HalfSteps {
+    each: __m256i,
+    /// Those of the first and the fifth. Beside the others, because a place in memory is worked out sooner from numbers of its own.
+    starts: [u32; 2],
+}
+
+/// Where eight samples lie in a group's window, and their weights.
+#[derive(Clone, Copy)]
+struct HalfGroup {
+    /// First voxels of its first and last four samples.
+    starts: [usize; 2],
+    /// Bytes of the pairs of neighbours in the eight voxels from there on.
+    pairs: __m256i,
+    /// Weights of the pairs.
+    along: __m256i,
+}
+
 impl Avx2 {
-    /// Eight samples, from lane 0 or 8 of the group on.
+    /// Eight of a group's samples, `steps` from its beginning at a fraction.
     #[inline(always)]
-    fn add_half(
-        self,
-        first: usize,
-        lane_step: u32,
-        rows: &BlendedRows<'_>,
-        place: GroupPlace,
-        sums: &mut GroupSums,
-    ) {
+    fn half_group(self, steps: &HalfSteps, fraction: u32) -> HalfGroup {
         let (avx, avx2) = (self.0.avx, self.0.avx2);
-        let at = |lane: usize| place.fraction + (first + lane) as u32 * lane_step;
-        let positions: [u32; HALF] = core::array::from_fn(at);
-        let position: __m256i = cast(positions);
+        let position = avx2._mm256_add_epi32(avx._mm256_set1_epi32(fraction as i32), steps.each);
         let offset = avx2._mm256_srli_epi32::<{ LANE_BITS as i32 }>(position);
         let mask = avx._mm256_set1_epi32(FRACTION_MASK as i32);
         let fx = avx2
             ._mm256_and_si256(avx2._mm256_srli_epi32::<{ (LANE_BITS - WEIGHT_BITS) as i32 }>(position), mask);
         // Each half of the register holds four samples, and eight voxels from the first sample's on.
-        let starts = [positions[0] >> LANE_BITS, positions[HALF / 2] >> LANE_BITS];
-        let [low, high] = starts.map(|s| s as i32);
-        let inside = avx2._mm256_sub_epi32(offset, cast([low, low, low, low, high, high, high, high]));
+        let inside = avx2._mm256_sub_epi32(offset, avx2._mm256_shuffle_epi32::<0>(offset));
         // Bytes 2 x, 2 x + 1, 2 x + 2, 2 x + 3 of the voxels.
         let spread: __m256i = cast([[0_u8, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12]; 2]);
         let twice = avx2._mm256_shuffle_epi8(avx2._mm256_slli_epi32::<1>(inside), spread);
         let pairs = avx2._mm256_add_epi8(twice, avx._mm256_set1_epi32(0x0302_0100));
         let whole = avx._mm256_set1_epi32(1 << WEIGHT_BITS);
         let along = avx2._mm256_or_si256(avx2._mm256_sub_epi32(whole, fx), avx2._mm256_slli_epi32::<16>(fx));
-        let starts = starts.map(|start| place.first + start as usize);
-        for (row, sums) in rows.iter().zip(sums) {
-            let [Some(low), Some(high)] = starts.map(|start| eight(row, start)) else { return };
-            let both = avx2._mm256_inserti128_si256::<1>(avx._mm256_castsi128_si256(low), high);
-            let products = avx2._mm256_madd_epi16(avx2._mm256_shuffle_epi8(both, pairs), along);
-            let Some(part) = sums.get_mut(first..first + HALF).and_then(|s| s.first_chunk_mut::<HALF>())
-            else {
-                continue;
-            };
-            *part = cast(avx2._mm256_add_epi32(cast(*part), products));
-        }
+        let starts = steps.starts.map(|step| ((fraction + step) >> LANE_BITS) as usize);
+        HalfGroup { starts, pairs, along }
+    }
+
+    /// Adds eight samples of a row to their sums.
+    #[inline(always)]
+    fn add_half(self, half: &HalfGroup, window: &[i16; WINDOW], sums: &mut [i32; HALF]) {
+        let (avx, avx2) = (self.0.avx, self.0.avx2);
+        let [low, high] = half.starts.map(|start| eight(window, start));
+        let both = avx2._mm256_inserti128_si256::<1>(avx._mm256_castsi128_si256(low), high);
+        let products = avx2._mm256_madd_epi16(avx2._mm256_shuffle_epi8(both, half.pairs), half.along);
+        *sums = cast(avx2._mm256_add_epi32(cast(*sums), products));
     }
 }
 
-/// Eight voxels of a row.
+/// Eight voxels of a window from one of its first sixteen on.
 #[inline(always)]
-fn eight(row: &[i16], start: usize) -> Option<__m128i> {
-    row.get(start..).and_then(|rest| rest.first_chunk::<8>()).map(|&eight| cast(eight))
+fn eight(window: &[i16; WINDOW], start: usize) -> __m128i {
+    // Twelve steps of at most 1.25 voxels: the mask changes nothing but that the compiler knows it.
+    cast(window[start % GROUP..].first_chunk::<8>().copied().unwrap_or_default())
 }
 
 impl Lanes for Avx2 {
-    type PerSlice = u32;
+    type PerSlice = [HalfSteps; 2];
 
     #[inline(always)]
-    fn per_slice(self, lane_step: u32) -> u32 {
-        lane_step
+    fn per_slice(self, lane_step: u32) -> [HalfSteps; 2] {
+        let half = |first: usize| {
+            let step = |lane: usize| (first + lane) as u32 * lane_step;
+            let each: [u32; HALF] = core::array::from_fn(step);
+            (each, [0, HALF / 2].map(step))
+        };
+        let [low, high] = [half(0), half(HALF)];
+        [HalfSteps { each: cast(low.0), starts: low.1 }, HalfSteps { each: cast(high.0), starts: high.1 }]
     }
 
     #[inline(always)]
@@ -140,9 +155,21 @@ impl Lanes for Avx2 {
     }
 
     #[inline(always)]
-    fn add_group(self, lane_step: u32, rows: &BlendedRows<'_>, place: GroupPlace, sums: &mut GroupSums) {
-        self.add_half(0, lane_step, rows, place, sums);
-        self.add_half(HALF, lane_step, rows, place, sums);
+    fn add_group(
+        self,
+        steps: [HalfSteps; 2],
+        rows: BlendedRows<'_>,
+        place: GroupPlace,
+        sums: &mut GroupSums,
+    ) {
+        // Written out: vector code in a closure is not inlined where the instructions are enabled.
+        let [low, high] = &steps;
+        let halves = [self.half_group(low, place.fraction), self.half_group(high, place.fraction)];
+        for (window, sums) in rows.windows(place.first).zip(sums) {
+            for (half, sums) in halves.iter().zip(sums.as_chunks_mut::<HALF>().0) {
+                self.add_half(half, window, sums);
+            }
+        }
     }
 
     #[inline(always)]

@@ -169,6 +169,8 @@ fn every_instruction_set_and_number_of_threads_gives_the_same_bits() {
             for options in [
                 SliceOrderedOptions::default(),
                 SliceOrderedOptions { oversampling: 1.7, ..SliceOrderedOptions::default() },
+                // Steps of 1.25 voxels, the longest, in the farthest slice.
+                SliceOrderedOptions { oversampling: 0.8, ..SliceOrderedOptions::default() },
                 SliceOrderedOptions { reduction: 3, ..SliceOrderedOptions::default() },
             ] {
                 let scalar = SliceOrderedOptions { instructions: Instructions::SCALAR, ..options };
@@ -191,7 +193,7 @@ fn every_instruction_set_and_number_of_threads_gives_the_same_bits() {
     assert_eq!(xxh3_64(&all), GOLDEN, "{:#018x}", xxh3_64(&all));
 }
 
-const GOLDEN: u64 = 0xe6f6_ccfd_6728_75ec;
+const GOLDEN: u64 = 0xa3b3_cfe8_2178_f886;
 
 #[test]
 fn removals_by_ones_and_by_thousands_equal_full_renders_bit_for_bit() {
@@ -437,7 +439,7 @@ proptest! {
     fn any_order_of_any_removals_from_any_side_equals_a_full_render(
         primary in -180.0..180.0_f64, secondary in -90.0..90.0_f64,
         order in prop::collection::vec(0_u32..75 * 61 * 53, 1..300), split in 0_usize..300,
-        oversampling in 1.0..2.5_f64,
+        oversampling in 0.8..2.5_f64,
     ) {
         let (grid, hu) = volume(2500);
         let view = VolumeView::new(grid, &hu).unwrap();

@@ -318,7 +318,7 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     checker.range("drr.energy_kev", drr.energy_kev, 30.0, 120.0)?;
     checker.range("drr.photons_per_pixel", drr.photons_per_pixel, 0.0, 1e8)?;
     checker.range("drr.blur_pixels", drr.blur_pixels, 0.0, 5.0)?;
-    checker.range("drr.oversampling", drr.oversampling, 1.0, 4.0)?;
+    checker.range("drr.oversampling", drr.oversampling, 0.8, 4.0)?;
     checker.range("drr.reduction", f64::from(drr.reduction), 2.0, 8.0)?;
     checker.range("drr.detector.gain", drr.detector.gain, 0.01, 100.0)?;
     checker.range("drr.detector.offset", drr.detector.offset, 0.0, 0.5)?;

@@ -161,7 +161,8 @@ pub struct Drr {
     /// of it.
     #[serde(default = "Drr::default_projector")]
     pub projector: Projector,
-    /// Samples of `slice_ordered` for each voxel of the farthest slice, 1 to 4; more are slower and closer to `joseph`.
+    /// Samples of `slice_ordered` for each voxel of the farthest slice, 0.8 to 4; more are slower and closer to `joseph`. Below 1, samples
+    /// and voxels are equally far apart in the middle of the volume.
     #[serde(default = "Drr::default_oversampling")]
     pub oversampling: f64,
     /// Voxels along each axis that `preview` joins to one, 2 to 8.

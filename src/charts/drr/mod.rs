@@ -99,6 +99,8 @@ fn projectors() -> Vec<(&'static str, Projector)> {
         ("joseph", Projector::Joseph),
         ("slice_ordered 1, unsharpened", slices(1.0, false)),
         STANDARD,
+        ("slice_ordered 0.9", slices(0.9, true)),
+        ("slice_ordered 0.8", slices(0.8, true)),
         ("slice_ordered 1.5", slices(1.5, true)),
         ("slice_ordered 2", slices(2.0, true)),
         ("preview 2", Projector::PREVIEW),
