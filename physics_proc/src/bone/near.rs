@@ -111,56 +111,34 @@ impl Candidates {
         }
     }
 
-    /// Distances to the boxes of whole voxels; those of `sphere.reach` and more do not count. Returns whether the centre lies on or in
-    /// one of the boxes.
+    /// Notes what is spent of the near voxels, for [`Self::see_surfaces`].
     #[inline(always)]
-    fn see_boxes(&mut self, near: &NearVoxels, sphere: &Sphere, spacing: &[f64; 3]) -> bool {
-        let count = near.count;
-        self.count = count;
-        let [x, y, z] = [0, 1, 2].map(|a| &near.position[a][..count]);
-        let [to_x, to_y, to_z] = &mut self.offset;
-        let (to_x, to_y, to_z) = (&mut to_x[..count], &mut to_y[..count], &mut to_z[..count]);
-        let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
-        let reach2 = sphere.reach * sphere.reach;
-        let mut touching = 0_u64;
-        for voxel in 0..count {
-            let to_box = [
-                outside(sphere.centre.x - x[voxel], spacing[0]),
-                outside(sphere.centre.y - y[voxel], spacing[1]),
-                outside(sphere.centre.z - z[voxel], spacing[2]),
-            ];
-            let square = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
-            (to_x[voxel], to_y[voxel], to_z[voxel]) = (to_box[0], to_box[1], to_box[2]);
-            length2[voxel] = square;
-            distance2[voxel] = if square < reach2 { square } else { f64::INFINITY };
-            touching |= u64::from(square <= 0.0);
-        }
-        self.end_lanes();
-        touching != 0
+    fn note_spent(&mut self, near: &NearVoxels, spent_at: impl Fn(usize) -> f64) {
+        let places = &near.place[..near.count];
+        self.spent.iter_mut().zip(places).for_each(|(spent, place)| *spent = spent_at(*place));
     }
 
-    /// The same for voxels that may be cut in part.
+    /// Distances to the voxels' surfaces; those of `sphere.reach` and more do not count. Returns whether the centre lies on one of
+    /// them or behind. Without `CUT` all voxels are whole, and the compiler leaves out what only cut ones need.
     #[inline(always)]
-    fn see_cut_boxes(
+    fn see_surfaces<const CUT: bool>(
         &mut self,
         near: &NearVoxels,
         sphere: &Sphere,
-        spacing: &[f64; 3],
-        spent_at: impl Fn(usize) -> f64,
+        spacing: [f64; 3],
     ) -> bool {
         let count = near.count;
         self.count = count;
-        let spent = &mut self.spent[..count];
-        spent.iter_mut().zip(&near.place).for_each(|(spent, place)| *spent = spent_at(*place));
         let [x, y, z] = [0, 1, 2].map(|a| &near.position[a][..count]);
         let [to_x, to_y, to_z] = &mut self.offset;
         let (to_x, to_y, to_z) = (&mut to_x[..count], &mut to_y[..count], &mut to_z[..count]);
         let (length2, distance2) = (&mut self.length2[..count], &mut self.distance2[..count]);
+        let spent = &self.spent[..count];
         let reach2 = sphere.reach * sphere.reach;
         let mut touching = 0_u64;
         for voxel in 0..count {
             let from = [sphere.centre.x - x[voxel], sphere.centre.y - y[voxel], sphere.centre.z - z[voxel]];
-            let end = VoxelEnd::seen(from, *spacing, spent[voxel]);
+            let end = VoxelEnd::seen(from, spacing, if CUT { spent[voxel] } else { 0.0 });
             let cut2 = end.cut_distance * end.cut_distance;
             let cut = (end.cut_distance > 0.0) & (cut2 > end.box2);
             to_x[voxel] = if cut { from[0] } else { end.to_box[0] };
@@ -243,16 +221,17 @@ impl BoneField {
     /// How far the near voxels' surfaces are from a sphere; those out of its reach do not count.
     #[inline(always)]
     pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
-        let spacing = &self.geometry.spacing_m;
+        let spacing = self.geometry.spacing_m;
         if self.parameters.contact == ContactKind::VoxelBalls {
             let radius_m = 0.5 * self.geometry.smallest_spacing_m();
             candidates.see_balls(near, sphere, radius_m, |place| self.pool.spent_at(place));
             return;
         }
         let touching = if near.any_place {
-            candidates.see_cut_boxes(near, sphere, spacing, |place| self.pool.spent_at(place))
+            candidates.note_spent(near, |place| self.pool.spent_at(place));
+            candidates.see_surfaces::<true>(near, sphere, spacing)
         } else {
-            candidates.see_boxes(near, sphere, spacing)
+            candidates.see_surfaces::<false>(near, sphere, spacing)
         };
         if touching {
             self.see_touching(near, sphere, candidates);

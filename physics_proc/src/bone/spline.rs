@@ -6,7 +6,7 @@
 //! coefficients fit one word. What is spent of voxels is then taken from the coefficients. They hold as long as nothing changes in
 //! the seven voxels of each axis and the point stays between the same faces ([`super::remembered`]).
 
-use core::ops::Range;
+use core::ops::{Add, Mul, Range, Sub};
 
 use nalgebra::Vector3;
 
@@ -47,12 +47,14 @@ const ROW_SUMS: [i64; 1 << SPLINE_VOXELS] = {
     sums
 };
 
-/// Sums over seven rows, or slices, by the power of u.
-#[inline]
-fn combine(p: &[i64; SPLINE_VOXELS]) -> [i64; 3] {
-    // The columns of WEIGHT_18.
-    let outer = p[1] + p[6] + 3 * (p[2] + p[5]) + 5 * (p[3] + p[4]);
-    [outer, 2 * (p[1] + p[2] + p[3] - p[4] - p[5] - p[6]), p[0] + p[6] - 2 * p[3]]
+/// Sums over seven rows, or slices, by the power of u: the columns of WEIGHT_18.
+#[inline(always)]
+fn combine<T>([p0, p1, p2, p3, p4, p5, p6]: [T; SPLINE_VOXELS]) -> [T; 3]
+where
+    T: Copy + From<i8> + Add<Output = T> + Sub<Output = T> + Mul<Output = T>,
+{
+    let [two, three, five] = [2, 3, 5].map(T::from);
+    [p1 + p6 + three * (p2 + p5) + five * (p3 + p4), two * (p1 + p2 + p3 - p4 - p5 - p6), p0 + p6 - two * p3]
 }
 
 /// The three fields of a word, lowest first.
@@ -126,9 +128,9 @@ impl BoneField {
         let mut rows = [[0u8; SPLINE_VOXELS]; SPLINE_VOXELS];
         self.occupancy.cube(start, &mut rows);
         for (slice, rows) in slices.iter_mut().zip(&rows) {
-            *slice = combine(&rows.map(|bits| ROW_SUMS[usize::from(bits & 0x7f)]));
+            *slice = combine(rows.map(|bits| ROW_SUMS[usize::from(bits & 0x7f)]));
         }
-        let by_y = [0, 1, 2].map(|y_power| combine(&slices.map(|slice| slice[y_power])));
+        let by_y = [0, 1, 2].map(|y_power| combine(slices.map(|slice| slice[y_power])));
         let mut cell =
             SplineCell { coefficients: [0, 1, 2].map(|z_power| by_y.map(|words| fields(words[z_power]))) };
         if let Some(blocks) = self.pool.blocks_about(start, SPLINE_VOXELS as i64 - 1) {
@@ -207,11 +209,8 @@ fn set_where(bits: u8, numbers: &[f64; BLOCK_EDGE], out: &mut [f64; BLOCK_EDGE])
 #[inline(always)]
 fn combine_rows(p: &[[f64; BLOCK_EDGE]; SPLINE_VOXELS], [one, u, u2]: [&mut [f64; BLOCK_EDGE]; 3]) {
     for lane in 0..BLOCK_EDGE {
-        let [p0, p1, p2, p3] = [p[0][lane], p[1][lane], p[2][lane], p[3][lane]];
-        let [p4, p5, p6] = [p[4][lane], p[5][lane], p[6][lane]];
-        one[lane] = p1 + p6 + 3.0 * (p2 + p5) + 5.0 * (p3 + p4);
-        u[lane] = 2.0 * (p1 + p2 + p3 - p4 - p5 - p6);
-        u2[lane] = p0 + p6 - 2.0 * p3;
+        [one[lane], u[lane], u2[lane]] =
+            combine([p[0][lane], p[1][lane], p[2][lane], p[3][lane], p[4][lane], p[5][lane], p[6][lane]]);
     }
 }
 
