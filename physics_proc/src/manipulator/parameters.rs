@@ -12,8 +12,9 @@ pub enum Integrator {
     /// First order, damps what the step does not resolve, never blew up in the stress matrix.
     LinearlyImplicitEuler,
     /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2) in free
-    /// motion; a step with a contact or joint-stop candidate, or whose embedded error estimate exceeds
-    /// [`ManipulatorParameters::hybrid_tolerance_rad`], is taken by linearly implicit Euler.
+    /// motion; a step with a contact or joint-stop candidate, in which a tendon with friction turns, begins or ceases to
+    /// slide, or whose embedded error estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`], is taken by linearly
+    /// implicit Euler.
     Hybrid,
 }
 

@@ -121,16 +121,27 @@ impl Manipulator {
     ) -> Generalised {
         let (q, v) = (self.positions(), self.velocities());
         let d = self.stage((&q, &v), dt, input, frame, false);
-        let f = self.elastic_forces(&q, &v, &Generalised::ZERO.plus(dt, &v), &d);
-        let free = v.plus(dt, &self.solve_loads(&f));
-        let after = self.with_contacts(dt, input, drive, free, report);
+        let free = self.free_velocity(dt, (&q, &v), &d);
+        let mut after = self.with_contacts(dt, input, drive, free, report);
+        if self.tendon.turns(self.layout.joints, &v.joint, &after.joint) {
+            let d = self.factored_with_tendons((&q, &after), dt, input, false);
+            let free = self.free_velocity(dt, (&q, &v), &d);
+            after = self.with_contacts(dt, input, drive, free, report);
+        }
+        self.store_results(dt, drive, report);
         let next = q.plus(dt, &after);
         self.state.joint_position_rad = next.joint;
         self.state.mount_displacement_m = next.mount;
         after
     }
 
-    /// Adds the contact and stop impulses to the free velocities, and the contact moments to the loads.
+    /// Velocities after the step without contacts.
+    fn free_velocity(&self, dt: f64, (q, v): (&Generalised, &Generalised), d: &Diagonals) -> Generalised {
+        let f = self.elastic_forces(q, v, &Generalised::ZERO.plus(dt, v), d);
+        v.plus(dt, &self.solve_loads(&f))
+    }
+
+    /// Adds the contact and stop impulses to the free velocities.
     fn with_contacts(
         &mut self,
         dt: f64,
@@ -146,8 +157,6 @@ impl Manipulator {
         report.contact_count = solver.row_count;
         report.max_overlap_m = solver.max_overlap_m;
         if solver.is_empty() {
-            self.state.result_count = 0;
-            self.state.stop_torque_nm = [0.0; MAX_JOINTS];
             return free;
         }
         solver.delassus.assemble(&mut self.articulated, &self.coupling, self.layout.joints);
@@ -161,12 +170,12 @@ impl Manipulator {
         let mut impulse = Generalised::ZERO;
         solver.impulses(&mut force, &mut impulse.joint);
         impulse.mount[1] = solver.lateral_impulse;
-        report.stopped_joint_count = solver.stop_torques(dt, &mut self.state.stop_torque_nm);
-        self.store_results(dt, drive, report);
         free.plus(1.0, &self.coupling.correct(self.articulated.solve(&force, &impulse)))
     }
 
+    /// Keeps the impulses for the next step, and adds the contact moments to the loads.
     fn store_results(&mut self, dt: f64, drive: &BaseDrive, report: &mut StepReport) {
+        report.stopped_joint_count = self.contact.stop_torques(dt, &mut self.state.stop_torque_nm);
         self.state.result_count = self.contact.row_count;
         let lateral_m = self.state.mount_displacement_m[1];
         for k in 0..self.contact.row_count {
@@ -194,10 +203,19 @@ impl Manipulator {
         let d = self.stage((&q, &v), h, input, frame, false);
         let kv1 = self.solve_loads(&self.elastic_forces(&q, &v, &Generalised::ZERO.plus(h, &v), &d));
         let kq1 = v.plus(h, &kv1);
+        if self.tendon.binds(&self.parameters.tendon)
+            || self.tendon.turns(self.layout.joints, &v.joint, &kq1.joint)
+        {
+            return Err(0.0);
+        }
 
         let (q2, v2) = (q.plus(dt, &kq1), v.plus(dt, &kv1));
         self.trial.update(&self.layout, &q2.joint, &q2.mount);
+        let slid = self.tendon.slides_on;
         let d = self.stage((&q2, &v2), h, input, frame, true);
+        if self.tendon.slides_on != slid {
+            return Err(0.0);
+        }
         // With x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the right side.
         let y = Generalised::ZERO.plus(h, &v2.plus(-2.0, &kq1)).plus(-2.0 * h * h, &kv1);
         let mut f = self.elastic_forces(&q2, &v2, &y, &d);
@@ -230,6 +248,20 @@ impl Manipulator {
         frame: &Frame,
         trial: bool,
     ) -> Diagonals {
+        let d = self.factored_with_tendons((q, v), h, input, trial);
+        let configuration = if trial { &self.trial } else { &self.configuration };
+        self.loads.evaluate(&self.layout, configuration, &v.joint, (&q.mount, &v.mount), frame);
+        d
+    }
+
+    /// Tendons at `q` that move as with `v`, and the operator factored with them.
+    fn factored_with_tendons(
+        &mut self,
+        (q, v): (&Generalised, &Generalised),
+        h: f64,
+        input: &StepInput,
+        trial: bool,
+    ) -> Diagonals {
         let configuration = if trial { &self.trial } else { &self.configuration };
         self.tendon.evaluate(
             &self.parameters.tendon,
@@ -240,8 +272,6 @@ impl Manipulator {
         );
         let d = self.diagonals();
         self.factor(h, &d, trial);
-        let configuration = if trial { &self.trial } else { &self.configuration };
-        self.loads.evaluate(&self.layout, configuration, &v.joint, (&q.mount, &v.mount), frame);
         d
     }
 

@@ -1,13 +1,18 @@
 //! Tendons, routed hole to hole, as joint torques.
 //!
 //! A tendon in a channel at (d, e) from the axis, with a free gap g, spans a flexure bent by q with the chord
-//! `g cos(q/2) - 2 d sin(q/2)`; here, in the plane, e does not count. The antagonist pair lies at d and -d. The tool takes up `l = sum (g - chord)` of tendon, so that a tension T
-//! exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`.
+//! `g cos(q/2) - 2 d sin(q/2)`; here, in the plane, e does not count. The antagonist pair lies at d and -d. The tool takes up
+//! `l = sum (g - chord)` of tendon, so that a tension T exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`.
 //!
 //! Capstan friction lets the tension fall along the channel, `T_i = T_0 exp(-mu s phi_i)` with the wrap angle `phi_i =
 //! sum_{j<i} |q_j| + |q_i| / 2`: the tendon turns by half the joint angle at each of the two holes beside a flexure, so
-//! that the discrete law is second order against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play operator on the take-up: it moves by dl / presliding
-//! and saturates at +1 (tendon pulled in) and -1 (tendon let out), which gives the hysteresis loop.
+//! that the discrete law is second order against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is
+//! Dahl's play operator on the take-up: it moves by dl / presliding and saturates at +1 (tendon pulled in) and -1 (tendon
+//! let out), which gives the hysteresis loop.
+//!
+//! At saturation the friction changes only if the tendon turns, so that the implicit operator needs to know where a step goes
+//! before it is taken. The step takes every saturated tendon to slide on as it did, and is solved once more where the velocities
+//! found turn one ([`TendonLoad::turns`]): the friction's stiffness, of rank one, makes that turn smaller and does not undo it.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,12 +21,18 @@ use super::parameters::{ManipulatorParameters, TendonParameters};
 use super::state::TendonCommand;
 use super::{MAX_JOINTS, MAX_TENDONS};
 
+/// Largest capstan exponent of [`Channels::capstan_exponent`] at which a Rosenbrock step is taken. The operator leaves out how
+/// the wrap of one flexure changes the friction in those behind it; at 10 ms that feeds swings from an exponent of 1.5 on.
+pub(super) const MAX_CAPSTAN_EXPONENT: f64 = 1.25;
+
 /// Where the tendons run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Channels {
     pub count: usize,
     /// From the tool axis along base x and y, m.
     pub offset_m: [[f64; 2]; MAX_TENDONS],
+    /// Bend of the whole tool under an end moment, rad/(N m).
+    compliance_rad_per_nm: f64,
 }
 
 impl Channels {
@@ -36,7 +47,14 @@ impl Channels {
         for (place, channel) in offset_m.iter_mut().zip(given) {
             *place = *channel;
         }
-        Self { count: parameters.tendon_count(), offset_m }
+        let compliance_rad_per_nm = parameters.joint_stiffness_nm_per_rad.iter().map(|k| 1.0 / k).sum();
+        Self { count: parameters.tendon_count(), offset_m, compliance_rad_per_nm }
+    }
+
+    /// mu phi, where phi is the sum of the bends that the tensions would each give the tool without friction and stops, rad.
+    pub fn capstan_exponent(&self, friction_coefficient: f64, tension_n: &[f64; MAX_TENDONS]) -> f64 {
+        let moment = |t: usize| tension_n[t] * libm::hypot(self.offset_m[t][0], self.offset_m[t][1]);
+        friction_coefficient * self.compliance_rad_per_nm * (0..self.count).map(moment).sum::<f64>()
     }
 }
 
@@ -80,7 +98,7 @@ pub(super) struct TendonLoad {
     pub channels: Channels,
     /// Torque on each joint, N m.
     pub torque: [f64; MAX_JOINTS],
-    /// -d torque_i / d q_i at constant tension, N m/rad.
+    /// -d torque_i / d q_i at constant tension and sliding state, N m/rad.
     pub stiffness: [f64; MAX_JOINTS],
     /// d take-up / d q_i of each tendon, m/rad.
     pub slope: [[f64; MAX_JOINTS]; MAX_TENDONS],
@@ -88,6 +106,8 @@ pub(super) struct TendonLoad {
     pub gradient: [[f64; MAX_JOINTS]; MAX_TENDONS],
     /// Whether the gradient of each tendon is not zero.
     pub coupled: [bool; MAX_TENDONS],
+    /// Whether each tendon's friction is taken not to change: it slid at the velocity given, and slides on.
+    pub slides_on: [bool; MAX_TENDONS],
     /// Tension at the base end, N.
     pub tension_n: [f64; MAX_TENDONS],
 }
@@ -101,6 +121,7 @@ impl TendonLoad {
             slope: [[0.0; MAX_JOINTS]; MAX_TENDONS],
             gradient: [[0.0; MAX_JOINTS]; MAX_TENDONS],
             coupled: [false; MAX_TENDONS],
+            slides_on: [false; MAX_TENDONS],
             tension_n: [0.0; MAX_TENDONS],
         }
     }
@@ -129,6 +150,7 @@ impl TendonLoad {
             let elastic = if stretched { parameters.stiffness_n_per_m } else { 0.0 };
             let frictional = parameters.friction_coefficient > 0.0 && tension > 0.0;
             self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
+            self.slides_on[t] = frictional && saturated;
             let mut wrap = 0.0;
             for i in 0..n {
                 wrap += 0.5 * q[i].abs();
@@ -138,20 +160,31 @@ impl TendonLoad {
                     1.0
                 };
                 let local = tension * share;
+                let friction = if frictional { local * parameters.friction_coefficient } else { 0.0 };
                 let slope = self.slope[t][i];
                 self.torque[i] += local * slope;
                 let curvature = 0.25 * parameters.gap_m * configuration.half_cos[i]
                     - 0.5 * self.channels.offset_m[t][0] * configuration.half_sin[i];
-                self.stiffness[i] -= local * curvature;
-                let friction = if saturated {
-                    0.0
-                } else {
-                    local * parameters.friction_coefficient * wrap / parameters.presliding_m
-                };
+                self.stiffness[i] += 0.5 * friction * sliding * sign(q[i]) * slope - local * curvature;
+                let friction = if saturated { 0.0 } else { friction * wrap / parameters.presliding_m };
                 self.gradient[t][i] = (elastic * share + friction) * slope;
                 wrap += 0.5 * q[i].abs();
             }
         }
+    }
+
+    /// Whether friction is too strong for a Rosenbrock step.
+    pub fn binds(&self, parameters: &TendonParameters) -> bool {
+        let mu = parameters.friction_coefficient;
+        self.channels.capstan_exponent(mu, &self.tension_n) > MAX_CAPSTAN_EXPONENT
+    }
+
+    /// Whether velocities `after` turn a tendon that was taken to slide on as with `before`.
+    pub fn turns(&self, n: usize, before: &[f64; MAX_JOINTS], after: &[f64; MAX_JOINTS]) -> bool {
+        let rate = |t: usize, v: &[f64; MAX_JOINTS]| {
+            self.slope[t][..n].iter().zip(v).map(|(slope, v)| slope * v).sum::<f64>()
+        };
+        (0..self.channels.count).any(|t| self.slides_on[t] && rate(t, before) * rate(t, after) < 0.0)
     }
 
     /// Updates d take-up / dq of tendon `t`; returns the take-up's rate.
@@ -205,6 +238,11 @@ impl TendonLoad {
         }
         (tension_n, displacement_m)
     }
+}
+
+/// d|x| / dx, and 0 at 0.
+pub(super) fn sign(x: f64) -> f64 {
+    if x == 0.0 { 0.0 } else { x.signum() }
 }
 
 /// Tension at the base end: as commanded, or what the pull stretches; a slack tendon does not push.

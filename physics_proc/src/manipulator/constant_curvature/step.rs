@@ -10,7 +10,7 @@ use crate::manipulator::loads::Frame;
 use crate::manipulator::row::{cone, tangents, target};
 use crate::manipulator::state::{ContactResult, StepInput, StepReport, TendonCommand, Wrench};
 use crate::manipulator::step::{base_motion, validate};
-use crate::manipulator::tendon::base_tension;
+use crate::manipulator::tendon::{base_tension, sign};
 
 /// One contact: rows of normal and tangents over the four freedoms.
 #[derive(Debug, Clone, Copy)]
@@ -42,6 +42,8 @@ pub(super) struct Stop {
 struct TendonTorque {
     torque_nm: f64,
     stiffness_nm_per_rad: f64,
+    /// Whether a tendon's friction is taken not to change: it slid at the rate given, and slides on.
+    slides_on: bool,
 }
 
 impl ConstantCurvature {
@@ -56,34 +58,54 @@ impl ConstantCurvature {
         let (drive, frame) = base_motion(&self.state.base, gravity, dt_s, input)?;
         let dt = dt_s;
         let (q, before) = (self.state.position, self.state.velocity);
-        let tendon = self.tendon_torque(&input.tendon);
-        let stiffness = self.stiffness + Vector4::new(0.0, 0.0, 0.0, tendon.stiffness_nm_per_rad);
-        let mut operator = mass_matrix(&self.lumps, &self.arc, q[3]);
-        for k in 0..4 {
-            operator[(k, k)] += dt * self.damping[k] + dt * dt * stiffness[k];
-        }
-        // Positive definite: masses and mount stiffnesses are.
-        let inverse = operator.try_inverse().unwrap_or_else(Matrix4::zeros);
         let (loads, mut moment) = self.loads(&frame);
-        let elastic = -self.stiffness.component_mul(&q)
-            - self.damping.component_mul(&before)
-            - stiffness.component_mul(&(before * dt))
-            + Vector4::new(0.0, 0.0, 0.0, tendon.torque_nm);
-        let free = before + inverse * (loads + elastic) * dt;
+        let tendon = self.tendon_torque(before[3], &input.tendon);
+        let (free, inverse) = self.free_velocity(dt, &loads, &tendon);
         let mut report = StepReport::none();
-        let after = self.with_contacts((dt, input), (&drive, &inverse), free, (&mut moment, &mut report));
+        let mut after = self.with_contacts((dt, input), (&drive, &inverse), free, &mut report);
+        if tendon.slides_on && after[3] * before[3] < 0.0 {
+            let tendon = self.tendon_torque(after[3], &input.tendon);
+            let (free, inverse) = self.free_velocity(dt, &loads, &tendon);
+            report = StepReport::none();
+            after = self.with_contacts((dt, input), (&drive, &inverse), free, &mut report);
+        }
+        self.store(dt, &drive, (&mut moment, &mut report));
         self.state.position = q + after * dt;
         moment -= self.momentum_moment(&q, &(after - before)) / dt;
         self.finish(input, &after, moment, &mut report);
         Ok(report)
     }
 
+    /// Velocities after the step without contacts, and the inverse of the operator.
+    fn free_velocity(
+        &self,
+        dt: f64,
+        loads: &Vector4<f64>,
+        tendon: &TendonTorque,
+    ) -> (Vector4<f64>, Matrix4<f64>) {
+        let (q, before) = (&self.state.position, &self.state.velocity);
+        let mut stiffness = self.stiffness;
+        stiffness[3] = (stiffness[3] + tendon.stiffness_nm_per_rad).max(0.0);
+        let mut operator = mass_matrix(&self.lumps, &self.arc, q[3]);
+        for k in 0..4 {
+            operator[(k, k)] += dt * self.damping[k] + dt * dt * stiffness[k];
+        }
+        // Positive definite: the masses are, and no stiffness is negative.
+        let inverse = operator.try_inverse().unwrap_or_else(Matrix4::zeros);
+        let elastic = -self.stiffness.component_mul(q)
+            - self.damping.component_mul(before)
+            - stiffness.component_mul(&(before * dt))
+            + Vector4::new(0.0, 0.0, 0.0, tendon.torque_nm);
+        (before + inverse * (loads + elastic) * dt, inverse)
+    }
+
     /// The closed form of the channel: the take-up is `side d bend`, the tension falls as `exp(-mu s phi)`, and its mean
-    /// over the arc, `(1 - exp(-x)) / x` with `x = mu s |bend|`, bends.
-    fn tendon_torque(&self, command: &TendonCommand) -> TendonTorque {
+    /// over the arc, `(1 - exp(-x)) / x` with `x = mu s |bend|`, bends. `rate` of the bend tells a saturated
+    /// sliding state whether it is about to turn.
+    fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
         let p = &self.parameters.tendon;
-        let (bend, rate) = (self.state.position[3], self.state.velocity[3]);
-        let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0 };
+        let bend = self.state.position[3];
+        let mut sum = TendonTorque { torque_nm: 0.0, stiffness_nm_per_rad: 0.0, slides_on: false };
         for t in 0..self.channels.count {
             let slope = self.channels.offset_m[t][0];
             let take_up = slope * bend;
@@ -97,10 +119,12 @@ impl ConstantCurvature {
             if command.is_displacement() {
                 sum.stiffness_nm_per_rad += p.stiffness_n_per_m * mean_share(x) * slope * slope;
             }
-            let saturated = sliding.abs() >= 1.0 && sliding * slope * rate >= 0.0;
-            if !saturated {
-                let per_sliding = -mean_share_slope(x) * p.friction_coefficient * bend.abs();
-                sum.stiffness_nm_per_rad += tension * per_sliding / p.presliding_m * slope * slope;
+            let loss = -tension * mean_share_slope(x) * p.friction_coefficient * slope;
+            sum.stiffness_nm_per_rad += loss * sliding * sign(bend);
+            if sliding.abs() >= 1.0 && sliding * slope * rate >= 0.0 {
+                sum.slides_on |= p.friction_coefficient > 0.0;
+            } else {
+                sum.stiffness_nm_per_rad += loss * bend.abs() / p.presliding_m * slope;
             }
         }
         sum
@@ -156,7 +180,7 @@ impl ConstantCurvature {
         (dt, input): (f64, &StepInput),
         (drive, inverse): (&BaseDrive, &Matrix4<f64>),
         free: Vector4<f64>,
-        (moment, report): (&mut Vector3<f64>, &mut StepReport),
+        report: &mut StepReport,
     ) -> Vector4<f64> {
         self.collect((dt, input), (drive, inverse), report);
         self.collect_stop(dt, &free);
@@ -182,7 +206,6 @@ impl ConstantCurvature {
                 break;
             }
         }
-        self.store(dt, drive, (moment, report));
         velocity
     }
 

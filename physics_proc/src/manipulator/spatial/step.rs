@@ -98,6 +98,20 @@ impl<const D: usize> SpatialChain<D> {
         h: f64,
         (input, frame): (&StepInput, &Frame),
         trial: bool,
+        operator: (&mut [f64], &mut [f64]),
+    ) {
+        self.factor_with_tendons((q, v), h, input, trial, operator);
+        let configuration = if trial { &self.trial } else { &self.configuration };
+        self.loads.evaluate(&self.layout, configuration, v, frame);
+    }
+
+    /// Tendons at `q` that move as with `v`, and the operator factored with them.
+    fn factor_with_tendons(
+        &mut self,
+        (q, v): (&[f64], &[f64]),
+        h: f64,
+        input: &StepInput,
+        trial: bool,
         (stiffness, diagonal): (&mut [f64], &mut [f64]),
     ) {
         let configuration = if trial { &self.trial } else { &self.configuration };
@@ -107,7 +121,6 @@ impl<const D: usize> SpatialChain<D> {
         fill(diagonal, |i| h * self.damping[i] + h * h * stiffness[i]);
         self.articulated.factor(&self.layout, configuration, diagonal);
         self.coupling.update(&self.layout, &mut self.articulated, &self.tendon, h * h);
-        self.loads.evaluate(&self.layout, configuration, v, frame);
     }
 
     /// Forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
@@ -133,17 +146,34 @@ impl<const D: usize> SpatialChain<D> {
         report: &mut StepReport,
     ) {
         let q = core::mem::take(&mut self.state.position);
-        let Work { before, after, next, stiffness, diagonal, rhs, y, .. } = work;
         let h = if self.explicit { 0.0 } else { dt };
-        self.stage((&q, before), h, (input, frame), false, (&mut *stiffness, diagonal));
-        fill(y, |i| h * before[i]);
-        self.elastic_forces((&q, before, y), stiffness, rhs);
-        self.solve_loads(rhs, after);
-        fill(next, |i| before[i] + dt * after[i]);
-        after.copy_from_slice(next);
+        let Work { before, stiffness, diagonal, .. } = work;
+        self.stage((&q, before), h, (input, frame), false, (stiffness, diagonal));
+        self.free_velocity(&q, (dt, h), work);
         self.state.position = q;
-        self.with_contacts(dt, input, drive, after, report);
+        self.with_contacts(dt, input, drive, &mut work.after, report);
+        if !self.explicit && self.tendon.turns(&work.before, &work.after) {
+            let q = core::mem::take(&mut self.state.position);
+            let Work { after, stiffness, diagonal, .. } = work;
+            self.factor_with_tendons((&q, after), h, input, false, (stiffness, diagonal));
+            self.free_velocity(&q, (dt, h), work);
+            self.state.position = q;
+            self.with_contacts(dt, input, drive, &mut work.after, report);
+        }
+        self.store_results(dt, drive, report);
+        let Work { after, next, .. } = work;
         fill(next, |i| self.state.position[i] + dt * after[i]);
+    }
+
+    /// `work.after`: velocities after the step without contacts.
+    fn free_velocity(&mut self, q: &[f64], (dt, h): (f64, f64), work: &mut Work) {
+        let Work { before, after, stiffness, rhs, y, .. } = work;
+        fill(y, |i| h * before[i]);
+        self.elastic_forces((q, before, y), stiffness, rhs);
+        self.solve_loads(rhs, after);
+        for (after, before) in after.iter_mut().zip(before) {
+            *after = *before + dt * *after;
+        }
     }
 
     /// Turns the free velocities into those under contact and stop impulses.
@@ -161,9 +191,7 @@ impl<const D: usize> SpatialChain<D> {
         report.refused_contact_count = solver.refused;
         report.contact_count = solver.row.len();
         report.max_overlap_m = solver.max_overlap_m;
-        self.state.result_count = solver.row.len();
         if solver.is_empty() {
-            self.state.stop_torque.fill(0.0);
             return;
         }
         self.articulated.update_mobility();
@@ -175,7 +203,12 @@ impl<const D: usize> SpatialChain<D> {
         report.iterations = iterations;
         report.residual_m_per_s = residual;
         velocity.copy_from_slice(&solver.velocity);
-        report.stopped_joint_count = solver.stop_torques(dt, &mut self.state.stop_torque);
+    }
+
+    /// Keeps the impulses for the next step, and adds the contact moments to the loads.
+    fn store_results(&mut self, dt: f64, drive: &BaseDrive, report: &mut StepReport) {
+        report.stopped_joint_count = self.contact.stop_torques(dt, &mut self.state.stop_torque);
+        self.state.result_count = self.contact.row.len();
         for k in 0..self.contact.row.len() {
             let result = self.contact.result(k, dt, &drive.rotation);
             let normal_force = result.normal * result.normal_force_n;
@@ -189,16 +222,17 @@ impl<const D: usize> SpatialChain<D> {
         }
     }
 
-    /// A ROS2 step in free motion into `work.next` and `work.after`; its error estimate. `Err`: not wanted (estimate 0),
-    /// not free, or the estimate is above the tolerance.
+    /// A ROS2 step in free motion into `work.next` and `work.after`; its error estimate. `Err`: not wanted, or not smooth
+    /// (estimate 0), not free, or the estimate is above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
         let wanted = self.parameters.integrator == Integrator::Hybrid && self.contacts_far(dt, input);
         if !wanted || self.near_stop(&self.state.position) {
             return Err(0.0);
         }
         let q = core::mem::take(&mut self.state.position);
-        let error = self.rosenbrock_stages((&q, dt), input, frame, work);
+        let stages = self.rosenbrock_stages((&q, dt), input, frame, work);
         self.state.position = q;
+        let error = stages.ok_or(0.0)?;
         let accurate = error <= self.parameters.hybrid_tolerance_rad;
         if !accurate || self.near_stop(&work.next) || !self.contacts_clear(&work.next, input) {
             return Err(if error.is_finite() { error } else { f64::MAX });
@@ -206,13 +240,14 @@ impl<const D: usize> SpatialChain<D> {
         Ok(error)
     }
 
+    /// The error estimate; none where a tendon begins or ceases to slide on within the step, or binds.
     fn rosenbrock_stages(
         &mut self,
         (q, dt): (&[f64], f64),
         input: &StepInput,
         frame: &Frame,
         work: &mut Work,
-    ) -> f64 {
+    ) -> Option<f64> {
         let h = GAMMA * dt;
         let Work { before, after, next, stiffness, diagonal, rhs, y, kv1, kq1, q2, v2, kv2, .. } = work;
         self.stage((q, before), h, (input, frame), false, (&mut *stiffness, &mut *diagonal));
@@ -220,10 +255,17 @@ impl<const D: usize> SpatialChain<D> {
         self.elastic_forces((q, before, y), stiffness, rhs);
         self.solve_loads(rhs, kv1);
         fill(kq1, |i| before[i] + h * kv1[i]);
+        if self.tendon.binds(&self.parameters.tendon) || self.tendon.turns(before, kq1) {
+            return None;
+        }
+        let slid = self.tendon.slides_on;
         fill(q2, |i| q[i] + dt * kq1[i]);
         fill(v2, |i| before[i] + dt * kv1[i]);
         self.trial.update(&self.layout, q2);
         self.stage((q2, v2), h, (input, frame), true, (&mut *stiffness, &mut *diagonal));
+        if self.tendon.slides_on != slid {
+            return None;
+        }
         // As in the planar rung: with x = kv2 + 2 kv1 the mass drops out of the right side.
         fill(y, |i| h * (v2[i] - 2.0 * kq1[i]) - 2.0 * h * h * kv1[i]);
         self.elastic_forces((q2, v2, y), stiffness, rhs);
@@ -247,7 +289,7 @@ impl<const D: usize> SpatialChain<D> {
                 error = if own > error || own.is_nan() { own } else { error };
             }
         }
-        error
+        Some(error)
     }
 
     fn near_stop(&self, q: &[f64]) -> bool {

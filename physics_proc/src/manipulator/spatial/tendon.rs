@@ -9,7 +9,7 @@ use super::layout::SpatialLayout;
 use crate::manipulator::MAX_TENDONS;
 use crate::manipulator::parameters::TendonParameters;
 use crate::manipulator::state::TendonCommand;
-use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
+use crate::manipulator::tendon::{Channels, MAX_CAPSTAN_EXPONENT, TendonMemory, base_tension};
 
 /// Generalised forces of all tendons in one configuration, and how they change.
 #[derive(Debug, Clone)]
@@ -17,7 +17,7 @@ pub(super) struct TendonLoad {
     pub channels: Channels,
     /// Force on each freedom, N m (N).
     pub torque: Vec<f64>,
-    /// -d force_i / d q_i at constant tension.
+    /// -d force_i / d q_i at constant tension and sliding state.
     pub stiffness: Vec<f64>,
     /// d take-up / d q_i of each tendon.
     pub slope: [Vec<f64>; MAX_TENDONS],
@@ -25,6 +25,10 @@ pub(super) struct TendonLoad {
     pub gradient: [Vec<f64>; MAX_TENDONS],
     /// Whether the gradient of each tendon is not zero.
     pub coupled: [bool; MAX_TENDONS],
+    /// Tension at the base end, N.
+    tension_n: [f64; MAX_TENDONS],
+    /// Whether each tendon's friction is taken not to change: it slid at the velocity given, and slides on.
+    pub slides_on: [bool; MAX_TENDONS],
 }
 
 /// How a flexure takes up a tendon: length, slopes (bending, lateral), curvatures (bending, lateral), turn of the channel.
@@ -33,6 +37,8 @@ struct TakeUp {
     slope: [f64; 2],
     curvature: [f64; 2],
     turn_rad: f64,
+    /// d turn / d (bending, lateral), 0 where the flexure is straight.
+    turn_slope: [f64; 2],
 }
 
 impl TakeUp {
@@ -48,11 +54,14 @@ impl TakeUp {
         let ((sb, cb), (sl, cl)) = (libm::sincos(0.5 * q[k]), libm::sincos(0.5 * lateral));
         let straight = 0.25 * p.gap_m * cb * cl;
         let compression = if D == 6 { -q[k - 1] } else { 0.0 };
+        let turn_rad = libm::sqrt(q[k] * q[k] + lateral * lateral);
+        let turn_slope = if turn_rad == 0.0 { [0.0; 2] } else { [q[k] / turn_rad, lateral / turn_rad] };
         Self {
             length_m: p.gap_m * (1.0 - cb * cl) + 2.0 * toward * sb - 2.0 * across * sl + compression,
             slope: [toward * cb + 0.5 * p.gap_m * sb * cl, 0.5 * p.gap_m * cb * sl - across * cl],
             curvature: [straight - 0.5 * toward * sb, straight + 0.5 * across * sl],
-            turn_rad: libm::sqrt(q[k] * q[k] + lateral * lateral),
+            turn_rad,
+            turn_slope,
         }
     }
 }
@@ -67,6 +76,8 @@ impl TendonLoad {
             slope: core::array::from_fn(|_| blank()),
             gradient: core::array::from_fn(|_| blank()),
             coupled: [false; MAX_TENDONS],
+            tension_n: [0.0; MAX_TENDONS],
+            slides_on: [false; MAX_TENDONS],
         }
     }
 
@@ -84,12 +95,14 @@ impl TendonLoad {
         for t in 0..self.channels.count {
             let (length_m, rate) = self.update_slope(t, p, layout, (q, v));
             let tension = base_tension(p, command, t, length_m);
+            self.tension_n[t] = tension;
             let sliding = memory[t].sliding_at(length_m, p);
             let saturated = sliding.abs() >= 1.0 && sliding * rate >= 0.0;
             let stretched = command.is_displacement() && tension > 0.0;
             let elastic = if stretched { p.stiffness_n_per_m } else { 0.0 };
             let frictional = p.friction_coefficient > 0.0 && tension > 0.0;
             self.coupled[t] = elastic > 0.0 || (frictional && !saturated);
+            self.slides_on[t] = frictional && saturated;
             if tension == 0.0 && !self.coupled[t] {
                 continue;
             }
@@ -100,6 +113,7 @@ impl TendonLoad {
                 let mu = if frictional { p.friction_coefficient } else { 0.0 };
                 let share = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
                 let local = tension * share;
+                let winding = 0.5 * local * mu * sliding;
                 let friction = if saturated { 0.0 } else { local * mu * wrap / p.presliding_m };
                 wrap += 0.5 * take_up.turn_rad;
                 let bend = layout.bend(i);
@@ -109,12 +123,23 @@ impl TendonLoad {
                     self.torque[k] += local * slope;
                     self.gradient[t][k] = (elastic * share + friction) * slope;
                 }
-                self.stiffness[bend] -= local * take_up.curvature[0];
-                if D > 1 {
-                    self.stiffness[bend + 1] -= local * take_up.curvature[1];
+                for k in 0..D.min(2) {
+                    self.stiffness[bend + k] += winding * take_up.turn_slope[k] * self.slope[t][bend + k]
+                        - local * take_up.curvature[k];
                 }
             }
         }
+    }
+
+    /// Whether friction is too strong for a Rosenbrock step.
+    pub fn binds(&self, p: &TendonParameters) -> bool {
+        self.channels.capstan_exponent(p.friction_coefficient, &self.tension_n) > MAX_CAPSTAN_EXPONENT
+    }
+
+    /// Whether velocities `after` turn a tendon that was taken to slide on as with `before`.
+    pub fn turns(&self, before: &[f64], after: &[f64]) -> bool {
+        let rate = |t: usize, v: &[f64]| self.slope[t].iter().zip(v).map(|(slope, v)| slope * v).sum::<f64>();
+        (0..self.channels.count).any(|t| self.slides_on[t] && rate(t, before) * rate(t, after) < 0.0)
     }
 
     /// Updates d take-up / dq of tendon `t`; returns the take-up and its rate.
