@@ -72,7 +72,7 @@ const GOLDEN: [Golden; 3] = [
         in_bone: false,
         command: wander,
         ticks: 2000,
-        hash: "a9163bc0e533d3a4eec60d124cbce7a1",
+        hash: "776bcd42be6dee39bfb97756297c42c6",
     },
 ];
 

@@ -4,10 +4,11 @@
 mod common;
 
 use ipc_types::messages::{Command, Latched, LatchedCommand, SOURCE_FRESH, TENDON_SERVO_JF, TENDON_SERVO_JP};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Unit, Vector3};
+use physics_proc::contact_plane::ContactPlane;
 use physics_proc::manipulator::{
-    AnyManipulator, BaseMotion, Integrator, ManipulatorModel, ManipulatorParameters, Rung, StepInput,
-    TendonCommand, Wrench,
+    AnyManipulator, BaseMotion, Integrator, ManipulatorModel, ManipulatorParameters, ProxySphere, Rung,
+    StepInput, TendonCommand, Wrench,
 };
 use physics_proc::simulation::Simulation;
 
@@ -218,6 +219,49 @@ fn bend_at_rest(p: &ManipulatorParameters, tension_n: f64, sliding: f64) -> (f64
         take_up_m += 2.0 * p.tendon.offset_m * (0.5 * low).sin();
     }
     (wrap, take_up_m)
+}
+
+/// Flexures on their stops, and a wall that takes the tool off them at 20 mm/s: as rows of the contact solver the stops did not
+/// converge within its 40 sweeps.
+#[test]
+fn a_wall_takes_a_tool_off_its_stops_within_the_tolerance() {
+    let base = BaseMotion::at_rest(Isometry3::identity());
+    let p = ManipulatorParameters::jhu_27();
+    for rung in [Rung::Planar, Rung::Spatial] {
+        for dt_s in [1e-3, 5e-3] {
+            let mut m = AnyManipulator::new(rung, p.clone(), &base).unwrap();
+            let (mut sweeps, mut most, mut fewest_stops) = (0, 0, 99);
+            let steps = (1.0 / dt_s) as usize;
+            for k in 0..2 * steps {
+                let time_s = k as f64 * dt_s;
+                let planes = wall_at(&m, if k < steps { 1.0 } else { 0.032 - 0.02 * (time_s - 1.0) });
+                let tendon = TendonCommand::Force([25.0 * time_s.min(1.0), 0.0]);
+                let input = StepInput { base, tendon, tip_wrench: Wrench::zero(), contacts: &planes };
+                let report = m.step(dt_s, &input).unwrap();
+                if k >= steps {
+                    sweeps += report.iterations;
+                    most = most.max(report.iterations);
+                    fewest_stops = fewest_stops.min(report.stopped_joint_count);
+                }
+            }
+            let mean = sweeps as f64 / steps as f64;
+            println!(
+                "{rung:?}, {dt_s} s: {mean:.1} sweeps a step, {most} at most, {fewest_stops} stops at least"
+            );
+            // One contact and a stop that is about to change: two sweeps; with all stops as rows 8 to 15, and 40 at most.
+            assert!(mean < 4.0 && most < 40 && fewest_stops > 0, "{rung:?} {dt_s}: {mean} {most}");
+        }
+    }
+}
+
+/// A wall that faces -x.
+fn wall_at(m: &AnyManipulator, x_m: f64) -> Vec<ContactPlane> {
+    let normal = Unit::new_unchecked(-Vector3::x());
+    let near = |(sphere_index, s): (usize, &ProxySphere)| {
+        let gap_m = x_m - s.centre_m.x - s.radius_m;
+        (gap_m < 1e-3).then_some(ContactPlane { sphere_index, point_m: s.centre_m, normal, gap_m })
+    };
+    m.proxy_spheres().iter().enumerate().filter_map(near).collect()
 }
 
 /// Let out from 14 N, where flexures stand on their stops, slowly: the tool follows the law with the sliding state of the play

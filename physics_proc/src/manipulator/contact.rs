@@ -11,6 +11,7 @@ use super::articulated::{Articulated, Generalised, Spatial};
 use super::delassus::Delassus;
 use super::geometry::{Configuration, Layout, SphereKind};
 use super::parameters::ManipulatorParameters;
+use super::pressed::PressedStops;
 use super::row::{EMPTY_ROW, EMPTY_STOP, Row, Stop, target};
 use super::state::{ContactResult, ManipulatorState};
 use super::{MAX_CONTACTS, MAX_JOINTS, MAX_ROWS, MAX_SPHERES};
@@ -147,19 +148,19 @@ impl ContactSolver {
         self.first_row[self.delassus.sphere_count] = accepted;
     }
 
-    /// Adds a stop row for every flexure that the free motion would bring near its stop.
+    /// Adds a stop row for every flexure that the free motion would bring near its stop, if that is not pressed.
     pub fn collect_stops(
         &mut self,
         p: &ManipulatorParameters,
         dt: f64,
-        state: &ManipulatorState,
+        (state, pressed): (&ManipulatorState, &PressedStops),
         free: &Generalised,
     ) {
         let limit = p.joint_limit_rad;
         for i in 0..p.joint_positions_m.len() {
             let q = state.joint_position_rad[i];
             let predicted = q + dt * free.joint[i];
-            if predicted.abs().max(q.abs()) <= STOP_SHARE * limit {
+            if predicted.abs().max(q.abs()) <= STOP_SHARE * limit || pressed.has(i) {
                 continue;
             }
             let sign = if predicted > 0.0 { -1.0 } else { 1.0 };

@@ -32,6 +32,7 @@ mod loads;
 mod modal;
 mod model;
 mod parameters;
+mod pressed;
 mod row;
 mod spatial;
 mod state;
@@ -52,6 +53,7 @@ pub use error::ManipulatorError;
 pub use geometry::SphereKind;
 pub use model::{AnyManipulator, AnyManipulatorState, ManipulatorModel, Rung};
 pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, TendonParameters};
+use pressed::PressedStops;
 pub use spatial::{SpatialChain, SpatialState};
 pub use state::{
     BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, TendonCommand, Wrench,
@@ -93,6 +95,7 @@ pub struct Manipulator {
     coupling: Coupling,
     loads: Loads,
     contact: ContactSolver,
+    pressed: PressedStops,
 }
 
 impl Manipulator {
@@ -135,6 +138,7 @@ impl Manipulator {
             coupling: Coupling::new(),
             loads: Loads::new(),
             contact: ContactSolver::new(),
+            pressed: PressedStops::new(n),
             layout,
             parameters,
         };

@@ -19,6 +19,8 @@ use super::{MAX_JOINTS, Manipulator};
 pub(super) const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
 /// A Rosenbrock step needs every flexure within this share of its stop.
 pub(super) const FREE_SHARE: f64 = 0.9;
+/// Most solutions of one step of linearly implicit Euler: each gives up what the one before took for granted wrongly.
+pub(super) const MAX_ROUNDS: usize = 4;
 /// A Rosenbrock step needs every contact candidate to stay farther than this at the present velocity, m.
 pub(super) const CLEARANCE_M: f64 = 50.0e-6;
 
@@ -63,12 +65,12 @@ impl Manipulator {
         Generalised { joint: self.state.joint_position_rad, mount: self.state.mount_displacement_m }
     }
 
-    /// Stiffness with the tendons' own part (never below zero) and damping.
+    /// Stiffness with the tendons' own part (never below zero) and that of pressed stops, and damping.
     fn diagonals(&self) -> Diagonals {
         let mut stiffness =
             Generalised { joint: self.stiffness, mount: self.parameters.mount_stiffness_n_per_m };
-        for (k, tendon) in stiffness.joint.iter_mut().zip(&self.tendon.stiffness) {
-            *k = (*k + tendon).max(0.0);
+        for (i, stop) in self.pressed.stiffness().iter().enumerate() {
+            stiffness.joint[i] = (stiffness.joint[i] + self.tendon.stiffness[i]).max(0.0) + stop;
         }
         let damping = Generalised { joint: self.damping, mount: self.mount_damping };
         Diagonals { stiffness, damping }
@@ -84,7 +86,7 @@ impl Manipulator {
     ) -> Generalised {
         let mut f = Generalised::ZERO;
         for i in 0..self.layout.joints {
-            f.joint[i] = self.tendon.torque[i]
+            f.joint[i] = self.tendon.torque[i] + self.pressed.drive()[i]
                 - self.stiffness[i] * q.joint[i]
                 - self.damping[i] * v.joint[i]
                 - d.stiffness.joint[i] * y.joint[i];
@@ -120,15 +122,24 @@ impl Manipulator {
         report: &mut StepReport,
     ) -> Generalised {
         let (q, v) = (self.positions(), self.velocities());
-        let d = self.stage((&q, &v), dt, input, frame, false);
-        let free = self.free_velocity(dt, (&q, &v), &d);
-        let mut after = self.with_contacts(dt, input, drive, free, report);
-        if self.tendon.turns(self.layout.joints, &v.joint, &after.joint) {
-            let d = self.factored_with_tendons((&q, &after), dt, input, false);
+        self.pressed.collect(&self.parameters, dt, &q.joint, &self.state.stop_torque_nm);
+        let mut d = self.stage((&q, &v), dt, input, frame, false);
+        let (mut round, mut expected) = (1, v);
+        let after = loop {
             let free = self.free_velocity(dt, (&q, &v), &d);
-            after = self.with_contacts(dt, input, drive, free, report);
-        }
-        self.store_results(dt, drive, report);
+            let after = self.with_contacts(dt, input, drive, free, report);
+            let turned = self.tendon.turns(self.layout.joints, &expected.joint, &after.joint);
+            let released = self.pressed.release(dt, &after.joint, &self.state.stop_torque_nm);
+            if round == MAX_ROUNDS || !(turned || released) {
+                break after;
+            }
+            if turned {
+                expected = after;
+            }
+            d = self.factored_with_tendons((&q, &expected), dt, input, false);
+            round += 1;
+        };
+        self.store_results(dt, drive, &after, report);
         let next = q.plus(dt, &after);
         self.state.joint_position_rad = next.joint;
         self.state.mount_displacement_m = next.mount;
@@ -152,7 +163,7 @@ impl Manipulator {
     ) -> Generalised {
         let solver = &mut self.contact;
         solver.collect(&self.layout, &self.configuration, input.contacts);
-        solver.collect_stops(&self.parameters, dt, &self.state, &free);
+        solver.collect_stops(&self.parameters, dt, (&self.state, &self.pressed), &free);
         report.refused_contact_count = solver.refused;
         report.contact_count = solver.row_count;
         report.max_overlap_m = solver.max_overlap_m;
@@ -174,8 +185,10 @@ impl Manipulator {
     }
 
     /// Keeps the impulses for the next step, and adds the contact moments to the loads.
-    fn store_results(&mut self, dt: f64, drive: &BaseDrive, report: &mut StepReport) {
-        report.stopped_joint_count = self.contact.stop_torques(dt, &mut self.state.stop_torque_nm);
+    fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &Generalised, report: &mut StepReport) {
+        let torque = &mut self.state.stop_torque_nm;
+        report.stopped_joint_count = self.contact.stop_torques(dt, torque);
+        report.stopped_joint_count += self.pressed.store(dt, &after.joint, torque);
         self.state.result_count = self.contact.row_count;
         let lateral_m = self.state.mount_displacement_m[1];
         for k in 0..self.contact.row_count {
@@ -199,6 +212,7 @@ impl Manipulator {
         if !wanted || self.near_stop(&q) {
             return Err(0.0);
         }
+        self.pressed.clear();
         let h = GAMMA * dt;
         let d = self.stage((&q, &v), h, input, frame, false);
         let kv1 = self.solve_loads(&self.elastic_forces(&q, &v, &Generalised::ZERO.plus(h, &v), &d));

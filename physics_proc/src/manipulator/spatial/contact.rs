@@ -17,6 +17,7 @@ use crate::manipulator::MAX_TENDONS;
 use crate::manipulator::contact::{BaseDrive, Outcome, STOP_RETURN_RAD_PER_S, STOP_SHARE, previous};
 use crate::manipulator::geometry::SphereKind;
 use crate::manipulator::parameters::ManipulatorParameters;
+use crate::manipulator::pressed::PressedStops;
 use crate::manipulator::row::{cone, tangents, target};
 use crate::manipulator::state::ContactResult;
 
@@ -157,7 +158,7 @@ impl ContactSolver {
         p: &ManipulatorParameters,
         layout: &SpatialLayout<D>,
         dt: f64,
-        state: &SpatialState,
+        (state, pressed): (&SpatialState, &PressedStops),
         free: &[f64],
     ) {
         let (limit, stiffness) = (p.joint_limit_rad, p.joint_stop_stiffness_nm_per_rad);
@@ -166,7 +167,7 @@ impl ContactSolver {
             for k in bend..=if D > 1 { bend + 1 } else { bend } {
                 let q = state.position[k];
                 let predicted = q + dt * free[k];
-                if predicted.abs().max(q.abs()) <= STOP_SHARE * limit {
+                if predicted.abs().max(q.abs()) <= STOP_SHARE * limit || pressed.has(k) {
                     continue;
                 }
                 let sign = if predicted > 0.0 { -1.0 } else { 1.0 };

@@ -23,6 +23,7 @@ use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::error::ManipulatorError;
 use super::parameters::ManipulatorParameters;
+use super::pressed::PressedStops;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench};
 use super::tendon::Channels;
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES, modal};
@@ -64,6 +65,7 @@ pub struct SpatialChain<const D: usize> {
     coupling: Coupling,
     loads: Loads,
     contact: ContactSolver,
+    pressed: PressedStops,
     work: Work,
 }
 
@@ -113,6 +115,7 @@ impl<const D: usize> SpatialChain<D> {
             coupling: Coupling::new(freedoms, links),
             loads: Loads::new(links),
             contact: ContactSolver::new(freedoms, links, MAX_CONTACTS),
+            pressed: PressedStops::new(freedoms),
             work: Work::new(freedoms, links),
             layout,
             parameters,

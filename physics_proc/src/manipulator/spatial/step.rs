@@ -11,13 +11,15 @@ use crate::manipulator::geometry::SphereKind;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
 use crate::manipulator::state::{ProxySphere, StepInput, StepReport, Wrench};
-use crate::manipulator::step::{CLEARANCE_M, FREE_SHARE, GAMMA, base_motion, validate};
+use crate::manipulator::step::{CLEARANCE_M, FREE_SHARE, GAMMA, MAX_ROUNDS, base_motion, validate};
 
 /// Vectors over the freedoms that a step needs.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Work {
     before: Vec<f64>,
     after: Vec<f64>,
+    /// Velocities that the tendons were taken to move with.
+    expected: Vec<f64>,
     next: Vec<f64>,
     /// Stiffness with the tendons' own part.
     stiffness: Vec<f64>,
@@ -38,6 +40,7 @@ impl Work {
         Self {
             before: blank(),
             after: blank(),
+            expected: blank(),
             next: blank(),
             stiffness: blank(),
             diagonal: blank(),
@@ -117,7 +120,8 @@ impl<const D: usize> SpatialChain<D> {
         let configuration = if trial { &self.trial } else { &self.configuration };
         let parameters = &self.parameters.tendon;
         self.tendon.evaluate(parameters, &self.layout, (q, v), &input.tendon, &self.state.tendon);
-        fill(stiffness, |i| (self.stiffness[i] + self.tendon.stiffness[i]).max(0.0));
+        let stops = self.pressed.stiffness();
+        fill(stiffness, |i| (self.stiffness[i] + self.tendon.stiffness[i]).max(0.0) + stops[i]);
         fill(diagonal, |i| h * self.damping[i] + h * h * stiffness[i]);
         self.articulated.factor(&self.layout, configuration, diagonal);
         self.coupling.update(&self.layout, &mut self.articulated, &self.tendon, h * h);
@@ -125,8 +129,12 @@ impl<const D: usize> SpatialChain<D> {
 
     /// Forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
     fn elastic_forces(&self, (q, v, y): (&[f64], &[f64], &[f64]), stiffness: &[f64], out: &mut [f64]) {
+        let stops = self.pressed.drive();
         fill(out, |i| {
-            self.tendon.torque[i] - self.stiffness[i] * q[i] - self.damping[i] * v[i] - stiffness[i] * y[i]
+            self.tendon.torque[i] + stops[i]
+                - self.stiffness[i] * q[i]
+                - self.damping[i] * v[i]
+                - stiffness[i] * y[i]
         });
         self.coupling.subtract_stiffness(y, out);
     }
@@ -147,29 +155,42 @@ impl<const D: usize> SpatialChain<D> {
     ) {
         let q = core::mem::take(&mut self.state.position);
         let h = if self.explicit { 0.0 } else { dt };
-        let Work { before, stiffness, diagonal, .. } = work;
-        self.stage((&q, before), h, (input, frame), false, (stiffness, diagonal));
-        self.free_velocity(&q, (dt, h), work);
-        self.state.position = q;
-        self.with_contacts(dt, input, drive, &mut work.after, report);
-        if !self.explicit && self.tendon.turns(&work.before, &work.after) {
-            let q = core::mem::take(&mut self.state.position);
-            let Work { after, stiffness, diagonal, .. } = work;
-            self.factor_with_tendons((&q, after), h, input, false, (stiffness, diagonal));
-            self.free_velocity(&q, (dt, h), work);
-            self.state.position = q;
-            self.with_contacts(dt, input, drive, &mut work.after, report);
+        self.pressed.clear();
+        if !self.explicit {
+            self.pressed.collect(&self.parameters, dt, &q, &self.state.stop_torque);
         }
-        self.store_results(dt, drive, report);
+        let Work { before, expected, stiffness, diagonal, .. } = &mut *work;
+        self.stage((&q, before), h, (input, frame), false, (stiffness, diagonal));
+        expected.copy_from_slice(before);
+        self.state.position = q;
+        let mut round = 1;
+        loop {
+            self.free_velocity((dt, h), work);
+            self.with_contacts(dt, input, drive, &mut work.after, report);
+            let Work { after, expected, stiffness, diagonal, .. } = &mut *work;
+            let turned = !self.explicit && self.tendon.turns(expected, after);
+            let released = self.pressed.release(dt, after, &self.state.stop_torque);
+            if round == MAX_ROUNDS || !(turned || released) {
+                break;
+            }
+            if turned {
+                expected.copy_from_slice(after);
+            }
+            let q = core::mem::take(&mut self.state.position);
+            self.factor_with_tendons((&q, expected), h, input, false, (stiffness, diagonal));
+            self.state.position = q;
+            round += 1;
+        }
+        self.store_results(dt, drive, &work.after, report);
         let Work { after, next, .. } = work;
         fill(next, |i| self.state.position[i] + dt * after[i]);
     }
 
     /// `work.after`: velocities after the step without contacts.
-    fn free_velocity(&mut self, q: &[f64], (dt, h): (f64, f64), work: &mut Work) {
+    fn free_velocity(&mut self, (dt, h): (f64, f64), work: &mut Work) {
         let Work { before, after, stiffness, rhs, y, .. } = work;
         fill(y, |i| h * before[i]);
-        self.elastic_forces((q, before, y), stiffness, rhs);
+        self.elastic_forces((&self.state.position, before, y), stiffness, rhs);
         self.solve_loads(rhs, after);
         for (after, before) in after.iter_mut().zip(before) {
             *after = *before + dt * *after;
@@ -187,7 +208,8 @@ impl<const D: usize> SpatialChain<D> {
     ) {
         let solver = &mut self.contact;
         solver.collect(&self.layout, &self.configuration, &drive.rotation, input.contacts);
-        solver.collect_stops(&self.parameters, &self.layout, dt, &self.state, velocity);
+        let stops = (&self.state, &self.pressed);
+        solver.collect_stops(&self.parameters, &self.layout, dt, stops, velocity);
         report.refused_contact_count = solver.refused;
         report.contact_count = solver.row.len();
         report.max_overlap_m = solver.max_overlap_m;
@@ -206,8 +228,10 @@ impl<const D: usize> SpatialChain<D> {
     }
 
     /// Keeps the impulses for the next step, and adds the contact moments to the loads.
-    fn store_results(&mut self, dt: f64, drive: &BaseDrive, report: &mut StepReport) {
-        report.stopped_joint_count = self.contact.stop_torques(dt, &mut self.state.stop_torque);
+    fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &[f64], report: &mut StepReport) {
+        let torque = &mut self.state.stop_torque;
+        report.stopped_joint_count = self.contact.stop_torques(dt, torque);
+        report.stopped_joint_count += self.pressed.store(dt, after, torque);
         self.state.result_count = self.contact.row.len();
         for k in 0..self.contact.row.len() {
             let result = self.contact.result(k, dt, &drive.rotation);
@@ -229,6 +253,7 @@ impl<const D: usize> SpatialChain<D> {
         if !wanted || self.near_stop(&self.state.position) {
             return Err(0.0);
         }
+        self.pressed.clear();
         let q = core::mem::take(&mut self.state.position);
         let stages = self.rosenbrock_stages((&q, dt), input, frame, work);
         self.state.position = q;

@@ -1,0 +1,81 @@
+//! Joint stops that flexures press on, as springs of the implicit operator.
+//!
+//! A stop that bore a torque in the last step is taken to bear one in this step: its unilateral law, `torque = k dt (target - v)`
+//! toward the free range, then holds as an equation, and the operator solves it exactly together with the flexures. As rows of
+//! the contact solver a tool that stands on all its stops would not converge. Where the velocities found would have a stop pull, the
+//! step is solved once more with that stop as a row.
+
+use super::contact::STOP_RETURN_RAD_PER_S;
+use super::parameters::ManipulatorParameters;
+use super::row::target;
+
+/// The pressed stops, by freedom.
+#[derive(Debug, Clone)]
+pub(super) struct PressedStops {
+    /// Of the spring, 0 where no stop is pressed, N m/rad.
+    stiffness: Vec<f64>,
+    /// Torque at rest, N m.
+    drive: Vec<f64>,
+}
+
+impl PressedStops {
+    pub fn new(freedoms: usize) -> Self {
+        Self { stiffness: vec![0.0; freedoms], drive: vec![0.0; freedoms] }
+    }
+
+    /// No stop is pressed.
+    pub fn clear(&mut self) {
+        self.stiffness.fill(0.0);
+        self.drive.fill(0.0);
+    }
+
+    /// The stops that bore the torques `last` (N m), of flexures at `q` (rad).
+    pub fn collect(&mut self, p: &ManipulatorParameters, dt: f64, q: &[f64], last: &[f64]) {
+        self.clear();
+        let stiffness = p.joint_stop_stiffness_nm_per_rad;
+        for i in (0..self.drive.len()).filter(|i| last[*i] != 0.0) {
+            let sign = last[i].signum();
+            let explained = last[i].abs() / stiffness;
+            let speed = target(p.joint_limit_rad + sign * q[i], explained, STOP_RETURN_RAD_PER_S, dt);
+            self.stiffness[i] = stiffness;
+            self.drive[i] = sign * stiffness * dt * speed;
+        }
+    }
+
+    /// Gives up the stops that would pull at velocities `v` (rad/s); whether there were any.
+    pub fn release(&mut self, dt: f64, v: &[f64], last: &[f64]) -> bool {
+        let mut any = false;
+        for i in 0..self.drive.len() {
+            if self.torque(dt, v, i) * last[i] < 0.0 {
+                (self.stiffness[i], self.drive[i]) = (0.0, 0.0);
+                any = true;
+            }
+        }
+        any
+    }
+
+    /// Writes the torques of the pressed stops at velocities `v` over those of `out`; their number.
+    pub fn store(&self, dt: f64, v: &[f64], out: &mut [f64]) -> usize {
+        let pressed = (0..self.drive.len()).filter(|i| self.has(*i));
+        pressed.map(|i| out[i] = self.torque(dt, v, i)).count()
+    }
+
+    fn torque(&self, dt: f64, v: &[f64], i: usize) -> f64 {
+        self.drive[i] - self.stiffness[i] * dt * v[i]
+    }
+
+    /// Whether the stop of freedom `i` is pressed.
+    pub fn has(&self, i: usize) -> bool {
+        self.stiffness[i] != 0.0
+    }
+
+    /// N m/rad.
+    pub fn stiffness(&self) -> &[f64] {
+        &self.stiffness
+    }
+
+    /// N m.
+    pub fn drive(&self) -> &[f64] {
+        &self.drive
+    }
+}
