@@ -286,6 +286,9 @@ fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Par
         if is_deaf { outcome } else { with_end_of(name, outcome, parts) }
     };
     let limit = if failed { FAILED_END_LIMIT } else { END_LIMIT };
+    if !failed {
+        spare_physics_the_dead(parts, limit);
+    }
     let mut over = Instant::now();
     let order = |part: &Part| match part.name.as_str() {
         PHYSICS => 0,
@@ -317,6 +320,26 @@ fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Par
         let _ = std::fs::remove_file(output.join(recorder_proc::process::REASON_FILE));
     }
     (over, judged(RECORDER, outcome, parts))
+}
+
+/// Waits for the physics' end. It stays until DRR process and recorder have everything: should one of them die, it is told to wait no
+/// longer.
+fn spare_physics_the_dead(parts: &mut [Part], limit: Duration) {
+    let began = Instant::now();
+    while began.elapsed() < limit {
+        let mut has_died = |name: &str| {
+            let part = parts.iter_mut().find(|part| part.name == name);
+            part.and_then(Part::ended).is_some_and(|status| !status.success())
+        };
+        let nobody_comes = has_died(DRR) || has_died(RECORDER);
+        let Some(physics) = parts.iter_mut().find(|part| part.name == PHYSICS) else { return };
+        if nobody_comes {
+            physics.ask_to_end();
+        }
+        if nobody_comes || physics.ends_within(LOOK_TIME) {
+            return;
+        }
+    }
 }
 
 /// A run whose log could not be finished, or whose last frames are missing, has not succeeded, though all its ticks were made.

@@ -85,18 +85,18 @@ fn a_controller_may_not_have_the_name_of_a_part() {
     }
 }
 
-/// The last frames are missing then, so the run has not succeeded.
-#[test]
-fn a_drr_process_that_dies_behind_the_last_tick_is_named() {
+/// The last frames are missing then, so the run has not succeeded. `until` says when behind the last tick it dies.
+fn drr_process_dies_behind_the_last_tick(until: impl Fn(u32)) {
     let place = Place::new();
     let run = place.start(&scenes::drill("realtime", 1.0));
     let client = Client::join(&run.session());
     client.wait_for_state(|state| state.tick >= 300);
-    let drr = run.part("drr");
+    let (drr, controller) = (run.part("drr"), run.part("controller"));
     signal(drr, Signal::STOP);
     wait_for("the run's last tick", || {
         client.status.receive().unwrap().filter(|status| status.message().phase == PHASE_ENDED).map(|_| ())
     });
+    until(controller);
     signal(drr, Signal::KILL);
     drop(client);
     let ended = run.end();
@@ -106,6 +106,21 @@ fn a_drr_process_that_dies_behind_the_last_tick_is_named() {
     assert_eq!(log.marker.unwrap().reason, EndReason::PartDied("drr".to_owned()));
     assert_eq!(log.ticks.len(), 1000);
     assert_replays(&ended.folder);
+}
+
+#[test]
+fn a_drr_process_that_dies_behind_the_last_tick_is_named() {
+    drr_process_dies_behind_the_last_tick(|_| {});
+}
+
+/// The launcher took the run for completed as soon as a controller had left, and no longer looked after anybody but the physics, which
+/// waited for the dead process for two minutes.
+#[test]
+fn a_drr_process_that_dies_when_the_controllers_have_left_is_named() {
+    drr_process_dies_behind_the_last_tick(|controller| {
+        let place = format!("/proc/{controller}");
+        wait_for("the controller's end", || (!Path::new(&place).exists()).then_some(()));
+    });
 }
 
 /// Replies to run control in a file that may still grow.
