@@ -16,17 +16,21 @@ pub(super) struct PressedStops {
     stiffness: Vec<f64>,
     /// Torque at rest, N m.
     drive: Vec<f64>,
+    any: bool,
 }
 
 impl PressedStops {
     pub fn new(freedoms: usize) -> Self {
-        Self { stiffness: vec![0.0; freedoms], drive: vec![0.0; freedoms] }
+        Self { stiffness: vec![0.0; freedoms], drive: vec![0.0; freedoms], any: false }
     }
 
     /// No stop is pressed.
     pub fn clear(&mut self) {
-        self.stiffness.fill(0.0);
-        self.drive.fill(0.0);
+        if self.any {
+            self.stiffness.fill(0.0);
+            self.drive.fill(0.0);
+            self.any = false;
+        }
     }
 
     /// The stops that bore the torques `last` (N m), of flexures at `q` (rad).
@@ -37,6 +41,7 @@ impl PressedStops {
             let sign = last[i].signum();
             let explained = last[i].abs() / stiffness;
             let speed = target(p.joint_limit_rad + sign * q[i], explained, STOP_RETURN_RAD_PER_S, dt);
+            self.any = true;
             self.stiffness[i] = stiffness;
             self.drive[i] = sign * stiffness * dt * speed;
         }
@@ -44,19 +49,22 @@ impl PressedStops {
 
     /// Gives up the stops that would pull at velocities `v` (rad/s); whether there were any.
     pub fn release(&mut self, dt: f64, v: &[f64], last: &[f64]) -> bool {
-        let mut any = false;
-        for i in 0..self.drive.len() {
-            if self.torque(dt, v, i) * last[i] < 0.0 {
-                (self.stiffness[i], self.drive[i]) = (0.0, 0.0);
-                any = true;
+        let mut released = false;
+        if self.any {
+            for i in 0..self.drive.len() {
+                if self.torque(dt, v, i) * last[i] < 0.0 {
+                    (self.stiffness[i], self.drive[i]) = (0.0, 0.0);
+                    released = true;
+                }
             }
         }
-        any
+        released
     }
 
     /// Writes the torques of the pressed stops at velocities `v` over those of `out`; their number.
     pub fn store(&self, dt: f64, v: &[f64], out: &mut [f64]) -> usize {
-        let pressed = (0..self.drive.len()).filter(|i| self.has(*i));
+        let all = if self.any { self.drive.len() } else { 0 };
+        let pressed = (0..all).filter(|i| self.has(*i));
         pressed.map(|i| out[i] = self.torque(dt, v, i)).count()
     }
 

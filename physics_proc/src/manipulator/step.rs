@@ -85,8 +85,8 @@ impl Manipulator {
         d: &Diagonals,
     ) -> Generalised {
         let mut f = Generalised::ZERO;
-        for i in 0..self.layout.joints {
-            f.joint[i] = self.tendon.torque[i] + self.pressed.drive()[i]
+        for (i, stop) in self.pressed.drive().iter().enumerate() {
+            f.joint[i] = self.tendon.torque[i] + stop
                 - self.stiffness[i] * q.joint[i]
                 - self.damping[i] * v.joint[i]
                 - d.stiffness.joint[i] * y.joint[i];

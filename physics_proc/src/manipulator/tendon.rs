@@ -160,14 +160,19 @@ impl TendonLoad {
                     1.0
                 };
                 let local = tension * share;
-                let friction = if frictional { local * parameters.friction_coefficient } else { 0.0 };
                 let slope = self.slope[t][i];
                 self.torque[i] += local * slope;
                 let curvature = 0.25 * parameters.gap_m * configuration.half_cos[i]
                     - 0.5 * self.channels.offset_m[t][0] * configuration.half_sin[i];
-                self.stiffness[i] += 0.5 * friction * sliding * sign(q[i]) * slope - local * curvature;
-                let friction = if saturated { 0.0 } else { friction * wrap / parameters.presliding_m };
-                self.gradient[t][i] = (elastic * share + friction) * slope;
+                self.stiffness[i] -= local * curvature;
+                self.gradient[t][i] = elastic * share * slope;
+                if frictional {
+                    let friction = local * parameters.friction_coefficient * slope;
+                    self.stiffness[i] += 0.5 * friction * sliding * sign(q[i]);
+                    if !saturated {
+                        self.gradient[t][i] += friction * wrap / parameters.presliding_m;
+                    }
+                }
                 wrap += 0.5 * q[i].abs();
             }
         }
