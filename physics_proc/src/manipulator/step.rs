@@ -13,6 +13,7 @@ use super::geometry::SphereKind;
 use super::loads::{Frame, Loads};
 use super::parameters::Integrator;
 use super::state::{BaseMotion, ProxySphere, StepInput, StepReport, Wrench};
+use super::tendon::turns;
 use super::{MAX_JOINTS, Manipulator};
 
 /// 1 - 1/sqrt 2: the L-stable choice of ROS2.
@@ -128,7 +129,7 @@ impl Manipulator {
         let after = loop {
             let free = self.free_velocity(dt, (&q, &v), &d);
             let after = self.with_contacts(dt, input, drive, free, report);
-            let turned = self.tendon.turns(self.layout.joints, &expected.joint, &after.joint);
+            let turned = self.turns(&expected, &after);
             let released = self.pressed.release(dt, &after.joint, &self.state.stop_torque_nm);
             if round == MAX_ROUNDS || !(turned || released) {
                 break after;
@@ -144,6 +145,10 @@ impl Manipulator {
         self.state.joint_position_rad = next.joint;
         self.state.mount_displacement_m = next.mount;
         after
+    }
+
+    fn turns(&self, before: &Generalised, after: &Generalised) -> bool {
+        turns(&self.tendon.slides_on, &self.tendon.slope, [&before.joint, &after.joint])
     }
 
     /// Velocities after the step without contacts.
@@ -215,11 +220,12 @@ impl Manipulator {
         self.pressed.clear();
         let h = GAMMA * dt;
         let d = self.stage((&q, &v), h, input, frame, false);
+        if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
+            return Err(0.0);
+        }
         let kv1 = self.solve_loads(&self.elastic_forces(&q, &v, &Generalised::ZERO.plus(h, &v), &d));
         let kq1 = v.plus(h, &kv1);
-        if self.tendon.binds(&self.parameters.tendon)
-            || self.tendon.turns(self.layout.joints, &v.joint, &kq1.joint)
-        {
+        if self.turns(&v, &kq1) {
             return Err(0.0);
         }
 

@@ -12,7 +12,7 @@
 //!
 //! At saturation the friction changes only if the tendon turns, so that the implicit operator needs to know where a step goes
 //! before it is taken. The step takes every saturated tendon to slide on as it did, and is solved once more where the velocities
-//! found turn one ([`TendonLoad::turns`]): the friction's stiffness, of rank one, makes that turn smaller and does not undo it.
+//! found turn one ([`turns`]): the friction's stiffness, of rank one, makes that turn smaller and does not undo it.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,9 +21,9 @@ use super::parameters::{ManipulatorParameters, TendonParameters};
 use super::state::TendonCommand;
 use super::{MAX_JOINTS, MAX_TENDONS};
 
-/// Largest capstan exponent of [`Channels::capstan_exponent`] at which a Rosenbrock step is taken. The operator leaves out how
-/// the wrap of one flexure changes the friction in those behind it; at 10 ms that feeds swings from an exponent of 1.5 on.
-pub(super) const MAX_CAPSTAN_EXPONENT: f64 = 1.25;
+/// Largest capstan exponent at which a Rosenbrock step is taken. The operator leaves out how the wrap of one flexure changes the
+/// friction in those behind it; at 10 ms that feeds swings from an exponent of 1.5 on.
+const MAX_CAPSTAN_EXPONENT: f64 = 1.25;
 
 /// Where the tendons run.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,10 +51,12 @@ impl Channels {
         Self { count: parameters.tendon_count(), offset_m, compliance_rad_per_nm }
     }
 
-    /// mu phi, where phi is the sum of the bends that the tensions would each give the tool without friction and stops, rad.
-    pub fn capstan_exponent(&self, friction_coefficient: f64, tension_n: &[f64; MAX_TENDONS]) -> f64 {
+    /// Whether friction is too strong for a Rosenbrock step: by the capstan exponent mu phi, where phi is the sum of the bends that
+    /// the tensions would each give the tool without friction and stops, rad.
+    pub fn bind(&self, parameters: &TendonParameters, tension_n: &[f64; MAX_TENDONS]) -> bool {
         let moment = |t: usize| tension_n[t] * libm::hypot(self.offset_m[t][0], self.offset_m[t][1]);
-        friction_coefficient * self.compliance_rad_per_nm * (0..self.count).map(moment).sum::<f64>()
+        let bend_rad = self.compliance_rad_per_nm * (0..self.count).map(moment).sum::<f64>();
+        parameters.friction_coefficient * bend_rad > MAX_CAPSTAN_EXPONENT
     }
 }
 
@@ -178,20 +180,6 @@ impl TendonLoad {
         }
     }
 
-    /// Whether friction is too strong for a Rosenbrock step.
-    pub fn binds(&self, parameters: &TendonParameters) -> bool {
-        let mu = parameters.friction_coefficient;
-        self.channels.capstan_exponent(mu, &self.tension_n) > MAX_CAPSTAN_EXPONENT
-    }
-
-    /// Whether velocities `after` turn a tendon that was taken to slide on as with `before`.
-    pub fn turns(&self, n: usize, before: &[f64; MAX_JOINTS], after: &[f64; MAX_JOINTS]) -> bool {
-        let rate = |t: usize, v: &[f64; MAX_JOINTS]| {
-            self.slope[t][..n].iter().zip(v).map(|(slope, v)| slope * v).sum::<f64>()
-        };
-        (0..self.channels.count).any(|t| self.slides_on[t] && rate(t, before) * rate(t, after) < 0.0)
-    }
-
     /// Updates d take-up / dq of tendon `t`; returns the take-up's rate.
     fn update_slope(
         &mut self,
@@ -243,6 +231,19 @@ impl TendonLoad {
         }
         (tension_n, displacement_m)
     }
+}
+
+/// Whether velocities `after` turn a tendon that was taken to slide on as with `before`; `slope` is d take-up / dq of each.
+pub(super) fn turns<S: AsRef<[f64]>>(
+    slides_on: &[bool; MAX_TENDONS],
+    slope: &[S; MAX_TENDONS],
+    [before, after]: [&[f64]; 2],
+) -> bool {
+    let rate = |slope: &S, v: &[f64]| slope.as_ref().iter().zip(v).map(|(slope, v)| slope * v).sum::<f64>();
+    slides_on
+        .iter()
+        .zip(slope)
+        .any(|(slides_on, slope)| *slides_on && rate(slope, before) * rate(slope, after) < 0.0)
 }
 
 /// d|x| / dx, and 0 at 0.

@@ -12,6 +12,7 @@ use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
 use crate::manipulator::state::{ProxySphere, StepInput, StepReport, Wrench};
 use crate::manipulator::step::{CLEARANCE_M, FREE_SHARE, GAMMA, MAX_ROUNDS, base_motion, validate};
+use crate::manipulator::tendon::turns;
 
 /// Vectors over the freedoms that a step needs.
 #[derive(Debug, Clone, Default)]
@@ -168,7 +169,8 @@ impl<const D: usize> SpatialChain<D> {
             self.free_velocity((dt, h), work);
             self.with_contacts(dt, input, drive, &mut work.after, report);
             let Work { after, expected, stiffness, diagonal, .. } = &mut *work;
-            let turned = !self.explicit && self.tendon.turns(expected, after);
+            let turned =
+                !self.explicit && turns(&self.tendon.slides_on, &self.tendon.slope, [expected, after]);
             let released = self.pressed.release(dt, after, &self.state.stop_torque);
             if round == MAX_ROUNDS || !(turned || released) {
                 break;
@@ -276,11 +278,14 @@ impl<const D: usize> SpatialChain<D> {
         let h = GAMMA * dt;
         let Work { before, after, next, stiffness, diagonal, rhs, y, kv1, kq1, q2, v2, kv2, .. } = work;
         self.stage((q, before), h, (input, frame), false, (&mut *stiffness, &mut *diagonal));
+        if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
+            return None;
+        }
         fill(y, |i| h * before[i]);
         self.elastic_forces((q, before, y), stiffness, rhs);
         self.solve_loads(rhs, kv1);
         fill(kq1, |i| before[i] + h * kv1[i]);
-        if self.tendon.binds(&self.parameters.tendon) || self.tendon.turns(before, kq1) {
+        if turns(&self.tendon.slides_on, &self.tendon.slope, [before, kq1]) {
             return None;
         }
         let slid = self.tendon.slides_on;

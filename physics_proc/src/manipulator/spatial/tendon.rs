@@ -9,7 +9,7 @@ use super::layout::SpatialLayout;
 use crate::manipulator::MAX_TENDONS;
 use crate::manipulator::parameters::TendonParameters;
 use crate::manipulator::state::TendonCommand;
-use crate::manipulator::tendon::{Channels, MAX_CAPSTAN_EXPONENT, TendonMemory, base_tension};
+use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
 
 /// Generalised forces of all tendons in one configuration, and how they change.
 #[derive(Debug, Clone)]
@@ -26,7 +26,7 @@ pub(super) struct TendonLoad {
     /// Whether the gradient of each tendon is not zero.
     pub coupled: [bool; MAX_TENDONS],
     /// Tension at the base end, N.
-    tension_n: [f64; MAX_TENDONS],
+    pub tension_n: [f64; MAX_TENDONS],
     /// Whether each tendon's friction is taken not to change: it slid at the velocity given, and slides on.
     pub slides_on: [bool; MAX_TENDONS],
 }
@@ -129,17 +129,6 @@ impl TendonLoad {
                 }
             }
         }
-    }
-
-    /// Whether friction is too strong for a Rosenbrock step.
-    pub fn binds(&self, p: &TendonParameters) -> bool {
-        self.channels.capstan_exponent(p.friction_coefficient, &self.tension_n) > MAX_CAPSTAN_EXPONENT
-    }
-
-    /// Whether velocities `after` turn a tendon that was taken to slide on as with `before`.
-    pub fn turns(&self, before: &[f64], after: &[f64]) -> bool {
-        let rate = |t: usize, v: &[f64]| self.slope[t].iter().zip(v).map(|(slope, v)| slope * v).sum::<f64>();
-        (0..self.channels.count).any(|t| self.slides_on[t] && rate(t, before) * rate(t, after) < 0.0)
     }
 
     /// Updates d take-up / dq of tendon `t`; returns the take-up and its rate.
