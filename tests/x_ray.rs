@@ -3,7 +3,9 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
+use test_support::limited::Limited;
+use test_support::python;
 
 use dicom_object::{Tag, open_file};
 
@@ -13,8 +15,7 @@ struct Done {
 }
 
 fn trabecula(arguments: &[&str]) -> Done {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_trabecula")).args(arguments).stdin(Stdio::null()).output().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_trabecula")).args(arguments).limited_output().unwrap();
     Done { code: output.status.code(), err: String::from_utf8_lossy(&output.stderr).into_owned() }
 }
 
@@ -119,9 +120,6 @@ fn a_dicom_file_says_how_it_was_taken_and_an_nrrd_file_holds_the_attenuation() {
     assert!(values.iter().all(|v| (0.0..20.0).contains(v)) && values.iter().any(|v| *v > 0.5));
 }
 
-#[path = "../recorder_proc/tests/common/python.rs"]
-mod python;
-
 /// What a radiologist's and an engineer's readers make of the files.
 #[test]
 fn pydicom_and_simpleitk_read_the_files() {
@@ -147,7 +145,7 @@ for name in sys.argv[1:]:
 ";
     let output = Command::new(&python)
         .args(["-c", script, text(&path("f.dcm")), text(&path("f.nrrd"))])
-        .output()
+        .limited_output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let printed = String::from_utf8(output.stdout).unwrap();

@@ -4,12 +4,10 @@
 use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use test_support::limited::{COMMAND_LIMIT, limited_output_of};
+use test_support::python;
 
 use physics_proc::arm::{ArmParameters, Joints, UrGeometry};
-
-#[path = "../../recorder_proc/tests/common/python.rs"]
-#[allow(clippy::unwrap_used, reason = "helpers of tests")]
-mod python;
 
 const PACKAGES: [&str; 2] = ["modern_robotics==1.1.1", "numpy==2.4.6"];
 const POSES: usize = 1_000;
@@ -66,7 +64,7 @@ fn a_thousand_random_poses_agree_with_modern_robotics() {
     let mut child =
         Command::new(&python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     child.stdin.take().unwrap().write_all(lines.join("\n").as_bytes()).unwrap();
-    let output = child.wait_with_output().unwrap();
+    let output = limited_output_of(child, COMMAND_LIMIT, "modern_robotics");
     let text = String::from_utf8(output.stdout).unwrap();
     println!("against {}: {text}", PACKAGES[0]);
     assert!(output.status.success());

@@ -5,13 +5,14 @@ mod common;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::{Command, Output};
+use test_support::limited::Limited;
 
-use common::python::or_skip;
 use common::*;
 use recorder_proc::columns::{columns, description_of_topic, read_rows};
 use recorder_proc::export::Parquet;
 use recorder_proc::{fields, topics};
 use serde_json::Value;
+use test_support::python::or_skip;
 
 const PACKAGES: [&str; 5] =
     ["mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9", "rerun-sdk==0.41.0", "pyarrow==26.0.1"];
@@ -33,7 +34,7 @@ fn rosbags_rerun_pyarrow_and_the_guides_five_lines_read_a_log() {
         steps.iter().filter_map(|step| if let Step::State(s) = step { Some(s) } else { None }).collect();
 
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/ecosystem.py");
-    let output = Command::new(&python).arg(&script).arg(&path).arg(folder.path()).output().unwrap();
+    let output = Command::new(&python).arg(&script).arg(&path).arg(folder.path()).limited_output().unwrap();
     let printed = text(output);
     let lines: BTreeSet<&str> = printed.lines().collect();
     for reader in ["rosbags", "rerun"] {
@@ -66,7 +67,7 @@ fn parquet_is_read_by_pyarrow(python: &Path, folder: &Path, log: &Path, rows: us
     table.finish().unwrap();
     let script = "import sys, pyarrow.parquet as p; t = p.read_table(sys.argv[1]); \
                   print(t.num_rows, t.column_names, t['tick'][9].as_py())";
-    let printed = text(Command::new(python).args(["-c", script]).arg(&out).output().unwrap());
+    let printed = text(Command::new(python).args(["-c", script]).arg(&out).limited_output().unwrap());
     let names = "['tick', 'log_time_ns', 't_world_tip.position_m[0]', 't_world_tip.position_m[1]', \
                  't_world_tip.position_m[2]', 'hash[0]', 'hash[1]']";
     assert_eq!(printed.trim_end(), format!("{rows} {names} 9"));
@@ -81,7 +82,8 @@ fn the_guides_five_lines_run_as_written(python: &Path, folder: &Path, states: us
     for package in &PACKAGES[..2] {
         assert!(page.contains(package), "docs/logs.md names {package}");
     }
-    let printed = text(Command::new(python).args(["-c", block]).current_dir(folder).output().unwrap());
+    let printed =
+        text(Command::new(python).args(["-c", block]).current_dir(folder).limited_output().unwrap());
     assert_eq!(printed.lines().count(), states);
     assert!(printed.lines().last().unwrap().starts_with("0.25 "), "{printed}");
 }

@@ -6,12 +6,13 @@ use fastrand::Rng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
+use test_support::limited::Limited;
 
-use common::python::or_skip;
 use common::*;
 use ipc_types::layout::{Description, Element, Message};
 use ipc_types::messages::*;
 use recorder_proc::*;
+use test_support::python::or_skip;
 use zerocopy::{FromBytes, IntoBytes};
 
 const PACKAGES: [&str; 2] = ["mcap==1.6.0", "mcap-ros2-support==0.6.0"];
@@ -102,7 +103,7 @@ fn python_decodes_every_field_of_states_removals_and_images() {
     let bytes = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
     let path = save(folder.path(), "run.mcap", &bytes);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/read_log.py");
-    let output = Command::new(&python).arg(script).arg(&path).output().unwrap();
+    let output = Command::new(&python).arg(script).arg(&path).limited_output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let printed: BTreeSet<String> =
         String::from_utf8(output.stdout).unwrap().lines().map(str::to_string).collect();

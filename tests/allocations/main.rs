@@ -13,6 +13,7 @@ use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command as Program, Stdio};
+use test_support::limited::{Limited, end_within};
 
 use ipc_types::messages::{ARM_MOVE_CP, BURR_SPEED, CONTROL_STOP, Command, State, TENDON_SERVO_JF};
 use ipc_types::scene::Scene;
@@ -24,7 +25,7 @@ use rustix::process::Signal;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
 use common::client::Pilot;
-use common::program::{Place, Run, signal};
+use common::program::{LIMIT, Place, Run, signal};
 use common::scenes;
 
 #[global_allocator]
@@ -110,8 +111,10 @@ fn alone(test: &str) -> bool {
         return true;
     }
     let words = ["--exact", test, "--nocapture", "--test-threads", "1"];
-    let status = Program::new(std::env::current_exe().unwrap()).args(words).env(ALONE, "1").status().unwrap();
-    assert!(status.success(), "{test}, alone: {status}");
+    let mut program = Program::new(std::env::current_exe().unwrap());
+    let output = program.args(words).env(ALONE, "1").limited_output().unwrap();
+    let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    assert!(output.status.success(), "{test}, alone: {}\n{}\n{}", output.status, said[0], said[1]);
     false
 }
 
@@ -183,7 +186,7 @@ fn ten_thousand_ticks_of_drilling_call_no_malloc_in_any_language() {
     let folder = tempfile::tempdir().unwrap();
     let mut program = Program::new(std::env::current_exe().unwrap());
     program.args(["--exact", "counted_program", "--nocapture"]);
-    let output = program.env(COUNTS, folder.path()).env("LD_PRELOAD", &library).output().unwrap();
+    let output = program.env(COUNTS, folder.path()).env("LD_PRELOAD", &library).limited_output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     std::fs::remove_file(library).unwrap();
     let line = said.lines().find(|line| line.starts_with("counted ")).unwrap_or_else(|| panic!("{said}"));
@@ -285,7 +288,7 @@ const ALLOWED: [&str; 12] = [
 
 #[test]
 fn the_loop_of_the_physics_process_opens_no_file_and_takes_no_lock() {
-    if Program::new("strace").arg("-V").output().is_err() {
+    if Program::new("strace").arg("-V").limited_output().is_err() {
         return println!("\n*** SKIPPED: no strace ***\n");
     }
     let (place, run, mut pilot) = piloted("realtime", &[]);
@@ -303,7 +306,7 @@ fn the_loop_of_the_physics_process_opens_no_file_and_takes_no_lock() {
     let first = states.wait_for_state(|_| file.metadata().is_ok_and(|meta| meta.len() > 0)).tick;
     states.wait_for_state(|state| state.tick >= first + 1000);
     signal(strace.id(), Signal::INT);
-    let _ = strace.wait();
+    end_within(&mut strace, LIMIT, "strace");
     states.ask(CONTROL_STOP, 0);
     drop(pilot);
     assert_eq!(run.end().code, Some(0));

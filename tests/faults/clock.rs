@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
+use test_support::limited::Limited;
 
 use crate::common::preload::library;
 
@@ -17,7 +18,7 @@ pub fn stepping_clock() -> Result<PathBuf, String> {
 fn the_stepping_clock_steps() {
     let Ok(library) = stepping_clock() else { return println!("*** SKIPPED: no C compiler ***") };
     let seconds = |command: &mut Command| -> i64 {
-        let output = command.arg("+%s").output().unwrap();
+        let output = command.arg("+%s").limited_output().unwrap();
         String::from_utf8(output.stdout).unwrap().trim().parse().unwrap()
     };
     let off = seconds(Command::new("date").env("LD_PRELOAD", library)) - seconds(&mut Command::new("date"));

@@ -2,6 +2,12 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use test_support::limited::{Limited, Watchdog, end_within};
+
+/// For a command that mounts.
+const LIMIT: Duration = Duration::from_secs(90);
 
 /// Kept by a sleeping process; gone with it.
 #[derive(Debug)]
@@ -19,13 +25,15 @@ impl NameSpace {
             .stderr(Stdio::null())
             .spawn()
             .map_err(|cause| format!("unshare: {cause}"))?;
+        let watchdog = Watchdog::over(&child, LIMIT);
         let mut said = String::new();
         std::io::BufRead::read_line(&mut std::io::BufReader::new(child.stdout.take().unwrap()), &mut said)
             .unwrap();
+        drop(watchdog);
         if said.trim() == "mounted" {
             return Ok(NameSpace(child));
         }
-        let _ = child.wait();
+        end_within(&mut child, LIMIT, "unshare");
         Err("this user may not mount in a namespace of its own".to_owned())
     }
 
@@ -43,8 +51,9 @@ impl NameSpace {
 
     /// Gives its tmpfs another size.
     pub fn resize(&self, at: &Path, bytes: u64) {
-        let status = self.command().args(["mount", "-o", &format!("remount,size={bytes}")]).arg(at).status();
-        assert!(status.unwrap().success());
+        let mut mount = self.command();
+        mount.args(["mount", "-o", &format!("remount,size={bytes}")]).arg(at);
+        assert!(mount.limited_output().unwrap().status.success());
     }
 
     /// Fills a folder's file system to the last byte, and says when it is done.

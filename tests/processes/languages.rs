@@ -5,14 +5,16 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::OnceLock;
+use test_support::limited::Limited;
 
 use ipc_types::session::SESSION_VARIABLE;
 
 use crate::common::logs::read;
 use crate::common::program::{Place, Run, assert_nothing_left};
-use crate::python::environment;
+use test_support::python::downloads;
+use test_support::python::environment;
 
 const EXAMPLES: [(&str, &str); 3] = [
     ("01_hold_tension", "free_space.toml"),
@@ -41,7 +43,7 @@ pub fn library() -> PathBuf {
 
 /// Runs a program to its end and returns what it printed; anything on standard error or another exit code fails.
 pub fn output_of(command: &mut Command) -> String {
-    let output = command.stdin(Stdio::null()).output().unwrap_or_else(|cause| panic!("{command:?}: {cause}"));
+    let output = command.limited_output().unwrap_or_else(|cause| panic!("{command:?}: {cause}"));
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{command:?}: {}\n{error}", output.status);
     String::from_utf8(output.stdout).unwrap()
@@ -87,7 +89,7 @@ fn make_python() -> Result<PathBuf, String> {
         .args(pip)
         .arg(clients().join("python"))
         .env("TRABECULA_CLIENT_LIBRARY", library())
-        .output()
+        .limited_output()
         .map_err(|error| error.to_string())?;
     assert!(install.status.success(), "{}", String::from_utf8_lossy(&install.stderr));
     Ok(python)
@@ -139,7 +141,7 @@ fn program_of(language: &str, name: &str, place: &Place) -> Option<Command> {
 fn compiled_by_zig(python: &Path, name: &str, place: &Place) -> PathBuf {
     let program = place.path(&format!("zig_{name}"));
     let folder = library().parent().unwrap().to_str().unwrap().to_owned();
-    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("zig-cache");
+    let cache = downloads().join("zig-cache");
     let words = line_of("zig/README.md", "python3 -m ziglang build-exe");
     let words = words.iter().skip(1).map(|word| {
         let word =

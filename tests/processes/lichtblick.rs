@@ -2,11 +2,12 @@
 
 use std::path::Path;
 use std::process::Command;
+use test_support::limited::Limited;
 
 use crate::common::program::Place;
 use crate::common::scenes;
-use crate::python::or_skip;
 use crate::view::View;
+use test_support::python::or_skip;
 
 const PACKAGES: [&str; 5] = [
     "foxglove-schemas-protobuf==0.4.0",
@@ -30,7 +31,7 @@ fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
         .arg(format!("ws://{}/ws", view.address))
         .arg(root.join("viewer_proc/lichtblick-layout.json"))
         .arg(&view.token)
-        .output()
+        .limited_output()
         .unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));

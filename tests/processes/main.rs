@@ -21,8 +21,6 @@ mod log_tools;
 mod plan;
 mod programs;
 mod promise;
-#[path = "../../recorder_proc/tests/common/python.rs"]
-mod python;
 mod readmes;
 mod replay;
 mod restarts;

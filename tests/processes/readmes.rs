@@ -5,6 +5,8 @@
 
 use std::fs;
 use std::process::Command;
+use test_support::limited::Limited;
+use test_support::python::downloads;
 
 use crate::common::program::{LIMIT, Place};
 use crate::languages::{ZIG, built, clients, environment_with, library, python};
@@ -58,10 +60,10 @@ fn pasted(language: &str) -> Result<String, String> {
     if let Some(python) = python {
         let path = std::env::var("PATH").unwrap();
         shell.env("PATH", format!("{}:{path}", python.parent().unwrap().display()));
-        let cache = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("zig-cache");
+        let cache = downloads().join("zig-cache");
         shell.env("ZIG_GLOBAL_CACHE_DIR", &cache).env("ZIG_LOCAL_CACHE_DIR", &cache);
     }
-    let output = shell.output().unwrap();
+    let output = shell.limited_output().unwrap();
     let (out, error) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(output.status.success(), "{language}: {}\n{script}\n{out}\n{error}", output.status);
     Ok(out.into_owned())

@@ -2,6 +2,7 @@
 
 use std::process::{Child, Command as Program, Stdio};
 use std::time::Duration;
+use test_support::limited::{Limited, end_within};
 
 use ipc_types::messages::{
     ARM_HOLD, CONTROL_PAUSE, CONTROL_RESUME, CONTROL_STEP, Command, EVENT_SAFE_COMMAND, SOURCE_FRESH,
@@ -33,7 +34,7 @@ fn pilot(run: &Run) -> Child {
 
 fn kill(mut program: Child) {
     program.kill().unwrap();
-    program.wait().unwrap();
+    end_within(&mut program, LIMIT, "the pilot");
 }
 
 /// Waits until the pilot's command of the newest state is the one that holds.
@@ -157,7 +158,7 @@ fn a_controller_that_dies_with_a_loaned_command_can_be_replaced() {
     let mut victim = Program::new(std::env::current_exe().unwrap());
     victim.args([name, "--exact"]).env(VICTIM, "1").stdout(Stdio::null());
     victim.env(SESSION_VARIABLE, run.session()).env(CONTROLLER_VARIABLE, "pilot");
-    let status = victim.status().unwrap();
+    let status = victim.limited_output().unwrap().status;
     assert_eq!(std::os::unix::process::ExitStatusExt::signal(&status), Some(9), "{status}");
     let mut client = joined(&run, "pilot");
     for _ in 0..20 {

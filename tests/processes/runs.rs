@@ -1,6 +1,7 @@
 //! Whole runs that succeed.
 
 use std::path::{Path, PathBuf};
+use test_support::limited::Limited;
 
 use crate::common::logs::{assert_replays, counts, read};
 use crate::common::program::{BusyLoops, Place, Run, assert_nothing_left, trabecula};
@@ -131,7 +132,7 @@ fn a_scene_with_its_volume_beside_it_replays_from_anywhere() {
     // As a user does: from the folder, with a relative path.
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_trabecula"));
     let command = command.args(["run", "scene.toml", "--quiet"]).current_dir(place.path(""));
-    let output = command.output().unwrap();
+    let output = command.limited_output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let runs: Vec<PathBuf> =
         std::fs::read_dir(place.path("out")).unwrap().flatten().map(|e| e.path()).collect();

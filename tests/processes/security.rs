@@ -4,7 +4,8 @@ use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
+use test_support::limited::Limited;
 
 use ipc_types::messages::CONTROL_STOP;
 
@@ -41,7 +42,7 @@ fn is_root() -> bool {
 fn nobody_can(script: &str, file: &Path) -> bool {
     let mut shell = Command::new("sh");
     shell.args(["-c", script]).arg(file).uid(NOBODY).gid(NOBODY).current_dir("/");
-    shell.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status().unwrap().success()
+    shell.limited_output().unwrap().status.success()
 }
 
 #[test]
@@ -104,7 +105,7 @@ fn a_sessions_folder_of_somebody_else_is_refused() {
     let run = |what: &str| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
         command.arg("run").arg(&scene).arg("--output").arg(place.path("out")).arg("--quiet");
-        let output = command.env("XDG_RUNTIME_DIR", runtime.path()).output().unwrap();
+        let output = command.env("XDG_RUNTIME_DIR", runtime.path()).limited_output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{what}: {said}");
         assert!(
@@ -255,7 +256,7 @@ fn a_log_whose_names_are_paths_writes_only_where_it_is_told_to() {
         for (code, words) in all {
             let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
             let words: Vec<&std::ffi::OsStr> = words.iter().map(|word| word.as_ref()).collect();
-            let done = command.args(&words).current_dir(&inside).output().unwrap();
+            let done = command.args(&words).current_dir(&inside).limited_output().unwrap();
             assert_eq!(
                 done.status.code(),
                 Some(code),

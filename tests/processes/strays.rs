@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::time::Duration;
+use test_support::limited::{Watchdog, end_within};
 
 use ipc_types::messages::{
     CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST,
@@ -316,13 +317,15 @@ fn a_python_client_hears_ctrl_c_while_it_waits() {
         let mut command = Command::new(&python);
         command.args(["-c", &script]).env(SESSION_VARIABLE, run.session()).stdout(Stdio::piped());
         let mut program = command.spawn().unwrap();
+        let watchdog = Watchdog::over(&program, LIMIT);
         let mut said = BufReader::new(program.stdout.take().unwrap()).lines();
         assert_eq!(said.next().unwrap().unwrap(), "waiting");
         // Into the wait.
         std::thread::sleep(Duration::from_millis(300));
         signal(program.id(), Signal::INT);
         assert_eq!(said.next().unwrap().unwrap(), "heard", "{waiting}");
-        program.wait().unwrap();
+        drop(watchdog);
+        end_within(&mut program, LIMIT, waiting);
     }
     signal(physics, Signal::CONT);
     stopped(run, observer, ());

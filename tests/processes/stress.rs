@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use test_support::limited::end_within;
 
 use ipc_types::process::ProcessorTime;
 use rustix::process::{Pid, Signal, getpriority_process};
@@ -10,7 +11,7 @@ use serde_json::Value;
 
 use crate::common::client::Client;
 use crate::common::logs::assert_replays;
-use crate::common::program::{Done, Place, signal, trabecula, wait_for};
+use crate::common::program::{Done, LIMIT, Place, signal, trabecula, wait_for};
 use crate::common::scenes;
 
 /// The report folders of a place, in the order of their names.
@@ -175,7 +176,7 @@ fn a_killed_stress_test_leaves_no_neighbour() {
     // Two neighbours and a launcher with its parts.
     wait_for("its processes", || (processes_with(&word) >= 3).then_some(()));
     child.kill().unwrap();
-    child.wait().unwrap();
+    end_within(&mut child, LIMIT, "the stress test");
     wait_for("the end of them all", || (processes_with(&word) == 0).then_some(()));
 }
 

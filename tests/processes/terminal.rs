@@ -2,8 +2,9 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
+use test_support::limited::limited_output_of;
 
-use crate::common::program::Place;
+use crate::common::program::{LIMIT, Place};
 use crate::common::scenes;
 
 /// Runs the command with a terminal of its own (Python's standard library has one), and prints what it wrote there.
@@ -26,7 +27,7 @@ fn a_terminal_shows_a_table_with_sparklines_a_pipe_lines_and_json_stands_alone()
     };
     let [terminal, pipe, json] =
         [run("terminal", &[]), run("pipe", &[]), run("json", &["--json"])].map(|child| {
-            let output = child.wait_with_output().unwrap();
+            let output = limited_output_of(child, LIMIT, "a run");
             let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
             assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
             (text(&output.stdout), text(&output.stderr))

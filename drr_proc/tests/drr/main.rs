@@ -25,10 +25,6 @@ mod poses;
 #[cfg(test)]
 mod projectors;
 #[cfg(test)]
-#[path = "../../../recorder_proc/tests/common/python.rs"]
-#[allow(clippy::unwrap_used, reason = "helpers of tests")]
-mod python;
-#[cfg(test)]
 mod slice_ordered;
 #[cfg(test)]
 mod spectrum;
@@ -39,8 +35,11 @@ mod tool;
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "helpers of tests")]
 fn run_python(name: &str, packages: &[&str], probe: &str, script: &str) -> Option<String> {
-    let python = python::or_skip(name, packages, probe)?;
-    let output = std::process::Command::new(&python).args(["-c", script]).output().unwrap();
+    let python = test_support::python::or_skip(name, packages, probe)?;
+    let output = test_support::limited::Limited::limited_output(
+        std::process::Command::new(&python).args(["-c", script]),
+    )
+    .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(String::from_utf8(output.stdout).unwrap())
 }

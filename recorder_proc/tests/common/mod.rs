@@ -7,8 +7,6 @@
     reason = "each test file uses a part of this"
 )]
 
-pub mod python;
-
 use fastrand::Rng;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

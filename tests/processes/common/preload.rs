@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use test_support::limited::Limited;
 
 /// Compiles one of `tests/`; the error is the reason why there is none.
 pub fn library(source: &str) -> Result<PathBuf, String> {
@@ -11,7 +12,7 @@ pub fn library(source: &str) -> Result<PathBuf, String> {
     let output = Command::new("cc")
         .args(["-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", "-o"])
         .args([&library, &source])
-        .output()
+        .limited_output()
         .map_err(|cause| format!("cc: {cause}"))?;
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Ok(library)

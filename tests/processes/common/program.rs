@@ -5,6 +5,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
+use test_support::limited::Limited;
 
 use ipc_types::session::sessions_folder;
 use rustix::process::{Pid, Signal, kill_process};
@@ -29,7 +30,7 @@ pub fn trabecula(arguments: &[&dyn AsRef<OsStr>]) -> Done {
     arguments.iter().for_each(|argument| {
         command.arg(argument);
     });
-    let output = command.stdin(Stdio::null()).output().unwrap();
+    let output = command.limited_output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     Done { code: output.status.code(), out: text(&output.stdout), err: text(&output.stderr) }
 }

@@ -1,0 +1,12 @@
+//! What the tests of several crates share.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`limited`] | programs that must end: who exceeds the limit is killed with all it started, and the test says what it waited for |
+//! | [`python`] | virtual environments with pinned packages, made once below the target folder |
+
+// Only tests call this crate: a test that cannot go on panics.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+pub mod limited;
+pub mod python;

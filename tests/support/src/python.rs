@@ -1,0 +1,59 @@
+//! Python with pinned packages.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::limited::Limited;
+
+/// The interpreter of [`environment`]; where there is none (never in CI) the reason is said, loudly.
+///
+/// # Panics
+/// There is none, in CI.
+pub fn or_skip(name: &str, packages: &[&str], probe: &str) -> Option<PathBuf> {
+    environment(name, packages, probe)
+        .inspect_err(|reason| {
+            assert!(std::env::var_os("CI").is_none(), "no {packages:?}: {reason}");
+            println!("\n*** SKIPPED: no Python environment with {packages:?}: {reason} ***\n");
+        })
+        .ok()
+}
+
+/// `target/tmp`: what tests fetch lies there, is fetched once and reused.
+///
+/// # Panics
+/// The test's own program lies in no target folder.
+pub fn downloads() -> PathBuf {
+    // target/<profile>/deps/<test>
+    let program = std::env::current_exe().unwrap();
+    let folder =
+        program.ancestors().nth(3).expect("a test's program lies in target/<profile>/deps").join("tmp");
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+/// A virtual environment with the packages in [`downloads`]; made once. The error is the reason.
+///
+/// # Errors
+/// Why there is none, in the words of the program that failed.
+pub fn environment(name: &str, packages: &[&str], probe: &str) -> Result<PathBuf, String> {
+    let folder = downloads().join(name);
+    // One at a time makes it: tests of several programs may want the same.
+    let lock = File::create(downloads().join(format!("{name}.lock"))).map_err(|error| error.to_string())?;
+    lock.lock().map_err(|error| error.to_string())?;
+    let python = folder.join("bin/python3");
+    if run(&python, &["-c", &format!("import {probe}")]).is_ok() {
+        return Ok(python);
+    }
+    run(Path::new("python3"), &["-m", "venv", folder.to_str().ok_or("a target folder that is not UTF-8")?])?;
+    let mut install = vec!["-m", "pip", "install", "-q", "--retries", "1", "--timeout", "10"];
+    install.extend(packages);
+    run(&python, &install)?;
+    Ok(python)
+}
+
+fn run(program: &Path, arguments: &[&str]) -> Result<(), String> {
+    let output = Command::new(program).args(arguments).limited_output().map_err(|error| error.to_string())?;
+    let text = String::from_utf8_lossy(&output.stderr);
+    if output.status.success() { Ok(()) } else { Err(text.lines().last().unwrap_or_default().to_string()) }
+}
