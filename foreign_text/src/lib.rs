@@ -9,6 +9,7 @@
 
 use std::fmt::{self, Display, Write as _};
 use std::io::{self, Write};
+use std::path::Path;
 
 /// Most characters that are shown of a value.
 pub const MOST_CHARACTERS: usize = 200;
@@ -19,6 +20,11 @@ pub const MOST_OF_A_LINE: usize = 4096;
 /// A value of a stranger's file, for one line of ours: no line ends, and no more than [`MOST_CHARACTERS`].
 pub fn foreign(text: &str) -> Foreign<'_> {
     Foreign { text, most: MOST_CHARACTERS }
+}
+
+/// A path in which a stranger's names may stand, whole.
+pub fn foreign_path(path: &Path) -> String {
+    foreign_line(&path.to_string_lossy()).to_string()
 }
 
 /// A line that a stranger's program wrote: no more than [`MOST_OF_A_LINE`].
@@ -135,14 +141,21 @@ mod tests {
 
     #[test]
     fn nothing_that_a_terminal_obeys_or_hides_is_shown_as_itself() {
-        assert_eq!(foreign(HOSTILE).to_string(), "a\\u001b[2J\\u001b]0;owned\\u0007\\u000d\\u000aend marker: completed");
+        assert_eq!(
+            foreign(HOSTILE).to_string(),
+            "a\\u001b[2J\\u001b]0;owned\\u0007\\u000d\\u000aend marker: completed"
+        );
         assert_eq!(plain(HOSTILE), "a\\u001b[2J\\u001b]0;owned\\u0007\\u000d\nend marker: completed");
         // C1 controls, bidirectional marks and isolates, zero widths, a tag, line separators, a private character.
-        for c in "\u{7f}\u{9b}\u{85}\u{202e}\u{2066}\u{200b}\u{200f}\u{feff}\u{ad}\u{e0041}\u{2028}\u{a0}\u{e000}".chars() {
+        for c in
+            "\u{7f}\u{9b}\u{85}\u{202e}\u{2066}\u{200b}\u{200f}\u{feff}\u{ad}\u{e0041}\u{2028}\u{a0}\u{e000}"
+                .chars()
+        {
             let shown = foreign(&format!("x{c}y")).to_string();
             assert!(shown.is_ascii() && shown.starts_with("x\\u") && shown.ends_with('y'), "{c:?}: {shown}");
         }
-        for text in ["Ganzkörper µm × … −1", "患者 ребро हड्डी", "e\u{301}", "\"quoted\" \\ 'so'", "👍"] {
+        for text in ["Ganzkörper µm × … −1", "患者 ребро हड्डी", "e\u{301}", "\"quoted\" \\ 'so'", "👍"]
+        {
             assert_eq!((foreign(text).to_string(), plain(text)), (text.to_owned(), text.to_owned()));
         }
     }
@@ -162,7 +175,8 @@ mod tests {
         let value = "\u{7f}\u{9b}31m\u{202e}\u{e0041}\u{1f44d}";
         let line = plain(&format!("{{\"text\":\"{value}\"}}"));
         assert!(!line.contains('\u{9b}') && !line.contains('\u{e0041}'), "{line}");
-        let units: Vec<u16> = line.split("\\u").skip(1).map(|hex| u16::from_str_radix(&hex[..4], 16).unwrap()).collect();
+        let units: Vec<u16> =
+            line.split("\\u").skip(1).map(|hex| u16::from_str_radix(&hex[..4], 16).unwrap()).collect();
         assert_eq!(units, [0x7f, 0x9b, 0x202e, 0xdb40, 0xdc41], "pairs of surrogates, as JSON has them");
     }
 

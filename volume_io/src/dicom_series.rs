@@ -3,9 +3,10 @@
 use crate::dicom_scan::is_part10;
 use crate::dicom_slice::{Slice, read_header, read_pixels, series_of};
 use crate::error::VolumeError;
-use crate::input::{self, Codec};
+use crate::input::{self, Codec, DataFiles, folder_of};
 use crate::scalar::HuSink;
 use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, cross, dot, norm, voxel_count};
+use foreign_text::foreign;
 use std::path::{Path, PathBuf};
 
 const POSITION: &str = "(0020,0032) ImagePositionPatient";
@@ -19,10 +20,10 @@ const STRAIGHT_M: f64 = 5e-5;
 const EVEN: f64 = 0.01;
 
 /// Reads the series in a folder; every image in it must belong to the one series.
-pub(crate) fn read_folder(folder: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
+pub(crate) fn read_folder(folder: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
     let mut slices = Vec::new();
     let mut skipped = 0;
-    for file in dicom_files(folder, &mut skipped)? {
+    for file in dicom_files(folder, files, &mut skipped)? {
         match read_header(&file)? {
             Some(slice) => slices.push(slice),
             None => skipped += 1,
@@ -43,21 +44,18 @@ pub(crate) fn read_folder(folder: &Path) -> Result<(Volume, VolumeInfo), VolumeE
 }
 
 /// Reads the series that a DICOM file belongs to: every file beside it with the same SeriesInstanceUID.
-pub(crate) fn read_file(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
+pub(crate) fn read_file(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
     let Some(first) = read_header(path)? else {
         return Err(VolumeError::NotAVolume {
             path: path.into(),
             given: "a DICOM file without an image".into(),
         });
     };
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let folder = folder_of(path);
     let own_name = path.file_name();
     let mut slices = vec![first];
     if !slices[0].series_uid.is_empty() {
-        for file in dicom_files(folder, &mut 0)? {
+        for file in dicom_files(folder, files, &mut 0)? {
             if file.file_name() != own_name
                 && series_of(&file).as_deref() == Some(slices[0].series_uid.as_str())
             {
@@ -68,13 +66,21 @@ pub(crate) fn read_file(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError
     assemble(path, slices, Vec::new())
 }
 
-/// The DICOM Part 10 files of a folder, by name, without its subfolders and index; counts the others.
-fn dicom_files(folder: &Path, others: &mut usize) -> Result<Vec<PathBuf>, VolumeError> {
+/// The DICOM Part 10 files of a folder, by name, without its subfolders and index; counts the others. A link to such a file elsewhere
+/// is refused unless it is allowed: a folder of a stranger's may hold links to the user's own images.
+fn dicom_files(folder: &Path, where_to: DataFiles, others: &mut usize) -> Result<Vec<PathBuf>, VolumeError> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(input::io_error(folder, "list"))? {
         let path = entry.map_err(input::io_error(folder, "list"))?.path();
         let is_index = path.file_name().is_some_and(|name| name == "DICOMDIR");
         if path.is_file() && !is_index && is_part10(&input::head(&path, 0, Codec::Raw, 132)?) {
+            if input::inside(folder, &path, where_to)?.is_none() {
+                return Err(VolumeError::Elsewhere {
+                    path: folder.into(),
+                    field: "link".into(),
+                    given: format!("`{}`", path.file_name().unwrap_or_default().to_string_lossy()),
+                });
+            }
             files.push(path);
         } else {
             *others += 1;
@@ -123,7 +129,8 @@ fn assemble(
         read_pixels(slice, &mut sink)?;
     }
     if first.modality != "CT" {
-        notes.push(format!("modality is `{}`, not CT: the values are not Hounsfield units", first.modality));
+        let modality = foreign(&first.modality);
+        notes.push(format!("modality is `{modality}`, not CT: the values are not Hounsfield units"));
     }
     let hu = sink.finish(&mut notes);
     let volume = geometry.with_voxels(dims, hu);

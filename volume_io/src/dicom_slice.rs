@@ -358,6 +358,16 @@ fn decode_rle(fragment: &[u8], count: usize, wide: bool) -> Option<Vec<u16>> {
     Some(samples)
 }
 
+/// Most pixels that a byte of JPEG data can hold: 8 of a lossless image, whose every pixel takes a bit or more; 512 of one in blocks of
+/// 64, whose first coefficient takes a bit or more (ITU-T T.81, annexes F to H).
+const JPEG_PIXELS_PER_BYTE: u64 = 512;
+
+/// Whether the data end with the end of the image (EOI, `ff d9`); a fragment is padded to an even length, by some programs with more.
+fn is_ended(data: &[u8]) -> bool {
+    let padding = data.iter().rev().take_while(|byte| **byte == 0).count();
+    data[..data.len() - padding].ends_with(&[0xff, 0xd9])
+}
+
 /// JPEG baseline, extended and lossless, one frame.
 fn decode_jpeg(slice: &Slice, data: &[u8]) -> Result<Vec<u16>, VolumeError> {
     use jpeg_decoder::PixelFormat;
@@ -377,6 +387,15 @@ fn decode_jpeg(slice: &Slice, data: &[u8]) -> Result<Vec<u16>, VolumeError> {
             size.0, size.1, slice.rows, slice.columns
         );
         return Err(corrupt(path, "JPEG", reason));
+    }
+    // Where data are missing the decoder makes pixels up, and it takes their memory first.
+    let pixels = slice.rows as u64 * slice.columns as u64;
+    if pixels > data.len() as u64 * JPEG_PIXELS_PER_BYTE {
+        let reason = format!("{} bytes cannot hold {pixels} pixels", data.len());
+        return Err(corrupt(path, "JPEG", reason));
+    }
+    if !is_ended(data) {
+        return Err(corrupt(path, "JPEG", "the data end without the mark of their end".into()));
     }
     let bytes = decoder.decode().map_err(|e| corrupt(path, "JPEG", e.to_string()))?;
     Ok(if wide {

@@ -1,13 +1,14 @@
 //! The one error type of this crate: each variant is one cause, and says which file and field, what was given,
 //! what was expected, and what to do.
 
+use foreign_text::{foreign, foreign_path};
 use std::path::PathBuf;
 
 /// Why a volume could not be read, written or built.
 #[derive(Debug, thiserror::Error)]
 pub enum VolumeError {
     /// The operating system refused a file operation.
-    #[error("{path}: {action} failed: {source}")]
+    #[error("{}: {action} failed: {source}", foreign_path(.path))]
     Io {
         /// File or folder.
         path: PathBuf,
@@ -18,7 +19,7 @@ pub enum VolumeError {
     },
     /// The file is none of the formats this crate reads.
     #[error(
-        "{path}: not a volume: {given}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series (a folder or one of its files)"
+        "{}: not a volume: {}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series (a folder or one of its files)", foreign_path(.path), foreign(.given)
     )]
     NotAVolume {
         /// File or folder.
@@ -27,7 +28,7 @@ pub enum VolumeError {
         given: String,
     },
     /// A header field is missing, malformed or contradicts another.
-    #[error("{path}: header field `{field}`: given {given}; expected {expected}")]
+    #[error("{}: header field `{}`: given {}; expected {expected}", foreign_path(.path), foreign(.field), foreign(.given))]
     Header {
         /// File.
         path: PathBuf,
@@ -39,7 +40,7 @@ pub enum VolumeError {
         expected: String,
     },
     /// The format allows it, this crate does not read it.
-    #[error("{path}: field `{field}`: given {given}, which is not supported; expected {expected}")]
+    #[error("{}: field `{}`: given {}, which is not supported; expected {expected}", foreign_path(.path), foreign(.field), foreign(.given))]
     Unsupported {
         /// File.
         path: PathBuf,
@@ -52,7 +53,7 @@ pub enum VolumeError {
     },
     /// The header promises more data than the file holds.
     #[error(
-        "{path}: `{field}` is truncated: {given_bytes} bytes are there, {expected_bytes} are needed; copy or export the file again"
+        "{}: `{}` is truncated: {given_bytes} bytes are there, {expected_bytes} are needed; copy or export the file again", foreign_path(.path), foreign(.field)
     )]
     Truncated {
         /// File.
@@ -65,7 +66,7 @@ pub enum VolumeError {
         expected_bytes: u64,
     },
     /// A compressed stream does not decode.
-    #[error("{path}: the {codec} data does not decode: {reason}; copy or export the file again")]
+    #[error("{}: the {codec} data does not decode: {}; copy or export the file again", foreign_path(.path), foreign(.reason))]
     Corrupt {
         /// File.
         path: PathBuf,
@@ -74,9 +75,23 @@ pub enum VolumeError {
         /// The decoder's message.
         reason: String,
     },
+    /// A header names a file for its voxels that lies elsewhere than beside it: it would make a picture of any file of the user's.
+    #[error(
+        "{}: `{}`: given {}, which leads out of the header's folder; expected a file in it; move it there, or allow it (`--allow-elsewhere`)", foreign_path(.path),
+        foreign(.field),
+        foreign(.given)
+    )]
+    Elsewhere {
+        /// The header, or the folder of a series.
+        path: PathBuf,
+        /// Field name as the format spells it.
+        field: String,
+        /// The name found.
+        given: String,
+    },
     /// More voxels than this crate accepts (or dimensions whose product overflows).
     #[error(
-        "{path}: `{field}`: given {given}; expected at most {limit} voxels in all; crop or resample the volume"
+        "{}: `{}`: given {}; expected at most {limit} voxels in all; crop or resample the volume", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     TooLarge {
         /// File.
@@ -90,7 +105,7 @@ pub enum VolumeError {
     },
     /// Not a three-dimensional image.
     #[error(
-        "{path}: `{field}`: given {given}; expected one three-dimensional volume; extract one volume first"
+        "{}: `{}`: given {}; expected one three-dimensional volume; extract one volume first", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     NotThreeDimensional {
         /// File.
@@ -102,7 +117,7 @@ pub enum VolumeError {
     },
     /// Colour, complex, vector or tensor voxels.
     #[error(
-        "{path}: `{field}`: given {given}; expected one real number a voxel; convert to a scalar image first"
+        "{}: `{}`: given {}; expected one real number a voxel; convert to a scalar image first", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     NotScalar {
         /// File.
@@ -113,7 +128,7 @@ pub enum VolumeError {
         given: String,
     },
     /// A voxel distance that is zero, negative, infinite or not a number.
-    #[error("{path}: `{field}`: given {given}; expected three finite distances between 1e-7 m and 1 m")]
+    #[error("{}: `{}`: given {}; expected three finite distances between 1e-7 m and 1 m", foreign_path(.path), foreign(.field), foreign(.given))]
     Spacing {
         /// File.
         path: PathBuf,
@@ -123,7 +138,7 @@ pub enum VolumeError {
         given: String,
     },
     /// The axes do not span space, or are not numbers.
-    #[error("{path}: `{field}`: given {given}; expected three linearly independent, finite axis directions")]
+    #[error("{}: `{}`: given {}; expected three linearly independent, finite axis directions", foreign_path(.path), foreign(.field), foreign(.given))]
     SingularDirection {
         /// File.
         path: PathBuf,
@@ -134,7 +149,7 @@ pub enum VolumeError {
     },
     /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry.
     #[error(
-        "{path}: `{field}`: given {given}; expected axes at right angles within {tolerance}; a tilted gantry or sheared volume must be resampled to a rectangular grid first"
+        "{}: `{}`: given {}; expected axes at right angles within {tolerance}; a tilted gantry or sheared volume must be resampled to a rectangular grid first", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     Sheared {
         /// File.
@@ -148,7 +163,7 @@ pub enum VolumeError {
     },
     /// Slices at unequal distances.
     #[error(
-        "{path}: `{field}`: given {given}; expected slices at equal distances within {tolerance_m} m; resample the series first"
+        "{}: `{}`: given {}; expected slices at equal distances within {tolerance_m} m; resample the series first", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     VariableSpacing {
         /// Folder or file.
@@ -161,7 +176,7 @@ pub enum VolumeError {
         tolerance_m: f64,
     },
     /// A gap in an otherwise regular series.
-    #[error("{path}: `{field}`: given {given}; expected every slice of the series; export it again")]
+    #[error("{}: `{}`: given {}; expected every slice of the series; export it again", foreign_path(.path), foreign(.field), foreign(.given))]
     MissingSlices {
         /// Folder or file.
         path: PathBuf,
@@ -171,7 +186,7 @@ pub enum VolumeError {
         given: String,
     },
     /// Two slices at one position.
-    #[error("{path}: `{field}`: given {given}; expected one slice a position; remove the copies")]
+    #[error("{}: `{}`: given {}; expected one slice a position; remove the copies", foreign_path(.path), foreign(.field), foreign(.given))]
     DuplicateSlices {
         /// Folder or file.
         path: PathBuf,
@@ -181,7 +196,7 @@ pub enum VolumeError {
         given: String,
     },
     /// Slices that do not belong together.
-    #[error("{path}: `{field}`: given {given}; expected one value in all slices; put one series in a folder")]
+    #[error("{}: `{}`: given {}; expected one value in all slices; put one series in a folder", foreign_path(.path), foreign(.field), foreign(.given))]
     MixedSeries {
         /// Folder or file.
         path: PathBuf,
@@ -191,7 +206,7 @@ pub enum VolumeError {
         given: String,
     },
     /// A value given by the caller (not by a file) is unusable.
-    #[error("`{field}`: given {given}; expected {expected}")]
+    #[error("`{}`: given {}; expected {expected}", foreign(.field), foreign(.given))]
     Argument {
         /// Name of the argument.
         field: &'static str,

@@ -24,15 +24,29 @@ impl Codec {
         }
     }
 
-    /// Upper bound of what `compressed` bytes can decode to. Deflate cannot exceed 1032:1 (zlib technical notes); bzip2 has no useful
-    /// bound, so the voxel limit is the only one.
+    /// Upper bound of what `compressed` bytes decode to. Deflate cannot exceed 1032:1 (zlib technical notes). bzip2 can go on for ever
+    /// on next to nothing (45 MB in 45 bytes); what is believed of it is a hundred times what a mask reaches, and any small volume.
     fn most_bytes(self, compressed: u64) -> u64 {
         match self {
             Codec::Raw => compressed,
             Codec::Gzip | Codec::Zlib => compressed.saturating_mul(1032),
-            Codec::Bzip2 => u64::MAX,
+            Codec::Bzip2 => compressed.saturating_mul(BZIP2_RATIO).saturating_add(BZIP2_FREE_BYTES),
         }
     }
+}
+
+/// Most bytes that are decoded from each byte of bzip2, beyond [`BZIP2_FREE_BYTES`].
+const BZIP2_RATIO: u64 = 10_000;
+const BZIP2_FREE_BYTES: u64 = 16 << 20;
+
+/// Where the files may lie that a header names, or that a folder holds as links.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DataFiles {
+    /// In the folder of the header, when all links are followed.
+    #[default]
+    Beside,
+    /// Anywhere: who wrote the header is trusted.
+    Anywhere,
 }
 
 /// An I/O error with the file and what was attempted.
@@ -77,7 +91,7 @@ pub(crate) fn open_stream(
     Ok((stream, codec.most_bytes(length - offset)))
 }
 
-/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`.
+/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`, or is not believed to (bzip2).
 pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> Result<(), VolumeError> {
     if most_bytes >= needed_bytes {
         return Ok(());
@@ -174,9 +188,41 @@ pub(crate) fn head(path: &Path, offset: u64, codec: Codec, count: usize) -> Resu
     Ok(bytes)
 }
 
-/// The path of a data file that a header names: relative names are relative to the header's folder.
-pub(crate) fn beside(header: &Path, name: &str) -> PathBuf {
-    header.parent().unwrap_or(Path::new("")).join(name)
+/// The data file that a header names in `field`: relative names are relative to the header's folder.
+///
+/// What is returned has no link in it, so that what is opened is what was checked.
+pub(crate) fn data_file(
+    header: &Path,
+    field: &str,
+    name: &str,
+    files: DataFiles,
+) -> Result<PathBuf, VolumeError> {
+    let folder = folder_of(header);
+    let path = folder.join(name);
+    let real = inside(folder, &path, files)?;
+    real.ok_or_else(|| VolumeError::Elsewhere {
+        path: header.into(),
+        field: field.into(),
+        given: format!("`{name}`"),
+    })
+}
+
+/// The folder that a path lies in.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// Where a path leads when all links are followed; none if that is not in the folder and has to be.
+pub(crate) fn inside(folder: &Path, path: &Path, files: DataFiles) -> Result<Option<PathBuf>, VolumeError> {
+    if files == DataFiles::Anywhere {
+        return Ok(Some(path.to_owned()));
+    }
+    let real_folder = folder.canonicalize().map_err(io_error(folder, "open"))?;
+    let real = path.canonicalize().map_err(io_error(path, "open"))?;
+    Ok(real.starts_with(&real_folder).then_some(real))
 }
 
 /// Lower-case file name, for extensions of two parts.

@@ -26,9 +26,10 @@ mod volume;
 pub use edt::squared_distance_m2;
 pub use error::VolumeError;
 pub use hash::{volume_hash, volume_hash_of_parts};
+pub use input::DataFiles;
 pub use mask::{MaskModel, mask_to_hu};
 pub use nrrd_write::write_nrrd;
-pub use read::{read, read_with_info};
+pub use read::{read, read_where, read_with_info};
 pub use resample::resample;
 pub use volume::{
     HuStatistics, IDENTITY_DIRECTION, MAX_SPACING_M, MAX_VOXELS, MIN_SPACING_M, ORTHOGONALITY_TOLERANCE,

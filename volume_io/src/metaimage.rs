@@ -4,7 +4,7 @@
 //! the directions of the axes. No well-kept crate reads this format.
 
 use crate::error::VolumeError;
-use crate::input::{self, Codec};
+use crate::input::{self, Codec, DataFiles};
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
 use crate::text_header::{MAX_HEADER_BYTES, numbers, read_ascii, sizes, unit_of_length, wrong};
 use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, voxel_count};
@@ -13,14 +13,15 @@ use std::path::{Path, PathBuf};
 
 struct Header<'a> {
     path: &'a Path,
+    files: DataFiles,
     fields: BTreeMap<String, String>,
     /// Bytes of the header; local data follow.
     length: u64,
 }
 
 /// Reads the volume whose header is at `path`.
-pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
-    let header = Header::read(path)?;
+pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let header = Header::read(path, files)?;
     let dims = header.dimensions()?;
     let count = voxel_count(path, "DimSize", dims)?;
     let mut notes = Vec::new();
@@ -48,7 +49,7 @@ pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
 }
 
 impl<'a> Header<'a> {
-    fn read(path: &'a Path) -> Result<Self, VolumeError> {
+    fn read(path: &'a Path, files: DataFiles) -> Result<Self, VolumeError> {
         let bytes = input::head(path, 0, Codec::Raw, MAX_HEADER_BYTES)?;
         let mut fields = BTreeMap::new();
         let mut at = 0;
@@ -70,7 +71,7 @@ impl<'a> Header<'a> {
                 return Err(wrong(path, name.trim(), value, "each field once"));
             }
         }
-        Ok(Self { path, fields, length: at as u64 })
+        Ok(Self { path, files, fields, length: at as u64 })
     }
 
     fn get(&self, names: &[&'static str]) -> Option<(&'static str, &str)> {
@@ -221,7 +222,7 @@ impl<'a> Header<'a> {
             _ if name.starts_with("LIST") || name.contains('%') => {
                 Err(self.unsupported(field, name, "LOCAL or one data file; join the slices first"))
             }
-            _ => Ok((input::beside(self.path, name), 0)),
+            _ => Ok((input::data_file(self.path, field, name, self.files)?, 0)),
         }
     }
 

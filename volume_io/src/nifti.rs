@@ -1,14 +1,14 @@
 //! NIfTI-1 and NIfTI-2 files: .nii, .hdr/.img, each plain or gzip.
 
 use crate::error::VolumeError;
-use crate::input::{self, Codec};
+use crate::input::{self, Codec, DataFiles};
 use crate::nifti_header::{NIFTI2_SIZE, parse};
 use crate::scalar::HuSink;
 use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, columns, norm, voxel_count};
 use std::path::{Path, PathBuf};
 
 /// Reads the volume whose header is at `path`.
-pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
+pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
     let codec = codec_of(path)?;
     let bytes = input::head(path, 0, codec, NIFTI2_SIZE)?;
     let header = parse(path, &bytes)?;
@@ -18,7 +18,7 @@ pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
     let (data_path, data_codec) = if header.single_file {
         (path.to_path_buf(), codec)
     } else {
-        let image = image_of(path)?;
+        let image = image_of(path, files)?;
         let codec = codec_of(&image)?;
         (image, codec)
     };
@@ -75,13 +75,16 @@ fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Geometry
 }
 
 /// The .img file of a .hdr file (plain or gzip).
-fn image_of(header: &Path) -> Result<PathBuf, VolumeError> {
-    partner(header, ".hdr", ".img").ok_or_else(|| VolumeError::Header {
+fn image_of(header: &Path, files: DataFiles) -> Result<PathBuf, VolumeError> {
+    let image = partner(header, ".hdr", ".img").ok_or_else(|| VolumeError::Header {
         path: header.into(),
         field: "magic".into(),
         given: "ni1 or ni2: the voxels are in a separate file".into(),
         expected: "an .img or .img.gz file beside a header named .hdr or .hdr.gz".into(),
-    })
+    })?;
+    // It has the header's name, but may be a link.
+    let name = image.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    input::data_file(header, "magic", &name, files)
 }
 
 /// The .hdr file of an .img file (plain or gzip), if there is one.

@@ -3,7 +3,7 @@
 //! Source: "Definition of NRRD File Format", teem.sourceforge.net/nrrd/format.html. No well-kept crate reads this format.
 
 use crate::error::VolumeError;
-use crate::input::{self, Codec};
+use crate::input::{self, Codec, DataFiles};
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
 use crate::text_header::{MAX_HEADER_BYTES, numbers, read_ascii, sizes, unit_of_length, wrong};
 use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, columns, norm, voxel_count};
@@ -13,6 +13,7 @@ use std::path::Path;
 /// Fields by lower-case name, and the length of the header in bytes (the voxels of an attached file follow).
 struct Header<'a> {
     path: &'a Path,
+    files: DataFiles,
     fields: BTreeMap<String, String>,
     length: u64,
 }
@@ -24,8 +25,8 @@ struct Space {
 }
 
 /// Reads the volume whose header is at `path`.
-pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
-    let header = Header::read(path)?;
+pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let header = Header::read(path, files)?;
     let dims = header.dimensions()?;
     let count = voxel_count(path, "sizes", dims)?;
     let mut notes = Vec::new();
@@ -61,7 +62,7 @@ pub(crate) fn read(path: &Path) -> Result<(Volume, VolumeInfo), VolumeError> {
 }
 
 impl<'a> Header<'a> {
-    fn read(path: &'a Path) -> Result<Self, VolumeError> {
+    fn read(path: &'a Path, files: DataFiles) -> Result<Self, VolumeError> {
         let bytes = input::head(path, 0, Codec::Raw, MAX_HEADER_BYTES)?;
         let mut fields = BTreeMap::new();
         let mut rest = bytes.as_slice();
@@ -104,7 +105,7 @@ impl<'a> Header<'a> {
             }
         }
         let length = (bytes.len() - rest.len()) as u64;
-        Ok(Self { path, fields, length })
+        Ok(Self { path, files, fields, length })
     }
 
     fn get(&self, field: &str) -> Option<&str> {
@@ -347,7 +348,7 @@ impl<'a> Header<'a> {
             Some(name) if name.to_uppercase().starts_with("LIST") || name.contains('%') => {
                 return Err(self.unsupported("data file", name, "one data file; join the slices first"));
             }
-            Some(name) => (input::beside(self.path, name), 0),
+            Some(name) => (input::data_file(self.path, "data file", name, self.files)?, 0),
         };
         if lines == 0 {
             return Ok((path, start));
@@ -392,6 +393,16 @@ impl<'a> Header<'a> {
             }
         };
         let (mut reader, most_bytes) = input::open_stream(&path, start, codec)?;
+        if codec == Codec::Bzip2 && most_bytes < skip.saturating_add(needed) {
+            let given = format!("bzip2 data that would grow to {needed} bytes of voxels");
+            let expected = "data that grow by a factor of at most 10000; store it as raw or gzip";
+            return Err(VolumeError::Unsupported {
+                path,
+                field: "encoding".into(),
+                given,
+                expected: expected.into(),
+            });
+        }
         input::check_length(&path, most_bytes, skip.saturating_add(needed))?;
         input::skip(&path, codec.name(), reader.as_mut(), skip)?;
         layout.read(&path, codec.name(), reader.as_mut(), count, sink)?;
@@ -406,6 +417,8 @@ fn decoded_length(path: &Path, start: u64, codec: Codec) -> Result<u64, VolumeEr
     if codec == Codec::Raw {
         return Ok(most_bytes);
     }
+    // Twice the largest volume of the widest type: a stream that goes on is a decompression bomb.
+    let most_bytes = most_bytes.min(16 * crate::volume::MAX_VOXELS as u64);
     let mut buffer = vec![0_u8; 1 << 16];
     let mut length = 0;
     loop {
@@ -413,8 +426,7 @@ fn decoded_length(path: &Path, start: u64, codec: Codec) -> Result<u64, VolumeEr
             0 => return Ok(length),
             got => length += got as u64,
         }
-        // Twice the largest volume of the widest type: a stream that goes on is a decompression bomb.
-        if length > 16 * crate::volume::MAX_VOXELS as u64 {
+        if length > most_bytes {
             return Err(VolumeError::TooLarge {
                 path: path.into(),
                 field: "voxel data".into(),

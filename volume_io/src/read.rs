@@ -1,7 +1,7 @@
 //! Reading a volume of any supported format: the format is told from the content, and by the name where content cannot tell.
 
 use crate::error::VolumeError;
-use crate::input::{self, Codec, lower_name};
+use crate::input::{self, Codec, DataFiles, lower_name};
 use crate::volume::{Volume, VolumeInfo};
 use crate::{dicom_scan, dicom_series, metaimage, nifti, nifti_header, nrrd};
 use std::path::Path;
@@ -24,37 +24,45 @@ pub fn read(path: impl AsRef<Path>) -> Result<Volume, VolumeError> {
 /// # Errors
 /// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what is expected.
 pub fn read_with_info(path: impl AsRef<Path>) -> Result<(Volume, VolumeInfo), VolumeError> {
+    read_where(path, DataFiles::Beside)
+}
+
+/// As [`read_with_info`], with a choice of where data files of headers and links of a folder may lead.
+///
+/// # Errors
+/// As [`read_with_info`].
+pub fn read_where(path: impl AsRef<Path>, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
     let path = path.as_ref();
     if std::fs::metadata(path).map_err(input::io_error(path, "open"))?.is_dir() {
-        return dicom_series::read_folder(path);
+        return dicom_series::read_folder(path, files);
     }
     let head = input::head(path, 0, Codec::Raw, 512)?;
     let name = lower_name(path);
     let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
     if head.starts_with(b"NRRD") {
-        return nrrd::read(path);
+        return nrrd::read(path, files);
     }
     if dicom_scan::is_part10(&head) {
-        return dicom_series::read_file(path);
+        return dicom_series::read_file(path, files);
     }
     if ends(&[".img", ".img.gz"]) {
         return match nifti::header_of(path) {
-            Some(header) => nifti::read(&header),
+            Some(header) => nifti::read(&header, files),
             None => Err(refused(path, "the voxels of a NIfTI pair, but no .hdr file is beside them".into())),
         };
     }
     if head.starts_with(&[0x1f, 0x8b]) {
         let inner = input::head(path, 0, Codec::Gzip, 4)?;
         if nifti_header::sniff(&inner).is_some() || ends(&[".nii.gz", ".hdr.gz"]) {
-            return nifti::read(path);
+            return nifti::read(path, files);
         }
         return Err(refused(path, format!("gzip data that start with {inner:02x?}")));
     }
     if nifti_header::sniff(&head).is_some() || ends(&[".nii", ".hdr"]) {
-        return nifti::read(path);
+        return nifti::read(path, files);
     }
     if ends(&[".mha", ".mhd"]) || head.starts_with(b"ObjectType") || head.starts_with(b"NDims") {
-        return metaimage::read(path);
+        return metaimage::read(path, files);
     }
     if ends(&[".dcm", ".ima", ".dicom"]) {
         return Err(refused(path, "no `DICM` after 128 bytes (not a DICOM Part 10 file)".into()));

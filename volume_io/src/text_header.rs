@@ -13,17 +13,8 @@ pub(crate) fn wrong(path: &Path, field: &str, given: &str, expected: &str) -> Vo
     VolumeError::Header {
         path: path.into(),
         field: field.into(),
-        given: format!("`{}`", shorten(given)),
+        given: format!("`{given}`"),
         expected: expected.into(),
-    }
-}
-
-/// At most 120 characters of a value, so that a hostile header cannot flood a terminal.
-fn shorten(text: &str) -> String {
-    if text.chars().count() <= 120 {
-        text.into()
-    } else {
-        text.chars().take(120).chain("...".chars()).collect()
     }
 }
 
