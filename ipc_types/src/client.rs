@@ -1,8 +1,6 @@
 //! Joining a session, and making ports in it.
 
-use std::fs;
-use std::os::fd::AsFd;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::publisher::PublisherCreateError;
@@ -10,16 +8,19 @@ use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{AllocationStrategy, Node, ipc};
 use iceoryx2::service::attribute::AttributeVerifier;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
-use rustix::fs::FallocateFlags;
+
+use rustix::fs::{Access, AtFlags};
 
 use crate::layout::Message;
 use crate::messages::Command;
 use crate::ports::{Publisher, Subscriber};
-use crate::services::{self, Service};
+use crate::services::{self, CONNECTIONS_BYTES, Service};
 use crate::session::{
-    Announcement, ByteService, CONTROLLER_VARIABLE, FLAGS_FILE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE,
-    Session, SessionError, create_node, file_error, session_id, shared_memory_prefix, transported,
+    ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, FLAGS_FILE, Reader, SESSION_VARIABLE,
+    Searched, Session, SessionError, SessionId, await_announcement, check_layouts, create_node, file_error,
+    is_locked, open_folder, short_memory, transported,
 };
+use crate::shared_memory::{SharedMemory, require_free};
 use crate::wake::{Crowd, Waiter, WakeFlags, Waker, Way, allowed_cores};
 
 /// How long a client waits for a session to be announced, or for a service to be there.
@@ -27,8 +28,6 @@ const JOIN_TIME: Duration = Duration::from_secs(10);
 /// How long a service that has been announced is looked for again.
 const OPEN_TIME: Duration = Duration::from_secs(2);
 const RETRY_TIME: Duration = Duration::from_millis(5);
-/// Where shared memory lies.
-const SHARED_MEMORY: &str = "/dev/shm";
 
 impl Session {
     /// Joins the session in a folder; waits up to ten seconds for its announcement.
@@ -45,12 +44,25 @@ impl Session {
     /// # Errors
     /// As [`Session::join`].
     pub fn join_within(folder: &Path, limit: Duration) -> Result<Session, SessionError> {
-        let announcement = read_announcement(folder, limit)?;
+        let handle = open_folder(folder)?;
+        let announcement = await_announcement(&handle, folder, limit)?;
         check_layouts(&announcement)?;
-        let node = create_node(folder, &session_id(folder))?;
-        let flags_path = folder.join(FLAGS_FILE);
-        let flags = WakeFlags::open(&flags_path, false).map_err(file_error(&flags_path))?;
-        Ok(Session { folder: folder.to_owned(), announcement, node, flags })
+        let none = || SessionError::NoSession { searched: Searched::folder(folder) };
+        let id = SessionId::of(folder).ok_or_else(none)?;
+        let node = create_node(folder, &id)?;
+        let flags = WakeFlags::open(&handle).map_err(file_error(&folder.join(FLAGS_FILE)))?;
+        Ok(Session { folder: folder.to_owned(), handle, id, announcement, node, flags })
+    }
+
+    /// Whether the session's host is running. Its folder may have been removed meanwhile.
+    pub fn host_is_alive(&self) -> bool {
+        is_locked(&self.handle)
+    }
+
+    /// Whether the announcement still lies in the session's folder: a host that ends takes it away, one that is killed
+    /// leaves it.
+    pub fn is_announced(&self) -> bool {
+        rustix::fs::accessat(&self.handle, ANNOUNCEMENT_FILE, Access::EXISTS, AtFlags::empty()).is_ok()
     }
 
     /// The session's folder.
@@ -231,13 +243,14 @@ impl Session {
             announced if announced == services::FRAME.name => self.announcement.frame_bytes,
             _ => service.max_bytes,
         };
-        require_free_memory(name, (service.samples() * (max_bytes + SAMPLE_HEADER)) as u64)?;
+        let service = Service { max_bytes, ..*service };
+        require_free(service.reserved_bytes() + CONNECTIONS_BYTES).map_err(short_memory(name))?;
         let mut builder = self.open::<M>(name)?;
-        let mut made = publisher_of(&mut builder, max_bytes, service);
+        let mut made = publisher_of(&mut builder, &service);
         if matches!(made, Err(PublisherCreateError::ExceedsMaxSupportedPublishers)) {
             // Programs that were killed hold their places until somebody cleans up behind them.
             self.node.try_cleanup_dead_nodes();
-            made = publisher_of(&mut builder, max_bytes, service);
+            made = publisher_of(&mut builder, &service);
         }
         let raw = made.map_err(|cause| match cause {
             PublisherCreateError::ExceedsMaxSupportedPublishers if service.name == services::COMMAND.name => {
@@ -251,7 +264,10 @@ impl Session {
             },
             other => transported(name, "publishing")(other),
         })?;
-        self.reserve_shared_memory(name)?;
+        SharedMemory::open()
+            .map_err(file_error(Path::new("/dev/shm")))?
+            .reserve(&self.id.shared_memory_prefix())
+            .map_err(short_memory(name))?;
         Ok(Publisher::new(raw, name.to_owned()))
     }
 
@@ -260,7 +276,7 @@ impl Session {
         name: &str,
         service: &Service,
     ) -> Result<Subscriber<M>, SessionError> {
-        require_free_memory(name, 0)?;
+        require_free(CONNECTIONS_BYTES).map_err(short_memory(name))?;
         let factory = self.open::<M>(name)?;
         let subscriber = || factory.subscriber_builder().buffer_size(service.queue_length).create();
         let mut made = subscriber();
@@ -278,115 +294,21 @@ impl Session {
         })?;
         Ok(Subscriber::new(raw, name.to_owned()))
     }
-
-    /// Gives every data segment of this session its memory now, so that a full /dev/shm is an error here and not a
-    /// SIGBUS in the first write.
-    fn reserve_shared_memory(&self, service: &str) -> Result<(), SessionError> {
-        let prefix = shared_memory_prefix(&session_id(&self.folder));
-        for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            if !(name.starts_with(&prefix) && name.ends_with(".data")) {
-                continue;
-            }
-            // A segment of a process that has ended meanwhile needs no memory any more.
-            let Ok(file) = fs::OpenOptions::new().write(true).open(entry.path()) else { continue };
-            let bytes = file.metadata().map(|meta| meta.len()).unwrap_or(0);
-            if bytes > 0 {
-                rustix::fs::fallocate(file.as_fd(), FallocateFlags::empty(), 0, bytes).map_err(|cause| {
-                    SessionError::SharedMemory { service: service.to_owned(), bytes, cause: cause.into() }
-                })?;
-            }
-        }
-        Ok(())
-    }
 }
 
 fn lossless(service: &Service) -> Service {
     Service { queue_length: service.lossless_length, ..*service }
 }
 
-/// What a sample needs beside its payload, at most.
-const SAMPLE_HEADER: usize = 64;
-/// What a port needs beside its samples: its connections, and what the others make at the same time.
-const CONNECTIONS_BYTES: u64 = 2 << 20;
-
-/// The transport touches memory before it is reserved; where there is none that is a SIGBUS, so a port is made only
-/// where there is enough.
-pub(crate) fn require_free_memory(service: &str, bytes: u64) -> Result<(), SessionError> {
-    let bytes = bytes + CONNECTIONS_BYTES;
-    match rustix::fs::statvfs(SHARED_MEMORY) {
-        Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {
-            let cause = rustix::io::Errno::NOSPC.into();
-            Err(SessionError::SharedMemory { service: service.to_owned(), bytes, cause })
-        }
-        // A file system that does not say may have enough.
-        _ => Ok(()),
-    }
-}
-
 type RawPublisher = iceoryx2::port::publisher::Publisher<iceoryx2::prelude::ipc::Service, [u8], ()>;
 
-fn publisher_of(
-    factory: &mut ByteService,
-    max_bytes: usize,
-    service: &Service,
-) -> Result<RawPublisher, PublisherCreateError> {
-    let builder = factory
+fn publisher_of(factory: &mut ByteService, service: &Service) -> Result<RawPublisher, PublisherCreateError> {
+    let samples = service.samples();
+    factory
         .publisher_builder()
-        .initial_max_slice_len(max_bytes)
+        .initial_max_slice_len(service.max_bytes)
         .allocation_strategy(AllocationStrategy::Static)
-        .max_loaned_samples(1);
-    // Published once: room for one volume, not for one per subscriber's queue entry.
-    let samples = if service.name == services::VOLUME.name { 1 } else { service.samples() };
-    builder.override_sample_preallocation(move |_| samples).create()
-}
-
-fn read_announcement(folder: &Path, limit: Duration) -> Result<Announcement, SessionError> {
-    let path = folder.join("session.json");
-    let end = Instant::now() + limit;
-    loop {
-        match fs::read_to_string(&path) {
-            Ok(text) => return announcement_of(&text, folder, &path),
-            Err(_) if folder.is_dir() && Instant::now() < end => std::thread::sleep(RETRY_TIME),
-            Err(_) => return Err(SessionError::NoSession { path: PathBuf::from(folder) }),
-        }
-    }
-}
-
-/// The versions come first: what else another version writes is its own affair.
-fn announcement_of(text: &str, folder: &Path, path: &Path) -> Result<Announcement, SessionError> {
-    let malformed = |cause: serde_json::Error| SessionError::File {
-        path: path.to_owned(),
-        cause: std::io::Error::other(cause),
-    };
-    let value: serde_json::Value = serde_json::from_str(text).map_err(malformed)?;
-    let theirs = |key: &str| value[key].as_str().unwrap_or("of an unknown version").to_owned();
-    let path = folder.to_owned();
-    if theirs("iceoryx2") != ICEORYX2_VERSION {
-        return Err(SessionError::Transport { path, theirs: theirs("iceoryx2") });
-    }
-    if theirs("trabecula") != env!("CARGO_PKG_VERSION") {
-        return Err(SessionError::Version { path, theirs: theirs("trabecula") });
-    }
-    serde_json::from_value(value).map_err(malformed)
-}
-
-/// Compares the layout of every service that the hub has with this program's.
-fn check_layouts(announcement: &Announcement) -> Result<(), SessionError> {
-    for (name, theirs) in &announcement.layouts {
-        let kind = name.split('/').next().unwrap_or(name);
-        let service = services::ALL.iter().chain([&services::COMMAND]).find(|service| service.name == kind);
-        let Some(service) = service else { continue };
-        let ours = service.description.layout_hash();
-        if *theirs != ours {
-            let message = service.description.name;
-            return Err(SessionError::Layout {
-                service: name.clone(),
-                message,
-                theirs: theirs.clone(),
-                ours,
-            });
-        }
-    }
-    Ok(())
+        .max_loaned_samples(1)
+        .override_sample_preallocation(move |_| samples)
+        .create()
 }

@@ -44,4 +44,5 @@ pub mod scene;
 pub mod scene_reference;
 pub mod services;
 pub mod session;
+mod shared_memory;
 pub mod wake;

@@ -127,12 +127,31 @@ pub const FRAME_TIMING: Service =
     Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, 64) };
 
 impl Service {
-    /// Samples that a publisher needs, loans of its own aside. A queue holds the newest messages, so what lies in all
-    /// queues together is what lies in the longest; besides, every subscriber may hold two.
+    /// Samples that a publisher has, loans of its own included. A queue holds the newest messages, so what lies in all
+    /// queues together is what lies in the longest; besides, every subscriber may hold two. The volume is published
+    /// once: one copy of a CT in memory, not one for each who may read it.
     pub fn samples(&self) -> usize {
+        if self.name == VOLUME.name {
+            return 1;
+        }
         self.lossless_length.max(self.history) + SAMPLES_HELD * (self.max_subscribers + 1)
     }
+
+    /// Bytes of shared memory that a publisher reserves, at most.
+    pub fn reserved_bytes(&self) -> u64 {
+        let sample = self.max_bytes + SAMPLE_HEADER;
+        SEGMENT_HEADER + (self.samples() * (sample + SAMPLE_INDEX)) as u64
+    }
 }
+
+/// What a sample needs beside its payload, at most.
+const SAMPLE_HEADER: usize = 64;
+/// What the segment's allocator needs for each sample, at most.
+const SAMPLE_INDEX: usize = 8;
+/// What a segment needs beside its samples, at most.
+const SEGMENT_HEADER: u64 = 4096;
+/// What a port needs beside its samples: its connections, and what the others make at the same time.
+pub(crate) const CONNECTIONS_BYTES: u64 = 2 << 20;
 
 /// Samples that a subscriber may hold at a time.
 pub(crate) const SAMPLES_HELD: usize = 2;

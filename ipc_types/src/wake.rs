@@ -13,8 +13,8 @@
 //! before it reads the flag, and both put a sequentially consistent fence between. At least one sees the other's.
 
 use std::cell::Cell;
-use std::fs::OpenOptions;
-use std::path::Path;
+use std::fs::File;
+use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering, fence};
 use std::time::{Duration, Instant};
@@ -23,8 +23,10 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ipc;
 use memmap2::MmapRaw;
+use rustix::fs::{Mode, OFlags};
 
 use crate::scene::{Policy, Wait};
+use crate::session::{FLAGS_FILE, create_file};
 
 /// How long a reader yields before it sleeps. Measured: pure spinning collapses a thousandfold when spinners outnumber
 /// cores; yielding for 20 µs costs nothing there and catches nearly every answer of a running peer.
@@ -48,21 +50,23 @@ pub(crate) struct WakeFlags {
 }
 
 impl WakeFlags {
-    /// Creates the file with every flag raised (the launcher), or maps an existing one.
-    pub(crate) fn open(path: &Path, create: bool) -> std::io::Result<WakeFlags> {
-        let file = OpenOptions::new().read(true).write(true).create(create).truncate(create).open(path)?;
-        if create {
-            file.set_len((FLAG_STRIDE * FLAG_COUNT) as u64)?;
-        }
+    /// Creates the file in the session's folder, with every flag raised.
+    pub(crate) fn create(folder: impl AsFd) -> std::io::Result<WakeFlags> {
+        create_file(&folder, FLAGS_FILE, &[0; FLAG_STRIDE * FLAG_COUNT])?;
+        let flags = WakeFlags::open(folder)?;
+        (0..FLAG_COUNT).for_each(|reader| flags.flag(reader).store(1, Ordering::SeqCst));
+        Ok(flags)
+    }
+
+    /// Maps the file that the host has made.
+    pub(crate) fn open(folder: impl AsFd) -> std::io::Result<WakeFlags> {
+        let flags = OFlags::RDWR | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let file = File::from(rustix::fs::openat(folder, FLAGS_FILE, flags, Mode::empty())?);
         let map = MmapRaw::map_raw(&file)?;
         if map.len() != FLAG_STRIDE * FLAG_COUNT {
             return Err(std::io::Error::other("the file of wake flags has a wrong length"));
         }
-        let flags = WakeFlags { map: Arc::new(map) };
-        if create {
-            (0..FLAG_COUNT).for_each(|reader| flags.flag(reader).store(1, Ordering::SeqCst));
-        }
-        Ok(flags)
+        Ok(WakeFlags { map: Arc::new(map) })
     }
 
     fn flag(&self, reader: usize) -> &AtomicU32 {

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Scene, Volume as SceneVolume};
+use ipc_types::session::SessionId;
 use volume_io::Volume;
 use zerocopy::IntoBytes;
 
@@ -52,10 +53,10 @@ pub fn run(scene: &Path, dimensions: [usize; 3], ticks: u64) -> Result<(), Failu
     let (mut segments, mut running) = (Vec::new(), Memory::default());
     let machine = Machine::watch();
     let plan = RunPlan { scene, output: Some(folder.path().to_owned()), view: None };
-    let result = complete_run(&plan, &end, |_| {
+    let result = complete_run(&plan, &end, |glance| {
         running.measure("self");
         if segments.is_empty() {
-            segments = shared_segments(ct_bytes);
+            segments = shared_segments(glance.session, ct_bytes);
         }
     })?;
     let [i, j, k] = dimensions;
@@ -76,9 +77,9 @@ fn mebibytes(bytes: u64) -> String {
     format!("{:.1} MiB", bytes as f64 / MEBIBYTE)
 }
 
-/// Sizes of the segments of this process's session that could hold a whole CT.
-fn shared_segments(ct_bytes: u64) -> Vec<u64> {
-    let prefix = format!("trabecula010_{}-", std::process::id());
+/// Sizes of the segments of a session that could hold a whole CT.
+fn shared_segments(session: &Path, ct_bytes: u64) -> Vec<u64> {
+    let Some(prefix) = SessionId::of(session).map(|id| id.shared_memory_prefix()) else { return Vec::new() };
     let entries = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
     let ours = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
     ours.filter_map(|entry| entry.metadata().ok())

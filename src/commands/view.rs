@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
-use ipc_types::session::{SESSION_VARIABLE, newest_session, sessions_folder};
+use ipc_types::session::{SESSION_VARIABLE, Searched, newest_session};
 use physics_proc::simulation::manipulator_parameters;
 use viewer_proc::live::{self, LiveOptions};
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
@@ -84,7 +84,7 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
     let named = arguments.session.clone().or_else(|| std::env::var_os(SESSION_VARIABLE).map(PathBuf::from));
     let session = match named.or_else(newest_session) {
         Some(folder) => folder,
-        None => return Err(failure(&ViewerError::NoSession(sessions_folder()))),
+        None => return Err(failure(&ViewerError::NoSession(Searched::places(None)))),
     };
     let options = LiveOptions { session, server: arguments.server.options() };
     live::view(&options, tool_shape, |server| arguments.server.ready(server), &end)

@@ -1,5 +1,6 @@
 //! The session of a run: services, volume, parts.
 
+use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -9,7 +10,9 @@ use ipc_types::messages::{CArmGeometry, Volume as VolumeMessage};
 use ipc_types::ports::{PortError, Publisher};
 use ipc_types::scene::{Mode, Scene, Wait};
 use ipc_types::services;
-use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan};
+use ipc_types::session::{
+    CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan, passed_over,
+};
 use recorder_proc::cat::whole;
 use recorder_proc::header::CALIBRATION_ATTACHMENT;
 use volume_io::Volume;
@@ -33,6 +36,8 @@ pub struct Hub {
     /// The session with all its services.
     pub host: SessionHost,
     volume: Option<Publisher<VolumeMessage>>,
+    /// Whether it has been said that the session's folder is gone.
+    is_hidden: Cell<bool>,
 }
 
 /// Why a hub cannot be set up.
@@ -91,6 +96,9 @@ impl Hub {
             wait: wait_for_each_other(scene),
             policy: scene.run.policy,
         };
+        if let Some(place) = passed_over() {
+            tell!("trabecula: {place}");
+        }
         let host = SessionHost::create(&plan)?;
         let path = host.session.folder().join("scene.toml");
         let file_error = |cause: String| HubError::File { path: path.clone(), cause };
@@ -113,7 +121,7 @@ impl Hub {
             None => None,
         };
         host.announce()?;
-        Ok(Hub { host, volume: publisher })
+        Ok(Hub { host, volume: publisher, is_hidden: Cell::new(false) })
     }
 
     /// Folder of the session.
@@ -121,8 +129,15 @@ impl Hub {
         self.host.session.folder()
     }
 
-    /// Gives the volume to those who have joined since the last call.
+    /// Gives the volume to those who have joined since the last call; says so, once, when nobody can join any more.
     pub fn serve_late_joiners(&self) -> Result<(), PortError> {
+        if !self.is_hidden.get() && !self.host.session.is_announced() {
+            self.is_hidden.set(true);
+            tell!(
+                "trabecula: {}: the session's folder was removed; the run goes on with those who have joined, nobody else can",
+                self.folder().display()
+            );
+        }
         self.volume.as_ref().map_or(Ok(()), Publisher::deliver_history)
     }
 

@@ -183,6 +183,7 @@ fn other_version(folder: &Path) -> Result<(), String> {
     let layout = session.subscriber::<Command>(&services::STATE).err();
     let Some(SessionError::Layout { .. }) = layout else { return Err(format!("another layout: {layout:?}")) };
     let copy = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(copy.path(), std::os::unix::fs::PermissionsExt::from_mode(0o700)).unwrap();
     let mut announcement = session.announcement().clone();
     announcement.iceoryx2 = "0.9.0".to_owned();
     std::fs::write(copy.path().join("session.json"), serde_json::to_string(&announcement).unwrap()).unwrap();

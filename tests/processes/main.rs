@@ -29,6 +29,7 @@ mod run_control;
 mod runs;
 mod schedules;
 mod security;
+mod sessions;
 mod strays;
 mod stress;
 mod survival;

@@ -1,13 +1,14 @@
 //! Who may read and write what: other users of the machine, and scenes and logs of strangers.
 
 use std::fs;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::fs::MetadataExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use test_support::limited::Limited;
 
 use ipc_types::messages::CONTROL_STOP;
+use ipc_types::session::SessionId;
 
 use crate::common::client::Client;
 use crate::common::logs::{rename_attachments, rewrite_as, verify};
@@ -19,7 +20,7 @@ const NOBODY: u32 = 65_534;
 
 /// All files of a session: its folder, what lies in it, and its shared memory.
 fn files_of(run: &Run) -> Vec<PathBuf> {
-    let prefix = format!("trabecula010_{}-", run.pid());
+    let prefix = SessionId::of(&run.session()).unwrap().shared_memory_prefix();
     let memory = fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.path());
     let of_run = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().starts_with(&prefix);
     let mut files: Vec<PathBuf> = memory.filter(of_run).collect();
@@ -92,41 +93,6 @@ impl Socket for PathBuf {
         use std::os::unix::fs::FileTypeExt;
         fs::symlink_metadata(self).is_ok_and(|meta| meta.file_type().is_socket())
     }
-}
-
-/// Whoever makes the folder of all sessions first, in a place where everybody may write, would see and change them.
-#[test]
-fn a_sessions_folder_of_somebody_else_is_refused() {
-    let place = Place::new();
-    let scene = place.scene(&scenes::hold("lockstep", 0.05));
-    // Short, because sockets lie below it.
-    let runtime = tempfile::Builder::new().prefix("t").rand_bytes(6).tempdir_in("/tmp").unwrap();
-    let sessions = runtime.path().join("trabecula");
-    let run = |what: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
-        command.arg("run").arg(&scene).arg("--output").arg(place.path("out")).arg("--quiet");
-        let output = command.env("XDG_RUNTIME_DIR", runtime.path()).limited_output().unwrap();
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{what}: {said}");
-        assert!(
-            said.contains("only this user may enter") && said.contains("XDG_RUNTIME_DIR"),
-            "{what}: {said}"
-        );
-        assert_eq!(fs::read_dir(&sessions).unwrap().count(), 0, "{what}");
-    };
-    fs::create_dir(&sessions).unwrap();
-    fs::set_permissions(&sessions, fs::Permissions::from_mode(0o777)).unwrap();
-    run("a folder for everybody");
-    fs::set_permissions(&sessions, fs::Permissions::from_mode(0o700)).unwrap();
-    if is_root() {
-        std::os::unix::fs::chown(&sessions, Some(NOBODY), Some(NOBODY)).unwrap();
-        run("another user's folder");
-        std::os::unix::fs::chown(&sessions, Some(0), Some(0)).unwrap();
-    }
-    let elsewhere = place.path("elsewhere");
-    fs::rename(&sessions, &elsewhere).unwrap();
-    std::os::unix::fs::symlink(&elsewhere, &sessions).unwrap();
-    run("a link to a folder");
 }
 
 /// Every file below a folder, with its size.

@@ -1,11 +1,10 @@
 //! Why a viewer cannot be.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
 
 use ipc_types::ports::PortError;
 use ipc_types::scene::SceneError;
-use ipc_types::session::SessionError;
+use ipc_types::session::{Searched, SessionError};
 use recorder_proc::LogError;
 use trabecula_client::ClientError;
 
@@ -31,8 +30,8 @@ pub enum ViewerError {
     #[error("the server cannot be started: {0}")]
     Runtime(std::io::Error),
     /// No session to look at.
-    #[error("no running session of this user in {}; start one with `trabecula run`, or name it with --session", .0.display())]
-    NoSession(PathBuf),
+    #[error("{0}; or name one with --session")]
+    NoSession(Searched),
     /// The session cannot be joined.
     #[error(transparent)]
     Session(#[from] SessionError),

@@ -1,6 +1,6 @@
 //! One program's connection to a session.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,8 @@ use ipc_types::process::{EventSender, session_scene};
 use ipc_types::scene::{Mode, Scene};
 use ipc_types::services;
 use ipc_types::session::{
-    CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, Session, host_is_alive, newest_session, sessions_folder,
+    CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, Searched, Session, host_is_alive, newest_session,
+    running_sessions,
 };
 use ipc_types::wake::{Waiter, Waker};
 
@@ -314,9 +315,8 @@ impl Client {
             return Ok(true);
         }
         if self.hub_seen.elapsed() >= HUB_LOOK {
-            let folder = &self.info.folder;
-            if !(folder.join("session.json").exists() && host_is_alive(folder)) {
-                return Err(ClientError::HubGone { folder: folder.clone() });
+            if !self.session.host_is_alive() {
+                return Err(ClientError::HubGone { folder: self.info.folder.clone() });
             }
             self.hub_seen = Instant::now();
         }
@@ -520,22 +520,24 @@ pub(crate) fn look_until(deadline: Instant, mut ready: impl FnMut() -> bool) {
 fn await_folder(connection: &Connection) -> Result<PathBuf, ClientError> {
     let given = connection.session.clone().filter(|text| !text.is_empty());
     let from_environment = || std::env::var(SESSION_VARIABLE).ok().filter(|text| !text.is_empty());
-    let named = given.or_else(from_environment).map(|text| match text.contains('/') {
-        true => PathBuf::from(text),
-        false => sessions_folder().join(text),
-    });
+    let named = given.or_else(from_environment);
+    // A path is one folder; a name may lie in any place where this user's sessions lie.
+    let look = || match &named {
+        Some(path) if path.contains('/') => Some(PathBuf::from(path)).filter(|folder| host_is_alive(folder)),
+        Some(name) => running_sessions(Some(name)).pop(),
+        None => newest_session(),
+    };
     let end = Instant::now() + connection.limit;
     loop {
-        let folder = named.clone().filter(|folder| host_is_alive(folder)).or_else(|| match named {
-            Some(_) => None,
-            None => newest_session(),
-        });
-        if let Some(folder) = folder {
+        if let Some(folder) = look() {
             return Ok(folder);
         }
         if Instant::now() >= end {
-            let folder = named.unwrap_or_else(sessions_folder);
-            return Err(ClientError::NoSession { folder });
+            let searched = match &named {
+                Some(path) if path.contains('/') => Searched::folder(Path::new(path)),
+                named => Searched::places(named.as_deref()),
+            };
+            return Err(ClientError::NoSession { searched });
         }
         std::thread::sleep(RETRY_TIME);
     }

@@ -3,7 +3,7 @@ use std::time::Duration;
 
 use ipc_types::ports::PortError;
 use ipc_types::scene::SceneError;
-use ipc_types::session::SessionError;
+use ipc_types::session::{Searched, SessionError};
 use thiserror::Error;
 
 /// Why a client cannot do what it was asked.
@@ -19,10 +19,10 @@ pub enum ClientError {
     #[error(transparent)]
     Port(#[from] PortError),
     /// No session was announced in time.
-    #[error("no running session in {folder}; start one with `trabecula run SCENE`")]
+    #[error("{searched}")]
     NoSession {
-        /// Folder that was looked into.
-        folder: PathBuf,
+        /// Where it was looked for.
+        searched: Searched,
     },
     /// The client's own declarations of a message are not those of this library.
     #[error(
@@ -102,7 +102,7 @@ impl From<SessionError> for ClientError {
     fn from(error: SessionError) -> ClientError {
         match error {
             // One that goes while it is being joined is one that is not there.
-            SessionError::NoSession { path } => ClientError::NoSession { folder: path },
+            SessionError::NoSession { searched } => ClientError::NoSession { searched },
             other => ClientError::Session(other),
         }
     }

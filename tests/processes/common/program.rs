@@ -1,13 +1,16 @@
 //! Starting the program, looking at its processes, and what it leaves behind.
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use test_support::limited::Limited;
 
-use ipc_types::session::sessions_folder;
+use ipc_types::session::places;
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
@@ -153,10 +156,7 @@ impl Run {
 
     /// Folder of the session, once it is announced.
     pub fn session(&self) -> PathBuf {
-        let folder = session_folder(self.pid());
-        wait_for("the session's announcement", || {
-            folder.join("session.json").exists().then(|| folder.clone())
-        })
+        wait_for("the session's announcement", || session_of(self.pid()))
     }
 
     /// The process of a part (`physics`, `drr`, `controller`, `recorder`), once it is there.
@@ -168,7 +168,11 @@ impl Run {
     /// Waits for the end of the launcher.
     pub fn end(mut self) -> Ended {
         let pid = self.pid();
-        let status = wait_for("the end of the run", || self.child.try_wait().unwrap());
+        let status = wait_for("the end of the run", || {
+            // For whoever looks afterwards whether anything of it is left.
+            let _ = session_of(pid);
+            self.child.try_wait().unwrap()
+        });
         let text = |name: &str| fs::read_to_string(self.words.path().join(name)).unwrap();
         let folders = fs::read_dir(&self.output).map(|entries| entries.flatten().map(|e| e.path()).collect());
         let folders: Vec<PathBuf> = folders.unwrap_or_default();
@@ -187,9 +191,26 @@ impl Drop for Run {
     }
 }
 
-/// Where the session of a launcher lies.
+/// The session of a launcher, which its announcement names. It is remembered: what is left behind is looked for under its
+/// name.
+fn session_of(launcher: u32) -> Option<PathBuf> {
+    static SEEN: Mutex<BTreeMap<u32, PathBuf>> = Mutex::new(BTreeMap::new());
+    let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Entry::Vacant(place) = seen.entry(launcher) {
+        let entries = places().into_iter().flat_map(|place| fs::read_dir(place.path()).into_iter().flatten());
+        let pid = format!("\"pid\": {launcher},");
+        let is_its = |folder: &PathBuf| {
+            fs::read_to_string(folder.join("session.json")).is_ok_and(|text| text.contains(&pid))
+        };
+        let found = entries.flatten().map(|entry| entry.path()).find(is_its)?;
+        place.insert(found);
+    }
+    seen.get(&launcher).cloned()
+}
+
+/// Where the session of a launcher lies; before its announcement a path where nothing is.
 pub fn session_folder(launcher: u32) -> PathBuf {
-    sessions_folder().join(format!("{launcher}-0"))
+    session_of(launcher).unwrap_or_else(|| PathBuf::from(format!("/nowhere/session-of-{launcher}")))
 }
 
 /// Processes that were started for a session: the part's name and its number.
@@ -211,12 +232,16 @@ pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
     parts
 }
 
-/// Names in /dev/shm that belong to the sessions of a launcher.
+/// Names in /dev/shm that belong to the sessions of a launcher. The transport numbers what it makes, and bits 64 to 95 of
+/// each number are the process that has made it.
 pub fn shared_memory_of(launcher: u32) -> Vec<String> {
-    let prefix = format!("trabecula010_{launcher}-");
+    let made_by = |number: &str| number.parse::<u128>().map(|number| (number >> 64) as u32);
+    let is_its = |name: &String| {
+        name.starts_with("trabecula010_") && name.split(['_', '.']).any(|part| made_by(part) == Ok(launcher))
+    };
     let names =
         fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
-    names.filter(|name| name.starts_with(&prefix)).collect()
+    names.filter(is_its).collect()
 }
 
 /// No process, no session, no shared memory of a launcher.

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::process::{EndRequest, session_scene};
 use ipc_types::scene::Scene;
-use ipc_types::session::{Session, host_is_alive};
+use ipc_types::session::Session;
 
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
@@ -81,7 +81,7 @@ pub fn view(
     ready(&server);
     let serving = std::thread::spawn(move || server.serve());
     let mut live = Live { board, eyes, control, driver, called, dt_ns: scene.dt_ns() };
-    let watched = live.watch(options, end);
+    let watched = live.watch(&session, end);
     // What was said last is on its way to the clients.
     std::thread::sleep(Duration::from_millis(200));
     over.store(true, Ordering::Relaxed);
@@ -99,7 +99,7 @@ struct Live {
 }
 
 impl Live {
-    fn watch(&mut self, options: &LiveOptions, end: &EndRequest) -> Result<(), ViewerError> {
+    fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<(), ViewerError> {
         let mut alive_seen = Instant::now();
         loop {
             self.eyes.look(&self.board)?;
@@ -110,9 +110,8 @@ impl Live {
             while let Ok(call) = self.called.try_recv() {
                 self.dispatch(call);
             }
-            let announced = || options.session.join("session.json").exists();
             // A host that was killed leaves its announcement; the physics then ends, too, and says so.
-            if self.eyes.run_has_ended() && (host_is_alive(&options.session) || !announced()) {
+            if self.eyes.run_has_ended() && (session.host_is_alive() || !session.is_announced()) {
                 self.board.notice("info", "the run has ended");
                 return Ok(());
             }
@@ -122,7 +121,7 @@ impl Live {
             }
             if alive_seen.elapsed() > ALIVE_LOOK || self.eyes.run_has_ended() {
                 alive_seen = Instant::now();
-                if !host_is_alive(&options.session) || !announced() {
+                if !session.host_is_alive() {
                     self.board.notice("error", "the hub has died: its launcher is gone, and the run with it");
                     return Ok(());
                 }

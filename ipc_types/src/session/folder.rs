@@ -1,0 +1,233 @@
+//! A session's folder: made, locked, proved dead, removed; always by its handle, so that what was checked is what is
+//! changed.
+//!
+//! The host holds a lock on the folder itself for as long as it lives, and the kernel frees it however the host ends.
+//! This alone says whether a session is alive: a process number may be another's by now or mean another process in a
+//! container, and a name may have been removed (by the end of a login, or a cleaner of `/tmp`, which leave locked folders
+//! alone if they are polite). The folder's marker says whose name it is: what has none is nobody's session.
+
+use std::ffi::CStr;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{AtFlags, Dir, FileType, FlockOperation, Mode, OFlags, flock, openat, unlinkat};
+use rustix::io::Errno;
+
+use super::id::{PREFIX_LENGTH, SessionId};
+use super::places::{Place, Unfit, open_private, places};
+use super::{SessionError, file_error};
+use crate::shared_memory::SharedMemory;
+
+/// File whose text is the session's name.
+const MARKER: &str = "session.id";
+/// Longest name of a socket (unix(7)).
+const MAX_SOCKET_NAME: usize = 108;
+/// Digits of a listener's number in the name of its socket, for a process that has made ten thousand ports. With more the
+/// transport refuses the listener.
+const LISTENER_DIGITS: usize = 33;
+/// The transport's sockets are `ROOT/PREFIX_NUMBER.event`.
+pub(crate) const MAX_ROOT_PATH: usize =
+    MAX_SOCKET_NAME - "/".len() - PREFIX_LENGTH - LISTENER_DIGITS - ".event".len();
+
+/// The host's own folder, which goes when it is dropped.
+#[derive(Debug)]
+pub(crate) struct HostFolder {
+    pub(crate) path: PathBuf,
+    pub(crate) id: SessionId,
+    /// Locked.
+    handle: OwnedFd,
+    /// The folder of sessions.
+    above: OwnedFd,
+}
+
+impl HostFolder {
+    /// Makes a folder in a place. It appears unlocked and empty, as one without a marker is nobody's.
+    pub(crate) fn create(place: &Place) -> Result<HostFolder, SessionError> {
+        let above = place.open_or_make()?;
+        loop {
+            let id = SessionId::random()?;
+            let path = place.path().join(id.to_string());
+            let system = |cause: Errno| SessionError::File { path: path.clone(), cause: cause.into() };
+            match rustix::fs::mkdirat(&above, id.to_string(), Mode::RWXU) {
+                Ok(()) => {}
+                Err(Errno::EXIST) => continue,
+                Err(cause) => return Err(system(cause)),
+            }
+            let handle = open_private(&above, Path::new(&id.to_string()))
+                .map_err(|cause| SessionError::Unfit { path: path.clone(), cause })?;
+            flock(&handle, FlockOperation::LockExclusive).map_err(system)?;
+            match create_file(&handle, MARKER, id.to_string().as_bytes()) {
+                Ok(()) => return Ok(HostFolder { path, id, handle, above }),
+                // Another host has found it empty before it was locked, and removed it.
+                Err(cause) if cause.kind() == io::ErrorKind::NotFound => {}
+                Err(cause) => return Err(file_error(&path)(cause)),
+            }
+        }
+    }
+
+    pub(crate) fn handle(&self) -> &OwnedFd {
+        &self.handle
+    }
+
+    /// Writes a file that appears whole.
+    pub(crate) fn write(&self, name: &str, content: &[u8]) -> Result<(), SessionError> {
+        let hidden = format!(".{name}");
+        let written = create_file(&self.handle, &hidden, content)
+            .and_then(|()| Ok(rustix::fs::renameat(&self.handle, &hidden, &self.handle, name)?));
+        written.map_err(file_error(&self.path.join(name)))
+    }
+}
+
+impl Drop for HostFolder {
+    fn drop(&mut self) {
+        remove(&self.above, &self.id, &self.handle);
+    }
+}
+
+/// Makes a file that is not there yet, readable by this user alone.
+pub(crate) fn create_file(folder: impl AsFd, name: &str, content: &[u8]) -> io::Result<()> {
+    let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+    let file = openat(folder, name, flags, Mode::RUSR | Mode::WUSR)?;
+    File::from(file).write_all(content)
+}
+
+/// Reads a file of a session's folder; it is no link, nothing that keeps a reader waiting, and not longer than a session's
+/// files are.
+pub(crate) fn read_file(folder: impl AsFd, name: &str) -> io::Result<String> {
+    const LONGEST: u64 = 1 << 20;
+    let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let file = File::from(openat(folder, name, flags, Mode::empty())?);
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("it is no file"));
+    }
+    let mut text = String::new();
+    file.take(LONGEST).read_to_string(&mut text)?;
+    Ok(text)
+}
+
+/// Opens a session's folder by its path.
+///
+/// # Errors
+/// [`SessionError::NoSession`] where there is none, [`SessionError::Unfit`] for one of somebody else's.
+pub(crate) fn open(path: &Path) -> Result<OwnedFd, SessionError> {
+    open_private(rustix::fs::CWD, path).map_err(|cause| match cause {
+        Unfit::Missing | Unfit::NotAFolder => {
+            SessionError::NoSession { searched: super::Searched::folder(path) }
+        }
+        cause => SessionError::Unfit { path: path.to_owned(), cause },
+    })
+}
+
+/// Whether the host of a session's folder is running: it holds the folder's lock. The handle must not be the host's own.
+pub(crate) fn is_locked(folder: impl AsFd) -> bool {
+    match flock(folder.as_fd(), FlockOperation::NonBlockingLockShared) {
+        Ok(()) => {
+            // Nobody else waits for it; it would go with the handle anyway.
+            let _ = flock(folder, FlockOperation::Unlock);
+            false
+        }
+        Err(_) => true,
+    }
+}
+
+/// Whether the host of the session in this folder is running.
+pub fn host_is_alive(folder: &Path) -> bool {
+    open(folder).is_ok_and(is_locked)
+}
+
+/// Folders of all running sessions of this user that have this name, or of all.
+pub fn running_sessions(name: Option<&str>) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for place in places() {
+        let Ok(sessions) = place.open() else { continue };
+        for id in session_names(&sessions).filter(|id| name.is_none_or(|name| id.to_string() == name)) {
+            let name = id.to_string();
+            if open_private(&sessions, Path::new(&name)).is_ok_and(is_locked) {
+                found.push(place.path().join(name));
+            }
+        }
+    }
+    found
+}
+
+/// The running session that was announced last, if there is one.
+pub fn newest_session() -> Option<PathBuf> {
+    let announced = |folder: PathBuf| {
+        let since =
+            std::fs::metadata(folder.join(super::ANNOUNCEMENT_FILE)).and_then(|meta| meta.modified()).ok()?;
+        Some((since, folder))
+    };
+    running_sessions(None).into_iter().filter_map(announced).max().map(|(_, folder)| folder)
+}
+
+/// Removes the sessions of hosts that are no longer running, wherever this user's sessions lie. Returns how many.
+pub fn wipe_dead_sessions() -> usize {
+    places().iter().filter_map(|place| place.open().ok()).map(|sessions| wipe_dead_in(&sessions)).sum()
+}
+
+fn wipe_dead_in(sessions: &OwnedFd) -> usize {
+    session_names(sessions).map(|id| wipe_if_dead(sessions, &id)).filter(|wiped| *wiped).count()
+}
+
+/// Removes a session's folder if it is one: a real folder of this user's alone, whose lock is free, and which holds the
+/// marker with its own name; or an empty one, of a host that was killed before it could mark it.
+fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
+    let name = id.to_string();
+    let Ok(folder) = open_private(sessions, Path::new(&name)) else { return false };
+    if flock(&folder, FlockOperation::NonBlockingLockExclusive).is_err() {
+        return false;
+    }
+    match read_file(&folder, MARKER) {
+        Ok(text) if text == name => {
+            remove(sessions, id, &folder);
+            true
+        }
+        // The system refuses to remove one in which anything lies.
+        Err(cause) if cause.kind() == io::ErrorKind::NotFound => {
+            unlinkat(sessions, &name, AtFlags::REMOVEDIR).is_ok()
+        }
+        _ => false,
+    }
+}
+
+fn session_names(sessions: &OwnedFd) -> impl Iterator<Item = SessionId> {
+    names(sessions).into_iter().filter_map(|(name, _)| SessionId::parse(name.to_str().ok()?))
+}
+
+/// Names in a folder, and what they are of.
+fn names(folder: impl AsFd) -> Vec<(Box<CStr>, FileType)> {
+    let entries = Dir::read_from(folder).into_iter().flatten().flatten();
+    let others = entries.filter(|entry| !matches!(entry.file_name().to_bytes(), b"." | b".."));
+    others.map(|entry| (entry.file_name().into(), entry.file_type())).collect()
+}
+
+/// Removes a session: its shared memory and its folder, the marker last, so that the next host goes on where this one may be
+/// interrupted. What is gone already is no error.
+fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
+    if let Ok(memory) = SharedMemory::open() {
+        memory.remove(&id.shared_memory_prefix());
+    }
+    remove_content(folder, Some(MARKER));
+    let _ = unlinkat(folder, MARKER, AtFlags::empty());
+    let _ = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR);
+}
+
+/// Removes what lies in an open folder, never what a link in it leads to.
+fn remove_content(folder: &OwnedFd, kept: Option<&str>) {
+    for (name, kind) in names(folder) {
+        if kept.is_some_and(|kept| name.to_bytes() == kept.as_bytes()) {
+            continue;
+        }
+        if kind == FileType::Directory {
+            let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+            if let Ok(inner) = openat(folder, &*name, flags, Mode::empty()) {
+                remove_content(&inner, None);
+            }
+            let _ = unlinkat(folder, &*name, AtFlags::REMOVEDIR);
+        } else {
+            let _ = unlinkat(folder, &*name, AtFlags::empty());
+        }
+    }
+}

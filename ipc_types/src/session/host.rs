@@ -1,0 +1,165 @@
+//! The host's side of a session: it makes every service before it announces the session, and removes all at its end.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::service::attribute::AttributeSpecifier;
+
+use super::announcement::ANNOUNCEMENT_FILE;
+use super::folder::{self, HostFolder, wipe_dead_sessions};
+use super::places::{Searched, choose, places};
+use super::{
+    Announcement, ByteService, EventService, FLAGS_FILE, ICEORYX2_VERSION, Reader, Session, SessionError,
+    create_node, file_error, transported,
+};
+use crate::scene::{Policy, Wait};
+use crate::services::{self, SAMPLES_HELD, Service};
+use crate::shared_memory::SharedMemory;
+use crate::wake::WakeFlags;
+
+const MAX_NODES: usize = 64;
+
+/// The host's side: it owns the services and removes them at its end.
+#[derive(Debug)]
+pub struct SessionHost {
+    /// The session as its own first client.
+    pub session: Session,
+    _byte_services: Vec<ByteService>,
+    _event_services: Vec<EventService>,
+    /// Removed last.
+    folder: HostFolder,
+}
+
+/// What the host must know to make the services of a scene.
+#[derive(Debug, Clone)]
+pub struct SessionPlan {
+    /// Controllers in the scene's order.
+    pub controllers: Vec<String>,
+    /// Bytes of the volume message; 0 without a volume.
+    pub volume_bytes: usize,
+    /// Bytes of a frame message; 0 without DRR.
+    pub frame_bytes: usize,
+    /// Whether a recorder takes part; the physics then waits for it.
+    pub recorder: bool,
+    /// How physics and controllers wait for each other.
+    pub wait: Wait,
+    /// How the scheduler treats them.
+    pub policy: Policy,
+}
+
+impl SessionHost {
+    /// Creates a session with all its services and announces it. Where it may not lie is refused before any session of a dead
+    /// host is removed.
+    ///
+    /// # Errors
+    /// Any [`SessionError`] but those of joining.
+    pub fn create(plan: &SessionPlan) -> Result<SessionHost, SessionError> {
+        let all = places();
+        let nowhere = || SessionError::NoSession { searched: Searched::places(None) };
+        let (place, _) = choose(&all).ok_or_else(nowhere)?;
+        let folder = HostFolder::create(place)?;
+        wipe_dead_sessions();
+        let node = create_node(&folder.path, &folder.id)?;
+        let memory = SharedMemory::open().map_err(file_error(Path::new("/dev/shm")))?;
+        memory
+            .close_to_others(&folder.id.shared_memory_prefix())
+            .map_err(file_error(Path::new("/dev/shm")))?;
+        let flags_path = folder.path.join(FLAGS_FILE);
+        let flags = WakeFlags::create(folder.handle()).map_err(file_error(&flags_path))?;
+        let mut layouts = BTreeMap::new();
+        let mut byte_services = Vec::new();
+        for (name, service) in plan.services() {
+            layouts.insert(name.clone(), service.description.layout_hash());
+            byte_services.push(create_byte_service(&node, &name, &service)?);
+        }
+        let controllers = (0..plan.controllers.len()).map(Reader::Controller);
+        let readers = [Reader::Physics, Reader::Drr, Reader::Recorder].into_iter().chain(controllers);
+        let event_services = readers
+            .map(|reader| create_event_service(&node, &reader.event_name()))
+            .collect::<Result<_, _>>()?;
+        let announcement = Announcement {
+            pid: std::process::id(),
+            iceoryx2: ICEORYX2_VERSION.to_owned(),
+            trabecula: env!("CARGO_PKG_VERSION").to_owned(),
+            layouts,
+            controllers: plan.controllers.clone(),
+            volume_bytes: plan.volume_bytes,
+            frame_bytes: plan.frame_bytes,
+            recorder: plan.recorder,
+            wait: plan.wait,
+            policy: plan.policy,
+        };
+        let session = Session {
+            // Not the handle that holds the lock: asking through that one would give it away.
+            handle: folder::open(&folder.path)?,
+            folder: folder.path.clone(),
+            id: folder.id.clone(),
+            announcement,
+            node,
+            flags,
+        };
+        Ok(SessionHost { session, _byte_services: byte_services, _event_services: event_services, folder })
+    }
+
+    /// Writes `session.json`, from which on clients may join. The file appears whole.
+    pub fn announce(&self) -> Result<(), SessionError> {
+        let text = serde_json::to_string_pretty(&self.session.announcement).map_err(|cause| {
+            file_error(&self.session.folder.join(ANNOUNCEMENT_FILE))(std::io::Error::other(cause))
+        })?;
+        self.folder.write(ANNOUNCEMENT_FILE, text.as_bytes())
+    }
+}
+
+impl SessionPlan {
+    fn services(&self) -> Vec<(String, Service)> {
+        let mut all = Vec::new();
+        for service in services::ALL {
+            let max_bytes = match service.name {
+                name if name == services::VOLUME.name => self.volume_bytes,
+                name if name == services::FRAME.name => self.frame_bytes,
+                _ => service.max_bytes,
+            };
+            if max_bytes > 0 {
+                all.push((service.name.to_owned(), Service { max_bytes, ..*service }));
+            }
+        }
+        all.extend(self.controllers.iter().map(|name| (services::command_name(name), services::COMMAND)));
+        all
+    }
+}
+
+fn create_byte_service(
+    node: &Node<ipc::Service>,
+    name: &str,
+    service: &Service,
+) -> Result<ByteService, SessionError> {
+    let service_name = name.try_into().map_err(transported(name, "naming"))?;
+    let key = "layout".try_into().map_err(transported(name, "describing"))?;
+    let value =
+        service.description.layout_hash().as_str().try_into().map_err(transported(name, "describing"))?;
+    let attributes =
+        AttributeSpecifier::new().define(&key, &value).map_err(transported(name, "describing"))?;
+    node.service_builder(&service_name)
+        .publish_subscribe::<[u8]>()
+        .enable_safe_overflow(true)
+        .subscriber_max_buffer_size(service.lossless_length)
+        .subscriber_max_borrowed_samples(SAMPLES_HELD)
+        .history_size(service.history)
+        .max_publishers(service.max_publishers)
+        .max_subscribers(service.max_subscribers)
+        .max_nodes(MAX_NODES)
+        .create_with_attributes(&attributes)
+        .map_err(transported(name, "creating"))
+}
+
+fn create_event_service(node: &Node<ipc::Service>, name: &str) -> Result<EventService, SessionError> {
+    let service_name = name.try_into().map_err(transported(name, "naming"))?;
+    node.service_builder(&service_name)
+        .event()
+        .max_notifiers(16)
+        .max_listeners(2)
+        .max_nodes(MAX_NODES)
+        .create()
+        .map_err(transported(name, "creating"))
+}

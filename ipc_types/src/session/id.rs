@@ -1,0 +1,93 @@
+//! Names of sessions: random, so that nobody can be there before.
+
+use std::fmt::{self, Display, Formatter};
+use std::path::Path;
+
+use super::SessionError;
+use super::places::last_name;
+
+/// Name of a session: [`SessionId::LENGTH`] letters and digits from the system's generator of random numbers.
+///
+/// Nobody can guess it, and so plant files under the names that a session will use; and two hubs whose process numbers are
+/// the same, in two containers with one `/dev/shm`, do not have the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SessionId(String);
+
+const DIGITS: &[u8; 62] = b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz";
+
+impl SessionId {
+    /// 62^11 is more than 2^64.
+    pub const LENGTH: usize = 11;
+
+    /// A new one.
+    ///
+    /// # Errors
+    /// [`SessionError::NoRandomness`].
+    pub(crate) fn random() -> Result<SessionId, SessionError> {
+        let mut text = String::with_capacity(SessionId::LENGTH);
+        while text.len() < SessionId::LENGTH {
+            let mut bytes = [0; 4 * SessionId::LENGTH];
+            getrandom::fill(&mut bytes)
+                .map_err(|cause| SessionError::NoRandomness { cause: cause.to_string() })?;
+            // Six bits a digit; what is none of the 62 is left out, so that each is as likely as another.
+            let digits = bytes.iter().filter_map(|byte| DIGITS.get(usize::from(byte & 63)));
+            text.extend(digits.map(|digit| char::from(*digit)));
+        }
+        text.truncate(SessionId::LENGTH);
+        Ok(SessionId(text))
+    }
+
+    /// Takes a name that is exactly one of a session.
+    pub fn parse(name: &str) -> Option<SessionId> {
+        let fits = name.len() == SessionId::LENGTH && name.bytes().all(|byte| byte.is_ascii_alphanumeric());
+        fits.then(|| SessionId(name.to_owned()))
+    }
+
+    /// The session whose folder this is, by its name.
+    pub fn of(folder: &Path) -> Option<SessionId> {
+        last_name(folder).and_then(SessionId::parse)
+    }
+
+    /// What the names of its shared memory begin with: they carry the transport's version.
+    pub fn shared_memory_prefix(&self) -> String {
+        format!("trabecula010_{self}_")
+    }
+}
+
+/// Bytes of [`SessionId::shared_memory_prefix`].
+pub(crate) const PREFIX_LENGTH: usize = "trabecula010_".len() + SessionId::LENGTH + "_".len();
+
+impl Display for SessionId {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_random_and_only_exact_ones_are_taken() {
+        let ids: Vec<SessionId> = (0..100).map(|_| SessionId::random().unwrap()).collect();
+        for (index, id) in ids.iter().enumerate() {
+            assert_eq!(SessionId::parse(&id.to_string()).as_ref(), Some(id));
+            assert_eq!(id.shared_memory_prefix().len(), PREFIX_LENGTH);
+            assert!(!ids[..index].contains(id));
+        }
+        for name in [
+            "",
+            "src",
+            "4194305-0",
+            "0123456789",
+            "0123456789Ab",
+            "0123456789/",
+            "0123456789ä",
+            ".0123456789",
+        ] {
+            assert_eq!(SessionId::parse(name), None, "{name}");
+        }
+        assert!(SessionId::of(Path::new("/tmp/trabecula-hubs-0/0123456789a")).is_some());
+        assert!(SessionId::of(Path::new("/tmp/0123456789a/..")).is_none());
+    }
+}

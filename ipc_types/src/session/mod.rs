@@ -1,0 +1,118 @@
+//! A session: one hub's services in shared memory, apart from those of every other hub on the machine.
+//!
+//! The launcher is the host: it creates every service before it announces the session in `session.json`, because a
+//! process killed while it creates a service poisons the name for good (measured with iceoryx2 0.10). Clients only
+//! open. The session's folder and shared memory go when the host ends; a session whose host was killed is wiped by the
+//! next host that starts.
+
+mod announcement;
+mod error;
+mod folder;
+mod host;
+mod id;
+mod places;
+
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::{
+    FileName, LogLevel, Node, NodeBuilder, SemanticString, SignalHandlingMode, ipc, set_log_level,
+};
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+
+use crate::services::CONNECTIONS_BYTES;
+use crate::shared_memory::require_free;
+use crate::wake::WakeFlags;
+
+pub use announcement::Announcement;
+pub(crate) use announcement::{ANNOUNCEMENT_FILE, await_announcement, check_layouts};
+pub use error::SessionError;
+pub(crate) use error::{file_error, short_memory, transported};
+pub(crate) use folder::{create_file, is_locked, open as open_folder};
+pub use folder::{host_is_alive, newest_session, running_sessions, wipe_dead_sessions};
+pub use host::{SessionHost, SessionPlan};
+pub use id::SessionId;
+pub use places::{Place, Searched, Unfit, passed_over, places};
+
+/// The iceoryx2 version that the hub speaks; another version does not join.
+pub const ICEORYX2_VERSION: &str = "0.10.0";
+/// Environment variable that holds the folder of the session to join.
+pub const SESSION_VARIABLE: &str = "TRABECULA_SESSION";
+/// Environment variable that holds the name of the controller that a program is.
+pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
+
+/// The file of wake flags in a session's folder.
+pub(crate) const FLAGS_FILE: &str = "wake.flags";
+
+pub(crate) type ByteService = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
+pub(crate) type EventService = event::PortFactory<ipc::Service>;
+
+/// A session seen by one process: its node and the way to its services.
+#[derive(Debug)]
+pub struct Session {
+    pub(crate) folder: PathBuf,
+    /// The open folder: it can be asked whether the host lives even when its name is gone.
+    pub(crate) handle: OwnedFd,
+    pub(crate) id: SessionId,
+    pub(crate) announcement: Announcement,
+    pub(crate) node: Node<ipc::Service>,
+    pub(crate) flags: WakeFlags,
+}
+
+/// Who waits on an event of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reader {
+    /// The physics process.
+    Physics,
+    /// The DRR process.
+    Drr,
+    /// The recorder process.
+    Recorder,
+    /// The scene's controller of this index.
+    Controller(usize),
+}
+
+impl Reader {
+    pub(crate) fn slot(self) -> usize {
+        match self {
+            Reader::Physics => 0,
+            Reader::Drr => 1,
+            Reader::Recorder => 2,
+            Reader::Controller(index) => 8 + index,
+        }
+    }
+
+    pub(crate) fn event_name(self) -> String {
+        match self {
+            Reader::Physics => "wake/physics".to_owned(),
+            Reader::Drr => "wake/drr".to_owned(),
+            Reader::Recorder => "wake/recorder".to_owned(),
+            Reader::Controller(index) => format!("wake/controller/{index}"),
+        }
+    }
+}
+
+fn transport_config(folder: &Path, id: &SessionId) -> Result<Config, SessionError> {
+    let invalid =
+        |cause: String| SessionError::Transported { service: "session".into(), action: "configuring", cause };
+    let mut config = Config::default();
+    let root = iceoryx2::prelude::Path::new(folder.as_os_str().as_encoded_bytes())
+        .map_err(|e| invalid(format!("{e:?}")))?;
+    config.global.set_root_path(&root);
+    config.global.prefix =
+        FileName::new(id.shared_memory_prefix().as_bytes()).map_err(|e| invalid(format!("{e:?}")))?;
+    Ok(config)
+}
+
+pub(crate) fn create_node(folder: &Path, id: &SessionId) -> Result<Node<ipc::Service>, SessionError> {
+    // The node's and the services' own segments come before any port's.
+    require_free(CONNECTIONS_BYTES).map_err(short_memory("session"))?;
+    // Every failure comes back as an error of ours; the transport's own log would only say it twice.
+    set_log_level(LogLevel::Fatal);
+    NodeBuilder::new()
+        .config(&transport_config(folder, id)?)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>()
+        .map_err(transported("session", "creating a node"))
+}

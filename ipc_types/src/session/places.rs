@@ -1,0 +1,356 @@
+//! Where the sessions of this user lie: in one folder of its own below the user's run-time folder, or below `/tmp`.
+//!
+//! A host takes the first place that may hold sessions and says which it passed over, and why; what is wrong with the
+//! folder of sessions itself is refused. A client looks in all places: programs of one user (a desktop, an ssh
+//! connection, cron) do not all have the same environment.
+
+use std::ffi::{OsStr, OsString};
+use std::fmt::{self, Display, Formatter};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::{Component, Path, PathBuf};
+
+use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, Stat};
+use rustix::io::Errno;
+use thiserror::Error;
+
+use super::SessionError;
+use super::folder::MAX_ROOT_PATH;
+use super::id::SessionId;
+
+/// Name of the folder that holds sessions and nothing else: no clone, and no folder of a user's, has it.
+const NAME: &str = "trabecula-hubs";
+const VARIABLE: &str = "XDG_RUNTIME_DIR";
+/// Where the run-time folder lies on most systems, for programs that are started without the variable.
+const RUN_USER: &str = "/run/user";
+const TEMPORARY: &str = "/tmp";
+
+/// Why a folder may not hold sessions.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum Unfit {
+    /// The variable holds nothing.
+    #[error("it is empty")]
+    Empty,
+    /// The path depends on who uses it.
+    #[error("it is not an absolute path")]
+    Relative,
+    /// Nothing is there.
+    #[error("it does not exist")]
+    Missing,
+    /// Where it leads may change.
+    #[error("it is a link")]
+    Link,
+    /// It is something else.
+    #[error("it is not a folder")]
+    NotAFolder,
+    /// Somebody else could change what is in it.
+    #[error("it belongs to user {owner}, this program runs as user {user}")]
+    NotOwn {
+        /// Whose it is.
+        owner: u32,
+        /// Whose this process is.
+        user: u32,
+    },
+    /// Somebody else could read or change what is in it.
+    #[error("its mode is {mode:o}, expected 700: others may enter it")]
+    NotPrivate {
+        /// Its permissions.
+        mode: u32,
+    },
+    /// Others may remove or rename what is in it.
+    #[error("its mode is {mode:o}, expected 1777: everybody may remove what others have there")]
+    NotSticky {
+        /// Its permissions.
+        mode: u32,
+    },
+    /// The transport's sockets have names of 108 bytes at most.
+    #[error("it has {bytes} bytes; with more than {limit} the names of sockets below it are too long")]
+    TooLong {
+        /// Bytes of the path.
+        bytes: usize,
+        /// Most that it may have.
+        limit: usize,
+    },
+    /// The system refuses to look.
+    #[error("{0}")]
+    System(Errno),
+}
+
+/// One place that may hold sessions.
+#[derive(Debug, Clone)]
+pub struct Place {
+    /// Folder of the sessions.
+    sessions: PathBuf,
+    /// The folder above it: a run-time folder, or `/tmp`.
+    above: PathBuf,
+    kind: Kind,
+    /// Why it is passed over.
+    unfit: Option<Unfit>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// Named by the variable.
+    Named,
+    /// The usual one, which this process's environment does not name.
+    Usual,
+    Temporary,
+}
+
+/// What is wrong with a folder that is to be this user's own and closed to everybody else.
+fn private(stat: &Stat) -> Result<(), Unfit> {
+    let user = rustix::process::geteuid().as_raw();
+    match FileType::from_raw_mode(stat.st_mode) {
+        FileType::Directory => {}
+        FileType::Symlink => return Err(Unfit::Link),
+        _ => return Err(Unfit::NotAFolder),
+    }
+    if stat.st_uid != user {
+        return Err(Unfit::NotOwn { owner: stat.st_uid, user });
+    }
+    let mode = stat.st_mode & 0o7777;
+    if mode & 0o077 == 0 { Ok(()) } else { Err(Unfit::NotPrivate { mode }) }
+}
+
+/// Opens a folder that is no link; what is checked afterwards is what was opened.
+fn open_folder(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
+    let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+    rustix::fs::openat(above.as_fd(), path, flags, Mode::empty()).map_err(|cause| match cause {
+        Errno::NOENT => Unfit::Missing,
+        Errno::LOOP | Errno::NOTDIR => match rustix::fs::statat(above, path, AtFlags::SYMLINK_NOFOLLOW) {
+            Ok(stat) if FileType::from_raw_mode(stat.st_mode) == FileType::Symlink => Unfit::Link,
+            _ => Unfit::NotAFolder,
+        },
+        other => Unfit::System(other),
+    })
+}
+
+/// Opens a folder if it is this user's own, no link, and closed to everybody else.
+///
+/// # Errors
+/// What is wrong with it.
+pub(crate) fn open_private(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
+    let folder = open_folder(above, path)?;
+    private(&rustix::fs::fstat(&folder).map_err(Unfit::System)?)?;
+    Ok(folder)
+}
+
+impl Place {
+    fn new(above: PathBuf, kind: Kind, user: u32) -> Place {
+        let name = if kind == Kind::Temporary { format!("{NAME}-{user}") } else { NAME.to_owned() };
+        let sessions = above.join(name);
+        let mut place = Place { sessions, above, kind, unfit: None };
+        place.unfit = place.open_above().err();
+        place
+    }
+
+    /// The folder of its sessions.
+    pub fn path(&self) -> &Path {
+        &self.sessions
+    }
+
+    fn open_above(&self) -> Result<OwnedFd, Unfit> {
+        let limit = MAX_ROOT_PATH
+            - SessionId::LENGTH
+            - 1
+            - (self.sessions.as_os_str().len() - self.above.as_os_str().len());
+        let bytes = self.above.as_os_str().len();
+        if bytes == 0 {
+            return Err(Unfit::Empty);
+        }
+        if !self.above.is_absolute() {
+            return Err(Unfit::Relative);
+        }
+        if bytes > limit {
+            return Err(Unfit::TooLong { bytes, limit });
+        }
+        if self.kind != Kind::Temporary {
+            return open_private(CWD, &self.above);
+        }
+        // Everybody's: what is in it is safe as long as only its owner may remove it.
+        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
+        let above =
+            rustix::fs::openat(CWD, &self.above, flags, Mode::empty()).map_err(|cause| match cause {
+                Errno::NOENT => Unfit::Missing,
+                Errno::NOTDIR => Unfit::NotAFolder,
+                other => Unfit::System(other),
+            })?;
+        let mode = rustix::fs::fstat(&above).map_err(Unfit::System)?.st_mode & 0o7777;
+        if mode & 0o022 != 0 && mode & 0o1000 == 0 { Err(Unfit::NotSticky { mode }) } else { Ok(above) }
+    }
+
+    /// Opens the folder of its sessions.
+    ///
+    /// # Errors
+    /// What is wrong with it, or that it is not there.
+    pub(crate) fn open(&self) -> Result<OwnedFd, Unfit> {
+        let name = self.sessions.file_name().unwrap_or(OsStr::new(NAME));
+        open_private(self.open_above()?, Path::new(name))
+    }
+
+    /// The same, and makes it first where there is none.
+    pub(crate) fn open_or_make(&self) -> Result<OwnedFd, SessionError> {
+        let refused = |cause: Unfit| SessionError::Unfit { path: self.sessions.clone(), cause };
+        let above =
+            self.open_above().map_err(|cause| SessionError::Unfit { path: self.above.clone(), cause })?;
+        let name = Path::new(self.sessions.file_name().unwrap_or(OsStr::new(NAME)));
+        match rustix::fs::mkdirat(&above, name, Mode::RWXU) {
+            Ok(()) | Err(Errno::EXIST) => open_private(above, name).map_err(refused),
+            Err(cause) => Err(refused(Unfit::System(cause))),
+        }
+    }
+}
+
+impl Display for Place {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match (&self.unfit, self.open()) {
+            (Some(cause), _) => write!(f, "{} (passed over: {cause})", self.above_as_named()),
+            (None, Err(Unfit::Missing)) => write!(f, "{} (not there)", self.sessions.display()),
+            (None, Err(cause)) => write!(f, "{} (passed over: {cause})", self.sessions.display()),
+            (None, Ok(_)) => write!(f, "{}", self.sessions.display()),
+        }
+    }
+}
+
+impl Place {
+    fn above_as_named(&self) -> String {
+        match self.kind {
+            Kind::Named => format!("{VARIABLE}=\"{}\"", self.above.display()),
+            Kind::Usual | Kind::Temporary => self.above.display().to_string(),
+        }
+    }
+}
+
+/// Every place, in the order in which a host takes them.
+pub fn places() -> Vec<Place> {
+    places_of(std::env::var_os(VARIABLE), rustix::process::geteuid().as_raw())
+}
+
+fn places_of(variable: Option<OsString>, user: u32) -> Vec<Place> {
+    // Without a `/` at its end, which would have a link followed.
+    let plain = |path: &Path| path.components().collect::<PathBuf>();
+    let named = variable.map(|folder| plain(Path::new(&folder)));
+    let usual = Path::new(RUN_USER).join(user.to_string());
+    let is_usual = named.as_ref().is_some_and(|folder| *folder == usual);
+    let mut all = Vec::new();
+    all.extend(named.map(|folder| Place::new(folder, Kind::Named, user)));
+    all.extend((!is_usual && usual.exists()).then(|| Place::new(usual, Kind::Usual, user)));
+    all.push(Place::new(PathBuf::from(TEMPORARY), Kind::Temporary, user));
+    all
+}
+
+/// The place that a host takes, and what is to be said of the one that it passes over.
+///
+/// A folder that the environment does not name is not taken: a run of cron's would lose it when the user's last login
+/// ends.
+pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
+    let chosen = all.iter().find(|place| place.kind != Kind::Usual && place.unfit.is_none())?;
+    let passed = all.iter().find(|place| place.kind == Kind::Named).and_then(|place| {
+        let cause = place.unfit.as_ref()?;
+        let (named, sessions) = (place.above_as_named(), chosen.sessions.display());
+        Some(format!("{named} is passed over: {cause}; the session lies in {sessions}"))
+    });
+    Some((chosen, passed))
+}
+
+/// What is to be said of a run-time folder that holds no sessions though the environment names it.
+pub fn passed_over() -> Option<String> {
+    choose(&places()).and_then(|(_, passed)| passed)
+}
+
+/// Where a session was looked for, and what was found there.
+#[derive(Debug, Clone)]
+pub struct Searched {
+    name: Option<String>,
+    places: Vec<Place>,
+}
+
+impl Searched {
+    /// Every place of this user; `name` is that of the session, if one was named.
+    pub fn places(name: Option<&str>) -> Searched {
+        Searched { name: name.map(str::to_owned), places: places() }
+    }
+
+    /// One folder.
+    pub fn folder(folder: &Path) -> Searched {
+        Searched { name: Some(folder.display().to_string()), places: Vec::new() }
+    }
+}
+
+impl Display for Searched {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str("no running session")?;
+        self.name.iter().try_for_each(|name| write!(f, " `{name}`"))?;
+        if !self.places.is_empty() {
+            let places: Vec<String> = self.places.iter().map(Place::to_string).collect();
+            write!(f, " in {}", places.join(", nor in "))?;
+        }
+        let user = rustix::process::geteuid().as_raw();
+        write!(
+            f,
+            "; start one with `trabecula run SCENE` as user {user}, who this program is: sessions of other users, and those \
+             whose folder was removed, cannot be joined"
+        )
+    }
+}
+
+/// True where a path's last part is a name, as a folder's is.
+pub(crate) fn last_name(path: &Path) -> Option<&str> {
+    match path.components().next_back()? {
+        Component::Normal(name) => name.to_str(),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, Permissions};
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    fn chosen(variable: Option<&OsStr>) -> (PathBuf, Option<String>) {
+        let user = rustix::process::geteuid().as_raw();
+        let all = places_of(variable.map(OsStr::to_owned), user);
+        let (place, said) = choose(&all).unwrap();
+        (place.path().to_owned(), said)
+    }
+
+    /// Every run-time folder that is none of this user's own is passed over with its reason, and never made.
+    #[test]
+    fn a_run_time_folder_that_is_not_the_users_own_is_passed_over() {
+        let temporary = PathBuf::from(format!("/tmp/{NAME}-{}", rustix::process::geteuid().as_raw()));
+        assert_eq!(chosen(None), (temporary.clone(), None));
+        let base = tempfile::Builder::new().prefix("t").rand_bytes(4).tempdir_in("/tmp").unwrap();
+        fs::set_permissions(base.path(), Permissions::from_mode(0o700)).unwrap();
+        let own = base.path();
+        assert_eq!(chosen(Some(own.as_os_str())), (own.join(NAME), None));
+        let (link, file) = (own.join("l"), own.join("f"));
+        std::os::unix::fs::symlink(own, &link).unwrap();
+        fs::write(&file, "").unwrap();
+        let open = own.join("o");
+        fs::create_dir(&open).unwrap();
+        fs::set_permissions(&open, Permissions::from_mode(0o750)).unwrap();
+        let with_slash = PathBuf::from(format!("{}/", link.display()));
+        let long = own.join("x".repeat(100));
+        for (given, reason) in [
+            (Path::new(""), "it is empty"),
+            (Path::new("run"), "it is not an absolute path"),
+            (&own.join("n"), "it does not exist"),
+            (&link, "it is a link"),
+            (&with_slash, "it is a link"),
+            (&file, "it is not a folder"),
+            (&open, "its mode is 750, expected 700"),
+            (
+                Path::new("/tmp"),
+                if rustix::process::geteuid().is_root() { "mode is 1777" } else { "belongs to user" },
+            ),
+            (&long, "the names of sockets below it are too long"),
+        ] {
+            let (place, said) = chosen(Some(given.as_os_str()));
+            assert_eq!(place, temporary, "{}", given.display());
+            let said = said.unwrap();
+            assert!(said.contains(reason) && said.contains(VARIABLE), "{}: {said}", given.display());
+        }
+        assert!(!own.join("n").exists(), "nothing is made on the way");
+    }
+}

@@ -1,0 +1,149 @@
+//! The names of a session's shared memory in `/dev/shm`, a folder where every user of the machine may have files: what is
+//! changed, reserved or removed there is first opened and found to be this user's own.
+
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+
+use rustix::fs::{AtFlags, CWD, Dir, FallocateFlags, FileType, Mode, OFlags, Stat};
+use rustix::io::Errno;
+
+/// Where shared memory lies.
+const FOLDER: &str = "/dev/shm";
+
+/// The open folder of shared memory.
+#[derive(Debug)]
+pub(crate) struct SharedMemory(OwnedFd);
+
+/// A segment that could not be given its memory.
+#[derive(Debug)]
+pub(crate) struct Short {
+    pub(crate) bytes: u64,
+    pub(crate) cause: io::Error,
+}
+
+impl SharedMemory {
+    pub(crate) fn open() -> io::Result<SharedMemory> {
+        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
+        Ok(SharedMemory(rustix::fs::openat(CWD, FOLDER, flags, Mode::empty())?))
+    }
+
+    fn names(&self, prefix: &str) -> Vec<String> {
+        let entries = Dir::read_from(&self.0).into_iter().flatten().flatten();
+        let names = entries.filter_map(|entry| entry.file_name().to_str().ok().map(str::to_owned));
+        names.filter(|name| name.starts_with(prefix)).collect()
+    }
+
+    /// Opens a file if it is this user's own and has one name only; a link, or what another user has put there, is not.
+    fn open_own(&self, name: &str, access: OFlags) -> Option<(OwnedFd, Stat)> {
+        let flags = access | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let file = rustix::fs::openat(&self.0, name, flags, Mode::empty()).ok()?;
+        let stat = rustix::fs::fstat(&file).ok()?;
+        (is_own(&stat) && stat.st_nlink == 1).then_some((file, stat))
+    }
+
+    /// Takes everybody else's rights to a session's shared memory. The transport's first node makes one segment that all
+    /// users may write, for nodes of several users, which a session has none of.
+    pub(crate) fn close_to_others(&self, prefix: &str) -> io::Result<()> {
+        for name in self.names(prefix) {
+            if let Some((file, _)) = self.open_own(&name, OFlags::RDONLY) {
+                rustix::fs::fchmod(file, Mode::RUSR | Mode::WUSR)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes a session's names.
+    pub(crate) fn remove(&self, prefix: &str) {
+        for name in self.names(prefix) {
+            let stat = rustix::fs::statat(&self.0, &name, AtFlags::SYMLINK_NOFOLLOW);
+            if stat.is_ok_and(|stat| is_own(&stat)) {
+                // It may be gone already.
+                let _ = rustix::fs::unlinkat(&self.0, &name, AtFlags::empty());
+            }
+        }
+    }
+
+    /// Gives every data segment of a session its memory now, so that a full `/dev/shm` is an error here and not a SIGBUS in
+    /// the first write.
+    pub(crate) fn reserve(&self, prefix: &str) -> Result<(), Short> {
+        for name in self.names(prefix).iter().filter(|name| name.ends_with(".data")) {
+            // A segment of a process that has ended meanwhile needs no memory any more.
+            let Some((file, stat)) = self.open_own(name, OFlags::WRONLY) else { continue };
+            let bytes = u64::try_from(stat.st_size).unwrap_or(0);
+            if bytes > 0 {
+                rustix::fs::fallocate(file.as_fd(), FallocateFlags::empty(), 0, bytes)
+                    .map_err(|cause| Short { bytes, cause: cause.into() })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn is_own(stat: &Stat) -> bool {
+    FileType::from_raw_mode(stat.st_mode) == FileType::RegularFile
+        && stat.st_uid == rustix::process::geteuid().as_raw()
+}
+
+/// The transport touches memory before it is reserved; where there is none that is a SIGBUS, so a port is made only
+/// where there is enough.
+pub(crate) fn require_free(bytes: u64) -> Result<(), Short> {
+    match rustix::fs::statvfs(FOLDER) {
+        Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {
+            Err(Short { bytes, cause: Errno::NOSPC.into() })
+        }
+        // A file system that does not say may have enough.
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, Permissions};
+    use std::os::unix::fs::{MetadataExt, PermissionsExt};
+
+    use super::*;
+
+    const PREFIX: &str = "trabecula010_0123456789a_";
+
+    /// Links and other users' files under a session's names were given another mode, the file that a link leads to
+    /// included, and removed.
+    #[test]
+    fn planted_files_and_links_keep_their_mode_and_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let open = |name: &str| {
+            fs::write(path(name), name).unwrap();
+            fs::set_permissions(path(name), Permissions::from_mode(0o666)).unwrap();
+        };
+        let ours = format!("{PREFIX}ours.data");
+        let (linked, twice, foreign) =
+            (format!("{PREFIX}link.data"), format!("{PREFIX}twice.data"), format!("{PREFIX}foreign.data"));
+        for name in ["secret", "other", "trabecula010_other", &ours, &foreign] {
+            open(name);
+        }
+        std::os::unix::fs::symlink(path("secret"), path(&linked)).unwrap();
+        fs::hard_link(path("other"), path(&twice)).unwrap();
+        let is_root = rustix::process::geteuid().is_root();
+        if is_root {
+            std::os::unix::fs::chown(path(&foreign), Some(65_534), Some(65_534)).unwrap();
+        }
+        let memory = SharedMemory(fs::File::open(folder.path()).unwrap().into());
+        memory.close_to_others(PREFIX).unwrap();
+        memory.reserve(PREFIX).unwrap();
+        let mode = |name: &str| fs::symlink_metadata(path(name)).unwrap().mode() & 0o777;
+        assert_eq!(mode(&ours), 0o600);
+        for name in ["secret", "other", "trabecula010_other"] {
+            assert_eq!(mode(name), 0o666, "{name}");
+        }
+        memory.remove(PREFIX);
+        assert!(!path(&ours).exists() && path("other").exists() && path("trabecula010_other").exists());
+        assert!(fs::symlink_metadata(path(&linked)).is_ok(), "a link is none of ours");
+        assert_eq!(fs::read(path("secret")).unwrap(), b"secret");
+        if is_root {
+            assert_eq!(mode(&foreign), 0o666);
+            assert!(path(&foreign).exists());
+        } else {
+            println!("\n*** SKIPPED in part: only root can make another user's file ***\n");
+        }
+    }
+}

@@ -1,0 +1,317 @@
+//! Where sessions lie, what is removed there and what never is, and a session whose folder goes.
+
+use std::fs::{self, Permissions};
+use std::io::{BufRead, BufReader};
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use ipc_types::messages::{CONTROL_RESUME, CONTROL_STOP};
+use ipc_types::session::{SESSION_VARIABLE, SessionId};
+use tempfile::TempDir;
+use trabecula_client::{Client, ClientError, Connection};
+
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, wait_for};
+use crate::common::scenes;
+use crate::strays::joined;
+
+const VARIABLE: &str = "XDG_RUNTIME_DIR";
+
+/// A folder as short as a run-time folder, because sockets lie below it.
+fn short_folder() -> TempDir {
+    folder_with(6)
+}
+
+/// One with so many random letters in its name, as a run-time folder is: this user's alone.
+fn folder_with(letters: usize) -> TempDir {
+    let folder = tempfile::Builder::new().prefix("t").rand_bytes(letters).tempdir_in("/tmp").unwrap();
+    fs::set_permissions(folder.path(), Permissions::from_mode(0o700)).unwrap();
+    folder
+}
+
+/// The command of a short run with this run-time folder, started in a folder.
+fn launcher(place: &Place, scene: &str, runtime: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    command.arg("run").arg(place.scene(scene)).arg("--output").arg(place.path("out")).arg("--quiet");
+    command.env(VARIABLE, runtime).current_dir(place.path(""));
+    command
+}
+
+/// What a user has: sources in a clone named `trabecula`, in one named like the folder of sessions, and in folders whose names
+/// are those of sessions; a link to a home; and a session of a dead host, the only thing that may be removed.
+struct Content {
+    files: Vec<PathBuf>,
+    dead: PathBuf,
+}
+
+impl Content {
+    fn lay(runtime: &Path, sessions: &Path) -> Content {
+        let home = runtime.join("home");
+        let named = ["0123456789a", "ABCDEFGHIJK", "src"].map(|name| sessions.join(name));
+        let clone = runtime.join("trabecula");
+        let mut files = Vec::new();
+        for folder in
+            [&home, &clone, &clone.join("0123456789a"), &clone.join("src")].into_iter().chain(&named)
+        {
+            fs::create_dir_all(folder).unwrap();
+            fs::set_permissions(folder, Permissions::from_mode(0o700)).unwrap();
+            fs::write(folder.join("main.rs"), "fn main() {}").unwrap();
+            files.push(folder.join("main.rs"));
+        }
+        fs::write(home.join("session.id"), "zzzzzzzzzzz").unwrap();
+        symlink(&home, sessions.join("zzzzzzzzzzz")).unwrap();
+        let dead = sessions.join("deadDEAD012");
+        fs::create_dir(&dead).unwrap();
+        fs::set_permissions(&dead, Permissions::from_mode(0o700)).unwrap();
+        fs::write(dead.join("session.id"), "deadDEAD012").unwrap();
+        Content { files, dead }
+    }
+
+    fn assert_whole(&self, what: &str) {
+        for file in &self.files {
+            assert_eq!(fs::read(file).unwrap(), b"fn main() {}", "{what}: {}", file.display());
+        }
+    }
+}
+
+/// Every folder below that of the sessions was emptied before it was found to be somebody else's: a clone of the sources, and
+/// through a link a home.
+#[test]
+fn nothing_is_wiped_before_everything_is_checked() {
+    let place = Place::new();
+    for what in ["everybody may enter it", "it is a link", "it is not a folder", "it is another user's"] {
+        let runtime = short_folder();
+        let sessions = runtime.path().join("trabecula-hubs");
+        fs::create_dir(&sessions).unwrap();
+        fs::set_permissions(&sessions, Permissions::from_mode(0o700)).unwrap();
+        let content = Content::lay(runtime.path(), &sessions);
+        let elsewhere = runtime.path().join("elsewhere");
+        let seen = match what {
+            "everybody may enter it" => {
+                fs::set_permissions(&sessions, Permissions::from_mode(0o777)).unwrap();
+                &sessions
+            }
+            "it is another user's" if rustix::process::geteuid().is_root() => {
+                std::os::unix::fs::chown(&sessions, Some(65_534), None).unwrap();
+                &sessions
+            }
+            "it is another user's" => {
+                println!("\n*** SKIPPED in part: only root can make another user's folder ***\n");
+                continue;
+            }
+            _ => {
+                fs::rename(&sessions, &elsewhere).unwrap();
+                if what == "it is a link" {
+                    symlink(&elsewhere, &sessions).unwrap();
+                } else {
+                    fs::write(&sessions, "").unwrap();
+                }
+                &elsewhere
+            }
+        };
+        let output = launcher(&place, &scenes::hold("lockstep", 0.05), runtime.path()).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{what}: {said}");
+        let words = ["trabecula-hubs", "only this user may enter", VARIABLE];
+        assert!(words.iter().all(|word| said.contains(word)), "{what}: {said}");
+        assert_eq!(fs::read_dir(seen).unwrap().count(), 5, "{what}: {said}");
+        if *seen == sessions {
+            content.assert_whole(what);
+            assert!(content.dead.join("session.id").exists(), "{what}: not even a dead session is wiped");
+        }
+    }
+}
+
+/// A run-time folder that cannot hold sessions is passed over and left as it is; in one that can, a dead host's session is all
+/// that is removed.
+#[test]
+fn a_folder_of_the_users_is_never_wiped_by_a_run() {
+    let place = Place::new();
+    let relative = place.path("relative");
+    for what in ["good", "empty", "relative", "everybody's", "missing", "a link"] {
+        let runtime = match what {
+            "relative" | "empty" => {
+                fs::create_dir_all(&relative).unwrap();
+                None
+            }
+            _ => Some(short_folder()),
+        };
+        let folder = runtime.as_ref().map_or(relative.as_path(), TempDir::path);
+        // An empty variable made the path relative to where the command was started.
+        let above = if what == "empty" { place.path("") } else { folder.to_owned() };
+        let sessions = above.join("trabecula-hubs");
+        fs::create_dir(&sessions).unwrap();
+        fs::set_permissions(&sessions, Permissions::from_mode(0o700)).unwrap();
+        let content = Content::lay(&above, &sessions);
+        let link = place.path("link");
+        let named = match what {
+            "good" => folder.to_owned(),
+            "empty" => PathBuf::new(),
+            "relative" => PathBuf::from("relative"),
+            "everybody's" => {
+                fs::set_permissions(folder, Permissions::from_mode(0o1777)).unwrap();
+                folder.to_owned()
+            }
+            "missing" => folder.join("n"),
+            _ => {
+                symlink(folder, &link).unwrap();
+                link
+            }
+        };
+        let output = launcher(&place, &scenes::hold("lockstep", 0.05), &named).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{what}: {said}");
+        content.assert_whole(what);
+        let is_good = what == "good";
+        assert_eq!(content.dead.exists(), !is_good, "{what}: {said}");
+        assert_eq!(said.contains("is passed over"), !is_good, "{what}: {said}");
+        assert!(!folder.join("n").exists(), "{what}: nothing is made");
+        assert_eq!(fs::read_dir(&sessions).unwrap().count(), if is_good { 4 } else { 5 }, "{what}");
+        for left in ["home", "trabecula", "trabecula-hubs"] {
+            fs::remove_dir_all(above.join(left)).unwrap();
+        }
+    }
+}
+
+/// The names of a session's sockets fit into the 108 bytes that the system has for them, in the longest run-time folder that
+/// is taken; a longer one is passed over.
+#[test]
+fn a_run_works_in_the_longest_run_time_folder() {
+    let place = Place::new();
+    for (random, is_taken) in [(10, true), (11, false)] {
+        let runtime = folder_with(random);
+        let output = launcher(
+            &place,
+            &scenes::shared("lockstep", 0.05).replace("external = true", "hold = { tension_n = 1.0 }"),
+            runtime.path(),
+        )
+        .output()
+        .unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert_eq!(runtime.path().join("trabecula-hubs").exists(), is_taken, "{said}");
+        assert_eq!(said.contains("names of sockets below it are too long"), !is_taken, "{said}");
+    }
+}
+
+/// Two hubs in two containers have the same process number. With one `/dev/shm` they had the same names there, and the one
+/// that ended first took the other's memory away.
+#[test]
+fn two_hubs_in_two_pid_namespaces_do_not_meet() {
+    let unshare = ["--user", "--map-root-user", "--pid", "--fork", "--kill-child"];
+    let own = if rustix::process::geteuid().is_root() { &unshare[2..] } else { &unshare[..] };
+    if !Command::new("unshare").args(own).arg("true").status().is_ok_and(|status| status.success()) {
+        return println!("\n*** SKIPPED: the system permits no process namespaces ***\n");
+    }
+    let places = [Place::new(), Place::new()];
+    let runtimes = [short_folder(), short_folder()];
+    let start = |index: usize, seconds: f64| {
+        let inner = launcher(&places[index], &scenes::hold("realtime", seconds), runtimes[index].path());
+        let mut command = Command::new("unshare");
+        command
+            .args(own)
+            .arg(inner.get_program())
+            .args(inner.get_args())
+            .env(VARIABLE, runtimes[index].path());
+        Run::of(command, places[index].path("out"))
+    };
+    let session = |index: usize| {
+        wait_for("a session", || {
+            let folders = fs::read_dir(runtimes[index].path().join("trabecula-hubs")).ok()?.flatten();
+            folders.map(|entry| entry.path()).find(|folder| folder.join("session.json").exists())
+        })
+    };
+    let memory = |session: &Path| {
+        let prefix = SessionId::of(session).unwrap().shared_memory_prefix();
+        let names = fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name());
+        names.filter(|name| name.to_string_lossy().starts_with(&prefix)).count()
+    };
+    let long = start(0, 4.0);
+    let long_session = session(0);
+    let short = start(1, 0.5);
+    let short_session = session(1);
+    let announced = |session: &Path| fs::read_to_string(session.join("session.json")).unwrap();
+    for session in [&long_session, &short_session] {
+        assert!(announced(session).contains("\"pid\": 1,"), "each is the first process of its namespace");
+    }
+    assert_ne!(long_session.file_name(), short_session.file_name());
+    let ended = short.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert!(memory(&long_session) > 10 && memory(&short_session) == 0);
+    // A third one starts, whose look for dead sessions finds the first one alive.
+    let third = start(1, 0.2).end();
+    assert_eq!(third.code, Some(0), "{}", third.err);
+    assert!(memory(&long_session) > 10);
+    let ended = long.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
+    assert_eq!(memory(&long_session), 0);
+    assert_replays(&ended.folder);
+}
+
+/// The end of a login, or a cleaner of `/tmp`, removes the session's folder: clients said that the hub was gone, and left a run
+/// that went on.
+#[test]
+fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
+    let place = Place::new();
+    let run = place.start(&scenes::drill("realtime", 60.0));
+    let mut client = joined(&run, "");
+    client.run_control(CONTROL_RESUME, 0, LIMIT).unwrap();
+    let first = client.wait_state(LIMIT).unwrap().tick;
+    let session = run.session();
+    let memory = SessionId::of(&session).unwrap().shared_memory_prefix();
+    fs::remove_dir_all(&session).unwrap();
+    // Several looks at whether the hub lives, which a client makes ten times a second while it waits.
+    while client.wait_state(LIMIT).unwrap().tick < first + 1500 {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let late = Connection {
+        session: Some(session.to_str().unwrap().to_owned()),
+        controller: Some(String::new()),
+        limit: std::time::Duration::from_millis(200),
+    };
+    let refusal = Client::connect(&late).unwrap_err();
+    assert!(matches!(refusal, ClientError::NoSession { .. }), "{refusal}");
+    let refusal = refusal.to_string();
+    let words = [session.to_str().unwrap(), "whose folder was removed, cannot be joined"];
+    assert!(words.iter().all(|word| refusal.contains(word)), "{refusal}");
+    client.run_control(CONTROL_STOP, 0, LIMIT).unwrap();
+    drop(client);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(
+        ended.err.matches("the session's folder was removed; the run goes on").count(),
+        1,
+        "{}",
+        ended.err
+    );
+    assert_nothing_left(ended.pid);
+    let left = fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name());
+    assert_eq!(left.filter(|name| name.to_string_lossy().starts_with(&memory)).count(), 0);
+    assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
+    assert_replays(&ended.folder);
+}
+
+/// A run from cron, without the variable, and a viewer on the desktop, with it, did not find each other.
+#[test]
+fn programs_with_and_without_a_run_time_folder_find_each_other() {
+    let place = Place::new();
+    let mut command = launcher(&place, &scenes::hold("realtime", 60.0), Path::new(""));
+    command.env_remove(VARIABLE);
+    let run = Run::of(command, place.path("out"));
+    run.session();
+    let runtime = short_folder();
+    let mut view = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    view.args(["view", "--port", "0", "--no-open"])
+        .env(VARIABLE, runtime.path())
+        .env_remove(SESSION_VARIABLE);
+    let mut view = view.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(view.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let _ = view.kill();
+    let _ = view.wait();
+    assert!(line.starts_with("http://"), "the viewer finds a session: {line:?}");
+    let client = joined(&run, "");
+    crate::strays::stopped(run, client, ());
+}
