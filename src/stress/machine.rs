@@ -183,17 +183,23 @@ fn quota() -> Finding {
 }
 
 fn huge_pages() -> Finding {
-    let transparent = read("/sys/kernel/mm/transparent_hugepage/enabled");
-    let memory = read("/proc/meminfo");
+    huge_pages_of(&read("/sys/kernel/mm/transparent_hugepage/enabled"), &read("/proc/meminfo"))
+}
+
+fn huge_pages_of(transparent: &str, memory: &str) -> Finding {
     let total = memory.lines().find_map(|line| line.strip_prefix("HugePages_Total:")).map_or("0", str::trim);
     let chosen = transparent.split(['[', ']']).nth(1).unwrap_or("not there").to_owned();
-    let grade = if total != "0" || chosen == "always" { Grade::Good } else { Grade::Limited };
+    let (grade, granted) = match chosen.as_str() {
+        // The hub asks for them by name (madvise), which is all that either setting wants.
+        "always" | "madvise" => (Grade::Good, "granted to the X-ray's copies of the CT, which ask for them"),
+        _ => (Grade::Limited, "refused to the X-ray's copies of the CT, which ask for them"),
+    };
     finding(
         "huge pages",
         grade,
-        format!("{total} reserved, transparent: {chosen}"),
-        "a walk over a large CT misses the address cache more often; the hub asks for none, so nothing fails",
-        "`echo always > /sys/kernel/mm/transparent_hugepage/enabled`",
+        format!("transparent: {chosen}: {granted}; {total} reserved, which the hub does not use"),
+        "rendering walks over the CT in small pages and misses the address cache more often; nothing fails",
+        "`echo madvise > /sys/kernel/mm/transparent_hugepage/enabled`",
     )
 }
 
