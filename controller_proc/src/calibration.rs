@@ -99,7 +99,7 @@ impl Calibration {
     /// # Errors
     /// [`CalibrationError::Unreadable`], [`CalibrationError::Malformed`].
     pub fn load(path: &Path) -> Result<Calibration, CalibrationError> {
-        let text = std::fs::read_to_string(path)
+        let text = ipc_types::text_file::read(path)
             .map_err(|cause| CalibrationError::Unreadable { path: path.to_owned(), cause })?;
         Calibration::parse(&text).map_err(|(line, problem)| CalibrationError::Malformed {
             path: path.to_owned(),

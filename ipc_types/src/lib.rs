@@ -28,6 +28,7 @@
 //! | [`ration`] | what a reader grants programs that flood |
 //! | [`command_check`] | what a command must be before it may reach the model |
 //! | [`scene`] | scene files |
+//! | [`text_file`] | reading text files that a user names |
 //! | [`process`] | signals, exit codes, events: what every process does alike |
 //! | [`reference`](mod@reference), [`scene_reference`] | docs/messages.md and docs/scene.md, generated |
 
@@ -45,4 +46,5 @@ pub mod scene_reference;
 pub mod services;
 pub mod session;
 mod shared_memory;
+pub mod text_file;
 pub mod wake;

@@ -29,7 +29,7 @@ pub fn conclude(program: &str, outcome: Result<(), impl std::error::Error>) -> E
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{program}: {error}");
+            eprintln!("{program}: {}", foreign_text::plain(&error.to_string()));
             ExitCode::from(EXIT_FAILED)
         }
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use foreign_text::{foreign, foreign_line};
 use ipc_types::layout::{Description, Message};
 use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched};
 use zerocopy::IntoBytes;
@@ -47,7 +48,8 @@ impl DiffReport {
     /// Writes the comparison for people.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for (name, first, second) in &self.header {
-            writeln!(out, "header {name}: {first:?} against {second:?}")?;
+            let [name, first, second] = [name, first, second].map(|text| foreign(text));
+            writeln!(out, "header {name}: \"{first}\" against \"{second}\"")?;
         }
         writeln!(
             out,
@@ -58,7 +60,7 @@ impl DiffReport {
             writeln!(out, "{divergence}")?;
         }
         for remark in &self.remarks {
-            writeln!(out, "{remark}")?;
+            writeln!(out, "{}", foreign_line(remark))?;
         }
         if self.same_run() {
             writeln!(out, "identical")?;

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use foreign_text::{foreign, foreign_line};
+
 use crate::error::LogError;
 use crate::header::Entries;
 
@@ -152,7 +154,9 @@ impl Ending {
     /// One line for people.
     pub fn describe(&self) -> String {
         let marker = match &self.marker {
-            Some(marker) => format!("end marker: {}{}", marker.reason.text(), marker.losses()),
+            Some(marker) => {
+                format!("end marker: {}{}", foreign(&marker.reason.text()), foreign_line(&marker.losses()))
+            }
             None => "no end marker: the recorder did not finish, later ticks may be missing".to_string(),
         };
         match self.cut {

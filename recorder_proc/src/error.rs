@@ -3,6 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
+use foreign_text::{foreign, foreign_line};
+
 /// What went wrong, with the file, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
@@ -77,7 +79,7 @@ pub enum LogError {
         offset: u64,
     },
     /// The file holds several runs.
-    #[error("{}: holds {runs} runs; `trabecula log split` makes a log of each", path.display())]
+    #[error("{}: holds {} runs; `trabecula log split` makes a log of each", path.display(), foreign(.runs))]
     SeveralRuns {
         /// The file.
         path: PathBuf,
@@ -91,7 +93,7 @@ pub enum LogError {
         path: PathBuf,
     },
     /// Only a whole log can be handled so.
-    #[error("{}: {cause}; `trabecula log repair` first", path.display())]
+    #[error("{}: {}; `trabecula log repair` first", path.display(), foreign_line(.cause))]
     NotWhole {
         /// The file.
         path: PathBuf,
@@ -99,7 +101,7 @@ pub enum LogError {
         cause: String,
     },
     /// The header or end marker holds a value that cannot be read.
-    #[error("{}: {record}.{key} is '{value}', expected {expected}", path.display())]
+    #[error("{}: {record}.{} is '{}', expected {expected}", path.display(), foreign(.key), foreign(.value))]
     Metadata {
         /// The file.
         path: PathBuf,
@@ -114,8 +116,11 @@ pub enum LogError {
     },
     /// A message's layout is not this build's.
     #[error(
-        "{}: layout of {message} is {log} in the log and {build} in this build; use the build that wrote the log ({version}), or allow other layouts",
-        path.display()
+        "{}: layout of {} is {} in the log and {build} in this build; use the build that wrote the log ({}), or allow other layouts",
+        path.display(),
+        foreign(.message),
+        foreign(.log),
+        foreign(.version)
     )]
     Layout {
         /// The file.
@@ -130,7 +135,7 @@ pub enum LogError {
         version: String,
     },
     /// Content that no writer of ours produces: a flipped bit, a lost block, an edited file.
-    #[error("{}: damaged at byte {offset}: {cause}; everything before is readable", path.display())]
+    #[error("{}: damaged at byte {offset}: {}; everything before is readable", path.display(), foreign_line(.cause))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -140,7 +145,7 @@ pub enum LogError {
         cause: String,
     },
     /// A message is missing between two others.
-    #[error("{}: gap in {topic} at tick {tick}: {found}; ticks before it are complete", path.display())]
+    #[error("{}: gap in {topic} at tick {tick}: {}; ticks before it are complete", path.display(), foreign(.found))]
     Gap {
         /// The file.
         path: PathBuf,
@@ -158,7 +163,7 @@ pub enum LogError {
         path: PathBuf,
     },
     /// A topic that the log has not.
-    #[error("{}: no topic {topic}; it has {topics}", path.display())]
+    #[error("{}: no topic {topic}; it has {}", path.display(), foreign_line(.topics))]
     NoSuchTopic {
         /// The file.
         path: PathBuf,

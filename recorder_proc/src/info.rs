@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
+use foreign_text::{foreign, foreign_line};
 use ipc_types::messages::TickTiming;
 use zerocopy::FromBytes;
 
@@ -92,7 +93,7 @@ impl LogInfo {
         let header = &self.header;
         let seconds = self.end_ns as f64 * 1e-9;
         let lane = self.metadata.get("lane").map(String::as_str).unwrap_or_default();
-        writeln!(out, "scene       {} (sha256 {})", header.scene_name, header.scene_sha256())?;
+        writeln!(out, "scene       {} (sha256 {})", foreign(&header.scene_name), header.scene_sha256())?;
         match header.volume_sha256 {
             Some(digest) => {
                 let [i, j, k] = header.volume_dimensions;
@@ -100,13 +101,15 @@ impl LogInfo {
             }
             None => writeln!(out, "volume      none")?,
         }
-        let rustc = header.build.rustc.as_deref().unwrap_or("unknown compiler");
-        writeln!(out, "build       {} for {}, {rustc}", header.build.version, header.build.target)?;
+        let build = &header.build;
+        let rustc = foreign(build.rustc.as_deref().unwrap_or("unknown compiler"));
+        writeln!(out, "build       {} for {}, {rustc}", foreign(&build.version), foreign(&build.target))?;
         writeln!(
             out,
-            "lane        {lane}, {}, controllers: {}",
+            "lane        {}, {}, controllers: {}",
+            foreign(lane),
             header.mode.name(),
-            header.controllers.join(", ")
+            foreign_line(&header.controllers.join(", "))
         )?;
         let ticks = self.end_ns / header.dt_ns.max(1);
         writeln!(
@@ -121,8 +124,10 @@ impl LogInfo {
             let gap = if lost > 0 { format!("  {lost} MISSING") } else { String::new() };
             writeln!(
                 out,
-                "  {topic:<22} {:>10} messages {:>14} bytes unpacked{gap}",
-                count.messages, count.bytes
+                "  {:<22} {:>10} messages {:>14} bytes unpacked{gap}",
+                foreign(topic),
+                count.messages,
+                count.bytes
             )?;
         }
         self.write_misses(out)?;
@@ -132,10 +137,10 @@ impl LogInfo {
             let hash = marker.hash.map(hash_text).unwrap_or_else(|| "none".to_string());
             writeln!(out, "  last tick {tick}, hash {hash}")?;
             for (topic, count) in &marker.lost {
-                writeln!(out, "  lost {count} messages of {topic}: they never reached the log")?;
+                writeln!(out, "  lost {count} messages of {}: they never reached the log", foreign(topic))?;
             }
             for (topic, count) in &marker.damaged {
-                writeln!(out, "  lost {count} messages of {topic} to damage of the file")?;
+                writeln!(out, "  lost {count} messages of {} to damage of the file", foreign(topic))?;
             }
         }
         if let Some(error) = &self.log_error {

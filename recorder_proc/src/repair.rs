@@ -11,6 +11,7 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, Write};
 use std::path::Path;
 
+use foreign_text::{foreign, foreign_line};
 use ipc_types::layout::{CDR_LITTLE_ENDIAN, Message};
 use ipc_types::messages::State;
 use zerocopy::FromBytes;
@@ -64,7 +65,7 @@ impl RepairReport {
     /// Writes the report for people.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for Lost { offset, bytes, cause } in &self.pieces {
-            writeln!(out, "left out    {bytes} bytes from byte {offset}: {cause}")?;
+            writeln!(out, "left out    {bytes} bytes from byte {offset}: {}", foreign_line(cause))?;
         }
         if self.undeclared > 0 {
             writeln!(out, "left out    {} messages whose topic is declared nowhere", self.undeclared)?;
@@ -73,11 +74,12 @@ impl RepairReport {
             writeln!(out, "cut         after byte {offset}, {bytes} bytes of an incomplete record left out")?;
         }
         let before = match &self.marker {
-            Some(marker) => format!("end marker: {}", marker.reason.text()),
+            Some(marker) => format!("end marker: {}", foreign(&marker.reason.text())),
             None => "no end marker: what may have followed is not known".to_string(),
         };
         writeln!(out, "before      {before}")?;
         for (topic, count) in &self.topics {
+            let topic = foreign(topic);
             writeln!(out, "  {topic:<22} {:>10} messages kept {:>10} lost", count.recovered, count.lost)?;
         }
         match (self.complete_tick, self.last_tick) {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use foreign_text::foreign_line;
 use thiserror::Error;
 
 use super::drr::{CArm, Display, Drr};
@@ -23,7 +24,7 @@ pub enum SceneError {
         cause: String,
     },
     /// Not TOML, an unknown or missing key, or a value of a wrong type.
-    #[error("{file}, line {line}: {cause}")]
+    #[error("{file}, line {line}: {}", foreign_line(.cause))]
     Malformed {
         /// Scene file.
         file: PathBuf,
@@ -47,7 +48,7 @@ pub enum SceneError {
         highest: f64,
     },
     /// Keys that contradict each other, or a text that is not one of the allowed ones.
-    #[error("{file}: `{key}` {problem}")]
+    #[error("{file}: `{key}` {}", foreign_line(.problem))]
     Invalid {
         /// Scene file.
         file: PathBuf,

@@ -21,7 +21,7 @@ impl Scene {
     /// # Errors
     /// [`SceneError`]: the file cannot be read, a key is unknown or missing, or a value is out of its range.
     pub fn load(path: &Path) -> Result<Scene, SceneError> {
-        let text = std::fs::read_to_string(path)
+        let text = crate::text_file::read(path)
             .map_err(|cause| SceneError::Unreadable { file: path.to_owned(), cause: cause.to_string() })?;
         Scene::parse(&text, path)
     }

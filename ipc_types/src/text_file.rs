@@ -1,0 +1,52 @@
+//! Text files that a user names: scenes, poses, calibrations. A device, a pipe or a file without end is refused by name, not waited
+//! for and not read until the memory is full.
+
+use std::fs::OpenOptions;
+use std::io::{self, Read};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+/// Longest text file that is read; the largest of ours, a batch of poses, has a hundredth of it.
+pub const MAX_TEXT_BYTES: u64 = 16 << 20;
+
+/// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8.
+///
+/// # Errors
+/// The system's; not a regular file; too long; not UTF-8.
+pub fn read(path: &Path) -> io::Result<String> {
+    // Without waiting: a pipe opens at once, and is then seen to be one.
+    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("not a regular file"));
+    }
+    let mut text = String::new();
+    file.take(MAX_TEXT_BYTES + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > MAX_TEXT_BYTES {
+        return Err(io::Error::other(format!("longer than {MAX_TEXT_BYTES} bytes")));
+    }
+    Ok(text)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_regular_file_of_a_sane_length_is_read() {
+        let folder = std::env::temp_dir().join(format!("trabecula-text-{}", std::process::id()));
+        std::fs::create_dir(&folder).unwrap();
+        let [text, pipe, long] = ["text", "pipe", "long"].map(|name| folder.join(name));
+        std::fs::write(&text, "a = 1\n").unwrap();
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR)
+            .unwrap();
+        std::fs::File::create(&long).unwrap().set_len(MAX_TEXT_BYTES + 1).unwrap();
+        let refused = |path: &Path| read(path).unwrap_err().to_string();
+        assert_eq!(read(&text).unwrap(), "a = 1\n");
+        for path in [&pipe, Path::new("/dev/zero"), Path::new("/dev/null"), &folder] {
+            assert!(refused(path).contains("not a regular file"), "{}", path.display());
+        }
+        assert!(refused(&long).contains("longer than 16777216 bytes"));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}
