@@ -5,7 +5,7 @@ use crate::input::io_error;
 use crate::volume::Volume;
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use std::fs::File;
+use output_file::{Existing, OutputError, OutputFile};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -20,16 +20,22 @@ use std::path::Path;
 pub fn write_nrrd(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
     volume.check(path)?;
-    let file = File::create_new(path).map_err(io_error(path, "create"))?;
-    write_into(file, path, volume).inspect_err(|_| {
-        // The error that counts is the first one.
-        let _ = std::fs::remove_file(path);
-    })
+    let written = |error: OutputError| {
+        let (action, source) = match error {
+            OutputError::Exists { .. } => ("create", std::io::ErrorKind::AlreadyExists.into()),
+            OutputError::Create { source, .. } => ("create", source),
+            OutputError::Write { source, .. } => ("write", source),
+        };
+        io_error(path, action)(source)
+    };
+    let mut file = OutputFile::create(path, Existing::Refuse).map_err(written)?;
+    write_into(&mut file, volume).map_err(io_error(path, "write"))?;
+    file.keep().map_err(written)
 }
 
-fn write_into(file: File, path: &Path, volume: &Volume) -> Result<(), VolumeError> {
+fn write_into(file: &mut OutputFile, volume: &Volume) -> std::io::Result<()> {
     let mut writer = BufWriter::with_capacity(1 << 16, file);
-    writer.write_all(header(volume).as_bytes()).map_err(io_error(path, "write"))?;
+    writer.write_all(header(volume).as_bytes())?;
     // Level 6 is gzip's own default: higher levels cost several times the time for a few per cent.
     let mut encoder = GzEncoder::new(writer, Compression::new(6));
     let mut buffer = [0_u8; 8192];
@@ -37,10 +43,9 @@ fn write_into(file: File, path: &Path, volume: &Volume) -> Result<(), VolumeErro
         for (bytes, value) in buffer.chunks_exact_mut(2).zip(chunk) {
             bytes.copy_from_slice(&value.to_le_bytes());
         }
-        encoder.write_all(&buffer[..2 * chunk.len()]).map_err(io_error(path, "write"))?;
+        encoder.write_all(&buffer[..2 * chunk.len()])?;
     }
-    let mut writer = encoder.finish().map_err(io_error(path, "write"))?;
-    writer.flush().map_err(io_error(path, "write"))
+    encoder.finish()?.flush()
 }
 
 fn header(volume: &Volume) -> String {
