@@ -29,14 +29,17 @@
 //! | [`command_check`] | what a command must be before it may reach the model |
 //! | [`scene`] | scene files |
 //! | [`text_file`] | reading text files that a user names |
-//! | [`process`] | signals, exit codes, events: what every process does alike |
+//! | [`process`] | exit codes, priorities, events: what every process does alike |
+//! | [`signals`], [`family`], [`patience`] | being asked to end; parents and children; limits that a suspended process does not lose |
 //! | [`reference`](mod@reference), [`scene_reference`] | docs/messages.md and docs/scene.md, generated |
 
 mod client;
 pub mod command_check;
+pub mod family;
 pub mod identity;
 pub mod layout;
 pub mod messages;
+pub mod patience;
 pub mod ports;
 pub mod process;
 pub mod ration;
@@ -47,4 +50,5 @@ pub mod services;
 pub mod session;
 mod shared_memory;
 pub mod text_file;
+pub mod signals;
 pub mod wake;

@@ -1,13 +1,10 @@
 //! What every process of the hub does alike: end when asked, end with its parent, send events.
 
-use std::os::unix::process::CommandExt;
+use std::io::Write;
 use std::path::Path;
-use std::process::{Command, ExitCode};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
 use zerocopy::IntoBytes;
 
 use crate::messages::{Event, SEVERITY_INFO, Volume};
@@ -15,6 +12,9 @@ use crate::ports::{PortError, Publisher, Received, Subscriber};
 use crate::scene::{Policy, Scene, SceneError};
 use crate::services::{self, MAX_EVENT_TEXT};
 use crate::session::{Session, SessionError};
+
+pub use crate::family::{bind_to_parent, end_with_parent};
+pub use crate::signals::EndRequest;
 
 /// Exit code of a run that failed.
 pub const EXIT_FAILED: u8 = 1;
@@ -29,7 +29,8 @@ pub fn conclude(program: &str, outcome: Result<(), impl std::error::Error>) -> E
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{program}: {}", foreign_text::plain(&error.to_string()));
+            // A terminal that has gone is no reason to panic.
+            let _ = writeln!(std::io::stderr(), "{program}: {}", foreign_text::plain(&error.to_string()));
             ExitCode::from(EXIT_FAILED)
         }
     }
@@ -52,50 +53,6 @@ pub fn await_volume(
         std::thread::sleep(Duration::from_millis(2));
     }
     Ok(None)
-}
-
-/// Set when the process has been asked to end (SIGTERM, SIGINT).
-#[derive(Debug, Clone)]
-pub struct EndRequest(Arc<AtomicBool>);
-
-impl EndRequest {
-    /// From now on the two signals set the flag instead of killing the process.
-    ///
-    /// # Errors
-    /// The system refuses to install a handler.
-    pub fn install() -> std::io::Result<EndRequest> {
-        let flag = Arc::new(AtomicBool::new(false));
-        for signal in [SIGTERM, SIGINT] {
-            signal_hook::flag::register(signal, Arc::clone(&flag))?;
-        }
-        Ok(EndRequest(flag))
-    }
-
-    /// Whether the process has been asked to end.
-    pub fn is_set(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-}
-
-/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves nothing running.
-pub fn end_with_parent() {
-    // Where the kernel refuses, the process still ends when its session's state stops.
-    let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM));
-}
-
-/// Has the kernel do the same to a program that is not ours, and makes it a session of its own: that keeps the terminal's
-/// Ctrl-C from it, as the launcher ends its parts in order, and the kernel then shares cores between it and all else
-/// ([`prioritise`]).
-pub fn bind_to_parent(command: &mut Command) -> &mut Command {
-    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes two
-    // system calls (prctl, setsid), allocates nothing and takes no lock.
-    unsafe {
-        command.pre_exec(|| {
-            end_with_parent();
-            rustix::process::setsid()?;
-            Ok(())
-        })
-    }
 }
 
 /// Processor time of a process so far, in user and in system mode.

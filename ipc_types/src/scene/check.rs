@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use foreign_text::foreign_line;
 use thiserror::Error;
 
+use super::LONGEST_RUN_S;
 use super::drr::{CArm, Display, Drr};
 use super::model::{
     Arm, Body, Controller, CurvedDrilling, Drives, Feedback, ManipulatorRung, Scene, Skiving, TensionSweep,
@@ -141,7 +142,7 @@ pub(super) fn check(scene: &Scene, file: &Path) -> Result<(), SceneError> {
 }
 
 fn check_run(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
-    checker.range("run.duration_s", scene.run.duration_s, 0.001, 3600.0)?;
+    checker.range("run.duration_s", scene.run.duration_s, 0.001, LONGEST_RUN_S)?;
     checker.range("run.dt_ms", scene.run.dt_ms, 0.1, 10.0)?;
     checker.range("run.hold_ticks", scene.run.hold_ticks as f64, 0.0, 100_000.0)?;
     checker.range("run.controller_limit_ms", scene.run.controller_limit_ms, 10.0, 600_000.0)

@@ -15,6 +15,10 @@ pub use tolerance::Tolerance;
 
 use std::path::Path;
 
+/// Longest run. MCAP numbers a channel's messages with 32 bits: at the shortest time step, 0.1 ms, a day needs a fifth of
+/// them. All other counts of ticks, frames and bytes have 64 bits.
+pub const LONGEST_RUN_S: f64 = 86_400.0;
+
 impl Scene {
     /// Reads and checks a scene file.
     ///

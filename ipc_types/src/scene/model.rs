@@ -99,7 +99,7 @@ pub enum Policy {
 pub struct Run {
     /// Lockstep: as fast as the parts allow, every tick waits for every controller. Real time: by the wall clock.
     pub mode: Mode,
-    /// Simulated time of the whole run, 0.001 to 3600 s.
+    /// Simulated time of the whole run, 0.001 to 86400 s (a day).
     pub duration_s: f64,
     /// Time step, 0.1 to 10 ms.
     #[serde(default = "Run::default_dt_ms")]

@@ -1,0 +1,88 @@
+//! Parents and children: a process that ends with its parent, and all that descends from one.
+
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+
+use rustix::io::Errno;
+use rustix::process::{Pid, Signal, getpid, getppid, set_parent_process_death_signal, setsid};
+
+/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves nothing running.
+/// A parent that has died before is not noticed: a part asks its session's lock afterwards
+/// ([`host_is_alive`](crate::session::host_is_alive)).
+pub fn end_with_parent() {
+    // Where the kernel refuses, the process still ends when its session's state stops.
+    let _ = set_parent_process_death_signal(Some(Signal::TERM));
+}
+
+/// Has the kernel do the same to a program that is to be started, and makes it a session of its own: that keeps the
+/// terminal's Ctrl-C from it, as the launcher ends its parts in order, and the kernel then shares cores between it and all
+/// else ([`prioritise`](crate::process::prioritise)). The thread that starts it counts as its parent.
+pub fn bind_to_parent(command: &mut Command) -> &mut Command {
+    bind_to_parent_with(command, Signal::TERM)
+}
+
+/// The same with another signal.
+pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Command {
+    let parent = getpid();
+    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes three
+    // system calls (prctl, getppid, setsid), allocates nothing and takes no lock.
+    unsafe {
+        command.pre_exec(move || {
+            let _ = set_parent_process_death_signal(Some(signal));
+            // A parent that died between the fork and this line sends nothing any more.
+            if getppid() != Some(parent) {
+                return Err(Errno::SRCH.into());
+            }
+            setsid()?;
+            Ok(())
+        })
+    }
+}
+
+/// All living processes that descend from one, whatever group or session they have made for themselves. What a process
+/// leaves behind when it ends counts as its nearest subreaper's (`PR_SET_CHILD_SUBREAPER`).
+pub fn descendants(of: Pid) -> Vec<Pid> {
+    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pairs: Vec<(Pid, Pid)> = entries.filter_map(|entry| parentage(entry.file_name().to_str()?)).collect();
+    let mut found = vec![of];
+    let mut looked_at = 0;
+    while let Some(parent) = found.get(looked_at).copied() {
+        looked_at += 1;
+        found.extend(pairs.iter().filter(|(_, its)| *its == parent).map(|(child, _)| *child));
+    }
+    found.remove(0);
+    found
+}
+
+/// A process and its parent; none for one that is dead.
+fn parentage(process: &str) -> Option<(Pid, Pid)> {
+    let pid = Pid::from_raw(process.parse().ok()?)?;
+    let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    // State and parent stand behind the name, which may hold anything (proc_pid_stat(5)).
+    let mut fields = text.rsplit_once(')')?.1.split_whitespace();
+    let is_dead = matches!(fields.next()?, "Z" | "X");
+    let parent = Pid::from_raw(fields.next()?.parse().ok()?)?;
+    (!is_dead).then_some((pid, parent))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn children_and_their_children_are_found() {
+        let mut child = Command::new("sh").args(["-c", "sleep 60 & sleep 60"]).spawn().unwrap();
+        let of_child = Pid::from_raw(child.id() as i32).unwrap();
+        let end = std::time::Instant::now() + std::time::Duration::from_secs(20);
+        while descendants(of_child).len() < 2 {
+            assert!(std::time::Instant::now() < end, "{:?}", descendants(of_child));
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        let own = descendants(getpid());
+        let all = descendants(of_child);
+        assert!(own.contains(&of_child) && all.iter().all(|pid| own.contains(pid)));
+        all.iter().for_each(|pid| rustix::process::kill_process(*pid, Signal::KILL).unwrap());
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+}

@@ -1,0 +1,99 @@
+//! Asked to end: the signals that a process of the hub hears, and how it answers them.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use signal_hook::low_level::signal_name;
+
+/// Signals within this time are one request: `timeout` signals a process and then its group, a terminal that closes
+/// says so twice.
+const ONE_REQUEST: Duration = Duration::from_millis(300);
+
+/// Set when the process has been asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped
+/// connection).
+#[derive(Debug, Clone, Default)]
+pub struct EndRequest {
+    asked: Arc<AtomicBool>,
+    urged: Arc<AtomicBool>,
+}
+
+/// A request to end, with the name of its signal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ask {
+    /// The first.
+    First(&'static str),
+    /// A later one: whoever asks does not want to wait.
+    Again(&'static str),
+}
+
+impl EndRequest {
+    /// From now on the signals set the flag instead of killing the process. An ignored SIGHUP (`nohup`) stays ignored.
+    ///
+    /// # Errors
+    /// The system refuses to install a handler.
+    pub fn install() -> std::io::Result<EndRequest> {
+        let request = EndRequest::default();
+        for signal in heard_signals() {
+            signal_hook::flag::register(signal, Arc::clone(&request.asked))?;
+        }
+        Ok(request)
+    }
+
+    /// As [`install`](EndRequest::install); besides, a thread of its own hands each request to `answer` at once, whatever
+    /// the rest of the process is busy with.
+    ///
+    /// # Errors
+    /// The system refuses to install a handler, or to start the thread.
+    pub fn answered(mut answer: impl FnMut(Ask) + Send + 'static) -> std::io::Result<EndRequest> {
+        let mut signals = Signals::new(heard_signals())?;
+        let request = EndRequest::install()?;
+        let told = request.clone();
+        std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+            let mut first: Option<Instant> = None;
+            for signal in signals.forever() {
+                let name = signal_name(signal).unwrap_or("a signal");
+                match first {
+                    None => {
+                        first = Some(Instant::now());
+                        answer(Ask::First(name));
+                    }
+                    Some(at) if signal != SIGHUP && at.elapsed() >= ONE_REQUEST => {
+                        told.urged.store(true, Ordering::Relaxed);
+                        answer(Ask::Again(name));
+                    }
+                    Some(_) => {}
+                }
+            }
+        })?;
+        Ok(request)
+    }
+
+    /// Whether the process has been asked to end.
+    pub fn is_set(&self) -> bool {
+        self.asked.load(Ordering::Relaxed)
+    }
+
+    /// Whether it has been asked again. A SIGHUP is never the second request: whoever has gone cannot be impatient.
+    pub fn is_urgent(&self) -> bool {
+        self.urged.load(Ordering::Relaxed)
+    }
+}
+
+fn heard_signals() -> Vec<i32> {
+    let mut signals = vec![SIGTERM, SIGINT];
+    if !is_ignored(SIGHUP) {
+        signals.push(SIGHUP);
+    }
+    signals
+}
+
+/// Whether this process was started with a signal ignored (proc_pid_status(5)).
+fn is_ignored(signal: i32) -> bool {
+    let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = text.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
