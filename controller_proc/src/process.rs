@@ -8,6 +8,7 @@ use ipc_types::messages::{
     Command, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, Frame, ImagePrefix, PHASE_ENDED, RunStatus,
     SENDER_CONTROLLER, SEVERITY_WARNING, State,
 };
+use ipc_types::patience::Patience;
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, Role, prioritise, session_scene};
 use ipc_types::scene::{Mode, Policy, Scene, SceneError};
@@ -198,8 +199,8 @@ impl Frames {
             return Ok(());
         }
         let wanted = tick - delay;
-        let limit = Instant::now() + FRAME_LIMIT;
-        while Instant::now() < limit {
+        let mut patience = Patience::new(FRAME_LIMIT);
+        while !patience.is_over() {
             match self.subscriber.receive()? {
                 Some(frame) if frame.message().tick == wanted && frame.message().request_id == 0 => {
                     self.show(&frame, controller);

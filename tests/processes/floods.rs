@@ -5,12 +5,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use ipc_types::messages::{
-    CONTROL_STOP, Command, DrrRequest, EVENT_REQUEST_REFUSED, RunControl, State, TENDON_SERVO_JF,
+    ARM_SERVO_CP, CONTROL_DONE, CONTROL_STOP, Command, DrrRequest, EVENT_COMMAND_REFUSED,
+    EVENT_REQUEST_REFUSED, RunControl, State, TENDON_SERVO_JF,
 };
 use ipc_types::services;
 use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE, Session};
 use trabecula_client::ClientError;
 
+use crate::common::client::Pilot;
 use crate::common::logs::assert_replays;
 use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, wait_for};
 use crate::common::scenes;
@@ -212,5 +214,38 @@ fn floods_of_a_python_client_hold_nobody_up() {
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_nothing_left(ended.pid);
+    assert_replays(&ended.folder);
+}
+
+/// Each was an event of its own, a thousand a second, which pushed everybody else's out of the queue.
+#[test]
+fn refusals_of_unreachable_goals_are_rationed() {
+    let place = Place::new();
+    let scene = scenes::shared("lockstep", 600.0);
+    let run = place.start(&scene);
+    let mut pilot = Pilot::join(&run.session(), "pilot");
+    let mut events = pilot.client.events();
+    let far_away = |state: &State| {
+        let mut command = Command { arm_mode: ARM_SERVO_CP, ..Command::zeroed() };
+        command.t_world_base = state.t_world_base;
+        command.t_world_base.position_m[0] += 10.0;
+        command
+    };
+    let ticks = 5000;
+    for tick in (0..=ticks).step_by(100) {
+        let state = pilot.drive_to(tick, far_away);
+        pilot.answer(&state, far_away(&state));
+        events.extend(pilot.client.events());
+    }
+    pilot.drive_to(ticks + 1, far_away);
+    assert_eq!(pilot.client.ask(CONTROL_STOP, 0).status, CONTROL_DONE);
+    drop(pilot);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    let of_refusals = events.iter().filter(|(code, _)| *code == EVENT_COMMAND_REFUSED);
+    let (more, each): (Vec<_>, Vec<_>) =
+        of_refusals.partition(|(_, text)| text.contains("more commands refused"));
+    assert!(!each.is_empty() && each.len() as u64 * 2 < ticks, "{} events of {ticks}", each.len());
+    assert!(!more.is_empty(), "what was not said is said together");
     assert_replays(&ended.folder);
 }

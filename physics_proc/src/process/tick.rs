@@ -1,14 +1,16 @@
 //! The loop.
 
+mod waiting;
+
 use std::time::{Duration, Instant};
 
 use ipc_types::identity::Sender;
 use ipc_types::messages::{
     CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
     EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, EVENT_RUN,
-    EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS, PHASE_CONNECTING, PHASE_ENDED, PHASE_PAUSED, PHASE_RUNNING,
-    RunControl, RunControlReply, RunStatus, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD,
-    SOURCE_SAFE, TickTiming,
+    EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS, PHASE_CONNECTING, PHASE_PAUSED, PHASE_RUNNING, RunControl,
+    RunControlReply, RunStatus, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE,
+    TickTiming,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise};
@@ -25,14 +27,8 @@ use super::ports::Ports;
 use crate::latch::Latch;
 use crate::simulation::Simulation;
 
-/// How long every part may take to connect: a DRR process reads the whole volume first.
-const CONNECT_LIMIT: Duration = Duration::from_secs(60);
 /// In lockstep the physics runs no further ahead of a consumer than this; half of the state's queue.
 const LEAD_TICKS: u64 = 256;
-/// How long a consumer may stand still in lockstep: a full frame of a large CT takes seconds.
-const CONSUMER_LIMIT: Duration = Duration::from_secs(120);
-/// The same at the end of a run that something has ended before its time.
-const ABANDONED_LIMIT: Duration = Duration::from_secs(2);
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
 const PAUSE_LOOK: Duration = Duration::from_millis(20);
 
@@ -47,6 +43,8 @@ pub(super) struct Runner<'v> {
     tick_count: u64,
     controller_limit: Duration,
     tick: u64,
+    /// Whether the initial state has been published.
+    shown: bool,
     connected: bool,
     published: Instant,
     paused: bool,
@@ -85,6 +83,7 @@ impl<'v> Runner<'v> {
             tick_count: scene.tick_count(),
             controller_limit: Duration::from_micros((scene.run.controller_limit_ms * 1e3) as u64),
             tick: 0,
+            shown: false,
             connected: false,
             published: Instant::now(),
             paused: false,
@@ -139,55 +138,6 @@ impl<'v> Runner<'v> {
         self.paused && self.steps_left == 0
     }
 
-    /// Publishes the initial state until everybody has answered it.
-    fn connect(&mut self) -> Result<(), PhysicsError> {
-        let predrilled = self.simulation.predrilled().to_vec();
-        let began = Instant::now();
-        // A controller is measured from when there is a state to answer.
-        let mut shown = None;
-        loop {
-            self.ports.consumers.update()?;
-            let missing = self.ports.consumers.missing();
-            let missing = missing.map(|consumer| (consumer.part.to_owned(), CONNECT_LIMIT, String::new()));
-            if missing.is_none() && shown.is_none() {
-                // Only now, so that no consumer misses the first messages.
-                self.ports.publish_predrilled(&predrilled)?;
-                self.publish_state()?;
-                shown = Some(Instant::now());
-            }
-            self.collect_commands()?;
-            let Some((part, limit, hint)) = missing.or_else(|| self.awaited_controller()) else { break };
-            if self.ends() {
-                break;
-            }
-            if shown.unwrap_or(began).elapsed() >= limit {
-                return Err(PhysicsError::NotConnected { part, limit_s: limit.as_secs(), hint });
-            }
-            self.obey()?;
-            self.send_status(PHASE_CONNECTING, false)?;
-            self.ports.state.deliver_history()?;
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        let text = "every part has connected";
-        self.ports.events.inform(self.tick, EVENT_RUN, text)?;
-        self.connected = true;
-        self.send_status(self.phase(), true)?;
-        Ok(())
-    }
-
-    /// A controller that the run does not begin without and that has not commanded yet, with what is left to say of it.
-    fn awaited_controller(&self) -> Option<(String, Duration, String)> {
-        let mut all = self.ports.controllers.iter().enumerate();
-        let (_, port) = all.find(|(index, port)| !port.optional && !self.latch.has_command(*index))?;
-        Some((format!("controller `{}`", port.name), port.connect_limit, port.how_to_connect.clone()))
-    }
-
-    /// Whether lockstep need not wait for a controller: it has answered, or may stay away and is not here.
-    fn is_settled(&self, index: usize) -> bool {
-        let away = !self.latch.has_command(index) || self.latch.is_released(index);
-        (away && self.ports.controllers[index].optional) || self.latch.has_answer(index, self.tick)
-    }
-
     /// Keeps all memory of this process resident, where the system permits it.
     fn lock_memory(&mut self) -> Result<(), PhysicsError> {
         let flags = rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE;
@@ -236,79 +186,6 @@ impl<'v> Runner<'v> {
                 self.disturbances.count(&mut self.timing);
                 Ok(Start { lateness_ns: 0, missed: false })
             }
-        }
-    }
-
-    fn await_answers(&mut self) -> Result<(), PhysicsError> {
-        let limit = Instant::now() + self.controller_limit;
-        loop {
-            self.collect_commands()?;
-            let Some(silent) = (0..self.ports.controllers.len()).find(|index| !self.is_settled(*index))
-            else {
-                return Ok(());
-            };
-            // At every turn, also when messages come that are no answer.
-            if Instant::now() >= limit {
-                self.give_up(silent)?;
-                continue;
-            }
-            let commands = &self.ports.controllers[silent].commands;
-            let slice = (Instant::now() + Duration::from_millis(200)).min(limit);
-            let came = self.ports.waiter.wait_until(slice, || commands.has_message());
-            self.obey()?;
-            if self.ends() || self.rests() {
-                return Ok(());
-            }
-            self.send_status(self.phase(), false)?;
-            if !came {
-                // A controller that has come back needs the state that it is to answer.
-                self.ports.state.deliver_history()?;
-            }
-        }
-    }
-
-    /// A controller has not answered within its limit in lockstep: without an optional one the run goes on.
-    fn give_up(&mut self, silent: usize) -> Result<(), PhysicsError> {
-        let limit_ms = self.controller_limit.as_secs_f64() * 1e3;
-        let port = &self.ports.controllers[silent];
-        if !port.optional {
-            let name = port.name.clone();
-            return Err(PhysicsError::ControllerSilent { name, tick: self.tick, limit_ms });
-        }
-        self.latch.release(silent);
-        let text = format!(
-            "no answer to tick {} within {limit_ms} ms (`run.controller_limit_ms`); it is optional: burr off, arm stopped, \
-             and the run goes on without it until it commands again",
-            self.tick
-        );
-        Ok(self.warn(silent, EVENT_SAFE_COMMAND, &text)?)
-    }
-
-    /// Waits until every consumer has taken the state of `tick`.
-    fn await_consumers(&mut self, tick: u64) -> Result<(), PhysicsError> {
-        let limit = Instant::now() + CONSUMER_LIMIT;
-        loop {
-            if self.ports.consumers.behind(tick).is_none() {
-                return Ok(());
-            }
-            self.ports.consumers.update()?;
-            let Some(part) = self.ports.consumers.behind(tick).map(|consumer| consumer.part) else {
-                return Ok(());
-            };
-            if self.end.is_set() {
-                self.stopped = true;
-                return Ok(());
-            }
-            if Instant::now() >= limit {
-                return Err(PhysicsError::ConsumerStuck {
-                    part,
-                    tick: self.tick,
-                    limit_s: CONSUMER_LIMIT.as_secs(),
-                });
-            }
-            self.ports.consumers.wake();
-            let slice = Instant::now() + Duration::from_millis(2);
-            self.ports.waiter.wait_until(slice, || self.ports.consumers.has_report());
         }
     }
 
@@ -447,8 +324,12 @@ impl<'v> Runner<'v> {
     fn report_refusals(&mut self) -> Result<(), PhysicsError> {
         for refusal in self.simulation.refusals() {
             self.refused_commands += u64::from(!refusal.stopped_later);
-            let name = &self.ports.controllers[refusal.controller_index as usize].name;
-            let end = if refusal.stopped_later { "" } else { "; refused" };
+            let port = &mut self.ports.controllers[refusal.controller_index as usize];
+            // A goal that cannot be reached may come at every tick.
+            if !port.remarks.allows() {
+                continue;
+            }
+            let (name, end) = (&port.name, if refusal.stopped_later { "" } else { "; refused" });
             let text = format!("controller `{name}`: command {}: {}{end}", refusal.sequence, refusal.reason);
             self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_COMMAND_REFUSED, &text)?;
         }
@@ -544,29 +425,6 @@ impl<'v> Runner<'v> {
             phase,
             mode: u32::from(self.mode == Mode::Realtime),
         })
-    }
-
-    /// Says that the run is over, and stays until the consumers have everything.
-    fn finish(mut self) -> Result<(), PhysicsError> {
-        let text = format!("the run ended at tick {} of {}", self.tick, self.tick_count);
-        self.ports.events.inform(self.tick, EVENT_RUN, &text)?;
-        self.send_status(PHASE_ENDED, true)?;
-        self.ports.controllers.iter().for_each(|port| port.waker.wake());
-        let began = Instant::now();
-        loop {
-            self.ports.consumers.update()?;
-            let Some(part) = self.ports.consumers.behind(self.tick).map(|consumer| consumer.part) else {
-                return Ok(());
-            };
-            // Asked to end by a signal, the launcher or a consumer is dead: nobody may be there to take the last state.
-            let limit = if self.end.is_set() { ABANDONED_LIMIT } else { CONSUMER_LIMIT };
-            if began.elapsed() >= limit {
-                return Err(PhysicsError::ConsumerStuck { part, tick: self.tick, limit_s: limit.as_secs() });
-            }
-            self.ports.consumers.wake();
-            self.ports.status.deliver_history()?;
-            std::thread::sleep(Duration::from_millis(1));
-        }
     }
 }
 
