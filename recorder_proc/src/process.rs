@@ -13,14 +13,14 @@ use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Progress, Removed,
-    RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, PHASE_ENDED, Progress,
+    Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::{EndRequest, Role, VOLUME_LIMIT, await_volume, prioritise, session_scene};
 use ipc_types::scene::{Images, Mode, Recording, Scene, SceneError};
 use ipc_types::services;
-use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::session::{Reader, Session, SessionError, host_is_alive};
 use ipc_types::wake::{Waiter, Waker};
 use thiserror::Error;
 
@@ -40,6 +40,8 @@ const TICKS_PER_ROUND: usize = 16;
 const CLIENT_MESSAGES_PER_ROUND: usize = 256;
 /// Rounds after the run's end, in which the longest queue of clients' messages (2048 events) is emptied.
 const LAST_ROUNDS: usize = 8;
+/// How long a physics may take to end whose launcher has been killed.
+const ORPHANED_LIMIT: Duration = Duration::from_secs(5);
 /// Time without a state after which the timing lane is handed to the file.
 const QUIET_TIME: Duration = Duration::from_millis(100);
 /// Name of the file in the run folder through which the launcher says why the run ended.
@@ -105,6 +107,8 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         newest_tick: 0,
         reported_tick: 0,
         gaps: Gaps::default(),
+        run_has_ended: false,
+        session_folder: session_folder.to_owned(),
         ports,
     };
     let recorded = recorder.record(&end);
@@ -207,6 +211,9 @@ struct Recorder {
     reported_tick: u64,
     /// Of the timing lane.
     gaps: Gaps,
+    /// Whether the physics has said so.
+    run_has_ended: bool,
+    session_folder: PathBuf,
     ports: Ports,
 }
 
@@ -227,10 +234,24 @@ impl Recorder {
                 quiet_since = Instant::now();
             }
         }
+        if !host_is_alive(&self.session_folder) {
+            self.outlast_physics()?;
+        }
         for _ in 0..LAST_ROUNDS {
             self.take_round()?;
         }
         while self.ports.states.has_message() {
+            self.take_round()?;
+        }
+        Ok(())
+    }
+
+    /// A launcher asks when nobody writes any more; one that was killed asks all at the same moment. What the physics
+    /// publishes up to its end is to be in the log.
+    fn outlast_physics(&mut self) -> Result<(), RecorderError> {
+        let limit = Instant::now() + ORPHANED_LIMIT;
+        while !self.run_has_ended && Instant::now() < limit {
+            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
             self.take_round()?;
         }
         Ok(())
@@ -316,7 +337,10 @@ impl Recorder {
         }
         copy_all(&ports.controls, timing, topics::RUN_CONTROL, tick)?;
         copy_all(&ports.control_replies, timing, topics::RUN_CONTROL_REPLY, tick)?;
-        copy_all(&ports.status, timing, topics::RUN_STATUS, tick)?;
+        while let Some(status) = ports.status.receive()? {
+            self.run_has_ended |= status.message().phase == PHASE_ENDED;
+            timing.message(topics::RUN_STATUS, RunStatus::DESCRIPTION, tick, status.bytes())?;
+        }
         copy_all(&ports.requests, timing, topics::DRR_REQUEST, tick)
     }
 
@@ -347,9 +371,15 @@ impl Recorder {
         // It has done its work, and may be absent.
         let _ = std::fs::remove_file(&reason_path);
         let lost = self.gaps.lost();
-        let run = finish_file(self.run.path().to_owned(), self.run.finish(reason.clone(), &BTreeMap::new()));
-        let timing = finish_file(self.timing.path().to_owned(), self.timing.finish(reason, lost));
-        run.and(timing)?;
+        let paths = [self.run.path().to_owned(), self.timing.path().to_owned()];
+        let [run_path, timing_path] = paths.clone();
+        let run = finish_file(run_path, self.run.finish(reason.clone(), &BTreeMap::new()));
+        let timing = finish_file(timing_path, self.timing.finish(reason.clone(), lost));
+        let run = run.and_then(|run| timing.map(|_| run))?;
+        if run.last_tick.is_none() && reason == EndReason::Interrupted {
+            // There was nothing to record yet, and there is nothing to replay.
+            paths.iter().for_each(|path| drop(std::fs::remove_file(path)));
+        }
         Ok(())
     }
 }
@@ -358,9 +388,10 @@ impl Recorder {
 fn finish_file(
     path: PathBuf,
     finished: Result<(EndMarker, BackgroundFile), LogError>,
-) -> Result<(), LogError> {
-    let (_, file) = finished?;
-    file.close().map_err(|source| LogError::Write { path, source })
+) -> Result<EndMarker, LogError> {
+    let (marker, file) = finished?;
+    file.close().map_err(|source| LogError::Write { path, source })?;
+    Ok(marker)
 }
 
 /// Copies what waits on a service into the timing lane. What a client sends in a wrong length is no message: it has
