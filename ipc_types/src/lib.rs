@@ -49,6 +49,6 @@ pub mod scene_reference;
 pub mod services;
 pub mod session;
 mod shared_memory;
-pub mod text_file;
 pub mod signals;
+pub mod text_file;
 pub mod wake;
