@@ -13,6 +13,7 @@ use rustix::fs::{Access, AtFlags};
 
 use crate::layout::Message;
 use crate::messages::Command;
+use crate::own::Own;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, CONNECTIONS_BYTES, Service};
 use crate::session::{
@@ -176,7 +177,7 @@ impl Session {
             }
         };
         Ok(Waiter {
-            listener,
+            listener: Own::new(listener),
             flags: self.flags.clone(),
             reader: reader.slot(),
             way,
@@ -194,7 +195,7 @@ impl Session {
         let service =
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let notifier = service.notifier_builder().create().map_err(transported(&name, "notifying"))?;
-        Ok(Waker { notifier, flags: self.flags.clone(), reader: reader.slot() })
+        Ok(Waker { notifier: Own::new(notifier), flags: self.flags.clone(), reader: reader.slot() })
     }
 
     /// Frees what processes that were killed have left in this session.

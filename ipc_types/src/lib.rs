@@ -24,6 +24,7 @@
 //! | [`messages`], [`layout`] | the messages; one declaration gives struct, schema, field table and layout hash |
 //! | [`services`] | names, queues, lanes |
 //! | [`session`], [`ports`], [`wake`] | creating and joining a session, sending and receiving, waiting and waking |
+//! | [`own`] | what a child of `fork` inherits and does not clean up |
 //! | [`identity`] | which controller a message comes from, as the transport knows it |
 //! | [`ration`] | what a reader grants programs that flood |
 //! | [`command_check`] | what a command must be before it may reach the model |
@@ -40,6 +41,7 @@ pub mod identity;
 pub mod layout;
 pub mod messages;
 pub mod patience;
+pub mod own;
 pub mod ports;
 pub mod process;
 pub mod ration;

@@ -8,10 +8,10 @@ use iceoryx2::port::subscriber::Subscriber as RawSubscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
-use iceoryx2::sample_mut::SampleMut;
 use thiserror::Error;
 
 use crate::layout::Message;
+use crate::own::Own;
 
 /// Messages of a wrong length that one look takes off a queue: whoever floods with them holds nobody up.
 const REFUSED_AT_ONCE: usize = 64;
@@ -64,14 +64,14 @@ pub enum PortError {
 /// Sends messages of one type.
 #[derive(Debug)]
 pub struct Publisher<M> {
-    raw: RawPublisher<ipc::Service, [u8], ()>,
+    raw: Own<RawPublisher<ipc::Service, [u8], ()>>,
     name: String,
     message: PhantomData<M>,
 }
 
 impl<M: Message> Publisher<M> {
     pub(crate) fn new(raw: RawPublisher<ipc::Service, [u8], ()>, name: String) -> Self {
-        Publisher { raw, name, message: PhantomData }
+        Publisher { raw: Own::new(raw), name, message: PhantomData }
     }
 
     /// Sends a message of fixed length.
@@ -109,27 +109,6 @@ impl<M: Message> Publisher<M> {
         Ok(())
     }
 
-    /// Room for a message of fixed length in shared memory, zeroed, to be filled in place. A publisher has one such room
-    /// at a time; it is free again when the loan is sent or dropped.
-    ///
-    /// # Errors
-    /// [`PortError::Loan`].
-    pub fn loan(&self) -> Result<Loan<M>, PortError> {
-        let bytes = M::DESCRIPTION.size;
-        let sample = self.raw.loan_slice_uninit(bytes).map_err(|cause| PortError::Loan {
-            service: self.name.clone(),
-            bytes,
-            limit: self.raw.initial_max_slice_len(),
-            cause: format!("{cause:?}"),
-        })?;
-        let mut sample = sample.write_from_fn(|_| 0);
-        let copy = match M::mut_from_bytes(sample.payload_mut()) {
-            Ok(_) => None,
-            Err(_) => Some(Box::new(M::new_zeroed())),
-        };
-        Ok(Loan { sample, copy, name: self.name.clone() })
-    }
-
     /// Delivers the history to subscribers that joined since the last call or message.
     pub fn deliver_history(&self) -> Result<(), PortError> {
         self.raw
@@ -138,54 +117,17 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-/// Room in shared memory for one message of fixed length.
-#[derive(Debug)]
-pub struct Loan<M> {
-    sample: SampleMut<ipc::Service, [u8], ()>,
-    /// The message, if its room does not lie aligned in shared memory.
-    copy: Option<Box<M>>,
-    name: String,
-}
-
-impl<M: Message> Loan<M> {
-    /// The message, in place.
-    pub fn message_mut(&mut self) -> &mut M {
-        match &mut self.copy {
-            Some(copy) => copy,
-            // SAFETY: `Publisher::loan` has made the payload as long as an `M` and, as there is no copy, has proved with
-            // `mut_from_bytes` that a reference to an `M` may point at it; every bit pattern is an `M` (`FromBytes`),
-            // and the sample keeps the bytes where they are, and to this process alone, for as long as `self` lives.
-            None => unsafe { &mut *self.sample.payload_mut().as_mut_ptr().cast::<M>() },
-        }
-    }
-
-    /// Sends it.
-    ///
-    /// # Errors
-    /// [`PortError::Send`].
-    pub fn send(mut self) -> Result<(), PortError> {
-        if let Some(copy) = &self.copy {
-            self.sample.payload_mut().copy_from_slice(copy.as_bytes());
-        }
-        let name = self.name;
-        match self.sample.send() {
-            Ok(_) => Ok(()),
-            Err(cause) => Err(PortError::Send { service: name, cause: format!("{cause:?}") }),
-        }
-    }
-}
-
 /// Receives messages of one type.
 #[derive(Debug)]
 pub struct Subscriber<M> {
-    raw: RawSubscriber<ipc::Service, [u8], ()>,
+    raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
     name: String,
     message: PhantomData<M>,
 }
 
 impl<M: Message> Subscriber<M> {
     pub(crate) fn new(raw: RawSubscriber<ipc::Service, [u8], ()>, name: String) -> Self {
-        Subscriber { raw, name, message: PhantomData }
+        Subscriber { raw: Own::new(raw), name, message: PhantomData }
     }
 
     /// The oldest message that waits, if any. Its bytes stay in shared memory until the return value is dropped.
@@ -235,7 +177,7 @@ impl<M: Message> Subscriber<M> {
 /// A message in shared memory. Whoever decides on its content first copies it: its writer is another process.
 #[derive(Debug)]
 pub struct Received<M> {
-    pub(crate) sample: Sample<ipc::Service, [u8], ()>,
+    pub(crate) sample: Own<Sample<ipc::Service, [u8], ()>>,
     /// The message, if it does not lie aligned in shared memory.
     copy: Option<Box<M>>,
 }
@@ -266,7 +208,7 @@ impl<M: Message> Received<M> {
             Ok(_) => None,
             Err(_) => M::read_from_prefix(bytes).ok().map(|(message, _)| Box::new(message)),
         };
-        Ok(Received { sample, copy })
+        Ok(Received { sample: Own::new(sample), copy })
     }
 
     /// The message without what follows it. Not a copy.

@@ -25,6 +25,7 @@ use iceoryx2::prelude::ipc;
 use memmap2::MmapRaw;
 use rustix::fs::{Mode, OFlags};
 
+use crate::own::Own;
 use crate::scene::{Policy, Wait};
 use crate::session::{FLAGS_FILE, create_file};
 
@@ -39,7 +40,7 @@ const SHORTEST_SLEEP: Duration = Duration::from_micros(10);
 const LONGEST_SLEEP: Duration = Duration::from_millis(10);
 
 /// Bytes between two readers' flags: a cache line.
-const FLAG_STRIDE: usize = 64;
+pub(crate) const FLAG_STRIDE: usize = 64;
 /// Readers that a session can have.
 pub(crate) const FLAG_COUNT: usize = 32;
 
@@ -81,7 +82,7 @@ impl WakeFlags {
 /// Wakes one reader.
 #[derive(Debug)]
 pub struct Waker {
-    pub(crate) notifier: Notifier<ipc::Service>,
+    pub(crate) notifier: Own<Notifier<ipc::Service>>,
     pub(crate) flags: WakeFlags,
     pub(crate) reader: usize,
 }
@@ -165,7 +166,7 @@ impl Crowd {
 pub struct Waiter {
     pub(crate) way: Way,
     pub(crate) crowd: Crowd,
-    pub(crate) listener: Listener<ipc::Service>,
+    pub(crate) listener: Own<Listener<ipc::Service>>,
     pub(crate) flags: WakeFlags,
     pub(crate) reader: usize,
 }

@@ -6,13 +6,14 @@ use std::process::{Child, Command as Program, Stdio};
 use std::time::Duration;
 
 use fastrand::Rng;
-use ipc_types::messages::{Command, DrrRequest, Event, Progress, RunControl};
+use ipc_types::messages::{Command, DrrRequest, Event, Progress, RunControl, State};
 use ipc_types::services;
-use ipc_types::session::{SESSION_VARIABLE, Session, SessionError};
+use ipc_types::session::{Reader, SESSION_VARIABLE, Session, SessionError};
 use rustix::process::Signal;
 use trabecula_client::{Client, Connection};
+use zerocopy::IntoBytes;
 
-use crate::common::program::signal;
+use crate::common::program::{signal, wait_for};
 
 const BEHAVIOUR: &str = "TRABECULA_TEST_GUEST";
 const NAME: &str = "TRABECULA_TEST_GUEST_NAME";
@@ -110,6 +111,7 @@ fn guest_program() {
     let said = match behaviour {
         Behaviour::Garbage => garbage(&session, &name, seed).map_err(|error| error.to_string()),
         Behaviour::OtherVersion => other_version(&session),
+        Behaviour::Loan => loan(&session, &name).map_err(|error| error.to_string()),
         other => controller(&session, &name, other).map_err(|error| error.to_string()),
     };
     println!("guest ends: {said:?}");
@@ -124,13 +126,9 @@ fn controller(session: &Path, name: &str, behaviour: Behaviour) -> Result<(), tr
     client.wait_state(LIMIT)?;
     client.command()?;
     client.send()?;
-    if behaviour == Behaviour::Loan {
-        client.command()?.burr_mode = 77;
-    }
     println!("\n{READY}");
     loop {
         match behaviour {
-            Behaviour::Loan => std::thread::sleep(LIMIT),
             Behaviour::Flood => {
                 client.poll_state()?;
                 for _ in 0..2000 {
@@ -150,6 +148,24 @@ fn controller(session: &Path, name: &str, behaviour: Behaviour) -> Result<(), tr
             }
         }
     }
+}
+
+/// Answers a state, and then holds room in shared memory for a command that it never sends: a program without the library,
+/// which takes such room only while it sends.
+fn loan(folder: &Path, name: &str) -> Result<(), Box<dyn std::error::Error>> {
+    let session = Session::join(folder)?;
+    let states = session.subscriber::<State>(&services::STATE)?;
+    let state_tick = wait_for("a state", || states.receive().unwrap().map(|state| state.message().tick));
+    let service = session.node().service_builder(&services::command_name(name).as_str().try_into()?);
+    let service = service.publish_subscribe::<[u8]>().open()?;
+    let publisher = service.publisher_builder().initial_max_slice_len(size_of::<Command>()).create()?;
+    let command = Command { sequence: 1, state_tick, ..Command::zeroed() };
+    publisher.loan_slice_uninit(size_of::<Command>())?.write_from_slice(command.as_bytes()).send()?;
+    session.waker(Reader::Physics)?.wake();
+    let _held = publisher.loan_slice_uninit(size_of::<Command>())?;
+    println!("\n{READY}");
+    std::thread::sleep(LIMIT);
+    Ok(())
 }
 
 /// Random bytes to every service that a client may write.

@@ -7,14 +7,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
-use test_support::limited::Limited;
 
 use ipc_types::session::SESSION_VARIABLE;
 
 use crate::common::logs::read;
-use crate::common::program::{Place, Run, assert_nothing_left};
-use test_support::python::downloads;
-use test_support::python::environment;
+use crate::common::program::{LIMIT, Place, Run, assert_nothing_left};
+use test_support::limited::Limited;
+use test_support::python::{downloads, environment};
 
 const EXAMPLES: [(&str, &str); 3] = [
     ("01_hold_tension", "free_space.toml"),
@@ -57,15 +56,33 @@ fn line_of(readme: &str, begin: &str) -> Vec<String> {
     line.split_whitespace().map(str::to_owned).collect()
 }
 
+/// The same of a program that a defect may make hang: at [`LIMIT`] it is killed.
+pub fn output_within_limit(command: &mut Command) -> String {
+    let output = command.output_within(LIMIT).unwrap_or_else(|cause| panic!("{command:?}: {cause}"));
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let (said, error) = (text(&output.stdout), text(&output.stderr));
+    assert!(output.status.success(), "{command:?}: {}\n{said}{error}", output.status);
+    said
+}
+
 /// Compiles an example by the compiler's line of the README, with only its folders and its output exchanged.
 fn compiled(language: &str, compiler: &str, name: &str, place: &Place) -> PathBuf {
-    let program = place.path(&format!("{language}_{name}"));
+    compiled_source(language, compiler, &format!("examples/{name}"), place)
+}
+
+/// A program of `clients/c/tests`, compiled in the same way.
+pub fn compiled_test(name: &str, place: &Place) -> PathBuf {
+    compiled_source("c", "cc ", &format!("tests/{name}"), place)
+}
+
+fn compiled_source(language: &str, compiler: &str, source: &str, place: &Place) -> PathBuf {
+    let program = place.path(&format!("{language}_{}", source.replace('/', "_")));
     let folder = library().parent().unwrap().to_str().unwrap().to_owned();
     let words = line_of(&format!("{language}/README.md"), compiler);
     let words: Vec<String> = words
         .iter()
         .map(|word| word.replace("$PWD/", "").replace("target/release", &folder))
-        .map(|word| word.replace("02_follow_curve", name))
+        .map(|word| word.replace("examples/02_follow_curve", source))
         .map(|word| if word == "follow_curve" { program.to_str().unwrap().to_owned() } else { word })
         .collect();
     let mut command = Command::new(&words[0]);

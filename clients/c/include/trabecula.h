@@ -8,7 +8,9 @@
  *   are negative and leave their text in trb_last_error. A call that fails writes nothing through its pointers.
  * - Threads: a client belongs to the thread that connected it; another thread's call is refused with TRB_ERROR_HANDLE. A
  *   program may have a client a thread. The library starts no thread and calls nothing back. A thread's clients are
- *   disconnected when it ends.
+ *   disconnected when it ends. Not from signal handlers: a call within a call is refused with TRB_ERROR_BUSY.
+ * - fork(): a client stays the parent's. In the child every call through its handle is refused with TRB_ERROR_FORKED, and
+ *   the child's end, however it comes, disconnects nobody; the child may connect a client of its own.
  * - Pointers that the library hands out lie in shared memory or in the client; each function says until when. What is behind
  *   a pointer to const is mapped read-only.
  */
@@ -53,7 +55,7 @@ extern "C" {
     "LatchedCommand=614dac6c95076e87;" \
     "CArmGeometry=7864e87c0e8671ed;" \
     "CArmProjection=46e6726030fe2f0e;" \
-    "Abi=811254d74fb1c537"
+    "Abi=40728ebe89b99638"
 
 /* Status codes. */
 #define TRB_OK (0) /* Done. */
@@ -71,6 +73,8 @@ extern "C" {
 #define TRB_ERROR_TRANSPORT (-10) /* Shared memory or the transport failed. */
 #define TRB_ERROR_HUB_GONE (-11) /* The hub is gone. */
 #define TRB_ERROR_DEFECT (-12) /* A defect of this library. */
+#define TRB_ERROR_FORKED (-13) /* The client is of the process that this one was forked from. */
+#define TRB_ERROR_BUSY (-14) /* This thread is in a call already: a signal handler's call is refused. */
 
 /* Codes of fields, and lengths of arrays. */
 #define TRB_TENDON_NONE 0
@@ -967,7 +971,8 @@ const char *trb_version(void);
 const char *trb_layouts(void);
 
 /* What went wrong in this thread's last call that returned an error: what was given, what was
- * expected, what to do. The text lives until this thread's next call that returns an error. */
+ * expected, what to do. The text lives until this thread's next call that returns an error, or its
+ * end. */
 const char *trb_last_error(void);
 
 /* Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; a
@@ -979,9 +984,19 @@ const char *trb_last_error(void);
  * most `timeout_s` for the session. `client` receives a handle, which belongs to the calling thread. */
 int32_t trb_connect(const char *layouts, const char *session, const char *controller, double timeout_s, trb_client *client);
 
-/* Leaves the session. Every pointer that this client has given ends here. A process that ends without
- * it is cleaned up behind. */
+/* Leaves the session. Every pointer that this client has given ends here, unless trb_hold_memory keeps
+ * it. A process that ends without it is cleaned up behind. In a child of fork() it is refused, and the
+ * parent stays connected. */
 int32_t trb_disconnect(trb_client client);
+
+/* Keeps what this client has handed out, and what is in it, beyond trb_disconnect and the end of its
+ * thread: all of its pointers that are good then stay so until trb_release_memory has been called as
+ * often. For languages in which memory lives as long as somebody looks at it. */
+int32_t trb_hold_memory(trb_client client);
+
+/* Takes one trb_hold_memory back; the last one behind the client's end ends its pointers. Any thread
+ * may call it. */
+int32_t trb_release_memory(trb_client client);
 
 /* Facts that do not change during the session. */
 int32_t trb_get_info(trb_client client, trb_session_info *info);
@@ -1003,17 +1018,18 @@ int32_t trb_next_state(trb_client client, double timeout_s, const trb_state **st
 /* Number of states that were passed over or overwritten before this client took them. */
 int32_t trb_states_missed(trb_client client, uint64_t *count);
 
-/* The command that will be sent next, in shared memory, to be filled in place: every mode at "none",
- * `sequence` and `state_tick` filled in for the state taken last. The same one until trb_send_command,
- * trb_discard_command or trb_disconnect, where it ends. */
+/* The command that will be sent next, to be filled in: every mode at "none", `sequence` and
+ * `state_tick` filled in for the state taken last. The same one until trb_send_command,
+ * trb_discard_command or trb_disconnect, where it ends. It lies in the client's own memory:
+ * trb_send_command copies it, and what is written later reaches nobody. */
 int32_t trb_loan_command(trb_client client, trb_command **command);
 
-/* Sends the loaned command and wakes the physics, which checks it: a command that it refuses changes
- * nothing. Of one that it takes, a part that the tool cannot follow (a goal out of reach) changes
- * nothing, the others act. Both are counted in the status and said in an event. */
+/* Sends the loaned command as it is now and wakes the physics, which checks it: a command that it
+ * refuses changes nothing. Of one that it takes, a part that the tool cannot follow (a goal out of
+ * reach) changes nothing, the others act. Both are counted in the status and said in an event. */
 int32_t trb_send_command(trb_client client);
 
-/* Gives the loaned command back unsent. Without one it does nothing. */
+/* Forgets the loaned command unsent. Without one it does nothing. */
 int32_t trb_discard_command(trb_client client);
 
 /* Asks for an X-ray frame. `t_world_c_arm` is the pose of the C-arm: origin in the isocentre, +x along
@@ -1026,7 +1042,7 @@ int32_t trb_request_frame(trb_client client, const trb_pose *t_world_c_arm, uint
  * request, others that come before it are passed over. Frames are kept from this client's first call
  * of trb_request_frame or trb_wait_frame on, 64 at most. TRB_ENDED says that the run is over and none
  * is being rendered. What `view` points at lies in shared memory and stays, unchanged, until this
- * client's next call of trb_wait_frame or trb_disconnect. */
+ * client's next call of trb_wait_frame that returns TRB_OK, or trb_disconnect. */
 int32_t trb_wait_frame(trb_client client, uint64_t request_id, double timeout_s, trb_frame_view *view);
 
 /* The CT volume as it was at the start. What `view` points at lies in shared memory and stays until
@@ -1043,7 +1059,7 @@ int32_t trb_get_status(trb_client client, trb_run_status *status);
 
 /* The oldest event that has not been taken; TRB_TIMEOUT if there is none. Events are kept from this
  * client's first call on, 256 at most. What `view` points at stays until this client's next call of
- * trb_next_event or trb_disconnect. */
+ * trb_next_event that returns TRB_OK, or trb_disconnect. */
 int32_t trb_next_event(trb_client client, trb_event_view *view);
 
 /* Writes a line to the session's events, and so into the log. `severity` is TRB_SEVERITY_INFO and so
@@ -1052,7 +1068,7 @@ int32_t trb_remark(trb_client client, uint32_t severity, const char *text);
 
 /* The oldest message about removed voxels that has not been taken; TRB_TIMEOUT if there is none. They
  * are kept from this client's first call on, 512 at most. What `view` points at stays until this
- * client's next call of trb_next_removed or trb_disconnect. */
+ * client's next call of trb_next_removed that returns TRB_OK, or trb_disconnect. */
 int32_t trb_next_removed(trb_client client, trb_removed_view *view);
 
 #ifdef __cplusplus

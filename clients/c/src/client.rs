@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use ipc_types::layout::Message;
 use ipc_types::messages::{
     CONTROL_REFUSED, Command, DrrReply, DrrRequest, EVENT_CONTROLLER, Event, Frame, PHASE_ENDED, Removed,
     RunControl, RunControlReply, RunStatus, SENDER_CONTROLLER, State, Volume,
 };
-use ipc_types::ports::{Loan, Publisher, Received, Subscriber};
+use ipc_types::own::Own;
+use ipc_types::ports::{Publisher, Received, Subscriber};
 use ipc_types::process::{EventSender, session_scene};
 use ipc_types::scene::{Mode, Scene};
 use ipc_types::services;
@@ -79,10 +81,11 @@ pub struct Info {
     pub has_volume: bool,
 }
 
-/// A connection. It belongs to the thread that made it.
+/// A connection. It belongs to the thread that made it, and to the process: in a child of `fork` every call is refused with
+/// [`ClientError::Forked`], and its end there disconnects nobody.
 #[derive(Debug)]
 pub struct Client {
-    pub(crate) session: Session,
+    pub(crate) session: Own<Session>,
     pub(crate) scene: Scene,
     pub(crate) info: Info,
     states: Subscriber<State>,
@@ -91,7 +94,11 @@ pub struct Client {
     physics: Waker,
     commands: Option<Publisher<Command>>,
     state: Option<Received<State>>,
-    loan: Option<Loan<Command>>,
+    /// Filled by the caller, and copied when it is sent: what is written here later reaches nobody. Boxed: callers of the C
+    /// interface hold its address.
+    command: Box<Command>,
+    /// Whether it has been asked for and not been sent.
+    is_begun: bool,
     sequence: u64,
     newest_tick: Option<u64>,
     states_missed: u64,
@@ -177,7 +184,8 @@ impl Client {
                 .map(|(name, _)| session.command_publisher(name))
                 .transpose()?,
             state: None,
-            loan: None,
+            command: Box::new(Command::zeroed()),
+            is_begun: false,
             sequence: 0,
             newest_tick: None,
             states_missed: 0,
@@ -195,10 +203,20 @@ impl Client {
             requests: None,
             volumes: None,
             volume: None,
-            session,
+            session: Own::new(session),
             scene,
             info,
         })
+    }
+
+    /// Whether this process has connected it, and not the one that it was forked from.
+    pub(crate) fn is_ours(&self) -> bool {
+        self.session.is_ours()
+    }
+
+    /// An error in a child of the process that has connected.
+    pub(crate) fn check_process(&self) -> Result<(), ClientError> {
+        if self.is_ours() { Ok(()) } else { Err(ClientError::Forked) }
     }
 
     /// What does not change during the session.
@@ -217,6 +235,7 @@ impl Client {
     /// # Errors
     /// [`ClientError::Ended`] after the last state; the transport's.
     pub fn poll_state(&mut self) -> Result<Option<&State>, ClientError> {
+        self.check_process()?;
         let mut came = false;
         while self.take_state()? {
             came = true;
@@ -252,6 +271,7 @@ impl Client {
 
     /// Waits for a state and takes the oldest one.
     fn await_state(&mut self, limit: Duration) -> Result<(), ClientError> {
+        self.check_process()?;
         let deadline = Instant::now() + limit;
         loop {
             if self.take_state()? {
@@ -276,7 +296,7 @@ impl Client {
 
     /// The last state that was taken.
     pub fn state(&self) -> Option<&State> {
-        self.state.as_ref().map(Received::message)
+        self.state.as_ref().filter(|_| self.is_ours()).map(Received::message)
     }
 
     /// States that were passed over or overwritten before this client took them.
@@ -285,10 +305,12 @@ impl Client {
     }
 
     fn take_state(&mut self) -> Result<bool, ClientError> {
-        // The one before is given back only when the new one is here: a caller may still hold on to it.
-        let Some(state) = self.states.receive()? else { return Ok(false) };
-        self.state = Some(state);
-        Ok(true)
+        while let Some(state) = self.states.receive()? {
+            if put(&mut self.state, state) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     /// Counts the states between the one that is handed out now and the one before.
@@ -328,49 +350,49 @@ impl Client {
     /// # Errors
     /// The transport's.
     pub fn status(&mut self) -> Result<Option<RunStatus>, ClientError> {
+        self.check_process()?;
         if let Some(status) = self.status.receive_newest()? {
             self.newest_status = Some(*status.message());
         }
         Ok(self.newest_status)
     }
 
-    /// The command that will be sent next, in shared memory: every mode at "none", `sequence` and `state_tick` filled in.
-    /// The same one until it is sent or discarded.
+    /// The command that will be sent next: every mode at "none", `sequence` and `state_tick` filled in. The same one until
+    /// it is sent or discarded.
     ///
     /// # Errors
-    /// [`ClientError::Observer`]; the transport's.
+    /// [`ClientError::Observer`], [`ClientError::Forked`].
     pub fn command(&mut self) -> Result<&mut Command, ClientError> {
-        let loan = match self.loan.take() {
-            Some(loan) => loan,
-            None => {
-                let publisher = self.commands.as_ref().ok_or(ClientError::Observer)?;
-                let mut loan = publisher.loan()?;
-                let command = loan.message_mut();
-                command.sequence = self.sequence + 1;
-                command.state_tick = self.newest_tick.unwrap_or(0);
-                loan
-            }
-        };
-        Ok(self.loan.insert(loan).message_mut())
+        self.check_process()?;
+        if self.commands.is_none() {
+            return Err(ClientError::Observer);
+        }
+        if !self.is_begun {
+            let state_tick = self.newest_tick.unwrap_or(0);
+            *self.command = Command { sequence: self.sequence + 1, state_tick, ..Command::zeroed() };
+            self.is_begun = true;
+        }
+        Ok(&mut self.command)
     }
 
-    /// Sends the command that [`Client::command`] gave, and wakes the physics.
+    /// Sends the command that [`Client::command`] gave, as it is now, and wakes the physics. If that fails it can be sent
+    /// again.
     ///
     /// # Errors
-    /// [`ClientError::Misuse`] if none was asked for; the transport's.
+    /// [`ClientError::Misuse`] if none was asked for, [`ClientError::Forked`]; the transport's.
     pub fn send(&mut self) -> Result<(), ClientError> {
-        let none = ClientError::Misuse("no command to send; ask for one first");
-        let mut loan = self.loan.take().ok_or(none)?;
-        let sequence = loan.message_mut().sequence;
-        loan.send()?;
-        self.sequence = sequence;
+        self.check_process()?;
+        let publisher = self.commands.as_ref().filter(|_| self.is_begun);
+        publisher.ok_or(ClientError::Misuse("no command to send; ask for one first"))?.send(&self.command)?;
+        self.is_begun = false;
+        self.sequence = self.command.sequence;
         self.physics.wake();
         Ok(())
     }
 
-    /// Gives the command back unsent. Without one it does nothing.
+    /// Forgets the command that has been begun. Without one it does nothing.
     pub fn discard_command(&mut self) {
-        self.loan = None;
+        self.is_begun = false;
     }
 
     /// Waits for the newest state, has it answered, and sends the answer.
@@ -384,8 +406,8 @@ impl Client {
     ) -> Result<(), ClientError> {
         self.wait_state(limit)?;
         self.command()?;
-        if let (Some(state), Some(loan)) = (&self.state, &mut self.loan) {
-            step(state.message(), loan.message_mut());
+        if let Some(state) = &self.state {
+            step(state.message(), &mut self.command);
         }
         self.send()
     }
@@ -400,6 +422,7 @@ impl Client {
         ticks: u64,
         limit: Duration,
     ) -> Result<RunControlReply, ClientError> {
+        self.check_process()?;
         let control = match &mut self.control {
             Some(control) => control,
             none => none.insert(Control {
@@ -455,16 +478,22 @@ impl Client {
         }
     }
 
-    /// The oldest event that has not been taken. Events are kept for this client from its first call on.
+    /// The oldest event that has not been taken. Events are kept for this client from its first call on. It stays in shared
+    /// memory until the next one has come.
     ///
     /// # Errors
-    /// The transport's.
+    /// [`ClientError::Forked`]; the transport's.
     pub fn next_event(&mut self) -> Result<Option<(&Event, &str)>, ClientError> {
+        self.check_process()?;
         if self.events.is_none() {
             self.events = Some(self.session.subscriber(&services::EVENT)?);
         }
-        self.event = self.events.as_ref().map_or(Ok(None), |events| events.receive_valid(|_| {}))?;
-        Ok(self.event.as_ref().map(|event| (event.message(), event_text(event))))
+        let Some(event) = self.events.as_ref().map_or(Ok(None), |events| events.receive_valid(|_| {}))?
+        else {
+            return Ok(None);
+        };
+        let event = &*self.event.insert(event);
+        Ok(Some((event.message(), event_text(event))))
     }
 
     /// Writes a line to the session's events, and so into the log.
@@ -472,6 +501,7 @@ impl Client {
     /// # Errors
     /// [`ClientError::Observer`]; the transport's.
     pub fn remark(&mut self, severity: u32, text: &str) -> Result<(), ClientError> {
+        self.check_process()?;
         let (_, index) = self.info.controller.as_ref().ok_or(ClientError::Observer)?;
         if self.remarks.is_none() {
             self.remarks = Some(EventSender::new(&self.session, SENDER_CONTROLLER + *index as u32)?);
@@ -484,17 +514,59 @@ impl Client {
     }
 
     /// The oldest message about removed voxels that has not been taken, with the voxels' indices in place. They are kept
-    /// for this client from its first call on.
+    /// for this client from its first call on. It stays in shared memory until the next one has come.
     ///
     /// # Errors
-    /// The transport's.
+    /// [`ClientError::Forked`]; the transport's.
     pub fn next_removed(&mut self) -> Result<Option<&Received<Removed>>, ClientError> {
+        self.check_process()?;
         if self.removed.is_none() {
             self.removed = Some(self.session.subscriber(&services::REMOVED)?);
         }
-        self.removal = self.removed.as_ref().map_or(Ok(None), Subscriber::receive)?;
-        Ok(self.removal.as_ref())
+        while let Some(removal) = self.removed.as_ref().map_or(Ok(None), Subscriber::receive)? {
+            if put(&mut self.removal, removal) {
+                return Ok(self.removal.as_ref());
+            }
+        }
+        Ok(None)
     }
+
+    /// Leaves the session, but for what has been handed out.
+    pub(crate) fn leave(self) -> Kept {
+        Kept {
+            _state: self.state.map(|state| (state, self.states)),
+            _event: self.event.zip(self.events),
+            _removal: self.removal.zip(self.removed),
+            _frame: self.frame.zip(self.frames),
+            _volume: self.volume.zip(self.volumes),
+            _command: self.command,
+        }
+    }
+}
+
+/// What has been handed out last of each kind, with the port that keeps it as it is: nobody writes there before these are
+/// dropped.
+#[derive(Debug)]
+pub(crate) struct Kept {
+    _state: Option<(Received<State>, Subscriber<State>)>,
+    _event: Option<(Received<Event>, Subscriber<Event>)>,
+    _removal: Option<(Received<Removed>, Subscriber<Removed>)>,
+    _frame: Option<(Received<Frame>, Subscriber<Frame>)>,
+    _volume: Option<(Received<Volume>, Subscriber<Volume>)>,
+    _command: Box<Command>,
+}
+
+/// Puts a message that has come into the place of the one before. That one is given back only here: a caller may still look
+/// at it, and the memory of a sender that has gone is unmapped with its last message.
+///
+/// False, and passed over, if it is of another sender: a session has one sender of each kind that is held, and a stranger
+/// who takes its place must not unmap what a caller has from it.
+pub(crate) fn put<M: Message>(held: &mut Option<Received<M>>, new: Received<M>) -> bool {
+    let is_foreign = held.as_ref().is_some_and(|held| held.sender() != new.sender());
+    if !is_foreign {
+        *held = Some(new);
+    }
+    !is_foreign
 }
 
 /// The text of an event, in place. Its sender is another process: bytes that are no text are none.

@@ -84,6 +84,12 @@ pub enum ClientError {
         /// What is allowed.
         expected: &'static str,
     },
+    /// A child of `fork` uses its parent's client.
+    #[error(
+        "this client is of the process that this one was forked from, and stays its own; connect a new one here (Python's \
+         `multiprocessing`: start method `spawn`, or connect in the child)"
+    )]
+    Forked,
     /// The run is over.
     #[error("the run has ended")]
     Ended,

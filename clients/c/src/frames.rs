@@ -13,13 +13,15 @@ use ipc_types::services;
 use ipc_types::session::Reader;
 use zerocopy::FromBytes;
 
-use crate::client::{Client, Requests, look_until, new_request_id};
+use crate::client::{Client, Requests, look_until, new_request_id, put};
 use crate::error::ClientError;
 
 /// How often a client that waits for the volume looks.
 const RETRY_TIME: Duration = Duration::from_millis(2);
 /// How long after a run's end its last frames may still come.
 const LAST_FRAMES: Duration = Duration::from_secs(1);
+
+const NO_PICTURE: ClientError = ClientError::Misuse("a frame came whose pixels are not those it announces");
 
 /// A frame in shared memory.
 #[derive(Debug, Clone, Copy)]
@@ -48,6 +50,7 @@ impl Client {
     /// # Errors
     /// [`ClientError::NoDrr`], [`ClientError::BadArgument`] for a pose that is none; the transport's.
     pub fn request_frame(&mut self, t_world_c_arm: Option<&Pose>, tick: u64) -> Result<u64, ClientError> {
+        self.check_process()?;
         self.open_frames()?;
         let drr = self.scene.drr.as_ref().ok_or(ClientError::NoDrr)?;
         let geometry = t_world_c_arm.map(|pose| geometry_at(pose, drr)).transpose()?;
@@ -75,21 +78,24 @@ impl Client {
 
     /// Waits for a frame: the one of a request, or with 0 the next one of any kind. Frames are kept for this client
     /// from its first call of this or [`Client::request_frame`] on, 64 at most. It stays in shared memory, and is not
-    /// overwritten, until the next call.
+    /// overwritten, until the next frame is returned.
     ///
     /// # Errors
     /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`] when the
     /// run is over and no frame is being rendered; the transport's.
     pub fn wait_frame(&mut self, request_id: u64, limit: Duration) -> Result<FrameView<'_>, ClientError> {
+        self.check_process()?;
         self.open_frames()?;
-        self.frame = None;
         let deadline = Instant::now() + limit;
         loop {
             self.check_replies(request_id)?;
             let Some(frames) = &self.frames else { return Err(ClientError::NoDrr) };
             if let Some(frame) = frames.receive()? {
-                if request_id == 0 || frame.message().request_id == request_id {
-                    self.frame = Some(frame);
+                if request_id != 0 && frame.message().request_id != request_id {
+                    continue;
+                }
+                frame_view(&frame).ok_or(NO_PICTURE)?;
+                if put(&mut self.frame, frame) {
                     break;
                 }
                 continue;
@@ -101,8 +107,7 @@ impl Client {
             look_until(slice, || frames.has_message());
             self.check_frames_come(request_id)?;
         }
-        let view = self.frame.as_ref().and_then(frame_view);
-        view.ok_or(ClientError::Misuse("a frame came whose pixels are not those it announces"))
+        self.frame.as_ref().and_then(frame_view).ok_or(NO_PICTURE)
     }
 
     /// An error when the run has ended and no frame will come: none is being rendered.
@@ -146,6 +151,7 @@ impl Client {
     /// # Errors
     /// [`ClientError::NoVolume`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.
     pub fn volume(&mut self, limit: Duration) -> Result<VolumeView<'_>, ClientError> {
+        self.check_process()?;
         if self.scene.volume.is_none() {
             return Err(ClientError::NoVolume);
         }

@@ -42,7 +42,8 @@ inline bool came(int status) {
     return true;
 }
 
-// A command to be filled in place in shared memory. Sent by send(); given back unsent if that was not called.
+// A command to be filled in. Sent by send(), as it is then; forgotten unsent if that was not called. To use it behind send() is a
+// std::logic_error.
 class Loan {
 public:
     explicit Loan(trb_client client) : client_(client) { check(trb_loan_command(client, &command_)); }
@@ -53,14 +54,19 @@ public:
     ~Loan() {
         if (command_) trb_discard_command(client_);
     }
-    trb_command *operator->() noexcept { return command_; }
-    trb_command &operator*() noexcept { return *command_; }
+    trb_command *operator->() { return unsent(); }
+    trb_command &operator*() { return *unsent(); }
     void send() {
-        command_ = nullptr;
+        unsent();
         check(trb_send_command(client_));
+        command_ = nullptr;
     }
 
 private:
+    trb_command *unsent() const {
+        if (!command_) throw std::logic_error("the command has been sent; Client::command() gives the next one");
+        return command_;
+    }
     trb_client client_;
     trb_command *command_ = nullptr;
 };
@@ -116,7 +122,7 @@ public:
         check(trb_request_frame(client_, t_world_c_arm, tick, &request));
         return request;
     }
-    // The frame of a request, or with 0 the next one. Stays until the next call.
+    // The frame of a request, or with 0 the next one. Stays until the next one is returned.
     trb_frame_view wait_frame(std::uint64_t request, double timeout_s) {
         trb_frame_view view;
         check(trb_wait_frame(client_, request, timeout_s, &view));
@@ -140,12 +146,14 @@ public:
         trb_run_status status;
         return came(trb_get_status(client_, &status)) ? std::optional(status) : std::nullopt;
     }
-    // The oldest event that has not been taken; stays until the next call.
+    // The oldest event that has not been taken; stays until the next one is
+    // returned.
     std::optional<trb_event_view> next_event() {
         trb_event_view view;
         return came(trb_next_event(client_, &view)) ? std::optional(view) : std::nullopt;
     }
-    // The oldest message about removed voxels that has not been taken; stays until the next call.
+    // The oldest message about removed voxels that has not been taken; stays until the next
+    // one is returned.
     std::optional<trb_removed_view> next_removed() {
         trb_removed_view view;
         return came(trb_next_removed(client_, &view)) ? std::optional(view) : std::nullopt;

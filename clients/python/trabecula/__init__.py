@@ -8,7 +8,8 @@
                 command.tendon_mode = trabecula.TENDON_SERVO_JF
                 command.tendon_force_n[0] = 5.0
 
-States, frames and the CT volume are views of shared memory: nothing is copied. Units are SI and end the names.
+States, frames and the CT volume are views of shared memory: nothing is copied, and they stay readable for as long as they are
+held. Units are SI and end the names.
 """
 
 from . import _generated

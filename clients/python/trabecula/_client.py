@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -62,25 +63,30 @@ def _text(text: Optional[str]) -> Optional[bytes]:
     return None if text is None else text.encode()
 
 
-class _Connection:
-    """Disconnects when the last view of its memory has gone."""
+def _connected(session: Optional[str], controller: Optional[str], timeout_s: float) -> int:
+    """The handle of a new client."""
+    handle = ctypes.c_uint64()
+    layouts = g.LAYOUTS.encode()
+    for slice_s, last in _slices(timeout_s):
+        given = (layouts, _text(session), _text(controller), slice_s)
+        status = _library.trb_connect(*given, _byref(handle))
+        if status != g.ERROR_NO_SESSION or last:
+            break
+    _check(status)
+    return handle.value
 
-    def __init__(self, session: Optional[str], controller: Optional[str], timeout_s: float) -> None:
-        self.handle = 0
-        handle = ctypes.c_uint64()
-        layouts = g.LAYOUTS.encode()
-        for slice_s, last in _slices(timeout_s):
-            given = (layouts, _text(session), _text(controller), slice_s)
-            status = _library.trb_connect(*given, _byref(handle))
-            if status != g.ERROR_NO_SESSION or last:
-                break
-        _check(status)
-        self.handle = handle.value
 
-    def __del__(self, disconnect=_library.trb_disconnect) -> None:
-        if self.handle:
-            # Refused in another thread than the client's own, which disconnects it at its end.
-            disconnect(self.handle)
+class _Memory:
+    """What a client hands out: it stays as long as this does, in whatever thread, whether the client is there or not."""
+
+    def __init__(self, handle: int) -> None:
+        self._handle = 0
+        _check(_library.trb_hold_memory(handle))
+        self._handle = handle
+
+    def __del__(self, release=_library.trb_release_memory) -> None:
+        if self._handle:
+            release(self._handle)
 
 
 @dataclass(frozen=True)
@@ -158,8 +164,11 @@ class SessionEvent(NamedTuple):
 class Client:
     """A connection to a session: as a controller, or as an observer.
 
-    It belongs to the thread that made it. Everything that it hands out lies in shared memory, read-only, and shows what is
-    there until the time that each method states; `copy()` keeps it. As a context manager it closes itself.
+    It belongs to the thread that made it, and to the process: in a child made by `fork` every call is refused, and the child's
+    end disconnects nobody (start processes with `spawn`, or connect in the child). Everything that it hands out lies in
+    shared memory, read-only, and shows what is there until the time that each method states; `copy()` keeps it. It stays
+    readable for as long as it is held, in any thread, also when the client is closed or gone. As a context manager a client
+    closes itself.
 
     Args:
         session: The session's folder or name; None takes the folder in the environment variable `TRABECULA_SESSION`, or
@@ -175,11 +184,16 @@ class Client:
     def __init__(
         self, session: Optional[str] = None, controller: Optional[str] = None, timeout_s: float = 10.0
     ) -> None:
-        self._connection: Optional[_Connection] = _Connection(session, controller, timeout_s)
-        self._handle = self._connection.handle
-        self._pointer = ctypes.c_void_p()
-        self._pointer_reference = _byref(self._pointer)
+        self._handle = _connected(session, controller, timeout_s)
+        self._thread = threading.current_thread()
+        self._memory: Optional[_Memory] = _Memory(self._handle)
+        # One for each kind of message: a signal's handler may call between a call and the look at what it gave.
+        self._state, self._begun = ctypes.c_void_p(), ctypes.c_void_p()
+        self._state_reference, self._begun_reference = _byref(self._state), _byref(self._begun)
         self._views: dict = {}
+        #: Where the library keeps the command to be sent, and the one that the caller fills in.
+        self._sending: Optional[memoryview] = None
+        self._command: Optional[g.Command] = None
 
     def __enter__(self) -> "Client":
         return self
@@ -188,25 +202,45 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Leaves the session. Messages that this client has handed out are empty from here on; NumPy arrays that are still
-        held keep their memory, and with it the connection, until they are gone.
+        """Leaves the session. What this client has handed out stays readable for as long as it is held.
+
+        Raises:
+            Error: Another thread has connected it, and goes on.
         """
-        for view in self._views.values():
-            view._release()
-        self._views = {}
-        self._connection, self._handle = None, 0
+        if self._handle:
+            status = _library.trb_disconnect(self._handle)
+            # A thread's clients end with it; a parent's stays connected.
+            if status != g.ERROR_FORKED and self._is_of_a_running_thread():
+                _check(status)
+        self._handle, self._memory, self._views, self._sending = 0, None, {}, None
+        self._end_command("its client has been closed")
+
+    def __del__(self, disconnect=_library.trb_disconnect) -> None:
+        if self._handle:
+            # Refused in another thread than the client's own, which disconnects it at its end.
+            disconnect(self._handle)
+
+    #: Until it is connected.
+    _handle = 0
+
+    def _is_of_a_running_thread(self) -> bool:
+        return self._thread.is_alive()
+
+    def _end_command(self, why: str) -> None:
+        command, self._command = self._command, None
+        if command is not None:
+            command._seal(why)
 
     def _bytes(self, address: int, size: int) -> memoryview:
         memory = (ctypes.c_ubyte * size).from_address(address)
-        memory.connection = self._connection  # keeps it mapped
+        memory.held = self._memory  # keeps it mapped
         return memoryview(memory).cast("B")
 
-    def _view(self, message: Type[_V], address: int, writable: bool = False) -> _V:
+    def _view(self, message: Type[_V], address: int) -> _V:
         # The samples of a queue lie at addresses that come again and again.
         view = self._views.get((message, address))
         if view is None:
-            buffer = self._bytes(address, message.dtype.itemsize)
-            view = message(buffer if writable else buffer.toreadonly())
+            view = message(self._bytes(address, message.dtype.itemsize).toreadonly())
             self._views[(message, address)] = view
         return view
 
@@ -242,13 +276,13 @@ class Client:
             TimeoutError: None came in time.
             Ended: The run is over.
         """
-        self._await(_library.trb_wait_state, timeout_s, self._handle, self._pointer_reference)
-        return self._view(g.State, self._pointer.value)
+        self._await(_library.trb_wait_state, timeout_s, self._handle, self._state_reference)
+        return self._view(g.State, self._state.value)
 
     def next_state(self, timeout_s: float = 30.0) -> g.State:
         """Waits for the oldest state that has not been taken, for programs that want every one; 512 are kept."""
-        self._await(_library.trb_next_state, timeout_s, self._handle, self._pointer_reference)
-        return self._view(g.State, self._pointer.value)
+        self._await(_library.trb_next_state, timeout_s, self._handle, self._state_reference)
+        return self._view(g.State, self._state.value)
 
     def poll_state(self) -> Optional[g.State]:
         """The newest state if one has come since the last call, without waiting.
@@ -256,11 +290,11 @@ class Client:
         Raises:
             Ended: The run is over.
         """
-        status = _library.trb_poll_state(self._handle, self._pointer_reference)
+        status = _library.trb_poll_state(self._handle, self._state_reference)
         if status == g.TIMEOUT:
             return None
         _check(status)
-        return self._view(g.State, self._pointer.value)
+        return self._view(g.State, self._state.value)
 
     def states(self, timeout_s: float = math.inf) -> Iterator[g.State]:
         """The newest state again and again, until the run is over. A paused run publishes none: this waits on.
@@ -283,22 +317,30 @@ class Client:
         return count.value
 
     def loan_command(self) -> g.Command:
-        """The command that `send_command` will send, in shared memory: every mode at "none", `sequence` and `state_tick`
-        filled in. It may be written until then.
+        """The command that `send_command` will send: every mode at "none", `sequence` and `state_tick` filled in. It may be
+        written until then, and lies in memory of its own: no later change reaches anybody.
         """
-        _check(_library.trb_loan_command(self._handle, self._pointer_reference))
-        return self._view(g.Command, self._pointer.value, writable=True)
+        _check(_library.trb_loan_command(self._handle, self._begun_reference))
+        if self._command is None:
+            if self._sending is None:
+                self._sending = self._bytes(self._begun.value, g.Command.dtype.itemsize)
+            self._command = g.Command(memoryview(bytearray(self._sending)), {})
+        return self._command
 
     def send_command(self) -> None:
-        """Sends the loaned command. The physics checks it: a command that it refuses changes nothing. Of one that it takes,
-        a part that the tool cannot follow (a goal out of reach) changes nothing, the others act. Both are counted, and
-        said in an event.
+        """Sends the loaned command as it is now; to write it afterwards raises a ValueError. The physics checks it: a command
+        that it refuses changes nothing. Of one that it takes, a part that the tool cannot follow (a goal out of reach)
+        changes nothing, the others act. Both are counted, and said in an event.
         """
+        if self._command is not None:
+            self._sending[:] = self._command._buffer
         _check(_library.trb_send_command(self._handle))
+        self._end_command("it has been sent")
 
     def discard_command(self) -> None:
-        """Gives the loaned command back unsent."""
+        """Forgets the loaned command unsent."""
         _check(_library.trb_discard_command(self._handle))
+        self._end_command("it has been discarded")
 
     @contextmanager
     def command(self) -> Iterator[g.Command]:
@@ -336,7 +378,7 @@ class Client:
 
     def wait_frame(self, request_id: int = 0, timeout_s: float = 30.0) -> Image:
         """Waits for the frame of a request, or with 0 for the next one of any kind. Its memory is used again after the next
-        call. Frames are kept from the first call of this or `request_frame` on, 64 at most.
+        frame. Frames are kept from the first call of this or `request_frame` on, 64 at most.
 
         Raises:
             TimeoutError: None came in time.
@@ -351,7 +393,7 @@ class Client:
         return Image(frame, pixels.reshape(geometry.rows, geometry.columns))
 
     def volume(self, timeout_s: float = 30.0) -> Ct:
-        """The CT volume as it was at the start, in place; it stays as long as the connection."""
+        """The CT volume as it was at the start, in place; it stays as it is."""
         view = g.trb_volume_view()
         self._await(_library.trb_get_volume, timeout_s, self._handle, _byref(view))
         volume = self._view(g.Volume, view.volume)
@@ -409,7 +451,7 @@ class Client:
 
     def next_removed(self) -> Optional[Removal]:
         """The oldest message about removed voxels that has not been taken, if any; kept from the first call on, 512 at
-        most. Its memory is used again after the next call.
+        most. Its memory is used again after the next one.
         """
         view = g.trb_removed_view()
         status = _library.trb_next_removed(self._handle, _byref(view))

@@ -35,7 +35,7 @@ LAYOUTS = (
     "LatchedCommand=614dac6c95076e87;"
     "CArmGeometry=7864e87c0e8671ed;"
     "CArmProjection=46e6726030fe2f0e;"
-    "Abi=811254d74fb1c537"
+    "Abi=40728ebe89b99638"
 )
 
 OK = 0
@@ -53,6 +53,8 @@ ERROR_ABSENT = -9
 ERROR_TRANSPORT = -10
 ERROR_HUB_GONE = -11
 ERROR_DEFECT = -12
+ERROR_FORKED = -13
+ERROR_BUSY = -14
 
 TENDON_NONE = 0
 TENDON_SERVO_JF = 1
@@ -140,8 +142,8 @@ class Pose(View):
             "itemsize": 56,
         }
     )
-    position_m: np.ndarray = field("position_m", None, 0, "Origin of the child frame in the parent frame: x, y, z.")
-    orientation_xyzw: np.ndarray = field("orientation_xyzw", None, 24, "Unit quaternion from child to parent axes: x, y, z, w.")
+    position_m: np.ndarray = field(None, 0, "Origin of the child frame in the parent frame: x, y, z.")
+    orientation_xyzw: np.ndarray = field(None, 24, "Unit quaternion from child to parent axes: x, y, z, w.")
 
 
 class Wrench(View):
@@ -157,8 +159,8 @@ class Wrench(View):
             "itemsize": 48,
         }
     )
-    force_n: np.ndarray = field("force_n", None, 0, "Force x, y, z.")
-    torque_nm: np.ndarray = field("torque_nm", None, 24, "Torque about the stated point x, y, z.")
+    force_n: np.ndarray = field(None, 0, "Force x, y, z.")
+    torque_nm: np.ndarray = field(None, 24, "Torque about the stated point x, y, z.")
 
 
 class Contact(View):
@@ -174,13 +176,13 @@ class Contact(View):
             "itemsize": 96,
         }
     )
-    sphere_index: int = field("sphere_index", "<I", 0, "Index of the proxy sphere, shaft first, burr last.")
-    part: int = field("part", "<I", 4, "Part of the tool: 0 shaft, 1 segment, 2 burr.")
-    point_m: np.ndarray = field("point_m", None, 8, "Point on the obstacle's surface, world.")
-    normal: np.ndarray = field("normal", None, 32, "Unit normal from the obstacle to the sphere, world.")
-    gap_m: float = field("gap_m", "<d", 56, "Signed distance of the sphere from the surface; negative is overlap.")
-    normal_force_n: float = field("normal_force_n", "<d", 64, "Normal force on the tool, never negative.")
-    friction_force_n: np.ndarray = field("friction_force_n", None, 72, "Friction force on the tool, world.")
+    sphere_index: int = field("<I", 0, "Index of the proxy sphere, shaft first, burr last.")
+    part: int = field("<I", 4, "Part of the tool: 0 shaft, 1 segment, 2 burr.")
+    point_m: np.ndarray = field(None, 8, "Point on the obstacle's surface, world.")
+    normal: np.ndarray = field(None, 32, "Unit normal from the obstacle to the sphere, world.")
+    gap_m: float = field("<d", 56, "Signed distance of the sphere from the surface; negative is overlap.")
+    normal_force_n: float = field("<d", 64, "Normal force on the tool, never negative.")
+    friction_force_n: np.ndarray = field(None, 72, "Friction force on the tool, world.")
 
 
 class AppliedCommand(View):
@@ -196,10 +198,10 @@ class AppliedCommand(View):
             "itemsize": 24,
         }
     )
-    sequence: int = field("sequence", "<Q", 0, "Sequence number of the command; 0 if none.")
-    age_ticks: int = field("age_ticks", "<Q", 8, "Ticks between the state that the command answers and the state it acted on.")
-    source: int = field("source", "<I", 16, "0 none, 1 fresh, 2 held, 3 safe command.")
-    controller_index: int = field("controller_index", "<I", 20, "Index of the controller in the scene.")
+    sequence: int = field("<Q", 0, "Sequence number of the command; 0 if none.")
+    age_ticks: int = field("<Q", 8, "Ticks between the state that the command answers and the state it acted on.")
+    source: int = field("<I", 16, "0 none, 1 fresh, 2 held, 3 safe command.")
+    controller_index: int = field("<I", 20, "Index of the controller in the scene.")
 
 
 class State(View):
@@ -217,41 +219,41 @@ class State(View):
             "itemsize": 7064,
         }
     )
-    tick: int = field("tick", "<Q", 0, "Number of ticks made since the run began; a reset does not set it back.")
-    sim_time_s: float = field("sim_time_s", "<d", 8, "Simulated time.")
-    hash: np.ndarray = field("hash", None, 16, "Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first).")
-    removed_total: int = field("removed_total", "<Q", 32, "Voxels drilled since the start or the last reset.")
-    removed_in_tick: int = field("removed_in_tick", "<I", 40, "Voxels removed in this tick.")
-    joint_count: int = field("joint_count", "<I", 44, "Number of flexures that are in use in the arrays below.")
-    tendon_count: int = field("tendon_count", "<I", 48, "Number of tendons in use.")
-    contact_count: int = field("contact_count", "<I", 52, "Number of entries of `contacts` in use.")
-    contact_total: int = field("contact_total", "<I", 56, "Number of contacts and near contacts in this tick; `contacts` lists those that carry force.")
-    controller_count: int = field("controller_count", "<I", 60, "Number of entries of `applied` in use.")
-    body_count: int = field("body_count", "<I", 64, "Number of entries of `t_world_body` in use.")
-    reserved_bodies: int = field("reserved_bodies", "<I", 68, "Zero.")
-    arm_mode: int = field("arm_mode", "<I", 72, "What the arm follows: the values of the command's `arm_mode`, 5 while it stops or stands.")
-    arm_status: int = field("arm_status", "<I", 76, "0 moving, 1 at its goal and at rest, 2 gave its motion up or stopped a joint at the end of its range.")
-    joint_position_rad: np.ndarray = field("joint_position_rad", None, 80, "Flexure angles from base to tip, positive toward tendon 0.")
-    joint_velocity_rad_per_s: np.ndarray = field("joint_velocity_rad_per_s", None, 336, "Flexure rates.")
-    bend_rad: float = field("bend_rad", "<d", 592, "Sum of the flexure angles: the bend of the tip against the base.")
-    burr_speed_rad_per_s: float = field("burr_speed_rad_per_s", "<d", 600, "Angular speed of the burr.")
-    burr_force_n: float = field("burr_force_n", "<d", 608, "Normal force with which the burr presses on bone.")
-    cutting_energy_j: float = field("cutting_energy_j", "<d", 616, "Energy that the burr has put into cutting since the start.")
-    tendon_tension_n: np.ndarray = field("tendon_tension_n", None, 624, "Tension at the proximal end of each tendon.")
-    tendon_displacement_m: np.ndarray = field("tendon_displacement_m", None, 656, "Pull of each tendon from its straight, unloaded length; positive is pulled.")
+    tick: int = field("<Q", 0, "Number of ticks made since the run began; a reset does not set it back.")
+    sim_time_s: float = field("<d", 8, "Simulated time.")
+    hash: np.ndarray = field(None, 16, "Chained hash h_k of every latched command, state and removal so far (XXH3-128, low word first).")
+    removed_total: int = field("<Q", 32, "Voxels drilled since the start or the last reset.")
+    removed_in_tick: int = field("<I", 40, "Voxels removed in this tick.")
+    joint_count: int = field("<I", 44, "Number of flexures that are in use in the arrays below.")
+    tendon_count: int = field("<I", 48, "Number of tendons in use.")
+    contact_count: int = field("<I", 52, "Number of entries of `contacts` in use.")
+    contact_total: int = field("<I", 56, "Number of contacts and near contacts in this tick; `contacts` lists those that carry force.")
+    controller_count: int = field("<I", 60, "Number of entries of `applied` in use.")
+    body_count: int = field("<I", 64, "Number of entries of `t_world_body` in use.")
+    reserved_bodies: int = field("<I", 68, "Zero.")
+    arm_mode: int = field("<I", 72, "What the arm follows: the values of the command's `arm_mode`, 5 while it stops or stands.")
+    arm_status: int = field("<I", 76, "0 moving, 1 at its goal and at rest, 2 gave its motion up or stopped a joint at the end of its range.")
+    joint_position_rad: np.ndarray = field(None, 80, "Flexure angles from base to tip, positive toward tendon 0.")
+    joint_velocity_rad_per_s: np.ndarray = field(None, 336, "Flexure rates.")
+    bend_rad: float = field("<d", 592, "Sum of the flexure angles: the bend of the tip against the base.")
+    burr_speed_rad_per_s: float = field("<d", 600, "Angular speed of the burr.")
+    burr_force_n: float = field("<d", 608, "Normal force with which the burr presses on bone.")
+    cutting_energy_j: float = field("<d", 616, "Energy that the burr has put into cutting since the start.")
+    tendon_tension_n: np.ndarray = field(None, 624, "Tension at the proximal end of each tendon.")
+    tendon_displacement_m: np.ndarray = field(None, 656, "Pull of each tendon from its straight, unloaded length; positive is pulled.")
     t_world_base: Pose = nested(Pose, 688, "Tool base (start of the rigid shaft), the mount's deflection included; +z along the straight tool, +x toward tendon 0.")
     t_world_tip: Pose = nested(Pose, 744, "Front of the burr: its centre plus its radius along the last link's +z.")
     t_world_burr: Pose = nested(Pose, 800, "Burr centre, axes of the last link.")
-    t_world_link: np.ndarray = field("t_world_link", None, 856, "Pose of each link behind its flexure, base to tip.")
-    arm_joint_position_rad: np.ndarray = field("arm_joint_position_rad", None, 2648, "Arm joint angles, base to wrist.")
-    arm_joint_velocity_rad_per_s: np.ndarray = field("arm_joint_velocity_rad_per_s", None, 2696, "Arm joint rates.")
-    arm_joint_deflection_rad: np.ndarray = field("arm_joint_deflection_rad", None, 2744, "Elastic deflection of the arm's joints, part of `arm_joint_position_rad`; 0 without joint compliance.")
-    arm_manipulability_m3: float = field("arm_manipulability_m3", "<d", 2792, "Distance from singularity: Yoshikawa's manipulability |det J| in m³; the UR5's is mostly 0.05 to 0.1.")
+    t_world_link: np.ndarray = field(None, 856, "Pose of each link behind its flexure, base to tip.")
+    arm_joint_position_rad: np.ndarray = field(None, 2648, "Arm joint angles, base to wrist.")
+    arm_joint_velocity_rad_per_s: np.ndarray = field(None, 2696, "Arm joint rates.")
+    arm_joint_deflection_rad: np.ndarray = field(None, 2744, "Elastic deflection of the arm's joints, part of `arm_joint_position_rad`; 0 without joint compliance.")
+    arm_manipulability_m3: float = field("<d", 2792, "Distance from singularity: Yoshikawa's manipulability |det J| in m³; the UR5's is mostly 0.05 to 0.1.")
     t_world_flange: Pose = nested(Pose, 2800, "Pose of the arm's flange.")
     flange_wrench: Wrench = nested(Wrench, 2856, "Wrench of the tool on the flange, about the tool base, world axes.")
-    t_world_body: np.ndarray = field("t_world_body", None, 2904, "Pose of each rigid body of the scene, in its order.")
-    contacts: np.ndarray = field("contacts", None, 3128, "Contacts that carry force, in the order of the spheres.")
-    applied: np.ndarray = field("applied", None, 6968, "The command of each controller that this tick applied.")
+    t_world_body: np.ndarray = field(None, 2904, "Pose of each rigid body of the scene, in its order.")
+    contacts: np.ndarray = field(None, 3128, "Contacts that carry force, in the order of the spheres.")
+    applied: np.ndarray = field(None, 6968, "The command of each controller that this tick applied.")
 
 
 class Command(View):
@@ -269,22 +271,22 @@ class Command(View):
             "itemsize": 320,
         }
     )
-    sequence: int = field("sequence", "<Q", 0, "Counts the commands of this controller, from 1, rising by one.")
-    state_tick: int = field("state_tick", "<Q", 8, "`tick` of the state that this command answers.")
-    tendon_mode: int = field("tendon_mode", "<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.")
-    arm_mode: int = field("arm_mode", "<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.")
-    burr_mode: int = field("burr_mode", "<I", 24, "0 none, 1 speed.")
-    reserved: int = field("reserved", "<I", 28, "Always 0.")
-    tendon_force_n: np.ndarray = field("tendon_force_n", None, 32, "Tensions for servo_jf, 0 or more.")
-    tendon_displacement_m: np.ndarray = field("tendon_displacement_m", None, 64, "Displacements for servo_jp and move_jp; positive pulls.")
-    arm_joint_position_rad: np.ndarray = field("arm_joint_position_rad", None, 96, "Joint angles for the arm's servo_jp and move_jp.")
-    arm_joint_velocity_rad_per_s: np.ndarray = field("arm_joint_velocity_rad_per_s", None, 144, "Joint rates for the arm's servo_jv.")
+    sequence: int = field("<Q", 0, "Counts the commands of this controller, from 1, rising by one.")
+    state_tick: int = field("<Q", 8, "`tick` of the state that this command answers.")
+    tendon_mode: int = field("<I", 16, "0 none, 1 servo_jf, 2 servo_jp, 3 move_jp.")
+    arm_mode: int = field("<I", 20, "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert, 8 rcm.")
+    burr_mode: int = field("<I", 24, "0 none, 1 speed.")
+    reserved: int = field("<I", 28, "Always 0.")
+    tendon_force_n: np.ndarray = field(None, 32, "Tensions for servo_jf, 0 or more.")
+    tendon_displacement_m: np.ndarray = field(None, 64, "Displacements for servo_jp and move_jp; positive pulls.")
+    arm_joint_position_rad: np.ndarray = field(None, 96, "Joint angles for the arm's servo_jp and move_jp.")
+    arm_joint_velocity_rad_per_s: np.ndarray = field(None, 144, "Joint rates for the arm's servo_jv.")
     t_world_base: Pose = nested(Pose, 192, "Goal of the arm's servo_cp, move_cp and rcm: the tool base but for the mount's deflection.")
-    arm_speed_m_per_s: float = field("arm_speed_m_per_s", "<d", 248, "Speed limit of move_cp and rcm; 0 takes the scene's limit. Feed of insert, above 0.")
-    arm_axis: np.ndarray = field("arm_axis", None, 256, "Axis of insert, a unit vector of the patient frame.")
-    arm_depth_m: float = field("arm_depth_m", "<d", 280, "Depth of insert from where the tool base stood when the insertion along this axis began.")
-    arm_pivot_m: np.ndarray = field("arm_pivot_m", None, 288, "Remote centre of motion of rcm, patient frame.")
-    burr_speed_rad_per_s: float = field("burr_speed_rad_per_s", "<d", 312, "Angular speed of the burr.")
+    arm_speed_m_per_s: float = field("<d", 248, "Speed limit of move_cp and rcm; 0 takes the scene's limit. Feed of insert, above 0.")
+    arm_axis: np.ndarray = field(None, 256, "Axis of insert, a unit vector of the patient frame.")
+    arm_depth_m: float = field("<d", 280, "Depth of insert from where the tool base stood when the insertion along this axis began.")
+    arm_pivot_m: np.ndarray = field(None, 288, "Remote centre of motion of rcm, patient frame.")
+    burr_speed_rad_per_s: float = field("<d", 312, "Angular speed of the burr.")
 
 
 class LatchedCommand(View):
@@ -300,9 +302,9 @@ class LatchedCommand(View):
             "itemsize": 336,
         }
     )
-    source: int = field("source", "<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.")
-    controller_index: int = field("controller_index", "<I", 4, "Index of the controller in the scene.")
-    age_ticks: int = field("age_ticks", "<Q", 8, "Ticks between the state that the command answers and the state it acts on.")
+    source: int = field("<I", 0, "0 none, 1 fresh, 2 held, 3 safe command.")
+    controller_index: int = field("<I", 4, "Index of the controller in the scene.")
+    age_ticks: int = field("<Q", 8, "Ticks between the state that the command answers and the state it acts on.")
     command: Command = nested(Command, 16, "The command itself; for the safe command, what it amounts to.")
 
 
@@ -321,10 +323,10 @@ class Latched(View):
             "itemsize": 1360,
         }
     )
-    tick: int = field("tick", "<Q", 0, "k: the tick that takes `State.tick` from k to k+1.")
-    controller_count: int = field("controller_count", "<I", 8, "Number of entries of `commands` in use, in the scene's order of controllers.")
-    reset: int = field("reset", "<I", 12, "1 if the simulation is set back to its initial state before this tick.")
-    commands: np.ndarray = field("commands", None, 16, "The commands that hold.")
+    tick: int = field("<Q", 0, "k: the tick that takes `State.tick` from k to k+1.")
+    controller_count: int = field("<I", 8, "Number of entries of `commands` in use, in the scene's order of controllers.")
+    reset: int = field("<I", 12, "1 if the simulation is set back to its initial state before this tick.")
+    commands: np.ndarray = field(None, 16, "The commands that hold.")
 
 
 class Removed(View):
@@ -343,11 +345,11 @@ class Removed(View):
             "itemsize": 32,
         }
     )
-    tick: int = field("tick", "<Q", 0, "`State.tick` of the state in which they are gone.")
-    sequence: int = field("sequence", "<Q", 8, "Counts these messages, from 1, rising by one.")
-    removed_total: int = field("removed_total", "<Q", 16, "Voxels drilled since the start or the last reset, these included.")
-    restore_first: int = field("restore_first", "<I", 24, "1 if all drilled voxels, not the predrilled ones, are put back before these are removed (a reset).")
-    voxel_index_length: int = field("voxel_index_length", "<I", 28, "Number of entries of `voxel_index`.")
+    tick: int = field("<Q", 0, "`State.tick` of the state in which they are gone.")
+    sequence: int = field("<Q", 8, "Counts these messages, from 1, rising by one.")
+    removed_total: int = field("<Q", 16, "Voxels drilled since the start or the last reset, these included.")
+    restore_first: int = field("<I", 24, "1 if all drilled voxels, not the predrilled ones, are put back before these are removed (a reset).")
+    voxel_index_length: int = field("<I", 28, "Number of entries of `voxel_index`.")
 
 
 class Keyframe(View):
@@ -366,13 +368,13 @@ class Keyframe(View):
             "itemsize": 48,
         }
     )
-    tick: int = field("tick", "<Q", 0, "`State.tick` of that state.")
-    hash: np.ndarray = field("hash", None, 8, "`State.hash` of that state, low word first.")
-    sequence: int = field("sequence", "<Q", 24, "Counts the parts of all keyframes, from 1, rising by one.")
-    total_bytes: int = field("total_bytes", "<I", 32, "Length of the whole keyframe in bytes.")
-    offset_bytes: int = field("offset_bytes", "<I", 36, "Where this part begins in it.")
-    reserved: int = field("reserved", "<I", 40, "Always 0.")
-    data_length: int = field("data_length", "<I", 44, "Bytes of this part.")
+    tick: int = field("<Q", 0, "`State.tick` of that state.")
+    hash: np.ndarray = field(None, 8, "`State.hash` of that state, low word first.")
+    sequence: int = field("<Q", 24, "Counts the parts of all keyframes, from 1, rising by one.")
+    total_bytes: int = field("<I", 32, "Length of the whole keyframe in bytes.")
+    offset_bytes: int = field("<I", 36, "Where this part begins in it.")
+    reserved: int = field("<I", 40, "Always 0.")
+    data_length: int = field("<I", 44, "Bytes of this part.")
 
 
 class Volume(View):
@@ -390,12 +392,12 @@ class Volume(View):
             "itemsize": 168,
         }
     )
-    sha256: np.ndarray = field("sha256", None, 0, "SHA-256 of geometry and voxels.")
-    origin_m: np.ndarray = field("origin_m", None, 32, "World position of the centre of voxel (0, 0, 0).")
-    spacing_m: np.ndarray = field("spacing_m", None, 56, "Distance between voxel centres along i, j, k.")
-    direction: np.ndarray = field("direction", None, 80, "Unit axes of i, j, k in the world, one after the other.")
-    dimensions: np.ndarray = field("dimensions", None, 152, "Number of voxels along i, j, k.")
-    hu_length: int = field("hu_length", "<I", 164, "Number of voxels.")
+    sha256: np.ndarray = field(None, 0, "SHA-256 of geometry and voxels.")
+    origin_m: np.ndarray = field(None, 32, "World position of the centre of voxel (0, 0, 0).")
+    spacing_m: np.ndarray = field(None, 56, "Distance between voxel centres along i, j, k.")
+    direction: np.ndarray = field(None, 80, "Unit axes of i, j, k in the world, one after the other.")
+    dimensions: np.ndarray = field(None, 152, "Number of voxels along i, j, k.")
+    hu_length: int = field("<I", 164, "Number of voxels.")
 
 
 class CArmGeometry(View):
@@ -413,13 +415,13 @@ class CArmGeometry(View):
             "itemsize": 120,
         }
     )
-    source_m: np.ndarray = field("source_m", None, 0, "Focal spot, world.")
-    detector_centre_m: np.ndarray = field("detector_centre_m", None, 24, "Centre of the detector, world.")
-    row_axis: np.ndarray = field("row_axis", None, 48, "Unit vector along a row, towards growing column numbers, world.")
-    column_axis: np.ndarray = field("column_axis", None, 72, "Unit vector along a column, towards growing row numbers (down in the picture), world.")
-    pixel_pitch_m: np.ndarray = field("pixel_pitch_m", None, 96, "Distance between pixel centres along a row and along a column.")
-    columns: int = field("columns", "<I", 112, "Number of pixel columns.")
-    rows: int = field("rows", "<I", 116, "Number of pixel rows.")
+    source_m: np.ndarray = field(None, 0, "Focal spot, world.")
+    detector_centre_m: np.ndarray = field(None, 24, "Centre of the detector, world.")
+    row_axis: np.ndarray = field(None, 48, "Unit vector along a row, towards growing column numbers, world.")
+    column_axis: np.ndarray = field(None, 72, "Unit vector along a column, towards growing row numbers (down in the picture), world.")
+    pixel_pitch_m: np.ndarray = field(None, 96, "Distance between pixel centres along a row and along a column.")
+    columns: int = field("<I", 112, "Number of pixel columns.")
+    rows: int = field("<I", 116, "Number of pixel rows.")
 
 
 class CArmProjection(View):
@@ -438,13 +440,13 @@ class CArmProjection(View):
             "itemsize": 200,
         }
     )
-    intrinsics: np.ndarray = field("intrinsics", None, 0, "K in pixels, row by row.")
-    rotation: np.ndarray = field("rotation", None, 72, "R, row by row: rows are the camera's axes in the world.")
-    translation_m: np.ndarray = field("translation_m", None, 144, "t: the world's origin in the camera.")
-    primary_angle_rad: float = field("primary_angle_rad", "<d", 168, "DICOM (0018,1510): 0 is detector in front of the chest, positive towards the patient's left.")
-    secondary_angle_rad: float = field("secondary_angle_rad", "<d", 176, "DICOM (0018,1511): positive is cranial.")
-    source_detector_m: float = field("source_detector_m", "<d", 184, "DICOM (0018,1110): source to detector, along its normal.")
-    source_isocentre_m: float = field("source_isocentre_m", "<d", 192, "DICOM (0018,1111): source to the scene's isocentre, along the detector's normal.")
+    intrinsics: np.ndarray = field(None, 0, "K in pixels, row by row.")
+    rotation: np.ndarray = field(None, 72, "R, row by row: rows are the camera's axes in the world.")
+    translation_m: np.ndarray = field(None, 144, "t: the world's origin in the camera.")
+    primary_angle_rad: float = field("<d", 168, "DICOM (0018,1510): 0 is detector in front of the chest, positive towards the patient's left.")
+    secondary_angle_rad: float = field("<d", 176, "DICOM (0018,1511): positive is cranial.")
+    source_detector_m: float = field("<d", 184, "DICOM (0018,1110): source to detector, along its normal.")
+    source_isocentre_m: float = field("<d", 192, "DICOM (0018,1111): source to the scene's isocentre, along the detector's normal.")
 
 
 class Frame(View):
@@ -460,13 +462,13 @@ class Frame(View):
             "itemsize": 440,
         }
     )
-    sequence: int = field("sequence", "<Q", 0, "Counts the frames, from 1, rising by one.")
-    request_id: int = field("request_id", "<Q", 8, "The request's id; 0 for a scheduled frame.")
-    tick: int = field("tick", "<Q", 16, "Tick whose state it shows.")
-    removed_total: int = field("removed_total", "<Q", 24, "Voxels gone in it.")
-    sim_time_s: float = field("sim_time_s", "<d", 32, "Simulated time of that tick.")
-    pixel_hash: np.ndarray = field("pixel_hash", None, 40, "XXH3-128 of the pixel bytes, low word first.")
-    noise_seed: int = field("noise_seed", "<Q", 56, "Seed of the quantum noise.")
+    sequence: int = field("<Q", 0, "Counts the frames, from 1, rising by one.")
+    request_id: int = field("<Q", 8, "The request's id; 0 for a scheduled frame.")
+    tick: int = field("<Q", 16, "Tick whose state it shows.")
+    removed_total: int = field("<Q", 24, "Voxels gone in it.")
+    sim_time_s: float = field("<d", 32, "Simulated time of that tick.")
+    pixel_hash: np.ndarray = field(None, 40, "XXH3-128 of the pixel bytes, low word first.")
+    noise_seed: int = field("<Q", 56, "Seed of the quantum noise.")
     t_world_burr: Pose = nested(Pose, 64, "Burr centre in this state, axes of the last link.")
     geometry: CArmGeometry = nested(CArmGeometry, 120, "C-arm of the frame.")
     projection: CArmProjection = nested(CArmProjection, 240, "The same C-arm as camera and as positioner.")
@@ -485,10 +487,10 @@ class DrrRequest(View):
             "itemsize": 144,
         }
     )
-    request_id: int = field("request_id", "<Q", 0, "Chosen by the asker, from 1; comes back in the reply and the frame.")
-    tick: int = field("tick", "<Q", 8, "First tick whose state may be shown; 0 takes the newest.")
-    requester: int = field("requester", "<I", 16, "Index of the asking controller in the scene.")
-    use_geometry: int = field("use_geometry", "<I", 20, "0 the scene's C-arm, 1 `geometry`.")
+    request_id: int = field("<Q", 0, "Chosen by the asker, from 1; comes back in the reply and the frame.")
+    tick: int = field("<Q", 8, "First tick whose state may be shown; 0 takes the newest.")
+    requester: int = field("<I", 16, "Index of the asking controller in the scene.")
+    use_geometry: int = field("<I", 20, "0 the scene's C-arm, 1 `geometry`.")
     geometry: CArmGeometry = nested(CArmGeometry, 24, "C-arm of this frame.")
 
 
@@ -507,11 +509,11 @@ class DrrReply(View):
             "itemsize": 152,
         }
     )
-    request_id: int = field("request_id", "<Q", 0, "The request's id; 0 for a scheduled frame.")
-    frame_sequence: int = field("frame_sequence", "<Q", 8, "`Frame.sequence` of the frame that follows.")
-    tick: int = field("tick", "<Q", 16, "Tick that it shows.")
-    status: int = field("status", "<I", 24, "0 accepted, 1 refused, 2 busy.")
-    requester: int = field("requester", "<I", 28, "Index of the controller that asked.")
+    request_id: int = field("<Q", 0, "The request's id; 0 for a scheduled frame.")
+    frame_sequence: int = field("<Q", 8, "`Frame.sequence` of the frame that follows.")
+    tick: int = field("<Q", 16, "Tick that it shows.")
+    status: int = field("<I", 24, "0 accepted, 1 refused, 2 busy.")
+    requester: int = field("<I", 28, "Index of the controller that asked.")
     geometry: CArmGeometry = nested(CArmGeometry, 32, "C-arm of the frame.")
 
 
@@ -528,10 +530,10 @@ class RunControl(View):
             "itemsize": 24,
         }
     )
-    request_id: int = field("request_id", "<Q", 0, "Chosen by the sender; comes back in the reply.")
-    ticks: int = field("ticks", "<Q", 8, "Number of ticks of a step.")
-    action: int = field("action", "<I", 16, "1 pause, 2 resume, 3 step, 4 reset, 5 stop.")
-    reserved: int = field("reserved", "<I", 20, "Always 0.")
+    request_id: int = field("<Q", 0, "Chosen by the sender; comes back in the reply.")
+    ticks: int = field("<Q", 8, "Number of ticks of a step.")
+    action: int = field("<I", 16, "1 pause, 2 resume, 3 step, 4 reset, 5 stop.")
+    reserved: int = field("<I", 20, "Always 0.")
 
 
 class RunControlReply(View):
@@ -547,10 +549,10 @@ class RunControlReply(View):
             "itemsize": 24,
         }
     )
-    request_id: int = field("request_id", "<Q", 0, "The request's id.")
-    tick: int = field("tick", "<Q", 8, "Tick at which the action took effect.")
-    action: int = field("action", "<I", 16, "The request's action.")
-    status: int = field("status", "<I", 20, "0 done, 1 refused.")
+    request_id: int = field("<Q", 0, "The request's id.")
+    tick: int = field("<Q", 8, "Tick at which the action took effect.")
+    action: int = field("<I", 16, "The request's action.")
+    status: int = field("<I", 20, "0 done, 1 refused.")
 
 
 class RunStatus(View):
@@ -568,13 +570,13 @@ class RunStatus(View):
             "itemsize": 48,
         }
     )
-    tick: int = field("tick", "<Q", 0, "Ticks made.")
-    tick_count: int = field("tick_count", "<Q", 8, "Ticks of the whole run; 0 if it has no end.")
-    missed_ticks: int = field("missed_ticks", "<Q", 16, "Ticks that began later than one period after their deadline (real time only).")
-    refused_commands: int = field("refused_commands", "<Q", 24, "Commands that were refused.")
-    removed_messages: int = field("removed_messages", "<Q", 32, "`Removed` messages sent so far.")
-    phase: int = field("phase", "<I", 40, "0 connecting, 1 running, 2 paused, 3 ended.")
-    mode: int = field("mode", "<I", 44, "0 lockstep, 1 real time.")
+    tick: int = field("<Q", 0, "Ticks made.")
+    tick_count: int = field("<Q", 8, "Ticks of the whole run; 0 if it has no end.")
+    missed_ticks: int = field("<Q", 16, "Ticks that began later than one period after their deadline (real time only).")
+    refused_commands: int = field("<Q", 24, "Commands that were refused.")
+    removed_messages: int = field("<Q", 32, "`Removed` messages sent so far.")
+    phase: int = field("<I", 40, "0 connecting, 1 running, 2 paused, 3 ended.")
+    mode: int = field("<I", 44, "0 lockstep, 1 real time.")
 
 
 class Event(View):
@@ -590,12 +592,12 @@ class Event(View):
             "itemsize": 32,
         }
     )
-    tick: int = field("tick", "<Q", 0, "Tick at which it was noticed.")
-    sequence: int = field("sequence", "<Q", 8, "Counts the sender's events, from 1.")
-    severity: int = field("severity", "<I", 16, "0 information, 1 warning, 2 error.")
-    code: int = field("code", "<I", 20, "What kind of event; see the constants.")
-    sender: int = field("sender", "<I", 24, "Sender: 0 launcher, 1 physics, 2 DRR, 3 recorder, 16 + i the scene's controller i.")
-    text_length: int = field("text_length", "<I", 28, "Length of `text` with its final NUL.")
+    tick: int = field("<Q", 0, "Tick at which it was noticed.")
+    sequence: int = field("<Q", 8, "Counts the sender's events, from 1.")
+    severity: int = field("<I", 16, "0 information, 1 warning, 2 error.")
+    code: int = field("<I", 20, "What kind of event; see the constants.")
+    sender: int = field("<I", 24, "Sender: 0 launcher, 1 physics, 2 DRR, 3 recorder, 16 + i the scene's controller i.")
+    text_length: int = field("<I", 28, "Length of `text` with its final NUL.")
 
 
 class Progress(View):
@@ -613,10 +615,10 @@ class Progress(View):
             "itemsize": 24,
         }
     )
-    tick: int = field("tick", "<Q", 0, "Every state up to this tick has been taken.")
-    lost_messages: int = field("lost_messages", "<Q", 8, "Messages that this consumer missed, over all services.")
-    consumer: int = field("consumer", "<I", 16, "2 DRR, 3 recorder.")
-    reserved: int = field("reserved", "<I", 20, "Always 0.")
+    tick: int = field("<Q", 0, "Every state up to this tick has been taken.")
+    lost_messages: int = field("<Q", 8, "Messages that this consumer missed, over all services.")
+    consumer: int = field("<I", 16, "2 DRR, 3 recorder.")
+    reserved: int = field("<I", 20, "Always 0.")
 
 
 class TickTiming(View):
@@ -634,27 +636,27 @@ class TickTiming(View):
             "itemsize": 160,
         }
     )
-    tick: int = field("tick", "<Q", 0, "k: the tick that these facts are about.")
-    start_ns: int = field("start_ns", "<Q", 8, "Monotonic clock when the tick began.")
-    wake_lateness_ns: int = field("wake_lateness_ns", "<q", 16, "How long after its deadline the tick began (real time); 0 in lockstep.")
-    latch_ns: int = field("latch_ns", "<Q", 24, "Time spent latching: waiting for commands in lockstep, collecting them in real time.")
-    step_ns: int = field("step_ns", "<Q", 32, "Time of the physics step alone.")
-    publish_ns: int = field("publish_ns", "<Q", 40, "Time of hashing and publishing.")
-    run_queue_wait_ns: int = field("run_queue_wait_ns", "<Q", 48, "Time in which the kernel had this thread wait for a core, from the beginning of the last tick to that of this one.")
-    work_ns: int = field("work_ns", "<Q", 56, "Wall time of the last tick's work: from its beginning until the thread went to sleep for this one (real time).")
-    work_cpu_ns: int = field("work_cpu_ns", "<Q", 64, "Processor time of this thread in it, without what a hypervisor stole (real time).")
-    overrun_ns: int = field("overrun_ns", "<q", 72, "How long after this tick's deadline the last tick's work ended; negative: so long before (real time).")
-    collect_ns: int = field("collect_ns", "<Q", 80, "Time of taking the controllers' commands before this tick began (real time).")
-    stolen_ns: int = field("stolen_ns", "<Q", 88, "Steal of the core that the thread is on, since it was looked at last, at most 100 ms before, in steps of 10 ms. It is looked at in late ticks only; 0 otherwise.")
-    round_trip_ns: np.ndarray = field("round_trip_ns", None, 96, "From the publication of the state until the command that answers it was taken, per controller; 0 if none came. In real time commands are taken when the next tick begins, so most of a period is waiting for that.")
-    page_faults: int = field("page_faults", "<I", 128, "Page faults of this thread from the beginning of the last tick to that of this one.")
-    major_page_faults: int = field("major_page_faults", "<I", 132, "Those of them that waited for a disk.")
-    voluntary_switches: int = field("voluntary_switches", "<I", 136, "How often in this time the thread gave its core away by itself: it sleeps once a tick in real time.")
-    involuntary_switches: int = field("involuntary_switches", "<I", 140, "How often its core was taken from it.")
-    missed: int = field("missed", "<I", 144, "1 if this tick began more than one period late.")
-    late_controllers: int = field("late_controllers", "<I", 148, "Bit i: the command of controller i was late, so that its last or the safe one held.")
-    virtual_machine: int = field("virtual_machine", "<I", 152, "1 if the machine is a virtual one.")
-    reserved: int = field("reserved", "<I", 156, "Always 0.")
+    tick: int = field("<Q", 0, "k: the tick that these facts are about.")
+    start_ns: int = field("<Q", 8, "Monotonic clock when the tick began.")
+    wake_lateness_ns: int = field("<q", 16, "How long after its deadline the tick began (real time); 0 in lockstep.")
+    latch_ns: int = field("<Q", 24, "Time spent latching: waiting for commands in lockstep, collecting them in real time.")
+    step_ns: int = field("<Q", 32, "Time of the physics step alone.")
+    publish_ns: int = field("<Q", 40, "Time of hashing and publishing.")
+    run_queue_wait_ns: int = field("<Q", 48, "Time in which the kernel had this thread wait for a core, from the beginning of the last tick to that of this one.")
+    work_ns: int = field("<Q", 56, "Wall time of the last tick's work: from its beginning until the thread went to sleep for this one (real time).")
+    work_cpu_ns: int = field("<Q", 64, "Processor time of this thread in it, without what a hypervisor stole (real time).")
+    overrun_ns: int = field("<q", 72, "How long after this tick's deadline the last tick's work ended; negative: so long before (real time).")
+    collect_ns: int = field("<Q", 80, "Time of taking the controllers' commands before this tick began (real time).")
+    stolen_ns: int = field("<Q", 88, "Steal of the core that the thread is on, since it was looked at last, at most 100 ms before, in steps of 10 ms. It is looked at in late ticks only; 0 otherwise.")
+    round_trip_ns: np.ndarray = field(None, 96, "From the publication of the state until the command that answers it was taken, per controller; 0 if none came. In real time commands are taken when the next tick begins, so most of a period is waiting for that.")
+    page_faults: int = field("<I", 128, "Page faults of this thread from the beginning of the last tick to that of this one.")
+    major_page_faults: int = field("<I", 132, "Those of them that waited for a disk.")
+    voluntary_switches: int = field("<I", 136, "How often in this time the thread gave its core away by itself: it sleeps once a tick in real time.")
+    involuntary_switches: int = field("<I", 140, "How often its core was taken from it.")
+    missed: int = field("<I", 144, "1 if this tick began more than one period late.")
+    late_controllers: int = field("<I", 148, "Bit i: the command of controller i was late, so that its last or the safe one held.")
+    virtual_machine: int = field("<I", 152, "1 if the machine is a virtual one.")
+    reserved: int = field("<I", 156, "Always 0.")
 
 
 class FrameTiming(View):
@@ -670,13 +672,13 @@ class FrameTiming(View):
             "itemsize": 48,
         }
     )
-    frame_sequence: int = field("frame_sequence", "<Q", 0, "`Frame.sequence`.")
-    tick: int = field("tick", "<Q", 8, "Tick shown.")
-    render_ns: int = field("render_ns", "<Q", 16, "Time of rendering.")
-    rays: int = field("rays", "<Q", 24, "Rays traced through the volume.")
-    age_ticks: int = field("age_ticks", "<Q", 32, "Ticks that the physics had gone on when the frame was out.")
-    full: int = field("full", "<I", 40, "1 if the whole image was traced, 0 if only what had changed.")
-    reserved: int = field("reserved", "<I", 44, "Always 0.")
+    frame_sequence: int = field("<Q", 0, "`Frame.sequence`.")
+    tick: int = field("<Q", 8, "Tick shown.")
+    render_ns: int = field("<Q", 16, "Time of rendering.")
+    rays: int = field("<Q", 24, "Rays traced through the volume.")
+    age_ticks: int = field("<Q", 32, "Ticks that the physics had gone on when the frame was out.")
+    full: int = field("<I", 40, "1 if the whole image was traced, 0 if only what had changed.")
+    reserved: int = field("<I", 44, "Always 0.")
 
 
 class ImagePrefix(View):
@@ -694,17 +696,17 @@ class ImagePrefix(View):
             "itemsize": 48,
         }
     )
-    stamp_sec: int = field("stamp_sec", "<i", 0, "Seconds of the simulated time.")
-    stamp_nanosec: int = field("stamp_nanosec", "<I", 4, "Nanoseconds of the simulated time.")
-    frame_id_length: int = field("frame_id_length", "<I", 8, "8: length of the frame name with its NUL.")
-    frame_id: np.ndarray = field("frame_id", None, 12, "`c_arm_0` and a NUL.")
-    height: int = field("height", "<I", 20, "Pixel rows.")
-    width: int = field("width", "<I", 24, "Pixel columns.")
-    encoding_length: int = field("encoding_length", "<I", 28, "7: length of the encoding with its NUL.")
-    encoding: np.ndarray = field("encoding", None, 32, "`mono16` and a NUL.")
-    is_bigendian: int = field("is_bigendian", "<B", 39, "0: little-endian.")
-    step: int = field("step", "<I", 40, "Bytes of a row.")
-    data_length: int = field("data_length", "<I", 44, "Bytes of all pixels.")
+    stamp_sec: int = field("<i", 0, "Seconds of the simulated time.")
+    stamp_nanosec: int = field("<I", 4, "Nanoseconds of the simulated time.")
+    frame_id_length: int = field("<I", 8, "8: length of the frame name with its NUL.")
+    frame_id: np.ndarray = field(None, 12, "`c_arm_0` and a NUL.")
+    height: int = field("<I", 20, "Pixel rows.")
+    width: int = field("<I", 24, "Pixel columns.")
+    encoding_length: int = field("<I", 28, "7: length of the encoding with its NUL.")
+    encoding: np.ndarray = field(None, 32, "`mono16` and a NUL.")
+    is_bigendian: int = field("<B", 39, "0: little-endian.")
+    step: int = field("<I", 40, "Bytes of a row.")
+    data_length: int = field("<I", 44, "Bytes of all pixels.")
 
 
 class trb_session_info(ctypes.Structure):
@@ -761,6 +763,8 @@ FUNCTIONS = [
     ("trb_last_error", ctypes.c_char_p, []),
     ("trb_connect", ctypes.c_int32, [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_char_p, ctypes.c_double, ctypes.c_void_p]),
     ("trb_disconnect", ctypes.c_int32, [ctypes.c_uint64]),
+    ("trb_hold_memory", ctypes.c_int32, [ctypes.c_uint64]),
+    ("trb_release_memory", ctypes.c_int32, [ctypes.c_uint64]),
     ("trb_get_info", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
     ("trb_poll_state", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_void_p]),
     ("trb_wait_state", ctypes.c_int32, [ctypes.c_uint64, ctypes.c_double, ctypes.c_void_p]),
@@ -816,6 +820,8 @@ __all__ = [
     "ERROR_TRANSPORT",
     "ERROR_HUB_GONE",
     "ERROR_DEFECT",
+    "ERROR_FORKED",
+    "ERROR_BUSY",
     "TENDON_NONE",
     "TENDON_SERVO_JF",
     "TENDON_SERVO_JP",

@@ -19,7 +19,9 @@ const TOP: &str = "\
  *   are negative and leave their text in trb_last_error. A call that fails writes nothing through its pointers.
  * - Threads: a client belongs to the thread that connected it; another thread's call is refused with TRB_ERROR_HANDLE. A
  *   program may have a client a thread. The library starts no thread and calls nothing back. A thread's clients are
- *   disconnected when it ends.
+ *   disconnected when it ends. Not from signal handlers: a call within a call is refused with TRB_ERROR_BUSY.
+ * - fork(): a client stays the parent's. In the child every call through its handle is refused with TRB_ERROR_FORKED, and
+ *   the child's end, however it comes, disconnects nobody; the child may connect a client of its own.
  * - Pointers that the library hands out lie in shared memory or in the client; each function says until when. What is behind
  *   a pointer to const is mapped read-only.
  */

@@ -117,15 +117,10 @@ fn attribute(field: &Field, text: &mut String) {
             let class = nested.short_name();
             (class.to_owned(), format!("nested({class}, {}, {doc:?})", field.offset))
         }
-        (_, Some(_)) => {
-            ("np.ndarray".to_owned(), format!("field(\"{name}\", None, {}, {doc:?})", field.offset))
-        }
+        (_, Some(_)) => ("np.ndarray".to_owned(), format!("field(None, {}, {doc:?})", field.offset)),
         (Element::Scalar(scalar_name), None) => {
             let kind = if scalar_name.starts_with("float") { "float" } else { "int" };
-            (
-                kind.to_owned(),
-                format!("field(\"{name}\", \"{}\", {}, {doc:?})", struct_code(scalar_name), field.offset),
-            )
+            (kind.to_owned(), format!("field(\"{}\", {}, {doc:?})", struct_code(scalar_name), field.offset))
         }
     };
     text.push_str(&format!("    {name}: {annotation} = {maker}\n"));

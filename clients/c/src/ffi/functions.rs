@@ -6,8 +6,8 @@ use std::sync::OnceLock;
 use ipc_types::messages::{Command, Pose, RunControlReply, RunStatus, State};
 
 use super::outcome::{self, Failure, outcome};
-use super::table;
 use super::views::{EventPointers, FramePointers, RemovedPointers, SessionInfo, VolumePointers};
+use super::{memory, table};
 use crate::bindings;
 use crate::client::{Client, Connection, event_text, limit_of};
 use crate::error::ClientError;
@@ -59,7 +59,7 @@ functions! {
     }
 
     /// What went wrong in this thread's last call that returned an error: what was given, what was expected, what to do.
-    /// The text lives until this thread's next call that returns an error.
+    /// The text lives until this thread's next call that returns an error, or its end.
     fn trb_last_error() -> *const c_char {
         outcome::last_error()
     }
@@ -92,21 +92,38 @@ functions! {
         })
     }
 
-    /// Leaves the session. Every pointer that this client has given ends here. A process that ends without it is cleaned
-    /// up behind.
+    /// Leaves the session. Every pointer that this client has given ends here, unless trb_hold_memory keeps it. A process
+    /// that ends without it is cleaned up behind. In a child of fork() it is refused, and the parent stays connected.
     fn trb_disconnect(client: u64) -> i32 {
-        outcome(|| table::remove(client).map(drop))
+        outcome(|| table::remove(client))
+    }
+
+    /// Keeps what this client has handed out, and what is in it, beyond trb_disconnect and the end of its thread: all of its
+    /// pointers that are good then stay so until trb_release_memory has been called as often. For languages in which memory
+    /// lives as long as somebody looks at it.
+    fn trb_hold_memory(client: u64) -> i32 {
+        outcome(|| {
+            table::with(client, |_| {
+                memory::hold(client);
+                Ok(())
+            })
+        })
+    }
+
+    /// Takes one trb_hold_memory back; the last one behind the client's end ends its pointers. Any thread may call it.
+    fn trb_release_memory(client: u64) -> i32 {
+        outcome(|| memory::release(client))
     }
 
     /// Facts that do not change during the session.
     fn trb_get_info(client: u64, info: *mut SessionInfo) -> i32 {
         outcome(|| {
-            let facts = table::with(client, |slot| {
-                let facts = slot.client.info();
+            let facts = table::with(client, |open| {
+                let facts = open.client.info();
                 Ok(SessionInfo {
-                    folder: slot.folder.as_ptr(),
-                    controller: slot.controller.as_ptr(),
-                    scene_toml: slot.scene_toml.as_ptr(),
+                    folder: open.texts.folder.as_ptr(),
+                    controller: open.texts.controller.as_ptr(),
+                    scene_toml: open.texts.scene_toml.as_ptr(),
                     dt_s: facts.dt_s,
                     tick_count: facts.tick_count,
                     frame_period_ticks: facts.frame_period_ticks,
@@ -130,8 +147,8 @@ functions! {
     fn trb_poll_state(client: u64, state: *mut *const State) -> i32 {
         outcome(|| {
             check_null(state, "state")?;
-            let newest = table::with(client, |slot| {
-                let newest = slot.client.poll_state()?;
+            let newest = table::with(client, |open| {
+                let newest = open.client.poll_state()?;
                 newest.map(core::ptr::from_ref).ok_or(ClientError::TimedOut(core::time::Duration::ZERO))
             })?;
             // SAFETY: not null; the caller promises that it can be written.
@@ -145,7 +162,7 @@ functions! {
         outcome(|| {
             check_null(state, "state")?;
             let limit = limit_of(timeout_s)?;
-            let newest = table::with(client, |slot| slot.client.wait_state(limit).map(core::ptr::from_ref))?;
+            let newest = table::with(client, |open| open.client.wait_state(limit).map(core::ptr::from_ref))?;
             // SAFETY: not null; the caller promises that it can be written.
             unsafe { put(state, "state", newest) }
         })
@@ -157,7 +174,7 @@ functions! {
         outcome(|| {
             check_null(state, "state")?;
             let limit = limit_of(timeout_s)?;
-            let oldest = table::with(client, |slot| slot.client.next_state(limit).map(core::ptr::from_ref))?;
+            let oldest = table::with(client, |open| open.client.next_state(limit).map(core::ptr::from_ref))?;
             // SAFETY: not null; the caller promises that it can be written.
             unsafe { put(state, "state", oldest) }
         })
@@ -166,36 +183,36 @@ functions! {
     /// Number of states that were passed over or overwritten before this client took them.
     fn trb_states_missed(client: u64, count: *mut u64) -> i32 {
         outcome(|| {
-            let missed = table::with(client, |slot| Ok(slot.client.states_missed()))?;
+            let missed = table::with(client, |open| Ok(open.client.states_missed()))?;
             // SAFETY: the caller promises that `count` is null or can be written.
             unsafe { put(count, "count", missed) }
         })
     }
 
-    /// The command that will be sent next, in shared memory, to be filled in place: every mode at "none", `sequence` and
-    /// `state_tick` filled in for the state taken last. The same one until trb_send_command, trb_discard_command or
-    /// trb_disconnect, where it ends.
+    /// The command that will be sent next, to be filled in: every mode at "none", `sequence` and `state_tick` filled in for
+    /// the state taken last. The same one until trb_send_command, trb_discard_command or trb_disconnect, where it ends. It
+    /// lies in the client's own memory: trb_send_command copies it, and what is written later reaches nobody.
     fn trb_loan_command(client: u64, command: *mut *mut Command) -> i32 {
         outcome(|| {
             check_null(command, "command")?;
-            let loan = table::with(client, |slot| slot.client.command().map(core::ptr::from_mut))?;
+            let begun = table::with(client, |open| open.client.command().map(core::ptr::from_mut))?;
             // SAFETY: not null; the caller promises that it can be written.
-            unsafe { put(command, "command", loan) }
+            unsafe { put(command, "command", begun) }
         })
     }
 
-    /// Sends the loaned command and wakes the physics, which checks it: a command that it refuses changes nothing. Of one
+    /// Sends the loaned command as it is now and wakes the physics, which checks it: a command that it refuses changes nothing. Of one
     /// that it takes, a part that the tool cannot follow (a goal out of reach) changes nothing, the others act. Both are
     /// counted in the status and said in an event.
     fn trb_send_command(client: u64) -> i32 {
-        outcome(|| table::with(client, |slot| slot.client.send()))
+        outcome(|| table::with(client, |open| open.client.send()))
     }
 
-    /// Gives the loaned command back unsent. Without one it does nothing.
+    /// Forgets the loaned command unsent. Without one it does nothing.
     fn trb_discard_command(client: u64) -> i32 {
         outcome(|| {
-            table::with(client, |slot| {
-                slot.client.discard_command();
+            table::with(client, |open| {
+                open.client.discard_command();
                 Ok(())
             })
         })
@@ -210,7 +227,7 @@ functions! {
             check_null(request_id, "request_id")?;
             // SAFETY: null, or a pose as the header says; every bit pattern is one.
             let pose = unsafe { t_world_c_arm.as_ref() };
-            let number = table::with(client, |slot| slot.client.request_frame(pose, tick))?;
+            let number = table::with(client, |open| open.client.request_frame(pose, tick))?;
             // SAFETY: not null; the caller promises that it can be written.
             unsafe { put(request_id, "request_id", number) }
         })
@@ -219,14 +236,15 @@ functions! {
     /// Waits for a frame: that of a request, or with `request_id` 0 the next one of any kind; with a request, others that
     /// come before it are passed over. Frames are kept from this client's first call of trb_request_frame or
     /// trb_wait_frame on, 64 at most. TRB_ENDED says that the run is over and none is being rendered. What `view` points at
-    /// lies in shared memory and stays, unchanged, until this client's next call of trb_wait_frame or trb_disconnect.
+    /// lies in shared memory and stays, unchanged, until this client's next call of trb_wait_frame that returns TRB_OK, or
+    /// trb_disconnect.
     fn trb_wait_frame(client: u64, request_id: u64, timeout_s: f64, view: *mut FramePointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;
             let limit = limit_of(timeout_s)?;
-            let pointers = table::with(client, |slot| {
-                slot.client.wait_frame(request_id, limit)?;
-                let frame = slot.client.frame.as_ref().and_then(frame_view);
+            let pointers = table::with(client, |open| {
+                open.client.wait_frame(request_id, limit)?;
+                let frame = open.client.frame.as_ref().and_then(frame_view);
                 let frame = frame.ok_or(ClientError::Misuse("the frame is not there"))?;
                 Ok(FramePointers {
                     frame: frame.frame,
@@ -244,8 +262,8 @@ functions! {
         outcome(|| {
             check_null(view, "view")?;
             let limit = limit_of(timeout_s)?;
-            let pointers = table::with(client, |slot| {
-                let volume = slot.client.volume(limit)?;
+            let pointers = table::with(client, |open| {
+                let volume = open.client.volume(limit)?;
                 Ok(VolumePointers {
                     volume: volume.volume,
                     hu: volume.hu.as_ptr(),
@@ -262,9 +280,9 @@ functions! {
     fn trb_control_run(client: u64, action: u32, ticks: u64, timeout_s: f64, reply: *mut RunControlReply) -> i32 {
         outcome(|| {
             let limit = limit_of(timeout_s)?;
-            let answer = table::with(client, |slot| match action {
-                0 => slot.client.await_control(limit),
-                _ => slot.client.run_control(action, ticks, limit),
+            let answer = table::with(client, |open| match action {
+                0 => open.client.await_control(limit),
+                _ => open.client.run_control(action, ticks, limit),
             })?;
             if reply.is_null() {
                 return Ok(());
@@ -277,8 +295,8 @@ functions! {
     /// Where the run stands: a copy of the newest status. TRB_TIMEOUT if none has come yet.
     fn trb_get_status(client: u64, status: *mut RunStatus) -> i32 {
         outcome(|| {
-            let newest = table::with(client, |slot| {
-                slot.client.status()?.ok_or(ClientError::TimedOut(core::time::Duration::ZERO))
+            let newest = table::with(client, |open| {
+                open.client.status()?.ok_or(ClientError::TimedOut(core::time::Duration::ZERO))
             })?;
             // SAFETY: the caller promises that `status` is null or can be written.
             unsafe { put(status, "status", newest) }
@@ -286,15 +304,15 @@ functions! {
     }
 
     /// The oldest event that has not been taken; TRB_TIMEOUT if there is none. Events are kept from this client's first
-    /// call on, 256 at most. What `view` points at stays until this client's next call of trb_next_event or
-    /// trb_disconnect.
+    /// call on, 256 at most. What `view` points at stays until this client's next call of trb_next_event that returns TRB_OK,
+    /// or trb_disconnect.
     fn trb_next_event(client: u64, view: *mut EventPointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;
-            let pointers = table::with(client, |slot| {
-                slot.client.next_event()?;
-                let none = ClientError::TimedOut(core::time::Duration::ZERO);
-                let event = slot.client.event.as_ref().ok_or(none)?;
+            let pointers = table::with(client, |open| {
+                let none = || ClientError::TimedOut(core::time::Duration::ZERO);
+                open.client.next_event()?.ok_or_else(none)?;
+                let event = open.client.event.as_ref().ok_or_else(none)?;
                 // In C a text must have its NUL; an event of a broken sender that has none has no text.
                 let has_nul = event.tail().last() == Some(&0) && !event_text(event).is_empty();
                 let text = if has_nul { event.tail().as_ptr().cast() } else { c"".as_ptr() };
@@ -310,19 +328,19 @@ functions! {
         outcome(|| {
             // SAFETY: null, or a text with a final NUL, as the header says.
             let text = unsafe { text_of(text, "text")? }.ok_or(Failure::Null("text"))?;
-            table::with(client, |slot| slot.client.remark(severity, &text))
+            table::with(client, |open| open.client.remark(severity, &text))
         })
     }
 
     /// The oldest message about removed voxels that has not been taken; TRB_TIMEOUT if there is none. They are kept from
     /// this client's first call on, 512 at most. What `view` points at stays until this client's next call of
-    /// trb_next_removed or trb_disconnect.
+    /// trb_next_removed that returns TRB_OK, or trb_disconnect.
     fn trb_next_removed(client: u64, view: *mut RemovedPointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;
-            let pointers = table::with(client, |slot| {
+            let pointers = table::with(client, |open| {
                 let none = ClientError::TimedOut(core::time::Duration::ZERO);
-                let removed = slot.client.next_removed()?.ok_or(none)?;
+                let removed = open.client.next_removed()?.ok_or(none)?;
                 // `Removed` is 32 bytes long: what follows lies as aligned as the message itself.
                 Ok(RemovedPointers { removed: removed.message(), voxel_index: removed.tail().as_ptr().cast() })
             })?;

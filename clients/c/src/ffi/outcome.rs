@@ -48,6 +48,10 @@ statuses! {
     ERROR_HUB_GONE = -11;
     /// A defect of this library.
     ERROR_DEFECT = -12;
+    /// The client is of the process that this one was forked from.
+    ERROR_FORKED = -13;
+    /// This thread is in a call already: a signal handler's call is refused.
+    ERROR_BUSY = -14;
 }
 
 /// Why a call failed.
@@ -61,6 +65,10 @@ pub(super) enum Failure {
         "{0} is not a client of this thread: never connected, disconnected, or connected by another thread"
     )]
     Handle(u64),
+    #[error("this thread is in a call of the library already; call it outside signal handlers")]
+    Busy,
+    #[error("the memory of client {0} is not held by this process")]
+    NotHeld(u64),
     #[error("`{0}` is not UTF-8")]
     Text(&'static str),
 }
@@ -69,7 +77,8 @@ impl Failure {
     fn status(&self) -> i32 {
         match self {
             Failure::Null(_) => ERROR_NULL,
-            Failure::Handle(_) => ERROR_HANDLE,
+            Failure::Handle(_) | Failure::NotHeld(_) => ERROR_HANDLE,
+            Failure::Busy => ERROR_BUSY,
             Failure::Text(_) => ERROR_ARGUMENT,
             Failure::Client(cause) => client_status(cause),
         }
@@ -92,6 +101,7 @@ fn client_status(cause: &ClientError) -> i32 {
         ClientError::Observer | ClientError::NoDrr | ClientError::NoVolume => ERROR_ABSENT,
         ClientError::Misuse(_) | ClientError::BadArgument { .. } => ERROR_ARGUMENT,
         ClientError::HubGone { .. } => ERROR_HUB_GONE,
+        ClientError::Forked => ERROR_FORKED,
         ClientError::Session(_) | ClientError::Scene(_) | ClientError::Port(_) => ERROR_TRANSPORT,
     }
 }

@@ -4,18 +4,39 @@ use std::cell::RefCell;
 use std::ffi::CString;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::memory;
 use super::outcome::Failure;
 use crate::client::Client;
 use crate::error::ClientError;
 
-/// A client and the texts that its caller holds pointers to.
+/// Texts that a client's caller has pointers to.
 #[derive(Debug)]
-pub(super) struct Slot {
-    handle: u64,
-    pub(super) client: Client,
+pub(super) struct Texts {
     pub(super) folder: CString,
     pub(super) controller: CString,
     pub(super) scene_toml: CString,
+}
+
+/// A client that is connected.
+#[derive(Debug)]
+pub(super) struct Open {
+    pub(super) client: Client,
+    pub(super) texts: Texts,
+}
+
+/// A place in the table. However it ends (trb_disconnect, the thread, the program), memory that is held stays.
+#[derive(Debug)]
+struct Slot {
+    handle: u64,
+    open: Option<Open>,
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        if let Some(open) = self.open.take() {
+            memory::end(self.handle, open);
+        }
+    }
 }
 
 thread_local! {
@@ -25,42 +46,51 @@ thread_local! {
 /// Handles differ over all threads; 0 is none.
 static NEXT_HANDLE: AtomicU64 = AtomicU64::new(1);
 
+/// Does something with this thread's table. Only a signal handler finds it in use.
+fn with_slots<T>(handle: u64, body: impl FnOnce(&mut Vec<Slot>) -> Result<T, Failure>) -> Result<T, Failure> {
+    let done = SLOTS.try_with(|slots| body(&mut *slots.try_borrow_mut().map_err(|_| Failure::Busy)?));
+    // A thread that ends has no table any more.
+    done.unwrap_or(Err(Failure::Handle(handle)))
+}
+
 /// Puts a client into this thread's table.
 pub(super) fn insert(client: Client) -> Result<u64, Failure> {
     let handle = NEXT_HANDLE.fetch_add(1, Ordering::Relaxed);
     let text = |text: String| CString::new(text).unwrap_or_default();
     let info = client.info();
     let scene = std::fs::read_to_string(info.folder.join("scene.toml"));
-    let slot = Slot {
-        handle,
+    let texts = Texts {
         folder: text(info.folder.to_string_lossy().into_owned()),
         controller: text(info.controller.as_ref().map_or_else(String::new, |(name, _)| name.clone())),
         scene_toml: text(scene.unwrap_or_default()),
-        client,
     };
-    SLOTS.try_with(|slots| slots.borrow_mut().push(slot)).map_err(|_| Failure::Handle(handle))?;
-    Ok(handle)
+    let slot = Slot { handle, open: Some(Open { client, texts }) };
+    with_slots(handle, |slots| {
+        slots.push(slot);
+        Ok(handle)
+    })
 }
 
-/// Does something with a client of this thread.
+/// Does something with a client of this thread and this process.
 pub(super) fn with<T>(
     handle: u64,
-    body: impl FnOnce(&mut Slot) -> Result<T, ClientError>,
+    body: impl FnOnce(&mut Open) -> Result<T, ClientError>,
 ) -> Result<T, Failure> {
-    let found = SLOTS.try_with(|slots| {
-        let mut slots = slots.borrow_mut();
-        let slot = slots.iter_mut().find(|slot| slot.handle == handle).ok_or(Failure::Handle(handle))?;
-        Ok(body(slot)?)
-    });
-    found.unwrap_or(Err(Failure::Handle(handle)))
+    with_slots(handle, |slots| {
+        let slot = slots.iter_mut().find(|slot| slot.handle == handle);
+        let open = slot.and_then(|slot| slot.open.as_mut()).ok_or(Failure::Handle(handle))?;
+        open.client.check_process()?;
+        Ok(body(open)?)
+    })
 }
 
-/// Takes a client out of the table; it ends with the return value.
-pub(super) fn remove(handle: u64) -> Result<Slot, Failure> {
-    let found = SLOTS.try_with(|slots| {
-        let mut slots = slots.borrow_mut();
-        let index = slots.iter().position(|slot| slot.handle == handle)?;
-        Some(slots.swap_remove(index))
-    });
-    found.ok().flatten().ok_or(Failure::Handle(handle))
+/// Ends a client.
+pub(super) fn remove(handle: u64) -> Result<(), Failure> {
+    with(handle, |_| Ok(()))?;
+    let slot = with_slots(handle, |slots| {
+        let index = slots.iter().position(|slot| slot.handle == handle).ok_or(Failure::Handle(handle))?;
+        Ok(slots.swap_remove(index))
+    })?;
+    drop(slot);
+    Ok(())
 }
