@@ -53,4 +53,5 @@ pub mod session;
 mod shared_memory;
 pub mod signals;
 pub mod text_file;
+mod transport_reference;
 pub mod wake;

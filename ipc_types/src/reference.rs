@@ -3,6 +3,7 @@
 use crate::layout::{Description, Element, Field, Message};
 use crate::messages::{self, Frame, ImagePrefix};
 use crate::services::{self, Lane, Service};
+use crate::transport_reference::transport_reference;
 
 const INTRODUCTION: &str = "\
 # Messages
@@ -44,6 +45,7 @@ pub fn every_message() -> Vec<&'static Description> {
 /// The message reference as Markdown.
 pub fn message_reference() -> String {
     let mut text = INTRODUCTION.to_owned();
+    text.push_str(&transport_reference());
     text.push_str("\n## Services\n\n");
     text.push_str("| service | message | lane | queue | recorder's queue | history | publishers | subscribers | most bytes |\n");
     text.push_str("|---|---|---|---|---|---|---|---|---|\n");
