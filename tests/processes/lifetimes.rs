@@ -5,7 +5,7 @@ use std::process::Command;
 use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
 
 use crate::common::program::{Place, assert_nothing_left};
-use crate::languages::{clients, output_within_limit, python, skip};
+use crate::languages::{clients, compiled_test, output_within_limit, python, skip};
 
 /// The block in front of the burr, seen by a C-arm, driven by an external `mine`; another one may join.
 pub fn imaged() -> String {
@@ -70,4 +70,18 @@ fn what_is_held_is_there_while_the_interpreter_ends() {
 #[test]
 fn a_signal_handler_that_calls_the_client_does_not_change_what_a_wait_returns() {
     assert_whole("a_signal_during_a_wait");
+}
+
+/// A call in the middle of another panicked inside the handler.
+#[test]
+fn a_call_from_a_signal_handler_in_the_middle_of_another_is_refused_in_c() {
+    let place = Place::new();
+    let scene = std::fs::read_to_string(clients().join("scenes/free_space.toml")).unwrap();
+    let run = place.start(&scene);
+    let mut program = Command::new(compiled_test("signals", &place));
+    program.env(SESSION_VARIABLE, run.session()).env(CONTROLLER_VARIABLE, "mine");
+    assert_eq!(output_within_limit(&mut program), "ended\n");
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_nothing_left(ended.pid);
 }

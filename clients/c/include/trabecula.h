@@ -74,7 +74,7 @@ extern "C" {
 #define TRB_ERROR_HUB_GONE (-11) /* The hub is gone. */
 #define TRB_ERROR_DEFECT (-12) /* A defect of this library. */
 #define TRB_ERROR_FORKED (-13) /* The client is of the process that this one was forked from. */
-#define TRB_ERROR_BUSY (-14) /* This thread is in a call already: a signal handler's call is refused. */
+#define TRB_ERROR_BUSY (-14) /* This thread is in a call already: a signal handler's call is refused, without a text. */
 
 /* Codes of fields, and lengths of arrays. */
 #define TRB_TENDON_NONE 0

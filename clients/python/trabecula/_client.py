@@ -229,7 +229,7 @@ class Client:
     def _end_command(self, why: str) -> None:
         command, self._command = self._command, None
         if command is not None:
-            command._seal(why)
+            command._seal(bytes(command._buffer), why)
 
     def _bytes(self, address: int, size: int) -> memoryview:
         memory = (ctypes.c_ubyte * size).from_address(address)
@@ -320,22 +320,35 @@ class Client:
         """The command that `send_command` will send: every mode at "none", `sequence` and `state_tick` filled in. It may be
         written until then, and lies in memory of its own: no later change reaches anybody.
         """
-        _check(_library.trb_loan_command(self._handle, self._begun_reference))
-        if self._command is None:
+        status = _library.trb_loan_command(self._handle, self._begun_reference)
+        if status:
+            _check(status)
+        command = self._command
+        if command is None:
             if self._sending is None:
                 self._sending = self._bytes(self._begun.value, g.Command.dtype.itemsize)
-            self._command = g.Command(memoryview(bytearray(self._sending)), {})
-        return self._command
+            command = self._command = g.Command(bytearray(self._sending), {})
+        return command
 
     def send_command(self) -> None:
         """Sends the loaned command as it is now; to write it afterwards raises a ValueError. The physics checks it: a command
         that it refuses changes nothing. Of one that it takes, a part that the tool cannot follow (a goal out of reach)
         changes nothing, the others act. Both are counted, and said in an event.
         """
-        if self._command is not None:
-            self._sending[:] = self._command._buffer
-        _check(_library.trb_send_command(self._handle))
-        self._end_command("it has been sent")
+        # Taken away first: a signal's handler may begin a command of its own.
+        command, self._command = self._command, None
+        if command is None:
+            return _check(_library.trb_send_command(self._handle))
+        content = bytes(command._buffer)
+        self._sending[:] = content
+        status = _library.trb_send_command(self._handle)
+        if status:
+            if status == g.ERROR_ARGUMENT:
+                command._seal(content, "a signal's handler has sent or discarded it")
+            else:
+                self._command = command
+            _check(status)
+        command._seal(content, "it has been sent")
 
     def discard_command(self) -> None:
         """Forgets the loaned command unsent."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any, Optional, TypeVar
+from typing import Any, Optional, TypeVar, Union
 
 import numpy as np
 
@@ -17,17 +17,16 @@ class View:
     ValueError.
     """
 
-    __slots__ = ("_buffer", "_array", "_parts", "_why")
+    __slots__ = ("_buffer", "_array", "_parts", "_sealed")
 
     dtype: np.dtype
 
-    def __init__(self, buffer: Optional[memoryview] = None, parts: Optional[dict] = None) -> None:
+    def __init__(self, buffer: Union[memoryview, bytes, bytearray, None] = None, parts: Optional[dict] = None) -> None:
         """A view of `buffer`; without one, a message of zeros in memory of its own. With `parts` it can be sealed."""
-        self._buffer = memoryview(bytearray(self.dtype.itemsize)) if buffer is None else buffer
+        self._buffer = bytearray(self.dtype.itemsize) if buffer is None else buffer
         self._array: Optional[np.ndarray] = None
         #: What has been handed out that writes into this message, by name; None where nobody seals it.
         self._parts = parts
-        self._why = "it lies in shared memory for reading; copy() gives one that can be written"
 
     @property
     def array(self) -> np.ndarray:
@@ -38,32 +37,29 @@ class View:
 
     def copy(self: _V) -> _V:
         """The same in memory of its own, which may be written."""
-        return type(self)(memoryview(bytearray(self._buffer)))
+        return type(self)(bytearray(self._buffer))
 
-    def _seal(self, why: str) -> None:
-        """From now on it shows what it is now, and cannot be written: neither it nor what it has handed out."""
-        self._buffer, self._why = memoryview(bytes(self._buffer)), why
+    def _seal(self, content: bytes, why: str) -> None:
+        """From now on it shows this content and cannot be written: neither it nor what it has handed out."""
+        parts = self._parts
+        if parts is None:
+            return
+        self._buffer, self._parts, self._sealed = content, None, why
         if self._array is not None:
             self._array.setflags(write=False)
             self._array = None
-        parts, self._parts = self._parts or {}, None
         for part in parts.values():
-            if isinstance(part, View):
-                part._seal(why)
-            else:
+            if type(part) is np.ndarray:
                 part.setflags(write=False)
+            else:
+                part._seal(bytes(part._buffer), why)
 
-    def _part(self, name: str, made: Any) -> Any:
-        """What has been handed out by this name, or is made now."""
-        if self._parts is None:
-            return made()
-        part = self._parts.get(name)
-        if part is None:
-            part = self._parts[name] = made()
-        return part
+    def _is_read_only(self) -> bool:
+        return memoryview(self._buffer).readonly
 
     def _refusal(self, name: str) -> ValueError:
-        return ValueError(f"`{name}` of this {type(self).__name__} cannot be written: {self._why}")
+        why = getattr(self, "_sealed", "it lies in memory for reading; copy() gives one that can be written")
+        return ValueError(f"`{name}` of this {type(self).__name__} cannot be written: {why}")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(f'{name}={getattr(self, name)!r}' for name in self.dtype.names)})"
@@ -76,7 +72,7 @@ class _Member:
         self._name = name
 
     def __set__(self, view: View, value: Any) -> None:
-        if view._buffer.readonly:
+        if view._is_read_only():
             raise view._refusal(self._name)
         self._write(view, value)
 
@@ -96,7 +92,7 @@ class _Number(_Member):
         try:
             self._pack(view._buffer, self._offset, value)
         except TypeError:
-            if view._buffer.readonly:
+            if view._is_read_only():
                 raise view._refusal(self._name) from None
             raise
 
@@ -107,10 +103,21 @@ class _Array(_Member):
     def __init__(self, doc: str) -> None:
         self.__doc__ = doc
 
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+        field, self._offset = owner.dtype.fields[name]
+        self._element, self._shape = field.subdtype
+
     def __get__(self, view: Optional[View], owner: type) -> Any:
         if view is None:
             return self
-        return view.array[self._name] if view._parts is None else view._part(self._name, lambda: view.array[self._name])
+        parts = view._parts
+        if parts is None:
+            return view.array[self._name]
+        part = parts.get(self._name)
+        if part is None:
+            part = parts[self._name] = np.ndarray(self._shape, self._element, view._buffer, self._offset)
+        return part
 
     def _write(self, view: View, value: Any) -> None:
         view.array[self._name][...] = value
@@ -126,15 +133,16 @@ class _Nested(_Member):
     def __get__(self, view: Optional[View], owner: type) -> Any:
         if view is None:
             return self
-        buffer = view._buffer[self._offset : self._end]
-        if view._parts is None:
-            part = self._message(buffer)
-            part._why = view._why
-            return part
-        return view._part(self._name, lambda: self._message(buffer, {}))
+        parts = view._parts
+        if parts is None:
+            return self._message(memoryview(view._buffer)[self._offset : self._end])
+        part = parts.get(self._name)
+        if part is None:
+            part = parts[self._name] = self._message(memoryview(view._buffer)[self._offset : self._end], {})
+        return part
 
     def _write(self, view: View, value: View) -> None:
-        view._buffer[self._offset : self._end] = bytes(value._buffer)
+        memoryview(view._buffer)[self._offset : self._end] = bytes(value._buffer)
 
 
 def field(code: Optional[str], offset: int, doc: str) -> Any:

@@ -50,7 +50,7 @@ statuses! {
     ERROR_DEFECT = -12;
     /// The client is of the process that this one was forked from.
     ERROR_FORKED = -13;
-    /// This thread is in a call already: a signal handler's call is refused.
+    /// This thread is in a call already: a signal handler's call is refused, without a text.
     ERROR_BUSY = -14;
 }
 
@@ -115,6 +115,8 @@ pub(super) fn outcome(body: impl FnOnce() -> Result<(), Failure>) -> i32 {
     // What a panic leaves half done stays inside this library: the client's fields are plain values and ports.
     let (status, text) = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return OK,
+        // In a signal handler nothing may be allocated.
+        Ok(Err(Failure::Busy)) => return ERROR_BUSY,
         // These two come at every turn of a loop: no text is made for them.
         Ok(Err(Failure::Client(ClientError::TimedOut(_)))) => return TIMEOUT,
         Ok(Err(Failure::Client(ClientError::Ended))) => return ENDED,
