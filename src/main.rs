@@ -7,6 +7,7 @@ mod bench;
 mod charts;
 mod commands;
 mod failure;
+mod keeper;
 mod launcher;
 mod plan;
 mod replay;
@@ -123,7 +124,10 @@ fn main() -> ExitCode {
         Command::Load(arguments) => commands::stress::disturb(arguments),
         Command::Chart(command) => commands::chart::run(command),
         Command::Reproduce(arguments) => commands::reproduce::run(arguments),
-        Command::Proc(command) => commands::proc::run(command),
+        Command::Proc(command) => match commands::proc::run(command) {
+            Ok(code) => return code,
+            Err(failure) => Err(failure),
+        },
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

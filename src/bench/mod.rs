@@ -40,6 +40,7 @@ fn complete_run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&Glance)) -> 
     match &result.outcome {
         Outcome::Completed => Ok(result),
         Outcome::Interrupted => Err(Failure::failed("interrupted")),
+        Outcome::LogGone(how) => Err(Failure::failed(how.clone())),
         Outcome::PartDied { name, how, last_words } => {
             Err(Failure::failed(format!("part `{name}` died ({how}): {}", last_words.join("; "))))
         }

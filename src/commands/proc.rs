@@ -1,11 +1,15 @@
 //! `trabecula proc`: one part of a run, in this process.
 
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use ipc_types::process::end_with_parent;
+use ipc_types::session::host_is_alive;
 
 use crate::failure::Failure;
+use crate::keeper;
 
 /// Which part.
 #[derive(Debug, Subcommand)]
@@ -30,6 +34,13 @@ pub enum ProcCommand {
         #[command(flatten)]
         joined: Joined,
     },
+    /// A program that is not ours, with all that it starts; the launcher holds the other end of its standard input.
+    #[command(hide = true)]
+    Keep {
+        /// Program and arguments.
+        #[arg(last = true, required = true)]
+        words: Vec<OsString>,
+    },
 }
 
 /// The session to join.
@@ -44,17 +55,34 @@ pub struct Joined {
 ///
 /// # Errors
 /// What the part says.
-pub fn run(command: &ProcCommand) -> Result<(), Failure> {
+pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
     end_with_parent();
     let failed = |error: &dyn std::error::Error| Failure::failed(error.to_string());
     match command {
-        ProcCommand::Physics(joined) => physics_proc::process::run(&joined.session).map_err(|e| failed(&e)),
-        ProcCommand::Drr(joined) => drr_proc::process::run(&joined.session).map_err(|e| failed(&e)),
+        ProcCommand::Physics(joined) => {
+            physics_proc::process::run(joined.to_living()?).map_err(|e| failed(&e))?;
+        }
+        ProcCommand::Drr(joined) => drr_proc::process::run(joined.to_living()?).map_err(|e| failed(&e))?,
         ProcCommand::Controller { name, joined } => {
-            controller_proc::process::run(&joined.session, name).map_err(|e| failed(&e))
+            controller_proc::process::run(joined.to_living()?, name).map_err(|e| failed(&e))?;
         }
         ProcCommand::Recorder { output, joined } => {
-            recorder_proc::process::run(&joined.session, output).map_err(|e| failed(&e))
+            recorder_proc::process::run(joined.to_living()?, output).map_err(|e| failed(&e))?;
+        }
+        ProcCommand::Keep { words } => return keeper::run(words),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+impl Joined {
+    /// The session's folder, if its host lives: one that died before [`end_with_parent`] sends no signal.
+    fn to_living(&self) -> Result<&Path, Failure> {
+        match host_is_alive(&self.session) {
+            true => Ok(&self.session),
+            false => Err(Failure::failed(format!(
+                "{}: no running session here; start one with `trabecula run SCENE`",
+                self.session.display()
+            ))),
         }
     }
 }

@@ -1,15 +1,18 @@
 //! `trabecula run SCENE`: a whole run.
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use clap::{Args, ValueEnum};
-use ipc_types::process::{EndRequest, Role, prioritise};
-use ipc_types::scene::{Images, Mode, Policy, Scene, Wait};
+use ipc_types::process::{Role, prioritise};
+use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
 
 use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::launcher::interrupt::{Interrupts, remove_empty};
 use crate::launcher::progress::{Display, Manner};
-use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run as run_scene};
+use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run_with};
+use crate::launcher::volume_source;
 use crate::report;
 
 /// The scene that runs when none is named.
@@ -128,47 +131,55 @@ impl From<PolicyArgument> for Policy {
 /// Runs a scene.
 ///
 /// # Errors
-/// Bad input (exit code 2), a part that died (1), Ctrl-C (130).
+/// Bad input (exit code 2), a part that died or a log that has gone (1), Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
+    let interrupts =
+        Interrupts::hear().map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let scene = scene_of(arguments)?;
     if let Some(choice) = drr_proc::process::tolerance_text(&scene).filter(|_| !arguments.json) {
         say!("{choice}");
     }
-    let end = EndRequest::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
-    // What is there before this run.
-    let kept = arguments.output.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new(""));
     let output = match arguments.no_record {
         true => None,
-        false => Some(output_folder(&arguments.output, &scene).map_err(|cause| {
-            Failure::bad_input(format!("--output {}: cannot be made ({cause})", arguments.output.display()))
-        })?),
+        false => {
+            let made = interrupts.make_folder(&arguments.output, |parent| output_folder(parent, &scene));
+            Some(made.map_err(|cause| {
+                Failure::bad_input(format!(
+                    "--output {}: cannot be made ({cause})",
+                    arguments.output.display()
+                ))
+            })?)
+        }
     };
     let plan = RunPlan { scene, output, view: arguments.view };
     let mut display = Display::new(arguments.manner())?;
+    let began = Instant::now();
+    let volume = volume_source::load(&plan.scene);
+    let empty = interrupts.run_begins();
     let mut shown = false;
-    let result = run_scene(&plan, &end, |glance| {
-        // The parts have started: what follows is for people, and gives way to them.
-        if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
-            prioritise(Role::Viewer, plan.scene.run.policy);
-        }
-        display.show(glance);
+    let result = volume.map_err(RunError::from).and_then(|volume| {
+        run_with(&plan, volume, began, &interrupts.end, |glance| {
+            // The parts have started: what follows is for people, and gives way to them.
+            if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
+                prioritise(Role::Viewer, plan.scene.run.policy);
+            }
+            display.show(glance);
+        })
     });
     display.end();
-    let result = result.map_err(|error| {
-        // Nothing was recorded: leave no empty folder that was not there.
-        for folder in
-            plan.output.iter().flat_map(|output| output.ancestors()).take_while(|folder| *folder != kept)
-        {
-            let _ = std::fs::remove_dir(folder);
-        }
-        match error {
-            RunError::Volume(_) => Failure::bad_input(error),
-            _ => Failure::failed(error.to_string()),
-        }
+    interrupts.report_begins();
+    // If nothing was recorded, this leaves no folder that was not there.
+    remove_empty(&empty);
+    let result = result.map_err(|error| match error {
+        RunError::Volume(_) => Failure::bad_input(error),
+        _ => Failure::failed(error.to_string()),
     })?;
-    let written =
-        plan.output.as_deref().map_or(Ok(()), |output| write_report(&result, output, arguments.json));
+    let is_to_report = match result.outcome {
+        Outcome::LogGone(_) => false,
+        _ => !interrupts.end.is_urgent(),
+    };
+    let output = plan.output.as_deref().filter(|output| is_to_report && output.exists());
+    let written = output.map_or(Ok(()), |output| write_report(&result, output, arguments.json));
     judge(&result).and(written)
 }
 
@@ -199,9 +210,9 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
         scene.recording.image_every = every;
     }
     if let Some(duration_s) = arguments.duration_s {
-        if !(0.001..=3600.0).contains(&duration_s) {
+        if !(0.001..=LONGEST_RUN_S).contains(&duration_s) {
             return Err(Failure::bad_input(format!(
-                "--duration-s is {duration_s}, allowed is 0.001 to 3600"
+                "--duration-s is {duration_s}, allowed is 0.001 to {LONGEST_RUN_S}"
             )));
         }
         scene.run.duration_s = duration_s;
@@ -236,5 +247,6 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
         Outcome::PartDied { name, .. } => {
             Err(Failure::failed(format!("the run ended early because `{name}` did")))
         }
+        Outcome::LogGone(_) => Err(Failure::failed("the run ended early because its log has gone")),
     }
 }

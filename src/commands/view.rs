@@ -2,6 +2,7 @@
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::Args;
 use ipc_types::process::EndRequest;
@@ -14,8 +15,11 @@ use viewer_proc::server::Server;
 use viewer_proc::surface::Geometry;
 use viewer_proc::{ServerOptions, ToolShape, ViewerError};
 
-use crate::failure::Failure;
+use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::volume_source;
+
+/// How long the viewer may take to leave after a signal.
+const LEAVE_LIMIT: Duration = Duration::from_secs(2);
 
 /// Arguments of `view`.
 #[derive(Debug, Args)]
@@ -76,8 +80,14 @@ impl ServerArguments {
 /// # Errors
 /// No session, a port in use (2), what the viewer says (1).
 pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
-    let end = EndRequest::install()
-        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    // It has nothing to lose: one that is still reading a log or making its volume just leaves.
+    let end = EndRequest::answered(|_| {
+        std::thread::spawn(|| {
+            std::thread::sleep(LEAVE_LIMIT);
+            std::process::exit(EXIT_INTERRUPTED.into());
+        });
+    })
+    .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     if let Some(log) = &arguments.log {
         return view_logs(log, arguments, &end);
     }

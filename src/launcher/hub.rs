@@ -164,11 +164,15 @@ impl Hub {
     /// # Errors
     /// [`HubError::Start`].
     pub fn start_program(&self, name: &str, words: &[String]) -> Result<Part, HubError> {
-        let (program, arguments) =
-            words.split_first().map_or(("", words), |(first, rest)| (first.as_str(), rest));
-        let mut command = Command::new(program);
-        command.args(arguments).env(CONTROLLER_VARIABLE, name);
-        self.spawn(name, &mut command, true)
+        let start_error = |cause| HubError::Start {
+            part: name.to_owned(),
+            program: words.first().cloned().unwrap_or_default(),
+            cause,
+        };
+        let mut keeper = Command::new(std::env::current_exe().map_err(start_error)?);
+        keeper.args(["proc", "keep", "--"]).args(words);
+        keeper.env(CONTROLLER_VARIABLE, name).env(SESSION_VARIABLE, self.folder());
+        Part::start_kept(name, &mut keeper, true).map_err(start_error)
     }
 
     /// Starts the viewer as `trabecula view`; it says where its page is.

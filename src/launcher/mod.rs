@@ -1,6 +1,9 @@
 //! Starting, watching and ending the parts of a run.
 
+mod ending;
 pub mod hub;
+pub mod interrupt;
+mod log_watch;
 pub mod part;
 pub mod progress;
 pub mod run;

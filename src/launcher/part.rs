@@ -1,14 +1,18 @@
 //! One process of a run: started, watched, ended.
 
 use std::collections::VecDeque;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Error, Read, Write};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use ipc_types::process::{ProcessorTime, bind_to_parent};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+
+use crate::keeper::{END_AT_ONCE, Started};
 
 /// Lines that are kept of what a part said.
 const LAST_WORDS: usize = 20;
@@ -16,6 +20,48 @@ const LAST_WORDS: usize = 20;
 const LONGEST_LINE: u64 = 4096;
 /// How long they are waited for.
 const WORDS_LIMIT: Duration = Duration::from_secs(1);
+/// How long a keeper may take to say that it has started its program.
+const START_LIMIT: Duration = Duration::from_secs(20);
+/// How long a keeper may take to end all at once; then it is killed itself.
+const KEEPER_LIMIT: Duration = Duration::from_secs(3);
+
+/// Every part that has not been reaped, so that another thread can end all at once ([`end_all_at_once`]).
+static RUNNING: Mutex<Vec<Hold>> = Mutex::new(Vec::new());
+
+/// What it takes to end a part at once.
+#[derive(Debug, Clone)]
+struct Hold {
+    /// It leads a process group of its own (`bind_to_parent`).
+    pid: Option<Pid>,
+    /// Of a part with a keeper.
+    leash: Option<Arc<UnixStream>>,
+}
+
+impl Hold {
+    /// To the part and to what it has started.
+    fn signal(&self, signal: Signal) {
+        // They may have ended in this instant.
+        let _ = self.pid.map(|pid| kill_process_group(pid, signal));
+    }
+
+    fn end_at_once(&self) {
+        match &self.leash {
+            // A keeper that is stopped is to hear it.
+            Some(leash) if leash.as_ref().write_all(&[END_AT_ONCE]).is_ok() => self.signal(Signal::CONT),
+            _ => self.signal(Signal::KILL),
+        }
+    }
+}
+
+/// Ends every part of this process at once, with all that they have started.
+pub fn end_all_at_once() {
+    // A part leaves the list before it is reaped: until then nobody else's group can have its number.
+    running().iter().for_each(Hold::end_at_once);
+}
+
+fn running() -> MutexGuard<'static, Vec<Hold>> {
+    RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// A running part.
 #[derive(Debug)]
@@ -23,6 +69,9 @@ pub struct Part {
     /// Its name in messages.
     pub name: String,
     child: Child,
+    hold: Hold,
+    /// The process that is measured: of a part with a keeper, its program.
+    process: u32,
     words: Arc<Mutex<VecDeque<String>>>,
     /// They end when its output does.
     listeners: Vec<JoinHandle<()>>,
@@ -65,8 +114,37 @@ impl Part {
     /// # Errors
     /// The program cannot be started.
     pub fn start(name: &str, command: &mut Command, echo: bool) -> std::io::Result<Part> {
-        let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = bind_to_parent(command).spawn()?;
+        Part::start_with(name, command.stdin(Stdio::null()), None, echo)
+    }
+
+    /// Starts a program by its keeper's command line ([`keeper`](crate::keeper)).
+    ///
+    /// # Errors
+    /// The keeper or its program cannot be started.
+    pub fn start_kept(name: &str, keeper: &mut Command, echo: bool) -> std::io::Result<Part> {
+        let (ours, its) = UnixStream::pair()?;
+        ours.set_read_timeout(Some(START_LIMIT))?;
+        let leash = Arc::new(ours);
+        let keeper = keeper.stdin(OwnedFd::from(its));
+        let mut part = Part::start_with(name, keeper, Some(Arc::clone(&leash)), echo)?;
+        // This side of the socket must close when the keeper ends.
+        keeper.stdin(Stdio::null());
+        match Started::read(&leash)? {
+            Started::As(process) => part.process = process,
+            Started::Not(code) => return Err(Error::from_raw_os_error(code)),
+        }
+        Ok(part)
+    }
+
+    fn start_with(
+        name: &str,
+        command: &mut Command,
+        leash: Option<Arc<UnixStream>>,
+        echo: bool,
+    ) -> std::io::Result<Part> {
+        let mut child = bind_to_parent(command.stdout(Stdio::piped()).stderr(Stdio::piped())).spawn()?;
+        let hold = Hold { pid: i32::try_from(child.id()).ok().and_then(Pid::from_raw), leash };
+        running().push(hold.clone());
         let words = Arc::new(Mutex::new(VecDeque::new()));
         let shown_as = echo.then(|| name.to_owned());
         let mut listeners = Vec::new();
@@ -78,7 +156,9 @@ impl Part {
         }
         Ok(Part {
             name: name.to_owned(),
+            process: child.id(),
             child,
+            hold,
             words,
             listeners,
             status: None,
@@ -90,26 +170,21 @@ impl Part {
     /// How it ended, if it has. What it started itself ends with it.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.status.is_none() && self.is_to_be_reaped() {
-            // Before it is reaped: until then nobody else's group can have its number.
-            self.signal_group(Signal::KILL);
-            self.status = self.child.try_wait().ok().flatten();
+            self.hold.signal(Signal::KILL);
+            self.reap();
         }
         self.status
     }
 
     fn is_to_be_reaped(&self) -> bool {
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-        self.pid().is_some_and(|pid| !matches!(waitid(WaitId::Pid(pid), options), Ok(None)))
+        self.hold.pid.is_some_and(|pid| !matches!(waitid(WaitId::Pid(pid), options), Ok(None)))
     }
 
-    fn pid(&self) -> Option<Pid> {
-        i32::try_from(self.child.id()).ok().and_then(Pid::from_raw)
-    }
-
-    /// To the part and to what it has started: it leads a process group of its own (`bind_to_parent`).
-    fn signal_group(&self, signal: Signal) {
-        // They may have ended in this instant.
-        let _ = self.pid().map(|pid| kill_process_group(pid, signal));
+    /// Waits for the process, which has ended or been killed.
+    fn reap(&mut self) {
+        running().retain(|hold| hold.pid != self.hold.pid);
+        self.status = self.child.wait().ok();
     }
 
     /// The last lines it said; of a part that has ended.
@@ -124,28 +199,36 @@ impl Part {
 
     /// Reads its memory and its processor time.
     pub fn measure(&mut self) {
-        let process = self.child.id().to_string();
+        let process = self.process.to_string();
         self.memory.measure(&process);
         self.processor = ProcessorTime::of(&process).map_or(self.processor, |time| time.own);
     }
 
     /// Asks it to end (SIGTERM).
     pub fn ask_to_end(&mut self) {
-        self.signal(Signal::TERM);
+        if self.ended().is_none() {
+            self.hold.signal(Signal::TERM);
+        }
     }
 
-    fn signal(&mut self, signal: Signal) {
-        if self.ended().is_none() {
-            self.signal_group(signal);
+    /// Ends it at once, with all that it has started.
+    pub fn kill(&mut self) {
+        if self.ended().is_some() {
+            return;
         }
+        self.hold.end_at_once();
+        if self.hold.leash.is_some() && self.ends_within(KEEPER_LIMIT) {
+            return;
+        }
+        self.hold.signal(Signal::KILL);
+        self.reap();
     }
 
     /// Waits for its end; after the limit it is killed. Returns whether it ended by itself.
     pub fn wait(&mut self, limit: Duration) -> bool {
         let ended = self.ends_within(limit);
         if !ended {
-            self.signal(Signal::KILL);
-            self.status = self.child.wait().ok();
+            self.kill();
         }
         ended
     }
@@ -166,9 +249,8 @@ impl Part {
 
 impl Drop for Part {
     fn drop(&mut self) {
-        self.signal(Signal::KILL);
-        // Reaped, so that no zombie stays.
-        let _ = self.child.wait();
+        // And reaped, so that no zombie stays.
+        self.kill();
     }
 }
 

@@ -1,39 +1,26 @@
 //! One run, from the scene to the finished logs.
-//!
-//! Order of the end: the physics says "ended" and leaves when its consumers have everything; the DRR process and the
-//! controllers leave on that; the recorder is asked last, when nobody writes any more.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{
-    CONTROL_STOP, Frame, PHASE_ENDED, PHASE_RUNNING, RunControl, RunStatus, State, TickTiming,
-};
-use ipc_types::ports::{PortError, Publisher, Subscriber};
+use ipc_types::messages::{Frame, PHASE_ENDED, PHASE_RUNNING, RunStatus, State, TickTiming};
+use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::process::{EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
 use ipc_types::services;
-use ipc_types::session::{Reader, Session, SessionError};
-use ipc_types::wake::Waker;
-
+use ipc_types::session::{Session, SessionError};
 use recorder_proc::process::OUTPUT_FILE;
+use volume_io::Volume;
 
+use super::ending::Ending;
 use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
+use super::log_watch::LogWatch;
 use super::part::{Memory, Part};
 use super::understudy::Understudies;
 use super::volume_source;
 use crate::report::{NOT_SHARED, RunFacts};
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
-/// How long a part may take to end after it has been asked.
-const END_LIMIT: Duration = Duration::from_secs(130);
-/// The same after something has failed.
-const FAILED_END_LIMIT: Duration = Duration::from_secs(10);
-/// How long a controller may go on after the run's end before it is asked to end, for one that does not watch the run.
-const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
-
-/// How long the viewer may take to tell its clients that the run has ended.
-const VIEWER_END_LIMIT: Duration = Duration::from_secs(3);
 
 /// How a run is to be made.
 #[derive(Debug, Clone)]
@@ -51,8 +38,10 @@ pub struct RunPlan {
 pub enum Outcome {
     /// All ticks were made, or the run was stopped by run control.
     Completed,
-    /// Ctrl-C, or SIGTERM.
+    /// Ctrl-C, SIGTERM or SIGHUP.
     Interrupted,
+    /// The log was removed or moved; what became of it.
+    LogGone(String),
     /// A part died or ended before its time.
     PartDied {
         /// Its name.
@@ -65,11 +54,17 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Which part died, how, and what it said last.
-    fn death(&self) -> Option<String> {
-        let Outcome::PartDied { name, how, last_words } = self else { return None };
-        let words = if last_words.is_empty() { "nothing".to_owned() } else { last_words.join("\n  ") };
-        Some(format!("part `{name}` died ({how}); its last words:\n  {words}"))
+    /// What went wrong: which part died, how, and what it said last.
+    pub(super) fn death(&self) -> Option<String> {
+        match self {
+            Outcome::Completed | Outcome::Interrupted => None,
+            Outcome::LogGone(how) => Some(how.clone()),
+            Outcome::PartDied { name, how, last_words } => {
+                let words =
+                    if last_words.is_empty() { "nothing".to_owned() } else { last_words.join("\n  ") };
+                Some(format!("part `{name}` died ({how}); its last words:\n  {words}"))
+            }
+        }
     }
 }
 
@@ -95,6 +90,7 @@ impl RunResult {
             Outcome::Completed => "completed".to_owned(),
             Outcome::Interrupted => "interrupted".to_owned(),
             Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
+            Outcome::LogGone(how) => how.clone(),
         };
         let both = |(name, memory): &(String, Memory)| {
             [(name.clone(), memory.peak_resident), (format!("{name}{NOT_SHARED}"), memory.peak_private)]
@@ -150,73 +146,123 @@ pub struct Glance<'a> {
     pub parts: &'a [Part],
 }
 
-/// Makes a run; `show` is called at every look.
+/// Makes a run with the scene's volume; `show` is called at every look.
 ///
 /// # Errors
 /// Any [`RunError`]: the run did not begin. What goes wrong later is the [`Outcome`].
-pub fn run(plan: &RunPlan, end: &EndRequest, mut show: impl FnMut(&Glance)) -> Result<RunResult, RunError> {
+pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&Glance)) -> Result<RunResult, RunError> {
     let began = Instant::now();
     let volume = volume_source::load(&plan.scene)?;
+    run_with(plan, volume, began, end, show)
+}
+
+/// The same with a volume that has been loaded since `began`.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_with(
+    plan: &RunPlan,
+    volume: Option<(Volume, [u8; 32])>,
+    began: Instant,
+    end: &EndRequest,
+    mut show: impl FnMut(&Glance),
+) -> Result<RunResult, RunError> {
     let hub = Hub::create(&plan.scene, volume.as_ref(), plan.output.is_some())?;
     let mut own_memory = Memory::default();
     own_memory.measure("self");
     // The one copy that stays is the one in shared memory.
     drop(volume);
-    let mut eyes = Eyes::open(&hub.host.session)?;
-    let mut parts = start_parts(plan, &hub)?;
-    let mut understudies = Understudies::new(&hub.host.session)?;
+    let eyes = Eyes::open(&hub.host.session)?;
+    let parts = start_parts(plan, &hub)?;
+    let understudies = Understudies::new(&hub.host.session)?;
     // No part of the run: whatever becomes of it, the run goes on.
     let mut viewer = plan.view.map(|port| hub.start_viewer(port)).transpose()?;
-    let awaited = awaited(&plan.scene, &hub);
-    let mut first_tick = None;
-    let outcome = loop {
-        hub.serve_late_joiners()?;
-        eyes.look()?;
-        show(&eyes.glance(hub.folder(), &awaited, &parts));
-        if first_tick.is_none() && eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING) {
-            first_tick = Some(Instant::now());
-        }
-        parts.iter_mut().for_each(Part::measure);
-        if end.is_set() {
-            break Outcome::Interrupted;
-        }
-        if let Some(index) = parts.iter_mut().position(|part| part.ended().is_some()) {
-            // What the physics said before is on its way or here.
-            eyes.look()?;
-            let run_has_ended = eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
-            let tick = eyes.state.as_ref().map_or(0, |state| state.tick);
-            if !run_has_ended && understudies.replace(plan, &hub, &mut parts, index, tick)? {
-                continue;
-            }
-            break judge(&mut parts[index], run_has_ended);
-        }
-        std::thread::sleep(LOOK_TIME);
-    };
+    let mut running = Running { plan, end, hub: &hub, eyes, parts, understudies, first_tick: None };
+    let outcome = running.watch(&mut show)?;
+    let Running { mut eyes, mut parts, understudies, first_tick, .. } = running;
     if let Some(death) = outcome.death() {
         // At once: the others may take a while to end.
         tell!("trabecula: {death}");
     }
     let first_tick = first_tick.unwrap_or_else(Instant::now);
-    let (over, outcome) = end_parts(plan, outcome, &mut eyes, &mut parts);
+    let ending = Ending { plan, end, has_begun: eyes.status.is_some() };
+    let (over, outcome) = ending.end_parts(outcome, &mut parts);
     let running = over.duration_since(first_tick);
     if let Some(viewer) = &mut viewer {
-        viewer.wait(VIEWER_END_LIMIT);
+        ending.end_viewer(viewer);
     }
     eyes.look()?;
-    show(&eyes.glance(hub.folder(), &awaited, &[]));
-    let mut memory: Vec<(String, Memory)> =
-        parts.iter().chain(&understudies.gone).map(|part| (part.name.clone(), part.memory)).collect();
+    if !end.is_set() {
+        show(&eyes.glance(hub.folder(), &[], &[]));
+    }
     own_memory.measure("self");
+    let all = || parts.iter().chain(&understudies.gone);
+    let mut memory: Vec<(String, Memory)> = all().map(|part| (part.name.clone(), part.memory)).collect();
     memory.push(("launcher".to_owned(), own_memory));
     let mut processor: Vec<(String, Duration)> =
-        parts.iter().chain(&understudies.gone).map(|part| (part.name.clone(), part.processor)).collect();
+        all().map(|part| (part.name.clone(), part.processor)).collect();
     processor.push(("launcher".to_owned(), ProcessorTime::of("self").unwrap_or_default().own));
     Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory, processor })
 }
 
+/// A run while it goes on.
+struct Running<'a> {
+    plan: &'a RunPlan,
+    end: &'a EndRequest,
+    hub: &'a Hub,
+    eyes: Eyes,
+    parts: Vec<Part>,
+    understudies: Understudies,
+    first_tick: Option<Instant>,
+}
+
+impl Running<'_> {
+    /// Watches the parts until something ends the run.
+    fn watch(&mut self, show: &mut impl FnMut(&Glance)) -> Result<Outcome, RunError> {
+        let awaited = awaited(&self.plan.scene, self.hub);
+        let mut log = self.plan.output.as_deref().map(LogWatch::new);
+        loop {
+            self.hub.serve_late_joiners()?;
+            self.eyes.look()?;
+            show(&self.eyes.glance(self.hub.folder(), &awaited, &self.parts));
+            if self.first_tick.is_none()
+                && self.eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING)
+            {
+                self.first_tick = Some(Instant::now());
+            }
+            self.parts.iter_mut().for_each(Part::measure);
+            if self.end.is_set() {
+                return Ok(Outcome::Interrupted);
+            }
+            if let Some(index) = self.parts.iter_mut().position(|part| part.ended().is_some()) {
+                match self.without(index)? {
+                    Some(outcome) => return Ok(outcome),
+                    None => continue,
+                }
+            }
+            if let Some(how) = log.as_mut().and_then(LogWatch::look) {
+                return Ok(Outcome::LogGone(how));
+            }
+            std::thread::sleep(LOOK_TIME);
+        }
+    }
+
+    /// A part has ended; how the run ends with it, if it does.
+    fn without(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
+        // What the physics said before is on its way or here.
+        self.eyes.look()?;
+        let run_has_ended = self.eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
+        let tick = self.eyes.state.as_ref().map_or(0, |state| state.tick);
+        if !run_has_ended && self.understudies.replace(self.plan, self.hub, &mut self.parts, index, tick)? {
+            return Ok(None);
+        }
+        Ok(Some(judge(&mut self.parts[index], run_has_ended)))
+    }
+}
+
 /// A part has ended. When the run is over, DRR and controllers may leave a moment before the physics does; the physics
 /// ends well only when it is over, and nobody may leave before.
-fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
+pub(super) fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
     let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());
     if succeeded && (part.name == PHYSICS || (run_has_ended && part.name != RECORDER)) {
@@ -267,114 +313,12 @@ fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
     scene.controller.iter().filter(|controller| controller.external).map(line).collect()
 }
 
-/// Ends all parts in order; returns when the physics was over, and the outcome with how the others ended.
-fn end_parts(plan: &RunPlan, outcome: Outcome, eyes: &mut Eyes, parts: &mut [Part]) -> (Instant, Outcome) {
-    write_reason(plan, &outcome);
-    let mut outcome = outcome;
-    let (failed, stop) = match outcome {
-        Outcome::Completed => (false, false),
-        Outcome::Interrupted => (false, true),
-        Outcome::PartDied { .. } => (true, true),
-    };
-    if stop {
-        eyes.ask_to_stop();
-    }
-    // A physics that has not been heard of does not listen to run control yet, and may end without a word to the others.
-    let is_deaf = stop && eyes.status.is_none();
-    // Of a run that did not begin nobody has anything to finish.
-    let judged = |name: &str, outcome: Outcome, parts: &mut [Part]| {
-        if is_deaf { outcome } else { with_end_of(name, outcome, parts) }
-    };
-    let limit = if failed { FAILED_END_LIMIT } else { END_LIMIT };
-    if !failed {
-        spare_physics_the_dead(parts, limit);
-    }
-    let mut over = Instant::now();
-    let order = |part: &Part| match part.name.as_str() {
-        PHYSICS => 0,
-        RECORDER => 2,
-        _ => 1,
-    };
-    for turn in 0..3 {
-        if turn == 2 {
-            outcome = judged(DRR, outcome, parts);
-            write_reason(plan, &outcome);
-        }
-        for part in parts.iter_mut().filter(|part| order(part) == turn) {
-            // Only the physics ends by run control; when it has, DRR and controllers have heard so, unless it died.
-            let goes_on = !failed && turn == 1 && part.name != DRR && !part.ends_within(CONTROLLER_END_TIME);
-            if turn == 2 || failed || goes_on || is_deaf {
-                part.ask_to_end();
-            }
-            // The recorder is never cut short: what was published is to be in the log.
-            if !part.wait(if turn == 2 { END_LIMIT } else { limit }) {
-                tell!("trabecula: {} did not end within {} s and was killed", part.name, limit.as_secs());
-            }
-            if turn == 0 {
-                over = Instant::now();
-            }
-        }
-    }
-    if let Some(output) = &plan.output {
-        // A recorder that died has not taken it.
-        let _ = std::fs::remove_file(output.join(recorder_proc::process::REASON_FILE));
-    }
-    (over, judged(RECORDER, outcome, parts))
-}
-
-/// Waits for the physics' end. It stays until DRR process and recorder have everything: should one of them die, it is told to wait no
-/// longer.
-fn spare_physics_the_dead(parts: &mut [Part], limit: Duration) {
-    let began = Instant::now();
-    while began.elapsed() < limit {
-        let mut has_died = |name: &str| {
-            let part = parts.iter_mut().find(|part| part.name == name);
-            part.and_then(Part::ended).is_some_and(|status| !status.success())
-        };
-        let nobody_comes = has_died(DRR) || has_died(RECORDER);
-        let Some(physics) = parts.iter_mut().find(|part| part.name == PHYSICS) else { return };
-        if nobody_comes {
-            physics.ask_to_end();
-        }
-        if nobody_comes || physics.ends_within(LOOK_TIME) {
-            return;
-        }
-    }
-}
-
-/// A run whose log could not be finished, or whose last frames are missing, has not succeeded, though all its ticks were made.
-fn with_end_of(name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
-    let found = parts.iter_mut().find(|part| part.name == name);
-    let Some(part) = found.filter(|_| outcome.death().is_none()) else { return outcome };
-    if part.ended().is_none_or(|status| status.success()) {
-        return outcome;
-    }
-    let died = judge(part, false);
-    died.death().iter().for_each(|death| tell!("trabecula: {death}"));
-    died
-}
-
-/// Tells the recorder what to write into the log's end.
-fn write_reason(plan: &RunPlan, outcome: &Outcome) {
-    let reason = match outcome {
-        Outcome::Completed => "completed",
-        Outcome::Interrupted => "interrupted",
-        Outcome::PartDied { name, .. } => name,
-    };
-    if let Some(output) = &plan.output {
-        // Without it the log's end blames the launcher; the exit code and the message still tell.
-        let _ = std::fs::write(output.join(recorder_proc::process::REASON_FILE), reason);
-    }
-}
-
 /// The launcher's subscriptions.
 struct Eyes {
     states: Subscriber<State>,
     statuses: Subscriber<RunStatus>,
     tick_timings: Subscriber<TickTiming>,
     frame_messages: Option<Subscriber<Frame>>,
-    control: Publisher<RunControl>,
-    physics: Waker,
     state: Option<Box<State>>,
     status: Option<RunStatus>,
     timings: Vec<TickTiming>,
@@ -389,8 +333,6 @@ impl Eyes {
             statuses: session.subscriber(&services::RUN_STATUS)?,
             tick_timings: session.subscriber(&services::TICK_TIMING)?,
             frame_messages: has_frames.then(|| session.subscriber(&services::FRAME)).transpose()?,
-            control: session.publisher(&services::RUN_CONTROL)?,
-            physics: session.waker(Reader::Physics)?,
             state: None,
             status: None,
             timings: Vec::new(),
@@ -427,13 +369,6 @@ impl Eyes {
             frames: self.frames,
             parts,
         }
-    }
-
-    fn ask_to_stop(&self) {
-        // If the physics is gone, there is nobody to stop.
-        let request = RunControl { request_id: 1, action: CONTROL_STOP, ..RunControl::zeroed() };
-        let _ = self.control.send(&request);
-        self.physics.wake();
     }
 }
 

@@ -169,3 +169,42 @@ fn a_folder_that_cannot_be_written_is_told_before_anything_starts() {
         assert_eq!(place.entries(), before);
     }
 }
+
+/// The run went on into a file without a name, and its last word was that a picture could not be written.
+#[test]
+fn a_folder_removed_during_a_run_ends_it_at_once_and_names_the_log() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 600.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 200);
+    drop(client);
+    let folder = run.log().unwrap().parent().unwrap().to_owned();
+    std::fs::remove_dir_all(&folder).unwrap();
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    let said =
+        format!("the log {} has been removed while the run went on", folder.join("run.mcap").display());
+    assert!(ended.err.contains(&said), "{}", ended.err);
+    assert!(!ended.err.contains("drr_") && !ended.err.contains("summary"), "{}", ended.err);
+    assert!(!folder.exists());
+    assert_nothing_left(ended.pid);
+}
+
+/// A folder that is moved loses nothing, but who looks for the log must hear where it is.
+#[test]
+fn a_folder_moved_during_a_run_ends_it_and_says_where_the_log_is() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 600.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 200);
+    drop(client);
+    let folder = run.log().unwrap().parent().unwrap().to_owned();
+    let moved = place.path("elsewhere");
+    std::fs::rename(&folder, &moved).unwrap();
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}", ended.err);
+    assert!(ended.err.contains(&format!("has been moved to {}", moved.join("run.mcap").display())));
+    assert!(read(&moved).ticks.len() >= 200);
+    assert_replays(&moved);
+    assert_nothing_left(ended.pid);
+}

@@ -1,0 +1,204 @@
+//! `trabecula proc keep`: runs a program that is not ours and ends all that it has started, when it ends or when the
+//! launcher does.
+//!
+//! The kernel sends a parent-death signal to one generation only, and a daemon leaves its parent's group and session. So
+//! this process stands between launcher and program as its subreaper: whatever the program leaves behind becomes its
+//! child. A socket, its standard input, ties it to the launcher: when that dies, however it does, the socket closes.
+
+use std::ffi::OsString;
+use std::io::{Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::process::{Command, ExitCode, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use ipc_types::family::{bind_to_parent_with, descendants};
+use rustix::process::{
+    Pid, Resource, Rlimit, Signal, WaitOptions, WaitStatus, getpid, kill_process, kill_process_group,
+    set_child_subreaper, setrlimit, wait,
+};
+use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+use crate::failure::Failure;
+
+/// What the launcher writes to have everything ended at once.
+pub const END_AT_ONCE: u8 = b'K';
+/// How long a program may take to end after the launcher has.
+const GRACE: Duration = Duration::from_secs(2);
+/// How long killed processes may take to go; one in a system call that cannot be interrupted is left to the kernel.
+const KILL_LIMIT: Duration = Duration::from_secs(2);
+const KILL_LOOK: Duration = Duration::from_millis(2);
+
+/// What the launcher is told of the start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Started {
+    /// The program's process.
+    As(u32),
+    /// The system's number of the error.
+    Not(i32),
+}
+
+impl Started {
+    fn bytes(self) -> [u8; 5] {
+        let (kind, number) = match self {
+            Started::As(pid) => (b'+', pid.to_le_bytes()),
+            Started::Not(code) => (b'-', code.to_le_bytes()),
+        };
+        [kind, number[0], number[1], number[2], number[3]]
+    }
+
+    /// What a keeper has written.
+    ///
+    /// # Errors
+    /// It ended before it had.
+    pub fn read(mut leash: &UnixStream) -> std::io::Result<Started> {
+        let mut bytes = [0; 5];
+        leash.read_exact(&mut bytes)?;
+        let number = [bytes[1], bytes[2], bytes[3], bytes[4]];
+        match bytes[0] {
+            b'+' => Ok(Started::As(u32::from_le_bytes(number))),
+            _ => Ok(Started::Not(i32::from_le_bytes(number))),
+        }
+    }
+}
+
+enum News {
+    Signal(i32),
+    /// The launcher has gone.
+    Alone,
+    EndAtOnce,
+}
+
+/// Runs a program to its end, and ends as it did.
+///
+/// # Errors
+/// The system refuses what this needs.
+pub fn run(words: &[OsString]) -> Result<ExitCode, Failure> {
+    let failed = |cause: std::io::Error| Failure::failed(format!("a program cannot be kept: {cause}"));
+    let Some((program, arguments)) = words.split_first() else {
+        return Err(Failure::bad_input("no program to keep"));
+    };
+    let leash = std::io::stdin().as_fd().try_clone_to_owned().map(UnixStream::from).map_err(failed)?;
+    set_child_subreaper(Some(getpid())).map_err(|cause| failed(cause.into()))?;
+    let (sender, news) = channel();
+    hear_signals(sender.clone()).map_err(failed)?;
+    let mut command = Command::new(program);
+    command.args(arguments).stdin(Stdio::null());
+    // Should this process be killed, the program at least goes with it.
+    let spawned = bind_to_parent_with(&mut command, Signal::KILL).spawn();
+    let started = match &spawned {
+        Ok(child) => Started::As(child.id()),
+        Err(cause) => Started::Not(cause.raw_os_error().unwrap_or(0)),
+    };
+    // A launcher that has gone is noticed below.
+    let _ = (&leash).write_all(&started.bytes());
+    let Started::As(pid) = started else { return Ok(ExitCode::FAILURE) };
+    hear_launcher(leash, sender).map_err(failed)?;
+    let Some(program) = i32::try_from(pid).ok().and_then(Pid::from_raw) else {
+        return Ok(ExitCode::FAILURE);
+    };
+    Ok(end_as(Kept { program, status: None, kill_at: None }.watch(&news)))
+}
+
+fn hear_signals(sender: Sender<News>) -> std::io::Result<()> {
+    let mut signals = Signals::new([SIGCHLD, SIGTERM, SIGINT, SIGHUP])?;
+    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+        for signal in signals.forever() {
+            if sender.send(News::Signal(signal)).is_err() {
+                return;
+            }
+        }
+    })?;
+    Ok(())
+}
+
+fn hear_launcher(mut leash: UnixStream, sender: Sender<News>) -> std::io::Result<()> {
+    std::thread::Builder::new().name("leash".to_owned()).spawn(move || {
+        let mut byte = [0];
+        let said = match leash.read(&mut byte) {
+            Ok(1) if byte[0] == END_AT_ONCE => News::EndAtOnce,
+            _ => News::Alone,
+        };
+        // The other side ends only with the process.
+        let _ = sender.send(said);
+    })?;
+    Ok(())
+}
+
+struct Kept {
+    program: Pid,
+    status: Option<WaitStatus>,
+    kill_at: Option<Instant>,
+}
+
+impl Kept {
+    /// Watches until the program has ended and nothing is left of it.
+    fn watch(mut self, news: &Receiver<News>) -> Option<WaitStatus> {
+        loop {
+            self.reap();
+            if self.status.is_some() {
+                break;
+            }
+            let said = match self.kill_at {
+                None => news.recv().map_err(|_| RecvTimeoutError::Disconnected),
+                Some(at) => news.recv_timeout(at.saturating_duration_since(Instant::now())),
+            };
+            match said {
+                Ok(News::Signal(SIGCHLD)) => {}
+                Ok(News::Signal(_)) => self.ask_to_end(),
+                Ok(News::Alone) => {
+                    self.ask_to_end();
+                    self.kill_at = Some(Instant::now() + GRACE);
+                }
+                Ok(News::EndAtOnce) | Err(_) => break,
+            }
+        }
+        self.end_all();
+        self.status
+    }
+
+    fn ask_to_end(&self) {
+        // It leads a group of its own; it may have ended in this instant, or be stopped.
+        let _ = kill_process_group(self.program, Signal::TERM);
+        let _ = kill_process_group(self.program, Signal::CONT);
+    }
+
+    fn reap(&mut self) {
+        while let Ok(Some((pid, status))) = wait(WaitOptions::NOHANG) {
+            if pid == self.program {
+                self.status = Some(status);
+            }
+        }
+    }
+
+    /// Again and again, since who is killed may just have started somebody.
+    fn end_all(&mut self) {
+        let end = Instant::now() + KILL_LIMIT;
+        loop {
+            let left = descendants(getpid());
+            left.iter().for_each(|pid| {
+                let _ = kill_process(*pid, Signal::KILL);
+            });
+            self.reap();
+            if left.is_empty() || Instant::now() >= end {
+                return;
+            }
+            std::thread::sleep(KILL_LOOK);
+        }
+    }
+}
+
+/// Ends this process as the program did, so that the launcher sees what became of that.
+fn end_as(status: Option<WaitStatus>) -> ExitCode {
+    let code = status.and_then(WaitStatus::exit_status);
+    if let Some(code) = code.and_then(|code| u8::try_from(code).ok()) {
+        return ExitCode::from(code);
+    }
+    let signal = status.and_then(WaitStatus::terminating_signal).unwrap_or(Signal::KILL.as_raw());
+    // The program has left its core file, if it was to leave one.
+    let _ = setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) });
+    let _ = signal_hook::low_level::emulate_default_handler(signal);
+    ExitCode::FAILURE
+}

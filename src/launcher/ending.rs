@@ -1,0 +1,196 @@
+//! The end of a run.
+//!
+//! Order: the physics leaves when its consumers have everything; the DRR process and the controllers leave on its word; the
+//! recorder is asked last, when nobody writes any more. A signal shortens every wait but the recorder's, which has the log
+//! to finish; a second signal ends that one too.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::process::EndRequest;
+
+use super::hub::{DRR, PHYSICS, RECORDER};
+use super::part::Part;
+use super::run::{Outcome, RunPlan, judge};
+
+const LOOK_TIME: Duration = Duration::from_millis(5);
+/// How long a part may take to end.
+const END_LIMIT: Duration = Duration::from_secs(130);
+/// The same after something has failed.
+const FAILED_LIMIT: Duration = Duration::from_secs(10);
+/// The same after a signal: for the physics, and then for the others together, half of it before they are asked.
+const HURRIED_LIMIT: Duration = Duration::from_secs(1);
+/// How long a controller may go on after the run's end before it is asked to end, for one that does not watch the run.
+const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
+/// How long the viewer may take to tell its clients that the run has ended.
+const VIEWER_LIMIT: Duration = Duration::from_secs(3);
+
+/// A run that ends.
+pub(super) struct Ending<'a> {
+    pub(super) plan: &'a RunPlan,
+    pub(super) end: &'a EndRequest,
+    /// Whether the physics has been heard of: before, nobody has anything to finish.
+    pub(super) has_begun: bool,
+}
+
+/// Waits whose limit shrinks with a signal.
+struct Wait<'a> {
+    end: &'a EndRequest,
+    began: Instant,
+    hurried: Option<Instant>,
+}
+
+impl Wait<'_> {
+    /// Whether a limit is over; the second one counts from the signal, or from the beginning if that came before.
+    fn is_over(&mut self, limit: Duration, hurried_limit: Duration) -> bool {
+        if self.hurried.is_none() && self.end.is_set() {
+            self.hurried = Some(Instant::now());
+        }
+        self.began.elapsed() >= limit || self.hurried.is_some_and(|since| since.elapsed() >= hurried_limit)
+    }
+}
+
+impl Ending<'_> {
+    fn wait(&self) -> Wait<'_> {
+        Wait { end: self.end, began: Instant::now(), hurried: None }
+    }
+
+    /// Ends all parts in order; returns when the physics was over, and the outcome with how the others ended.
+    pub(super) fn end_parts(&self, outcome: Outcome, parts: &mut [Part]) -> (Instant, Outcome) {
+        let mut outcome = outcome;
+        self.write_reason(&outcome);
+        let stops = outcome != Outcome::Completed;
+        // Of a run that did not begin nobody has anything to finish, and nobody listens yet.
+        let is_deaf = stops && !self.has_begun;
+        let limit = match (is_deaf, &outcome) {
+            (true, _) => Duration::ZERO,
+            (false, Outcome::Completed | Outcome::Interrupted) => END_LIMIT,
+            (false, _) => FAILED_LIMIT,
+        };
+        self.end_physics(limit, stops, parts);
+        let over = Instant::now();
+        self.end_others(limit, stops && outcome != Outcome::Interrupted, parts);
+        if outcome == Outcome::Completed && self.end.is_set() {
+            outcome = Outcome::Interrupted;
+        }
+        if !is_deaf {
+            outcome = self.with_end_of(DRR, outcome, parts);
+        }
+        self.write_reason(&outcome);
+        if let Some(recorder) = parts.iter_mut().find(|part| part.name == RECORDER) {
+            recorder.ask_to_end();
+            // Never cut short: what was published is to be in the log.
+            if !recorder.wait(END_LIMIT) {
+                self.tell_killed(recorder);
+            }
+        }
+        if let Some(output) = &self.plan.output {
+            // A recorder that died has not taken it.
+            let _ = std::fs::remove_file(output.join(recorder_proc::process::REASON_FILE));
+        }
+        (over, if is_deaf { outcome } else { self.with_end_of(RECORDER, outcome, parts) })
+    }
+
+    /// It stays until DRR process and recorder have everything: should one of them die, or somebody be in a hurry, it is
+    /// told to wait no longer.
+    fn end_physics(&self, limit: Duration, stops: bool, parts: &mut [Part]) {
+        let (mut wait, mut asked) = (self.wait(), false);
+        loop {
+            let mut has_died = |name: &str| {
+                let part = parts.iter_mut().find(|part| part.name == name);
+                part.and_then(Part::ended).is_some_and(|status| !status.success())
+            };
+            let nobody_comes = has_died(DRR) || has_died(RECORDER);
+            let Some(physics) = parts.iter_mut().find(|part| part.name == PHYSICS) else { return };
+            if physics.ended().is_some() {
+                return;
+            }
+            if !asked && (stops || nobody_comes || self.end.is_set()) {
+                physics.ask_to_end();
+                asked = true;
+            }
+            if wait.is_over(limit, HURRIED_LIMIT) {
+                physics.kill();
+                self.tell_killed(physics);
+                return;
+            }
+            physics.measure();
+            std::thread::sleep(LOOK_TIME);
+        }
+    }
+
+    /// The DRR process and the controllers, all at a time. `at_once`: nobody has told them that the run is over.
+    fn end_others(&self, limit: Duration, at_once: bool, parts: &mut [Part]) {
+        let mut others: Vec<(&mut Part, bool)> = parts
+            .iter_mut()
+            .filter(|part| part.name != PHYSICS && part.name != RECORDER)
+            .map(|part| (part, false))
+            .collect();
+        let mut wait = self.wait();
+        loop {
+            others.retain_mut(|(part, _)| part.ended().is_none());
+            if others.is_empty() {
+                return;
+            }
+            let is_over = wait.is_over(limit, HURRIED_LIMIT);
+            for (part, asked) in &mut others {
+                // When the physics has ended, DRR and controllers have heard so; some do not listen.
+                let own_time = if part.name == DRR { END_LIMIT } else { CONTROLLER_END_TIME };
+                if !*asked && (at_once || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
+                    part.ask_to_end();
+                    *asked = true;
+                }
+                if is_over {
+                    part.kill();
+                    self.tell_killed(part);
+                }
+                part.measure();
+            }
+            std::thread::sleep(LOOK_TIME);
+        }
+    }
+
+    /// No part of the run, but it ends with it.
+    pub(super) fn end_viewer(&self, viewer: &mut Part) {
+        let mut wait = self.wait();
+        while viewer.ended().is_none() {
+            if wait.is_over(VIEWER_LIMIT, HURRIED_LIMIT / 2) {
+                viewer.kill();
+            }
+            std::thread::sleep(LOOK_TIME);
+        }
+    }
+
+    fn tell_killed(&self, part: &Part) {
+        if self.has_begun && !self.end.is_urgent() {
+            tell!("trabecula: {} did not end in time and was killed", part.name);
+        }
+    }
+
+    /// A run whose log could not be finished, or whose last frames are missing, has not succeeded, though all its ticks
+    /// were made. Of an interrupted run frames may be missing.
+    fn with_end_of(&self, name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
+        let expected = self.end.is_urgent() || (name == DRR && outcome == Outcome::Interrupted);
+        let found = parts.iter_mut().find(|part| part.name == name);
+        let Some(part) = found.filter(|_| !expected && outcome.death().is_none()) else { return outcome };
+        if part.ended().is_none_or(|status| status.success()) {
+            return outcome;
+        }
+        let died = judge(part, false);
+        died.death().iter().for_each(|death| tell!("trabecula: {death}"));
+        died
+    }
+
+    /// Tells the recorder what to write into the log's end.
+    fn write_reason(&self, outcome: &Outcome) {
+        let reason = match outcome {
+            Outcome::Completed => "completed",
+            Outcome::Interrupted => "interrupted",
+            Outcome::PartDied { name, .. } => name,
+            Outcome::LogGone(_) => "launcher",
+        };
+        if let Some(output) = &self.plan.output {
+            // Without it the log's end blames the launcher; the exit code and the message still tell.
+            let _ = std::fs::write(output.join(recorder_proc::process::REASON_FILE), reason);
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Whether the log of a run is still where it is being written.
+
+use std::fs::{File, Metadata};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Time between two looks.
+const LOOK: Duration = Duration::from_millis(250);
+
+/// Watches `run.mcap`. The recorder goes on writing to a file that has no name any more, and nobody would hear of it.
+#[derive(Debug)]
+pub(super) struct LogWatch {
+    log: PathBuf,
+    /// Open from when the recorder has made it.
+    file: Option<File>,
+    looked: Instant,
+}
+
+impl LogWatch {
+    pub(super) fn new(folder: &Path) -> LogWatch {
+        LogWatch { log: folder.join("run.mcap"), file: None, looked: Instant::now() }
+    }
+
+    /// What has become of the log, if it is no longer in its place.
+    pub(super) fn look(&mut self) -> Option<String> {
+        if self.looked.elapsed() < LOOK {
+            return None;
+        }
+        self.looked = Instant::now();
+        let Some(file) = &self.file else {
+            self.file = File::open(&self.log).ok();
+            return None;
+        };
+        let written = file.metadata().ok()?;
+        let is_it = |there: Metadata| (there.dev(), there.ino()) == (written.dev(), written.ino());
+        if std::fs::metadata(&self.log).is_ok_and(is_it) {
+            return None;
+        }
+        let log = self.log.display();
+        if written.nlink() == 0 {
+            return Some(format!(
+                "the log {log} has been removed while the run went on: what it held is lost"
+            ));
+        }
+        let place = std::fs::read_link(format!("/proc/self/fd/{}", file.as_raw_fd())).ok()?;
+        Some(format!("the log {log} has been moved to {} while the run went on", place.display()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_that_is_removed_or_moved_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut watch = LogWatch::new(folder.path());
+        let mut look = || {
+            watch.looked -= LOOK;
+            watch.look()
+        };
+        assert_eq!(look(), None, "not made yet");
+        let (log, other) = (folder.path().join("run.mcap"), folder.path().join("other.mcap"));
+        std::fs::write(&log, "x").unwrap();
+        assert_eq!((look(), look()), (None, None));
+        std::fs::rename(&log, &other).unwrap();
+        assert!(look().is_some_and(|said| said.contains("moved to") && said.contains("other.mcap")));
+        std::fs::rename(&other, &log).unwrap();
+        assert_eq!(look(), None);
+        std::fs::remove_file(&log).unwrap();
+        assert!(look().is_some_and(|said| said.contains("removed")));
+        // Another file of that name is not the log.
+        std::fs::write(&log, "y").unwrap();
+        assert!(look().is_some_and(|said| said.contains("removed")));
+    }
+}

@@ -1,0 +1,264 @@
+//! Ctrl-C, SIGTERM and SIGHUP at any moment of a run: answered at once, obeyed soon, and nothing is left.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use fastrand::Rng;
+use ipc_types::messages::PHASE_ENDED;
+use recorder_proc::EndReason;
+use rustix::process::Signal;
+
+use crate::common::client::Client;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, parts_of, signal, wait_for};
+use crate::common::scenes;
+
+/// Time between two looks at a run that is to end.
+const LOOK: Duration = Duration::from_millis(5);
+/// Looks of three seconds, twice: here the machine is shared with other tests.
+const LOOKS: usize = 1200;
+/// Two signals within 0.3 s count as one.
+const ANOTHER: Duration = Duration::from_millis(500);
+
+/// Waits for the end of a run that has been told to.
+fn obeyed(mut run: Run, after: &str) -> Ended {
+    let looks = (0..LOOKS).take_while(|_| {
+        std::thread::sleep(LOOK);
+        !run.is_over()
+    });
+    let count = looks.count();
+    assert!(count < LOOKS, "{after}: not over after {LOOKS} looks; it said: {}", run.said());
+    run.end()
+}
+
+fn name(signal: Signal) -> &'static str {
+    match signal {
+        Signal::INT => "SIGINT",
+        Signal::TERM => "SIGTERM",
+        _ => "SIGHUP",
+    }
+}
+
+/// A run that a signal has ended: it said so, nothing is left, and what was recorded is whole.
+fn assert_interrupted(place: &Place, ended: &Ended, sent: Signal, after: &str) {
+    assert_nothing_left(ended.pid);
+    if ended.code.is_none() {
+        // Before the program was heard of at all.
+        assert_eq!(ended.err, "", "{after}");
+    } else {
+        assert_eq!(ended.code, Some(130), "{after}: {}", ended.err);
+        let answer = format!("trabecula: {}: ", name(sent));
+        assert_eq!(ended.err.matches(&answer).count(), 1, "{after}: {}", ended.err);
+        assert!(!ended.err.contains("died"), "{after}: {}", ended.err);
+    }
+    if !ended.folder.join("run.mcap").exists() {
+        assert!(!place.path("out").exists(), "{after}: a folder without a log is left");
+        return;
+    }
+    assert_eq!(read(&ended.folder).marker.unwrap().reason, EndReason::Interrupted, "{after}");
+    assert!(ended.folder.join("summary.json").exists(), "{after}");
+    assert_replays(&ended.folder);
+}
+
+/// The launcher asked a physics that did not listen yet, and then waited two minutes for its end; without a volume all
+/// ticks were made first, and beside an awaited controller nothing happened for 45 s.
+#[test]
+fn a_signal_at_any_moment_of_the_start_is_answered_and_obeyed() {
+    let default_scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/femur_curved_drilling.toml");
+    let default_scene = std::fs::read_to_string(default_scene).unwrap();
+    let scenes = [
+        scenes::drill("realtime", 600.0),
+        scenes::drill("lockstep", 600.0),
+        scenes::hold("lockstep", 600.0),
+        scenes::piloted("lockstep", 600.0, ""),
+        default_scene,
+    ];
+    let mut random = Rng::with_seed(16);
+    for (index, scene) in scenes.iter().cycle().take(20).enumerate() {
+        let longest_ms = if index % scenes.len() == 4 { 4500 } else { 1200 };
+        let (wait_ms, sent) =
+            (random.u64(..longest_ms), [Signal::INT, Signal::TERM, Signal::HUP][random.usize(..3)]);
+        let after = format!("scene {}, {} after {wait_ms} ms", index % scenes.len(), name(sent));
+        let place = Place::new();
+        let run = place.start(scene);
+        std::thread::sleep(Duration::from_millis(wait_ms));
+        signal(run.pid(), sent);
+        let ended = obeyed(run, &after);
+        assert_interrupted(&place, &ended, sent, &after);
+    }
+}
+
+/// Waits until a run has made some ticks.
+fn under_way(run: &Run) {
+    Client::join(&run.session()).wait_for_state(|state| state.tick >= 100);
+}
+
+#[test]
+fn a_second_signal_ends_everything_at_once() {
+    let place = Place::new();
+    let run = place.start(&scenes::drill("realtime", 600.0));
+    under_way(&run);
+    // The log cannot be finished; the launcher would wait for more than two minutes.
+    signal(run.part("recorder"), Signal::STOP);
+    signal(run.pid(), Signal::INT);
+    wait_for("the answer", || run.said().contains("SIGINT: the run ends").then_some(()));
+    std::thread::sleep(ANOTHER);
+    signal(run.pid(), Signal::INT);
+    let ended = obeyed(run, "the second signal");
+    assert_eq!(ended.code, Some(130), "{}", ended.err);
+    assert!(ended.err.contains("SIGINT: everything ends at once"), "{}", ended.err);
+    assert_nothing_left(ended.pid);
+    let log = read(&ended.folder);
+    assert!(log.marker.is_none(), "the recorder was stopped");
+    assert_replays(&ended.folder);
+}
+
+/// `timeout -s INT` signals the program and then its group, and so the program twice.
+#[test]
+fn two_signals_at_the_same_moment_are_one() {
+    let place = Place::new();
+    let run = place.start(&scenes::drill("realtime", 600.0));
+    under_way(&run);
+    for _ in 0..3 {
+        signal(run.pid(), Signal::INT);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let ended = obeyed(run, "three signals");
+    assert_interrupted(&place, &ended, Signal::INT, "three signals");
+}
+
+/// A controller's program that watches neither run nor signals was waited for, whatever one typed.
+#[test]
+fn a_signal_while_the_end_is_under_way_is_obeyed() {
+    let place = Place::new();
+    let deaf = "[[controller]]\nname = \"deaf\"\ndrives = []\noptional = true\n\
+                command = [\"sh\", \"-c\", \"trap '' TERM; while :; do sleep 1; done\"]\n";
+    let run = place.start(&(scenes::hold("realtime", 1.0) + deaf));
+    let client = Client::join(&run.session());
+    wait_for("the run's last tick", || {
+        client.status.receive().unwrap().filter(|status| status.message().phase == PHASE_ENDED).map(|_| ())
+    });
+    drop(client);
+    signal(run.pid(), Signal::TERM);
+    let ended = obeyed(run, "SIGTERM behind the last tick");
+    assert!(ended.err.contains("deaf did not end in time and was killed"), "{}", ended.err);
+    assert_interrupted(&place, &ended, Signal::TERM, "SIGTERM behind the last tick");
+    assert_eq!(read(&ended.folder).ticks.len(), 1000);
+}
+
+/// Pictures and summary of a long log take a while, in which no signal was looked at.
+#[test]
+fn a_signal_while_the_report_is_made_is_obeyed_and_the_logs_are_whole() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("lockstep", 40.0));
+    let session = run.session();
+    wait_for("the recorder", || parts_of(&session).iter().any(|(part, _)| part == "recorder").then_some(()));
+    wait_for("the recorder's end", || parts_of(&session).is_empty().then_some(()));
+    wait_for("the session's end", || (!session.exists()).then_some(()));
+    signal(run.pid(), Signal::INT);
+    let ended = obeyed(run, "SIGINT during the report");
+    assert_nothing_left(ended.pid);
+    match ended.code {
+        Some(130) => assert!(ended.err.contains("SIGINT: the logs are whole"), "{}", ended.err),
+        code => assert!(code == Some(0) && ended.folder.join("summary.json").exists(), "{}", ended.err),
+    }
+    let log = read(&ended.folder);
+    assert_eq!((log.ticks.len(), log.marker.unwrap().reason), (40_000, EndReason::Completed));
+}
+
+/// Starts a run with a terminal of its own (Python's standard library has one), reads what it writes there, and closes the
+/// terminal at a line from standard input; then says how the run ended.
+const CLOSING_TERMINAL: &str = "
+import os, pty, select, sys
+pid, terminal = pty.fork()
+if pid == 0:
+    os.execv(sys.argv[1], sys.argv[1:])
+print(pid, flush=True)
+while sys.stdin not in (ready := select.select([terminal, sys.stdin], [], [])[0]):
+    os.read(terminal, 65536)
+os.close(terminal)
+_, status = os.waitpid(pid, 0)
+print(os.waitstatus_to_exitcode(status), flush=True)
+";
+
+/// A process that is killed when the test is over, however that ends.
+struct Guarded(Child);
+
+impl Drop for Guarded {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// SIGHUP was not handled: no summary, and session and memory stayed.
+#[test]
+fn a_closed_terminal_ends_the_run_as_sigterm_does() {
+    let place = Place::new();
+    let (scene, output) = (place.scene(&scenes::drill("realtime", 600.0)), place.path("out"));
+    let mut command = Command::new("python3");
+    command.args(["-c", CLOSING_TERMINAL, env!("CARGO_BIN_EXE_trabecula"), "run"]);
+    command.arg(&scene).arg("--output").arg(&output).stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut terminal = Guarded(command.spawn().unwrap());
+    let mut said = BufReader::new(terminal.0.stdout.take().unwrap()).lines();
+    let launcher: u32 = said.next().unwrap().unwrap().parse().unwrap();
+    let session = crate::common::program::session_folder(launcher);
+    wait_for("the session", || session.join("session.json").exists().then_some(()));
+    Client::join(&session).wait_for_state(|state| state.tick >= 100);
+    terminal.0.stdin.take().unwrap().write_all(b"close\n").unwrap();
+    wait_for("the launcher's end", || (!is_running(launcher)).then_some(()));
+    assert_eq!(said.next().unwrap().unwrap(), "130");
+    assert_nothing_left(launcher);
+    let folder = only_entry(&output);
+    assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Interrupted);
+    assert!(folder.join("summary.json").exists());
+    assert_replays(&folder);
+}
+
+fn is_running(process: u32) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
+}
+
+fn only_entry(folder: &Path) -> PathBuf {
+    std::fs::read_dir(folder).unwrap().next().unwrap().unwrap().path()
+}
+
+#[test]
+fn an_ignored_sighup_stays_ignored() {
+    let place = Place::new();
+    let (scene, output) = (place.scene(&scenes::hold("realtime", 600.0)), place.path("out"));
+    // As `nohup` starts a program.
+    let mut command = Command::new("sh");
+    command.args(["-c", "trap '' HUP; exec \"$0\" run \"$1\" --output \"$2\" --quiet"]);
+    command.arg(env!("CARGO_BIN_EXE_trabecula")).arg(&scene).arg(&output);
+    let run = Run::of(command, output);
+    let client = Client::join(&run.session());
+    let tick = client.wait_for_state(|_| true).tick;
+    signal(run.pid(), Signal::HUP);
+    client.wait_for_state(|state| state.tick >= tick + 500);
+    drop(client);
+    signal(run.pid(), Signal::TERM);
+    let ended = obeyed(run, "SIGTERM behind an ignored SIGHUP");
+    assert!(!ended.err.contains("SIGHUP"), "{}", ended.err);
+    assert_interrupted(&place, &ended, Signal::TERM, "SIGTERM behind an ignored SIGHUP");
+}
+
+/// A viewer of its own ends with its terminal, too.
+#[test]
+fn a_viewer_ends_with_its_terminal() {
+    let place = Place::new();
+    let run = place.start(&scenes::hold("realtime", 600.0));
+    let session = run.session();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    command.args(["view", "--port", "0", "--no-open", "--session"]).arg(&session);
+    let mut viewer = Guarded(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut said = BufReader::new(viewer.0.stdout.take().unwrap());
+    said.read_line(&mut String::new()).unwrap();
+    signal(viewer.0.id(), Signal::HUP);
+    let status = wait_for("the viewer's end", || viewer.0.try_wait().unwrap());
+    assert_eq!(status.code(), Some(0), "{LIMIT:?}");
+    drop(run);
+}

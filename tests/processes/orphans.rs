@@ -1,0 +1,149 @@
+//! What a launcher that is killed leaves: nothing that runs, and a log that holds everything.
+
+use std::time::Duration;
+
+use fastrand::Rng;
+use recorder_proc::EndReason;
+use rustix::process::Signal;
+
+use crate::common::client::Client;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Place, parts_of, session_folder, shared_memory_of, signal, wait_for};
+use crate::common::scenes;
+
+/// A number of seconds that no other process sleeps.
+fn unmistakable(kind: u32) -> String {
+    format!("8{kind}{:05}.{:03}", std::process::id() % 100_000, fastrand::u32(..1000))
+}
+
+/// Processes that have one of these words in their command line.
+fn processes_with(words: &[String]) -> Vec<String> {
+    let line = |entry: std::fs::DirEntry| {
+        let line = std::fs::read(entry.path().join("cmdline")).ok()?;
+        let line = String::from_utf8_lossy(&line).replace('\0', " ");
+        words.iter().any(|word| line.contains(word.as_str())).then_some(line)
+    };
+    std::fs::read_dir("/proc").unwrap().flatten().filter_map(line).collect()
+}
+
+/// A program that starts others in every way that leaves its group, its session, its parent or its environment.
+fn with_descendants(mode: &str, times: &[String; 4]) -> String {
+    let [child, daemon, bare, own] = times;
+    let script = format!(
+        "sleep {child} & (setsid sh -c 'sleep {daemon} & exit' &) ; (env -i setsid sleep {bare} &) ; sleep {own}; :"
+    );
+    let program = format!(
+        "[[controller]]\nname = \"guest\"\ndrives = []\noptional = true\ncommand = [\"sh\", \"-c\", {script:?}]\n"
+    );
+    scenes::hold(mode, 600.0) + &program
+}
+
+/// A parent-death signal reaches one generation: a controller's own children stayed.
+fn descendants_end(end: impl Fn(&crate::common::program::Run)) {
+    let times = [0, 1, 2, 3].map(unmistakable);
+    let place = Place::new();
+    let run = place.start(&with_descendants("realtime", &times));
+    Client::join(&run.session()).wait_for_state(|state| state.tick >= 100);
+    for time in &times {
+        wait_for("what the program starts", || {
+            let sleeps = processes_with(&[format!("sleep {time} ")]);
+            sleeps.iter().any(|line| line.starts_with("sleep")).then_some(())
+        });
+    }
+    end(&run);
+    let session = session_folder(run.pid());
+    run.end();
+    wait_for("the end of all that the program has started", || {
+        (processes_with(&times).is_empty() && parts_of(&session).is_empty()).then_some(())
+    });
+}
+
+#[test]
+fn a_grandchild_ends_with_a_killed_launcher() {
+    descendants_end(|run| signal(run.pid(), Signal::KILL));
+}
+
+#[test]
+fn a_grandchild_ends_with_an_interrupted_run() {
+    descendants_end(|run| signal(run.pid(), Signal::INT));
+}
+
+#[test]
+fn a_grandchild_ends_with_its_program_and_the_run_goes_on() {
+    let times = [0, 1, 2, 3].map(unmistakable);
+    let place = Place::new();
+    let run = place.start(&with_descendants("realtime", &times));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 100);
+    let program = wait_for("the program", || {
+        let name = |pid: u32| std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
+        let line = |pid: u32| std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        let all = std::fs::read_dir("/proc").unwrap().flatten();
+        let mut pids = all.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+        pids.find(|pid| name(*pid) == "sh\n" && String::from_utf8_lossy(&line(*pid)).contains(&times[3]))
+    });
+    wait_for("a daemon", || (!processes_with(&[times[2].clone()]).is_empty()).then_some(()));
+    signal(program, Signal::KILL);
+    wait_for("the end of what it started", || processes_with(&times).is_empty().then_some(()));
+    let tick = client.wait_for_state(|_| true).tick;
+    client.wait_for_state(|state| state.tick >= tick + 200);
+    let said = wait_for("the event", || {
+        client.events().into_iter().map(|(_, text)| text).find(|text| text.contains("guest"))
+    });
+    assert!(said.contains("ended (signal: 9 (SIGKILL))"), "{said}");
+}
+
+/// Killed at any line of its start, the launcher leaves nothing that runs, and the next run removes the rest.
+#[test]
+fn a_launcher_that_is_killed_while_it_starts_leaves_nothing() {
+    let mut random = Rng::with_seed(9);
+    for trial in 0..16 {
+        let times = [0, 1, 2, 3].map(unmistakable);
+        let place = Place::new();
+        let run = place.start(&with_descendants("lockstep", &times));
+        let wait_us = random.u64(..400_000);
+        std::thread::sleep(Duration::from_micros(wait_us));
+        let launcher = run.pid();
+        signal(launcher, Signal::KILL);
+        run.end();
+        let session = session_folder(launcher);
+        wait_for(&format!("the end of all parts, trial {trial}, killed after {wait_us} us"), || {
+            (processes_with(&times).is_empty() && parts_of(&session).is_empty()).then_some(())
+        });
+        if trial == 15 {
+            place.complete(&scenes::hold("lockstep", 0.05));
+            assert!(!session.exists() && shared_memory_of(launcher).is_empty());
+        }
+    }
+}
+
+/// Recorder and physics were ended at the same moment, and the last tick was in no log.
+#[test]
+fn a_killed_launcher_costs_no_published_tick() {
+    let mut random = Rng::with_seed(22);
+    for trial in 0..8 {
+        let mode = ["realtime", "lockstep"][trial % 2];
+        let place = Place::new();
+        let run = place.start(&scenes::hold(mode, 600.0));
+        let session = run.session();
+        let client = Client::join(&session);
+        client.wait_for_state(|state| state.tick >= 100);
+        std::thread::sleep(Duration::from_micros(random.u64(..30_000)));
+        signal(run.pid(), Signal::KILL);
+        let ended = run.end();
+        let mut published = 0;
+        wait_for("the end of all parts", || {
+            while let Some(state) = client.states.receive().unwrap() {
+                published = state.message().tick;
+            }
+            parts_of(&session).is_empty().then_some(())
+        });
+        while let Some(state) = client.states.receive().unwrap() {
+            published = state.message().tick;
+        }
+        let log = read(&ended.folder);
+        assert_eq!(log.ticks.len() as u64, published, "{mode}, trial {trial}");
+        assert_eq!(log.marker.unwrap().reason, EndReason::PartDied("launcher".to_owned()));
+        assert_replays(&ended.folder);
+    }
+}
