@@ -20,6 +20,8 @@ pub use crate::signals::EndRequest;
 pub const EXIT_FAILED: u8 = 1;
 /// Exit code for bad input: nothing was written, nothing was lost.
 pub const EXIT_BAD_INPUT: u8 = 2;
+/// Exit code for work that is done, but of which the log lacks something: a gap, a cut, no end.
+pub const EXIT_GAP: u8 = 3;
 
 /// How long a process waits for the volume.
 pub const VOLUME_LIMIT: Duration = Duration::from_secs(60);

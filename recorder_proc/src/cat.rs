@@ -7,10 +7,10 @@ use ipc_types::layout::{Description, Element, Tail};
 use ipc_types::messages::ALL;
 use serde_json::{Map, Value, json};
 
-use crate::end::Ending;
 use crate::error::LogError;
 use crate::fields::{Place, Scalar, element_size, find};
 use crate::stream::{LogMessage, MessageStream, ReadOptions};
+use crate::verdict::Verdict;
 
 /// Longest tail that is written out; pixels are told by their number.
 const MAX_TAIL_ELEMENTS: usize = 4096;
@@ -47,7 +47,7 @@ impl CatOptions {
 ///
 /// # Errors
 /// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], behind the messages of the others; a log that cannot be read.
-pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<Ending, LogError> {
+pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<Verdict, LogError> {
     check_fields(&options.fields)?;
     let mut stream = match options.topics.as_slice() {
         [] => MessageStream::open(path, options.read)?,
@@ -71,7 +71,7 @@ pub fn cat(path: &Path, options: &CatOptions, out: &mut dyn Write) -> Result<End
     let topics = stream.topics();
     match options.topics.iter().find(|topic| !topics.contains(topic.as_str())) {
         Some(unknown) => Err(stream.no_such_topic(unknown)),
-        None => Ok(stream.ending().clone()),
+        None => Ok(stream.verdict()),
     }
 }
 

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use ipc_types::layout::{Description, Element};
 
-use crate::end::Ending;
 use crate::error::LogError;
 use crate::fields::{Place, Scalar, element_size, find};
 use crate::stream::{MessageStream, ReadOptions};
 use crate::topics;
+use crate::verdict::Verdict;
 
 /// One column: a scalar of a message.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -112,7 +112,7 @@ pub fn read_rows(
     columns: &[Column],
     (first_tick, last_tick): (u64, Option<u64>),
     rows: &mut dyn Rows,
-) -> Result<Ending, LogError> {
+) -> Result<Verdict, LogError> {
     let mut stream = MessageStream::open_topics(path, &[topic.to_owned()], ReadOptions::default())?;
     let dt_ns = stream.header().dt_ns.max(1);
     let mut values = Vec::with_capacity(columns.len());
@@ -125,5 +125,5 @@ pub fn read_rows(
         values.extend(columns.iter().filter_map(|column| column.value(message.body)));
         rows.row(tick, message.log_time_ns, &values)?;
     }
-    Ok(stream.ending().clone())
+    Ok(stream.verdict())
 }

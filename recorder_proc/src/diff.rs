@@ -1,5 +1,6 @@
 //! `diff` — do two logs hold the same run?
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
@@ -12,10 +13,12 @@ use zerocopy::IntoBytes;
 use crate::difference::{Divergence, compare, compare_removed};
 use crate::end::{EndReason, Ending};
 use crate::error::LogError;
-use crate::frames::{FrameRecord, frames};
+use crate::frames::{FrameReader, FrameRecord, frames};
 use crate::reader::{LogReader, ReadOptions, TickRecord};
+use crate::seal::SEAL;
 use crate::stream::MessageStream;
 use crate::topics;
+use crate::verdict::Verdict;
 use crate::verify::compare_state;
 
 /// What two logs have in common.
@@ -35,6 +38,8 @@ pub struct DiffReport {
     pub messages: Vec<Divergence>,
     /// What one log has and the other lacks, and how each ends if not both end alike.
     pub remarks: Vec<String>,
+    /// What is wrong with each.
+    pub verdicts: [Verdict; 2],
 }
 
 impl DiffReport {
@@ -61,6 +66,11 @@ impl DiffReport {
         }
         for remark in &self.remarks {
             writeln!(out, "{}", foreign_line(remark))?;
+        }
+        for (name, verdict) in ["first", "second"].into_iter().zip(&self.verdicts) {
+            if !verdict.is_intact() {
+                writeln!(out, "the {name} log: {verdict}")?;
+            }
         }
         if self.same_run() {
             writeln!(out, "identical")?;
@@ -90,10 +100,31 @@ fn compare_ticks(
     let mut a = LogReader::open_with(first, options)?;
     let mut b = LogReader::open_with(second, options)?;
     out.header = compare_headers(a.stream().metadata(), b.stream().metadata());
-    out.ticks = compare_state(a.initial(), b.initial())
-        .or_else(|| compare_removed(0, a.predrilled(), b.predrilled()));
+    if a.beginning().is_none() && b.beginning().is_none() {
+        out.ticks = compare_state(a.initial(), b.initial())
+            .or_else(|| compare_removed(0, a.predrilled(), b.predrilled()));
+    }
+    let (mut x, mut y) = (next_tick(&mut a)?, next_tick(&mut b)?);
+    // Ticks that only one of them has, as a gap of the other.
+    let mut alone = [0_u64; 2];
     while out.ticks.is_none() {
-        match (a.next().transpose()?, b.next().transpose()?) {
+        // Behind a gap of one of them both go on where they meet.
+        if let (Some(in_a), Some(in_b)) = (&x, &y) {
+            match in_a.state.tick.cmp(&in_b.state.tick) {
+                Ordering::Less => {
+                    alone[0] += 1;
+                    x = next_tick(&mut a)?;
+                    continue;
+                }
+                Ordering::Greater => {
+                    alone[1] += 1;
+                    y = next_tick(&mut b)?;
+                    continue;
+                }
+                Ordering::Equal => {}
+            }
+        }
+        match (x, y) {
             (Some(x), Some(y)) => {
                 out.ticks = compare_tick(&x, &y);
                 out.identical_ticks += u64::from(out.ticks.is_none());
@@ -115,8 +146,29 @@ fn compare_ticks(
                 break;
             }
         }
+        (x, y) = (next_tick(&mut a)?, next_tick(&mut b)?);
     }
+    for (path, count) in [first, second].into_iter().zip(alone).filter(|(_, count)| *count > 0) {
+        out.remarks.push(format!("{count} ticks are in {} alone", path.display()));
+    }
+    out.verdicts = [a.stream().verdict(), b.stream().verdict()];
     Ok(())
+}
+
+/// The next complete tick, behind a gap if there is one.
+fn next_tick(reader: &mut LogReader) -> Result<Option<TickRecord>, LogError> {
+    loop {
+        match reader.next() {
+            Some(Ok(tick)) => return Ok(Some(tick)),
+            None => return Ok(None),
+            Some(Err(LogError::Gap { .. })) => {
+                if reader.go_on()?.is_none() {
+                    return Ok(None);
+                }
+            }
+            Some(Err(error)) => return Err(error),
+        }
+    }
 }
 
 /// Why a log ends. Its counts are no part of that: one log may hold images, the other hashes.
@@ -128,7 +180,8 @@ fn compare_headers(
     a: &BTreeMap<String, String>,
     b: &BTreeMap<String, String>,
 ) -> Vec<(String, String, String)> {
-    let names: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    let names: std::collections::BTreeSet<&String> =
+        a.keys().chain(b.keys()).filter(|name| *name != SEAL).collect();
     let value = |map: &BTreeMap<String, String>, name: &String| map.get(name).cloned().unwrap_or_default();
     let entries = names.into_iter().map(|name| (name.clone(), value(a, name), value(b, name)));
     entries.filter(|(_, first, second)| first != second).collect()
@@ -152,7 +205,7 @@ fn compare_frames(
 ) -> Result<(), LogError> {
     let (mut a, mut b) = (frames(first, options)?, frames(second, options)?);
     while out.frames.is_none() {
-        match (a.next().transpose()?, b.next().transpose()?) {
+        match (next_frame(&mut a)?, next_frame(&mut b)?) {
             (Some(x), Some(y)) => {
                 out.frames = compare_frame(&x, &y);
                 out.identical_frames += u64::from(out.frames.is_none());
@@ -166,6 +219,16 @@ fn compare_frames(
         }
     }
     Ok(())
+}
+
+/// The next frame, behind a gap if there is one.
+fn next_frame(reader: &mut FrameReader) -> Result<Option<FrameRecord>, LogError> {
+    loop {
+        match reader.next().transpose() {
+            Err(LogError::Gap { .. }) if reader.go_on() => {}
+            other => return other,
+        }
+    }
 }
 
 /// The messages of a topic, in their order, byte by byte.

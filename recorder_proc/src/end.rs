@@ -7,6 +7,7 @@ use foreign_text::{foreign, foreign_line};
 
 use crate::error::LogError;
 use crate::header::Entries;
+use crate::seal::{is_unbroken, seal};
 
 /// Name of the metadata record that a clean finish writes last.
 pub const END_RECORD: &str = "end";
@@ -84,6 +85,7 @@ impl EndMarker {
         entries.extend(self.counts.iter().map(|entry| named("count", entry)));
         entries.extend(self.lost.iter().map(|entry| named("lost", entry)));
         entries.extend(self.damaged.iter().map(|entry| named("damaged", entry)));
+        seal(&mut entries);
         entries
     }
 
@@ -98,6 +100,9 @@ impl EndMarker {
 
     pub(crate) fn from_metadata(path: &Path, map: &BTreeMap<String, String>) -> Result<EndMarker, LogError> {
         let entries = Entries { path, record: END_RECORD, entries: map };
+        if !is_unbroken(map) {
+            return Err(entries.wrong("crc32", "the checksum of the other entries"));
+        }
         let wrong_reason = || entries.wrong("reason", "completed, interrupted or part died");
         let reason = EndReason::parse(entries.text("reason")?).ok_or_else(wrong_reason)?;
         let last_tick = match entries.text("last_tick")? {

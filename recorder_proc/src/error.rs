@@ -134,6 +134,21 @@ pub enum LogError {
         /// Version that wrote the log.
         version: String,
     },
+    /// More of something than a reader keeps in memory.
+    #[error(
+        "{}: {found} {what}, at most {most} are kept: no log of this hub has so many",
+        path.display()
+    )]
+    TooMuch {
+        /// The file.
+        path: PathBuf,
+        /// Of what.
+        what: &'static str,
+        /// How much of it, as far as it was read.
+        found: usize,
+        /// How much is allowed.
+        most: usize,
+    },
     /// Content that no writer of ours produces: a flipped bit, a lost block, an edited file.
     #[error("{}: damaged at byte {offset}: {}; everything before is readable", path.display(), foreign_line(.cause))]
     Damaged {
@@ -187,4 +202,20 @@ pub enum LogError {
         #[from]
         source: io::Error,
     },
+}
+
+impl LogError {
+    /// What is wrong, where the file is known.
+    pub(crate) fn without_path(&self) -> String {
+        let text = self.to_string();
+        let path = match self {
+            LogError::Metadata { path, .. }
+            | LogError::TooMuch { path, .. }
+            | LogError::Read { path, .. }
+            | LogError::NotMcap { path, .. }
+            | LogError::NoHeader { path, .. } => path,
+            _ => return text,
+        };
+        text.strip_prefix(&format!("{}: ", path.display())).map_or(text.clone(), str::to_owned)
+    }
 }

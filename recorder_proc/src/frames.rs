@@ -10,6 +10,7 @@ use crate::error::LogError;
 use crate::header::LogHeader;
 use crate::stream::{MessageStream, ReadOptions};
 use crate::topics;
+use crate::verdict::Verdict;
 
 /// One frame with its pixels.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,11 +23,15 @@ pub struct FrameRecord {
     pub pixels: Vec<u8>,
 }
 
-/// The frames of a `run.mcap` in the order of their numbers. A missing one is an error and the last item.
+/// The frames of a `run.mcap` in the order of their numbers. A missing one is an error and the last item,
+/// unless [`FrameReader::go_on`] is called.
 pub struct FrameReader {
     stream: MessageStream,
     expected: u64,
     pending: Option<Frame>,
+    /// A frame without image that stood before a gap.
+    before_gap: Option<Frame>,
+    at_gap: bool,
     done: bool,
 }
 
@@ -38,7 +43,7 @@ pub fn frames(path: &Path, options: ReadOptions) -> Result<FrameReader, LogError
 impl FrameReader {
     /// Reads the frames of a stream.
     pub fn from_stream(stream: MessageStream) -> FrameReader {
-        FrameReader { stream, expected: 1, pending: None, done: false }
+        FrameReader { stream, expected: 1, pending: None, before_gap: None, at_gap: false, done: false }
     }
 
     /// What the log is about.
@@ -51,16 +56,34 @@ impl FrameReader {
         self.stream.ending()
     }
 
+    /// What is wrong with the log, as far as it has been read.
+    pub fn verdict(&self) -> Verdict {
+        self.stream.verdict()
+    }
+
+    /// After the iteration has ended with [`LogError::Gap`]: lets it go on behind the frames that are missing. False if it
+    /// did not end so.
+    pub fn go_on(&mut self) -> bool {
+        let at_gap = std::mem::take(&mut self.at_gap);
+        self.done &= !at_gap;
+        at_gap
+    }
+
     /// The image follows its frame at once, or is not in the log.
     fn next_frame(&mut self) -> Result<Option<FrameRecord>, LogError> {
         let path: PathBuf = self.stream.path().into();
+        if let Some(frame) = self.before_gap.take() {
+            return Ok(Some(FrameRecord { frame, image: None, pixels: Vec::new() }));
+        }
         while let Some(message) = self.stream.next_message()? {
             let without_image = |frame| FrameRecord { frame, image: None, pixels: Vec::new() };
             match message.topic {
                 topics::DRR_FRAME => {
                     let Ok(frame) = Frame::read_from_bytes(message.body) else { continue };
-                    if frame.sequence != self.expected {
-                        let found = format!("frame {}, expected {}", frame.sequence, self.expected);
+                    let expected = std::mem::replace(&mut self.expected, frame.sequence.saturating_add(1));
+                    if frame.sequence != expected {
+                        let found = format!("frame {}, expected {expected}", frame.sequence);
+                        self.before_gap = self.pending.replace(frame);
                         return Err(LogError::Gap {
                             path,
                             topic: topics::DRR_FRAME,
@@ -68,7 +91,6 @@ impl FrameReader {
                             found,
                         });
                     }
-                    self.expected += 1;
                     if let Some(previous) = self.pending.replace(frame) {
                         return Ok(Some(without_image(previous)));
                     }
@@ -105,6 +127,7 @@ impl Iterator for FrameReader {
         }
         let item = self.next_frame();
         self.done = !matches!(item, Ok(Some(_)));
+        self.at_gap = matches!(item, Err(LogError::Gap { .. }));
         item.transpose()
     }
 }

@@ -8,6 +8,7 @@ use ipc_types::messages;
 use sha2::{Digest, Sha256};
 
 use crate::error::LogError;
+use crate::seal::{is_unbroken, seal};
 
 /// Version of the log's structure (topics, metadata, chunk rules). A reader refuses another one.
 pub const FORMAT_VERSION: u32 = 1;
@@ -119,6 +120,7 @@ impl LogHeader {
         for (message, hash) in layout_hashes() {
             put(&format!("layout/{message}"), hash);
         }
+        seal(&mut entries);
         entries
     }
 
@@ -129,7 +131,11 @@ impl LogHeader {
         scene_toml: String,
         calibration_json: Option<String>,
     ) -> Result<LogHeader, LogError> {
+        let unbroken = is_unbroken(entries);
         let entries = Entries { path, record: HEADER_RECORD, entries };
+        if !unbroken {
+            return Err(entries.wrong("crc32", "the checksum of the other entries"));
+        }
         let version: u32 = entries.number("format_version", "a number")?;
         if version != FORMAT_VERSION {
             return Err(entries.wrong("format_version", "1 (another build wrote this log: use that build)"));

@@ -3,11 +3,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
 
 use mcap::MAGIC;
-use mcap::records::{Channel, ChunkIndex, Record, SchemaHeader, op};
+use mcap::records::{Channel, Record, SchemaHeader, op};
 
-use crate::records::{MAX_RECORD_BYTES, RECORD_HEADER, chunk_record};
+use crate::limits::{Declared, MAX_DECLARATION_BYTES, MAX_INDEX_BYTES};
+use crate::records::{RECORD_HEADER, chunk_record};
 use crate::topics;
 
 /// Bytes of the footer's fields and of the whole end of a file.
@@ -20,7 +22,13 @@ pub(crate) struct Summary {
     /// Schemas with their text.
     pub schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
     pub channels: BTreeMap<u16, Channel>,
-    chunks: Vec<ChunkIndex>,
+    chunks: Vec<ChunkPlace>,
+}
+
+/// What of a chunk's index is kept.
+struct ChunkPlace {
+    offset: u64,
+    channels: Box<[u16]>,
 }
 
 impl Summary {
@@ -29,17 +37,28 @@ impl Summary {
     pub fn read<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Summary> {
         let records = records(source, data_end)?;
         let (mut summary, mut rest) = (Summary::default(), records.as_slice());
+        let mut declared = Declared::default();
         while !rest.is_empty() {
             let (opcode, body, length) = chunk_record(rest)?;
-            if matches!(opcode, op::SCHEMA | op::CHANNEL | op::CHUNK_INDEX) {
+            let is_declaration = matches!(opcode, op::SCHEMA | op::CHANNEL);
+            if is_declaration && body.len() > MAX_DECLARATION_BYTES {
+                return None;
+            }
+            if is_declaration || opcode == op::CHUNK_INDEX {
                 match mcap::parse_record(opcode, body).ok()? {
                     Record::Schema { header, data } => {
+                        declared.schema(Path::new(""), &header, data.len()).ok()?;
                         summary.schemas.insert(header.id, (header, data.to_vec()));
                     }
                     Record::Channel(channel) => {
+                        declared.channel(Path::new(""), &channel).ok()?;
                         summary.channels.insert(channel.id, channel);
                     }
-                    Record::ChunkIndex(index) => summary.chunks.push(index),
+                    Record::ChunkIndex(index) => {
+                        let channels = index.message_index_offsets.keys().copied().collect();
+                        let offset = index.chunk_start_offset;
+                        summary.chunks.push(ChunkPlace { offset, channels });
+                    }
                     _ => {}
                 }
             }
@@ -67,8 +86,8 @@ impl Summary {
         let wanted = |id: &u16| self.channels.get(id).is_none_or(|channel| topics.contains(&channel.topic));
         // The first chunk declares the channels of the run lane.
         let others = self.chunks.iter().skip(1);
-        let without = others.filter(|chunk| !chunk.message_index_offsets.keys().any(wanted));
-        without.map(|chunk| chunk.chunk_start_offset).collect()
+        let without = others.filter(|chunk| !chunk.channels.iter().any(wanted));
+        without.map(|chunk| chunk.offset).collect()
     }
 }
 
@@ -83,7 +102,7 @@ fn records<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Vec<
     let word = |at: usize| Some(u64::from_le_bytes(tail.get(at..at + 8)?.try_into().ok()?));
     let (told_start, offsets) = (word(RECORD_HEADER)?, word(RECORD_HEADER + 8)?);
     let start = data_end.unwrap_or(told_start);
-    let bytes = end.checked_sub(start).filter(|bytes| start > 0 && *bytes <= MAX_RECORD_BYTES)?;
+    let bytes = end.checked_sub(start).filter(|bytes| start > 0 && *bytes <= MAX_INDEX_BYTES)?;
     let mut summary = read(source, start, bytes)?;
     // The checksum covers the summary and the footer up to itself (MCAP specification, "Footer").
     let crc_at = RECORD_HEADER + 16;

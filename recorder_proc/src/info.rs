@@ -14,6 +14,7 @@ use crate::header::{LogHeader, RunMode};
 use crate::misses::Misses;
 use crate::stream::{MessageStream, ReadOptions, TopicCount};
 use crate::topics;
+use crate::verdict::Verdict;
 
 /// Summary of a log.
 #[derive(Debug)]
@@ -34,6 +35,8 @@ pub struct LogInfo {
     pub ending: Ending,
     /// Why it could not be read further (damage).
     pub log_error: Option<LogError>,
+    /// What is wrong with it.
+    pub verdict: Verdict,
 }
 
 /// Reads a whole log of either lane and sums it up. Damage is part of the summary.
@@ -63,6 +66,7 @@ pub fn info(path: &Path, options: ReadOptions) -> Result<LogInfo, LogError> {
         misses,
         ending: stream.ending().clone(),
         log_error,
+        verdict: stream.verdict(),
     })
 }
 
@@ -143,9 +147,6 @@ impl LogInfo {
                 writeln!(out, "  lost {count} messages of {} to damage of the file", foreign(topic))?;
             }
         }
-        if let Some(error) = &self.log_error {
-            writeln!(out, "  {error}")?;
-        }
-        Ok(())
+        self.verdict.write(out)
     }
 }

@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use mcap::records::{Channel, SchemaHeader};
 use sha2::{Digest, Sha256};
 
 use crate::end::END_RECORD;
 use crate::error::LogError;
-use crate::header::{HEADER_RECORD, RUNS_RECORD};
+use crate::header::RUNS_RECORD;
+use crate::limits::Declared;
 use crate::new_file::NewFile;
 use crate::rewrite::{Packing, Rewriter};
 use crate::walk::{Piece, walk};
@@ -19,7 +20,7 @@ fn walk_whole(path: &Path, visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogErr
     let file = File::open(path).map_err(|source| LogError::Open { path: path.into(), source })?;
     let not_whole = |cause: String| LogError::NotWhole { path: path.into(), cause };
     let mut marked = false;
-    walk(BufReader::with_capacity(1 << 20, file), path, &mut |piece| match piece {
+    walk(file, path, &mut |piece| match piece {
         Piece::Lost(lost) => Err(not_whole(format!("damaged at byte {}: {}", lost.offset, lost.cause))),
         Piece::Cut { offset, .. } => Err(not_whole(format!("cut after byte {offset}"))),
         Piece::Metadata { name, entries } => {
@@ -114,66 +115,126 @@ pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
 /// # Errors
 /// [`LogError::NotWhole`], also if the file holds no several runs; [`LogError::Exists`]; what the disk says.
 pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
-    let mut count = 0;
+    let not_whole = |cause: &str| LogError::NotWhole { path: input.into(), cause: cause.to_owned() };
+    let mut marked = false;
     walk_whole(input, &mut |piece| {
-        if let Piece::Metadata { name, .. } = &piece
-            && name.split_once('/').is_some_and(|(_, name)| name == HEADER_RECORD)
-        {
-            count += 1;
-        }
+        marked |= matches!(piece, Piece::Metadata { name, .. } if name == RUNS_RECORD);
         Ok(())
     })?;
-    if count == 0 {
-        let cause = "it holds one run, not several".to_string();
-        return Err(LogError::NotWhole { path: input.into(), cause });
+    if !marked {
+        return Err(not_whole("it holds one run, not several"));
     }
     std::fs::create_dir_all(output).map_err(|source| LogError::Create { path: output.into(), source })?;
-    let paths: Vec<PathBuf> = (1..=count).map(|run| output.join(format!("run{run}.mcap"))).collect();
-    let made = paths.iter().enumerate().map(|(index, path)| split_one(input, path, &prefix(index + 1)));
+    let mut split = Split::of(output);
+    walk_whole(input, &mut |piece| split.take(piece))?;
+    split.finish_run()?;
     // All of them, or none.
-    made.collect::<Result<Vec<_>, _>>()?.into_iter().for_each(NewFile::keep);
-    Ok(paths)
+    let Split { made, .. } = split;
+    if made.is_empty() {
+        return Err(not_whole("it holds no run"));
+    }
+    Ok(made
+        .into_iter()
+        .map(|(path, made)| {
+            made.keep();
+            path
+        })
+        .collect())
 }
 
-fn split_one(input: &Path, output: &Path, prefix: &str) -> Result<NewFile, LogError> {
-    let mut out = Rewriter::create(output, Packing::RECORDED)?;
-    let topic_prefix = format!("/{}", prefix.trim_end_matches('/'));
-    // A schema stands in the file once, for all runs; it is written with the first channel of this run that needs it.
-    let mut schemas = BTreeMap::new();
-    let mut chunk_is_ours = false;
-    walk_whole(input, &mut |piece| match piece {
-        Piece::Metadata { name, entries } => match name.strip_prefix(prefix) {
-            Some(name) => out.metadata(name.to_owned(), entries),
-            None => Ok(()),
-        },
-        Piece::Attachment(mut found) => match found.name.strip_prefix(prefix) {
-            Some(name) => {
-                found.name = name.to_owned();
-                out.piece(Piece::Attachment(found))
-            }
-            None => Ok(()),
-        },
-        Piece::Schema { header, data } => {
-            schemas.insert(header.id, (header, data.to_vec()));
-            Ok(())
-        }
-        Piece::Channel(mut channel) => match channel.topic.strip_prefix(&topic_prefix) {
-            Some(topic) if topic.starts_with('/') => {
-                channel.topic = topic.to_owned();
-                if let Some((header, data)) = schemas.get(&channel.schema_id) {
-                    out.piece(Piece::Schema { header: header.clone(), data })?;
+/// A file of several runs on its way into one file a run. They follow each other, so one is written at a time.
+struct Split<'o> {
+    folder: &'o Path,
+    /// Files of the runs that are whole.
+    made: Vec<(PathBuf, NewFile)>,
+    /// The run that is being written.
+    out: Option<Rewriter>,
+    /// A schema stands in the file once, for all runs; each run declares it with its first channel that needs it.
+    schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
+    kept: Declared,
+    chunk_is_ours: bool,
+}
+
+impl<'o> Split<'o> {
+    fn of(folder: &'o Path) -> Split<'o> {
+        let (made, schemas, kept) = (Vec::new(), BTreeMap::new(), Declared::default());
+        Split { folder, made, out: None, schemas, kept, chunk_is_ours: false }
+    }
+
+    fn take(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
+        match piece {
+            Piece::Metadata { name, entries } => match self.run_of(&name)? {
+                Some((out, name)) => out.metadata(name, entries),
+                None => Ok(()),
+            },
+            Piece::Attachment(mut found) => match self.run_of(&found.name)? {
+                Some((out, name)) => {
+                    found.name = name;
+                    out.attachment(&found)
                 }
-                out.piece(Piece::Channel(channel))
+                None => Ok(()),
+            },
+            Piece::Schema { header, data } => {
+                if !self.schemas.contains_key(&header.id) {
+                    self.kept.schema(self.folder, &header, data.len())?;
+                    self.schemas.insert(header.id, (header, data.to_vec()));
+                }
+                Ok(())
             }
+            Piece::Channel(channel) => self.channel(channel),
+            Piece::Message { header, data } => match &mut self.out {
+                Some(out) if out.knows(header.channel_id) => {
+                    self.chunk_is_ours = true;
+                    out.piece(Piece::Message { header, data })
+                }
+                _ => Ok(()),
+            },
+            Piece::ChunkEnd => match &mut self.out {
+                Some(out) if std::mem::take(&mut self.chunk_is_ours) => out.piece(Piece::ChunkEnd),
+                _ => Ok(()),
+            },
             _ => Ok(()),
-        },
-        Piece::Message { header, data } => {
-            let ours = out.knows(header.channel_id);
-            chunk_is_ours |= ours;
-            if ours { out.piece(Piece::Message { header, data }) } else { Ok(()) }
         }
-        Piece::ChunkEnd if !std::mem::take(&mut chunk_is_ours) => Ok(()),
-        other => out.piece(other),
-    })?;
-    out.finish()
+    }
+
+    fn channel(&mut self, mut channel: Channel) -> Result<(), LogError> {
+        let schema = self.schemas.get(&channel.schema_id).cloned();
+        let Some(name) = channel.topic.strip_prefix('/') else { return Ok(()) };
+        let Some((out, topic)) = self.run_of(name)? else { return Ok(()) };
+        channel.topic = format!("/{topic}");
+        if let Some((header, data)) = schema {
+            out.piece(Piece::Schema { header, data: &data })?;
+        }
+        out.piece(Piece::Channel(channel))
+    }
+
+    /// The file of the run that a name of the joined file belongs to, and the name in it; none for what is no run's. A
+    /// run that begins ends the one before it.
+    fn run_of(&mut self, name: &str) -> Result<Option<(&mut Rewriter, String)>, LogError> {
+        let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
+        let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));
+        let Some((run, rest)) = parts else { return Ok(None) };
+        let present = self.made.len() + usize::from(self.out.is_some());
+        if run == present + 1 {
+            self.finish_run()?;
+            let path = self.path(run);
+            self.out = Some(Rewriter::create(&path, Packing::RECORDED)?);
+        } else if run != present {
+            let cause =
+                format!("run {run} stands beside run {present}: `cat-files` writes them one after the other");
+            return Err(LogError::NotWhole { path: self.folder.into(), cause });
+        }
+        Ok(self.out.as_mut().map(|out| (out, rest.to_owned())))
+    }
+
+    fn path(&self, run: usize) -> PathBuf {
+        self.folder.join(format!("run{run}.mcap"))
+    }
+
+    fn finish_run(&mut self) -> Result<(), LogError> {
+        let Some(out) = self.out.take() else { return Ok(()) };
+        let path = self.path(self.made.len() + 1);
+        self.made.push((path, out.finish()?));
+        Ok(())
+    }
 }

@@ -12,6 +12,7 @@
 //! |---|---|
 //! | [`run_log`], [`timing_log`] | the writers |
 //! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
+//! | [`verdict`](mod@verdict), [`continuity`], [`opening`] | what is wrong with a log: one answer for every command |
 //! | [`verify`](mod@verify), [`segments`] | re-execution of a log, compared tick by tick, and its parallel form |
 //! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
 //! | [`misses`] | why ticks began late |
@@ -23,6 +24,7 @@
 pub mod background;
 pub mod cat;
 pub mod columns;
+pub mod continuity;
 pub mod diff;
 pub mod difference;
 pub mod end;
@@ -36,9 +38,11 @@ pub mod header;
 mod index;
 pub mod info;
 pub mod join;
+mod limits;
 mod mcap_writer;
 pub mod misses;
 pub mod new_file;
+pub mod opening;
 mod order;
 pub mod process;
 pub mod reader;
@@ -46,15 +50,18 @@ mod records;
 pub mod repair;
 pub mod rewrite;
 pub mod run_log;
+mod seal;
 pub mod segments;
 mod sink;
 pub mod stream;
 pub mod timing_log;
 pub mod topics;
+pub mod verdict;
 pub mod verify;
 mod walk;
 
 pub use cat::{CatOptions, cat};
+pub use continuity::{Gap, Stretch};
 pub use diff::{DiffReport, diff};
 pub use difference::{Divergence, FieldDifference};
 pub use end::{EndMarker, EndReason, Ending};
@@ -65,6 +72,7 @@ pub use info::{LogInfo, info};
 pub use join::{cat_files, compress, split};
 pub use misses::{Cause, LostTime, Misses};
 pub use new_file::NewFile;
+pub use opening::HeaderCopy;
 pub use reader::{LogReader, ReadOptions, SavedState, TickRecord};
 pub use repair::{RepairReport, repair};
 pub use rewrite::Packing;
@@ -72,4 +80,5 @@ pub use run_log::RunLog;
 pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segments};
 pub use stream::{LogMessage, MessageStream};
 pub use timing_log::TimingLog;
+pub use verdict::{Fault, Verdict, verdict};
 pub use verify::{ReplayReport, Resumable, Simulation, VerifyOptions, verify};

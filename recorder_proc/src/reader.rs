@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use ipc_types::messages::{Keyframe, Latched, Removed, State};
+use ipc_types::services::MAX_KEYFRAME_BYTES;
 use zerocopy::FromBytes;
 
 use crate::end::Ending;
@@ -39,9 +40,10 @@ pub struct SavedState {
     pub bytes: Vec<u8>,
 }
 
-/// The ticks of a `run.mcap`, in order and without a gap, from a complete log or one cut at any byte.
+/// The ticks of a `run.mcap`, in order from a complete log or one cut at any byte.
 ///
-/// Iterates over complete ticks only. An error (a gap, damage) is the last item.
+/// Iterates over complete ticks only. An error (a gap, damage) is the last item; behind a gap, [`LogReader::go_on`] goes
+/// to the next keyframe, and the iteration goes on there.
 pub struct LogReader {
     stream: MessageStream,
     initial: State,
@@ -50,7 +52,20 @@ pub struct LogReader {
     pending: Pending,
     /// Most voxels that a tick can remove.
     voxels: u64,
+    /// Keyframe at which the ticks begin, of a log whose start is missing.
+    beginning: Option<SavedState>,
+    /// Whether the iteration ended at a gap, behind which there may be more.
+    at_gap: bool,
     done: bool,
+}
+
+/// Where the ticks of a log go on behind a gap.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Resumption {
+    /// The first state behind the gap of which there is a keyframe.
+    pub state: Box<State>,
+    /// That keyframe.
+    pub keyframe: SavedState,
 }
 
 /// Messages of the tick whose state has not come.
@@ -60,14 +75,14 @@ struct Pending {
     removals: Vec<(Removed, Vec<u32>)>,
     /// Their voxels; a message without any counts as one.
     held: u64,
-    /// Number of removal messages so far.
-    removal_count: u64,
+    /// Number of removal messages so far; none behind a gap, where any number may come.
+    removal_count: Option<u64>,
     /// `removed_total` of the last state.
     removed_total: u64,
     /// The last keyframe, or what has come of it.
     keyframe: Option<(SavedState, usize)>,
-    /// Number of keyframe parts so far.
-    keyframe_parts: u64,
+    /// Number of keyframe parts so far; none behind a gap.
+    keyframe_parts: Option<u64>,
 }
 
 impl LogReader {
@@ -81,11 +96,51 @@ impl LogReader {
         LogReader::from_stream(MessageStream::open(path, options)?)
     }
 
-    /// Reads the ticks of a stream from its start.
+    /// Reads the ticks of a stream from its start; of a log whose start is missing, from its first keyframe
+    /// ([`beginning`](Self::beginning)).
     pub fn from_stream(mut stream: MessageStream) -> Result<LogReader, LogError> {
-        let path: PathBuf = stream.path().into();
-        let mut pending = Pending::default();
+        let mut pending = Pending { removal_count: Some(0), keyframe_parts: Some(0), ..Pending::default() };
         let voxels = voxels_of(stream.header());
+        match LogReader::start(&mut stream, &mut pending, voxels) {
+            Ok((initial, predrilled)) => Ok(LogReader {
+                stream,
+                initial,
+                predrilled,
+                last: 0,
+                pending,
+                voxels,
+                beginning: None,
+                at_gap: false,
+                done: false,
+            }),
+            Err(error @ (LogError::Gap { .. } | LogError::NoInitialState { .. })) => {
+                let mut reader = LogReader {
+                    stream,
+                    initial: State::zeroed(),
+                    predrilled: Vec::new(),
+                    last: 0,
+                    pending: Pending::default(),
+                    voxels,
+                    beginning: None,
+                    at_gap: true,
+                    done: true,
+                };
+                let Some(found) = reader.go_on()? else { return Err(error) };
+                reader.initial = *found.state;
+                reader.beginning = Some(found.keyframe);
+                Ok(reader)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// The initial state and what is predrilled in it.
+    fn start(
+        stream: &mut MessageStream,
+        pending: &mut Pending,
+        voxels: u64,
+    ) -> Result<(State, Vec<u32>), LogError> {
+        let path: PathBuf = stream.path().into();
         let initial = loop {
             let Some(message) = stream.next_message()? else { return Err(LogError::NoInitialState { path }) };
             if message.topic == topics::LATCHED {
@@ -96,11 +151,50 @@ impl LogReader {
                 Some(state) => {
                     return Err(gap(&path, topics::STATE, 0, &format!("state {} comes first", state.tick)));
                 }
-                None => pending.check_size(&stream, voxels)?,
+                None => pending.check_size(stream, voxels)?,
             }
         };
         let (predrilled, _) = pending.removed_of(&path, &initial, false)?;
-        Ok(LogReader { stream, initial, predrilled, last: 0, pending, voxels, done: false })
+        Ok((initial, predrilled))
+    }
+
+    /// The keyframe at which the ticks begin if the log's start is missing.
+    pub fn beginning(&self) -> Option<&SavedState> {
+        self.beginning.as_ref()
+    }
+
+    /// After the iteration has ended with [`LogError::Gap`]: goes to the next keyframe behind it, from which the iteration
+    /// then goes on. None if the iteration did not end so, or the log ends before.
+    ///
+    /// # Errors
+    /// The log cannot be read further.
+    pub fn go_on(&mut self) -> Result<Option<Resumption>, LogError> {
+        if !std::mem::take(&mut self.at_gap) {
+            return Ok(None);
+        }
+        let path: PathBuf = self.stream.path().into();
+        let mut state: Option<Box<State>> = None;
+        let mut pending = Pending::default();
+        while let Some(message) = self.stream.next_message()? {
+            match message.topic {
+                topics::STATE => state = State::read_from_bytes(message.body).ok().map(Box::new),
+                topics::KEYFRAME => {
+                    let Some(state) = &state else { continue };
+                    // One of another state is of no use here.
+                    let _ = pending.take_keyframe_part(&path, message.body, Some(state.tick));
+                    if let Some(keyframe) = pending.whole_keyframe()
+                        && keyframe.hash == state.hash
+                    {
+                        let found = Resumption { state: state.clone(), keyframe: keyframe.clone() };
+                        pending.removed_total = state.removed_total;
+                        (self.pending, self.last, self.done) = (pending, state.tick, false);
+                        return Ok(Some(found));
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
     }
 
     /// What the log is about.
@@ -126,8 +220,8 @@ impl LogReader {
     /// The keyframe behind the tick before the last one that was read, if there is one: of the state in which the last
     /// tick began. At the end of the log, that of the last state. Taken only once.
     pub fn take_keyframe(&mut self) -> Option<SavedState> {
-        let whole = |(saved, total): &(SavedState, usize)| saved.bytes.len() == *total;
-        self.pending.keyframe.take_if(|keyframe| whole(keyframe)).map(|(saved, _)| saved)
+        self.pending.whole_keyframe()?;
+        self.pending.keyframe.take().map(|(saved, _)| saved)
     }
 
     /// `State.tick` of the last complete tick so far.
@@ -190,9 +284,10 @@ impl Pending {
             }
             topics::REMOVED => {
                 let Ok((removed, tail)) = Removed::read_from_prefix(message.body) else { return Ok(None) };
-                self.removal_count += 1;
-                if removed.sequence != self.removal_count {
-                    let found = format!("message {}, expected {}", removed.sequence, self.removal_count);
+                let expected = self.removal_count.map_or(removed.sequence, |count| count.saturating_add(1));
+                self.removal_count = Some(removed.sequence);
+                if removed.sequence != expected {
+                    let found = format!("message {}, expected {expected}", removed.sequence);
                     return Err(gap(path, topics::REMOVED, removed.tick, &found));
                 }
                 let tick = last.map_or(0, |last| last.saturating_add(1));
@@ -225,27 +320,43 @@ impl Pending {
         Err(LogError::Damaged { path: stream.path().into(), offset: stream.offset(), cause })
     }
 
+    /// Takes a part of the keyframe of state `last`. If one before it is missing, the keyframe is none: the ticks need it
+    /// only to begin there, and what is missing is counted elsewhere.
     fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<u64>) -> Result<(), LogError> {
         let Ok((head, data)) = Keyframe::read_from_prefix(body) else { return Ok(()) };
-        self.keyframe_parts += 1;
+        let expected = self.keyframe_parts.map(|parts| parts.saturating_add(1));
+        self.keyframe_parts = Some(head.sequence);
         let begun = match &self.keyframe {
-            Some((saved, _)) if head.offset_bytes > 0 && saved.tick == head.tick => saved.bytes.len(),
-            _ => 0,
+            Some((saved, _)) if head.offset_bytes > 0 && saved.tick == head.tick => Some(saved.bytes.len()),
+            _ => None,
         };
-        let fits = begun as u64 == u64::from(head.offset_bytes)
-            && u64::from(head.offset_bytes) + data.len() as u64 <= u64::from(head.total_bytes);
-        if head.sequence != self.keyframe_parts || !fits || Some(head.tick) != last {
+        let total = head.total_bytes as usize;
+        let fits = begun.unwrap_or(0) == head.offset_bytes as usize
+            && head.offset_bytes as usize + data.len() <= total
+            && total <= MAX_KEYFRAME_BYTES;
+        let is_lost = expected != Some(head.sequence) || (begun.is_none() && head.offset_bytes > 0);
+        if Some(head.tick) != last || (!fits && !is_lost) {
             let found = format!("part {} of tick {}, byte {}", head.sequence, head.tick, head.offset_bytes);
             return Err(gap(path, topics::KEYFRAME, head.tick, &found));
         }
-        if begun == 0 {
+        if !fits {
+            self.keyframe = None;
+            return Ok(());
+        }
+        if begun.is_none() {
             let saved = SavedState { tick: head.tick, hash: head.hash, bytes: Vec::new() };
-            self.keyframe = Some((saved, head.total_bytes as usize));
+            self.keyframe = Some((saved, total));
         }
         if let Some((saved, _)) = &mut self.keyframe {
             saved.bytes.extend_from_slice(data);
         }
         Ok(())
+    }
+
+    /// The last keyframe, if all of it has come.
+    fn whole_keyframe(&self) -> Option<&SavedState> {
+        let (saved, total) = self.keyframe.as_ref()?;
+        (saved.bytes.len() == *total).then_some(saved)
     }
 
     /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all
@@ -298,6 +409,7 @@ impl Iterator for LogReader {
         }
         let item = self.next_tick();
         self.done = !matches!(item, Ok(Some(_)));
+        self.at_gap = matches!(item, Err(LogError::Gap { .. }));
         item.transpose()
     }
 }

@@ -5,8 +5,7 @@
 //! Format: <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use mcap::MAGIC;
@@ -14,6 +13,7 @@ use mcap::records::{ChunkHeader, Record, op};
 
 use crate::end::Cut;
 use crate::error::LogError;
+use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
 use crate::sink::MAX_MESSAGE_BYTES;
 
 /// Longest record or unpacked chunk: the longest message with some room for its neighbours.
@@ -21,6 +21,8 @@ pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
 pub(crate) const RECORD_HEADER: usize = 9;
 /// A log being written ends in fewer zeros than this (`background::BLOCK`).
 const PADDING_BYTES: u64 = 4096;
+/// Bytes of the footer's fields that its checksum covers.
+const FOOTER_COVERED: usize = 8 + 8;
 
 /// What a file-level record is, as far as a log needs it.
 pub(crate) enum FileRecord {
@@ -45,23 +47,13 @@ pub(crate) struct Attached {
     pub data: Vec<u8>,
 }
 
-/// Where records come from.
-pub(crate) trait Source: Read + Send {
-    /// Goes on so many bytes later. A file's end may be passed; the next read finds nothing then.
-    fn skip(&mut self, bytes: u64) -> io::Result<()>;
-}
+/// Where a log comes from.
+pub trait ReadSeek: Read + Seek + Send {}
 
-impl Source for BufReader<File> {
-    fn skip(&mut self, bytes: u64) -> io::Result<()> {
-        self.seek_relative(i64::try_from(bytes).unwrap_or(i64::MAX))
-    }
-}
+impl<T: Read + Seek + Send> ReadSeek for T {}
 
-impl Source for Box<dyn Read + Send> {
-    fn skip(&mut self, bytes: u64) -> io::Result<()> {
-        io::copy(&mut self.take(bytes), &mut io::sink()).map(|_| ())
-    }
-}
+/// What a log is read through.
+pub(crate) type Source = BufReader<Box<dyn ReadSeek>>;
 
 /// What became of a record.
 enum Loaded {
@@ -75,41 +67,64 @@ enum Loaded {
 
 /// The records of a file.
 pub(crate) struct Records {
-    source: Box<dyn Source>,
+    source: Source,
     path: PathBuf,
     /// Start of the next record.
     offset: u64,
     /// CRC of everything before it; none once the data section is over, or if not all of it is read.
     data_crc: Option<crc32fast::Hasher>,
+    /// CRC of the summary so far, with the footer's fields.
+    summary_crc: crc32fast::Hasher,
     /// Before the end of the data section.
     in_data: bool,
     record: Vec<u8>,
     chunk: Vec<u8>,
     finished: bool,
+    /// Type of the last record.
+    opcode: u8,
     /// Offsets of chunks that nobody wants.
     unwanted: BTreeSet<u64>,
 }
 
 impl Records {
     /// Checks the magic number.
-    pub fn new(mut source: Box<dyn Source>, path: &Path) -> Result<Records, LogError> {
+    pub fn new(mut source: Source, path: &Path) -> Result<Records, LogError> {
+        let read_error = |source| LogError::Read { path: path.into(), offset: 0, source };
+        source.seek(SeekFrom::Start(0)).map_err(read_error)?;
         let mut magic = Vec::new();
-        let read = source.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic);
-        read.map_err(|source| LogError::Read { path: path.into(), offset: 0, source })?;
+        source.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(read_error)?;
         check_magic(&magic, path)?;
         let mut crc = crc32fast::Hasher::new();
         crc.update(MAGIC);
-        Ok(Records {
+        Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
+    }
+
+    /// The records from a byte on at which one begins. The checksum of the whole file is not checked then.
+    pub fn at(mut source: Source, path: &Path, offset: u64) -> Result<Records, LogError> {
+        let moved = source.seek(SeekFrom::Start(offset));
+        moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
+        Ok(Records::from(source, path, offset, None))
+    }
+
+    fn from(source: Source, path: &Path, offset: u64, data_crc: Option<crc32fast::Hasher>) -> Records {
+        Records {
             source,
             path: path.into(),
-            offset: MAGIC.len() as u64,
-            data_crc: Some(crc),
+            offset,
+            data_crc,
+            summary_crc: crc32fast::Hasher::new(),
             in_data: true,
             record: Vec::new(),
             chunk: Vec::new(),
             finished: false,
+            opcode: 0,
             unwanted: BTreeSet::new(),
-        })
+        }
+    }
+
+    /// What it read from.
+    pub fn into_source(self) -> Source {
+        self.source
     }
 
     /// The file, for messages.
@@ -134,6 +149,16 @@ impl Records {
         self.unwanted = chunks;
     }
 
+    /// Whether the last record was an attachment or metadata: no message is lost with it.
+    pub fn is_beside_messages(&self) -> bool {
+        matches!(self.opcode, op::ATTACHMENT | op::METADATA)
+    }
+
+    /// Does without the checksum of the whole file: why it is wrong is known.
+    pub fn forget_checksum(&mut self) {
+        self.data_crc = None;
+    }
+
     /// The next record that a log needs.
     pub fn next_record(&mut self) -> Result<FileRecord, LogError> {
         loop {
@@ -149,10 +174,12 @@ impl Records {
                     return Ok(FileRecord::Cut(Cut { offset: start, incomplete_bytes }));
                 }
             };
+            self.opcode = opcode;
             let found = self.interpret(opcode);
+            // Whoever can do without this one may ask for the next.
+            self.offset = start + (RECORD_HEADER + self.record.len()) as u64;
             let found =
                 found.map_err(|cause| LogError::Damaged { path: self.path.clone(), offset: start, cause })?;
-            self.offset = start + (RECORD_HEADER + self.record.len()) as u64;
             if opcode == op::FOOTER {
                 return self.end_magic();
             }
@@ -184,7 +211,7 @@ impl Records {
         }
         if fixed[0] == op::CHUNK && self.unwanted.contains(&self.offset) {
             self.record.clear();
-            let skipped = self.source.skip(length);
+            let skipped = self.source.seek_relative(i64::try_from(length).unwrap_or(i64::MAX));
             skipped.map_err(|source| LogError::Read {
                 path: self.path.clone(),
                 offset: self.offset,
@@ -197,13 +224,23 @@ impl Records {
         if (self.record.len() as u64) < length {
             return Ok(Loaded::Incomplete((RECORD_HEADER + self.record.len()) as u64));
         }
-        if fixed[0] != op::DATA_END
-            && let Some(crc) = &mut self.data_crc
-        {
-            crc.update(&fixed);
-            crc.update(&self.record);
-        }
+        self.sum(fixed);
         Ok(Loaded::Record(fixed[0]))
+    }
+
+    /// Takes a record into the checksum that covers it: of the data section, or of the summary.
+    fn sum(&mut self, fixed: [u8; RECORD_HEADER]) {
+        let opcode = fixed[0];
+        let crc = match self.in_data {
+            true if opcode == op::DATA_END => return,
+            true => self.data_crc.as_mut(),
+            false => Some(&mut self.summary_crc),
+        };
+        let Some(crc) = crc else { return };
+        // The footer's own checksum is not covered.
+        let covered = if opcode == op::FOOTER { FOOTER_COVERED } else { self.record.len() };
+        crc.update(&fixed);
+        crc.update(self.record.get(..covered).unwrap_or(&self.record));
     }
 
     /// Number of zeros up to the end of the file; none if there is anything else, or more than a block of them.
@@ -230,12 +267,9 @@ impl Records {
                 }
                 Ok(Some(FileRecord::Chunk))
             }
-            op::METADATA => match mcap::parse_record(opcode, &self.record)
-                .map_err(|error| error.to_string())?
-            {
-                Record::Metadata(m) => Ok(Some(FileRecord::Metadata { name: m.name, entries: m.metadata })),
-                _ => Err("a metadata record that is none".to_string()),
-            },
+            op::METADATA => {
+                metadata(&self.record).map(|(name, entries)| Some(FileRecord::Metadata { name, entries }))
+            }
             op::ATTACHMENT => attachment(&self.record).map(|found| Some(FileRecord::Attachment(found))),
             op::DATA_END => {
                 self.in_data = false;
@@ -249,12 +283,32 @@ impl Records {
                         .to_string()),
                 }
             }
+            op::FOOTER => self.check_summary().map(|()| None),
             op::MESSAGE | op::SCHEMA | op::CHANNEL if self.in_data => {
                 Err(format!("record type {opcode:#04x} outside of a chunk"))
             }
             0 => Err("record type 0".to_string()),
             _ => Ok(None),
         }
+    }
+
+    /// Checks the summary's checksum; 0 is "not computed" (MCAP specification, "Footer").
+    fn check_summary(&mut self) -> Result<(), String> {
+        let told = self.record.get(FOOTER_COVERED..).and_then(|bytes| <[u8; 4]>::try_from(bytes).ok());
+        let Some(told) = told.map(u32::from_le_bytes) else {
+            return Err(format!("a footer of {} bytes, expected {}", self.record.len(), FOOTER_COVERED + 4));
+        };
+        let calculated = std::mem::take(&mut self.summary_crc).finalize();
+        if self.in_data {
+            return Err("a footer without the end of the data section before it".to_string());
+        }
+        if told == 0 || told == calculated {
+            return Ok(());
+        }
+        Err(format!(
+            "CRC of the index is {calculated:08x}, the footer says {told:08x}: no message is touched, other programs may \
+             miss some"
+        ))
     }
 
     fn end_magic(&mut self) -> Result<FileRecord, LogError> {
@@ -318,6 +372,22 @@ pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Re
     Ok(())
 }
 
+/// Parses a metadata record: its name and entries.
+pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String>), String> {
+    if record.len() > MAX_METADATA_BYTES {
+        let found = record.len();
+        return Err(format!("a metadata record of {found} bytes, expected at most {MAX_METADATA_BYTES}"));
+    }
+    match mcap::parse_record(op::METADATA, record).map_err(|error| error.to_string())? {
+        Record::Metadata(found) if found.name.len() <= MAX_NAME_BYTES => Ok((found.name, found.metadata)),
+        Record::Metadata(found) => {
+            let length = found.name.len();
+            Err(format!("a metadata record's name of {length} bytes, expected at most {MAX_NAME_BYTES}"))
+        }
+        _ => Err("a metadata record that is none".to_string()),
+    }
+}
+
 /// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length each),
 /// 8 bytes of data length, data, CRC of all before it.
 pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
@@ -326,6 +396,9 @@ pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
         let word = |at: usize| Some(u64::from_le_bytes(body.get(at..at + 8)?.try_into().ok()?));
         let (name, rest) = string(body.get(16..)?)?;
         let (media_type, rest) = string(rest)?;
+        if name.len().max(media_type.len()) > MAX_NAME_BYTES {
+            return None;
+        }
         let (length, data) = rest.split_at_checked(8)?;
         let length = u64::from_le_bytes(length.try_into().ok()?);
         let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
@@ -339,7 +412,8 @@ pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
         let crc = u32::from_le_bytes(crc.try_into().ok()?);
         (length == data.len() as u64).then_some((attached, crc))
     };
-    let (attached, crc) = parse().ok_or("an attachment whose lengths do not fit")?;
+    let (attached, crc) =
+        parse().ok_or("an attachment whose lengths do not fit, or whose name is too long")?;
     if crc32fast::hash(&record[..record.len() - 4]) != crc {
         return Err(format!("CRC of the attachment '{}' is wrong", attached.name));
     }

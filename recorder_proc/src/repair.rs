@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, Write};
+use std::io::{Read, Seek, Write};
 use std::path::Path;
 
 use foreign_text::{foreign, foreign_line};
@@ -18,12 +18,16 @@ use zerocopy::FromBytes;
 
 use crate::end::{END_RECORD, EndMarker, EndReason, REPAIR_RECORD};
 use crate::error::LogError;
-use crate::header::HEADER_RECORD;
+use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT};
 use crate::index::Summary;
+use crate::limits::{Declared, MAX_TOLD};
+use crate::opening::Parts;
 use crate::reader::{LogReader, ReadOptions};
+use crate::records::Attached;
 use crate::rewrite::{Packing, Rewriter};
 use crate::stream::other_layout;
 use crate::topics;
+use crate::verdict::{Fault, Verdict, verdict};
 pub use crate::walk::Lost;
 use crate::walk::{Piece, walk};
 
@@ -41,8 +45,16 @@ pub struct TopicRepair {
 pub struct RepairReport {
     /// Messages by topic.
     pub topics: BTreeMap<String, TopicRepair>,
-    /// Pieces of the file that were left out.
+    /// What was wrong with the log, as every command says it; nothing if it was intact.
+    pub before: Verdict,
+    /// The same of the result.
+    pub after: Verdict,
+    /// Pieces of the file that were left out; the first of them.
     pub pieces: Vec<Lost>,
+    /// Pieces that are not among them.
+    pub more_pieces: u64,
+    /// Bytes of all of them.
+    pub left_out_bytes: u64,
     /// Messages that nothing tells the topic of; left out.
     pub undeclared: u64,
     /// Where the file stops before its end: offset of the incomplete record, bytes of it.
@@ -59,13 +71,17 @@ pub struct RepairReport {
 impl RepairReport {
     /// True if nothing was wrong with the log.
     pub fn was_whole(&self) -> bool {
-        self.pieces.is_empty() && self.undeclared == 0 && self.cut.is_none() && self.marker.is_some()
+        self.before.is_intact()
     }
 
     /// Writes the report for people.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for Lost { offset, bytes, cause } in &self.pieces {
             writeln!(out, "left out    {bytes} bytes from byte {offset}: {}", foreign_line(cause))?;
+        }
+        if self.more_pieces > 0 {
+            let (more, bytes) = (self.more_pieces, self.left_out_bytes);
+            writeln!(out, "left out    {more} pieces more; {bytes} bytes in all")?;
         }
         if self.undeclared > 0 {
             writeln!(out, "left out    {} messages whose topic is declared nowhere", self.undeclared)?;
@@ -92,10 +108,26 @@ impl RepairReport {
             }
             (None, None) => {}
         }
-        if self.was_whole() {
-            writeln!(out, "nothing was wrong with it")?;
+        match self.was_whole() {
+            true => writeln!(out, "nothing was wrong with it")?,
+            false => writeln!(out, "it was      {}\nit is now   {}", self.before, self.after)?,
         }
         Ok(())
+    }
+
+    /// What every command says of the log; and what only this one sees, which reads on where others stop.
+    fn verdict_before(&self, told: Result<Verdict, LogError>) -> Verdict {
+        let damage = |offset, cause| Fault::Damaged { offset, cause };
+        let mut before = told.unwrap_or_else(|error| {
+            let faults = vec![damage(0, error.without_path())];
+            Verdict { faults, ..Verdict::default() }
+        });
+        if before.is_intact()
+            && let Some(piece) = self.pieces.first()
+        {
+            before.faults.push(damage(piece.offset, piece.cause.clone()));
+        }
+        before
     }
 
     /// Lost messages by topic, without the topics that lost none.
@@ -111,18 +143,17 @@ impl RepairReport {
 /// [`LogError::NotMcap`], [`LogError::NoHeader`] if the header itself is gone, [`LogError::Exists`], and what the disk
 /// says; then there is no output.
 pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
-    let open = || -> Result<BufReader<File>, LogError> {
-        let file = File::open(input).map_err(|source| LogError::Open { path: input.into(), source })?;
-        Ok(BufReader::with_capacity(1 << 20, file))
-    };
+    let open = || File::open(input).map_err(|source| LogError::Open { path: input.into(), source });
+    let options = ReadOptions { allow_other_layouts: true };
     let mut survey = Survey::of(open()?, input)?;
     let mut rewriter = Rewriter::create(output, Packing::RECORDED)?;
     rewriter.declare(std::mem::take(&mut survey.declared));
     write_repaired(open()?, input, &survey, &mut rewriter)?;
     rewriter.finish()?.keep();
     let mut report = survey.report;
+    report.before = report.verdict_before(verdict(input, options));
+    report.after = verdict(output, options)?;
     // As the result reads, not as it should.
-    let options = ReadOptions { allow_other_layouts: true };
     if let Ok(mut reader) = LogReader::open_with(output, options) {
         let complete = reader.by_ref().take_while(Result::is_ok).count() as u64;
         report.complete_tick = Some(complete);
@@ -154,14 +185,18 @@ struct Survey {
     /// The header is a run lane's of this build's layouts, which no repair has written.
     is_our_run_lane: bool,
     last_state: Option<Box<State>>,
-    has_header: bool,
+    /// The header of a copy that is right, with its attachments.
+    header: Option<(Vec<Attached>, BTreeMap<String, String>)>,
+    /// Attachments of the next copy.
+    attached: Vec<Attached>,
+    kept: Declared,
 }
 
 impl Survey {
     fn of<R: Read + Seek>(mut source: R, path: &Path) -> Result<Survey, LogError> {
         let mut survey = Survey::default();
         walk(&mut source, path, &mut |piece| survey.see(path, piece))?;
-        if !survey.has_header {
+        if survey.header.is_none() {
             return Err(LogError::NoHeader { path: path.into(), offset: 0 });
         }
         if (survey.report.undeclared > 0 || survey.lacks_schema)
@@ -191,9 +226,15 @@ impl Survey {
     fn see(&mut self, path: &Path, piece: Piece<'_>) -> Result<(), LogError> {
         match piece {
             Piece::Metadata { name, entries } if name == HEADER_RECORD => {
-                self.has_header = true;
+                let attached = std::mem::take(&mut self.attached);
+                let mut parts = Parts::default();
+                attached.iter().for_each(|found| parts.take(found));
+                if self.header.is_some() || parts.header(path, &entries).is_err() {
+                    return Ok(());
+                }
                 let lane = entries.get("lane").map(String::as_str);
                 self.is_our_run_lane = lane == Some("run") && other_layout(&entries).is_none();
+                self.header = Some((attached, entries));
             }
             Piece::Metadata { name, entries } if name == END_RECORD => {
                 // One that cannot be read is as good as none.
@@ -201,17 +242,29 @@ impl Survey {
             }
             // It may declare its topics in another order.
             Piece::Metadata { name, .. } if name == REPAIR_RECORD => self.is_our_run_lane = false,
-            Piece::Schema { header, .. } => {
-                self.schemas.insert(header.id);
+            Piece::Attachment(found) if is_of_header(&found) && self.attached.len() < 2 => {
+                self.attached.push(found);
+            }
+            Piece::Schema { header, .. } if self.schemas.insert(header.id) => {
+                self.kept.schema(path, &header, 0)?;
             }
             Piece::Channel(channel) => {
                 self.lacks_schema |= !self.schemas.contains(&channel.schema_id);
+                if self.topics.get(&channel.id).is_none_or(|topic| *topic != channel.topic) {
+                    self.kept.channel(path, &channel)?;
+                }
                 self.report.topics.entry(channel.topic.clone()).or_default();
                 self.topics.insert(channel.id, channel.topic);
             }
             Piece::Message { header, data } => self.message(header.channel_id, header.sequence, data),
             Piece::DataEnd(offset) => self.data_end = Some(offset),
-            Piece::Lost(lost) => self.report.pieces.push(lost),
+            Piece::Lost(lost) => {
+                self.report.left_out_bytes += lost.bytes;
+                match self.report.pieces.len() < MAX_TOLD {
+                    true => self.report.pieces.push(lost),
+                    false => self.report.more_pieces += 1,
+                }
+            }
             Piece::Cut { offset, incomplete_bytes } => self.report.cut = Some((offset, incomplete_bytes)),
             _ => {}
         }
@@ -273,24 +326,41 @@ fn write_repaired<R: Read + Seek>(
     out: &mut Rewriter,
 ) -> Result<(), LogError> {
     let marker = survey.marker();
-    let mut told = false;
+    write_header(survey, out)?;
+    // At the start, so that a reader of the messages knows that some may be missing.
+    out.metadata(REPAIR_RECORD.to_string(), repair_entries(&survey.report))?;
+    let mut first = true;
+    let is_rewritten = |name: &str| [HEADER_RECORD, END_RECORD, REPAIR_RECORD].contains(&name);
     walk(source, path, &mut |piece| match piece {
-        Piece::Metadata { name, .. } if name == END_RECORD || name == REPAIR_RECORD => Ok(()),
-        Piece::Metadata { name, entries } if name == HEADER_RECORD && !told => {
-            told = true;
-            out.metadata(name, entries)?;
-            // At the start, so that a reader of the messages knows that some may be missing.
-            out.metadata(REPAIR_RECORD.to_string(), repair_entries(&survey.report))
+        Piece::Metadata { name, .. } if is_rewritten(&name) => Ok(()),
+        Piece::Attachment(found) if is_of_header(&found) => Ok(()),
+        Piece::ChunkEnd => {
+            out.piece(Piece::ChunkEnd)?;
+            if std::mem::take(&mut first) { write_header(survey, out) } else { Ok(()) }
         }
         other => out.piece(other),
     })?;
+    if first {
+        write_header(survey, out)?;
+    }
     out.metadata(END_RECORD.to_string(), marker.to_metadata())
+}
+
+/// Writes a copy of the header: one stands at the start, one behind the first chunk.
+fn write_header(survey: &Survey, out: &mut Rewriter) -> Result<(), LogError> {
+    let Some((attached, entries)) = &survey.header else { return Ok(()) };
+    attached.iter().try_for_each(|found| out.attachment(found))?;
+    out.metadata(HEADER_RECORD.to_string(), entries.clone())
+}
+
+fn is_of_header(found: &Attached) -> bool {
+    [SCENE_ATTACHMENT, CALIBRATION_ATTACHMENT].contains(&found.name.as_str())
 }
 
 fn repair_entries(report: &RepairReport) -> BTreeMap<String, String> {
     let mut entries: BTreeMap<String, String> =
         report.lost().into_iter().map(|(topic, n)| (format!("lost{topic}"), n.to_string())).collect();
-    let left_out: u64 = report.pieces.iter().map(|piece| piece.bytes).sum();
+    let left_out = report.left_out_bytes;
     let (_, incomplete) = report.cut.unwrap_or((0, 0));
     entries.insert("bytes_left_out".to_string(), (left_out + incomplete).to_string());
     entries

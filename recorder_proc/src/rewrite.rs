@@ -1,17 +1,20 @@
 //! Writing the records of logs into a new file, as they are.
 
-use std::collections::BTreeMap;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use mcap::records::{Channel, MessageHeader, Metadata, SchemaHeader};
+use mcap::records::{Channel, MessageHeader, Metadata, SchemaHeader, op};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use crate::error::LogError;
 use crate::index::Summary;
+use crate::limits::Declared;
 use crate::new_file::NewFile;
+use crate::records::Attached;
 use crate::sink::{LIBRARY, PROFILE};
 use crate::walk::Piece;
 
@@ -51,6 +54,9 @@ pub(crate) struct Rewriter {
     prefix: String,
     /// What declares the channels whose own declaration is gone.
     declared: Summary,
+    /// Schemas and channels of the new file, and what they take of the memory.
+    written: BTreeSet<(u8, u16)>,
+    counted: Declared,
 }
 
 impl Rewriter {
@@ -74,6 +80,8 @@ impl Rewriter {
             channels: BTreeMap::new(),
             prefix: String::new(),
             declared: Summary::default(),
+            written: BTreeSet::new(),
+            counted: Declared::default(),
         })
     }
 
@@ -105,22 +113,26 @@ impl Rewriter {
     /// Writes a piece as it is; losses and the end are the caller's.
     pub fn piece(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
         match piece {
-            Piece::Attachment(found) => self.with(|writer| {
-                writer.attach(&Attachment {
-                    log_time: found.log_time,
-                    create_time: found.create_time,
-                    name: found.name,
-                    media_type: found.media_type,
-                    data: found.data.into(),
-                })
-            }),
+            Piece::Attachment(found) => self.attachment(&found),
             Piece::Metadata { name, entries } => self.metadata(name, entries),
             Piece::Schema { header, data } => self.schema(&header, data),
             Piece::Channel(channel) => self.channel(channel),
             Piece::Message { header, data } => self.message(header, data),
             Piece::ChunkEnd => self.with(Writer::flush),
-            Piece::DataEnd(_) | Piece::Lost(_) | Piece::Cut { .. } => Ok(()),
+            Piece::ChunkBegin(_) | Piece::DataEnd(_) | Piece::Lost(_) | Piece::Cut { .. } => Ok(()),
         }
+    }
+
+    pub fn attachment(&mut self, found: &Attached) -> Result<(), LogError> {
+        self.with(|writer| {
+            writer.attach(&Attachment {
+                log_time: found.log_time,
+                create_time: found.create_time,
+                name: found.name.clone(),
+                media_type: found.media_type.clone(),
+                data: Cow::Borrowed(&found.data),
+            })
+        })
     }
 
     pub fn metadata(&mut self, name: String, entries: BTreeMap<String, String>) -> Result<(), LogError> {
@@ -130,6 +142,10 @@ impl Rewriter {
     fn schema(&mut self, header: &SchemaHeader, data: &[u8]) -> Result<(), LogError> {
         let id = self.with(|writer| writer.add_schema(&header.name, &header.encoding, data))?;
         self.schemas.insert(header.id, id);
+        // The writer keeps each once.
+        if self.written.insert((op::SCHEMA, id)) {
+            self.counted.schema(&self.path, header, data.len())?;
+        }
         Ok(())
     }
 
@@ -145,6 +161,9 @@ impl Rewriter {
             writer.add_channel(schema, &topic, &channel.message_encoding, &channel.metadata)
         })?;
         self.channels.insert(channel.id, id);
+        if self.written.insert((op::CHANNEL, id)) {
+            self.counted.channel(&self.path, &channel)?;
+        }
         Ok(())
     }
 

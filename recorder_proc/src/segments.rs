@@ -49,6 +49,31 @@ pub struct SegmentReport {
     pub first_tick: u64,
     /// Keyframes whose bytes are identical.
     pub identical_keyframes: u64,
+    /// Gaps in the log, up to the last tick replayed.
+    pub gaps: Vec<Passed>,
+}
+
+/// A gap in a log that a replay has passed, or ended at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Passed {
+    /// Last tick before it that is complete; none if the start of the log is missing.
+    pub after: Option<u64>,
+    /// Tick of the next keyframe, where the replay went on; none if there is none.
+    pub resumed: Option<u64>,
+}
+
+impl std::fmt::Display for Passed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let first = self.after.map_or(0, |after| after.saturating_add(1));
+        match self.resumed {
+            Some(tick) => {
+                write!(f, "not replayed: ticks {first} to {tick}; it went on at the keyframe of tick {tick}")
+            }
+            None => {
+                write!(f, "not replayed: what follows tick {}, as no keyframe does", self.after.unwrap_or(0))
+            }
+        }
+    }
 }
 
 /// The last keyframe of a log at or before a tick. The reader is used up. What keeps the log from being read further is
@@ -60,6 +85,11 @@ pub fn keyframe_before(mut reader: LogReader, tick: u64) -> Option<SavedState> {
         found = reader.take_keyframe().filter(|saved| saved.tick <= tick).or(found);
         match record {
             Some(Ok(record)) if record.state.tick <= tick => (),
+            Some(Err(LogError::Gap { .. })) => match reader.go_on() {
+                // It is taken with the next tick.
+                Ok(Some(behind)) if behind.state.tick <= tick => (),
+                _ => return found,
+            },
             _ => return found,
         }
     }
@@ -107,27 +137,29 @@ pub fn verify_segments<S: Resumable>(
     options: &SegmentOptions,
 ) -> SegmentReport {
     let bound = AtomicU64::new(options.to_tick.unwrap_or(u64::MAX));
-    let first_tick = options.start.as_ref().map_or(0, |start| start.tick);
+    let first_tick = options.start.as_ref().or(reader.beginning()).map_or(0, |start| start.tick);
+    let mut gaps = Vec::new();
     let (queue, segments) = sync_channel::<Segment>(1);
     let segments = Mutex::new(segments);
     let (read, outcomes) = std::thread::scope(|scope| {
         let work = || work(make, &segments, &bound);
         let workers: Vec<_> = (0..options.threads.max(1)).map(|_| scope.spawn(work)).collect();
-        let read = feed(reader, options, queue, &bound);
+        let read = feed(reader, options, queue, &bound, &mut gaps);
         let outcomes = workers.into_iter().flat_map(|worker| {
             worker.join().unwrap_or_else(|_| vec![Outcome::without_worker(first_tick)]) //
         });
         (read, outcomes.collect())
     });
-    merge(reader, options, read, outcomes)
+    merge(reader, (first_tick, options), (read, gaps), outcomes)
 }
 
-/// Reads the log and hands out its segments; returns why the log could not be read further.
+/// Reads the log and hands out its segments, over gaps too; returns why the log could not be read further.
 fn feed(
     reader: &mut LogReader,
     options: &SegmentOptions,
     queue: SyncSender<Segment>,
     bound: &AtomicU64,
+    gaps: &mut Vec<Passed>,
 ) -> Option<LogError> {
     let mut last = Box::new(*reader.initial());
     let begin = |start: Start| {
@@ -136,9 +168,16 @@ fn feed(
         queue.send(Segment { start, blocks: receiver }).ok().map(|()| blocks)
     };
     let mut blocks = match &options.start {
-        None => begin(Start { state: last.clone(), keyframe: None }),
-        Some(_) => None,
+        None if reader.beginning().is_none() => begin(Start { state: last.clone(), keyframe: None }),
+        _ => None,
     };
+    // Whether the replay has begun, and the keyframe at which it goes on behind a gap.
+    let mut has_begun = options.start.is_none();
+    let mut resumed = None;
+    if let Some(beginning) = reader.beginning() {
+        gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
+        resumed = Some(beginning.tick);
+    }
     let mut waiting = Vec::with_capacity(BLOCK_TICKS);
     loop {
         // A worker that has found a difference takes no more of its segment.
@@ -150,8 +189,10 @@ fn feed(
         let record = if last.tick < bound.load(Ordering::Relaxed) { reader.next() } else { None };
         let keyframe = reader.take_keyframe().filter(|saved| saved.tick == last.tick);
         let starts_here = options.start.as_ref().is_some_and(|start| start.tick == last.tick);
+        has_begun |= starts_here;
+        let begins_here = starts_here || (has_begun && resumed == Some(last.tick));
         if let Some(saved) = keyframe
-            && (blocks.is_some() || starts_here)
+            && (blocks.is_some() || begins_here)
         {
             hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
             hand_over(&blocks, Block::Keyframe(saved.clone()));
@@ -168,6 +209,21 @@ fn feed(
                 }
                 if waiting.len() == BLOCK_TICKS {
                     hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
+                }
+            }
+            Some(Err(LogError::Gap { .. })) => {
+                hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
+                blocks = None;
+                let after = Some(last.tick);
+                match reader.go_on() {
+                    Ok(behind) => {
+                        resumed = behind.as_ref().map(|behind| behind.state.tick);
+                        if has_begun {
+                            gaps.push(Passed { after, resumed });
+                        }
+                        last = behind?.state;
+                    }
+                    Err(error) => return Some(error),
                 }
             }
             ended => {
@@ -312,12 +368,11 @@ pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<
 /// The segments in their order, up to the first problem.
 fn merge(
     reader: &LogReader,
-    options: &SegmentOptions,
-    log_error: Option<LogError>,
+    (first_tick, options): (u64, &SegmentOptions),
+    (log_error, gaps): (Option<LogError>, Vec<Passed>),
     mut outcomes: Vec<Outcome>,
 ) -> SegmentReport {
     outcomes.sort_by_key(|outcome| outcome.start_tick);
-    let first_tick = options.start.as_ref().map_or(0, |start| start.tick);
     let mut report = SegmentReport {
         replay: ReplayReport {
             identical_ticks: 0,
@@ -331,6 +386,7 @@ fn merge(
         },
         first_tick,
         identical_keyframes: 0,
+        gaps,
     };
     let replay = &mut report.replay;
     for outcome in outcomes {
@@ -348,6 +404,8 @@ fn merge(
             break;
         }
     }
+    let last_tick = replay.last_tick;
+    report.gaps.retain(|gap| gap.after.is_none_or(|after| after <= last_tick));
     if replay.is_identical() {
         replay.ending = reader.ending().clone();
     }

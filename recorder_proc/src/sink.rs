@@ -35,6 +35,8 @@ struct Channel {
 pub(crate) struct Sink<W: Write> {
     writer: McapWriter<W>,
     path: PathBuf,
+    /// The header's second copy, until it is written: behind the first chunk, where a damage of the first does not reach.
+    second: Option<Header>,
     channels: Vec<Channel>,
     dt_ns: u64,
     /// Ticks of a chunk.
@@ -46,6 +48,27 @@ pub(crate) struct Sink<W: Write> {
     scratch: Vec<u8>,
 }
 
+/// What stands at the start of a log and behind its first chunk: scene and calibration as attachments, everything else
+/// as metadata.
+struct Header {
+    header: LogHeader,
+    entries: BTreeMap<String, String>,
+}
+
+impl Header {
+    fn write<W: Write>(&self, writer: &mut McapWriter<W>) -> std::io::Result<()> {
+        let attachments = [
+            (SCENE_ATTACHMENT, "application/toml", Some(&self.header.scene_toml)),
+            (CALIBRATION_ATTACHMENT, "application/json", self.header.calibration_json.as_ref()),
+        ];
+        for (name, media_type, text) in attachments {
+            let Some(text) = text else { continue };
+            writer.attach(name, media_type, text.as_bytes())?;
+        }
+        writer.metadata(HEADER_RECORD, self.entries.clone())
+    }
+}
+
 /// Creates a file for a log.
 pub(crate) fn create_file(path: &Path) -> Result<BufWriter<File>, LogError> {
     let file = File::create(path).map_err(|source| LogError::Create { path: path.into(), source })?;
@@ -53,24 +76,18 @@ pub(crate) fn create_file(path: &Path) -> Result<BufWriter<File>, LogError> {
 }
 
 impl<W: Write> Sink<W> {
-    /// Writes the header: scene and calibration as attachments, everything else as metadata.
+    /// Writes the header.
     pub fn create(w: W, path: &Path, header: &LogHeader, lane: &str) -> Result<Sink<W>, LogError> {
         let fail = |source| LogError::Write { path: path.into(), source };
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let mut writer = McapWriter::create(w, folder, PROFILE, LIBRARY).map_err(fail)?;
-        let attachments = [
-            (SCENE_ATTACHMENT, "application/toml", Some(&header.scene_toml)),
-            (CALIBRATION_ATTACHMENT, "application/json", header.calibration_json.as_ref()),
-        ];
-        for (name, media_type, text) in attachments {
-            let Some(text) = text else { continue };
-            writer.attach(name, media_type, text.as_bytes()).map_err(fail)?;
-        }
-        writer.metadata(HEADER_RECORD, header.to_metadata(lane)).map_err(fail)?;
+        let second = Header { header: header.clone(), entries: header.to_metadata(lane) };
+        second.write(&mut writer).map_err(fail)?;
         let dt_ns = header.dt_ns.max(1);
         Ok(Sink {
             writer,
             path: path.into(),
+            second: Some(second),
             channels: Vec::new(),
             dt_ns,
             chunk_ticks: (CHUNK_NS / dt_ns).max(1),
@@ -134,8 +151,16 @@ impl<W: Write> Sink<W> {
 
     /// Closes the open chunk and hands its bytes to the operating system.
     pub fn close_chunk(&mut self) -> Result<(), LogError> {
-        self.chunk_bytes = 0;
-        self.writer.flush().map_err(|source| LogError::Write { path: self.path.clone(), source })
+        let has_messages = std::mem::take(&mut self.chunk_bytes) > 0;
+        let fail = |source| LogError::Write { path: self.path.clone(), source };
+        self.writer.flush().map_err(fail)?;
+        match self.second.take_if(|_| has_messages) {
+            Some(header) => {
+                header.write(&mut self.writer).map_err(fail)?;
+                self.writer.flush().map_err(fail)
+            }
+            None => Ok(()),
+        }
     }
 
     /// Messages written, by topic.
@@ -147,6 +172,9 @@ impl<W: Write> Sink<W> {
     pub fn finish(mut self, marker: &EndMarker) -> Result<W, LogError> {
         self.close_chunk()?;
         let fail = |source| LogError::Write { path: self.path.clone(), source };
+        if let Some(header) = self.second.take() {
+            header.write(&mut self.writer).map_err(fail)?;
+        }
         self.writer.metadata(END_RECORD, marker.to_metadata()).map_err(fail)?;
         self.writer.finish().map_err(fail)
     }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::BufReader;
 use std::ops::Range;
 use std::path::Path;
 
@@ -11,15 +11,18 @@ use ipc_types::messages::Removed;
 use ipc_types::services::MAX_REMOVED_PER_TICK;
 use mcap::records::{Record, op};
 
+use crate::continuity::Continuity;
 use crate::end::{END_RECORD, EndMarker, Ending, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::fields::message_size;
-use crate::header::{
-    CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, RUNS_RECORD, SCENE_ATTACHMENT, layout_hashes,
-};
+use crate::header::{HEADER_RECORD, LogHeader, layout_hashes};
 use crate::index::Summary;
-use crate::records::{FileRecord, Records, Source, chunk_record};
+use crate::limits::{Declared, check_declaration};
+use crate::opening::{HeaderCopy, Opened, Parts, open};
+pub use crate::records::ReadSeek;
+use crate::records::{FileRecord, Records, chunk_record};
 use crate::topics;
+use crate::verdict::{Fault, Verdict};
 
 /// Longest removal: with as many voxels as its service takes.
 const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4;
@@ -81,6 +84,15 @@ pub struct MessageStream {
     chunks: u64,
     ending: Ending,
     repaired: bool,
+    declared: Declared,
+    /// The second copy of the header, as far as it has come.
+    second: Parts,
+    /// Whether it has been met, whole or not.
+    has_second: bool,
+    header_fault: Option<(HeaderCopy, String)>,
+    continuity: Continuity,
+    /// Where reading stopped, and why.
+    damage: Option<(u64, String)>,
     /// Topics that are handed out; none for all.
     wanted: Option<Vec<String>>,
     done: bool,
@@ -98,7 +110,7 @@ impl MessageStream {
     /// Opens a log and reads its header.
     pub fn open(path: &Path, options: ReadOptions) -> Result<MessageStream, LogError> {
         let file = File::open(path).map_err(|source| LogError::Open { path: path.into(), source })?;
-        MessageStream::from_source(Box::new(BufReader::with_capacity(1 << 16, file)), path, options)
+        MessageStream::from_reader(Box::new(file), path, options)
     }
 
     /// Opens a log for some topics only. Chunks that hold none of them are not read if the log's index tells them, so
@@ -126,40 +138,12 @@ impl MessageStream {
 
     /// Reads the header of a log from any source; errors will name `path`.
     pub fn from_reader(
-        source: Box<dyn Read + Send>,
+        source: Box<dyn ReadSeek>,
         path: &Path,
         options: ReadOptions,
     ) -> Result<MessageStream, LogError> {
-        MessageStream::from_source(Box::new(source), path, options)
-    }
-
-    fn from_source(
-        source: Box<dyn Source>,
-        path: &Path,
-        options: ReadOptions,
-    ) -> Result<MessageStream, LogError> {
-        let mut records = Records::new(source, path)?;
-        let (mut scene, mut calibration) = (None, None);
-        let metadata = loop {
-            match records.next_record()? {
-                FileRecord::Attachment(found) if found.name == SCENE_ATTACHMENT => scene = Some(found.data),
-                FileRecord::Attachment(found) if found.name == CALIBRATION_ATTACHMENT => {
-                    calibration = Some(String::from_utf8_lossy(&found.data).into_owned());
-                }
-                FileRecord::Attachment(_) => (),
-                FileRecord::Metadata { name, entries } if name == HEADER_RECORD => break entries,
-                FileRecord::Metadata { name, entries } if name == RUNS_RECORD => {
-                    let runs = entries.get("count").cloned().unwrap_or_default();
-                    return Err(LogError::SeveralRuns { path: path.into(), runs });
-                }
-                FileRecord::Metadata { .. } => (),
-                FileRecord::Chunk | FileRecord::End | FileRecord::Cut(_) => {
-                    return Err(LogError::NoHeader { path: path.into(), offset: records.offset() });
-                }
-            }
-        };
-        let scene = String::from_utf8_lossy(&scene.unwrap_or_default()).into_owned();
-        let header = LogHeader::from_metadata(path, &metadata, scene, calibration)?;
+        let source = BufReader::with_capacity(1 << 16, source);
+        let Opened { header, metadata, records, first_is_bad } = open(source, path)?;
         if !options.allow_other_layouts {
             check_layouts(path, &metadata, &header)?;
         }
@@ -174,6 +158,12 @@ impl MessageStream {
             chunks: 0,
             ending: Ending::default(),
             repaired: false,
+            declared: Declared::default(),
+            second: Parts::default(),
+            has_second: first_is_bad.is_some(),
+            header_fault: first_is_bad.map(|cause| (HeaderCopy::First, cause)),
+            continuity: Continuity::default(),
+            damage: None,
             wanted: None,
             done: false,
         })
@@ -197,6 +187,28 @@ impl MessageStream {
     /// How the file ends. Known once [`next_message`](Self::next_message) has returned none.
     pub fn ending(&self) -> &Ending {
         &self.ending
+    }
+
+    /// What is wrong with the log, as far as it has been read: all of it once
+    /// [`next_message`](Self::next_message) has returned none or an error. With some topics only, of the chunks read.
+    pub fn verdict(&self) -> Verdict {
+        let mut faults = Vec::new();
+        if let Some((copy, cause)) = &self.header_fault {
+            faults.push(Fault::HeaderDamaged { copy: *copy, cause: cause.clone() });
+        }
+        let gap = self.continuity.gap(&self.counts(), self.ending.marker.as_ref());
+        faults.extend(gap.map(Fault::Gap));
+        match (&self.damage, self.ending.cut, &self.ending.marker) {
+            (Some((offset, cause)), _, _) => {
+                faults.push(Fault::Damaged { offset: *offset, cause: cause.clone() });
+            }
+            (None, Some(cut), marker) => {
+                faults.push(Fault::Cut { cut, ended: marker.is_some() });
+            }
+            (None, None, None) => faults.push(Fault::NotEnded),
+            (None, None, Some(_)) => {}
+        }
+        Verdict { faults, ending: self.ending.clone() }
     }
 
     /// Messages and bytes so far, by topic.
@@ -227,7 +239,13 @@ impl MessageStream {
 
     /// The next message; none at the end, however the file ends. After an error there is no more.
     pub fn next_message(&mut self) -> Result<Option<LogMessage<'_>>, LogError> {
-        let found = self.find().inspect_err(|_| self.done = true);
+        let found = self.find().inspect_err(|error| {
+            self.done = true;
+            self.damage = Some(match error {
+                LogError::Damaged { offset, cause, .. } => (*offset, cause.clone()),
+                other => (self.records.offset(), other.without_path()),
+            });
+        });
         let Some(found) = found? else { return Ok(None) };
         let missing =
             || LogError::NoHeader { path: self.records.path().into(), offset: self.records.offset() };
@@ -258,14 +276,16 @@ impl MessageStream {
                     None => self.in_chunk = false,
                 }
             }
-            match self.records.next_record()? {
+            match self.next_record()? {
                 FileRecord::Chunk => {
                     (self.position, self.in_chunk) = (0, true);
                     self.chunks += 1;
                 }
                 FileRecord::Metadata { name, entries } if name == END_RECORD => self.end_marker(&entries)?,
+                FileRecord::Metadata { name, entries } if name == HEADER_RECORD => self.second(&entries),
                 FileRecord::Metadata { name, .. } if name == REPAIR_RECORD => self.repaired = true,
-                FileRecord::Metadata { .. } | FileRecord::Attachment(_) => (),
+                FileRecord::Attachment(found) => self.second.take(&found),
+                FileRecord::Metadata { .. } => (),
                 FileRecord::End => self.done = true,
                 FileRecord::Cut(cut) => {
                     self.ending.cut = Some(cut);
@@ -275,8 +295,44 @@ impl MessageStream {
         }
     }
 
+    /// The next record of the file. What is wrong with the second copy of the header keeps nobody from reading on.
+    fn next_record(&mut self) -> Result<FileRecord, LogError> {
+        loop {
+            match self.records.next_record() {
+                Err(LogError::Damaged { cause, .. })
+                    if !self.has_second && self.chunks == 1 && self.records.is_beside_messages() =>
+                {
+                    self.second_is_bad(cause);
+                }
+                other => return other,
+            }
+        }
+    }
+
+    fn second(&mut self, entries: &BTreeMap<String, String>) {
+        let header = self.second.header(self.records.path(), entries);
+        if std::mem::replace(&mut self.has_second, true) {
+            return;
+        }
+        match header {
+            Ok(header) if header == self.header => {}
+            Ok(_) => self.second_is_bad("it is not the one at the start".to_string()),
+            Err(error) => self.second_is_bad(crate::opening::cause(&error)),
+        }
+    }
+
+    fn second_is_bad(&mut self, cause: String) {
+        self.has_second = true;
+        // That the whole file's checksum is wrong is explained.
+        self.records.forget_checksum();
+        self.header_fault.get_or_insert((HeaderCopy::Second, cause));
+    }
+
     fn end_marker(&mut self, entries: &BTreeMap<String, String>) -> Result<(), LogError> {
         let marker = EndMarker::from_metadata(self.records.path(), entries)?;
+        if !self.has_second && crate::seal::is_sealed(&self.metadata) {
+            self.second_is_bad("there is none".to_string());
+        }
         for (topic, &written) in &marker.counts {
             let channel = self.channels.values().find(|channel| channel.topic == *topic);
             let (read, missing) = channel.map_or((0, 0), |channel| (channel.count, channel.missing));
@@ -306,9 +362,16 @@ impl MessageStream {
             if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
                 continue;
             }
+            if opcode != op::MESSAGE {
+                check_declaration(self.records.path(), body)?;
+            }
             match mcap::parse_record(opcode, body) {
                 Ok(Record::Schema { header, .. }) => {
-                    self.schemas.insert(header.id, header.name);
+                    if !self.schemas.contains_key(&header.id) {
+                        // Its text is not kept.
+                        self.declared.schema(self.records.path(), &header, 0)?;
+                        self.schemas.insert(header.id, header.name);
+                    }
                 }
                 Ok(Record::Channel(channel)) => self.declare(channel)?,
                 Ok(Record::Message { header, data }) => {
@@ -327,6 +390,7 @@ impl MessageStream {
         if self.channels.contains_key(&channel.id) {
             return Ok(());
         }
+        self.declared.channel(self.records.path(), &channel)?;
         let schema = self.schemas.get(&channel.schema_id).cloned();
         let Some(schema) = schema else {
             // Of a topic that nobody wants: its messages are passed over too.
@@ -391,6 +455,7 @@ impl MessageStream {
             );
             return Err(self.damaged(cause));
         }
+        self.continuity.see(&channel.topic, body);
         let body = data.end - body.len()..data.end;
         if let Some(channel) = self.channels.get_mut(&header.channel_id) {
             channel.count += 1;

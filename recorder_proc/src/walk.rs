@@ -2,10 +2,10 @@
 //!
 //! [`Records`](crate::records::Records) stops at the first damage, as a reader that promises ticks without a gap must.
 //! This walk goes on behind it: where a chunk's checksum is wrong but its length leads to a record, at that record;
-//! where a length is wrong, at the next byte that begins a chunk whose checksum is right, or the end marker.
+//! where a length is wrong, at the next byte that begins a chunk, a header or an end marker whose checksum is right.
 
 use std::collections::BTreeMap;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use mcap::MAGIC;
@@ -13,12 +13,21 @@ use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
 
 use crate::end::END_RECORD;
 use crate::error::LogError;
+use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT};
+use crate::limits::check_declaration;
 use crate::records::{
-    Attached, MAX_RECORD_BYTES, RECORD_HEADER, attachment, check_magic, chunk_record, unpack,
+    Attached, MAX_RECORD_BYTES, RECORD_HEADER, attachment, check_magic, chunk_record, metadata, unpack,
 };
+use crate::seal::is_unbroken;
 
 /// Bytes that a search for the next chunk looks at together.
 const WINDOW: usize = 1 << 20;
+/// Bytes that searches unpack or copy in all, as a multiple of the file's length and besides: bytes that look like the
+/// start of a chunk again and again would be read as often as they do.
+const SEARCHED_TIMES: u64 = 8;
+const SEARCHED_BYTES: u64 = 1 << 28;
+/// Bytes of the magic number that may be wrong in what still is a log.
+const WRONG_MAGIC_BYTES: usize = 2;
 /// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
 const LOOK: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
@@ -38,6 +47,8 @@ pub(crate) enum Piece<'a> {
         header: MessageHeader,
         data: &'a [u8],
     },
+    /// A chunk's records follow; where it begins.
+    ChunkBegin(u64),
     ChunkEnd,
     /// The data end here; where the summary begins.
     DataEnd(u64),
@@ -70,10 +81,19 @@ pub(crate) fn walk<R: Read + Seek>(
     path: &Path,
     visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
-    let mut walker = Walker { source, at: 0, length: 0, record: Vec::new(), chunk: Vec::new() };
+    let source = BufReader::with_capacity(BUFFER_BYTES, source);
+    let mut walker =
+        Walker { source, at: 0, position: 0, length: 0, budget: 0, record: Vec::new(), chunk: Vec::new() };
     let read_error = |at: u64, source| LogError::Read { path: path.into(), offset: at, source };
     walker.open().map_err(|source| read_error(0, source))?;
-    check_magic(&walker.record, path)?;
+    let wrong = walker.record.iter().zip(MAGIC).filter(|(found, magic)| found != magic).count();
+    if walker.record.len() < MAGIC.len() || wrong > WRONG_MAGIC_BYTES {
+        check_magic(&walker.record, path)?;
+    }
+    if wrong > 0 {
+        let cause = "the magic number is wrong".to_string();
+        visit(Piece::Lost(Lost { offset: 0, bytes: MAGIC.len() as u64, cause }))?;
+    }
     loop {
         let at = walker.at;
         let (opcode, next) = match walker.load().map_err(|source| read_error(at, source))? {
@@ -90,10 +110,6 @@ pub(crate) fn walk<R: Read + Seek>(
                 continue;
             }
         };
-        if opcode == op::FOOTER {
-            return Ok(());
-        }
-        let bytes = next - at;
         match walker.pieces(path, (opcode, next), visit)? {
             Ok(()) => {
                 if opcode == op::DATA_END {
@@ -102,26 +118,26 @@ pub(crate) fn walk<R: Read + Seek>(
                 walker.at = next;
             }
             Err(cause) => {
-                let follows = walker.begins_record(next).map_err(|source| read_error(next, source))?;
-                let next = match follows {
-                    true => next,
-                    false => {
-                        let found = walker.search(at + 1).map_err(|source| read_error(at, source))?;
-                        found.unwrap_or(walker.length)
-                    }
-                };
-                let bytes = if follows { bytes } else { next - at };
-                visit(Piece::Lost(Lost { offset: at, bytes, cause }))?;
+                let next = walker.behind(at, next).map_err(|source| read_error(next, source))?;
+                visit(Piece::Lost(Lost { offset: at, bytes: next - at, cause }))?;
                 walker.at = next;
             }
         }
     }
 }
 
+/// Bytes that are read at once.
+const BUFFER_BYTES: usize = 1 << 18;
+
 struct Walker<R> {
-    source: R,
+    source: BufReader<R>,
+    /// Start of the next record.
     at: u64,
+    /// Of the source.
+    position: u64,
     length: u64,
+    /// Bytes that searches may still unpack or copy.
+    budget: u64,
     record: Vec<u8>,
     chunk: Vec<u8>,
 }
@@ -138,6 +154,8 @@ enum Loaded {
 impl<R: Read + Seek> Walker<R> {
     fn open(&mut self) -> io::Result<()> {
         self.length = self.source.seek(SeekFrom::End(0))?;
+        self.position = self.length;
+        self.budget = self.length.saturating_mul(SEARCHED_TIMES).saturating_add(SEARCHED_BYTES);
         self.read(0, MAGIC.len() as u64)?;
         self.at = MAGIC.len() as u64;
         Ok(())
@@ -146,9 +164,27 @@ impl<R: Read + Seek> Walker<R> {
     /// Reads up to so many bytes into `record`.
     fn read(&mut self, at: u64, count: u64) -> io::Result<()> {
         self.record.clear();
-        self.source.seek(SeekFrom::Start(at))?;
-        self.source.by_ref().take(count).read_to_end(&mut self.record)?;
+        self.go_to(at)?;
+        self.position += self.source.by_ref().take(count).read_to_end(&mut self.record)? as u64;
         Ok(())
+    }
+
+    /// Goes to a byte; what has been read ahead stays, or each record would cost a whole buffer.
+    fn go_to(&mut self, at: u64) -> io::Result<()> {
+        match i64::try_from(i128::from(at) - i128::from(self.position)) {
+            Ok(distance) => self.source.seek_relative(distance)?,
+            Err(_) => _ = self.source.seek(SeekFrom::Start(at))?,
+        }
+        self.position = at;
+        Ok(())
+    }
+
+    /// The next record behind one at `at` that is wrong: where its length leads, or what the search finds.
+    fn behind(&mut self, at: u64, next: u64) -> io::Result<u64> {
+        if self.begins_record(next)? {
+            return Ok(next);
+        }
+        Ok(self.search(at + 1)?.unwrap_or(self.length))
     }
 
     /// The type and length of what would be a record.
@@ -208,15 +244,17 @@ impl<R: Read + Seek> Walker<R> {
                     if let Err(cause) = unpack(&header, &data, &mut self.chunk) {
                         return Ok(Err(cause));
                     }
-                    of_chunk(&self.chunk, visit)
+                    visit(Piece::ChunkBegin(self.at))?;
+                    of_chunk(path, &self.chunk, visit)
                 }
                 _ => Ok(Err("a chunk that is none".to_string())),
             },
-            op::METADATA => match mcap::parse_record(opcode, &self.record) {
-                Ok(Record::Metadata(m)) => {
-                    visit(Piece::Metadata { name: m.name, entries: m.metadata }).map(Ok)
+            op::METADATA => match metadata(&self.record) {
+                Ok((name, entries)) if is_unbroken(&entries) => {
+                    visit(Piece::Metadata { name, entries }).map(Ok)
                 }
-                _ => Ok(Err("a metadata record that is none".to_string())),
+                Ok((name, _)) => Ok(Err(format!("the checksum of the metadata record '{name}' is wrong"))),
+                Err(cause) => Ok(Err(cause)),
             },
             op::ATTACHMENT => match attachment(&self.record) {
                 Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
@@ -237,12 +275,17 @@ impl<R: Read + Seek> Walker<R> {
         let mut window = Vec::new();
         while start < self.length {
             window.clear();
-            self.source.seek(SeekFrom::Start(start))?;
-            self.source.by_ref().take((WINDOW + LOOK) as u64).read_to_end(&mut window)?;
+            self.go_to(start)?;
+            let looked = (WINDOW + LOOK) as u64;
+            self.position += self.source.by_ref().take(looked).read_to_end(&mut window)? as u64;
             for i in 0..window.len().min(WINDOW) {
-                let candidate = begins_chunk(&window[i..]) || begins_end_marker(&window[i..]);
+                let rest = &window[i..];
+                let candidate = begins_chunk(rest) || begins_metadata(rest) || begins_attachment(rest);
                 if candidate && self.is_whole(start + i as u64)? {
                     return Ok(Some(start + i as u64));
+                }
+                if self.budget == 0 {
+                    return Ok(None);
                 }
             }
             start += WINDOW as u64;
@@ -255,16 +298,29 @@ impl<R: Read + Seek> Walker<R> {
         let loaded = self.load();
         self.at = before;
         let Loaded::Record(opcode, _) = loaded? else { return Ok(false) };
-        Ok(match mcap::parse_record(opcode, &self.record) {
-            Ok(Record::Chunk { header, data }) => unpack(&header, &data, &mut self.chunk).is_ok(),
-            Ok(Record::Metadata(metadata)) => metadata.name == END_RECORD,
+        let mut cost = self.record.len() as u64;
+        let whole = match opcode {
+            op::CHUNK => match mcap::parse_record(opcode, &self.record) {
+                Ok(Record::Chunk { header, data }) => {
+                    let whole = unpack(&header, &data, &mut self.chunk).is_ok();
+                    cost += self.chunk.len() as u64;
+                    whole
+                }
+                _ => false,
+            },
+            op::METADATA => metadata(&self.record)
+                .is_ok_and(|(name, entries)| is_sought(name.as_bytes()) && is_unbroken(&entries)),
+            op::ATTACHMENT => attachment(&self.record).is_ok(),
             _ => false,
-        })
+        };
+        self.budget = self.budget.saturating_sub(cost);
+        Ok(whole)
     }
 }
 
 /// Hands out a chunk's records, whose checksum is right.
 fn of_chunk(
+    path: &Path,
     mut rest: &[u8],
     visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
 ) -> Result<Result<(), String>, LogError> {
@@ -275,6 +331,9 @@ fn of_chunk(
         rest = &rest[length..];
         if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
             continue;
+        }
+        if opcode != op::MESSAGE {
+            check_declaration(path, body)?;
         }
         match mcap::parse_record(opcode, body) {
             Ok(Record::Schema { header, data }) => visit(Piece::Schema { header, data: &data })?,
@@ -316,8 +375,27 @@ fn name_is_short(bytes: &[u8]) -> bool {
     number(bytes, RECORD_HEADER + 28, 4).is_some_and(|length| length <= 4)
 }
 
-fn begins_end_marker(bytes: &[u8]) -> bool {
-    bytes.first() == Some(&op::METADATA)
-        && number(bytes, RECORD_HEADER, 4) == Some(END_RECORD.len() as u64)
-        && bytes.get(RECORD_HEADER + 4..RECORD_HEADER + 4 + END_RECORD.len()) == Some(END_RECORD.as_bytes())
+/// Whether bytes look like the start of the header or the end marker.
+fn begins_metadata(bytes: &[u8]) -> bool {
+    let name = || {
+        let length = number(bytes, RECORD_HEADER, 4)? as usize;
+        bytes.get(RECORD_HEADER + 4..(RECORD_HEADER + 4).checked_add(length)?)
+    };
+    bytes.first() == Some(&op::METADATA) && name().is_some_and(is_sought)
+}
+
+/// Whether bytes look like the start of an attachment of the header.
+fn begins_attachment(bytes: &[u8]) -> bool {
+    let name = || {
+        let length = number(bytes, RECORD_HEADER + 16, 4)? as usize;
+        bytes.get(RECORD_HEADER + 20..(RECORD_HEADER + 20).checked_add(length)?)
+    };
+    let is_sought = |name: &[u8]| {
+        [SCENE_ATTACHMENT, CALIBRATION_ATTACHMENT].iter().any(|sought| name == sought.as_bytes())
+    };
+    bytes.first() == Some(&op::ATTACHMENT) && name().is_some_and(is_sought)
+}
+
+fn is_sought(name: &[u8]) -> bool {
+    [HEADER_RECORD, END_RECORD].iter().any(|sought| name == sought.as_bytes())
 }

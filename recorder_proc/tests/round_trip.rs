@@ -234,7 +234,7 @@ fn another_layout_is_refused_by_name_unless_allowed() {
     let bytes = write_log(&run_messages(10, None));
     let hash = State::DESCRIPTION.layout_hash();
     let position = bytes.windows(16).position(|window| window == hash.as_bytes()).unwrap();
-    let mut other = bytes.clone();
+    let mut other = unsealed(bytes);
     other[position..position + 16].copy_from_slice(b"0123456789abcdef");
     let error = open_bytes(&other).err().unwrap();
     println!("{error}");

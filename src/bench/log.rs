@@ -64,7 +64,11 @@ pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let began = Instant::now();
     let options = SegmentOptions { start: None, to_tick: None, threads };
-    let found = verify_segments(&mut opened.reader()?, &|| opened.world(), &options).replay;
+    let report = verify_segments(&mut opened.reader()?, &|| opened.world(), &options);
+    let found = report.replay;
+    if let Some(gap) = report.gaps.first() {
+        return Err(Failure::failed(format!("{}: {gap}", log.display())));
+    }
     if !found.is_identical() {
         return Err(Failure::failed(format!("the replay differs behind tick {}", found.last_tick)));
     }

@@ -253,10 +253,9 @@ fn lane_end(path: &Path) -> Result<(u64, f64), String> {
         messages += 1;
         end_ns = message.log_time_ns;
     }
-    let ending = stream.ending();
-    let lost = ending.marker.as_ref().map_or(0, |marker| marker.lost.values().sum::<u64>());
-    if !ending.is_complete() || lost > 0 {
-        return Err(format!("{}: {}", path.display(), ending.describe()));
+    let verdict = stream.verdict();
+    if !verdict.is_intact() {
+        return Err(format!("{}: {verdict}", path.display()));
     }
     Ok((messages, end_ns as f64 * 1e-9))
 }

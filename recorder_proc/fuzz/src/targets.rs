@@ -17,7 +17,8 @@ fn stream(data: &[u8]) -> Result<MessageStream, LogError> {
 /// Ticks, frames and messages of a file. Ticks come without a gap, and nothing comes after an error.
 pub fn log_reader(data: &[u8]) {
     if let Ok(mut reader) = stream(data).and_then(LogReader::from_stream) {
-        let mut ticks = 0;
+        // A log whose start is missing begins at a keyframe.
+        let mut ticks = reader.beginning().map_or(0, |beginning| beginning.tick);
         for item in reader.by_ref() {
             let Ok(tick) = item else { break };
             ticks += 1;

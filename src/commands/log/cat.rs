@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use recorder_proc::{CatOptions, ReadOptions, cat};
 
-use super::{Out, quiet_pipe};
+use super::{Out, concluded, quiet_pipe};
 use crate::commands::replay::log_path;
 use crate::failure::Failure;
 
@@ -37,7 +37,8 @@ pub struct CatArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such field or topic (2); a log that is damaged (1), behind the messages before the damage.
+/// Not a log, no such field or topic (2); a log that is damaged (1), behind the messages before the damage; one that has a
+/// gap, is cut or was not ended (3).
 pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let options = CatOptions {
         topics: arguments.topics.clone(),
@@ -49,13 +50,14 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
         read: ReadOptions::default(),
     };
     let log = log_path(&arguments.log);
-    let ending = cat(&log, &options, out);
-    if let Ok(ending) = &ending
-        && !ending.is_complete()
-    {
-        tell!("trabecula: {}: {}", log.display(), ending.describe());
+    let verdict = match cat(&log, &options, out) {
+        Ok(verdict) => verdict,
+        Err(error) => return quiet_pipe(Err(error)),
+    };
+    if !verdict.is_intact() {
+        tell!("trabecula: {}: {verdict}", log.display());
     }
-    quiet_pipe(ending.map(|_| ()))
+    concluded(out, verdict.exit_code())
 }
 
 fn nanoseconds(option: &str, time_s: f64) -> Result<u64, Failure> {

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use recorder_proc::columns::{columns, description_of_topic, read_rows};
 use recorder_proc::export::{Csv, Parquet, ending_of};
-use recorder_proc::{Ending, FrameRecord, LogError, NewFile, ReadOptions, frames, topics};
+use recorder_proc::{FrameRecord, LogError, NewFile, ReadOptions, Verdict, frames, topics};
 
-use super::{Out, failure};
+use super::{Out, concluded, failure};
 use crate::commands::replay::log_path;
 use crate::failure::Failure;
 
@@ -42,19 +42,22 @@ pub struct ExportArguments {
 ///
 /// # Errors
 /// Not a log, no such topic or field, another ending, an output that is there already (2); a log that is damaged,
-/// behind the rows before the damage, or a full disk (1).
+/// behind the rows before the damage, or a full disk (1); one that has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
-    let (what, ending) = match arguments.frames {
+    let (what, verdict) = match arguments.frames {
         true => pictures(&log, arguments)?,
         false => table(&log, arguments)?,
     };
     // Whoever closes the pipe has had enough.
-    let _ = writeln!(out, "{}: {what}\n{}", arguments.output.display(), ending.describe());
-    Ok(())
+    let _ = writeln!(out, "{}: {what}\n{}", arguments.output.display(), verdict.ending.describe());
+    if !verdict.is_intact() {
+        tell!("trabecula: {}: {verdict}", log.display());
+    }
+    concluded(out, verdict.exit_code())
 }
 
-fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Ending), Failure> {
+fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), Failure> {
     let ending = ending_of(&arguments.output);
     if !matches!(ending.as_str(), "csv" | "parquet") {
         let given = arguments.output.display();
@@ -83,14 +86,17 @@ fn new_file(path: &Path) -> Result<File, Failure> {
     Ok(file)
 }
 
-fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Ending), Failure> {
+fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), Failure> {
     let mut reader = frames(log, ReadOptions::default()).map_err(failure)?;
     let folder = &arguments.output;
     std::fs::create_dir_all(folder)
         .map_err(|source| failure(LogError::Create { path: folder.clone(), source }))?;
     let (mut written, mut without) = (0_u64, 0_u64);
-    for record in reader.by_ref() {
-        let record = record.map_err(failure)?;
+    while let Some(record) = reader.next() {
+        let record = match record {
+            Err(LogError::Gap { .. }) if reader.go_on() => continue,
+            record => record.map_err(failure)?,
+        };
         let tick = record.frame.tick;
         if tick < arguments.from || arguments.to.is_some_and(|last| tick > last) {
             continue;
@@ -103,7 +109,7 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Ending),
         write_png(&path, &record)?;
         written += 1;
     }
-    Ok((format!("{written} pictures, {without} frames without one in the log"), reader.ending().clone()))
+    Ok((format!("{written} pictures, {without} frames without one in the log"), reader.verdict()))
 }
 
 /// Grey, 16 bits, the values as recorded; PNG keeps the high byte first.

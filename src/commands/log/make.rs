@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use ipc_types::process::EXIT_GAP;
 use recorder_proc::{Packing, cat_files, compress, repair, split};
 
 use super::{Out, failure};
@@ -23,10 +24,12 @@ pub struct RepairArguments {
 /// Repairs a log and says what is lost.
 ///
 /// # Errors
-/// Not a log, no header, or an output that is there already (2); what the disk says (1).
+/// Not a log, no header, or an output that is there already (2); what the disk says (1); something was wrong, which the
+/// report says (3).
 pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let report = repair(&log_path(&arguments.log), &arguments.output).map_err(failure)?;
-    super::quiet_pipe(report.write(out))
+    super::quiet_pipe(report.write(out))?;
+    super::concluded(out, if report.was_whole() { 0 } else { EXIT_GAP })
 }
 
 /// How to pack chunks.

@@ -8,7 +8,7 @@ use std::io::{BufWriter, StdoutLock, Write, stdout};
 use std::path::PathBuf;
 
 use clap::Subcommand;
-use recorder_proc::{LogError, ReadOptions, diff, info};
+use recorder_proc::{LogError, ReadOptions, Verdict, diff, info};
 
 use super::replay::log_path;
 use crate::failure::Failure;
@@ -45,8 +45,8 @@ pub enum LogCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, or an output that is there already (2); two logs that differ, a log that is damaged or cut, a full disk
-/// (1).
+/// Not a log, or an output that is there already (2); two logs that differ, a log that is damaged, a full disk (1); the
+/// work is done, but the log has a gap, is cut or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let mut out = BufWriter::new(stdout().lock());
     let read = ReadOptions::default();
@@ -54,12 +54,18 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         LogCommand::Info { log } => {
             let summary = info(&log_path(log), read).map_err(failure)?;
             quiet_pipe(summary.write(&mut out))?;
+            let mut code = summary.verdict.exit_code();
             // Of a run's folder both lanes are asked for.
             let timing = log.join("timing.mcap");
             if log.is_dir() && timing.exists() {
                 let lane = info(&timing, read).map_err(failure)?;
                 quiet_pipe(lane.write_misses(&mut out))?;
+                if !lane.verdict.is_intact() {
+                    let _ = writeln!(out, "timing lane {}", lane.verdict);
+                }
+                code = worse(code, lane.verdict.exit_code());
             }
+            return concluded(&mut out, code);
         }
         LogCommand::Cat(arguments) => cat::run(arguments, &mut out)?,
         LogCommand::Diff { first, second } => {
@@ -70,6 +76,8 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
                 let _ = out.flush();
                 return Err(Failure::failed("the logs differ"));
             }
+            let codes = report.verdicts.each_ref().map(Verdict::exit_code);
+            return concluded(&mut out, worse(codes[0], codes[1]));
         }
         LogCommand::Repair(arguments) => make::repair_log(arguments, &mut out)?,
         LogCommand::Compress(arguments) => make::compress_log(arguments, &mut out)?,
@@ -80,6 +88,23 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
     // A reader that has had enough (`| head`) is no failure.
     let _ = out.flush();
     Ok(())
+}
+
+/// Of two exit codes the one that says more: a failure before a gap.
+fn worse(first: u8, second: u8) -> u8 {
+    match (first, second) {
+        (0, other) | (other, 0) => other,
+        (first, second) => first.min(second),
+    }
+}
+
+/// The end of a command that has done its work on a log with this verdict's exit code. What is wrong has been said.
+fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
+    let _ = out.flush();
+    match code {
+        0 => Ok(()),
+        code => Err(Failure { message: "the log is not intact: see its verdict".to_owned(), code }),
+    }
 }
 
 /// Standard output, buffered.

@@ -64,21 +64,11 @@ pub fn outline(path: &Path) -> Result<Outline, LogError> {
     loop {
         match stream.next_message() {
             Ok(Some(message)) => outline.take(message.topic, message.log_time_ns, message.body),
-            Ok(None) => break,
-            Err(error) => {
-                outline.notices.push(error.to_string());
-                break;
-            }
+            // What keeps it from being read further is among the faults.
+            Ok(None) | Err(_) => break,
         }
     }
-    if let Some(cut) = &stream.ending().cut {
-        outline.notices.push(format!("the log was cut: {cut:?}"));
-    }
-    if let Some(marker) = &stream.ending().marker {
-        for (topic, count) in &marker.lost {
-            outline.notices.push(format!("{count} messages of {topic} never reached the log"));
-        }
-    }
+    outline.notices.extend(stream.verdict().faults.iter().map(ToString::to_string));
     if !outline.has_frames {
         outline.notices.push("the log holds no X-ray frames".to_owned());
     }
