@@ -39,9 +39,11 @@ use commands::view::ViewArguments;
 use commands::volume::{PhantomArguments, VolumeCommand};
 use failure::Failure;
 
+const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is not whole; 130 interrupted";
+
 /// A zero-copy shared-memory co-simulation hub for image-guided bone drilling with a continuum manipulator.
 #[derive(Debug, Parser)]
-#[command(version, about)]
+#[command(version, about, after_help = EXIT_CODES)]
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,

@@ -5,9 +5,11 @@ use std::time::Instant;
 
 use clap::Args;
 use recorder_proc::{
-    ReplayReport, Resumable as _, SavedState, SegmentOptions, Simulation as _, keyframe_before,
-    verify_segments,
+    LogError, ReplayReport, Resumable as _, SavedState, SegmentOptions, SegmentReport, Simulation as _,
+    Verdict, keyframe_before, segments::Passed, verify_segments,
 };
+
+use ipc_types::process::EXIT_GAP;
 
 use crate::failure::Failure;
 use crate::replay::{LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
@@ -82,7 +84,8 @@ impl Moment {
 /// Replays a log.
 ///
 /// # Errors
-/// Bad input (2): not a log, another build, layout, scene or volume. A difference (1).
+/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1). All that is there
+/// is identical, but the log has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     let overrides = Overrides {
         volume: arguments.volume.clone(),
@@ -103,16 +106,25 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
         let threads = arguments.frames.then(|| arguments.threads());
         return tell_recorded(&record(&log, folder, threads)?, &log);
     }
-    replay(arguments, &log, (from, to))?;
+    let code = replay(arguments, &log, (from, to))?;
     if arguments.frames {
         let began = Instant::now();
         let threads = arguments.threads();
-        let frames = verify_frames(&log, (from, to.unwrap_or(u64::MAX)), threads)?;
+        let (frames, in_gaps) = verify_frames(&log, (from, to.unwrap_or(u64::MAX)), threads)?;
         let wall_s = began.elapsed().as_secs_f64();
         let label = log.label();
         say!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s");
+        if in_gaps > 0 {
+            say!("{in_gaps} frames of ticks in a gap were not rendered");
+        }
     }
-    Ok(())
+    match code {
+        0 => Ok(()),
+        code => Err(Failure {
+            message: "what is there was replayed, but the log is not intact: see above".to_owned(),
+            code,
+        }),
+    }
 }
 
 /// `run.mcap` of a folder, or the file itself.
@@ -132,21 +144,24 @@ fn replay(
     arguments: &ReplayArguments,
     log: &OpenedLog,
     (from, to): (u64, Option<u64>),
-) -> Result<(), Failure> {
+) -> Result<u8, Failure> {
     let began = Instant::now();
     let start = if from > 0 { keyframe_before(log.reader()?, from) } else { None };
-    let first = start.as_ref().map_or(0, |saved| saved.tick);
-    let mut told =
-        Told { verified: arguments.verify, first, keyframes: 0, to, label: log.label(), wall_s: 0.0 };
-    let report = if arguments.verify {
+    let (found, verdict) = if arguments.verify {
         let options = SegmentOptions { start, to_tick: to, threads: arguments.threads() };
-        let found = verify_segments(&mut log.reader()?, &|| log.world(), &options);
-        told.keyframes = found.identical_keyframes;
-        found.replay
+        let mut reader = log.reader()?;
+        let found = verify_segments(&mut reader, &|| log.world(), &options);
+        (found, reader.stream().verdict())
     } else {
         step_only(log, start, to)?
     };
-    told.wall_s = began.elapsed().as_secs_f64();
+    let SegmentReport { replay: report, first_tick: first, identical_keyframes: keyframes, gaps } = found;
+    // A replay that was told to stop early has not read how the log ends.
+    let at_end = to.is_none_or(|to| report.last_tick < to) && report.is_identical();
+    let verdict = at_end.then_some(verdict);
+    let wall_s = began.elapsed().as_secs_f64();
+    let told =
+        Told { verified: arguments.verify, first, keyframes, gaps, verdict, label: log.label(), wall_s };
     let ended_early = report.log_error.is_none() && report.simulation_error.is_none();
     if ended_early && report.divergence.is_none() && from > 0 {
         let last = report.last_tick;
@@ -159,48 +174,87 @@ fn replay(
             )));
         }
     }
-    told.tell(&report)
+    told.tell(&report)?;
+    Ok(told.exit_code())
 }
 
 /// Steps without comparing, and says where it came out.
-fn step_only(log: &OpenedLog, start: Option<SavedState>, to: Option<u64>) -> Result<ReplayReport, Failure> {
+fn step_only(
+    log: &OpenedLog,
+    start: Option<SavedState>,
+    to: Option<u64>,
+) -> Result<(SegmentReport, Verdict), Failure> {
     let mut reader = log.reader()?;
     let mut world = log.world().map_err(Failure::failed)?;
-    if let Some(start) = &start {
+    let mut gaps = Vec::new();
+    if let Some(beginning) = reader.beginning() {
+        gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
+    }
+    if let Some(start) = start.as_ref().or(reader.beginning()) {
         world.resume(&start.bytes).map_err(Failure::failed)?;
     }
-    let first = world.state().tick;
+    let (first, mut ticks) = (world.state().tick, 0);
     while to.is_none_or(|to| world.state().tick < to) {
-        let Some(record) = reader.next() else { break };
-        let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+        let record = match reader.next() {
+            None => break,
+            Some(Err(LogError::Gap { .. })) => {
+                let (after, read) = (world.state().tick, reader.last_complete_tick());
+                let behind = reader.go_on().map_err(|cause| Failure::failed(cause.to_string()))?;
+                let resumed = behind.as_ref().map(|behind| behind.state.tick);
+                // One before the start is passed without a word.
+                if read >= first {
+                    gaps.push(Passed { after: Some(after), resumed });
+                }
+                let Some(behind) = behind else { break };
+                if behind.state.tick >= first {
+                    world.resume(&behind.keyframe.bytes).map_err(Failure::failed)?;
+                }
+                continue;
+            }
+            Some(record) => record.map_err(|cause| Failure::failed(cause.to_string()))?,
+        };
         if record.latched.tick >= first {
             world.step(&record.latched).map_err(Failure::failed)?;
+            ticks += 1;
         }
     }
     let (tick, hash) = (world.state().tick, world.state().hash);
-    Ok(ReplayReport {
-        identical_ticks: tick - first,
+    let replay = ReplayReport {
+        identical_ticks: ticks,
         last_tick: tick,
-        simulated_ns: (tick - first).saturating_mul(reader.header().dt_ns),
+        simulated_ns: ticks.saturating_mul(reader.header().dt_ns),
         hash,
         divergence: None,
         simulation_error: None,
         log_error: None,
         ending: reader.ending().clone(),
-    })
+    };
+    let report = SegmentReport { replay, first_tick: first, identical_keyframes: 0, gaps };
+    Ok((report, reader.stream().verdict()))
 }
+
+/// Gaps that are told one by one.
+const MAX_GAPS_TOLD: usize = 64;
 
 /// What is said about a replay besides its report.
 struct Told {
     verified: bool,
     first: u64,
     keyframes: u64,
-    to: Option<u64>,
+    gaps: Vec<Passed>,
+    /// What is wrong with the log, if it was read to its end.
+    verdict: Option<Verdict>,
     label: String,
     wall_s: f64,
 }
 
 impl Told {
+    /// Of a replay in which nothing differed.
+    fn exit_code(&self) -> u8 {
+        let of_gaps = if self.gaps.is_empty() { 0 } else { EXIT_GAP };
+        self.verdict.as_ref().map_or(of_gaps, |verdict| verdict.exit_code().max(of_gaps))
+    }
+
     fn tell(&self, report: &ReplayReport) -> Result<(), Failure> {
         let simulated_s = report.simulated_ns as f64 * 1e-9;
         let hash = recorder_proc::end::hash_text(report.hash);
@@ -230,9 +284,17 @@ impl Told {
         if self.verified {
             say!("{} keyframes, all identical", self.keyframes);
         }
-        // A replay that was told to stop early has not read how the log ends.
-        if self.to.is_none_or(|to| report.last_tick < to) {
+        for gap in self.gaps.iter().take(MAX_GAPS_TOLD) {
+            say!("{gap}");
+        }
+        if let Some(more) = self.gaps.len().checked_sub(MAX_GAPS_TOLD).filter(|more| *more > 0) {
+            say!("and {more} gaps more");
+        }
+        if let Some(verdict) = &self.verdict {
             say!("{}", report.ending.describe());
+            if !verdict.is_intact() {
+                say!("{verdict}");
+            }
         }
         Ok(())
     }

@@ -6,22 +6,26 @@ use drr_proc::process::{
 use drr_proc::{DrrRenderer, VolumeView};
 use ipc_types::messages::{Frame, State};
 use recorder_proc::diff::compare_frame;
-use recorder_proc::{FrameReader, FrameRecord, LogReader, frames};
+use recorder_proc::{FrameReader, FrameRecord, LogError, LogReader, Resumable as _, SavedState, frames};
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
+use super::replies::Replies;
 use crate::failure::Failure;
 use crate::launcher::volume_source;
 
 /// The frames of a log, each with what the renderer makes of the same tick, C-arm and seed today.
 ///
-/// What a frame shows is decided by the log: its tick, geometry and seed; the state and the removed voxels of that tick.
+/// What a frame shows is decided by the log: its tick by the reply, its C-arm by the scene or the request, its seed by the
+/// scene; the state and the removed voxels by that tick.
 pub struct FrameReplay<'l> {
     log: &'l OpenedLog,
     view: VolumeView<'l>,
     renderer: DrrRenderer,
     recorded: FrameReader,
     ticks: LogReader,
+    replies: Replies,
+    predrilled: Vec<u32>,
     state: Box<State>,
     restore_first: bool,
     removed: Vec<u32>,
@@ -40,14 +44,20 @@ impl<'l> FrameReplay<'l> {
         let parameters =
             drr_proc::DrrParameters { threads, ..renderer_parameters(drr, log.scene.tolerance.as_ref()) };
         let ticks = log.reader()?;
+        let (predrilled, removed) = match ticks.beginning() {
+            None => (ticks.predrilled().to_vec(), ticks.predrilled().to_vec()),
+            Some(keyframe) => gone_at(log, keyframe)?,
+        };
         Ok(Some(FrameReplay {
             renderer: DrrRenderer::new(&view, parameters).map_err(|cause| failed(cause.to_string()))?,
             view,
             recorded: frames(&log.path, log.options()).map_err(Failure::bad_input)?,
             state: Box::new(*ticks.initial()),
             restore_first: false,
-            removed: ticks.predrilled().to_vec(),
+            removed,
+            predrilled,
             ticks,
+            replies: Replies::open(log, drr)?,
             log,
         }))
     }
@@ -57,15 +67,27 @@ impl<'l> FrameReplay<'l> {
     /// # Errors
     /// The log cannot be read further.
     pub fn next_recorded(&mut self) -> Result<Option<FrameRecord>, Failure> {
-        self.recorded.next().transpose().map_err(|cause| Failure::failed(cause.to_string()))
+        loop {
+            match self.recorded.next().transpose() {
+                // What is missing is told by the log's verdict.
+                Err(LogError::Gap { .. }) if self.recorded.go_on() => {}
+                other => return other.map_err(|cause| Failure::failed(cause.to_string())),
+            }
+        }
     }
 
-    /// Renders a recorded frame again.
+    /// Renders a recorded frame again; none if the tick that it shows lies in a gap of the log.
     ///
     /// # Errors
-    /// The log does not hold the frame's tick, or the renderer refuses it.
-    pub fn render(&mut self, recorded: &Frame) -> Result<FrameRecord, Failure> {
-        self.advance_to(recorded)?;
+    /// Its reply says something else than the frame, or than was asked for; the log does not hold the frame's tick; the
+    /// renderer refuses it.
+    pub fn render(&mut self, recorded: &Frame) -> Result<Option<FrameRecord>, Failure> {
+        let geometry = self.replies.geometry_of(recorded).map_err(|difference| {
+            Failure::failed(format!("frame {}: {difference}{}", recorded.sequence, self.log.label()))
+        })?;
+        if !self.advance_to(recorded)? {
+            return Ok(None);
+        }
         let failed = |cause: drr_proc::DrrError| {
             Failure::failed(format!("frame {} of tick {}: {cause}", recorded.sequence, recorded.tick))
         };
@@ -75,7 +97,7 @@ impl<'l> FrameReplay<'l> {
             removed: std::mem::take(&mut self.removed),
             sequence: recorded.sequence,
             request_id: recorded.request_id,
-            c_arm: c_arm_of(&recorded.geometry).map_err(failed)?,
+            c_arm: c_arm_of(&geometry).map_err(failed)?,
             aside: false,
             isocentre_m: scene_isocentre_m(&self.log.scene),
             noise_seed: self.log.scene.run.seed,
@@ -84,42 +106,68 @@ impl<'l> FrameReplay<'l> {
         };
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;
         let pixels = rendered.pixels.as_bytes().to_vec();
-        Ok(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels })
+        Ok(Some(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels }))
     }
 
-    /// Reads the log up to the state that the frame shows, and keeps what was removed until then.
-    fn advance_to(&mut self, frame: &Frame) -> Result<(), Failure> {
+    /// Reads the log up to the state that the frame shows, and keeps what was removed until then. False if the state lies in
+    /// a gap.
+    fn advance_to(&mut self, frame: &Frame) -> Result<bool, Failure> {
         while self.state.tick < frame.tick {
             let Some(record) = self.ticks.next() else { break };
-            let record = record.map_err(|cause| Failure::failed(cause.to_string()))?;
+            let record = match record {
+                Err(LogError::Gap { .. }) => {
+                    let Some(behind) = self.ticks.go_on().map_err(failed)? else { return Ok(false) };
+                    (_, self.removed) = gone_at(self.log, &behind.keyframe)?;
+                    (self.state, self.restore_first) = (behind.state, true);
+                    continue;
+                }
+                record => record.map_err(failed)?,
+            };
             if record.latched.reset != 0 {
                 self.restore_first = true;
-                self.removed = self.ticks.predrilled().to_vec();
+                self.removed.clone_from(&self.predrilled);
             }
             self.removed.extend_from_slice(&record.removed);
             *self.state = record.state;
         }
-        if self.state.tick == frame.tick {
-            return Ok(());
+        // Frames come in the order of their ticks: one that is passed was passed in a gap.
+        if self.state.tick >= frame.tick {
+            return Ok(self.state.tick == frame.tick);
         }
         let (sequence, tick, at) = (frame.sequence, frame.tick, self.state.tick);
         Err(Failure::failed(format!("frame {sequence} shows tick {tick}, but the log's ticks are at {at}")))
     }
 }
 
-/// Renders the frames of ticks in `from..=to` again and compares them; returns their number.
+fn failed(cause: LogError) -> Failure {
+    Failure::failed(cause.to_string())
+}
+
+/// Voxels that are predrilled, and all that are gone at a keyframe.
+fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>), Failure> {
+    let mut world = log.world().map_err(Failure::failed)?;
+    let predrilled = world.simulation.predrilled().to_vec();
+    world.resume(&keyframe.bytes).map_err(Failure::failed)?;
+    Ok((predrilled, world.simulation.gone()))
+}
+
+/// Renders the frames of ticks in `from..=to` again and compares them with their replies; returns their number, and that
+/// of the frames whose ticks lie in a gap.
 ///
 /// # Errors
 /// The log has none of them (2); the first frame that differs (1), or a log that cannot be read.
-pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) -> Result<u64, Failure> {
+pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) -> Result<(u64, u64), Failure> {
     let nothing = |what: &str| Failure::bad_input(format!("--frames: {}: {what}", log.path.display()));
     let Some(mut replay) = FrameReplay::new(log, threads)? else {
         return Err(nothing("the scene has no X-ray"));
     };
-    let mut identical = 0;
+    let (mut identical, mut in_gaps) = (0, 0);
     while let Some(recorded) = replay.next_recorded()? {
         if (from..=to).contains(&recorded.frame.tick) {
-            let rendered = replay.render(&recorded.frame)?;
+            let Some(rendered) = replay.render(&recorded.frame)? else {
+                in_gaps += 1;
+                continue;
+            };
             compare(&recorded, &rendered).map_or(Ok(()), |difference| {
                 Err(Failure::failed(format!(
                     "frame {}: {difference}{}",
@@ -130,10 +178,10 @@ pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) ->
             identical += 1;
         }
     }
-    if identical == 0 {
+    if identical + in_gaps == 0 {
         return Err(nothing("the log holds no frame of these ticks"));
     }
-    Ok(identical)
+    Ok((identical, in_gaps))
 }
 
 /// Where a frame differs: its fields, and the first pixel if the log holds the image.

@@ -243,7 +243,7 @@ impl Frames<'_> {
         if recorded.image.is_some() && !self.rendered {
             return Ok(Some(recorded));
         }
-        let rendered = replay.render(&recorded.frame)?;
+        let Some(rendered) = replay.render(&recorded.frame)? else { return Ok(None) };
         match super::frames::compare(&recorded, &rendered) {
             None => Ok(Some(rendered)),
             Some(difference) => {

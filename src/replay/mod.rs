@@ -4,6 +4,7 @@ mod frames;
 mod live;
 mod log;
 mod recording;
+mod replies;
 mod world;
 
 pub use frames::verify_frames;

@@ -146,6 +146,10 @@ impl Copy<'_> {
     /// Makes a tick, or writes the initial state, and compares it with the log's.
     fn tick(&mut self, recorded: &State) -> Result<(), Failure> {
         let mut reset = false;
+        let expected = self.world.state().tick + u64::from(self.latched.is_some());
+        if recorded.tick != expected {
+            return Err(Failure::failed(self.gap(expected)));
+        }
         if let Some(latched) = self.latched.take() {
             self.world.step(&latched).map_err(Failure::failed)?;
             self.out.latched(&latched).map_err(failed)?;
@@ -166,6 +170,11 @@ impl Copy<'_> {
             self.removed(tick, &removed, total, reset)?;
         }
         self.out.state(self.world.simulation.state()).map_err(failed)
+    }
+
+    /// A part of a run cannot be the same file.
+    fn gap(&self, tick: u64) -> String {
+        format!("{}: a gap at tick {tick}: --record needs every tick", self.log.path.display())
     }
 
     fn removed(&mut self, tick: u64, voxels: &[u32], total: u64, restore_first: bool) -> Result<(), Failure> {
@@ -210,6 +219,7 @@ impl Copy<'_> {
         let mut record = FrameRecord { frame, image: prefix, pixels };
         if let Some(frames) = &mut self.frames {
             let rendered = frames.render(&frame)?;
+            let Some(rendered) = rendered else { return Err(Failure::failed(self.gap(frame.tick))) };
             if let Some(difference) = compare(&record, &rendered) {
                 return Err(Failure::failed(format!(
                     "frame {}: {difference}{}",

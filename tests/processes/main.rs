@@ -15,6 +15,7 @@ mod ends;
 mod floods;
 mod forks;
 mod frames;
+mod gaps;
 mod guided;
 mod interrupts;
 mod languages;

@@ -149,6 +149,17 @@ impl<'v> Simulation<'v> {
         &self.predrilled
     }
 
+    /// Voxels of bone that are gone in the present state, by linear index, ascending. Looks at every voxel; not for the loop.
+    pub fn gone(&self) -> Vec<u32> {
+        let Some(bone) = &self.bone else { return Vec::new() };
+        let threshold_hu = bone.field.parameters().threshold_hu;
+        let was_solid = bone.hu.iter().enumerate().filter(|(_, hu)| **hu >= threshold_hu);
+        was_solid
+            .filter(|(index, _)| !bone.field.is_solid_index(*index))
+            .map(|(index, _)| index as u32)
+            .collect()
+    }
+
     /// What the last tick refused of its commands, and why.
     pub fn refusals(&self) -> &[Refusal] {
         &self.refusals

@@ -1,0 +1,123 @@
+//! What a frame should show: its reply, the request that asked for it, the scene.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use drr_proc::process::{c_arm_message, scene_c_arm};
+use ipc_types::layout::Message;
+use ipc_types::messages::{CArmGeometry, DRR_ACCEPTED, DrrReply, DrrRequest, Frame, GEOMETRY_REQUEST};
+use ipc_types::scene::Drr;
+use recorder_proc::difference::compare;
+use recorder_proc::{MessageStream, topics};
+use zerocopy::{FromBytes, IntoBytes};
+
+use super::OpenedLog;
+use crate::failure::Failure;
+
+/// Most requests that are looked up; those of later ones are not compared.
+const MAX_REQUESTS: usize = 1 << 16;
+/// Replies that may stand before their frame's: more than the renderer has in flight.
+const MAX_WAITING: usize = 4096;
+
+/// The accepted replies of a log, in the order of their frames.
+pub struct Replies {
+    stream: MessageStream,
+    waiting: VecDeque<DrrReply>,
+    /// The scene's C-arm.
+    scene: CArmGeometry,
+    /// C-arms asked for, by controller and number; an asker may use a number again. Empty without the timing lane.
+    requests: BTreeMap<(u32, u64), Vec<CArmGeometry>>,
+}
+
+impl Replies {
+    /// Of a log, with the requests of the timing lane beside it.
+    ///
+    /// # Errors
+    /// The log cannot be opened, or the scene has no C-arm.
+    pub fn open(log: &OpenedLog, drr: &Drr) -> Result<Replies, Failure> {
+        let scene = scene_c_arm(drr).map_err(|cause| Failure::failed(cause.to_string()))?;
+        let scene = c_arm_message(&scene);
+        let wanted = [topics::DRR_REPLY.to_owned()];
+        let stream =
+            MessageStream::open_topics(&log.path, &wanted, log.options()).map_err(Failure::bad_input)?;
+        let requests = requests(log, &scene);
+        Ok(Replies { stream, waiting: VecDeque::new(), scene, requests })
+    }
+
+    /// The C-arm that a frame should have: the scene's, or what was asked for.
+    ///
+    /// # Errors
+    /// Where the reply differs from the frame, or from the request.
+    pub fn geometry_of(&mut self, frame: &Frame) -> Result<CArmGeometry, String> {
+        let Some(reply) = self.reply_of(frame.sequence)? else {
+            // A log that lacks replies says so; a frame that nobody asked for shows the scene's C-arm all the same.
+            return match (self.is_missing_some(), frame.request_id) {
+                (false, _) => Err(format!("{} has none for it", topics::DRR_REPLY)),
+                (true, 0) => Ok(self.scene),
+                (true, _) => Ok(frame.geometry),
+            };
+        };
+        let expected = DrrReply {
+            request_id: frame.request_id,
+            frame_sequence: frame.sequence,
+            tick: frame.tick,
+            status: DRR_ACCEPTED,
+            requester: if frame.request_id == 0 { 0 } else { reply.requester },
+            geometry: self.asked_for(frame.request_id, &reply),
+        };
+        let (a, b) = (reply.as_bytes(), expected.as_bytes());
+        match compare(topics::DRR_REPLY, frame.tick, DrrReply::DESCRIPTION, a, b) {
+            Some(difference) => Err(difference.to_string()),
+            None => Ok(expected.geometry),
+        }
+    }
+
+    /// What was asked for; where no request is known, what the reply says.
+    fn asked_for(&self, request_id: u64, reply: &DrrReply) -> CArmGeometry {
+        if request_id == 0 {
+            return self.scene;
+        }
+        match self.requests.get(&(reply.requester, request_id)).map(Vec::as_slice) {
+            Some([first, others @ ..]) if !others.contains(&reply.geometry) => *first,
+            _ => reply.geometry,
+        }
+    }
+
+    fn reply_of(&mut self, sequence: u64) -> Result<Option<DrrReply>, String> {
+        while self.waiting.len() < MAX_WAITING
+            && self.waiting.back().is_none_or(|r| r.frame_sequence < sequence)
+        {
+            let Some(message) = self.stream.next_message().map_err(|cause| cause.to_string())? else { break };
+            let Ok(reply) = DrrReply::read_from_bytes(message.body) else { continue };
+            if reply.status == DRR_ACCEPTED {
+                self.waiting.push_back(reply);
+            }
+        }
+        while self.waiting.front().is_some_and(|reply| reply.frame_sequence < sequence) {
+            self.waiting.pop_front();
+        }
+        let is_it = self.waiting.front().is_some_and(|reply| reply.frame_sequence == sequence);
+        Ok(if is_it { self.waiting.pop_front() } else { None })
+    }
+
+    fn is_missing_some(&mut self) -> bool {
+        // The end marker knows.
+        while let Ok(Some(_)) = self.stream.next_message() {}
+        !self.stream.verdict().is_intact()
+    }
+}
+
+/// The requests of the timing lane beside a log.
+fn requests(log: &OpenedLog, scene: &CArmGeometry) -> BTreeMap<(u32, u64), Vec<CArmGeometry>> {
+    let mut requests: BTreeMap<(u32, u64), Vec<CArmGeometry>> = BTreeMap::new();
+    let wanted = [topics::DRR_REQUEST.to_owned()];
+    let timing = log.path.with_file_name("timing.mcap");
+    let Ok(mut stream) = MessageStream::open_topics(&timing, &wanted, log.options()) else { return requests };
+    let mut count = 0;
+    while let (true, Ok(Some(message))) = (count < MAX_REQUESTS, stream.next_message()) {
+        let Ok(request) = DrrRequest::read_from_bytes(message.body) else { continue };
+        let asked = if request.use_geometry == GEOMETRY_REQUEST { request.geometry } else { *scene };
+        requests.entry((request.requester, request.request_id)).or_default().push(asked);
+        count += 1;
+    }
+    requests
+}
