@@ -1,6 +1,7 @@
 //! How a command fails: a message and an exit code.
 
 use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED};
+use output_file::OutputError;
 
 /// Why a command did not succeed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -14,6 +15,15 @@ pub struct Failure {
 
 /// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
 pub const EXIT_INTERRUPTED: u8 = 130;
+
+impl From<OutputError> for Failure {
+    fn from(error: OutputError) -> Failure {
+        match error {
+            OutputError::Exists { .. } => Failure::bad_input(error),
+            _ => Failure::failed(error.to_string()),
+        }
+    }
+}
 
 impl Failure {
     /// The work failed.

@@ -22,7 +22,7 @@ fn cpu_s() -> f64 {
 fn write(path: &Path, direct: bool, megabytes: usize) -> (f64, f64, bool) {
     let image = vec![0x5a_u8; 512 << 10];
     let states = vec![0x3c_u8; 300_000];
-    let options = BackgroundOptions { direct, ..BackgroundOptions::RUN };
+    let options = BackgroundOptions { direct, fresh: false, ..BackgroundOptions::RUN };
     let (cpu, began) = (cpu_s(), Instant::now());
     let mut file = BackgroundFile::create(path, options).expect("the folder is writable");
     let is_direct = file.is_direct();

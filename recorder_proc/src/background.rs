@@ -6,20 +6,26 @@
 //! Elsewhere (tmpfs, FUSE) it writes as usual. The finished file is the same in either way.
 //!
 //! While it is written directly, a file may end in up to one block of zeros: the rest of the last block.
+//!
+//! The thread brings what it has written to the disk once a second (`fdatasync`), and all of it before the file is closed: a machine
+//! that loses its power costs what was recorded in the last second or so. Whoever records does not wait for that either.
 
 use std::collections::VecDeque;
 use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use memmap2::MmapMut;
 use rustix::fs::OFlags;
 
 /// Alignment of offsets, lengths and addresses that every file system's `O_DIRECT` takes.
 const BLOCK: usize = 4096;
+/// Written bytes are on the disk after this much wall time, and what the disk takes for it.
+pub const SYNC_PERIOD: Duration = Duration::from_secs(1);
 
 /// How much may wait for the disk, and how it is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,16 +36,18 @@ pub struct BackgroundOptions {
     pub buffer_bytes: usize,
     /// Tries `O_DIRECT`.
     pub direct: bool,
+    /// Never writes over a file that is there.
+    pub fresh: bool,
 }
 
 impl BackgroundOptions {
     /// 32 MiB, in pieces small enough that a flush every 10 ms takes no more than its share: half a second of images
     /// of 2 MiB at 30 Hz. Only buffers that are used become resident.
     pub const RUN: BackgroundOptions =
-        BackgroundOptions { buffers: 64, buffer_bytes: 512 << 10, direct: true };
+        BackgroundOptions { buffers: 64, buffer_bytes: 512 << 10, direct: true, fresh: true };
     /// 2 MiB: more than half a second of the timing lane.
     pub const TIMING: BackgroundOptions =
-        BackgroundOptions { buffers: 16, buffer_bytes: 128 << 10, direct: true };
+        BackgroundOptions { buffers: 16, buffer_bytes: 128 << 10, direct: true, fresh: true };
 }
 
 /// A buffer and the bytes in it.
@@ -60,6 +68,15 @@ struct State {
     closed: bool,
 }
 
+impl State {
+    /// The first error counts.
+    fn fail(&mut self, outcome: io::Result<()>) {
+        if let (Err(cause), None) = (outcome, &self.failure) {
+            self.failure = Some((cause.kind(), cause.raw_os_error(), cause.to_string()));
+        }
+    }
+}
+
 struct Shared {
     state: Mutex<State>,
     changed: Condvar,
@@ -71,7 +88,18 @@ impl Shared {
     }
 
     fn wait<'a>(&self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
-        self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
+        self.wait_for(state, None)
+    }
+
+    /// Waits for a change, no longer than `limit`.
+    fn wait_for<'a>(&self, state: MutexGuard<'a, State>, limit: Option<Duration>) -> MutexGuard<'a, State> {
+        match limit {
+            None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            Some(limit) => {
+                let waited = self.changed.wait_timeout(state, limit);
+                waited.unwrap_or_else(PoisonError::into_inner).0
+            }
+        }
     }
 }
 
@@ -92,7 +120,11 @@ impl BackgroundFile {
     /// # Errors
     /// The file cannot be created, or there is no memory or no thread to be had.
     pub fn create(path: &Path, options: BackgroundOptions) -> io::Result<BackgroundFile> {
-        let (file, direct) = open(path, options.direct)?;
+        let (file, direct) = open(path, options)?;
+        BackgroundFile::on(Box::new(file), direct, options)
+    }
+
+    fn on(medium: Box<dyn Medium>, direct: bool, options: BackgroundOptions) -> io::Result<BackgroundFile> {
         let bytes = options.buffer_bytes.next_multiple_of(BLOCK).max(2 * BLOCK);
         let buffer = |_| -> io::Result<Buffer> {
             Ok(Buffer { memory: MmapMut::map_anon(bytes)?, offset: 0, carried: 0, length: 0 })
@@ -103,7 +135,7 @@ impl BackgroundFile {
         let state = State { free, full, failure: None, closed: false };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
         let of_thread = Arc::clone(&shared);
-        let disk = Disk { file, direct, written: 0 };
+        let disk = Disk { medium, direct, written: 0, unsynced: None };
         let thread = std::thread::Builder::new().name("log writer".to_owned());
         let thread = thread.spawn(move || disk.serve(&of_thread))?;
         Ok(BackgroundFile { shared, current, thread: Some(thread), direct })
@@ -114,7 +146,7 @@ impl BackgroundFile {
         self.direct
     }
 
-    /// Writes what is left, gives the file its exact length, and waits for both.
+    /// Writes what is left, gives the file its exact length, and waits until all is on the disk.
     ///
     /// # Errors
     /// What the disk said first.
@@ -195,62 +227,126 @@ fn check(state: &State) -> io::Result<()> {
     }
 }
 
-fn open(path: &Path, direct: bool) -> io::Result<(File, bool)> {
+fn open(path: &Path, wanted: BackgroundOptions) -> io::Result<(File, bool)> {
     let mut options = OpenOptions::new();
-    options.write(true).create(true).truncate(true);
-    if direct {
+    options.write(true);
+    if wanted.fresh {
+        options.create_new(true)
+    } else {
+        options.create(true).truncate(true)
+    };
+    if wanted.direct {
         let flags = OFlags::DIRECT.bits() as i32;
         match options.clone().custom_flags(flags).open(path) {
-            // File systems without it say so here, or at the first write.
-            Err(cause) if cause.raw_os_error() == Some(rustix::io::Errno::INVAL.raw_os_error()) => {}
+            // File systems without it say so here, or at the first write. Some have made the file by then: it is ours.
+            Err(cause) if is_invalid(&cause) => {
+                options.create_new(false).create(true).truncate(true);
+            }
             other => return other.map(|file| (file, true)),
         }
     }
     options.open(path).map(|file| (file, false))
 }
 
+fn is_invalid(cause: &io::Error) -> bool {
+    cause.raw_os_error() == Some(rustix::io::Errno::INVAL.raw_os_error())
+}
+
+/// What is written to.
+trait Medium: Send {
+    fn write_all_at(&self, bytes: &[u8], offset: u64) -> io::Result<()>;
+    /// Ends direct writing.
+    fn write_through_cache(&self) -> io::Result<()>;
+    fn set_length(&self, length: u64) -> io::Result<()>;
+    /// Brings what has been written to the disk.
+    fn sync(&self) -> io::Result<()>;
+}
+
+impl Medium for File {
+    fn write_all_at(&self, bytes: &[u8], offset: u64) -> io::Result<()> {
+        FileExt::write_all_at(self, bytes, offset)
+    }
+
+    fn write_through_cache(&self) -> io::Result<()> {
+        Ok(rustix::fs::fcntl_setfl(self, OFlags::empty())?)
+    }
+
+    fn set_length(&self, length: u64) -> io::Result<()> {
+        match self.set_len(length) {
+            // A device has no length.
+            Err(cause) if is_invalid(&cause) => Ok(()),
+            outcome => outcome,
+        }
+    }
+
+    fn sync(&self) -> io::Result<()> {
+        // Else nobody would notice before the end of the run.
+        if rustix::fs::fstat(self)?.st_nlink == 0 {
+            return Err(io::Error::new(ErrorKind::NotFound, "the file has been removed"));
+        }
+        match self.sync_data() {
+            // A device has nothing to bring anywhere either.
+            Err(cause) if is_invalid(&cause) => Ok(()),
+            outcome => outcome,
+        }
+    }
+}
+
 /// The thread's side.
 struct Disk {
-    file: File,
+    medium: Box<dyn Medium>,
     direct: bool,
     /// Bytes of the file that are surely there.
     written: u64,
+    /// Since when there are bytes that a machine without power would lose.
+    unsynced: Option<Instant>,
 }
 
 impl Disk {
     fn serve(mut self, shared: &Shared) {
         let mut state = shared.lock();
         loop {
-            if let Some(mut buffer) = state.full.pop_front() {
-                let failed = state.failure.is_some();
+            let failed = state.failure.is_some();
+            let sync_in = self.unsynced.map(|since| SYNC_PERIOD.saturating_sub(since.elapsed()));
+            if sync_in.is_some_and(|left| left.is_zero()) && !failed {
+                drop(state);
+                let outcome = self.sync();
+                state = shared.lock();
+                state.fail(outcome);
+            } else if let Some(mut buffer) = state.full.pop_front() {
                 drop(state);
                 // After an error nothing more is written, so that the file has no hole.
                 let outcome = if failed { Ok(()) } else { self.put(&mut buffer) };
                 state = shared.lock();
                 state.free.push(buffer);
-                if let Err(cause) = outcome {
-                    state.failure = Some((cause.kind(), cause.raw_os_error(), cause.to_string()));
-                }
+                state.fail(outcome);
                 shared.changed.notify_all();
             } else if state.closed {
                 break;
             } else {
-                state = shared.wait(state);
+                state = shared.wait_for(state, sync_in.filter(|_| !failed));
             }
         }
         drop(state);
-        // Takes off the rest of the last block, and what a failed write may have left. A device has no length.
-        let _ = self.file.set_len(self.written);
+        // Takes off the rest of the last block, and what a failed write may have left.
+        let outcome = self.medium.set_length(self.written).and_then(|()| self.sync());
+        shared.lock().fail(outcome);
+    }
+
+    fn sync(&mut self) -> io::Result<()> {
+        self.unsynced = None;
+        self.medium.sync()
     }
 
     fn put(&mut self, buffer: &mut Buffer) -> io::Result<()> {
+        self.unsynced.get_or_insert_with(Instant::now);
         let end = buffer.offset + buffer.length as u64;
         if self.direct {
             let padded = buffer.length.next_multiple_of(BLOCK);
             buffer.memory[buffer.length..padded].fill(0);
-            match self.file.write_all_at(&buffer.memory[..padded], buffer.offset) {
-                Err(cause) if cause.raw_os_error() == Some(rustix::io::Errno::INVAL.raw_os_error()) => {
-                    rustix::fs::fcntl_setfl(&self.file, OFlags::empty())?;
+            match self.medium.write_all_at(&buffer.memory[..padded], buffer.offset) {
+                Err(cause) if is_invalid(&cause) => {
+                    self.medium.write_through_cache()?;
                     self.direct = false;
                 }
                 other => {
@@ -262,8 +358,117 @@ impl Disk {
         }
         // A block that an earlier direct write has filled up with zeros is written again from its start.
         let new = if self.written > buffer.offset { buffer.carried } else { 0 };
-        self.file.write_all_at(&buffer.memory[new..buffer.length], buffer.offset + new as u64)?;
+        self.medium.write_all_at(&buffer.memory[new..buffer.length], buffer.offset + new as u64)?;
         self.written = end;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A disk with a cache of its own, which a loss of power empties.
+    #[derive(Default)]
+    struct Volatile {
+        cache: Vec<u8>,
+        disk: Vec<u8>,
+        syncs: u64,
+        refuses: bool,
+    }
+
+    impl Medium for Arc<Mutex<Volatile>> {
+        fn write_all_at(&self, bytes: &[u8], offset: u64) -> io::Result<()> {
+            let mut this = self.lock().unwrap();
+            let (begin, end) = (offset as usize, offset as usize + bytes.len());
+            if this.cache.len() < end {
+                this.cache.resize(end, 0);
+            }
+            this.cache[begin..end].copy_from_slice(bytes);
+            Ok(())
+        }
+
+        fn write_through_cache(&self) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn set_length(&self, length: u64) -> io::Result<()> {
+            self.lock().unwrap().cache.truncate(length as usize);
+            Ok(())
+        }
+
+        fn sync(&self) -> io::Result<()> {
+            let mut this = self.lock().unwrap();
+            this.syncs += 1;
+            if this.refuses {
+                return Err(io::Error::from_raw_os_error(rustix::io::Errno::IO.raw_os_error()));
+            }
+            this.disk = this.cache.clone();
+            Ok(())
+        }
+    }
+
+    fn file() -> (Arc<Mutex<Volatile>>, BackgroundFile) {
+        let disk = Arc::new(Mutex::new(Volatile::default()));
+        let options = BackgroundOptions { buffers: 4, buffer_bytes: 8192, direct: true, fresh: true };
+        (Arc::clone(&disk), BackgroundFile::on(Box::new(Arc::clone(&disk)), true, options).unwrap())
+    }
+
+    fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
+        let end = Instant::now() + Duration::from_secs(60);
+        while !done() {
+            assert!(Instant::now() < end, "{what} did not happen");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Nothing was ever synced: a machine that crashed right after "completed" had an empty log.
+    #[test]
+    fn a_closed_file_survives_a_crash_of_the_machine() {
+        let (disk, mut file) = file();
+        let bytes: Vec<u8> = (0..100_000_u32).map(|i| i as u8).collect();
+        file.write_all(&bytes).unwrap();
+        file.close().unwrap();
+        assert!(disk.lock().unwrap().disk == bytes);
+    }
+
+    #[test]
+    fn what_was_written_is_soon_on_the_disk_and_an_idle_file_is_left_alone() {
+        let (disk, mut file) = file();
+        file.write_all(&[7; 5000]).unwrap();
+        file.flush().unwrap();
+        wait_for("the first sync", || disk.lock().unwrap().disk.starts_with(&[7; 5000]));
+        let before = disk.lock().unwrap().syncs;
+        std::thread::sleep(2 * SYNC_PERIOD);
+        assert_eq!(disk.lock().unwrap().syncs, before);
+        drop(file);
+    }
+
+    #[test]
+    fn a_disk_that_cannot_keep_the_bytes_is_told() {
+        let (disk, mut file) = file();
+        disk.lock().unwrap().refuses = true;
+        file.write_all(b"lost").unwrap();
+        assert_eq!(file.close().unwrap_err().raw_os_error(), Some(rustix::io::Errno::IO.raw_os_error()));
+    }
+
+    #[test]
+    fn a_file_that_is_removed_while_it_is_written_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log");
+        let mut file = BackgroundFile::create(&path, BackgroundOptions::TIMING).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        file.write_all(b"for nobody").unwrap();
+        wait_for("the error", || file.flush().is_err());
+        assert!(file.close().unwrap_err().to_string().contains("has been removed"));
+    }
+
+    #[test]
+    fn a_file_that_is_there_is_not_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log");
+        std::fs::write(&path, "another run").unwrap();
+        assert!(BackgroundFile::create(&path, BackgroundOptions::RUN).is_err());
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "another run");
     }
 }

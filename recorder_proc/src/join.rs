@@ -72,7 +72,7 @@ pub fn compress(input: &Path, output: &Path, packing: Packing) -> Result<(u64, u
         found.map_err(|source| LogError::Open { path: path.into(), source })
     };
     let sizes = (bytes(input)?, bytes(output)?);
-    made.keep();
+    made.keep()?;
     Ok(sizes)
 }
 
@@ -106,7 +106,7 @@ pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
             other => out.piece(other),
         })?;
     }
-    out.finish().map(NewFile::keep)
+    out.finish()?.keep()
 }
 
 /// Makes a log of each run of a file of several: `run1.mcap`, `run2.mcap`, … in the folder `output`. Returns their
@@ -124,7 +124,7 @@ pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     if !marked {
         return Err(not_whole("it holds one run, not several"));
     }
-    std::fs::create_dir_all(output).map_err(|source| LogError::Create { path: output.into(), source })?;
+    output_file::create_folder(output).map_err(|source| LogError::Create { path: output.into(), source })?;
     let mut split = Split::of(output);
     walk_whole(input, &mut |piece| split.take(piece))?;
     split.finish_run()?;
@@ -133,13 +133,12 @@ pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     if made.is_empty() {
         return Err(not_whole("it holds no run"));
     }
-    Ok(made
-        .into_iter()
+    made.into_iter()
         .map(|(path, made)| {
-            made.keep();
-            path
+            made.keep()?;
+            Ok(path)
         })
-        .collect())
+        .collect()
 }
 
 /// A file of several runs on its way into one file a run. They follow each other, so one is written at a time.

@@ -1,4 +1,4 @@
-//! Files that a command makes: never over another, and none left of a command that fails.
+//! Files that a command makes: never over another, none left of a command that fails, and on the disk when it succeeds.
 
 use std::fs::File;
 use std::io::ErrorKind;
@@ -23,9 +23,18 @@ impl NewFile {
         Ok((file, NewFile(Some(path.into()))))
     }
 
-    /// The file is what it should be, or what it holds is worth having.
-    pub fn keep(mut self) {
+    /// The file is what it should be, or what it holds is worth having: it and its name are brought to the disk.
+    ///
+    /// # Errors
+    /// [`LogError::Write`]: what the disk says; then there is no file.
+    pub fn keep(mut self) -> Result<(), LogError> {
+        if let Some(path) = &self.0 {
+            let synced = File::open(path).and_then(|file| output_file::sync_file(&file));
+            let synced = synced.and_then(|()| output_file::sync_folder(output_file::folder_of(path)));
+            synced.map_err(|source| LogError::Write { path: path.clone(), source })?;
+        }
         self.0 = None;
+        Ok(())
     }
 }
 

@@ -149,7 +149,7 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
     let mut rewriter = Rewriter::create(output, Packing::RECORDED)?;
     rewriter.declare(std::mem::take(&mut survey.declared));
     write_repaired(open()?, input, &survey, &mut rewriter)?;
-    rewriter.finish()?.keep();
+    rewriter.finish()?.keep()?;
     let mut report = survey.report;
     report.before = report.verdict_before(verdict(input, options));
     report.after = verdict(output, options)?;

@@ -11,7 +11,8 @@ use common::*;
 use recorder_proc::background::{BackgroundFile, BackgroundOptions};
 use recorder_proc::*;
 
-const SMALL: BackgroundOptions = BackgroundOptions { buffers: 2, buffer_bytes: 8192, direct: true };
+const SMALL: BackgroundOptions =
+    BackgroundOptions { buffers: 2, buffer_bytes: 8192, direct: true, fresh: false };
 
 fn folders() -> Vec<tempfile::TempDir> {
     // tmpfs (no O_DIRECT, or one that is not one) and whatever holds the target folder (usually a disk).

@@ -37,9 +37,9 @@ pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let unwritable = |cause: &dyn std::fmt::Display| {
         Failure::bad_input(format!("--output {}: cannot be written ({cause})", folder.display()))
     };
-    std::fs::create_dir_all(folder).map_err(|cause| unwritable(&cause))?;
+    output_file::create_folder(folder).map_err(|cause| unwritable(&cause))?;
     let file = folder.join("calibration.csv");
-    std::fs::write(&file, calibration.to_csv()).map_err(|cause| unwritable(&cause))?;
+    output_file::write(&file, calibration.to_csv(), output_file::Existing::Replace)?;
     let title = format!("{}: calibration of tendon 0, {} levels", scene.name, calibration.rows.len());
     let figure = calibration_figure::draw(&title, &calibration);
     figure

@@ -70,7 +70,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let made = paths.iter().map(|path| NewFile::create(path).map(|(_, made)| made));
     let made = made.collect::<Result<Vec<_>, _>>().map_err(bad)?;
     figure.write(folder, &stem).map_err(|error| Failure::failed(error.to_string()))?;
-    made.into_iter().for_each(NewFile::keep);
+    made.into_iter().try_for_each(NewFile::keep).map_err(|error| Failure::failed(error.to_string()))?;
     paths.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
 }

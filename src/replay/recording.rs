@@ -53,7 +53,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
         None => None,
     };
     let world = log.world().map_err(Failure::failed)?;
-    std::fs::create_dir_all(folder)
+    output_file::create_folder(folder)
         .map_err(|cause| Failure::bad_input(format!("--record {}: {cause}", folder.display())))?;
     let (file, made) = NewFile::create(&path).map_err(Failure::bad_input)?;
     let file = BufWriter::with_capacity(1 << 16, file);
@@ -82,10 +82,13 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     // A log without a marker was left by a recorder that died.
     let reason = marker.map_or(EndReason::PartDied("recorder".to_owned()), |marker| marker.reason.clone());
     let lost = marker.map(|marker| marker.lost.clone()).unwrap_or_default();
-    copy.out.finish(reason, &lost).map_err(failed)?;
+    let (_, mut file) = copy.out.finish(reason, &lost).map_err(failed)?;
+    // What a buffer could not write is an error, not a file without its end.
+    std::io::Write::flush(&mut file)
+        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))?;
     let remark = (!stream.ending().is_complete()).then(|| stream.ending().describe());
     let sha256 = [sha256(&log.path)?, sha256(&path)?];
-    made.keep();
+    made.keep().map_err(failed)?;
     Ok(Recorded { path, ticks, frames, sha256, remark })
 }
 

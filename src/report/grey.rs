@@ -1,8 +1,8 @@
 //! Frames as 8-bit grey PNG files.
 
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::Path;
+
+use output_file::Existing;
 
 use super::ReportError;
 
@@ -43,14 +43,15 @@ pub fn write_png(
     colour: png::ColorType,
     samples: &[u8],
 ) -> Result<(), ReportError> {
-    let file = File::create(path).map_err(|source| ReportError::Write { path: path.into(), source })?;
-    let encode = || {
-        let mut encoder = png::Encoder::new(BufWriter::new(file), columns, rows);
+    let mut bytes = Vec::new();
+    let mut encode = || {
+        let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
         encoder.set_color(colour);
         encoder.set_depth(png::BitDepth::Eight);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(samples)?;
         writer.finish()
     };
-    encode().map_err(|source: png::EncodingError| ReportError::Png { path: path.into(), source })
+    encode().map_err(|source: png::EncodingError| ReportError::Png { path: path.into(), source })?;
+    Ok(output_file::write(path, bytes, Existing::Replace)?)
 }

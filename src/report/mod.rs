@@ -9,7 +9,7 @@
 //! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
 //! | `summary.json` | [`Summary`] |
 //!
-//! A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`](summary::LogSummary::notes).
+//! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`](summary::LogSummary::notes).
 
 pub mod axis;
 pub mod calibration_figure;
@@ -30,8 +30,9 @@ mod tip_figure;
 mod tests;
 
 use std::collections::BTreeMap;
-use std::io;
 use std::path::{Path, PathBuf};
+
+use output_file::{Existing, OutputError};
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
 pub use summary::{MissSummary, NOT_SHARED, Summary};
@@ -61,15 +62,10 @@ pub struct RunFacts {
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A file could not be written.
-    #[error("{}: cannot be written: {source}; free space or choose a writable folder", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// A picture could not be encoded.
-    #[error("{}: cannot be written as PNG: {source}; free space or choose a writable folder", path.display())]
+    #[error("{}: cannot be written as PNG: {source}", path.display())]
     Png {
         /// The file.
         path: PathBuf,
@@ -128,6 +124,6 @@ pub fn write(folder: &Path, facts: &RunFacts) -> Result<Summary, ReportError> {
     let mut text = serde_json::to_string_pretty(&summary)
         .map_err(|source| ReportError::Json { path: path.clone(), source })?;
     text.push('\n');
-    std::fs::write(&path, text).map_err(|source| ReportError::Write { path, source })?;
+    output_file::write(&path, text, Existing::Replace)?;
     Ok(summary)
 }

@@ -164,7 +164,7 @@ impl Figure {
         let drawn = format!("width=\"{}\" height=\"{}\"", size.0, size.1);
         let shown = format!("width=\"{}\" height=\"{}\"", self.width, self.height);
         let text = text.replacen(&drawn, &shown, 1);
-        std::fs::write(path, text).map_err(|source| ReportError::Write { path: path.into(), source })
+        Ok(output_file::write(path, text, output_file::Existing::Replace)?)
     }
 
     fn draw<DB: DrawingBackend>(&self, backend: DB, bitmap: bool) -> Result<(), Box<dyn std::error::Error>>

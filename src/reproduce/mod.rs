@@ -30,7 +30,7 @@ const PARTS: [Part; 5] = [
 /// # Errors
 /// A file that cannot be written, or a case that is refused.
 pub fn run(plan: &Plan, only: Option<usize>) -> Result<(), Failure> {
-    std::fs::create_dir_all(&plan.out)
+    output_file::create_folder(&plan.out)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", plan.out.display())))?;
     for (number, (title, part)) in (1..).zip(PARTS) {
         if only.is_none_or(|only| only == number) {

@@ -67,7 +67,6 @@ impl Table {
             csv.push_str(&(cells.join(",") + "\n"));
         }
         let path = folder.join(name);
-        std::fs::write(&path, csv)
-            .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))
+        Ok(output_file::write(&path, csv, output_file::Existing::Replace)?)
     }
 }

@@ -111,7 +111,7 @@ fn test(
 ) -> Result<Option<Tested>, Failure> {
     let io = |cause: std::io::Error| Failure::failed(format!("{combination}: {cause}"));
     let logs = plan.output.join(format!("run-{:02}", index + 1));
-    std::fs::create_dir_all(&logs).map_err(io)?;
+    output_file::create_folder(&logs).map_err(io)?;
     let machine = Machine::watch();
     let mut not_permitted = Vec::new();
     let failure = {

@@ -1,12 +1,11 @@
 //! Frames as PNG (16 bits, or animated), NRRD and DICOM.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use dicom_core::value::PrimitiveValue;
 use dicom_core::{DataElement, Tag, VR};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
+use output_file::Existing;
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
@@ -45,8 +44,8 @@ pub fn write_png(path: &Path, pictures: &[Picture]) -> Result<(), Failure> {
     let fail = failed(path);
     let Some(first) = pictures.first() else { return Ok(()) };
     let (columns, rows) = first.size();
-    let file = BufWriter::new(File::create(path).map_err(|e| fail(e.to_string()))?);
-    let mut encoder = png::Encoder::new(file, columns, rows);
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Sixteen);
     if pictures.len() > 1 {
@@ -58,12 +57,12 @@ pub fn write_png(path: &Path, pictures: &[Picture]) -> Result<(), Failure> {
         let bytes: Vec<u8> = picture.greys.iter().flat_map(|v| v.to_be_bytes()).collect();
         writer.write_image_data(&bytes).map_err(|e| fail(e.to_string()))?;
     }
-    writer.finish().map_err(|e| fail(e.to_string()))
+    writer.finish().map_err(|e| fail(e.to_string()))?;
+    Ok(output_file::write(path, bytes, Existing::Replace)?)
 }
 
 /// 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the world.
 pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
-    let fail = failed(path);
     let c_arm = &picture.placed.c_arm;
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0] * 1e3, v[1] * 1e3, v[2] * 1e3);
     let step = |axis: [f64; 3], pitch_m: f64| vector(axis.map(|x| x * pitch_m));
@@ -81,11 +80,8 @@ pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
         vector(c_arm.pixel_m(0.0, 0.0)),
         vector(c_arm.source_m),
     );
-    let mut file = BufWriter::new(File::create(path).map_err(|e| fail(e.to_string()))?);
-    file.write_all(header.as_bytes())
-        .and_then(|()| file.write_all(picture.values.as_bytes()))
-        .and_then(|()| file.flush())
-        .map_err(|e| fail(e.to_string()))
+    let bytes = [header.as_bytes(), picture.values.as_bytes()].concat();
+    Ok(output_file::write(path, bytes, Existing::Replace)?)
 }
 
 /// DICOM X-ray angiography image of one frame, with the positioner's angles and distances.
@@ -146,5 +142,7 @@ pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
         .media_storage_sop_class_uid(XA_STORAGE)
         .media_storage_sop_instance_uid(uid(1));
     let file = object.with_meta(meta).map_err(|e| fail(e.to_string()))?;
-    file.write_to_file(path).map_err(|e| fail(e.to_string()))
+    let mut bytes = Vec::new();
+    file.write_all(&mut bytes).map_err(|e| fail(e.to_string()))?;
+    Ok(output_file::write(path, bytes, Existing::Replace)?)
 }

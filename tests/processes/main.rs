@@ -11,6 +11,7 @@ mod charts;
 mod clients;
 #[allow(dead_code, reason = "other tests share it, too")]
 mod common;
+mod crash;
 mod ends;
 mod floods;
 mod forks;
@@ -18,6 +19,7 @@ mod frames;
 mod gaps;
 mod guided;
 mod interrupts;
+mod held_back;
 mod languages;
 mod late_controllers;
 mod lichtblick;

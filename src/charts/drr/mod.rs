@@ -127,7 +127,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     if let Some(path) = &plan.rungs {
         return rungs::write(path, plan.rounds);
     }
-    std::fs::create_dir_all(&plan.out)
+    output_file::create_folder(&plan.out)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made ({cause})", plan.out.display())))?;
     let (finest, side) = if plan.quick { (8, 128) } else { (1, 512) };
     let phantom = Phantom::pelvis(7);

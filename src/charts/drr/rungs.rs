@@ -123,8 +123,7 @@ pub fn write(path: &Path, rounds: usize) -> Result<(), Failure> {
         let frame_ms = problem.frame_ms(projector, rounds).map_err(failed)?;
         text.extend(ladder::line_of(projector, error_rel, frame_ms).map(|line| line + "\n"));
     }
-    std::fs::write(path, &text)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display())))?;
+    output_file::write(path, &text, output_file::Existing::Replace)?;
     say!("{}", text.trim_end());
     Ok(())
 }

@@ -40,8 +40,7 @@ pub fn write(
 }
 
 fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(path, text)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display())))
+    Ok(output_file::write(path, text, output_file::Existing::Replace)?)
 }
 
 fn csv(points: &[Point]) -> String {

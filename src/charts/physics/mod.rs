@@ -70,7 +70,7 @@ pub struct Plan {
 /// A file that cannot be written.
 pub fn run(plan: &Plan) -> Result<(), Failure> {
     let folder = &plan.out;
-    std::fs::create_dir_all(folder)
+    output_file::create_folder(folder)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
     let (all, mut measured) = (Instant::now(), Vec::new());
     for problem in if plan.settings_only { &[][..] } else { &Problem::BEAM[..] } {
@@ -127,8 +127,7 @@ fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> 
 
 fn write(folder: &Path, name: &str, text: &str) -> Result<(), Failure> {
     let path = folder.join(name);
-    std::fs::write(&path, text)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))
+    Ok(output_file::write(&path, text, output_file::Existing::Replace)?)
 }
 
 /// The drilled path with the tool's own flexures; the arc as it is.

@@ -71,15 +71,14 @@ pub struct Cell {
 /// # Errors
 /// A file that cannot be written.
 pub fn run(folder: &Path, quick: bool) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder)
+    output_file::create_folder(folder)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let cells = measure(quick, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
     print_counts(&cells);
     let path = folder.join("stability.csv");
-    std::fs::write(&path, csv(&cells))
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))?;
+    output_file::write(&path, csv(&cells), output_file::Existing::Replace)?;
     let written = figure::draw(&cells).and_then(|figure| figure.write(folder, "stability"));
     written.map_err(|cause| Failure::failed(cause.to_string()))?;
     if end.is_set() {

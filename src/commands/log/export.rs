@@ -1,10 +1,10 @@
 //! `trabecula log export`: a topic as a table, or the frames as pictures.
 
-use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use output_file::Existing;
 use recorder_proc::columns::{columns, description_of_topic, read_rows};
 use recorder_proc::export::{Csv, Parquet, ending_of};
 use recorder_proc::{FrameRecord, LogError, NewFile, ReadOptions, Verdict, frames, topics};
@@ -65,7 +65,8 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     }
     let description = description_of_topic(log, &arguments.topic).map_err(failure)?;
     let columns = columns(description, &arguments.fields).map_err(failure)?;
-    let file = BufWriter::new(new_file(&arguments.output)?);
+    let (file, made) = NewFile::create(&arguments.output).map_err(failure)?;
+    let file = BufWriter::new(file);
     let range = (arguments.from, arguments.to);
     // The rows before a damage are a whole table too.
     let (read, finished) = if ending == "csv" {
@@ -75,21 +76,16 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
         let mut rows = Parquet::new(file, &columns).map_err(failure)?;
         (read_rows(log, &arguments.topic, &columns, range, &mut rows), rows.finish())
     };
-    let read = read.and_then(|end| finished.map(|()| end));
-    Ok((format!("{} columns of {}", columns.len() + 2, arguments.topic), read.map_err(failure)?))
-}
-
-fn new_file(path: &Path) -> Result<File, Failure> {
-    let (file, made) = NewFile::create(path).map_err(failure)?;
     // What of it can be written is worth having.
-    made.keep();
-    Ok(file)
+    let kept = made.keep();
+    let read = read.and_then(|end| finished.and(kept).map(|()| end));
+    Ok((format!("{} columns of {}", columns.len() + 2, arguments.topic), read.map_err(failure)?))
 }
 
 fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), Failure> {
     let mut reader = frames(log, ReadOptions::default()).map_err(failure)?;
     let folder = &arguments.output;
-    std::fs::create_dir_all(folder)
+    output_file::create_folder(folder)
         .map_err(|source| failure(LogError::Create { path: folder.clone(), source }))?;
     let (mut written, mut without) = (0_u64, 0_u64);
     while let Some(record) = reader.next() {
@@ -116,12 +112,14 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
 fn write_png(path: &Path, record: &FrameRecord) -> Result<(), Failure> {
     let Some(image) = record.image else { return Ok(()) };
     let swapped: Vec<u8> = record.pixels.chunks_exact(2).flat_map(|pixel| [pixel[1], pixel[0]]).collect();
-    let mut encoder = png::Encoder::new(BufWriter::new(new_file(path)?), image.width, image.height);
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, image.width, image.height);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Sixteen);
     let write = encoder.write_header().and_then(|mut writer| {
         writer.write_image_data(&swapped)?;
         writer.finish()
     });
-    write.map_err(|cause| Failure::failed(format!("{}: {cause}", path.display())))
+    write.map_err(|cause| Failure::failed(format!("{}: {cause}", path.display())))?;
+    Ok(output_file::write(path, bytes, Existing::Refuse)?)
 }

@@ -25,7 +25,7 @@ fn facts() -> RunFacts {
 
 fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
     let mut reader =
-        png::Decoder::new(io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
+        png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
     let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut pixels).unwrap();
     pixels.truncate(info.buffer_size());
@@ -206,5 +206,5 @@ fn numbers_that_are_none_do_not_stop_the_drawing() {
 fn a_folder_that_is_not_there_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     let error = write(&folder.path().join("missing"), &facts()).unwrap_err();
-    assert!(matches!(error, ReportError::Write { .. }) && error.to_string().contains("missing"), "{error}");
+    assert!(matches!(error, ReportError::Output(_)) && error.to_string().contains("missing"), "{error}");
 }

@@ -138,6 +138,11 @@ impl Run {
         fs::read_to_string(self.words.path().join("err")).unwrap()
     }
 
+    /// What it has shown on standard output so far.
+    pub fn shown(&self) -> String {
+        fs::read_to_string(self.words.path().join("out")).unwrap()
+    }
+
     /// The log of the run, once it is there.
     pub fn log(&self) -> Option<PathBuf> {
         let folder = fs::read_dir(&self.output).ok()?.flatten().next()?.path();
