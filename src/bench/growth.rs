@@ -19,12 +19,22 @@ pub struct Growth(BTreeMap<String, Curve>);
 pub struct Course {
     /// After a tenth of the run, in its middle, at its end; bytes.
     pub bytes: [u64; 3],
-    /// Slope of the straight line by least squares from the first of them on.
+    /// Median of the slopes between any two samples from the first of them on (Theil and Sen): a queue that once ran full, or a
+    /// sample that is wrong, moves it little; what grows all the time moves it by all of that.
     pub bytes_per_minute: f64,
+    /// Time between the first of them and the last.
+    pub minutes: f64,
+}
+
+impl Course {
+    /// What the slope comes to from the first sample to the last.
+    pub fn growth_bytes(&self) -> f64 {
+        self.bytes_per_minute * self.minutes
+    }
 }
 
 impl Growth {
-    /// Takes in what a process has at a time of the run.
+    /// Takes in what a living process has at a time of the run.
     pub fn add(&mut self, name: &str, at: Duration, bytes: u64) {
         self.0.entry(name.to_owned()).or_default().0.push((at.as_secs_f64() / 60.0, bytes));
     }
@@ -40,24 +50,34 @@ impl Curve {
         let last_min = self.0.last()?.0;
         let settled: Vec<(f64, u64)> =
             self.0.iter().copied().filter(|(minute, _)| *minute >= STARTED_SHARE * last_min).collect();
-        let bytes =
-            [settled.first()?, settled.get(settled.len() / 2)?, settled.last()?].map(|(_, bytes)| *bytes);
-        let mean =
-            |of: &dyn Fn(&(f64, u64)) -> f64| settled.iter().map(of).sum::<f64>() / settled.len() as f64;
-        let (middle_min, middle_bytes) = (mean(&|(minute, _)| *minute), mean(&|(_, bytes)| *bytes as f64));
-        let spread = mean(&|(minute, _)| (minute - middle_min).powi(2));
-        let common = mean(&|(minute, bytes)| (minute - middle_min) * (*bytes as f64 - middle_bytes));
-        Some(Course { bytes, bytes_per_minute: if spread > 0.0 { common / spread } else { 0.0 } })
+        let (first, last) = (settled.first()?, settled.last()?);
+        let bytes = [first.1, settled.get(settled.len() / 2)?.1, last.1];
+        Some(Course { bytes, bytes_per_minute: median_slope(&settled), minutes: last.0 - first.0 })
     }
+}
+
+/// Bytes a minute; 0 without two moments.
+fn median_slope(samples: &[(f64, u64)]) -> f64 {
+    let pairs = samples.iter().enumerate().flat_map(|(index, from)| {
+        let later = samples[index + 1..].iter().filter(|to| to.0 > from.0);
+        later.map(|to| (to.1 as f64 - from.1 as f64) / (to.0 - from.0))
+    });
+    let mut slopes: Vec<f64> = pairs.collect();
+    if slopes.is_empty() {
+        return 0.0;
+    }
+    let middle = slopes.len() / 2;
+    *slopes.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// A sample every five seconds of ten minutes.
     fn course(of: impl Fn(u64) -> u64) -> Course {
         let mut growth = Growth::default();
-        for second in 0..=600 {
+        for second in (0..=600).step_by(5) {
             growth.add("part", Duration::from_secs(second), of(second));
         }
         growth.courses().next().unwrap().1
@@ -66,15 +86,38 @@ mod tests {
     #[test]
     fn a_start_is_no_growth() {
         let flat = course(|second| if second < 50 { 1000 * second } else { 50_000 });
-        assert_eq!(flat, Course { bytes: [50_000; 3], bytes_per_minute: 0.0 });
+        assert_eq!(flat, Course { bytes: [50_000; 3], bytes_per_minute: 0.0, minutes: 9.0 });
     }
 
     #[test]
     fn a_steady_growth_is_its_slope() {
         let grown = course(|second| 1_000_000 + 500 * second);
-        // 500 bytes a second; f64 sums of 541 samples of 1e6 bytes leave about 1e-9 of it.
-        assert!((grown.bytes_per_minute - 30_000.0).abs() < 1e-3, "{grown:?}");
+        // 500 bytes a second; the quotient of two f64 is off by 1e-16 of it.
+        assert!((grown.bytes_per_minute - 30_000.0).abs() < 1e-6, "{grown:?}");
         assert_eq!(grown.bytes, [1_030_000, 1_165_000, 1_300_000]);
+        assert!((grown.growth_bytes() - 270_000.0).abs() < 1e-6, "{grown:?}");
+    }
+
+    /// Growth of -4540 KiB a minute: the last sample was of a process that had ended.
+    #[test]
+    fn a_wrong_last_sample_is_no_slope() {
+        let ended = course(|second| if second < 600 { 5_000_000 } else { 0 });
+        assert_eq!(ended.bytes_per_minute, 0.0);
+    }
+
+    /// A queue's high-water of 1.03 MiB beside a compiler failed a soak.
+    #[test]
+    fn a_queue_that_once_ran_full_is_no_growth() {
+        for at in [70, 330, 590] {
+            let stepped = course(|second| 20_000_000 + if second < at { 0 } else { 1_080_000 });
+            assert!(stepped.growth_bytes() < 1_048_576.0, "step at {at} s: {stepped:?}");
+        }
+    }
+
+    #[test]
+    fn a_leak_in_steps_is_a_growth() {
+        let leak = course(|second| 20_000_000 + second / 60 * 300_000);
+        assert!(leak.growth_bytes() > 2_000_000.0, "{leak:?}");
     }
 
     #[test]
@@ -82,6 +125,6 @@ mod tests {
         let mut growth = Growth::default();
         growth.add("part", Duration::from_secs(3), 7);
         let courses: Vec<_> = growth.courses().collect();
-        assert_eq!(courses, [("part", Course { bytes: [7; 3], bytes_per_minute: 0.0 })]);
+        assert_eq!(courses, [("part", Course { bytes: [7; 3], bytes_per_minute: 0.0, minutes: 0.0 })]);
     }
 }

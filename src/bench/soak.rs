@@ -8,7 +8,7 @@ use ipc_types::process::{EndRequest, Role, prioritise};
 use ipc_types::scene::{Mode, Policy, Scene};
 use recorder_proc::{MessageStream, ReadOptions, frames};
 
-use super::growth::{Course, Growth};
+use super::growth::Growth;
 use super::machine::Machine;
 use super::{failed, log, row};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
@@ -18,6 +18,8 @@ use crate::report::{self, Summary};
 
 /// Bytes of a mebibyte.
 const MEBIBYTE: f64 = 1_048_576.0;
+/// The logs of a run.
+const LANES: [&str; 2] = ["run.mcap", "timing.mcap"];
 /// Looks at the memory over the run, and those of them that are said.
 const SAMPLES: f64 = 120.0;
 const SAMPLES_A_LINE: usize = 4;
@@ -25,7 +27,7 @@ const SAMPLES_A_LINE: usize = 4;
 const FEED_SHARE: f64 = 0.9;
 /// The slowest feed that a scene may have.
 const SLOWEST_MM_PER_S: f64 = 0.01;
-/// Least growth over the whole run that is called one: what an allocator gives back and takes again moves less.
+/// Least growth over the whole run, by its slope, that is called one: what an allocator gives back and takes again moves less.
 const FLAT_BYTES: f64 = MEBIBYTE;
 
 /// Runs the scene in real time for `minutes`, its feed slowed so that it drills all the time, and says what is left of
@@ -44,7 +46,14 @@ pub fn run(scene: &Path, minutes: f64, policy: Option<Policy>, output: Option<&P
     let end = EndRequest::install().map_err(failed)?;
     let own = tempfile::tempdir().map_err(failed)?;
     let folder = output.unwrap_or(own.path());
-    std::fs::create_dir_all(folder).map_err(failed)?;
+    output_file::create_folder(folder).map_err(failed)?;
+    // A soak of hours is not made to find its log refused.
+    if let Some(there) = LANES.iter().map(|lane| folder.join(lane)).find(|path| path.exists()) {
+        return Err(Failure::bad_input(format!(
+            "{}: is there already; name another folder",
+            there.display()
+        )));
+    }
     let machine = Machine::watch();
     let plan = RunPlan { scene, output: Some(folder.to_owned()), view: None };
     let mut watch = Watch::new(minutes, plan.scene.run.policy);
@@ -120,7 +129,8 @@ impl Watch {
         if at.as_secs_f64() < due_s || glance.parts.is_empty() {
             return;
         }
-        for part in glance.parts {
+        // One that has ended has no memory of its own to grow.
+        for part in glance.parts.iter().filter(|part| part.is_running()) {
             self.growth.add(&part.name, at, part.memory.private);
         }
         let mut own = Memory::default();
@@ -148,13 +158,15 @@ fn print_run(result: &RunResult, summary: &Summary) {
         let lost_ms = misses.lost_ms.get(cause).copied().unwrap_or(0.0);
         row(&format!("  because of: {cause}"), &format!("{count} ({lost_ms:.1} ms lost)"));
     }
-    if let (Some(explained), Some(confirmed)) = (misses.explained_share, misses.confirmed_share) {
+    if misses.not_recorded > 0 {
+        row("  not recorded", &misses.not_recorded.to_string());
+    }
+    if let Some(confirmed) = misses.confirmed_share {
         let stolen_ms = misses.lost_ms.get("stolen").copied().unwrap_or(0.0);
         let counter_ms = misses.steal_counter_ms;
-        row("  with a named cause", &format!("{:.1} % of the lost time", 100.0 * explained));
+        row("  with a cause that readings confirm", &format!("{:.1} % of the lost time", 100.0 * confirmed));
         let text = format!("{stolen_ms:.1} ms; the machine's counter {counter_ms:.0} ms at these ticks");
-        row("  called stolen", &text);
-        row("  with no more of it than the counter", &format!("{:.1} % of the lost time", 100.0 * confirmed));
+        row("  stolen", &text);
     }
     row("ticks with a late command", &misses.late_controller_ticks.to_string());
     if let Some(late) = summary.timing.lateness_us {
@@ -189,15 +201,15 @@ fn print_run(result: &RunResult, summary: &Summary) {
 fn print_memory(growth: &Growth) -> Vec<String> {
     say!("\n{:<22} {:>12} {:>12} {:>12} {:>16}", "own memory", "start", "middle", "end", "growth a minute");
     let mut grown = Vec::new();
-    for (name, Course { bytes, bytes_per_minute }) in growth.courses() {
-        let [start, middle, end] = bytes.map(|bytes| format!("{:.2} MiB", bytes as f64 / MEBIBYTE));
-        let rate = format!("{:.1} KiB", bytes_per_minute / 1024.0);
+    for (name, course) in growth.courses() {
+        let [start, middle, end] = course.bytes.map(|bytes| format!("{:.2} MiB", bytes as f64 / MEBIBYTE));
+        let rate = format!("{:.1} KiB", course.bytes_per_minute / 1024.0);
         say!("{name:<22} {start:>12} {middle:>12} {end:>12} {rate:>16}");
-        if bytes[2] as f64 - bytes[0] as f64 > FLAT_BYTES {
-            grown.push(format!("the memory of `{name}` has grown from {start} to {end}"));
+        if course.growth_bytes() > FLAT_BYTES {
+            grown.push(format!("the memory of `{name}` grows by {rate} a minute, from {start} to {end}"));
         }
     }
-    say!("start: after a tenth of the run; growth: the slope from there on\n");
+    say!("start: after a tenth of the run; growth: the median slope of all pairs of samples from there on\n");
     grown
 }
 
@@ -208,7 +220,7 @@ fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>
         problems.push(format!("part `{name}` died ({how})"));
     }
     let mut simulated_s = 0.0;
-    for lane in ["run.mcap", "timing.mcap"] {
+    for lane in LANES {
         let path = folder.join(lane);
         match lane_end(&path) {
             Ok((messages, end_s)) => {

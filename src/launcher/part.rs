@@ -97,6 +97,10 @@ impl Memory {
     /// Takes in what a process, a number or `self`, has now. One that has gone changes nothing.
     pub fn measure(&mut self, process: &str) {
         let Ok(text) = std::fs::read_to_string(format!("/proc/{process}/status")) else { return };
+        // One that has ended and waits to be reaped has no such lines.
+        if !text.contains("RssAnon:") {
+            return;
+        }
         let field = |name: &str| {
             let line = text.lines().find(|line| line.starts_with(name))?;
             line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
@@ -174,6 +178,11 @@ impl Part {
             self.reap();
         }
         self.status
+    }
+
+    /// Whether it has not ended. Of one that has, nothing can be measured.
+    pub fn is_running(&self) -> bool {
+        self.status.is_none() && !self.is_to_be_reaped()
     }
 
     fn is_to_be_reaped(&self) -> bool {
