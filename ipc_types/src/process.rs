@@ -85,7 +85,8 @@ pub enum Role {
     Physics,
     /// Commands for the next tick.
     Controller,
-    /// Late for nobody, but its queues hold half a second: it may be delayed, never starved.
+    /// Late for nobody, as its queues hold [`RECORDER_QUEUE_TICKS`](crate::services::RECORDER_QUEUE_TICKS): it may be delayed, never
+    /// starved.
     Recorder,
     /// Frames: their rate may fall.
     Drr,

@@ -72,8 +72,11 @@ const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) 
     }
 }
 
-/// `State`, once a tick. Half a second of queue at 1 kHz, four seconds for the recorder.
+/// `State`, once a tick. A queue holds half a second of them at 1 kHz, the recorder's [`RECORDER_QUEUE_TICKS`].
 pub const STATE: Service = fixed::<State>("state", Lane::Run, 512);
+/// Ticks for which the recorder may stand still and still lose nothing: 4.096 s at 1 kHz. The queues of everything that comes once a
+/// tick are as long.
+pub const RECORDER_QUEUE_TICKS: u64 = STATE.lossless_length as u64;
 /// `Latched`, once a tick, before the state that it leads to.
 pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, 512);
 /// `Removed`, for ticks that removed voxels.

@@ -1,10 +1,10 @@
-//! Asked to end: the signals that a process of the hub hears, and how it answers them.
+//! The signals that a process of the hub hears, and how it answers them: asked to end, going on after a stop.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::signal_name;
 
@@ -79,6 +79,27 @@ impl EndRequest {
     /// Whether it has been asked again. A SIGHUP is never the second request: whoever has gone cannot be impatient.
     pub fn is_urgent(&self) -> bool {
         self.urged.load(Ordering::Relaxed)
+    }
+}
+
+/// Set when the process goes on after it was stopped (SIGSTOP, Ctrl-Z, a debugger's detach): such a stop ends with SIGCONT.
+#[derive(Debug, Clone, Default)]
+pub struct Continued(Arc<AtomicBool>);
+
+impl Continued {
+    /// From now on SIGCONT sets the flag; the process goes on as before.
+    ///
+    /// # Errors
+    /// The system refuses to install a handler.
+    pub fn install() -> std::io::Result<Continued> {
+        let flag = Arc::new(AtomicBool::new(false));
+        signal_hook::flag::register(SIGCONT, Arc::clone(&flag))?;
+        Ok(Continued(flag))
+    }
+
+    /// Whether it has gone on since this was asked last.
+    pub fn take(&self) -> bool {
+        self.0.load(Ordering::Relaxed) && self.0.swap(false, Ordering::Relaxed)
     }
 }
 

@@ -5,15 +5,12 @@ use std::io::Write;
 use std::path::Path;
 
 use foreign_text::{foreign, foreign_line};
-use ipc_types::messages::TickTiming;
-use zerocopy::FromBytes;
 
 use crate::end::{Ending, hash_text};
 use crate::error::LogError;
 use crate::header::{LogHeader, RunMode};
 use crate::misses::Misses;
 use crate::stream::{MessageStream, ReadOptions, TopicCount};
-use crate::topics;
 use crate::verdict::Verdict;
 
 /// Summary of a log.
@@ -47,11 +44,7 @@ pub fn info(path: &Path, options: ReadOptions) -> Result<LogInfo, LogError> {
         match stream.next_message() {
             Ok(Some(message)) => {
                 end_ns = message.log_time_ns.max(end_ns);
-                if message.topic == topics::TICK_TIMING
-                    && let Ok(timing) = TickTiming::read_from_bytes(message.body)
-                {
-                    misses.add(&timing);
-                }
+                misses.take(message.topic, message.body);
             }
             Ok(None) => break None,
             Err(error) => break Some(error),

@@ -170,12 +170,16 @@ pub struct RunLane {
     pub peaks: Peaks,
     /// Frames.
     pub frames: Frames,
+    /// Ticks whose states are missing between those that are there: first and last of each gap, the first [`MOST_GAPS`] of them.
+    pub missing_ticks: Vec<[u64; 2]>,
     /// Messages that somebody missed, by topic, as the end marker says.
     pub lost: BTreeMap<String, u64>,
     /// What was wrong with the file, and how it ends unless it ends well.
     pub notes: Vec<String>,
 }
 
+/// Gaps that are listed.
+const MOST_GAPS: usize = 100;
 /// The mount gives way by this much under load.
 const SAME_DEPTH_MM: f64 = 0.02;
 
@@ -255,7 +259,12 @@ impl RunLane {
             self.deepest = Some(Box::new(state));
         }
         match &mut self.last {
-            Some(last) => **last = state,
+            Some(last) => {
+                if state.tick > last.tick.saturating_add(1) && self.missing_ticks.len() < MOST_GAPS {
+                    self.missing_ticks.push([last.tick + 1, state.tick - 1]);
+                }
+                **last = state;
+            }
             None => self.last = Some(Box::new(state)),
         }
     }

@@ -135,12 +135,13 @@ pub struct MissSummary {
     pub by_cause: BTreeMap<String, u64>,
     /// Time lost to each cause, with the same keys.
     pub lost_ms: BTreeMap<String, f64>,
-    /// Share of the lost time that has a named cause; none without lost time.
-    pub explained_share: Option<f64>,
-    /// The same if only so much is called stolen as the machine's own counter shows.
+    /// Misses that fell into a gap of the log: the physics has counted them, and nobody knows why.
+    #[serde(default)]
+    pub not_recorded: u64,
+    /// Share of the lost time that readings have named a cause for; none without lost time.
     #[serde(default)]
     pub confirmed_share: Option<f64>,
-    /// What that counter, `/proc/stat`, shows for the late ticks, in steps of 10 ms.
+    /// What the machine's own counter of steal, `/proc/stat`, shows for the late ticks, in steps of 10 ms.
     #[serde(default)]
     pub steal_counter_ms: f64,
     /// Ticks in which a controller's command was late, so that its last or the safe one held.
@@ -156,19 +157,20 @@ impl MissSummary {
         MissSummary {
             by_cause: counts.map(|(cause, count)| (cause.name().to_owned(), count)).collect(),
             lost_ms: lost.map(|(cause, lost_ns)| (cause.name().to_owned(), lost_ns as f64 * 1e-6)).collect(),
-            explained_share: misses.explained_share(),
+            not_recorded: misses.not_recorded(),
             confirmed_share: misses.confirmed_share(),
             steal_counter_ms: misses.steal_counter_ns as f64 * 1e-6,
             late_controller_ticks: misses.late_controller_ticks,
         }
     }
 
-    /// `8 run queue, 4 stolen (99.1 % explained)`; none without a miss.
+    /// `8 run queue, 4 stolen, 2 not recorded (99.1 % confirmed)`; none without a miss.
     fn describe(&self) -> Option<String> {
-        let share = self.explained_share?;
-        let causes: Vec<String> =
+        let mut causes: Vec<String> =
             self.by_cause.iter().map(|(name, count)| format!("{count} {name}")).collect();
-        Some(format!("{} ({:.1} % explained)", causes.join(", "), 100.0 * share))
+        causes.extend((self.not_recorded > 0).then(|| format!("{} not recorded", self.not_recorded)));
+        let share = self.confirmed_share.map(|share| format!(" ({:.1} % confirmed)", 100.0 * share));
+        (!causes.is_empty()).then(|| causes.join(", ") + &share.unwrap_or_default())
     }
 }
 
@@ -183,6 +185,9 @@ pub struct LogSummary {
     pub mb_per_simulated_s: Option<f64>,
     /// Messages that somebody missed, by topic.
     pub lost_messages: BTreeMap<String, u64>,
+    /// Ticks that are missing in the log between those that are there: first and last of each gap.
+    #[serde(default)]
+    pub missing_ticks: Vec<[u64; 2]>,
     /// What is wrong with the files: cut, damaged, not there.
     pub notes: Vec<String>,
 }
@@ -275,7 +280,7 @@ impl TimingSummary {
             step_us: timing.step.quantiles(1e3),
             lateness_us: timing.lateness.quantiles(1e3).filter(|_| realtime),
             round_trip_us: trips.filter_map(|(name, d)| Some((name.clone(), d.quantiles(1e3)?))).collect(),
-            missed_ticks: timing.misses.missed,
+            missed_ticks: timing.misses.missed(),
             misses: MissSummary::of(&timing.misses),
             page_faults: timing.page_faults,
         }
@@ -292,10 +297,27 @@ impl LogSummary {
             timing_bytes,
             mb_per_simulated_s: ratio(megabytes, run.end_ns as f64 * 1e-9),
             lost_messages,
+            missing_ticks: run.missing_ticks.clone(),
             notes: run.notes.iter().chain(&timing.notes).cloned().collect(),
         }
     }
 }
+
+impl LogSummary {
+    /// `ticks 2233 to 5812 (3580) are not in the log`; none if none is missing.
+    fn describe_missing(&self) -> Option<String> {
+        let gaps = &self.missing_ticks;
+        let count: u64 = gaps.iter().map(|[first, last]| last - first + 1).sum();
+        let shown = gaps.iter().take(GAPS_SHOWN).map(|[first, last]| format!("{first} to {last}"));
+        let shown = shown.collect::<Vec<_>>().join(", ");
+        let more = gaps.len().saturating_sub(GAPS_SHOWN);
+        let more = if more > 0 { format!(" and in {more} more gaps") } else { String::new() };
+        (count > 0).then(|| format!("ticks {shown}{more} ({count}) are not in the log"))
+    }
+}
+
+/// Gaps that the table names one by one.
+const GAPS_SHOWN: usize = 3;
 
 /// Ending of a name in [`Summary::peak_memory_bytes`] under which the memory of a process without shared memory stands.
 pub const NOT_SHARED: &str = ", not shared";
@@ -408,6 +430,9 @@ impl Summary {
         }
         if let Some(warning) = self.warnings.last() {
             rows.push(("last warning", warning.clone()));
+        }
+        if let Some(ticks) = self.logs.describe_missing() {
+            rows.push(("missing", ticks));
         }
         let lost: u64 = self.logs.lost_messages.values().sum();
         let lost = (lost > 0).then(|| format!("{lost} messages lost"));

@@ -98,7 +98,7 @@ fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: 
     }
     if is_realtime(timing) {
         let key = if times.is_empty() { Key::None } else { Key::Bar(missed) };
-        panel.key(key, &format!("missed ticks: {}", timing.misses.missed));
+        panel.key(key, &format!("missed ticks: {}", timing.misses.missed()));
     }
     panel.finish_with_row();
 }

@@ -114,6 +114,7 @@ impl TimingLane {
     }
 
     fn take(&mut self, message: &LogMessage<'_>) {
+        self.misses.take(message.topic, message.body);
         match message.topic {
             topics::TICK_TIMING => {
                 if let Ok(timing) = TickTiming::read_from_bytes(message.body) {
@@ -146,7 +147,6 @@ impl TimingLane {
                 distribution.add(round_trip_ns);
             }
         }
-        self.misses.add(timing);
         if timing.missed != 0 {
             *self.missed_over_time.bin(time_ns) += 1;
         }

@@ -30,6 +30,9 @@ fn colour(cause: Cause) -> RGBColor {
         Cause::PageFault => COLOURS[3],
         Cause::Blocked => RGBColor(230, 159, 0),
         Cause::Controllers => RGBColor(86, 180, 233),
+        Cause::Throttled => RGBColor(0, 158, 115),
+        Cause::Stopped => RGBColor(204, 121, 167),
+        Cause::Recorder => RGBColor(0, 114, 178),
         Cause::Unknown => RGBColor(60, 60, 60),
     }
 }

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use ipc_types::messages::{FrameTiming, Latched, MAX_CONTROLLERS, TickTiming};
-use recorder_proc::misses::attribute;
 use recorder_proc::{Cause, MessageStream, Misses, ReadOptions, topics};
 use serde::{Deserialize, Serialize};
 use zerocopy::FromBytes;
@@ -174,6 +173,7 @@ impl Reader {
                         self.tick(&timing);
                     }
                 }
+                topics::RUN_STATUS => self.misses.take(message.topic, message.body),
                 topics::FRAME_TIMING => {
                     if let Ok(timing) = FrameTiming::read_from_bytes(message.body) {
                         self.curves.frame_age.add(timing.age_ticks.saturating_mul(self.dt_ns));
@@ -206,8 +206,7 @@ impl Reader {
         answered.for_each(|round_trip_ns| self.curves.round_trip.add(round_trip_ns));
         self.curves.latest.bin(time_ns).add(late_ns as f64 * 1e-3);
         self.curves.end_s = self.curves.end_s.max((time_ns + self.dt_ns) as f64 * 1e-9);
-        self.misses.add(timing);
-        if let Some(lost) = attribute(timing) {
+        if let Some(lost) = self.misses.add(timing) {
             let (time_s, late_us) = (time_ns as f64 * 1e-9, late_ns as f64 * 1e-3);
             self.all_misses.push(Miss { time_s, late_us, cause: lost.main_cause() });
         }
@@ -221,14 +220,14 @@ impl Reader {
         self.all_misses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         curves.misses = self.all_misses;
         curves.period_us = self.dt_ns as f64 * 1e-3;
-        let counted = misses.ticks - (misses.missed - misses.not_stolen());
+        let counted = misses.ticks + misses.not_recorded() - (misses.missed() - misses.not_stolen());
         let measured = Measured {
             lateness_us: us(&curves.lateness),
             step_us: us(&curves.step),
             latch_age_us: us(&curves.latch_age),
             round_trip_us: us(&curves.round_trip),
             frame_age_us: us(&curves.frame_age),
-            missed: misses.missed,
+            missed: misses.missed(),
             misses: MissSummary::of(misses),
             on_time_share: 1.0 - misses.not_stolen() as f64 / counted.max(1) as f64,
             ..self.measured

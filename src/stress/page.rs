@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use recorder_proc::Cause;
+
 use super::machine::{Finding, Grade};
 use super::report::{COLUMNS, StressReport, Tested, causes, comparison, write_file, yes};
 use crate::failure::Failure;
@@ -32,7 +34,8 @@ pub fn write(report: &StressReport, old: Option<&StressReport>, folder: &Path) -
     text += "<h2>Map</h2>\n";
     text += &picture(folder, "map.svg");
     text += &quantiles(report);
-    text += "<h2>Combinations</h2>\n<p class=\"note\">Letters beside the marks: O own computation, Q run queue, S stolen by the hypervisor, F page fault, B blocked, C late controller, U unknown.</p>\n";
+    let letters = Cause::ALL.map(|cause| format!("{} {}", cause.letter(), cause.name())).join(", ");
+    text += &format!("<h2>Combinations</h2>\n<p class=\"note\">Letters beside the marks: {letters}.</p>\n");
     for tested in &report.tested {
         text += &one(tested, folder);
     }
@@ -81,7 +84,6 @@ fn results(report: &StressReport) -> String {
         "max",
         "missed",
         "on time*",
-        "explained",
         "confirmed",
         "real time",
         "DRR/s",
@@ -111,7 +113,6 @@ fn results(report: &StressReport) -> String {
             late(|q| q.max),
             m.missed.to_string(),
             format!("{:.2} %", 100.0 * m.on_time_share),
-            percent(m.misses.explained_share),
             percent(m.misses.confirmed_share),
             number(m.real_time_factor),
             number(m.frames_per_s),
@@ -125,7 +126,7 @@ fn results(report: &StressReport) -> String {
         text += &cells("td", values);
         text += "</tr>\n";
     }
-    text += "</table></div>\n<p class=\"note\">* of the ticks that no hypervisor held up. A miss is a tick that begins more than a period late. Confirmed: explained, with no more called stolen than the machine's own counter shows.</p>\n";
+    text += "</table></div>\n<p class=\"note\">* of the ticks that no hypervisor held up. A miss is a tick that begins more than a period late. Confirmed: of the lost time, what readings name a cause for.</p>\n";
     text
 }
 

@@ -67,27 +67,25 @@ pub const COLUMNS: [Column; 5] = [
     ("frame_age", |m| m.frame_age_us),
 ];
 
-/// How much of the lost time has a named cause.
+/// How much of the lost time has a cause that readings have named.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Explained {
     /// Share of it that has.
-    pub named: f64,
-    /// The same if only so much is called stolen as the machine's own counter shows.
     pub confirmed: f64,
     /// What is called stolen.
     pub stolen_ms: f64,
-    /// What that counter, `/proc/stat`, shows for the late ticks.
+    /// What the machine's own counter, `/proc/stat`, shows for the late ticks: no more is called stolen.
     pub counter_ms: f64,
 }
 
 impl fmt::Display for Explained {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Explained { named, confirmed, stolen_ms, counter_ms } = self;
-        let (named, confirmed) = (100.0 * named, 100.0 * confirmed);
+        let Explained { confirmed, stolen_ms, counter_ms } = self;
         write!(
             out,
-            "{named:.1} % of the lost time has a named cause; {stolen_ms:.1} ms of it are called stolen, the machine's own \
-             counter shows {counter_ms:.0} ms at the late ticks: {confirmed:.1} % if no more than that is believed"
+            "{:.1} % of the lost time has a cause that readings confirm; {stolen_ms:.1} ms of it were stolen, the machine's own \
+             counter shows {counter_ms:.0} ms at the late ticks",
+            100.0 * confirmed
         )
     }
 }
@@ -121,7 +119,7 @@ impl StressReport {
     /// A row a combination. Times in µs; a value that there is none of is empty.
     pub fn csv(&self) -> String {
         let mut text = String::from(
-            "cores,load,policy,wait,ticks,missed,on_time_share,explained_share,real_time_factor,frames_per_s,dropped,log_complete,replays,busy_percent,stolen_percent",
+            "cores,load,policy,wait,ticks,missed,on_time_share,confirmed_share,real_time_factor,frames_per_s,dropped,log_complete,replays,busy_percent,stolen_percent",
         );
         for (name, _) in COLUMNS {
             for quantile in ["p50", "p90", "p99", "p99_9", "max"] {
@@ -139,7 +137,7 @@ impl StressReport {
                 m.ticks,
                 m.missed,
                 m.on_time_share,
-                or_empty(m.misses.explained_share),
+                or_empty(m.misses.confirmed_share),
                 or_empty(m.real_time_factor),
                 or_empty(m.frames_per_s),
                 m.dropped,
@@ -173,13 +171,7 @@ impl StressReport {
         let (total_ms, unknown_ms) = (lost(&|_| true), lost(&|name| name == Cause::Unknown.name()));
         let stolen_ms = lost(&|name| name == Cause::Stolen.name());
         let counter_ms: f64 = all().map(|misses| misses.steal_counter_ms).sum();
-        let doubted_ms = (stolen_ms - counter_ms).max(0.0);
-        (total_ms > 0.0).then(|| Explained {
-            named: 1.0 - unknown_ms / total_ms,
-            confirmed: (1.0 - (unknown_ms + doubted_ms) / total_ms).max(0.0),
-            stolen_ms,
-            counter_ms,
-        })
+        (total_ms > 0.0).then(|| Explained { confirmed: 1.0 - unknown_ms / total_ms, stolen_ms, counter_ms })
     }
 
     /// The older test's result for a combination.
@@ -268,6 +260,5 @@ pub fn comparison(old: &StressReport, new: &StressReport) -> Vec<[String; 6]> {
 /// # Errors
 /// The system's, with the file's name.
 pub fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(path, text)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display())))
+    Ok(output_file::write(path, text, output_file::Existing::Replace)?)
 }

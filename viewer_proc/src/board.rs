@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ipc_types::layout::CDR_LITTLE_ENDIAN;
 use ipc_types::messages::TickTiming;
-use recorder_proc::misses::attribute;
+use recorder_proc::Misses;
 use recorder_proc::topics;
 use tokio::sync::Notify;
 use zerocopy::FromBytes;
@@ -57,6 +57,8 @@ pub struct Board {
     time_ns: AtomicU64,
     /// Number of the next notice.
     notices: AtomicU32,
+    /// What is called stolen is held against the machine's counter over all ticks.
+    misses: Mutex<Misses>,
 }
 
 impl Board {
@@ -69,6 +71,7 @@ impl Board {
             wanted: AtomicU64::new(0),
             time_ns: AtomicU64::new(0),
             notices: AtomicU32::new(0),
+            misses: Mutex::default(),
         }
     }
 
@@ -120,11 +123,22 @@ impl Board {
     /// Hands out a message and keeps it as the newest of its channel and slot; before a late tick's timing, its cause.
     pub fn publish(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
         if topic == topics::TICK_TIMING
-            && let Some(miss) = miss_of(&bytes)
+            && let Some(miss) = self.miss_of(&bytes)
         {
             self.hand_out(MISS, time_ns, 0, miss.to_string().into_bytes());
         }
         self.hand_out(topic, time_ns, slot, bytes);
+    }
+
+    /// Main cause of a late tick, as the page shows it; none for a tick in time.
+    fn miss_of(&self, timing: &[u8]) -> Option<serde_json::Value> {
+        let timing = TickTiming::read_from_bytes(timing.strip_prefix(CDR_LITTLE_ENDIAN.as_slice())?).ok()?;
+        let lost = lock(&self.misses).add(&timing)?;
+        let cause = lost.main_cause();
+        let letter = cause.letter().to_string();
+        Some(
+            serde_json::json!({"tick": timing.tick, "cause": cause.name(), "letter": letter, "lost_ns": lost.total_ns()}),
+        )
     }
 
     fn hand_out(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
@@ -225,17 +239,6 @@ impl Board {
         }
         self.wanted.store(bits, Ordering::Relaxed);
     }
-}
-
-/// Main cause of a late tick, as the page shows it; none for a tick in time.
-fn miss_of(timing: &[u8]) -> Option<serde_json::Value> {
-    let timing = TickTiming::read_from_bytes(timing.strip_prefix(CDR_LITTLE_ENDIAN.as_slice())?).ok()?;
-    let lost = attribute(&timing)?;
-    let cause = lost.main_cause();
-    let letter = cause.letter().to_string();
-    Some(
-        serde_json::json!({"tick": timing.tick, "cause": cause.name(), "letter": letter, "lost_ns": lost.total_ns()}),
-    )
 }
 
 /// A panic elsewhere leaves the data whole: every change is one insertion.

@@ -29,6 +29,14 @@ message! {
         /// Steal of the core that the thread is on, since it was looked at last, at most 100 ms before, in steps of 10 ms.
         /// It is looked at in late ticks only; 0 otherwise.
         stolen_ns: u64,
+        /// How long the kernel held the control group of this process back because it had used up its quota (`cpu.stat`), since that
+        /// was last looked at: in ticks that begin more than 5 ms late only; 0 otherwise.
+        throttled_ns: u64,
+        /// How long this process was stopped: frozen with its control group (`cgroup.stat.local`), since that was last looked at, in ticks
+        /// that begin more than 5 ms late only; or all of the lateness, where a SIGCONT has ended a stop; 0 otherwise.
+        stopped_ns: u64,
+        /// How long behind its deadline this tick waited for the recorder (`recording.on_full = "wait"`, real time).
+        recorder_wait_ns: u64,
         /// From the publication of the state until the command that answers it was taken, per controller; 0 if none came.
         /// In real time commands are taken when the next tick begins, so most of a period is waiting for that.
         round_trip_ns: [u64; MAX_CONTROLLERS],

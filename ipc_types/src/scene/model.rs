@@ -626,6 +626,16 @@ pub enum Images {
     None,
 }
 
+/// What happens when the recorder is so late that its queues would overflow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnFull {
+    /// The physics waits for it.
+    Wait,
+    /// The log has a gap.
+    Gap,
+}
+
 /// What is recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -636,6 +646,9 @@ pub struct Recording {
     pub keyframe_interval_s: f64,
     /// With `images = "full"`, every how many frames the image is recorded, 1 to 1000000; of the others the hash.
     pub image_every: u64,
+    /// When the recorder is so late that its queues would overflow, in real time: the log has a gap, and the run says so and ends with
+    /// exit code 3; or the physics waits, and its ticks begin late. Lockstep always waits.
+    pub on_full: OnFull,
 }
 
 impl Recording {
@@ -647,6 +660,7 @@ impl Recording {
 
 impl Default for Recording {
     fn default() -> Self {
-        Recording { images: Images::Full, keyframe_interval_s: 2.0, image_every: 1 }
+        // A tick in its time is what real time is for: the gap costs the log, a wait costs whoever holds the tool.
+        Recording { images: Images::Full, keyframe_interval_s: 2.0, image_every: 1, on_full: OnFull::Gap }
     }
 }

@@ -3,7 +3,8 @@
 //! Two looks a tick: [`Disturbances::work_ends`] before the thread goes to sleep, [`Disturbances::tick_begins`] when the
 //! next tick has begun. Together they take about a microsecond and a half (`trabecula bench readings`): two readings of
 //! the thread's processor clock, one of `schedstat` through a file that stays open, one `getrusage`. The machine's
-//! steal is read in late ticks only, and ten times a second so that a late tick has something to compare with.
+//! steal is read in late ticks only, and ten times a second so that a late tick has something to compare with; what held the whole
+//! process back (`held_back`) only after a long gap.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -12,6 +13,7 @@ use ipc_types::messages::TickTiming;
 use nix::sys::resource::{UsageWho, getrusage};
 
 use super::clock::{now_ns, thread_cpu_ns};
+use super::held_back::HeldBack;
 
 /// Cores whose steal is kept apart.
 const MAX_CORES: usize = 256;
@@ -23,6 +25,7 @@ const STEAL_STEP_NS: u64 = 10_000_000;
 pub struct Disturbances {
     schedstat: Option<File>,
     steal: Steal,
+    held_back: HeldBack,
     counts: Counts,
     wait_ns: u64,
     begin_ns: u64,
@@ -66,6 +69,7 @@ impl Disturbances {
         let mut new = Disturbances {
             schedstat: File::open("/proc/thread-self/schedstat").ok(),
             steal: Steal::new(),
+            held_back: HeldBack::new(),
             counts: Counts::now(),
             wait_ns: 0,
             begin_ns: now_ns(),
@@ -98,6 +102,7 @@ impl Disturbances {
         timing.work_cpu_ns = self.work_end_cpu_ns.saturating_sub(self.begin_cpu_ns);
         timing.overrun_ns = self.work_end_ns as i64 - deadline_ns;
         timing.stolen_ns = if looks_at_steal { self.steal.since_last() } else { 0 };
+        (timing.throttled_ns, timing.stopped_ns) = self.held_back.before(lateness_ns);
         timing.virtual_machine = u32::from(self.virtual_machine);
         self.count(timing);
         self.begin_ns = start_ns;
@@ -177,7 +182,7 @@ impl Steal {
     }
 }
 
-fn number(digits: &[u8]) -> Option<u64> {
+pub(super) fn number(digits: &[u8]) -> Option<u64> {
     let one = |sum: u64, digit: &u8| {
         digit.is_ascii_digit().then(|| sum.wrapping_mul(10).wrapping_add(u64::from(digit - b'0')))
     };

@@ -19,8 +19,10 @@
 mod clock;
 mod connection;
 mod disturbance;
+mod held_back;
 mod keyframes;
 mod late_notes;
+mod lead;
 mod pacing;
 mod ports;
 mod tick;

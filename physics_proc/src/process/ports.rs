@@ -150,6 +150,12 @@ pub(super) struct Consumer {
     waker: Waker,
 }
 
+impl Consumer {
+    pub(super) fn is_recorder(&self) -> bool {
+        self.sender == SENDER_RECORDER
+    }
+}
+
 impl Consumers {
     fn open(session: &Session) -> Result<Consumers, SessionError> {
         let announcement = session.announcement();
@@ -188,9 +194,10 @@ impl Consumers {
         self.list.iter().find(|consumer| consumer.tick.is_none())
     }
 
-    /// The first consumer that has not taken the state of `tick`.
-    pub(super) fn behind(&self, tick: u64) -> Option<&Consumer> {
-        self.list.iter().find(|consumer| consumer.tick.is_none_or(|taken| taken < tick))
+    /// The first consumer of these that has not taken the state of `tick`.
+    pub(super) fn behind(&self, tick: u64, of: fn(&Consumer) -> bool) -> Option<&Consumer> {
+        let mut these = self.list.iter().filter(|consumer| of(consumer));
+        these.find(|consumer| consumer.tick.is_none_or(|taken| taken < tick))
     }
 
     pub(super) fn wake(&self) {

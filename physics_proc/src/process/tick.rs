@@ -22,6 +22,7 @@ use super::PhysicsError;
 use super::clock::{Sleeper, elapsed_ns, now_ns, wake_exactly};
 use super::disturbance::Disturbances;
 use super::late_notes::LateNotes;
+use super::lead::recorder_lead_ticks;
 use super::pacing::{Schedule, Start};
 use super::ports::Ports;
 use crate::latch::Latch;
@@ -41,6 +42,8 @@ pub(super) struct Runner<'v> {
     policy: Policy,
     period_ns: u64,
     tick_count: u64,
+    /// How far in front of the recorder the physics may run in real time; none: as far as it gets.
+    recorder_lead_ticks: Option<u64>,
     controller_limit: Duration,
     tick: u64,
     /// Whether the initial state has been published.
@@ -81,6 +84,7 @@ impl<'v> Runner<'v> {
             policy: scene.run.policy,
             period_ns: scene.dt_ns(),
             tick_count: scene.tick_count(),
+            recorder_lead_ticks: recorder_lead_ticks(scene),
             controller_limit: Duration::from_micros((scene.run.controller_limit_ms * 1e3) as u64),
             tick: 0,
             shown: false,
@@ -168,6 +172,10 @@ impl<'v> Runner<'v> {
         match self.mode {
             Mode::Realtime => {
                 self.disturbances.work_ends();
+                self.await_recorder(schedule.deadline_ns())?;
+                if self.ends() || self.rests() {
+                    return Ok(Start { lateness_ns: 0, missed: false });
+                }
                 while now_ns() < schedule.deadline_ns() && !self.ends() {
                     self.sleeper.wait_until(schedule.deadline_ns());
                 }
@@ -181,7 +189,7 @@ impl<'v> Runner<'v> {
                 Ok(start)
             }
             Mode::Lockstep => {
-                self.await_consumers(self.tick.saturating_sub(LEAD_TICKS))?;
+                self.await_consumers(self.tick.saturating_sub(LEAD_TICKS), |_| true)?;
                 self.await_answers()?;
                 self.disturbances.count(&mut self.timing);
                 Ok(Start { lateness_ns: 0, missed: false })

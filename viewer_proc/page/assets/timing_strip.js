@@ -10,9 +10,12 @@ const LIST = [
   { letter: "O", name: "own computation", colour: "--cause-step" },
   { letter: "Q", name: "run queue: others had the core", colour: "--cause-core" },
   { letter: "S", name: "stolen by the hypervisor", colour: "--cause-host" },
+  { letter: "T", name: "throttled: quota used up", colour: "--cause-core" },
+  { letter: "P", name: "stopped or frozen", colour: "--cause-host" },
   { letter: "F", name: "page fault", colour: "--cause-fault" },
   { letter: "B", name: "blocked", colour: "--series-3" },
   { letter: "C", name: "late controller", colour: "--series-4" },
+  { letter: "R", name: "waited for the recorder", colour: "--series-4" },
   { letter: "U", name: "unknown", colour: "--muted" },
 ];
 

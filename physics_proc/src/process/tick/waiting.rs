@@ -8,6 +8,8 @@ use ipc_types::patience::Patience;
 
 use super::Runner;
 use crate::process::PhysicsError;
+use crate::process::clock::now_ns;
+use crate::process::ports::Consumer;
 
 /// How long every part may take to connect: a DRR process reads the whole volume first.
 const CONNECT_LIMIT: Duration = Duration::from_secs(60);
@@ -127,19 +129,37 @@ impl Runner<'_> {
         Ok(self.warn(silent, EVENT_SAFE_COMMAND, &text)?)
     }
 
-    /// Waits until every consumer has taken the state of `tick`.
-    pub(super) fn await_consumers(&mut self, tick: u64) -> Result<(), PhysicsError> {
+    /// In real time with `recording.on_full = "wait"`: waits while the recorder is so far behind that its queues might overflow.
+    pub(super) fn await_recorder(&mut self, deadline_ns: u64) -> Result<(), PhysicsError> {
+        self.timing.recorder_wait_ns = 0;
+        let Some(lead_ticks) = self.recorder_lead_ticks else { return Ok(()) };
+        let tick = self.tick.saturating_sub(lead_ticks);
+        if self.ports.consumers.behind(tick, Consumer::is_recorder).is_none() {
+            return Ok(());
+        }
+        let began_ns = now_ns().max(deadline_ns);
+        self.await_consumers(tick, Consumer::is_recorder)?;
+        self.timing.recorder_wait_ns = now_ns().saturating_sub(began_ns);
+        Ok(())
+    }
+
+    /// Waits until every consumer of these has taken the state of `tick`, or the run ends or rests.
+    pub(super) fn await_consumers(
+        &mut self,
+        tick: u64,
+        of: fn(&Consumer) -> bool,
+    ) -> Result<(), PhysicsError> {
         let mut patience = Patience::new(CONSUMER_LIMIT);
         loop {
-            if self.ports.consumers.behind(tick).is_none() {
+            if self.ports.consumers.behind(tick, of).is_none() {
                 return Ok(());
             }
             self.ports.consumers.update()?;
-            let Some(part) = self.ports.consumers.behind(tick).map(|consumer| consumer.part) else {
+            let Some(part) = self.ports.consumers.behind(tick, of).map(|consumer| consumer.part) else {
                 return Ok(());
             };
-            if self.end.is_set() {
-                self.stopped = true;
+            self.obey()?;
+            if self.ends() || self.rests() {
                 return Ok(());
             }
             if patience.is_over() {
@@ -149,6 +169,7 @@ impl Runner<'_> {
                     limit_s: CONSUMER_LIMIT.as_secs(),
                 });
             }
+            self.send_status(self.phase(), false)?;
             self.ports.consumers.wake();
             let slice = Instant::now() + Duration::from_millis(2);
             self.ports.waiter.wait_until(slice, || self.ports.consumers.has_report());
@@ -164,7 +185,7 @@ impl Runner<'_> {
         let (mut patience, mut abandoned) = (Patience::new(CONSUMER_LIMIT), Patience::new(ABANDONED_LIMIT));
         loop {
             self.ports.consumers.update()?;
-            let Some(part) = self.ports.consumers.behind(self.tick).map(|consumer| consumer.part) else {
+            let Some(part) = self.ports.consumers.behind(self.tick, |_| true).map(|consumer| consumer.part) else {
                 return Ok(());
             };
             // Asked to end by a signal, somebody is in a hurry, or dead: nobody may be there to take the last state.
