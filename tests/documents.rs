@@ -80,3 +80,29 @@ fn every_scene_that_the_documents_name_is_there() {
         }
     }
 }
+
+/// They said half a second in one place and four in another.
+#[test]
+fn the_documents_say_how_much_the_recorders_queues_hold() {
+    use ipc_types::services::{FRAME, LATCHED, RECORDER_QUEUE_TICKS, REMOVED, STATE, TICK_TIMING};
+    for once_a_tick in [STATE, LATCHED, REMOVED, TICK_TIMING] {
+        assert_eq!(once_a_tick.lossless_length as u64, RECORDER_QUEUE_TICKS, "{}", once_a_tick.name);
+    }
+    let logs = read("docs/logs.md");
+    let figure = format!(
+        "{RECORDER_QUEUE_TICKS} ticks, {:.1} s at 1 kHz, and {} frames",
+        RECORDER_QUEUE_TICKS as f64 * 1e-3,
+        FRAME.lossless_length
+    );
+    assert!(logs.contains(&figure), "docs/logs.md does not say `{figure}`");
+    for path in documents().iter().filter(|path| !path.ends_with("CHANGELOG.md")) {
+        for paragraph in
+            read(path).split("\n\n").filter(|text| text.contains("recorder") && text.contains("queue"))
+        {
+            let text = paragraph.replace('\n', " ");
+            for other in ["half a second", "four seconds"] {
+                assert!(!text.contains(other), "{} says `{other}`: {text}", path.display());
+            }
+        }
+    }
+}

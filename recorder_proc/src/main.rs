@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use ipc_types::process::{conclude, end_with_parent};
+use ipc_types::process::end_with_parent;
 
 /// Records a running session.
 #[derive(Debug, Parser)]
@@ -21,5 +21,11 @@ struct Arguments {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     end_with_parent();
-    conclude("recorder_proc", recorder_proc::process::run(&arguments.session, &arguments.output))
+    match recorder_proc::process::run(&arguments.session, &arguments.output) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("recorder_proc: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
 }

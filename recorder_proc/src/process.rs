@@ -1,11 +1,13 @@
 //! The recorder process: takes every message of every service and writes the two logs.
 //!
-//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold four seconds; one thread takes from them
-//! and puts the log together, another writes the files ([`background`](crate::background)), with as much again between
-//! them. The physics in lockstep waits for its `Progress`, in real time a gap is counted by the sequence numbers and
-//! written into the log's end.
+//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]; one thread takes
+//! from them and puts the log together, another writes the files ([`background`](crate::background)). The physics in lockstep, and
+//! with `recording.on_full = "wait"` in real time, waits for its `Progress`; else a recorder that is later than its queues
+//! leaves a gap: said at once in an event, counted in the log's end, and told by the exit code ([`RecorderError::Gap`]).
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -13,13 +15,18 @@ use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, PHASE_ENDED, Progress,
-    Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, Event, Frame, FrameTiming, Keyframe, Latched,
+    PHASE_ENDED, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER,
+    SEVERITY_WARNING, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
-use ipc_types::process::{EndRequest, Role, VOLUME_LIMIT, await_volume, prioritise, session_scene};
+use ipc_types::process::{
+    EXIT_FAILED, EXIT_GAP, EndRequest, EventSender, Role, VOLUME_LIMIT, await_volume, prioritise,
+    session_scene,
+};
+use ipc_types::ration::Remarks;
 use ipc_types::scene::{Images, Mode, Recording, Scene, SceneError};
-use ipc_types::services;
+use ipc_types::services::{self, RECORDER_QUEUE_TICKS};
 use ipc_types::session::{Reader, Session, SessionError, host_is_alive};
 use ipc_types::wake::{Waiter, Waker};
 use thiserror::Error;
@@ -29,7 +36,7 @@ use crate::gaps::Gaps;
 use crate::header::CALIBRATION_ATTACHMENT;
 use crate::{BuildInfo, EndMarker, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, topics};
 
-/// Longest time between two looks at the queues: a small part of the four seconds that they hold.
+/// Longest time between two looks at the queues: a small part of what they hold.
 const LOOK_TIME: Duration = Duration::from_millis(2);
 /// States after which progress is reported in between.
 const PROGRESS_TICKS: u64 = 64;
@@ -76,6 +83,30 @@ pub enum RecorderError {
     /// Signals cannot be handled.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
+    /// The folder of the logs cannot be brought to the disk.
+    #[error("{}: cannot be brought to the disk: {source}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The log is finished, but something that belongs into `run.mcap` never came.
+    #[error(
+        "the log has a gap ({lost}): the recorder was held up for longer than the {RECORDER_QUEUE_TICKS} ticks that its queues hold; \
+         `recording.on_full = \"wait\"` makes the physics wait for it"
+    )]
+    Gap {
+        /// What is missing, by topic.
+        lost: String,
+    },
+}
+
+impl RecorderError {
+    /// Exit code of the recorder process.
+    pub fn exit_code(&self) -> u8 {
+        if matches!(self, RecorderError::Gap { .. }) { EXIT_GAP } else { EXIT_FAILED }
+    }
 }
 
 /// Name of the file in the session's folder that says where the run is recorded.
@@ -101,6 +132,7 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let ports = Ports::open(&session, &scene)?;
     let (run, timing) = (output.join("run.mcap"), output.join("timing.mcap"));
     let mut recorder = Recorder {
+        events: EventSender::new(&session, SENDER_RECORDER)?,
         run: RunLog::create_named(create(&run, BackgroundOptions::RUN)?, &run, &header)?,
         timing: TimingLog::create_named(create(&timing, BackgroundOptions::TIMING)?, &timing, &header)?,
         recording: scene.recording.clone(),
@@ -109,8 +141,11 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         gaps: Gaps::default(),
         run_has_ended: false,
         session_folder: session_folder.to_owned(),
+        remarks: Remarks::default(),
         ports,
     };
+    // From here on a machine that loses its power leaves files that say what they are.
+    sync_folder(output)?;
     let recorded = recorder.record(&end);
     // Whatever went wrong, what has been taken is kept.
     let finished = recorder.finish(output, recorded.is_err());
@@ -118,7 +153,14 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
 }
 
 fn create(path: &Path, options: BackgroundOptions) -> Result<BackgroundFile, LogError> {
-    BackgroundFile::create(path, options).map_err(|source| LogError::Create { path: path.into(), source })
+    BackgroundFile::create(path, options).map_err(|source| match source.kind() {
+        ErrorKind::AlreadyExists => LogError::Exists { path: path.into() },
+        _ => LogError::Create { path: path.into(), source },
+    })
+}
+
+fn sync_folder(folder: &Path) -> Result<(), RecorderError> {
+    output_file::sync_folder(folder).map_err(|source| RecorderError::Folder { path: folder.into(), source })
 }
 
 /// What the logs say about the run.
@@ -204,6 +246,7 @@ impl Ports {
 }
 
 struct Recorder {
+    events: EventSender,
     run: RunLog<BackgroundFile>,
     timing: TimingLog<BackgroundFile>,
     recording: Recording,
@@ -214,6 +257,7 @@ struct Recorder {
     /// Whether the physics has said so.
     run_has_ended: bool,
     session_folder: PathBuf,
+    remarks: Remarks,
     ports: Ports,
 }
 
@@ -275,12 +319,22 @@ impl Recorder {
             // Latched and Removed of a tick are published before its state.
             self.take_inputs()?;
             self.run.state(state.message())?;
-            self.newest_tick = state.message().tick;
+            let tick = state.message().tick;
+            drop(state);
+            let missing = self.newest_tick + 1..tick;
+            self.newest_tick = tick;
+            if !missing.is_empty() {
+                self.tell_of_gap(&missing)?;
+            }
             if self.newest_tick >= self.reported_tick + PROGRESS_TICKS {
                 self.report_progress(self.newest_tick)?;
             }
         }
         self.take_inputs()?;
+        if let Some(more) = self.remarks.unsaid() {
+            let text = format!("{more} more gaps in the log");
+            self.events.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
+        }
         if self.newest_tick > self.reported_tick {
             self.report_progress(self.newest_tick)?;
         }
@@ -344,6 +398,19 @@ impl Recorder {
         copy_all(&ports.requests, timing, topics::DRR_REQUEST, tick)
     }
 
+    /// At once: what is recorded from here on may not be what the run is made for.
+    fn tell_of_gap(&mut self, missing: &Range<u64>) -> Result<(), RecorderError> {
+        if !self.remarks.allows() {
+            return Ok(());
+        }
+        let text = format!(
+            "ticks {} to {} are missing in the log: the recorder was held up for longer than its queues hold",
+            missing.start,
+            missing.end - 1
+        );
+        Ok(self.events.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?)
+    }
+
     fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {
         self.reported_tick = tick;
         let lost = self.run.lost().values().chain(self.gaps.lost().values());
@@ -380,11 +447,16 @@ impl Recorder {
             // There was nothing to record yet, and there is nothing to replay.
             paths.iter().for_each(|path| drop(std::fs::remove_file(path)));
         }
-        Ok(())
+        sync_folder(output)?;
+        if run.lost.is_empty() {
+            return Ok(());
+        }
+        let each: Vec<String> = run.lost.iter().map(|(topic, count)| format!("{count} of {topic}")).collect();
+        Err(RecorderError::Gap { lost: each.join(", ") })
     }
 }
 
-/// Waits until the finished log is in its file.
+/// Waits until the finished log is on the disk.
 fn finish_file(
     path: PathBuf,
     finished: Result<(EndMarker, BackgroundFile), LogError>,

@@ -67,7 +67,8 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
             controller_proc::process::run(joined.to_living()?, name).map_err(|e| failed(&e))?;
         }
         ProcCommand::Recorder { output, joined } => {
-            recorder_proc::process::run(joined.to_living()?, output).map_err(|e| failed(&e))?;
+            let recorded = recorder_proc::process::run(joined.to_living()?, output);
+            recorded.map_err(|error| Failure { code: error.exit_code(), message: error.to_string() })?;
         }
         ProcCommand::Keep { words } => return keeper::run(words),
     }

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::{Args, ValueEnum};
-use ipc_types::process::{Role, prioritise};
+use ipc_types::process::{EXIT_GAP, Role, prioritise};
 use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
+use ipc_types::services::RECORDER_QUEUE_TICKS;
 
 use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
@@ -131,7 +132,7 @@ impl From<PolicyArgument> for Policy {
 /// Runs a scene.
 ///
 /// # Errors
-/// Bad input (exit code 2), a part that died or a log that has gone (1), Ctrl-C (130).
+/// Bad input (exit code 2), a part that died or a log that has gone (1), a log with a gap (3), Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let interrupts =
         Interrupts::hear().map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
@@ -241,6 +242,13 @@ fn program_name() -> String {
 
 fn judge(result: &RunResult) -> Result<(), Failure> {
     match &result.outcome {
+        Outcome::Completed if result.has_gap => Err(Failure {
+            message: format!(
+                "the run was completed, but its log has a gap: the recorder was held up for longer than the {RECORDER_QUEUE_TICKS} ticks \
+                 that its queues hold; `recording.on_full = \"wait\"` makes the physics wait for it"
+            ),
+            code: EXIT_GAP,
+        }),
         Outcome::Completed => Ok(()),
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
         // The launcher has said how.

@@ -10,7 +10,7 @@ use ipc_types::process::EndRequest;
 
 use super::hub::{DRR, PHYSICS, RECORDER};
 use super::part::Part;
-use super::run::{Outcome, RunPlan, judge};
+use super::run::{Outcome, RunPlan, has_gap, judge};
 
 const LOOK_TIME: Duration = Duration::from_millis(5);
 /// How long a part may take to end.
@@ -172,7 +172,7 @@ impl Ending<'_> {
         let expected = self.end.is_urgent() || (name == DRR && outcome == Outcome::Interrupted);
         let found = parts.iter_mut().find(|part| part.name == name);
         let Some(part) = found.filter(|_| !expected && outcome.death().is_none()) else { return outcome };
-        if part.ended().is_none_or(|status| status.success()) {
+        if has_gap(part) || part.ended().is_none_or(|status| status.success()) {
             return outcome;
         }
         let died = judge(part, false);

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::{Frame, PHASE_ENDED, PHASE_RUNNING, RunStatus, State, TickTiming};
 use ipc_types::ports::{PortError, Subscriber};
-use ipc_types::process::{EndRequest, ProcessorTime};
+use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
 use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
@@ -73,6 +73,8 @@ impl Outcome {
 pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
+    /// Whether something is missing in its log that the recorder could not take in time.
+    pub has_gap: bool,
     /// Wall time from the first tick to the end of the physics.
     pub running: Duration,
     /// Wall time from the start of the launcher to the first tick.
@@ -92,6 +94,7 @@ impl RunResult {
             Outcome::PartDied { name, how, .. } => format!("part `{name}` died ({how})"),
             Outcome::LogGone(how) => how.clone(),
         };
+        let outcome = outcome + if self.has_gap { ", with a gap in the log" } else { "" };
         let both = |(name, memory): &(String, Memory)| {
             [(name.clone(), memory.peak_resident), (format!("{name}{NOT_SHARED}"), memory.peak_private)]
         };
@@ -202,7 +205,8 @@ pub fn run_with(
     let mut processor: Vec<(String, Duration)> =
         all().map(|part| (part.name.clone(), part.processor)).collect();
     processor.push(("launcher".to_owned(), ProcessorTime::of("self").unwrap_or_default().own));
-    Ok(RunResult { outcome, running, starting: first_tick.duration_since(began), memory, processor })
+    let has_gap = parts.iter_mut().any(has_gap);
+    Ok(RunResult { outcome, has_gap, running, starting: first_tick.duration_since(began), memory, processor })
 }
 
 /// A run while it goes on.
@@ -313,6 +317,11 @@ fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
     scene.controller.iter().filter(|controller| controller.external).map(line).collect()
 }
 
+/// The recorder has finished its log, and something is missing in it.
+pub(super) fn has_gap(part: &mut Part) -> bool {
+    part.name == RECORDER && part.ended().and_then(|status| status.code()) == Some(i32::from(EXIT_GAP))
+}
+
 /// The launcher's subscriptions.
 struct Eyes {
     states: Subscriber<State>,
@@ -378,12 +387,13 @@ impl Eyes {
 /// The system's.
 pub fn output_folder(parent: &Path, scene: &Scene) -> std::io::Result<PathBuf> {
     let stamp = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S").to_string();
-    std::fs::create_dir_all(parent)?;
+    output_file::create_folder(parent)?;
     for attempt in 0.. {
         let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
         let folder = parent.join(format!("{}-{stamp}{suffix}", scene.name));
         match std::fs::create_dir(&folder) {
-            Ok(()) => return Ok(folder),
+            // On the disk before anything is in it.
+            Ok(()) => return output_file::sync_folder(parent).map(|()| folder),
             Err(cause) if cause.kind() == std::io::ErrorKind::AlreadyExists && attempt < 1000 => {}
             Err(cause) => return Err(cause),
         }

@@ -185,7 +185,8 @@ impl Runner<'_> {
         let (mut patience, mut abandoned) = (Patience::new(CONSUMER_LIMIT), Patience::new(ABANDONED_LIMIT));
         loop {
             self.ports.consumers.update()?;
-            let Some(part) = self.ports.consumers.behind(self.tick, |_| true).map(|consumer| consumer.part) else {
+            let Some(part) = self.ports.consumers.behind(self.tick, |_| true).map(|consumer| consumer.part)
+            else {
                 return Ok(());
             };
             // Asked to end by a signal, somebody is in a hurry, or dead: nobody may be there to take the last state.

@@ -1,0 +1,115 @@
+//! A recorder that is held up for longer than its queues hold: the log has a gap and everybody says so, or the physics waits.
+
+use std::time::Duration;
+
+use ipc_types::messages::{CONTROL_STOP, EVENT_MESSAGES_LOST};
+use ipc_types::process::EXIT_GAP;
+use ipc_types::services::RECORDER_QUEUE_TICKS;
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::common::client::Client;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{Ended, Place, assert_nothing_left, signal, wait_for};
+use crate::common::scenes;
+
+/// Stops the recorder of a run that is under way, does something, lets it go on for 300 ticks, and ends the run.
+fn with_a_stopped_recorder(
+    place: &Place,
+    scene: &str,
+    meanwhile: impl FnOnce(&Client, u64),
+) -> (Ended, Client) {
+    let run = place.start(scene);
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 100);
+    let recorder = run.part("recorder");
+    signal(recorder, Signal::STOP);
+    let stopped_at = client.wait_for_state(|_| true).tick;
+    meanwhile(&client, stopped_at);
+    signal(recorder, Signal::CONT);
+    let now = client.wait_for_state(|_| true).tick;
+    client.wait_for_state(|state| state.tick >= now + 300);
+    let events = client.events().into_iter().filter(|(code, _)| *code == EVENT_MESSAGES_LOST);
+    let told = events.map(|(_, text)| text).collect();
+    client.ask(CONTROL_STOP, 0);
+    drop(client);
+    (run.end(), told)
+}
+
+fn summary(ended: &Ended) -> Value {
+    let text = std::fs::read_to_string(ended.folder.join("summary.json")).unwrap();
+    serde_json::from_str(&text).unwrap()
+}
+
+/// 5.5 s stopped cost the rest of the log, with exit code 0 and "completed".
+#[test]
+fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_with_3() {
+    let place = Place::new();
+    let mut stopped_at = 0;
+    let (ended, client) =
+        with_a_stopped_recorder(&place, &scenes::hold("realtime", 3600.0), |client, tick| {
+            stopped_at = tick;
+            client.wait_for_state(|state| state.tick >= tick + RECORDER_QUEUE_TICKS + 1000);
+        });
+    assert_eq!(ended.code, Some(i32::from(EXIT_GAP)), "{}{}", ended.out, ended.err);
+    assert!(
+        ended.err.contains("its log has a gap") && ended.err.contains("recording.on_full"),
+        "{}",
+        ended.err
+    );
+    let summary = summary(&ended);
+    assert_eq!(summary["outcome"], "completed, with a gap in the log");
+    let gap = &summary["logs"]["missing_ticks"][0];
+    let (first, last) = (gap[0].as_u64().unwrap(), gap[1].as_u64().unwrap());
+    assert!(first + 200 > stopped_at && last >= first + 500, "{first} to {last}, stopped at {stopped_at}");
+    assert!(ended.out.contains(&format!("ticks {first} to {last}")), "{}", ended.out);
+    // Said at once, too, to whoever listens.
+    let at_once = format!("ticks {first} to {last} are missing in the log");
+    assert!(told.iter().any(|text| text.contains(&at_once)), "{told:?}");
+    assert_nothing_left(ended.pid);
+}
+
+/// Waits until the physics has made no tick for a while; the last one.
+fn stalled(client: &Client) -> u64 {
+    let mut last = 0;
+    wait_for("the physics to wait", || match client.next_state_within(Duration::from_millis(500)) {
+        Some(state) => {
+            last = state.tick;
+            None
+        }
+        None => Some(last),
+    })
+}
+
+#[test]
+fn a_physics_that_may_wait_for_the_recorder_loses_nothing() {
+    let scene = format!("{}\n[recording]\non_full = \"wait\"\n", scenes::hold("realtime", 3600.0));
+    let place = Place::new();
+    let (ended, told) = with_a_stopped_recorder(&place, &scene, |client, tick| {
+        let last = stalled(client);
+        // The recorder has taken some more ticks before it stopped.
+        assert!(last > tick && last < tick + RECORDER_QUEUE_TICKS / 2, "{tick} to {last}");
+    });
+    assert!(told.is_empty(), "{told:?}");
+    assert_eq!(ended.code, Some(0), "{}{}", ended.out, ended.err);
+    assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
+    assert_replays(&ended.folder);
+    let summary = summary(&ended);
+    assert_eq!(summary["logs"]["missing_ticks"], Value::Array(Vec::new()));
+    // That it waited is a miss with its cause.
+    assert!(summary["timing"]["misses"]["by_cause"]["recorder"].as_u64() >= Some(1), "{summary:#}");
+    assert!(summary["timing"]["misses"]["lost_ms"]["recorder"].as_f64() > Some(400.0), "{summary:#}");
+}
+
+/// Whatever the scene says: nothing presses in lockstep.
+#[test]
+fn lockstep_always_waits_for_the_recorder() {
+    let scene = format!("{}\n[recording]\non_full = \"gap\"\n", scenes::hold("lockstep", 600.0));
+    let place = Place::new();
+    let (ended, told) = with_a_stopped_recorder(&place, &scene, |client, _| {
+        stalled(client);
+    });
+    assert!(told.is_empty(), "{told:?}");
+    assert_eq!(ended.code, Some(0), "{}{}", ended.out, ended.err);
+    assert!(read(&ended.folder).marker.unwrap().lost.is_empty());
+}
