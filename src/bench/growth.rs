@@ -22,14 +22,16 @@ pub struct Course {
     /// Median of the slopes between any two samples from the first of them on (Theil and Sen): a queue that once ran full, or a
     /// sample that is wrong, moves it little; what grows all the time moves it by all of that.
     pub bytes_per_minute: f64,
+    /// The least of this slope and of those of the first and the second half: a single step, wherever it is, leaves one half flat.
+    pub steady_bytes_per_minute: f64,
     /// Time between the first of them and the last.
     pub minutes: f64,
 }
 
 impl Course {
-    /// What the slope comes to from the first sample to the last.
+    /// What goes on growing all the time comes to so much from the first sample to the last.
     pub fn growth_bytes(&self) -> f64 {
-        self.bytes_per_minute * self.minutes
+        self.steady_bytes_per_minute * self.minutes
     }
 }
 
@@ -52,7 +54,11 @@ impl Curve {
             self.0.iter().copied().filter(|(minute, _)| *minute >= STARTED_SHARE * last_min).collect();
         let (first, last) = (settled.first()?, settled.last()?);
         let bytes = [first.1, settled.get(settled.len() / 2)?.1, last.1];
-        Some(Course { bytes, bytes_per_minute: median_slope(&settled), minutes: last.0 - first.0 })
+        let (first_half, second_half) = settled.split_at(settled.len() / 2);
+        let bytes_per_minute = median_slope(&settled);
+        let steady_bytes_per_minute =
+            [first_half, second_half].map(median_slope).into_iter().fold(bytes_per_minute, f64::min);
+        Some(Course { bytes, bytes_per_minute, steady_bytes_per_minute, minutes: last.0 - first.0 })
     }
 }
 
@@ -86,7 +92,7 @@ mod tests {
     #[test]
     fn a_start_is_no_growth() {
         let flat = course(|second| if second < 50 { 1000 * second } else { 50_000 });
-        assert_eq!(flat, Course { bytes: [50_000; 3], bytes_per_minute: 0.0, minutes: 9.0 });
+        assert_eq!((flat.bytes, flat.bytes_per_minute, flat.minutes), ([50_000; 3], 0.0, 9.0));
     }
 
     #[test]
@@ -125,6 +131,8 @@ mod tests {
         let mut growth = Growth::default();
         growth.add("part", Duration::from_secs(3), 7);
         let courses: Vec<_> = growth.courses().collect();
-        assert_eq!(courses, [("part", Course { bytes: [7; 3], bytes_per_minute: 0.0, minutes: 0.0 })]);
+        let none =
+            Course { bytes: [7; 3], bytes_per_minute: 0.0, steady_bytes_per_minute: 0.0, minutes: 0.0 };
+        assert_eq!(courses, [("part", none)]);
     }
 }
