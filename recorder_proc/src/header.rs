@@ -169,6 +169,31 @@ impl LogHeader {
     }
 }
 
+/// Refuses a log of which a message has not this build's layout.
+pub(crate) fn check_layouts(
+    path: &Path,
+    metadata: &BTreeMap<String, String>,
+    header: &LogHeader,
+) -> Result<(), LogError> {
+    match other_layout(metadata) {
+        None => Ok(()),
+        Some((message, log, build)) => {
+            let version = header.build.version.clone();
+            Err(LogError::Layout { path: path.into(), message, log, build, version })
+        }
+    }
+}
+
+/// The first message whose layout is not this build's: its name, the log's hash, this build's.
+pub(crate) fn other_layout(metadata: &BTreeMap<String, String>) -> Option<(String, String, String)> {
+    let build = layout_hashes();
+    let of_log = metadata.iter().filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)));
+    let with_ours =
+        of_log.map(|(message, log)| (message, log, build.get(message).cloned().unwrap_or_default()));
+    let mut others = with_ours.filter(|(_, log, ours)| ours != *log);
+    others.next().map(|(message, log, ours)| (message.to_string(), log.clone(), ours))
+}
+
 /// Entries of a metadata record, with the context that an error needs.
 pub(crate) struct Entries<'a> {
     pub path: &'a Path,

@@ -18,14 +18,13 @@ use zerocopy::FromBytes;
 
 use crate::end::{END_RECORD, EndMarker, EndReason, REPAIR_RECORD};
 use crate::error::LogError;
-use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT};
+use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT, other_layout};
 use crate::index::Summary;
 use crate::limits::{Declared, MAX_TOLD};
 use crate::opening::Parts;
 use crate::reader::{LogReader, ReadOptions};
 use crate::records::Attached;
 use crate::rewrite::{Packing, Rewriter};
-use crate::stream::other_layout;
 use crate::topics;
 use crate::verdict::{Fault, Verdict, verdict};
 pub use crate::walk::Lost;

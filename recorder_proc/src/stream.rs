@@ -15,7 +15,7 @@ use crate::continuity::Continuity;
 use crate::end::{END_RECORD, EndMarker, Ending, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::fields::message_size;
-use crate::header::{HEADER_RECORD, LogHeader, layout_hashes};
+use crate::header::{HEADER_RECORD, LogHeader, check_layouts};
 use crate::index::Summary;
 use crate::limits::{Declared, check_declaration};
 use crate::opening::{HeaderCopy, Opened, Parts, open};
@@ -469,28 +469,4 @@ impl MessageStream {
     fn damaged(&self, cause: String) -> LogError {
         LogError::Damaged { path: self.records.path().into(), offset: self.records.offset(), cause }
     }
-}
-
-fn check_layouts(
-    path: &Path,
-    metadata: &BTreeMap<String, String>,
-    header: &LogHeader,
-) -> Result<(), LogError> {
-    match other_layout(metadata) {
-        None => Ok(()),
-        Some((message, log, build)) => {
-            let version = header.build.version.clone();
-            Err(LogError::Layout { path: path.into(), message, log, build, version })
-        }
-    }
-}
-
-/// The first message whose layout is not this build's: its name, the log's hash, this build's.
-pub(crate) fn other_layout(metadata: &BTreeMap<String, String>) -> Option<(String, String, String)> {
-    let build = layout_hashes();
-    let of_log = metadata.iter().filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)));
-    let with_ours =
-        of_log.map(|(message, log)| (message, log, build.get(message).cloned().unwrap_or_default()));
-    let mut others = with_ours.filter(|(_, log, ours)| ours != *log);
-    others.next().map(|(message, log, ours)| (message.to_string(), log.clone(), ours))
 }

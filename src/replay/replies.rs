@@ -1,13 +1,14 @@
 //! What a frame should show: its reply, the request that asked for it, the scene.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::path::PathBuf;
 
 use drr_proc::process::{c_arm_message, scene_c_arm};
 use ipc_types::layout::Message;
 use ipc_types::messages::{CArmGeometry, DRR_ACCEPTED, DrrReply, DrrRequest, Frame, GEOMETRY_REQUEST};
 use ipc_types::scene::Drr;
 use recorder_proc::difference::compare;
-use recorder_proc::{MessageStream, topics};
+use recorder_proc::{MessageStream, ReadOptions, topics};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::OpenedLog;
@@ -26,6 +27,10 @@ pub struct Replies {
     scene: CArmGeometry,
     /// C-arms asked for, by controller and number; an asker may use a number again. Empty without the timing lane.
     requests: BTreeMap<(u32, u64), Vec<CArmGeometry>>,
+    path: PathBuf,
+    options: ReadOptions,
+    /// Whether the log lacks replies; none as long as nobody has asked.
+    lacks: Option<bool>,
 }
 
 impl Replies {
@@ -40,7 +45,8 @@ impl Replies {
         let stream =
             MessageStream::open_topics(&log.path, &wanted, log.options()).map_err(Failure::bad_input)?;
         let requests = requests(log, &scene);
-        Ok(Replies { stream, waiting: VecDeque::new(), scene, requests })
+        let (path, options) = (log.path.clone(), log.options());
+        Ok(Replies { stream, waiting: VecDeque::new(), scene, requests, path, options, lacks: None })
     }
 
     /// The C-arm that a frame should have: the scene's, or what was asked for.
@@ -50,7 +56,7 @@ impl Replies {
     pub fn geometry_of(&mut self, frame: &Frame) -> Result<CArmGeometry, String> {
         let Some(reply) = self.reply_of(frame.sequence)? else {
             // A log that lacks replies says so; a frame that nobody asked for shows the scene's C-arm all the same.
-            return match (self.is_missing_some(), frame.request_id) {
+            return match (self.lacks_some(), frame.request_id) {
                 (false, _) => Err(format!("{} has none for it", topics::DRR_REPLY)),
                 (true, 0) => Ok(self.scene),
                 (true, _) => Ok(frame.geometry),
@@ -99,10 +105,15 @@ impl Replies {
         Ok(if is_it { self.waiting.pop_front() } else { None })
     }
 
-    fn is_missing_some(&mut self) -> bool {
-        // The end marker knows.
-        while let Ok(Some(_)) = self.stream.next_message() {}
-        !self.stream.verdict().is_intact()
+    /// Whether the log lacks replies, as its end marker knows.
+    fn lacks_some(&mut self) -> bool {
+        let (path, options) = (&self.path, self.options);
+        *self.lacks.get_or_insert_with(|| {
+            let wanted = [topics::DRR_REPLY.to_owned()];
+            let Ok(mut stream) = MessageStream::open_topics(path, &wanted, options) else { return true };
+            while let Ok(Some(_)) = stream.next_message() {}
+            !stream.verdict().is_intact()
+        })
     }
 }
 
