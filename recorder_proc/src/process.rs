@@ -278,7 +278,9 @@ impl Recorder {
                 quiet_since = Instant::now();
             }
         }
-        if !host_is_alive(&self.session_folder) {
+        // The launcher says why the run ends before it asks. Its lock alone may outlive it for a moment.
+        let says_why = self.run.path().with_file_name(REASON_FILE).exists();
+        if !says_why || !host_is_alive(&self.session_folder) {
             self.outlast_physics()?;
         }
         for _ in 0..LAST_ROUNDS {
