@@ -9,6 +9,7 @@ mod commands;
 mod failure;
 mod keeper;
 mod launcher;
+mod output;
 mod plan;
 mod replay;
 mod report;

@@ -14,6 +14,7 @@ use super::{complete_run, cut, failed, row};
 use crate::failure::Failure;
 use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source;
+use crate::launcher::volume_source::VolumeFiles;
 use crate::replay::{OpenedLog, Overrides};
 
 /// Records the scene in lockstep to its end, or for `ticks`, and replays the log without frames.
@@ -27,7 +28,12 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
     let end = EndRequest::install().map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
     let machine = Machine::watch();
-    let plan = RunPlan { scene, output: Some(folder.path().to_owned()), view: None };
+    let plan = RunPlan {
+        scene,
+        output: Some(folder.path().to_owned()),
+        view: None,
+        volume_files: VolumeFiles::default(),
+    };
     let result = complete_run(&plan, &end, |_| {})?;
     let simulated_s = plan.scene.run.duration_s;
     let wall_s = result.running.as_secs_f64();
@@ -80,7 +86,7 @@ pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
 /// # Errors
 /// A log that cannot be read, a tick whose hash differs.
 pub(super) fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
-    let volume = volume_source::load(scene).map_err(failed)?;
+    let volume = volume_source::load(scene, VolumeFiles::default()).map_err(failed)?;
     let ct = volume.as_ref().map(|(volume, hash)| {
         let geometry = ct_geometry(&volume_source::message(volume, *hash));
         CtView { geometry, hu: &volume.hu }

@@ -16,6 +16,7 @@ use crate::failure::Failure;
 use crate::launcher::part::Memory;
 use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source;
+use crate::launcher::volume_source::VolumeFiles;
 
 /// Bytes of a mebibyte.
 const MEBIBYTE: f64 = 1_048_576.0;
@@ -41,7 +42,7 @@ pub fn run(scene: &Path, dimensions: [usize; 3], ticks: u64) -> Result<(), Failu
     cut(&mut scene, Some(ticks));
     let folder = tempfile::tempdir().map_err(failed)?;
     let file = folder.path().join("large.nrrd");
-    let volume = volume_source::load(&scene).map_err(Failure::bad_input)?;
+    let volume = volume_source::load(&scene, VolumeFiles::default()).map_err(Failure::bad_input)?;
     let (volume, _) = volume.ok_or_else(|| Failure::bad_input("the scene has no `[volume]`"))?;
     write_resampled(&volume, dimensions, &file).map_err(failed)?;
     drop(volume);
@@ -52,7 +53,12 @@ pub fn run(scene: &Path, dimensions: [usize; 3], ticks: u64) -> Result<(), Failu
     let ct_bytes = dimensions.iter().product::<usize>() as u64 * 2;
     let (mut segments, mut running) = (Vec::new(), Memory::default());
     let machine = Machine::watch();
-    let plan = RunPlan { scene, output: Some(folder.path().to_owned()), view: None };
+    let plan = RunPlan {
+        scene,
+        output: Some(folder.path().to_owned()),
+        view: None,
+        volume_files: VolumeFiles::default(),
+    };
     let result = complete_run(&plan, &end, |glance| {
         running.measure("self");
         if segments.is_empty() {

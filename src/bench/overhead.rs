@@ -12,6 +12,7 @@ use super::samples::{Samples, median};
 use super::{complete_run, failed, row};
 use crate::failure::Failure;
 use crate::launcher::run::RunPlan;
+use crate::launcher::volume_source::VolumeFiles;
 
 /// Where the time of lockstep ticks goes.
 #[derive(Debug, Default)]
@@ -99,7 +100,8 @@ fn ratio_line(ratios: &[f64]) -> String {
 }
 
 fn run_ticks(scene: &Scene, end: &EndRequest) -> Result<Ticks, Failure> {
-    let plan = RunPlan { scene: scene.clone(), output: None, view: None };
+    let plan =
+        RunPlan { scene: scene.clone(), output: None, view: None, volume_files: VolumeFiles::default() };
     let mut ticks = Ticks::default();
     complete_run(&plan, end, |glance| glance.timings.iter().for_each(|timing| ticks.add(timing)))?;
     Ok(ticks)

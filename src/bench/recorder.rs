@@ -10,7 +10,9 @@ use super::machine::Machine;
 use super::samples::{Samples, median};
 use super::{complete_run, failed, row};
 use crate::failure::Failure;
+use crate::launcher::hub::View;
 use crate::launcher::run::RunPlan;
+use crate::launcher::volume_source::VolumeFiles;
 
 /// The physics' figures of runs of one kind.
 #[derive(Debug, Default)]
@@ -103,11 +105,16 @@ pub(super) fn in_turn(
 pub(super) fn one(
     scene: &Scene,
     output: Option<&Path>,
-    view: Option<u16>,
+    view: Option<View>,
     end: &EndRequest,
     all: &mut Physics,
 ) -> Result<u64, Failure> {
-    let plan = RunPlan { scene: scene.clone(), output: output.map(Path::to_owned), view };
+    let plan = RunPlan {
+        scene: scene.clone(),
+        output: output.map(Path::to_owned),
+        view,
+        volume_files: VolumeFiles::default(),
+    };
     let mut this = Physics::default();
     let mut frames = 0;
     complete_run(&plan, end, |glance| {

@@ -14,6 +14,8 @@ use super::{failed, log, row};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::part::Memory;
 use crate::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene};
+use crate::launcher::volume_source::VolumeFiles;
+use crate::output::{refuse_existing, within};
 use crate::report::{self, Summary};
 
 /// Bytes of a mebibyte.
@@ -39,6 +41,9 @@ const FLAT_BYTES: f64 = MEBIBYTE;
 /// Ctrl-C (130).
 pub fn run(scene: &Path, minutes: f64, policy: Option<Policy>, output: Option<&Path>) -> Result<(), Failure> {
     let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+    if let Some(folder) = output {
+        refuse_existing(&within(folder, &["run.mcap", "timing.mcap", "summary.json"]))?;
+    }
     scene.run.mode = Mode::Realtime;
     scene.run.duration_s = minutes * 60.0;
     scene.run.policy = policy.unwrap_or(scene.run.policy);
@@ -55,7 +60,8 @@ pub fn run(scene: &Path, minutes: f64, policy: Option<Policy>, output: Option<&P
         )));
     }
     let machine = Machine::watch();
-    let plan = RunPlan { scene, output: Some(folder.to_owned()), view: None };
+    let plan =
+        RunPlan { scene, output: Some(folder.to_owned()), view: None, volume_files: VolumeFiles::default() };
     let mut watch = Watch::new(minutes, plan.scene.run.policy);
     let result = run_scene(&plan, &end, |glance| watch.look(glance)).map_err(failed)?;
     let facts = result.facts(String::new());

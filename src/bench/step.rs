@@ -34,7 +34,8 @@ pub fn run(scene: &Path, ticks: Option<u64>, rounds: usize) -> Result<(), Failur
     let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
     scene.run.mode = Mode::Lockstep;
     cut(&mut scene, ticks);
-    let volume = volume_source::load(&scene).map_err(Failure::bad_input)?;
+    let volume =
+        volume_source::load(&scene, volume_source::VolumeFiles::default()).map_err(Failure::bad_input)?;
     let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
     let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
     let prepare = || -> Result<Bench, Failure> {

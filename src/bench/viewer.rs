@@ -13,6 +13,7 @@ use ipc_types::scene::Scene;
 use super::recorder::{Physics, in_turn, one};
 use super::{failed, row};
 use crate::failure::Failure;
+use crate::launcher::hub::View;
 
 /// Runs the scene in real time for `seconds`, `rounds` times without and with a viewer in turn.
 ///
@@ -25,7 +26,7 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
         let over = AtomicBool::new(false);
         std::thread::scope(|scope| {
             let watching = scope.spawn(|| watch(port, &over));
-            let made = one(scene, None, Some(port), end, with);
+            let made = one(scene, None, Some(View { port, watch_by_anyone: true }), end, with);
             over.store(true, Ordering::Relaxed);
             let taken = watching.join().map_err(|_| Failure::failed("the viewer's client has panicked"))?;
             made.map(|_| taken)

@@ -11,7 +11,8 @@ use physics_proc::process::ct_geometry;
 use physics_proc::simulation::{CtView, Simulation};
 
 use crate::failure::Failure;
-use crate::launcher::volume_source;
+use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::output::{NewFiles, refuse_existing, within};
 use crate::report::calibration_figure;
 
 /// Arguments of `calibrate`.
@@ -23,6 +24,8 @@ pub struct CalibrateArguments {
     /// Folder for `calibration.csv`, `.png` and `.svg`; made if it is not there.
     #[arg(short, long, default_value = "out/calibration")]
     pub output: PathBuf,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
 }
 
 /// Steps the physics through the sweep in this process, as fast as it can, and writes what it measured.
@@ -32,12 +35,15 @@ pub struct CalibrateArguments {
 pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let mut scene = Scene::load(&arguments.scene).map_err(Failure::bad_input)?;
     scene.run.mode = Mode::Lockstep;
-    let calibration = sweep(&scene, &arguments.scene)?;
     let folder = &arguments.output;
+    let files = within(folder, &["calibration.csv", "calibration.png", "calibration.svg"]);
+    refuse_existing(&files)?;
+    let calibration = sweep(&scene, &arguments.scene, arguments.volume_files)?;
     let unwritable = |cause: &dyn std::fmt::Display| {
         Failure::bad_input(format!("--output {}: cannot be written ({cause})", folder.display()))
     };
     output_file::create_folder(folder).map_err(|cause| unwritable(&cause))?;
+    let made = NewFiles::make(&files)?;
     let file = folder.join("calibration.csv");
     output_file::write(&file, calibration.to_csv(), output_file::Existing::Replace)?;
     let title = format!("{}: calibration of tendon 0, {} levels", scene.name, calibration.rows.len());
@@ -45,12 +51,13 @@ pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     figure
         .and_then(|figure| figure.write(folder, "calibration"))
         .map_err(|error| Failure::failed(error.to_string()))?;
+    made.keep()?;
     say!("{}", summary(&calibration));
     say!("\nwritten      {}, calibration.png, calibration.svg", file.display());
     Ok(())
 }
 
-fn sweep(scene: &Scene, file: &Path) -> Result<Calibration, Failure> {
+fn sweep(scene: &Scene, file: &Path, files: VolumeFiles) -> Result<Calibration, Failure> {
     let plan = match scene.controller.as_slice() {
         [entry] => entry.tension_sweep.as_ref().map(|plan| (plan, &entry.drives)),
         _ => None,
@@ -60,7 +67,7 @@ fn sweep(scene: &Scene, file: &Path) -> Result<Calibration, Failure> {
         Failure::bad_input(format!("{}: nothing to calibrate; {expected}", file.display()))
     })?;
     let failed = |error: &dyn std::fmt::Display| Failure::failed(error.to_string());
-    let volume = volume_source::load(scene).map_err(Failure::bad_input)?;
+    let volume = volume_source::load(scene, files).map_err(Failure::bad_input)?;
     let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
     let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
     let mut simulation = Simulation::new(scene, ct).map_err(Failure::bad_input)?;

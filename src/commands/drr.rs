@@ -11,6 +11,8 @@ use drr_proc::{
 use volume_io::Volume;
 
 use crate::failure::Failure;
+use crate::launcher::volume_source::VolumeFiles;
+use crate::output::{refuse_existing, write_new};
 use crate::x_ray::files::{Picture, write_dicom, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Placed, Pose};
 
@@ -19,6 +21,8 @@ use crate::x_ray::poses::{self, Placed, Pose};
 pub struct DrrArguments {
     /// NIfTI, NRRD, MetaImage, or a DICOM folder.
     pub volume: PathBuf,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
     /// File to write: .png (16 bits), .nrrd (32-bit floats) or .dcm (X-ray angiography); several poses are numbered.
     #[arg(short, long)]
     pub output: PathBuf,
@@ -127,7 +131,14 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     if arguments.animate && kind != Kind::Png {
         return Err(Failure::bad_input("--animate is for .png: leave it out for a numbered series"));
     }
-    let volume = volume_io::read(&arguments.volume).map_err(Failure::bad_input)?;
+    let paths = match poses.len() {
+        1 => vec![arguments.output.clone()],
+        _ if arguments.animate => vec![arguments.output.clone()],
+        count => (0..count).map(|number| numbered(&arguments.output, number)).collect(),
+    };
+    refuse_existing(&paths)?;
+    let files = arguments.volume_files.allowed();
+    let (volume, _) = volume_io::read_where(&arguments.volume, files).map_err(Failure::bad_input)?;
     let placed = place(&poses, &volume)?;
     let sides: Vec<(u32, u32)> = placed.iter().map(|p| (p.c_arm.columns, p.c_arm.rows)).collect();
     if arguments.animate && sides.iter().any(|side| *side != sides[0]) {
@@ -147,16 +158,15 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
             animation.push(picture);
             continue;
         }
-        let path =
-            if sides.len() > 1 { numbered(&arguments.output, number) } else { arguments.output.clone() };
-        match kind {
-            Kind::Png => write_png(&path, std::slice::from_ref(&picture))?,
-            Kind::Nrrd => write_nrrd(&path, &picture)?,
-            Kind::Dicom => write_dicom(&path, &picture)?,
-        }
+        let path = &paths[number];
+        write_new(&[path], || match kind {
+            Kind::Png => write_png(path, std::slice::from_ref(&picture)),
+            Kind::Nrrd => write_nrrd(path, &picture),
+            Kind::Dicom => write_dicom(path, &picture),
+        })?;
     }
     if arguments.animate {
-        write_png(&arguments.output, &animation)?;
+        write_new(&paths, || write_png(&arguments.output, &animation))?;
     }
     let (count, output) = (placed.len(), arguments.output.display());
     say!("{output}: {count} frame(s), the slowest took {slowest_ms:.1} ms");

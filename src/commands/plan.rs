@@ -6,6 +6,7 @@ use clap::Args;
 use ipc_types::scene::Scene;
 
 use crate::failure::Failure;
+use crate::launcher::volume_source::VolumeFiles;
 use crate::plan::{self, check, resolve};
 use crate::replay::Overrides;
 
@@ -33,6 +34,8 @@ pub struct PlanArguments {
     /// With `--check`: go on though the log is of another build, layout or volume.
     #[arg(long)]
     pub allow_mismatch: bool,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
 }
 
 /// Runs the command.
@@ -56,7 +59,7 @@ pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
 /// Bad input: the scene, or a tolerance that nothing keeps.
 pub fn load(file: &Path) -> Result<(Scene, Option<String>), Failure> {
     let mut scene = Scene::load(file).map_err(Failure::bad_input)?;
-    let text = std::fs::read_to_string(file).map_err(Failure::bad_input)?;
+    let text = ipc_types::text_file::read(file).map_err(Failure::bad_input)?;
     let choice = resolve(&mut scene, &text)?;
     Ok((scene, choice.map(|choice| choice.text())))
 }
@@ -75,8 +78,12 @@ fn show(file: &Path) -> Result<(), Failure> {
 }
 
 fn check_log(log: &Path, arguments: &PlanArguments) -> Result<(), Failure> {
-    let overrides =
-        Overrides { volume: arguments.volume.clone(), scene: None, allow_mismatch: arguments.allow_mismatch };
+    let overrides = Overrides {
+        volume: arguments.volume.clone(),
+        scene: None,
+        allow_mismatch: arguments.allow_mismatch,
+        volume_files: arguments.volume_files,
+    };
     let (scene, found) = check::check(log, &overrides, arguments.samples, arguments.to)?;
     say!(
         "{}: {} ticks again by the reference (full, own flexures, hybrid, dt {} ms) in {:.1} s, tip compared at {}",

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use recorder_proc::columns::{Column, Rows, columns, description_of_topic, read_rows};
 use recorder_proc::fields::Scalar;
-use recorder_proc::{LogError, NewFile, topics};
+use recorder_proc::{LogError, topics};
 
 use super::replay::log_path;
 use crate::failure::Failure;
+use crate::output::{refuse_existing, write_new};
 use crate::report::axis::{Axis, bounds};
 use crate::report::panel::{INK, Panel, Rect};
 use crate::report::shapes::{Anchor, Figure, Point, Stroke};
@@ -51,6 +52,12 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
         let text = format!("{} fields; a figure shows {MOST_PANELS} at most", arguments.fields.len());
         return Err(Failure::bad_input(text));
     }
+    let folder =
+        arguments.output.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+    let stem = arguments.output.file_name().map(|name| name.to_string_lossy().into_owned());
+    let stem = stem.ok_or_else(|| Failure::bad_input("--output names no file"))?;
+    let paths = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
+    refuse_existing(&paths)?;
     let mut panels = Vec::new();
     for field in &arguments.fields {
         let mut chosen = columns(description, std::slice::from_ref(field)).map_err(bad)?;
@@ -62,15 +69,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     read_rows(&log, &arguments.topic, &all, (0, None), &mut lines).map_err(bad)?;
     let title = format!("{}  {}", log.display(), arguments.topic);
     let figure = draw(&title, &panels, &lines).map_err(|error| Failure::failed(error.to_string()))?;
-    let folder =
-        arguments.output.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-    let stem = arguments.output.file_name().map(|name| name.to_string_lossy().into_owned());
-    let stem = stem.ok_or_else(|| Failure::bad_input("--output names no file"))?;
-    let paths = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
-    let made = paths.iter().map(|path| NewFile::create(path).map(|(_, made)| made));
-    let made = made.collect::<Result<Vec<_>, _>>().map_err(bad)?;
-    figure.write(folder, &stem).map_err(|error| Failure::failed(error.to_string()))?;
-    made.into_iter().try_for_each(NewFile::keep).map_err(|error| Failure::failed(error.to_string()))?;
+    write_new(&paths, || figure.write(folder, &stem).map_err(|error| Failure::failed(error.to_string())))?;
     paths.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
 }

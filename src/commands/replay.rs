@@ -12,6 +12,7 @@ use recorder_proc::{
 use ipc_types::process::EXIT_GAP;
 
 use crate::failure::Failure;
+use crate::launcher::volume_source::VolumeFiles;
 use crate::replay::{LivePlan, OpenedLog, Overrides, record, run_live, verify_frames};
 
 /// Arguments of `replay`.
@@ -52,6 +53,8 @@ pub struct ReplayArguments {
     /// Replay though the log is of another build, layout, scene or volume; the result is labelled so.
     #[arg(long)]
     pub allow_mismatch: bool,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
 }
 
 /// A tick, or simulated time.
@@ -91,6 +94,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
         volume: arguments.volume.clone(),
         scene: arguments.scene.clone(),
         allow_mismatch: arguments.allow_mismatch,
+        volume_files: arguments.volume_files,
     };
     let log = OpenedLog::open(&arguments.log, &overrides)?;
     let dt_ns = log.reader()?.header().dt_ns;

@@ -10,10 +10,11 @@ use ipc_types::services::RECORDER_QUEUE_TICKS;
 
 use crate::commands::plan;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::launcher::hub::View;
 use crate::launcher::interrupt::{Interrupts, remove_empty};
 use crate::launcher::progress::{Display, Manner};
 use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run_with};
-use crate::launcher::volume_source;
+use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::report;
 
 /// The scene that runs when none is named.
@@ -52,6 +53,11 @@ pub struct RunArguments {
     /// Show the run in the browser, at this port if one is given.
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8765")]
     pub view: Option<u16>,
+    /// With `--view`: let whoever reaches the port watch without the token.
+    #[arg(long, requires = "view")]
+    pub watch_by_anyone: bool,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,
@@ -152,10 +158,11 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             })?)
         }
     };
-    let plan = RunPlan { scene, output, view: arguments.view };
+    let view = arguments.view.map(|port| View { port, watch_by_anyone: arguments.watch_by_anyone });
+    let plan = RunPlan { scene, output, view, volume_files: arguments.volume_files };
     let mut display = Display::new(arguments.manner())?;
     let began = Instant::now();
-    let volume = volume_source::load(&plan.scene);
+    let volume = volume_source::load(&plan.scene, plan.volume_files);
     let empty = interrupts.run_begins();
     let mut shown = false;
     let result = volume.map_err(RunError::from).and_then(|volume| {

@@ -3,13 +3,14 @@
 use std::path::PathBuf;
 
 use clap::Subcommand;
+use controller_proc::Calibration;
 
 use crate::failure::Failure;
 
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
 pub enum SceneCommand {
-    /// Check every key and range, and that the volume is there.
+    /// Check every key and range, that the volume is there, and the calibrations.
     Check {
         /// Scene file.
         file: PathBuf,
@@ -31,6 +32,11 @@ pub fn run(command: &SceneCommand) -> Result<(), Failure> {
             file.display(),
             path.display()
         )));
+    }
+    let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
+    for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {
+        Calibration::load(path)
+            .map_err(|cause| Failure::bad_input(format!("{}: {cause}", file.display())))?;
     }
     say!(
         "{}: scene `{}` is valid: {:?}, {} ticks of {} ms, {} controllers, {}",

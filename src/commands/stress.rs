@@ -10,6 +10,7 @@ use ipc_types::scene::{Policy, Scene, Wait};
 use super::run::{DEFAULT_SCENE, PolicyArgument, WaitArgument};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::run::output_folder;
+use crate::launcher::volume_source::VolumeFiles;
 use crate::stress::confine::allowed;
 use crate::stress::plan::{self, Load, LoadKind};
 use crate::stress::report::{StressReport, comparison, table};
@@ -54,6 +55,8 @@ pub struct StressArguments {
     /// Keep the runs' folders.
     #[arg(long)]
     pub keep_logs: bool,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
 }
 
 /// Runs a stress test.
@@ -129,6 +132,7 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
         quota_percent: arguments.quota,
         output,
         keep_logs: arguments.keep_logs,
+        volume_files: arguments.volume_files,
         compare,
     })
 }

@@ -1,7 +1,10 @@
 //! `trabecula view`: a running session, or logs, in the browser.
 
+use std::io::Write;
 use std::net::IpAddr;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use clap::Args;
@@ -9,6 +12,7 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use ipc_types::session::{SESSION_VARIABLE, Searched, newest_session};
 use physics_proc::simulation::manipulator_parameters;
+use tempfile::NamedTempFile;
 use viewer_proc::live::{self, LiveOptions};
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
 use viewer_proc::server::Server;
@@ -16,7 +20,7 @@ use viewer_proc::surface::Geometry;
 use viewer_proc::{ServerOptions, ToolShape, ViewerError};
 
 use crate::failure::{EXIT_INTERRUPTED, Failure};
-use crate::launcher::volume_source;
+use crate::launcher::volume_source::{self, VolumeFiles};
 
 /// How long the viewer may take to leave after a signal.
 const LEAVE_LIMIT: Duration = Duration::from_secs(2);
@@ -33,6 +37,8 @@ pub struct ViewArguments {
     #[arg(long)]
     session: Option<PathBuf>,
     #[command(flatten)]
+    volume_files: VolumeFiles,
+    #[command(flatten)]
     server: ServerArguments,
 }
 
@@ -42,12 +48,15 @@ pub struct ServerArguments {
     /// Port of the page; 0 takes a free one.
     #[arg(long, default_value_t = 8765)]
     port: u16,
-    /// Address to listen at. Anything but loopback lets others watch; to command they need the token.
+    /// Address to listen at. Beyond loopback the token travels in the clear.
     #[arg(long, default_value = "127.0.0.1")]
     bind: IpAddr,
     /// Origin of pages from elsewhere that may connect, such as http://localhost:8080 for a Lichtblick of one's own.
     #[arg(long)]
     allow_origin: Vec<String>,
+    /// Let whoever reaches the port watch without the token, any user of this machine for one; to command it is needed all the same.
+    #[arg(long)]
+    watch_by_anyone: bool,
     /// Do not open a browser.
     #[arg(long)]
     no_open: bool,
@@ -62,16 +71,15 @@ impl ServerArguments {
             bind: self.bind,
             port: self.port,
             allow_origin: self.allow_origin.clone(),
+            watch_by_anyone: self.watch_by_anyone,
             page_folder: self.page_folder.clone(),
         }
     }
 
-    /// Says where the page is, and shows it.
-    fn ready(&self, server: &Server) {
+    /// Says where the page is, and shows it. The file that leads there lies in `folder`.
+    fn ready(&self, server: &Server, folder: &Path) -> Option<Doorway> {
         say!("{}", server.url());
-        if !self.no_open {
-            open_browser(&server.url());
-        }
+        if self.no_open { None } else { Doorway::open(&server.url(), folder) }
     }
 }
 
@@ -97,8 +105,9 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
         None => return Err(failure(&ViewerError::NoSession(Searched::places(None)))),
     };
     let options = LiveOptions { session, server: arguments.server.options() };
-    live::view(&options, tool_shape, |server| arguments.server.ready(server), &end)
-        .map_err(|error| failure(&error))
+    let mut _doorway = None;
+    let ready = |server: &Server| _doorway = arguments.server.ready(server, &options.session);
+    live::view(&options, tool_shape, ready, &end).map_err(|error| failure(&error))
 }
 
 fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<(), Failure> {
@@ -107,13 +116,18 @@ fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<
         second: arguments.second.clone(),
         server: arguments.server.options(),
     };
-    let help = SceneHelp { tool: &tool_shape, volume: &log_volume };
-    log::view(&options, &help, |server| arguments.server.ready(server), end).map_err(|error| failure(&error))
+    let volume = |scene: &Scene| log_volume(scene, arguments.volume_files);
+    let help = SceneHelp { tool: &tool_shape, volume: &volume };
+    let folder = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_absolute());
+    let folder = folder.unwrap_or_else(std::env::temp_dir);
+    let mut _doorway = None;
+    let ready = |server: &Server| _doorway = arguments.server.ready(server, &folder);
+    log::view(&options, &help, ready, end).map_err(|error| failure(&error))
 }
 
 /// The volume of a log's scene, made or read again.
-fn log_volume(scene: &Scene) -> Result<Option<LogVolume>, String> {
-    let loaded = volume_source::load(scene).map_err(|error| error.to_string())?;
+fn log_volume(scene: &Scene, files: VolumeFiles) -> Result<Option<LogVolume>, String> {
+    let loaded = volume_source::load(scene, files).map_err(|error| error.to_string())?;
     Ok(loaded.map(|(volume, sha256)| {
         let message = volume_source::message(&volume, sha256);
         let geometry = Geometry {
@@ -148,16 +162,32 @@ fn tool_shape(scene: &Scene) -> ToolShape {
     }
 }
 
-/// Asks the desktop to show a page. Where there is none, the address has been printed.
-fn open_browser(url: &str) {
-    let has_display = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
-    if has_display {
-        let quiet = std::process::Stdio::null;
-        let _ = std::process::Command::new("xdg-open")
-            .arg(url)
-            .stdin(quiet())
-            .stdout(quiet())
-            .stderr(quiet())
-            .spawn();
+/// A file that leads a browser to the page: the address holds the token, and every user of the machine may read the arguments of
+/// every program. Only this user may read the file; it is removed with the viewer.
+struct Doorway {
+    _file: NamedTempFile,
+}
+
+impl Doorway {
+    /// Asks the desktop to open one. None where there is no desktop, or no room for the file: the address has been printed.
+    fn open(url: &str, folder: &Path) -> Option<Doorway> {
+        if !["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some()) {
+            return None;
+        }
+        // Of mode 0600, under a name that nobody can guess.
+        let mut file = tempfile::Builder::new().prefix("view-").suffix(".html").tempfile_in(folder).ok()?;
+        let text = format!(
+            "<!doctype html><meta charset=\"utf-8\"><title>Trabecula</title>\n\
+             <meta http-equiv=\"refresh\" content=\"0; url={url}\">\n<a href=\"{url}\">The viewer</a>\n"
+        );
+        file.write_all(text.as_bytes()).ok()?;
+        let quiet = Stdio::null;
+        let mut opener = Command::new("xdg-open");
+        let opener = opener.arg(file.path()).stdin(quiet()).stdout(quiet()).stderr(quiet());
+        // In a group of its own: a browser that it becomes does not end with the viewer.
+        let mut child = opener.process_group(0).spawn().ok()?;
+        // Waited for, whenever it ends: it may be the browser itself.
+        std::thread::spawn(move || child.wait());
+        Some(Doorway { _file: file })
     }
 }

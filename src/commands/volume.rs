@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
-use volume_io::{phantom, read_with_info, write_nrrd};
+use volume_io::{phantom, read_where, write_nrrd};
 
 use crate::failure::Failure;
+use crate::launcher::volume_source::VolumeFiles;
+use crate::output::refuse_existing;
 use crate::replay::{OpenedLog, Overrides};
 
 /// What to do with a volume.
@@ -15,6 +17,8 @@ pub enum VolumeCommand {
     Info {
         /// NIfTI, NRRD, MetaImage, or a DICOM folder.
         file: PathBuf,
+        #[command(flatten)]
+        files: VolumeFiles,
     },
     /// The CT of a run with its drilled voxels as air, as NRRD; works while the run is going on.
     Drilled(DrilledArguments),
@@ -33,13 +37,20 @@ pub struct DrilledArguments {
     /// The CT file, where it lies now.
     #[arg(long)]
     volume: Option<PathBuf>,
+    #[command(flatten)]
+    volume_files: VolumeFiles,
 }
 
 /// What a drilled voxel holds: air.
 const AIR_HU: i16 = -1000;
 
 fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
-    let overrides = Overrides { volume: arguments.volume.clone(), ..Overrides::default() };
+    refuse_existing(&[&arguments.file])?;
+    let overrides = Overrides {
+        volume: arguments.volume.clone(),
+        volume_files: arguments.volume_files,
+        ..Overrides::default()
+    };
     let mut log = OpenedLog::open(&arguments.log, &overrides)?;
     let reader = log.reader()?;
     let Some((mut volume, _)) = log.volume.take() else {
@@ -77,11 +88,11 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
 /// # Errors
 /// Not a volume, or not a log with one (2); a log that cannot be read further (1).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
-    let file = match command {
-        VolumeCommand::Info { file } => file,
+    let (file, files) = match command {
+        VolumeCommand::Info { file, files } => (file, files),
         VolumeCommand::Drilled(arguments) => return write_drilled(arguments),
     };
-    let (_, info) = read_with_info(file).map_err(Failure::bad_input)?;
+    let (_, info) = read_where(file, files.allowed()).map_err(Failure::bad_input)?;
     say!("{info}");
     Ok(())
 }
@@ -119,6 +130,7 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
         let given = arguments.spacing_mm;
         return Err(Failure::bad_input(format!("--spacing-mm is {given}, allowed is 0.25 to 2")));
     }
+    refuse_existing(&[&arguments.file])?;
     let spacing_m = arguments.spacing_mm * 1e-3;
     let volume = match arguments.kind {
         PhantomKind::Femur => phantom::femur(&phantom::FemurSpec { spacing_m, ..Default::default() }),

@@ -30,6 +30,15 @@ pub const RECORDER: &str = "recorder";
 
 const VIEWER: &str = "viewer";
 
+/// The viewer of a run.
+#[derive(Debug, Clone, Copy)]
+pub struct View {
+    /// Port of its page.
+    pub port: u16,
+    /// Whether who has no token may watch.
+    pub watch_by_anyone: bool,
+}
+
 /// The host's side of a run.
 #[derive(Debug)]
 pub struct Hub {
@@ -179,11 +188,14 @@ impl Hub {
     ///
     /// # Errors
     /// [`HubError::Start`].
-    pub fn start_viewer(&self, port: u16) -> Result<Part, HubError> {
+    pub fn start_viewer(&self, view: View) -> Result<Part, HubError> {
         let start_error =
             |cause| HubError::Start { part: VIEWER.to_owned(), program: "trabecula".to_owned(), cause };
         let mut command = Command::new(std::env::current_exe().map_err(start_error)?);
-        command.args(["view", "--port", &port.to_string(), "--session"]).arg(self.folder());
+        command.args(["view", "--port", &view.port.to_string(), "--session"]).arg(self.folder());
+        if view.watch_by_anyone {
+            command.arg("--watch-by-anyone");
+        }
         self.spawn(VIEWER, &mut command, true)
     }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use foreign_text::foreign_line;
 use ipc_types::messages::{Frame, PHASE_ENDED, PHASE_RUNNING, RunStatus, State, TickTiming};
 use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
@@ -13,11 +14,11 @@ use recorder_proc::process::OUTPUT_FILE;
 use volume_io::Volume;
 
 use super::ending::Ending;
-use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER};
+use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER, View};
 use super::log_watch::LogWatch;
 use super::part::{Memory, Part};
 use super::understudy::Understudies;
-use super::volume_source;
+use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
@@ -29,8 +30,10 @@ pub struct RunPlan {
     pub scene: Scene,
     /// Folder for logs; none records nothing.
     pub output: Option<PathBuf>,
-    /// Port of the viewer; none starts none.
-    pub view: Option<u16>,
+    /// The viewer; none starts none.
+    pub view: Option<View>,
+    /// Which files the volume may name.
+    pub volume_files: VolumeFiles,
 }
 
 /// How a run ended.
@@ -60,8 +63,8 @@ impl Outcome {
             Outcome::Completed | Outcome::Interrupted => None,
             Outcome::LogGone(how) => Some(how.clone()),
             Outcome::PartDied { name, how, last_words } => {
-                let words =
-                    if last_words.is_empty() { "nothing".to_owned() } else { last_words.join("\n  ") };
+                let lines: Vec<String> = last_words.iter().map(|line| foreign_line(line).to_string()).collect();
+                let words = if lines.is_empty() { "nothing".to_owned() } else { lines.join("\n  ") };
                 Some(format!("part `{name}` died ({how}); its last words:\n  {words}"))
             }
         }
@@ -155,7 +158,7 @@ pub struct Glance<'a> {
 /// Any [`RunError`]: the run did not begin. What goes wrong later is the [`Outcome`].
 pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&Glance)) -> Result<RunResult, RunError> {
     let began = Instant::now();
-    let volume = volume_source::load(&plan.scene)?;
+    let volume = volume_source::load(&plan.scene, plan.volume_files)?;
     run_with(plan, volume, began, end, show)
 }
 
@@ -179,7 +182,7 @@ pub fn run_with(
     let parts = start_parts(plan, &hub)?;
     let understudies = Understudies::new(&hub.host.session)?;
     // No part of the run: whatever becomes of it, the run goes on.
-    let mut viewer = plan.view.map(|port| hub.start_viewer(port)).transpose()?;
+    let mut viewer = plan.view.map(|view| hub.start_viewer(view)).transpose()?;
     let mut running = Running { plan, end, hub: &hub, eyes, parts, understudies, first_tick: None };
     let outcome = running.watch(&mut show)?;
     let Running { mut eyes, mut parts, understudies, first_tick, .. } = running;

@@ -3,17 +3,32 @@
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Phantom, Scene, Volume as SceneVolume};
-use volume_io::{MaskModel, Volume, VolumeError, mask_to_hu, phantom, resample, volume_hash};
+use volume_io::{DataFiles, MaskModel, Volume, VolumeError, mask_to_hu, phantom, resample, volume_hash};
+
+/// Which files a volume may name. An option, no key of a scene: a scene may be as much a stranger's as its volume.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct VolumeFiles {
+    /// Let a volume's header name data files outside of its own folder, and a folder of slices hold links that lead out of it.
+    #[arg(long)]
+    pub allow_elsewhere: bool,
+}
+
+impl VolumeFiles {
+    /// As the readers have it.
+    pub fn allowed(self) -> DataFiles {
+        if self.allow_elsewhere { DataFiles::Anywhere } else { DataFiles::Beside }
+    }
+}
 
 /// The volume of a scene with its hash; `None` if the scene has none.
 ///
 /// # Errors
 /// The file is not a volume, or cannot be read.
-pub fn load(scene: &Scene) -> Result<Option<(Volume, [u8; 32])>, VolumeError> {
+pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<(Volume, [u8; 32])>, VolumeError> {
     let Some(source) = &scene.volume else { return Ok(None) };
     let volume = match (&source.path, source.phantom) {
         (Some(path), _) => {
-            let mut volume = volume_io::read(path)?;
+            let (mut volume, _) = volume_io::read_where(path, files.allowed())?;
             if source.mask {
                 mask_to_hu(&mut volume, &MASK_MODEL)?;
             }

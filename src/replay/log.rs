@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use foreign_text::foreign;
 use ipc_types::layout::hex;
 use ipc_types::scene::Scene;
 use physics_proc::process::ct_geometry;
@@ -13,7 +14,7 @@ use volume_io::Volume;
 use super::World;
 use crate::commands::replay::log_path;
 use crate::failure::Failure;
-use crate::launcher::volume_source;
+use crate::launcher::volume_source::{self, VolumeFiles};
 
 /// What the user puts in the place of what the log says.
 #[derive(Debug, Clone, Default)]
@@ -24,6 +25,8 @@ pub struct Overrides {
     pub scene: Option<PathBuf>,
     /// Whether to go on though something differs.
     pub allow_mismatch: bool,
+    /// Which files the volume may name.
+    pub volume_files: VolumeFiles,
 }
 
 /// A log that may be replayed.
@@ -59,7 +62,7 @@ impl OpenedLog {
         if let Some(file) = &overrides.volume {
             place_volume(&mut scene, file)?;
         }
-        let volume = volume_source::load(&scene).map_err(|cause| {
+        let volume = volume_source::load(&scene, overrides.volume_files).map_err(|cause| {
             let moved = overrides.volume.is_none() && scene.volume.as_ref().is_some_and(|v| v.path.is_some());
             let advice = if moved { "; if the file has moved, say where with --volume" } else { "" };
             Failure::bad_input(format!("{cause}{advice}"))
@@ -117,9 +120,9 @@ fn build_mismatch(reader: &LogReader) -> Vec<String> {
     let name = |build: &BuildInfo| {
         format!(
             "{} for {} by {}",
-            build.version,
-            build.target,
-            build.rustc.as_deref().unwrap_or("an unknown compiler")
+            foreign(&build.version),
+            foreign(&build.target),
+            foreign(build.rustc.as_deref().unwrap_or("an unknown compiler"))
         )
     };
     vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
@@ -131,7 +134,11 @@ fn layout_mismatches(reader: &LogReader) -> Vec<String> {
     let of_log = reader.stream().metadata().iter();
     let of_log = of_log.filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)));
     let other = of_log.filter(|(message, hash)| ours.get(*message) != Some(*hash));
-    other.map(|(message, hash)| format!("layout: the log's {message} is {hash}, another here")).collect()
+    other
+        .map(|(message, hash)| {
+            format!("layout: the log's {} is {}, another here", foreign(message), foreign(hash))
+        })
+        .collect()
 }
 
 fn scene_mismatch(recorded: &Scene, given: &Scene, file: &Path) -> Option<String> {

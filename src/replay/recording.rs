@@ -17,6 +17,7 @@ use zerocopy::{FromBytes, IntoBytes};
 use super::frames::{FrameReplay, compare};
 use super::{OpenedLog, World};
 use crate::failure::Failure;
+use crate::output::refuse_existing;
 
 /// What recording a replay found.
 pub struct Recorded {
@@ -41,12 +42,7 @@ pub struct Recorded {
 /// The first difference; a log that cannot be read to its end; a folder that cannot be written. Then there is no file.
 pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
     let path = folder.join("run.mcap");
-    if path.exists() {
-        return Err(Failure::bad_input(format!(
-            "--record {}: there is a run.mcap already",
-            folder.display()
-        )));
-    }
+    refuse_existing(&[&path])?;
     let mut stream = MessageStream::open(&log.path, log.options()).map_err(Failure::bad_input)?;
     let frames = match frame_threads {
         Some(threads) => FrameReplay::new(log, threads)?,

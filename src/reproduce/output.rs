@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
+use crate::output::write_new;
 use crate::report::shapes::Figure;
 
 /// Where the files go, and how much is computed.
@@ -20,7 +21,10 @@ impl Plan {
     /// # Errors
     /// A file that cannot be written.
     pub fn draw(&self, figure: &Figure, stem: &str) -> Result<(), Failure> {
-        figure.write(&self.out, stem).map_err(|cause| Failure::failed(cause.to_string()))
+        let files = ["png", "svg"].map(|ending| self.out.join(format!("{stem}.{ending}")));
+        write_new(&files, || {
+            figure.write(&self.out, stem).map_err(|cause| Failure::failed(cause.to_string()))
+        })
     }
 }
 
@@ -67,6 +71,6 @@ impl Table {
             csv.push_str(&(cells.join(",") + "\n"));
         }
         let path = folder.join(name);
-        Ok(output_file::write(&path, csv, output_file::Existing::Replace)?)
+        Ok(output_file::write(&path, csv, output_file::Existing::Refuse)?)
     }
 }

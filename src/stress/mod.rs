@@ -23,6 +23,7 @@ use ipc_types::scene::Scene;
 use crate::bench::machine::Machine;
 use crate::failure::Failure;
 use crate::launcher::part::Part;
+use crate::launcher::volume_source::VolumeFiles;
 use confine::Confinement;
 use load::Loads;
 use plan::{Combination, policy_name, wait_name};
@@ -51,6 +52,8 @@ pub struct StressPlan {
     pub output: PathBuf,
     /// Whether the runs' folders stay there.
     pub keep_logs: bool,
+    /// Which files the volume may name.
+    pub volume_files: VolumeFiles,
     /// An older test to compare with.
     pub compare: Option<StressReport>,
 }
@@ -166,6 +169,9 @@ fn command(plan: &StressPlan, combination: &Combination, logs: &Path) -> std::io
     let mut command = Command::new(std::env::current_exe()?);
     command.arg("run").arg(&plan.scene).args(["--mode", "realtime", "--quiet"]);
     command.arg("--duration-s").arg(plan.seconds.to_string()).arg("--output").arg(logs);
+    if plan.volume_files.allow_elsewhere {
+        command.arg("--allow-elsewhere");
+    }
     command.arg("--wait").arg(wait_name(combination.wait));
     command.arg("--policy").arg(policy_name(combination.policy));
     Ok(command)

@@ -102,7 +102,7 @@ impl StressReport {
                 path.display()
             ))
         };
-        let text = std::fs::read_to_string(path).map_err(|cause| bad(cause.to_string()))?;
+        let text = ipc_types::text_file::read(path).map_err(|cause| bad(cause.to_string()))?;
         serde_json::from_str(&text).map_err(|cause| bad(cause.to_string()))
     }
 

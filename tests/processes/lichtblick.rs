@@ -28,7 +28,7 @@ fn the_layout_shows_what_is_advertised_and_the_scene_has_foxgloves_schema() {
     let output = Command::new(python)
         .arg("-B")
         .arg(root.join("tests/lichtblick/client.py"))
-        .arg(format!("ws://{}/ws", view.address))
+        .arg(format!("ws://{}/ws?token={}", view.address, view.token))
         .arg(root.join("viewer_proc/lichtblick-layout.json"))
         .arg(&view.token)
         .limited_output()

@@ -12,6 +12,9 @@ mod clients;
 #[allow(dead_code, reason = "other tests share it, too")]
 mod common;
 mod crash;
+#[allow(dead_code, reason = "the tests of volumes need more of it")]
+#[path = "../../volume_io/tests/common/dicom_bytes.rs"]
+mod dicom_bytes;
 mod ends;
 mod floods;
 mod forks;
@@ -26,6 +29,7 @@ mod lichtblick;
 mod lifetimes;
 mod log_tools;
 mod orphans;
+mod outputs;
 mod plan;
 mod programs;
 mod promise;
@@ -40,6 +44,7 @@ mod security;
 mod sent;
 mod sessions;
 mod stalled_recorder;
+mod strangers;
 mod strays;
 mod stress;
 mod survival;

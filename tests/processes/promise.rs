@@ -40,7 +40,7 @@ fn promise_2_file_identity_recording_a_replay_gives_the_same_file() {
         let [first, second] = [&folder, &again].map(|folder| fs::read(folder.join("run.mcap")).unwrap());
         assert!(first == second, "{mode}: {} against {} bytes", first.len(), second.len());
         // Nothing is written over.
-        failed(&trabecula(&words), 2, &["there is a run.mcap already"]);
+        failed(&trabecula(&words), 2, &["run.mcap: is there already"]);
         fs::remove_dir_all(place.path("out")).unwrap();
     }
 }

@@ -38,7 +38,7 @@ impl View {
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let (address, token) = line.trim().strip_prefix("http://").unwrap().split_once("/#token=").unwrap();
-        let (socket, channels) = connect(address);
+        let (socket, channels) = connect(address, token);
         View { child, address: address.to_owned(), token: token.to_owned(), socket, channels }
     }
 
@@ -94,8 +94,8 @@ impl View {
 }
 
 /// What a client that comes now is told on a channel.
-fn kept(address: &str, topic: &str) -> Value {
-    let (mut socket, channels) = connect(address);
+fn kept(view: &View, topic: &str) -> Value {
+    let (mut socket, channels) = connect(&view.address, &view.token);
     let id = &channels.iter().find(|channel| channel["topic"] == topic).unwrap()["id"];
     let text = json!({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": id}]});
     socket.send(Message::text(text.to_string())).unwrap();
@@ -109,10 +109,10 @@ fn kept(address: &str, topic: &str) -> Value {
 }
 
 /// A client of a viewer, and the channels that it is told of.
-fn connect(address: &str) -> (WebSocket<TcpStream>, Vec<Value>) {
+fn connect(address: &str, token: &str) -> (WebSocket<TcpStream>, Vec<Value>) {
     let stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(LIMIT)).unwrap();
-    let mut request = format!("ws://{address}/ws").into_client_request().unwrap();
+    let mut request = format!("ws://{address}/ws?token={token}").into_client_request().unwrap();
     request.headers_mut().insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().unwrap());
     let (mut socket, _) = tungstenite::client(request, stream).unwrap();
     loop {
@@ -177,7 +177,7 @@ fn a_run_is_held_to_a_speed() {
     let run = place.start(&scenes::drill("lockstep", 600.0));
     let mut view = View::start(&[], Some(&run.session()));
     assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.25})), json!({"ok": true}));
-    assert_eq!(kept(&view.address, "/view/pace"), json!({"speed": 0.25}));
+    assert_eq!(kept(&view, "/view/pace"), json!({"speed": 0.25}));
     // What was on its way before the speed was set has come when the ticks stand still between steps.
     let client = Client::join(&run.session());
     let began = Instant::now();
@@ -190,7 +190,7 @@ fn a_run_is_held_to_a_speed() {
     let refused = view.call(1, json!({"action": "speed", "speed": -1.0}));
     assert!(refused["error"].as_str().unwrap().contains("`speed` is -1"), "{refused}");
     assert_eq!(view.call(1, json!({"action": "speed", "speed": 0.0})), json!({"ok": true}));
-    assert_eq!(kept(&view.address, "/view/pace"), json!({"speed": null}));
+    assert_eq!(kept(&view, "/view/pace"), json!({"speed": null}));
     let states = view.subscribe("/state");
     let now = view.next_state(states).tick;
     while view.next_state(states).tick < now + 500 {}
@@ -228,12 +228,12 @@ fn hostile_clients_and_a_viewer_that_dies_leave_the_run_alone() {
     let run = place.start(&scenes::drill("lockstep", 2.0));
     let view = View::start(&[], Some(&run.session()));
     // One wants everything and never reads, one floods, one is too large, one is none of the protocol.
-    let (mut lazy, channels) = connect(&view.address);
+    let (mut lazy, channels) = connect(&view.address, &view.token);
     let all: Vec<Value> = channels.iter().map(|c| json!({"id": c["id"], "channelId": c["id"]})).collect();
     lazy.send(Message::text(json!({"op": "subscribe", "subscriptions": all}).to_string())).unwrap();
-    let (mut flooding, _) = connect(&view.address);
+    let (mut flooding, _) = connect(&view.address, &view.token);
     while flooding.send(Message::text("{}")).is_ok() {}
-    let (mut large, _) = connect(&view.address);
+    let (mut large, _) = connect(&view.address, &view.token);
     while large.send(Message::text("x".repeat(100_000))).is_ok() {}
     TcpStream::connect(&view.address).unwrap().write_all(b"\xff\0 nonsense\r\n\r\n").unwrap();
     signal(view.child.id(), Signal::KILL);
@@ -391,4 +391,54 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     }
     let man = trabecula(&[&"docs", &"man"]).out;
     assert!(man.contains(".TH") && man.contains("bind"), "{man}");
+}
+
+/// The address with the token stood in every user's process list, and the program that opens browsers was never waited for.
+#[test]
+fn the_token_is_in_no_process_list_and_the_opener_is_reaped() {
+    use std::os::unix::fs::{MetadataExt, PermissionsExt};
+    let place = Place::new();
+    let ended = place.complete(&scenes::hold("lockstep", 0.1));
+    let tools = place.path("tools");
+    let runtime = place.path("runtime");
+    [&tools, &runtime].into_iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
+    // In the place of the desktop's: notes what it was given.
+    let opener = tools.join("xdg-open");
+    let script = format!(
+        "#!/bin/sh\nprintf '%s\\n' \"$@\" >{0}/new && mv {0}/new {0}/given\n",
+        place.path("").display()
+    );
+    std::fs::write(&opener, script).unwrap();
+    std::fs::set_permissions(&opener, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", tools.display(), std::env::var("PATH").unwrap());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    command.arg("view").arg(&ended.folder).args(["--port", "0"]).env("PATH", path).env("DISPLAY", ":99");
+    command.env("XDG_RUNTIME_DIR", &runtime).stdin(Stdio::null()).stdout(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let url = line.trim();
+    let token = url.split_once("#token=").unwrap().1;
+    let given = wait_for("the opener's note", || std::fs::read_to_string(place.path("given")).ok());
+    assert!(!given.contains(token), "{given}");
+    let file = Path::new(given.trim());
+    assert!(file.starts_with(&runtime), "{given}");
+    assert_eq!(std::fs::metadata(file).unwrap().mode() & 0o777, 0o600);
+    let text = std::fs::read_to_string(file).unwrap();
+    assert!(text.contains(&format!("url={url}\"")), "{text}");
+    // The opener has ended, and nobody's child is left of it.
+    let children = format!("/proc/{0}/task/{0}/children", child.id());
+    let is_alone = || {
+        let tasks = std::fs::read_dir(format!("/proc/{}/task", child.id())).unwrap().flatten();
+        let children =
+            tasks.map(|task| std::fs::read_to_string(task.path().join("children")).unwrap_or_default());
+        children.collect::<String>().trim().is_empty().then_some(())
+    };
+    if Path::new(&children).exists() {
+        wait_for("the end of the opener", is_alone);
+    }
+    signal(child.id(), Signal::TERM);
+    let code = wait_for("the end of the viewer", || child.try_wait().unwrap()).code();
+    assert_eq!(code, Some(0));
+    assert!(!file.exists(), "{given} is left");
 }

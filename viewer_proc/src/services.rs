@@ -160,7 +160,7 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
     let value: Value = serde_json::from_slice(payload).map_err(|error| format!("not JSON: {error}"))?;
     let given = value.get("token").and_then(Value::as_str).unwrap_or("");
     if !same(given, token) {
-        return Err("no or a wrong token: open the page with the address that the viewer printed".to_owned());
+        return Err(NO_TOKEN.to_owned());
     }
     let malformed = |error: serde_json::Error| format!("malformed request: {error}");
     let request = match service {
@@ -182,8 +182,12 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
     Ok(request)
 }
 
+/// What is said to whoever has no token or another one.
+pub(crate) const NO_TOKEN: &str =
+    "no or a wrong token: open the page with the address that the viewer printed";
+
 /// Compares two tokens in a time that does not tell where they differ.
-fn same(given: &str, token: &str) -> bool {
+pub(crate) fn same(given: &str, token: &str) -> bool {
     let difference = given.bytes().zip(token.bytes()).fold(0, |all, (a, b)| all | (a ^ b));
     given.len() == token.len() && difference == 0
 }

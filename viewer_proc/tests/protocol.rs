@@ -38,7 +38,7 @@ struct Running {
 }
 
 impl Running {
-    fn start() -> Running {
+    fn start(watch_by_anyone: bool) -> Running {
         let board = Arc::new(Board::new(Channels::new(&["viewer".to_owned()])));
         let (calls, called) = mpsc::sync_channel(8);
         let over = Arc::new(AtomicBool::new(false));
@@ -46,6 +46,7 @@ impl Running {
             bind: "127.0.0.1".parse().unwrap(),
             port: 0,
             allow_origin: vec!["http://studio.example".to_owned()],
+            watch_by_anyone,
             page_folder: None,
         };
         let server = Server::bind(&options, "test", Arc::clone(&board), calls, Arc::clone(&over)).unwrap();
@@ -60,7 +61,11 @@ impl Running {
     }
 
     async fn open(&self, protocol: &str, origin: Option<&str>) -> Result<Socket, Error> {
-        let mut request = format!("ws://{}/ws", self.address).into_client_request().unwrap();
+        self.open_with(&format!("?token={}", self.token), protocol, origin).await
+    }
+
+    async fn open_with(&self, query: &str, protocol: &str, origin: Option<&str>) -> Result<Socket, Error> {
+        let mut request = format!("ws://{}/ws{query}", self.address).into_client_request().unwrap();
         request.headers_mut().insert("Sec-WebSocket-Protocol", protocol.parse().unwrap());
         if let Some(origin) = origin {
             request.headers_mut().insert("Origin", origin.parse().unwrap());
@@ -91,7 +96,11 @@ impl Drop for Running {
 type Socket = WebSocketStream<TcpStream>;
 
 fn with_server<F: Future<Output = ()>>(body: impl FnOnce(Rc<Running>) -> F) {
-    let running = Rc::new(Running::start());
+    with(Running::start(false), body);
+}
+
+fn with<F: Future<Output = ()>>(running: Running, body: impl FnOnce(Rc<Running>) -> F) {
+    let running = Rc::new(running);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async { tokio::time::timeout(LIMIT, body(running)).await.unwrap() });
 }
@@ -257,6 +266,40 @@ fn only_a_client_with_the_token_commands() {
     });
 }
 
+/// Any user of the machine can reach the port: states, scene and bone were served to all of them.
+#[test]
+fn nothing_is_served_to_a_client_without_the_token() {
+    with_server(async |running| {
+        running.board.publish_json(INFO, &json!({"kind": "live"}));
+        let wrong = [String::new(), "?token=".to_owned(), format!("?token={}", "0".repeat(32))];
+        let cut = format!("?token={}", &running.token[..31]);
+        for query in wrong.iter().chain([&cut]) {
+            let mut socket = running.open_with(query, "foxglove.sdk.v1", None).await.unwrap();
+            let _ = socket
+                .send(Message::text(
+                    json!({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 1}]}).to_string(),
+                ))
+                .await;
+            let first = socket.next().await.unwrap().unwrap();
+            let Message::Close(Some(frame)) = first else { panic!("{query}: {first:?}") };
+            assert_eq!(frame.code, CloseCode::Policy, "{query}");
+            assert!(frame.reason.contains("token") && frame.reason.contains("printed"), "{}", frame.reason);
+        }
+        // The page itself holds nothing of the run.
+        let page = http(&running, &format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", running.address)).await;
+        assert!(page.starts_with("HTTP/1.1 200 OK") && !page.contains(&running.token));
+        running.client().await;
+    });
+    // Where it is chosen so, who has no token watches, and commands nothing.
+    with(Running::start(true), async |running| {
+        let mut socket = running.open_with("", "foxglove.sdk.v1", None).await.unwrap();
+        assert_eq!(next_text(&mut socket).await["op"], "serverInfo");
+        socket.send(call_bytes(1, 5, &json!({"action": "stop"}))).await.unwrap();
+        assert_eq!(next_response(&mut socket).await.1["ok"], false);
+        assert!(running.called.try_recv().is_err(), "nothing was commanded");
+    });
+}
+
 #[test]
 fn no_other_origin_connects() {
     with_server(async |running| {
@@ -406,6 +449,7 @@ fn a_port_in_use_is_named() {
         bind: "127.0.0.1".parse().unwrap(),
         port,
         allow_origin: Vec::new(),
+        watch_by_anyone: false,
         page_folder: None,
     };
     let (calls, _called) = mpsc::sync_channel(1);

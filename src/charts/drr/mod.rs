@@ -21,6 +21,7 @@ use drr_proc::{
 };
 
 use crate::failure::Failure;
+use crate::output::{refuse_existing, within, write_new};
 
 /// What to measure and where to put it.
 #[derive(Debug, Clone)]
@@ -125,8 +126,11 @@ pub struct Sample {
 /// A file that cannot be written (1).
 pub fn run(plan: &Plan) -> Result<(), Failure> {
     if let Some(path) = &plan.rungs {
+        refuse_existing(&[path])?;
         return rungs::write(path, plan.rounds);
     }
+    let files = within(&plan.out, &["drr.csv", "drr.md", "drr.svg"]);
+    refuse_existing(&files)?;
     output_file::create_folder(&plan.out)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made ({cause})", plan.out.display())))?;
     let (finest, side) = if plan.quick { (8, 128) } else { (1, 512) };
@@ -149,8 +153,10 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         None => Vec::new(),
     };
     let spectrum = spectrum::errors().map_err(failed)?;
-    table::write(&plan.out, &points, &stream_ms, &spectrum)?;
-    figure::write(&plan.out, &points, stream_ms[1])?;
+    write_new(&files, || {
+        table::write(&plan.out, &points, &stream_ms, &spectrum)?;
+        figure::write(&plan.out, &points, stream_ms[1])
+    })?;
     for note in &notes {
         say!("{note}");
     }

@@ -15,6 +15,7 @@ use drr_proc::{
 use super::{POSES, failed, parameters, projectors};
 use crate::bench::samples::median;
 use crate::failure::Failure;
+use crate::output::write_new;
 
 /// Pixels along each side of the detector, and every how many of them the error is taken.
 const SIDE: u32 = 512;
@@ -123,7 +124,7 @@ pub fn write(path: &Path, rounds: usize) -> Result<(), Failure> {
         let frame_ms = problem.frame_ms(projector, rounds).map_err(failed)?;
         text.extend(ladder::line_of(projector, error_rel, frame_ms).map(|line| line + "\n"));
     }
-    output_file::write(path, &text, output_file::Existing::Replace)?;
+    output_file::write(path, &text, output_file::Existing::Refuse)?;
     say!("{}", text.trim_end());
     Ok(())
 }

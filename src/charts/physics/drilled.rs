@@ -49,7 +49,8 @@ impl Drilling {
         if let Some(volume) = &mut scene.volume {
             volume.spacing_mm = spacing_mm;
         }
-        let volume = volume_source::load(&scene).map_err(|cause| Failure::failed(cause.to_string()))?;
+        let volume = volume_source::load(&scene, volume_source::VolumeFiles::default())
+            .map_err(|cause| Failure::failed(cause.to_string()))?;
         let (volume, hash) = volume.ok_or_else(|| Failure::failed("the default scene has no volume"))?;
         Ok(Drilling { volume: volume_source::message(&volume, hash), hu: volume.hu, scene })
     }

@@ -15,6 +15,7 @@ use plotters::style::RGBColor;
 
 use crate::charts::method::Method;
 use crate::failure::Failure;
+use crate::output::{NewFiles, refuse_existing, within};
 use crate::plan::Row;
 use crate::report::axis::{Axis, bounds, duration_label};
 use crate::report::panel::{INK, Panel, Rect};
@@ -64,12 +65,17 @@ pub struct Plan {
     pub settings_only: bool,
 }
 
+/// What it writes.
+const FILES: [&str; 4] =
+    ["physics-plan.csv", "accuracy-physics.csv", "accuracy-physics.png", "accuracy-physics.svg"];
+
 /// Measures and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder.
 ///
 /// # Errors
 /// A file that cannot be written.
 pub fn run(plan: &Plan) -> Result<(), Failure> {
     let folder = &plan.out;
+    refuse_existing(&within(folder, &FILES))?;
     output_file::create_folder(folder)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
     let (all, mut measured) = (Instant::now(), Vec::new());
@@ -84,6 +90,8 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         peers = peers::measure(scripts, folder, plan.effort)?;
         took("peers", began);
     }
+    // The settings are saved as they come: what has been measured is worth having.
+    NewFiles::make(&within(folder, &FILES[..1]))?.keep()?;
     let save = |rows: &[Row]| write(folder, "physics-plan.csv", &crate::plan::write(rows));
     let began = Instant::now();
     let (rows, coarse_mm) = candidates::measure(plan.effort, save)?;
@@ -102,9 +110,11 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
                 writeln!(text, "{head},{:.3},cost over ours at no larger error,{ratio:.3}", peer.us_per_ms);
         }
     }
+    let made = NewFiles::make(&within(folder, &FILES[1..]))?;
     write(folder, "accuracy-physics.csv", &text)?;
     let written = draw(&measured, &peers).and_then(|figure| figure.write(folder, "accuracy-physics"));
     written.map_err(|cause| Failure::failed(cause.to_string()))?;
+    made.keep()?;
     took("all", all);
     Ok(())
 }

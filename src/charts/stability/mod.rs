@@ -16,6 +16,7 @@ use rayon::prelude::*;
 
 use crate::charts::method::Method;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
+use crate::output::{NewFiles, refuse_existing, within};
 use cases::{Case, Ending};
 
 /// All stiffnesses times these.
@@ -71,16 +72,20 @@ pub struct Cell {
 /// # Errors
 /// A file that cannot be written.
 pub fn run(folder: &Path, quick: bool) -> Result<(), Failure> {
+    let files = within(folder, &["stability.csv", "stability.png", "stability.svg"]);
+    refuse_existing(&files)?;
     output_file::create_folder(folder)
         .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let cells = measure(quick, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
     print_counts(&cells);
+    let made = NewFiles::make(&files)?;
     let path = folder.join("stability.csv");
     output_file::write(&path, csv(&cells), output_file::Existing::Replace)?;
     let written = figure::draw(&cells).and_then(|figure| figure.write(folder, "stability"));
     written.map_err(|cause| Failure::failed(cause.to_string()))?;
+    made.keep()?;
     if end.is_set() {
         let message = format!("interrupted; {} finished runs are in {}", cells.len(), folder.display());
         return Err(Failure { message, code: EXIT_INTERRUPTED });

@@ -12,6 +12,7 @@ use recorder_proc::{FrameRecord, LogError, NewFile, ReadOptions, Verdict, frames
 use super::{Out, concluded, failure};
 use crate::commands::replay::log_path;
 use crate::failure::Failure;
+use crate::output::{NewFiles, refuse_existing};
 
 /// Arguments of `log export`.
 #[derive(Debug, Args)]
@@ -63,6 +64,7 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
         let given = arguments.output.display();
         return Err(Failure::bad_input(format!("--output is {given}, expected a .csv or .parquet file")));
     }
+    refuse_existing(&[&arguments.output])?;
     let description = description_of_topic(log, &arguments.topic).map_err(failure)?;
     let columns = columns(description, &arguments.fields).map_err(failure)?;
     let (file, made) = NewFile::create(&arguments.output).map_err(failure)?;
@@ -87,11 +89,16 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
     let folder = &arguments.output;
     output_file::create_folder(folder)
         .map_err(|source| failure(LogError::Create { path: folder.clone(), source }))?;
-    let (mut written, mut without) = (0_u64, 0_u64);
+    let (mut pictures, mut without) = (Vec::new(), 0_u64);
+    let mut damage = None;
     while let Some(record) = reader.next() {
         let record = match record {
+            Ok(record) => record,
             Err(LogError::Gap { .. }) if reader.go_on() => continue,
-            record => record.map_err(failure)?,
+            Err(error) => {
+                damage = Some(failure(error));
+                break;
+            }
         };
         let tick = record.frame.tick;
         if tick < arguments.from || arguments.to.is_some_and(|last| tick > last) {
@@ -102,8 +109,14 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
             continue;
         }
         let path = folder.join(format!("frame_{:06}_tick_{tick:08}.png", record.frame.sequence));
+        // One that is there takes the others of this command away; those before a damage are kept.
+        pictures.push(NewFiles::make(&[&path])?);
         write_png(&path, &record)?;
-        written += 1;
+    }
+    let written = pictures.len();
+    pictures.into_iter().try_for_each(NewFiles::keep)?;
+    if let Some(damage) = damage {
+        return Err(damage);
     }
     Ok((format!("{written} pictures, {without} frames without one in the log"), reader.verdict()))
 }
@@ -121,5 +134,5 @@ fn write_png(path: &Path, record: &FrameRecord) -> Result<(), Failure> {
         writer.finish()
     });
     write.map_err(|cause| Failure::failed(format!("{}: {cause}", path.display())))?;
-    Ok(output_file::write(path, bytes, Existing::Refuse)?)
+    Ok(output_file::write(path, bytes, Existing::Replace)?)
 }

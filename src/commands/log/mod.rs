@@ -8,6 +8,7 @@ use std::io::{BufWriter, StdoutLock, Write, stdout};
 use std::path::PathBuf;
 
 use clap::Subcommand;
+use foreign_text::Plain;
 use recorder_proc::{LogError, ReadOptions, Verdict, diff, info};
 
 use super::replay::log_path;
@@ -48,7 +49,7 @@ pub enum LogCommand {
 /// Not a log, or an output that is there already (2); two logs that differ, a log that is damaged, a full disk (1); the
 /// work is done, but the log has a gap, is cut or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
-    let mut out = BufWriter::new(stdout().lock());
+    let mut out = BufWriter::new(Plain::new(stdout().lock()));
     let read = ReadOptions::default();
     match command {
         LogCommand::Info { log } => {
@@ -107,8 +108,8 @@ fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     }
 }
 
-/// Standard output, buffered.
-type Out<'a> = BufWriter<StdoutLock<'a>>;
+/// Standard output, buffered, without what a terminal would obey.
+type Out<'a> = BufWriter<Plain<StdoutLock<'a>>>;
 
 /// What the caller can mend by another argument is bad input; damage and a full disk are not.
 fn failure(error: LogError) -> Failure {

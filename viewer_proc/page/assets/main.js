@@ -26,7 +26,7 @@ const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefi
 
 const notices = new Notices(element("notices"), element("banner"));
 const model = new Model();
-const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`, token);
+const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${token ? `?token=${token}` : ""}`, token);
 const dirty = { scene: true, xRay: false, plots: true };
 const page = { model, connection, notices, work: new Work(), asked: 0 };
 connection.took = (milliseconds) => page.work.message(milliseconds);

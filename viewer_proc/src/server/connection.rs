@@ -18,7 +18,7 @@ use super::http::{Head, Refusal, answer_head, websocket_answer};
 use crate::assets::asset;
 use crate::board::Client;
 use crate::protocol::{self, ClientText, Level};
-use crate::services::{Call, SERVICES, read_request, response};
+use crate::services::{Call, NO_TOKEN, SERVICES, read_request, response, same};
 
 /// Longest message of a client.
 pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
@@ -54,9 +54,11 @@ pub(super) async fn answer(mut stream: TcpStream, head: Result<Option<Head>, Ref
                 let config = WebSocketConfig::default()
                     .max_message_size(Some(MAX_CLIENT_MESSAGE))
                     .max_frame_size(Some(MAX_CLIENT_MESSAGE));
-                let socket =
-                    WebSocketStream::from_partially_read(stream, head.rest, Role::Server, Some(config));
-                serve(socket.await, shared).await;
+                let rest = head.rest.clone();
+                let socket = WebSocketStream::from_partially_read(stream, rest, Role::Server, Some(config));
+                let may_watch = shared.watch_by_anyone
+                    || head.query("token").is_some_and(|given| same(given, &shared.token));
+                serve(socket.await, shared, may_watch).await;
             }
         }
         Err(refusal) => refuse(&mut stream, &refusal).await,
@@ -109,10 +111,18 @@ impl From<Error> for End {
     }
 }
 
-async fn serve(mut socket: Socket, shared: &Shared) {
-    let client = shared.board.join();
-    let end = talk(&mut socket, &client, shared).await;
-    shared.board.leave(&client);
+/// Serves a client; one that may not watch hears why, and nothing else. A browser tells a page the reason of a closed WebSocket, of one
+/// that was never opened none.
+async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
+    let end = match may_watch {
+        true => {
+            let client = shared.board.join();
+            let end = talk(&mut socket, &client, shared).await;
+            shared.board.leave(&client);
+            end
+        }
+        false => Err(End::Close(CloseCode::Policy, NO_TOKEN.to_owned())),
+    };
     if let Err(End::Close(code, reason)) = end {
         // 123 bytes fit into a close frame.
         let mut length = reason.len().min(120);

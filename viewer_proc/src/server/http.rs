@@ -45,6 +45,13 @@ impl Head {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
     }
 
+    /// A value of the path's query, as it stands there: a token needs no percent signs.
+    pub fn query(&self, name: &str) -> Option<&str> {
+        let (_, query) = self.path.split_once('?')?;
+        let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
+        pairs.find(|(known, _)| *known == name).map(|(_, value)| value)
+    }
+
     fn has_token(&self, name: &str, token: &str) -> bool {
         self.header(name)
             .is_some_and(|value| value.split(',').any(|part| part.trim().eq_ignore_ascii_case(token)))
@@ -181,6 +188,16 @@ mod tests {
         );
         assert!(origins.check(&head("10.0.0.7:1", None), own, false).is_err());
         assert!(origins.check(&head("10.0.0.7:1", None), own, true).is_ok());
+    }
+
+    #[test]
+    fn the_token_is_read_from_the_query() {
+        let head = |path: &str| parse(format!("GET {path} HTTP/1.1\r\n\r\n").as_bytes()).unwrap().unwrap();
+        assert_eq!(head("/ws?token=c0ffee").query("token"), Some("c0ffee"));
+        assert_eq!(head("/ws?a=1&token=c0ffee&b").query("token"), Some("c0ffee"));
+        for path in ["/ws", "/ws?", "/ws?token", "/ws?tokens=1", "/token=1"] {
+            assert_eq!(head(path).query("token"), None, "{path}");
+        }
     }
 
     #[test]

@@ -32,6 +32,8 @@ pub struct ServerOptions {
     pub port: u16,
     /// Origins beside the page's own that may connect.
     pub allow_origin: Vec<String>,
+    /// Whether who has no token may watch.
+    pub watch_by_anyone: bool,
     /// Reads the page from here instead of from the program.
     pub page_folder: Option<PathBuf>,
 }
@@ -42,6 +44,7 @@ pub(crate) struct Shared {
     pub board: Arc<Board>,
     pub calls: mpsc::SyncSender<Call>,
     pub token: String,
+    pub watch_by_anyone: bool,
     pub name: String,
     pub origins: Origins,
     pub own_host: String,
@@ -79,6 +82,7 @@ impl Server {
             board,
             calls,
             token: random_token()?,
+            watch_by_anyone: options.watch_by_anyone,
             name: name.to_owned(),
             origins: Origins { allowed: options.allow_origin.clone() },
             own_host: address.to_string(),
@@ -89,7 +93,7 @@ impl Server {
         Ok(Server { listener, address, shared })
     }
 
-    /// The page's address, with the token that allows to control.
+    /// The page's address, with the token that allows to watch and to control.
     pub fn url(&self) -> String {
         format!("http://{}/#token={}", self.address, self.shared.token)
     }

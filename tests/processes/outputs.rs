@@ -1,0 +1,175 @@
+//! What commands do with an output that is there already: they refuse it, whatever it is, before their work.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::common::program::{Place, trabecula};
+use crate::common::scenes;
+
+/// What was in a file before a command.
+const MINE: &[u8] = b"a user's own work";
+
+/// Names and contents of all that lies below a folder.
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap().flatten() {
+            match entry.path().is_dir() {
+                true => folders.push(entry.path()),
+                false => found.push((entry.path(), fs::read(entry.path()).unwrap_or_default())),
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+struct Row {
+    words: Vec<String>,
+    /// Files that the command would write, below the test's folder.
+    files: &'static [&'static str],
+}
+
+fn row(place: &Place, words: &str, files: &'static [&'static str]) -> Row {
+    let here = place.path("");
+    let words = words.split(' ').map(|word| word.replace('@', here.to_str().unwrap())).collect();
+    Row { words, files }
+}
+
+/// Every command with an output; `src/output.rs` holds this list against the commands that there are.
+fn table(place: &Place) -> Vec<Row> {
+    let row = |words: &str, files| row(place, words, files);
+    vec![
+        row("drr @ball.nrrd -o @x.png", &["x.png"]),
+        row("drr @ball.nrrd -o @x.nrrd", &["x.nrrd"]),
+        row("drr @ball.nrrd -o @x.dcm", &["x.dcm"]),
+        row("drr @ball.nrrd -o @x.png --sweep 90 --frames 3", &["x_0000.png", "x_0002.png"]),
+        row("drr @ball.nrrd -o @x.png --sweep 90 --frames 3 --animate", &["x.png"]),
+        row("phantom sphere @p.nrrd --spacing-mm 2", &["p.nrrd"]),
+        row("volume drilled @log @d.nrrd", &["d.nrrd"]),
+        row("log repair @log -o @r.mcap", &["r.mcap"]),
+        row("log compress @log -o @c.mcap", &["c.mcap"]),
+        row("log export @log -o @t.csv", &["t.csv"]),
+        row("log export @log -o @t.parquet", &["t.parquet"]),
+        row("log cat-files @log @log -o @both.mcap", &["both.mcap"]),
+        row("log split @two.mcap -o @runs", &["runs/run1.mcap", "runs/run2.mcap"]),
+        row("plot @log t_world_tip.position_m --output @f", &["f.png", "f.svg"]),
+        row("replay @log --record @again", &["again/run.mcap"]),
+        row(
+            "calibrate @sweep.toml -o @cal",
+            &["cal/calibration.csv", "cal/calibration.png", "cal/calibration.svg"],
+        ),
+        row(
+            "chart drr --quick --rounds 1 --out @charts",
+            &["charts/drr.csv", "charts/drr.md", "charts/drr.svg"],
+        ),
+        row("chart drr --rungs @rungs.csv", &["rungs.csv"]),
+        row(
+            "chart physics --quick --out @charts",
+            &["charts/physics-plan.csv", "charts/accuracy-physics.png"],
+        ),
+        row("chart stability --quick --out @charts", &["charts/stability.csv", "charts/stability.svg"]),
+        row(
+            "reproduce --quick --only 1 --out @rep",
+            &["rep/reproduce-1-tunnel.csv", "rep/reproduce-1-tunnel.svg"],
+        ),
+        row(
+            "reproduce --quick --only 2 --out @rep",
+            &["rep/reproduce-2-rules.csv", "rep/reproduce-2-planar-burr.png"],
+        ),
+        row("reproduce --quick --only 3 --out @rep", &["rep/reproduce-3-deviation.csv"]),
+        row("reproduce --quick --only 4 --out @rep", &["rep/reproduce-4-tension.png"]),
+        row("reproduce --quick --out @rep", &["rep/reproduce-5-thrust.csv"]),
+        row("bench soak @scene.toml --minutes 0.1 --output @soak", &["soak/run.mcap", "soak/summary.json"]),
+    ]
+}
+
+fn run(words: &[String]) -> crate::common::program::Done {
+    let words: Vec<&dyn AsRef<OsStr>> = words.iter().map(|word| word as &dyn AsRef<OsStr>).collect();
+    trabecula(&words)
+}
+
+/// `drr` wrote over everything, its own CT too; `calibrate`, `chart` and `reproduce` over what they had written before.
+#[test]
+fn no_command_writes_over_a_file_that_is_there() {
+    let place = Place::new();
+    let sweep = "tension_sweep = { most_n = 2.0, step_n = 1.0, settle_s = 0.05 }";
+    fs::write(
+        place.path("sweep.toml"),
+        scenes::hold("lockstep", 60.0).replace("hold = { tension_n = 2.0 }", sweep),
+    )
+    .unwrap();
+    let folder = place.complete(&scenes::drill("lockstep", 0.1)).folder;
+    fs::rename(folder, place.path("log")).unwrap();
+    fs::remove_dir(place.path("out")).unwrap();
+    for words in ["phantom sphere @ball.nrrd --spacing-mm 2", "log cat-files @log @log -o @two.mcap"] {
+        let done = run(&row(&place, words, &[]).words);
+        assert_eq!(done.code, Some(0), "{}", done.err);
+    }
+    let before = contents(&place.path(""));
+    for row in table(&place) {
+        for file in row.files {
+            let file = place.path(file);
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            // A file, and a link that leads nowhere: what would be written through it is elsewhere.
+            for is_link in [false, true] {
+                match is_link {
+                    false => fs::write(&file, MINE).unwrap(),
+                    true => std::os::unix::fs::symlink(place.path("nowhere"), &file).unwrap(),
+                }
+                let done = run(&row.words);
+                assert_eq!(done.code, Some(2), "{:?}: {}{}", row.words, done.out, done.err);
+                let name = file.file_name().unwrap().to_str().unwrap();
+                assert!(
+                    done.err.contains(&format!("{name}: is there already")),
+                    "{:?}: {}",
+                    row.words,
+                    done.err
+                );
+                assert!(is_link || fs::read(&file).unwrap() == MINE, "{:?}", row.words);
+                fs::remove_file(&file).unwrap();
+                assert!(contents(&place.path("")) == before, "{:?} has written something", row.words);
+            }
+        }
+    }
+}
+
+#[test]
+fn no_command_writes_over_its_own_input() {
+    let place = Place::new();
+    let ball = place.path("ball.nrrd");
+    assert_eq!(trabecula(&[&"phantom", &"sphere", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+    let before = fs::read(&ball).unwrap();
+    let done = trabecula(&[&"drr", &ball, &"-o", &ball]);
+    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    // Under another name, and a slice of a patient's series.
+    std::os::unix::fs::symlink(&ball, place.path("link.nrrd")).unwrap();
+    let done = trabecula(&[&"drr", &ball, &"-o", &place.path("link.nrrd")]);
+    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert!(fs::read(&ball).unwrap() == before);
+    let slice = place.path("series/007.dcm");
+    fs::create_dir(place.path("series")).unwrap();
+    fs::write(&slice, MINE).unwrap();
+    let done = trabecula(&[&"drr", &place.path("series"), &"-o", &slice]);
+    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert_eq!(fs::read(&slice).unwrap(), MINE);
+}
+
+/// The names of exported pictures are known only when they come: those of before stay, and those of this command go.
+#[test]
+fn exported_pictures_replace_none_and_leave_none_of_a_refused_export() {
+    let place = Place::new();
+    let log = place.complete(&scenes::drill("lockstep", 0.4)).folder;
+    let pictures = place.path("pictures");
+    let export = || trabecula(&[&"log", &"export", &log, &"--frames", &"-o", &pictures]);
+    assert_eq!(export().code, Some(0));
+    let all = contents(&pictures);
+    assert!(all.len() > 2, "{}", all.len());
+    let (last, others) = all.split_last().unwrap();
+    others.iter().for_each(|(path, _)| fs::remove_file(path).unwrap());
+    fs::write(&last.0, MINE).unwrap();
+    let done = export();
+    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert!(contents(&pictures) == [(last.0.clone(), MINE.to_vec())]);
+}
