@@ -1,7 +1,7 @@
 //! Volumes of strangers: which files they may name, what they may cost, and what of their texts is shown.
 
 // Helpers of tests may fail a test.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 #[path = "common/dicom_bytes.rs"]
 mod dicom_bytes;
