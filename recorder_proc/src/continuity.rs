@@ -124,11 +124,16 @@ impl Continuity {
         }
     }
 
-    /// What is missing; `counts` and the marker know of messages behind the last one and of topics without numbers.
-    pub fn gap(&self, counts: &BTreeMap<String, TopicCount>, marker: Option<&EndMarker>) -> Option<Gap> {
+    /// What is missing, where removals are among the topics that are read or not; `counts` and the marker know of messages behind the last one and of topics without numbers.
+    pub fn gap(
+        &self,
+        reads_removals: bool,
+        counts: &BTreeMap<String, TopicCount>,
+        marker: Option<&EndMarker>,
+    ) -> Option<Gap> {
         let mut lost: BTreeMap<String, u64> =
             self.lost.iter().map(|(topic, n)| ((*topic).to_owned(), *n)).collect();
-        if self.owed.is_some() {
+        if reads_removals && self.owed.is_some() {
             *lost.entry(topics::REMOVED.to_owned()).or_default() += 1;
         }
         let mut at_least = |topic: &String, n: u64| {

@@ -196,7 +196,8 @@ impl MessageStream {
         if let Some((copy, cause)) = &self.header_fault {
             faults.push(Fault::HeaderDamaged { copy: *copy, cause: cause.clone() });
         }
-        let gap = self.continuity.gap(&self.counts(), self.ending.marker.as_ref());
+        let gap =
+            self.continuity.gap(self.wants(topics::REMOVED), &self.counts(), self.ending.marker.as_ref());
         faults.extend(gap.map(Fault::Gap));
         match (&self.damage, self.ending.cut, &self.ending.marker) {
             (Some((offset, cause)), _, _) => {
