@@ -141,12 +141,16 @@ fn keyframe_of_a_gigabyte() {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let steps = run_messages(3, None);
     feed(&mut log, &steps).unwrap();
+    // Each part in a chunk of its own.
+    log.keep_places();
+    log.close_chunk().unwrap();
     let data = vec![0; 1 << 20];
     for part in 0..400 {
         let mut head = Keyframe::new_zeroed();
         (head.tick, head.sequence) = (3, u64::from(part) + 1);
         (head.total_bytes, head.offset_bytes, head.data_length) = (1 << 30, part << 20, 1 << 20);
         log.keyframe(&[head.as_bytes(), &data].concat()).unwrap();
+        log.close_chunk().unwrap();
     }
     let bytes = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
     let folder = tempfile::tempdir().unwrap();
