@@ -1,5 +1,6 @@
 //! Joining a session, and making ports in it.
 
+use std::cell::Cell;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -11,6 +12,7 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use rustix::fs::{Access, AtFlags};
 
+use crate::identity::{Guard, Part};
 use crate::layout::Message;
 use crate::messages::Command;
 use crate::own::Own;
@@ -101,7 +103,8 @@ impl Session {
     /// A publisher of a service; its whole shared memory is reserved.
     ///
     /// # Errors
-    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], or a transport failure.
+    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] for a service of a part that this
+    /// program is not ([`Session::claim`]), or a transport failure.
     pub fn publisher<M: Message>(&self, service: &Service) -> Result<Publisher<M>, SessionError> {
         self.named_publisher(service.name, service)
     }
@@ -195,7 +198,9 @@ impl Session {
         let service =
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let notifier = service.notifier_builder().create().map_err(transported(&name, "notifying"))?;
-        Ok(Waker { notifier: Own::new(notifier), flags: self.flags.clone(), reader: reader.slot() })
+        let (spared, listeners) = (Cell::new(0), Cell::new(0));
+        let notifier = Own::new(notifier);
+        Ok(Waker { notifier, flags: self.flags.clone(), reader: reader.slot(), service, spared, listeners })
     }
 
     /// Frees what processes that were killed have left in this session.
@@ -239,6 +244,10 @@ impl Session {
         name: &str,
         service: &Service,
     ) -> Result<Publisher<M>, SessionError> {
+        if !self.is_one_of(service.writers) {
+            let writers: Vec<String> = service.writers.iter().map(Part::to_string).collect();
+            return Err(SessionError::Reserved { service: name.to_owned(), writers: writers.join(" or ") });
+        }
         let max_bytes = match service.name {
             announced if announced == services::VOLUME.name => self.announcement.volume_bytes,
             announced if announced == services::FRAME.name => self.announcement.frame_bytes,
@@ -293,7 +302,8 @@ impl Session {
             },
             other => transported(name, "subscribing")(other),
         })?;
-        Ok(Subscriber::new(raw, name.to_owned()))
+        let guard = Guard::of(self, factory, service.writers).map_err(file_error(&self.folder))?;
+        Ok(Subscriber::new(raw, name.to_owned(), guard))
     }
 }
 

@@ -1,4 +1,10 @@
-//! Which controller a message comes from, as the transport knows it and not as the message says.
+//! Who a message comes from, as the transport knows it and not as the message says: which controller asks, and whether
+//! what claims to be a part's is that part's.
+
+use std::cell::{Cell, RefCell};
+use std::fmt::{self, Display, Formatter};
+use std::io;
+use std::os::fd::OwnedFd;
 
 use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::prelude::{CallbackProgression, PortFactory};
@@ -8,7 +14,142 @@ use crate::layout::Message;
 use crate::messages::{Command, DrrRequest};
 use crate::ports::Received;
 use crate::services;
-use crate::session::{ByteService, Session, SessionError};
+use crate::session::{ByteService, Session, SessionError, create_file, file_error, read_file};
+
+/// What a session consists of beside its controllers and clients. One program is each of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// The launcher, or whoever has made the session.
+    Host,
+    /// The physics process.
+    Physics,
+    /// The DRR process.
+    Drr,
+    /// The recorder process.
+    Recorder,
+}
+
+impl Part {
+    /// File in the session's folder that says which node it is.
+    fn file(self) -> &'static str {
+        match self {
+            Part::Host => "part.host",
+            Part::Physics => "part.physics",
+            Part::Drr => "part.drr",
+            Part::Recorder => "part.recorder",
+        }
+    }
+}
+
+impl Display for Part {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Part::Host => "the host",
+            Part::Physics => "the physics",
+            Part::Drr => "the DRR process",
+            Part::Recorder => "the recorder",
+        })
+    }
+}
+
+impl Session {
+    /// Says that this program is a part, before it opens the part's ports. There is one of each.
+    ///
+    /// # Errors
+    /// [`SessionError::PartTaken`]; a file that cannot be written.
+    pub fn claim(&self, part: Part) -> Result<(), SessionError> {
+        let node = self.node.id().value();
+        match create_file(&self.handle, part.file(), node.to_string().as_bytes()) {
+            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
+                match claimant(&self.handle, part) {
+                    Some(other) if other == node => Ok(()),
+                    _ => Err(SessionError::PartTaken { part }),
+                }
+            }
+            other => other.map_err(file_error(&self.folder.join(part.file()))),
+        }
+    }
+
+    /// Whether this program may write a service with these writers.
+    pub(crate) fn is_one_of(&self, writers: &[Part]) -> bool {
+        let node = self.node.id().value();
+        writers.is_empty() || writers.iter().any(|part| claimant(&self.handle, *part) == Some(node))
+    }
+}
+
+/// Number of the node that a part is.
+fn claimant(folder: &OwnedFd, part: Part) -> Option<u128> {
+    read_file(folder, part.file()).ok()?.parse().ok()
+}
+
+/// Connections that a reader remembers; of one that comes back after so many others is asked again.
+const KNOWN_CONNECTIONS: usize = 32;
+
+/// Tells a part's messages from those of programs that have taken a free port of the part's service.
+#[derive(Debug)]
+pub(crate) struct Guard {
+    service: ByteService,
+    folder: OwnedFd,
+    writers: &'static [Part],
+    /// Connections that have been looked at.
+    known: RefCell<Vec<(UniquePublisherId, Option<Part>)>>,
+    strangers: Cell<u64>,
+}
+
+impl Guard {
+    /// None for a service that every client may write.
+    pub(crate) fn of(
+        session: &Session,
+        service: ByteService,
+        writers: &'static [Part],
+    ) -> io::Result<Option<Guard>> {
+        if writers.is_empty() {
+            return Ok(None);
+        }
+        let folder = session.handle.try_clone()?;
+        let (known, strangers) = (RefCell::default(), Cell::new(0));
+        Ok(Some(Guard { service, folder, writers, known, strangers }))
+    }
+
+    /// The part at the other end of a connection; a stranger is counted.
+    pub(crate) fn part_of(&self, sender: UniquePublisherId) -> Option<Part> {
+        let known = self.known.borrow().iter().find(|(known, _)| *known == sender).map(|(_, part)| *part);
+        let part = known.unwrap_or_else(|| {
+            let part = self.look_for(sender);
+            let mut known = self.known.borrow_mut();
+            if known.len() == KNOWN_CONNECTIONS {
+                known.remove(0);
+            }
+            known.push((sender, part));
+            part
+        });
+        if part.is_none() {
+            self.strangers.set(self.strangers.get() + 1);
+        }
+        part
+    }
+
+    /// A part that has ended has no port any more, though its last messages may still wait: then its process decides, which
+    /// the number of its port carries as that of its node does.
+    fn look_for(&self, sender: UniquePublisherId) -> Option<Part> {
+        let process = |number: u128| (number >> 64) as u32;
+        let node = publishers(&self.service).find(|details| details.publisher_id == sender);
+        let node = node.map(|details| details.node_id.value());
+        let is_it = |part: &Part| {
+            let claimant = claimant(&self.folder, *part);
+            claimant.is_some_and(|claimant| match node {
+                Some(node) => claimant == node,
+                None => process(claimant) == process(sender.value()),
+            })
+        };
+        self.writers.iter().copied().find(is_it)
+    }
+
+    /// Messages of strangers so far.
+    pub(crate) fn strangers(&self) -> u64 {
+        self.strangers.get()
+    }
+}
 
 /// Who may ask the DRR process for frames, by the ports that are connected.
 ///

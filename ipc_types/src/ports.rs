@@ -10,11 +10,15 @@ use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
 use thiserror::Error;
 
+use crate::identity::{Guard, Part};
 use crate::layout::Message;
 use crate::own::Own;
 
 /// Messages of a wrong length that one look takes off a queue: whoever floods with them holds nobody up.
 const REFUSED_AT_ONCE: usize = 64;
+/// The same for messages of strangers on a part's service: more than any queue holds, because what comes behind them must
+/// not come late.
+const STRANGERS_AT_ONCE: usize = 1 << 14;
 
 /// Why a message could not be sent or taken.
 #[derive(Debug, Error)]
@@ -122,23 +126,46 @@ impl<M: Message> Publisher<M> {
 pub struct Subscriber<M> {
     raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
     name: String,
+    /// Of a service that parts of the hub alone write.
+    guard: Option<Guard>,
     message: PhantomData<M>,
 }
 
 impl<M: Message> Subscriber<M> {
-    pub(crate) fn new(raw: RawSubscriber<ipc::Service, [u8], ()>, name: String) -> Self {
-        Subscriber { raw: Own::new(raw), name, message: PhantomData }
+    pub(crate) fn new(
+        raw: RawSubscriber<ipc::Service, [u8], ()>,
+        name: String,
+        guard: Option<Guard>,
+    ) -> Self {
+        Subscriber { raw: Own::new(raw), name, guard, message: PhantomData }
     }
 
     /// The oldest message that waits, if any. Its bytes stay in shared memory until the return value is dropped.
     ///
-    /// A message of a wrong length is taken off the queue and reported.
+    /// A message of a wrong length is taken off the queue and reported. What a program has sent that is not the part whose
+    /// service this is, is passed over and counted ([`Subscriber::strangers`]).
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
-        let sample = self.raw.receive().map_err(|cause| PortError::Receive {
-            service: self.name.clone(),
-            cause: format!("{cause:?}"),
-        })?;
-        sample.map(|sample| Received::new(sample, &self.name)).transpose()
+        for _ in 0..STRANGERS_AT_ONCE {
+            let sample = self.raw.receive().map_err(|cause| PortError::Receive {
+                service: self.name.clone(),
+                cause: format!("{cause:?}"),
+            })?;
+            let Some(sample) = sample else { return Ok(None) };
+            let part = match &self.guard {
+                None => None,
+                Some(guard) => match guard.part_of(sample.header().publisher_id()) {
+                    None => continue,
+                    known => known,
+                },
+            };
+            return Received::new(sample, part, &self.name).map(Some);
+        }
+        Ok(None)
+    }
+
+    /// Messages so far of programs that are not the part whose service this is.
+    pub fn strangers(&self) -> u64 {
+        self.guard.as_ref().map_or(0, Guard::strangers)
     }
 
     /// The oldest message of a right length that waits, if any, for services that every client may write: others are
@@ -178,12 +205,17 @@ impl<M: Message> Subscriber<M> {
 #[derive(Debug)]
 pub struct Received<M> {
     pub(crate) sample: Own<Sample<ipc::Service, [u8], ()>>,
+    part: Option<Part>,
     /// The message, if it does not lie aligned in shared memory.
     copy: Option<Box<M>>,
 }
 
 impl<M: Message> Received<M> {
-    fn new(sample: Sample<ipc::Service, [u8], ()>, service: &str) -> Result<Self, PortError> {
+    fn new(
+        sample: Sample<ipc::Service, [u8], ()>,
+        part: Option<Part>,
+        service: &str,
+    ) -> Result<Self, PortError> {
         let bytes = sample.payload();
         let size = M::DESCRIPTION.size;
         let wrong = |expected: String| PortError::Length {
@@ -208,7 +240,12 @@ impl<M: Message> Received<M> {
             Ok(_) => None,
             Err(_) => M::read_from_prefix(bytes).ok().map(|(message, _)| Box::new(message)),
         };
-        Ok(Received { sample: Own::new(sample), copy })
+        Ok(Received { sample: Own::new(sample), part, copy })
+    }
+
+    /// The part that has sent it; none on services that every client may write.
+    pub fn part(&self) -> Option<Part> {
+        self.part
     }
 
     /// The message without what follows it. Not a copy.

@@ -4,6 +4,7 @@
 //! queue is bounded and overwrites its oldest entry, so nothing ever blocks the physics; each message carries a
 //! sequence number or tick, so a loss is seen by whoever suffered it.
 
+use crate::identity::Part;
 use crate::layout::{Description, Message};
 use crate::messages::{
     Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched, Progress,
@@ -30,6 +31,8 @@ pub struct Service {
     pub description: &'static Description,
     /// Where it is recorded.
     pub lane: Lane,
+    /// Parts of the hub that alone write it; none: every client may.
+    pub writers: &'static [Part],
     /// Entries that a slow subscriber may lag behind before its oldest are overwritten.
     pub queue_length: usize,
     /// The same for whoever must not lose any: the recorder, and the DRR for removed voxels.
@@ -58,11 +61,17 @@ pub const MAX_EVENT_TEXT: usize = 1024;
 /// others are for clients that only watch. Each costs two samples of every publisher.
 const MAX_SUBSCRIBERS: usize = 16;
 
-const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) -> Service {
+const fn fixed<M: Message>(
+    name: &'static str,
+    lane: Lane,
+    writers: &'static [Part],
+    queue_length: usize,
+) -> Service {
     Service {
         name,
         description: M::DESCRIPTION,
         lane,
+        writers,
         queue_length,
         lossless_length: 8 * queue_length,
         history: 1,
@@ -72,62 +81,77 @@ const fn fixed<M: Message>(name: &'static str, lane: Lane, queue_length: usize) 
     }
 }
 
+const ANYBODY: &[Part] = &[];
+const PHYSICS_ONLY: &[Part] = &[Part::Physics];
+const DRR_ONLY: &[Part] = &[Part::Drr];
+
 /// `State`, once a tick. A queue holds half a second of them at 1 kHz, the recorder's [`RECORDER_QUEUE_TICKS`].
-pub const STATE: Service = fixed::<State>("state", Lane::Run, 512);
+pub const STATE: Service = fixed::<State>("state", Lane::Run, PHYSICS_ONLY, 512);
 /// Ticks for which the recorder may stand still and still lose nothing: 4.096 s at 1 kHz. The queues of everything that comes once a
 /// tick are as long.
 pub const RECORDER_QUEUE_TICKS: u64 = STATE.lossless_length as u64;
 /// `Latched`, once a tick, before the state that it leads to.
-pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, 512);
+pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, PHYSICS_ONLY, 512);
 /// `Removed`, for ticks that removed voxels.
 pub const REMOVED: Service = Service {
     history: 0,
     max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4,
-    ..fixed::<Removed>("removed", Lane::Run, 512)
+    ..fixed::<Removed>("removed", Lane::Run, PHYSICS_ONLY, 512)
 };
 /// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds the longest one.
 pub const KEYFRAME: Service = Service {
     history: 0,
     max_subscribers: 2,
     max_bytes: Keyframe::DESCRIPTION.size + KEYFRAME_PART_BYTES,
-    ..fixed::<Keyframe>("keyframe", Lane::Run, MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES)
+    ..fixed::<Keyframe>("keyframe", Lane::Run, PHYSICS_ONLY, MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES)
 };
 /// `Command`, one service a controller: the writer is known by the service. A recorder may be as far behind its answers
 /// as it is behind the states.
-pub const COMMAND: Service = Service { history: 0, ..fixed::<Command>("command", Lane::Timing, 512) };
+pub const COMMAND: Service =
+    Service { history: 0, ..fixed::<Command>("command", Lane::Timing, ANYBODY, 512) };
 /// `Volume`, once; `max_bytes` is that of the scene's volume.
 pub const VOLUME: Service =
-    Service { lossless_length: 1, max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, 1) };
+    Service { lossless_length: 1, max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, &[Part::Host], 1) };
 /// `Frame` with its image; `max_bytes` is that of the scene's detector.
-pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, 8) };
+pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, DRR_ONLY, 8) };
 /// `DrrRequest`.
-pub const DRR_REQUEST: Service =
-    Service { history: 0, max_publishers: 8, ..fixed::<DrrRequest>("drr_request", Lane::Timing, 64) };
+pub const DRR_REQUEST: Service = Service {
+    history: 0,
+    max_publishers: 8,
+    ..fixed::<DrrRequest>("drr_request", Lane::Timing, ANYBODY, 64)
+};
 /// `DrrReply`.
-pub const DRR_REPLY: Service = Service { history: 0, ..fixed::<DrrReply>("drr_reply", Lane::Run, 64) };
+pub const DRR_REPLY: Service =
+    Service { history: 0, ..fixed::<DrrReply>("drr_reply", Lane::Run, DRR_ONLY, 64) };
 /// `RunControl`.
-pub const RUN_CONTROL: Service =
-    Service { history: 0, max_publishers: 8, ..fixed::<RunControl>("run_control", Lane::Timing, 16) };
+pub const RUN_CONTROL: Service = Service {
+    history: 0,
+    max_publishers: 8,
+    ..fixed::<RunControl>("run_control", Lane::Timing, ANYBODY, 16)
+};
 /// `RunControlReply`.
 pub const RUN_CONTROL_REPLY: Service =
-    Service { history: 0, ..fixed::<RunControlReply>("run_control_reply", Lane::Timing, 16) };
+    Service { history: 0, ..fixed::<RunControlReply>("run_control_reply", Lane::Timing, PHYSICS_ONLY, 16) };
 /// `RunStatus`.
-pub const RUN_STATUS: Service = fixed::<RunStatus>("run_status", Lane::Timing, 16);
+pub const RUN_STATUS: Service = fixed::<RunStatus>("run_status", Lane::Timing, PHYSICS_ONLY, 16);
 /// `Event`.
 pub const EVENT: Service = Service {
     history: 0,
     max_publishers: 16,
     max_bytes: Event::DESCRIPTION.size + MAX_EVENT_TEXT,
-    ..fixed::<Event>("event", Lane::Timing, 256)
+    ..fixed::<Event>("event", Lane::Timing, ANYBODY, 256)
 };
 /// `Progress` of the consumers of lossless streams.
-pub const PROGRESS: Service = Service { max_publishers: 4, ..fixed::<Progress>("progress", Lane::None, 16) };
+pub const PROGRESS: Service = Service {
+    max_publishers: 4,
+    ..fixed::<Progress>("progress", Lane::None, &[Part::Drr, Part::Recorder], 16)
+};
 /// `TickTiming`.
 pub const TICK_TIMING: Service =
-    Service { history: 0, ..fixed::<TickTiming>("tick_timing", Lane::Timing, 512) };
+    Service { history: 0, ..fixed::<TickTiming>("tick_timing", Lane::Timing, PHYSICS_ONLY, 512) };
 /// `FrameTiming`.
 pub const FRAME_TIMING: Service =
-    Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, 64) };
+    Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, DRR_ONLY, 64) };
 
 impl Service {
     /// Samples that a publisher has, loans of its own included. A queue holds the newest messages, so what lies in all

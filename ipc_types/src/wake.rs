@@ -21,13 +21,13 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::ipc;
+use iceoryx2::prelude::{PortFactory, ipc};
 use memmap2::MmapRaw;
 use rustix::fs::{Mode, OFlags};
 
 use crate::own::Own;
 use crate::scene::{Policy, Wait};
-use crate::session::{FLAGS_FILE, create_file};
+use crate::session::{EventService, FLAGS_FILE, create_file};
 
 /// How long a reader yields before it sleeps. Measured: pure spinning collapses a thousandfold when spinners outnumber
 /// cores; yielding for 20 µs costs nothing there and catches nearly every answer of a running peer.
@@ -85,16 +85,41 @@ pub struct Waker {
     pub(crate) notifier: Own<Notifier<ipc::Service>>,
     pub(crate) flags: WakeFlags,
     pub(crate) reader: usize,
+    pub(crate) service: EventService,
+    /// Messages yet for which nobody is woken, because nobody was there.
+    pub(crate) spared: Cell<u32>,
+    /// Listeners that there were then.
+    pub(crate) listeners: Cell<usize>,
 }
 
 impl Waker {
+    /// Messages after one that woke nobody for which nobody is woken.
+    const PATIENCE: u32 = 64;
+
     /// Wakes the reader if it sleeps. Call it after the message has been sent.
     pub fn wake(&self) {
+        self.try_to_wake();
+    }
+
+    /// The same; returns whether that took a system call.
+    ///
+    /// A reader that is killed in its sleep leaves its flag up. So a writer that has found nobody to wake does not try again
+    /// each time, but when somebody has come, when the flag has been down, or after some messages.
+    pub fn try_to_wake(&self) -> bool {
         fence(Ordering::SeqCst);
-        if self.flags.flag(self.reader).load(Ordering::Relaxed) != 0 {
-            // A reader that has gone cannot be woken, and need not be.
-            let _ = self.notifier.notify();
+        if self.flags.flag(self.reader).load(Ordering::Relaxed) == 0 {
+            self.spared.set(0);
+            return false;
         }
+        let (spared, listeners) = (self.spared.get(), self.service.dynamic_config().number_of_listeners());
+        if spared > 0 && listeners == self.listeners.get() {
+            self.spared.set(spared - 1);
+            return false;
+        }
+        let woken = self.notifier.notify().unwrap_or(0);
+        self.spared.set(if woken == 0 { Self::PATIENCE } else { 0 });
+        self.listeners.set(listeners);
+        true
     }
 }
 

@@ -7,6 +7,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use ipc_types::identity::Part;
 use ipc_types::messages::{Command, Event, Frame, Keyframe, Removed, State, Volume};
 use ipc_types::scene::{Policy, Wait};
 use ipc_types::services::{self, Service};
@@ -25,6 +26,15 @@ fn plan(controllers: &[&str]) -> SessionPlan {
     }
 }
 
+/// A host that plays the parts itself.
+fn playing(plan: &SessionPlan) -> SessionHost {
+    let host = SessionHost::create(plan).unwrap();
+    host.announce().unwrap();
+    host.session.claim(Part::Physics).unwrap();
+    host.session.claim(Part::Drr).unwrap();
+    host
+}
+
 fn shared_memory_of(session: &Session) -> usize {
     let id = session.folder().file_name().unwrap().to_string_lossy().into_owned();
     let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
@@ -33,8 +43,7 @@ fn shared_memory_of(session: &Session) -> usize {
 
 #[test]
 fn messages_arrive_whole_and_nothing_stays_behind() {
-    let host = SessionHost::create(&plan(&["reference"])).unwrap();
-    host.announce().unwrap();
+    let host = playing(&plan(&["reference"]));
     let client = Session::join(host.session.folder()).unwrap();
     let publisher = host.session.publisher::<State>(&services::STATE).unwrap();
     let subscriber = client.subscriber::<State>(&services::STATE).unwrap();
@@ -69,8 +78,7 @@ fn messages_arrive_whole_and_nothing_stays_behind() {
 
 #[test]
 fn a_late_joiner_receives_the_newest_state() {
-    let host = SessionHost::create(&plan(&[])).unwrap();
-    host.announce().unwrap();
+    let host = playing(&plan(&[]));
     let publisher = host.session.publisher::<State>(&services::STATE).unwrap();
     publisher.send(&State { tick: 42, ..State::zeroed() }).unwrap();
     let client = Session::join(host.session.folder()).unwrap();
@@ -110,10 +118,7 @@ fn a_client_of_another_layout_is_refused_with_both_layouts() {
 
 #[test]
 fn two_sessions_do_not_meet() {
-    let first = SessionHost::create(&plan(&[])).unwrap();
-    let second = SessionHost::create(&plan(&[])).unwrap();
-    first.announce().unwrap();
-    second.announce().unwrap();
+    let [first, second] = [(), ()].map(|()| playing(&plan(&[])));
     let publisher = first.session.publisher::<State>(&services::STATE).unwrap();
     let same = first.session.subscriber::<State>(&services::STATE).unwrap();
     let other = second.session.subscriber::<State>(&services::STATE).unwrap();
@@ -124,8 +129,7 @@ fn two_sessions_do_not_meet() {
 
 #[test]
 fn a_sleeping_reader_is_woken() {
-    let host = SessionHost::create(&plan(&[])).unwrap();
-    host.announce().unwrap();
+    let host = playing(&plan(&[]));
     let folder = host.session.folder().to_owned();
     let reader = std::thread::spawn(move || {
         let session = Session::join(&folder).unwrap();
@@ -310,8 +314,7 @@ fn a_host_whose_folder_was_removed_is_alive_to_its_clients_and_cannot_be_joined(
 #[test]
 fn a_port_asks_for_the_memory_that_it_reserves() {
     let plan = SessionPlan { volume_bytes: 20_000_000, frame_bytes: 300_000, ..plan(&["left"]) };
-    let host = SessionHost::create(&plan).unwrap();
-    host.announce().unwrap();
+    let host = playing(&plan);
     let segments = || {
         let prefix = format!("trabecula010_{}_", name_of(host.session.folder()));
         let entries = fs::read_dir("/dev/shm").unwrap().flatten();
@@ -344,4 +347,70 @@ fn a_port_asks_for_the_memory_that_it_reserves() {
     let before = segments();
     let _events = host.session.publisher::<Event>(&services::EVENT).unwrap();
     reckoned(services::EVENT, before);
+}
+
+/// A port of a part that is not there was free for everybody, and what came over it was believed.
+#[test]
+fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
+    let host = SessionHost::create(&plan(&["left"])).unwrap();
+    host.announce().unwrap();
+    let [physics, stranger] = [(), ()].map(|()| Session::join(host.session.folder()).unwrap());
+    physics.claim(Part::Physics).unwrap();
+    physics.claim(Part::Physics).unwrap();
+    let taken = stranger.claim(Part::Physics).unwrap_err();
+    assert!(matches!(taken, SessionError::PartTaken { part: Part::Physics }), "{taken}");
+    let refusal = stranger.publisher::<Keyframe>(&services::KEYFRAME).unwrap_err();
+    assert!(refusal.to_string().contains("`keyframe` is written by the physics alone"), "{refusal}");
+    // Past our own library, with the transport itself.
+    let service =
+        stranger.node().service_builder(&"keyframe".try_into().unwrap()).publish_subscribe::<[u8]>();
+    let port = service.open().unwrap().publisher_builder().initial_max_slice_len(64).create().unwrap();
+    let reader = host.session.lossless_subscriber::<Keyframe>(&services::KEYFRAME).unwrap();
+    for _ in 0..3 {
+        port.loan_slice_uninit(7).unwrap().write_from_fn(|_| 0x5a).send().unwrap();
+    }
+    assert!(reader.receive().unwrap().is_none());
+    assert_eq!(reader.strangers(), 3);
+    drop(port);
+    let keyframes = physics.publisher::<Keyframe>(&services::KEYFRAME).unwrap();
+    keyframes.send(&Keyframe { tick: 9, ..Keyframe::zeroed() }).unwrap();
+    // What a part has sent before it ended is believed as well.
+    drop((keyframes, physics));
+    let received = reader.receive().unwrap().unwrap();
+    assert_eq!((received.message().tick, received.part(), reader.strangers()), (9, Some(Part::Physics), 3));
+}
+
+/// A reader that was killed in its sleep left its flag up, and every message to it cost a system call.
+#[test]
+fn a_killed_sleeping_reader_costs_its_writers_nothing() {
+    const SLEEPER: &str = "TRABECULA_TEST_SLEEPER";
+    if let Some(folder) = std::env::var_os(SLEEPER) {
+        let session = Session::join(Path::new(&folder)).unwrap();
+        let waiter = session.waiter(Reader::Controller(0)).unwrap();
+        println!("asleep");
+        waiter.wait_until(Instant::now() + Duration::from_secs(60), || false);
+    }
+    let host = SessionHost::create(&plan(&["left"])).unwrap();
+    host.announce().unwrap();
+    let waker = host.session.waker(Reader::Controller(0)).unwrap();
+    let mut sleeper = std::process::Command::new(std::env::current_exe().unwrap());
+    sleeper.args(["a_killed_sleeping_reader_costs_its_writers_nothing", "--exact", "--nocapture"]);
+    let sleeper = sleeper.env(SLEEPER, host.session.folder()).stdout(std::process::Stdio::piped());
+    let mut sleeper = sleeper.spawn().unwrap();
+    let mut said = std::io::BufReader::new(sleeper.stdout.take().unwrap());
+    let mut line = String::new();
+    while !line.contains("asleep") {
+        line.clear();
+        assert!(std::io::BufRead::read_line(&mut said, &mut line).unwrap() > 0, "the reader is there");
+    }
+    // Into its sleep.
+    std::thread::sleep(Duration::from_millis(200));
+    sleeper.kill().unwrap();
+    sleeper.wait().unwrap();
+    let calls = (0..1000).filter(|_| waker.try_to_wake()).count();
+    assert!(calls <= 1000 / 64 + 2, "{calls} system calls for 1000 messages to nobody");
+    // Whoever comes back is woken at once.
+    let back = Session::join(host.session.folder()).unwrap();
+    let _waiter = back.waiter(Reader::Controller(0)).unwrap();
+    assert!(waker.try_to_wake());
 }

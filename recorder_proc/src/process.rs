@@ -13,10 +13,11 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
+use ipc_types::identity::Part;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, Event, Frame, FrameTiming, Keyframe, Latched,
-    PHASE_ENDED, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER,
+    Command, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Event, Frame, FrameTiming, Keyframe,
+    Latched, PHASE_ENDED, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER,
     SEVERITY_WARNING, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
@@ -128,11 +129,11 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         prioritise(Role::Recorder, scene.run.policy);
     }
     let session = Session::join(session_folder)?;
+    session.claim(Part::Recorder)?;
     let header = header(&session, &scene, &end)?;
     let ports = Ports::open(&session, &scene)?;
     let (run, timing) = (output.join("run.mcap"), output.join("timing.mcap"));
     let mut recorder = Recorder {
-        events: EventSender::new(&session, SENDER_RECORDER)?,
         run: RunLog::create_named(create(&run, BackgroundOptions::RUN)?, &run, &header)?,
         timing: TimingLog::create_named(create(&timing, BackgroundOptions::TIMING)?, &timing, &header)?,
         recording: scene.recording.clone(),
@@ -141,7 +142,9 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         gaps: Gaps::default(),
         run_has_ended: false,
         session_folder: session_folder.to_owned(),
-        remarks: Remarks::default(),
+        strangers: 0,
+        stranger_remarks: Remarks::default(),
+        gap_remarks: Remarks::default(),
         ports,
     };
     // From here on a machine that loses its power leaves files that say what they are.
@@ -211,6 +214,7 @@ struct Ports {
     tick_timing: Subscriber<TickTiming>,
     frame_timing: Subscriber<FrameTiming>,
     progress: Publisher<Progress>,
+    events_sent: EventSender,
     waiter: Waiter,
     physics: Waker,
 }
@@ -239,14 +243,33 @@ impl Ports {
             tick_timing: session.lossless_subscriber(&services::TICK_TIMING)?,
             frame_timing: session.lossless_subscriber(&services::FRAME_TIMING)?,
             progress: session.publisher(&services::PROGRESS)?,
+            events_sent: EventSender::new(session, SENDER_RECORDER)?,
             waiter: session.waiter(Reader::Recorder)?,
             physics: session.waker(Reader::Physics)?,
         })
     }
 }
 
+impl Ports {
+    /// Messages so far that did not come from the part whose service it is.
+    fn strangers(&self) -> u64 {
+        self.states.strangers()
+            + self.latched.strangers()
+            + self.removed.strangers()
+            + self.keyframes.strangers()
+            + self.frames.as_ref().map_or(0, Subscriber::strangers)
+            + self.replies.strangers()
+            + self.control_replies.strangers()
+            + self.status.strangers()
+            + self.tick_timing.strangers()
+            + self.frame_timing.strangers()
+    }
+}
+
 struct Recorder {
-    events: EventSender,
+    /// Messages of strangers that have been said.
+    strangers: u64,
+    stranger_remarks: Remarks,
     run: RunLog<BackgroundFile>,
     timing: TimingLog<BackgroundFile>,
     recording: Recording,
@@ -257,7 +280,7 @@ struct Recorder {
     /// Whether the physics has said so.
     run_has_ended: bool,
     session_folder: PathBuf,
-    remarks: Remarks,
+    gap_remarks: Remarks,
     ports: Ports,
 }
 
@@ -277,6 +300,7 @@ impl Recorder {
                 self.timing.flush()?;
                 quiet_since = Instant::now();
             }
+            self.report_strangers()?;
         }
         // The launcher says why the run ends before it asks. Its lock alone may outlive it for a moment.
         let says_why = self.run.path().with_file_name(REASON_FILE).exists();
@@ -333,9 +357,9 @@ impl Recorder {
             }
         }
         self.take_inputs()?;
-        if let Some(more) = self.remarks.unsaid() {
+        if let Some(more) = self.gap_remarks.unsaid() {
             let text = format!("{more} more gaps in the log");
-            self.events.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
+            self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
         }
         if self.newest_tick > self.reported_tick {
             self.report_progress(self.newest_tick)?;
@@ -402,7 +426,7 @@ impl Recorder {
 
     /// At once: what is recorded from here on may not be what the run is made for.
     fn tell_of_gap(&mut self, missing: &Range<u64>) -> Result<(), RecorderError> {
-        if !self.remarks.allows() {
+        if !self.gap_remarks.allows() {
             return Ok(());
         }
         let text = format!(
@@ -410,7 +434,21 @@ impl Recorder {
             missing.start,
             missing.end - 1
         );
-        Ok(self.events.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?)
+        Ok(self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?)
+    }
+
+    /// Says when programs that are not the part whose service it is have sent what the log does not take.
+    fn report_strangers(&mut self) -> Result<(), RecorderError> {
+        let strangers = self.ports.strangers();
+        let new = strangers - self.strangers;
+        if new > 0 && self.stranger_remarks.allows() {
+            self.strangers = strangers;
+            let text = format!("{new} messages on services of other parts came from strangers; not recorded");
+            self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+        }
+        // They are told the next time, with those that come until then.
+        self.stranger_remarks.unsaid();
+        Ok(())
     }
 
     fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use ipc_types::identity;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
     Command, DrrReply, Frame, Latched, PHASE_ENDED, PHASE_RUNNING, RunStatus, SOURCE_FRESH, State,
@@ -198,6 +199,8 @@ impl Stage {
             })
         };
         let open = || -> Result<Stage, SessionError> {
+            session.claim(identity::Part::Physics)?;
+            session.claim(identity::Part::Drr)?;
             Ok(Stage {
                 states: session.publisher(&services::STATE)?,
                 latched: session.publisher(&services::LATCHED)?,

@@ -13,6 +13,7 @@ use rustix::process::Signal;
 use trabecula_client::{Client, Connection};
 use zerocopy::IntoBytes;
 
+use crate::common::client::{bare_port, send_bare};
 use crate::common::program::{signal, wait_for};
 
 const BEHAVIOUR: &str = "TRABECULA_TEST_GUEST";
@@ -175,7 +176,7 @@ fn garbage(folder: &Path, name: &str, seed: u64) -> Result<(), Box<dyn std::erro
     let control = session.publisher::<RunControl>(&services::RUN_CONTROL)?;
     let requests = session.publisher::<DrrRequest>(&services::DRR_REQUEST)?;
     let events = session.publisher::<Event>(&services::EVENT)?;
-    let progress = session.publisher::<Progress>(&services::PROGRESS)?;
+    let progress = bare_port(&session, "progress", size_of::<Progress>());
     let mut random = Rng::with_seed(seed);
     println!("\n{READY}");
     loop {
@@ -188,7 +189,7 @@ fn garbage(folder: &Path, name: &str, seed: u64) -> Result<(), Box<dyn std::erro
         control.send_parts(&[&bytes(size_of::<RunControl>())])?;
         requests.send_parts(&[&bytes(size_of::<DrrRequest>())])?;
         events.send_parts(&[&bytes(size_of::<Event>())])?;
-        progress.send_parts(&[&bytes(size_of::<Progress>())])?;
+        send_bare(&progress, &bytes(size_of::<Progress>()));
         std::thread::sleep(Duration::from_millis(1));
     }
 }

@@ -23,6 +23,7 @@ mod gaps;
 mod guided;
 mod held_back;
 mod interrupts;
+mod identity;
 mod languages;
 mod late_controllers;
 mod lichtblick;

@@ -7,13 +7,14 @@ use test_support::limited::{Watchdog, end_within};
 
 use ipc_types::messages::{
     CONTROL_STOP, DRR_REFUSED, DrrReply, DrrRequest, EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST,
-    EVENT_REQUEST_REFUSED, Event, Pose, Progress, RunControl, SOURCE_FRESH, TENDON_SERVO_JF,
+    EVENT_REQUEST_REFUSED, Event, Pose, RunControl, SOURCE_FRESH, TENDON_SERVO_JF,
 };
 use ipc_types::services;
 use ipc_types::session::{SESSION_VARIABLE, Session};
 use rustix::process::Signal;
 use trabecula_client::{Client, ClientError, Connection};
 
+use crate::common::client::{bare_port, send_bare};
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
@@ -103,12 +104,12 @@ fn garbage_of_a_stray_publisher_is_refused_and_ends_nobody() {
     let control = stray.publisher::<RunControl>(&services::RUN_CONTROL).unwrap();
     let request = stray.publisher::<DrrRequest>(&services::DRR_REQUEST).unwrap();
     let event = stray.publisher::<Event>(&services::EVENT).unwrap();
-    let progress = stray.publisher::<Progress>(&services::PROGRESS).unwrap();
+    let progress = bare_port(&stray, "progress", bytes.len());
     command.send_parts(&[&bytes]).unwrap();
     control.send_parts(&[&bytes]).unwrap();
     request.send_parts(&[&bytes]).unwrap();
     event.send_parts(&[&bytes]).unwrap();
-    progress.send_parts(&[&bytes]).unwrap();
+    send_bare(&progress, &bytes);
     await_event(&mut observer, EVENT_COMMAND_REFUSED, "controller `pilot`: a message of 7 bytes");
     drop((command, control, request, event, progress, stray));
     // Everybody goes on: the physics, the DRR process, and the recorder, whose log is whole.

@@ -13,6 +13,7 @@ mod worker;
 
 use std::path::Path;
 
+use ipc_types::identity::Part;
 use ipc_types::messages::{CArmGeometry, CArmProjection, Volume};
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
@@ -90,6 +91,7 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     // Frames may wait, ticks may not.
     prioritise(Role::Drr, scene.run.policy);
     let session = Session::join(session_folder)?;
+    session.claim(Part::Drr)?;
     let ports = ports::Ports::open(&session)?;
     let volume = ports.receive_volume(&end)?;
     let view = volume_view(volume.message(), volume.tail())?;

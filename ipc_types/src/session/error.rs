@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::ICEORYX2_VERSION;
 use super::places::{Searched, Unfit};
+use crate::identity::Part;
 use crate::shared_memory::Short;
 
 /// Why a session could not be made or joined.
@@ -79,6 +80,20 @@ pub enum SessionError {
         theirs: String,
         /// Layout hash of this program.
         ours: String,
+    },
+    /// A port that belongs to a part of the hub.
+    #[error("service `{service}` is written by {writers} alone, which this program is not")]
+    Reserved {
+        /// Service name.
+        service: String,
+        /// Who may write it.
+        writers: String,
+    },
+    /// The session has this part already.
+    #[error("{part} of this session is another program; there is one of each")]
+    PartTaken {
+        /// Which.
+        part: Part,
     },
     /// The scene names no such controller.
     #[error("the scene has no controller `{name}`; it has: {known}")]

@@ -13,6 +13,7 @@ use super::{
     Announcement, ByteService, EventService, FLAGS_FILE, ICEORYX2_VERSION, Reader, Session, SessionError,
     create_node, file_error, transported,
 };
+use crate::identity::Part;
 use crate::scene::{Policy, Wait};
 use crate::services::{self, SAMPLES_HELD, Service};
 use crate::shared_memory::SharedMemory;
@@ -99,6 +100,7 @@ impl SessionHost {
             node,
             flags,
         };
+        session.claim(Part::Host)?;
         Ok(SessionHost { session, _byte_services: byte_services, _event_services: event_services, folder })
     }
 

@@ -353,4 +353,34 @@ mod tests {
         }
         assert!(!own.join("n").exists(), "nothing is made on the way");
     }
+
+    /// A run from cron, `sudo` or ssh has no variable where a desktop has one: each is looked for where the other would be.
+    #[test]
+    fn every_place_is_looked_in_and_named() {
+        let user = rustix::process::geteuid().as_raw();
+        let paths = |variable: Option<&str>| -> Vec<PathBuf> {
+            places_of(variable.map(OsString::from), user)
+                .iter()
+                .map(|place| place.path().to_owned())
+                .collect()
+        };
+        let (usual, temporary) =
+            (PathBuf::from(format!("/run/user/{user}/{NAME}")), PathBuf::from(format!("/tmp/{NAME}-{user}")));
+        let mut expected = vec![PathBuf::from("/elsewhere").join(NAME)];
+        expected.extend(Path::new("/run/user").join(user.to_string()).exists().then(|| usual.clone()));
+        expected.push(temporary.clone());
+        assert_eq!(paths(Some("/elsewhere")), expected);
+        assert_eq!(paths(None), expected[1..]);
+        assert_eq!(paths(Some(&format!("/run/user/{user}/"))), [usual, temporary.clone()]);
+        let all = places_of(Some("/elsewhere".into()), user);
+        let said = Searched { name: Some("left".to_owned()), places: all }.to_string();
+        for word in [
+            "`left`",
+            "XDG_RUNTIME_DIR=\"/elsewhere\" (passed over: it does not exist)",
+            temporary.to_str().unwrap(),
+        ] {
+            assert!(said.contains(word), "{said}");
+        }
+        assert!(said.contains(&format!("as user {user}")), "{said}");
+    }
 }

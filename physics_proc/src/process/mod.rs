@@ -29,6 +29,7 @@ mod tick;
 
 use std::path::Path;
 
+use ipc_types::identity::Part;
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, session_scene};
 use ipc_types::scene::SceneError;
@@ -120,6 +121,7 @@ pub fn run(session_folder: &Path) -> Result<(), PhysicsError> {
     let end = EndRequest::install().map_err(PhysicsError::Signals)?;
     let scene = session_scene(session_folder)?;
     let session = Session::join(session_folder)?;
+    session.claim(Part::Physics)?;
     let ports = Ports::open(&session, &scene)?;
     let volume = connection::receive_volume(&session, &scene, &end)?;
     let ct = match &volume {

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use ipc_types::identity::Sender;
+use ipc_types::identity::{Part, Sender};
 use ipc_types::messages::{
-    Command, Latched, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_DRR, SENDER_PHYSICS,
-    SENDER_RECORDER, State, TickTiming,
+    Command, Latched, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_PHYSICS, State,
+    TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::EventSender;
@@ -19,7 +19,7 @@ use zerocopy::IntoBytes;
 use super::keyframes::Keyframes;
 use crate::simulation::Simulation;
 
-/// Reports of consumers that are taken in one look: every client may send them.
+/// Reports of consumers that are taken in one look.
 const REPORTS_PER_LOOK: usize = 64;
 
 pub(super) struct Ports {
@@ -140,12 +140,14 @@ impl Ports {
 /// Who must take every state, and how far they are.
 pub(super) struct Consumers {
     progress: Subscriber<Progress>,
+    /// Messages of other programs that have been said.
+    strangers: u64,
     list: Vec<Consumer>,
 }
 
 pub(super) struct Consumer {
     pub(super) part: &'static str,
-    sender: u32,
+    role: Part,
     pub(super) tick: Option<u64>,
     waker: Waker,
 }
@@ -160,29 +162,38 @@ impl Consumers {
     fn open(session: &Session) -> Result<Consumers, SessionError> {
         let announcement = session.announcement();
         let mut list = Vec::new();
-        let mut add = |part, sender, reader| -> Result<(), SessionError> {
-            list.push(Consumer { part, sender, tick: None, waker: session.waker(reader)? });
+        let mut add = |part, role, reader| -> Result<(), SessionError> {
+            list.push(Consumer { part, role, tick: None, waker: session.waker(reader)? });
             Ok(())
         };
         if announcement.frame_bytes > 0 {
-            add("the DRR process", SENDER_DRR, Reader::Drr)?;
+            add("the DRR process", Part::Drr, Reader::Drr)?;
         }
         if announcement.recorder {
-            add("the recorder process", SENDER_RECORDER, Reader::Recorder)?;
+            add("the recorder process", Part::Recorder, Reader::Recorder)?;
         }
-        Ok(Consumers { progress: session.subscriber(&services::PROGRESS)?, list })
+        Ok(Consumers { progress: session.subscriber(&services::PROGRESS)?, strangers: 0, list })
     }
 
     /// Takes in what the consumers have reported.
     pub(super) fn update(&mut self) -> Result<(), PortError> {
         for _ in 0..REPORTS_PER_LOOK {
             let Some(report) = self.progress.receive_valid(|_| {})? else { break };
-            let report = report.message();
-            for consumer in self.list.iter_mut().filter(|consumer| consumer.sender == report.consumer) {
-                consumer.tick = Some(report.tick);
+            // Whose it is says the transport, not the report: nobody speaks for another.
+            let part = report.part();
+            // A copy: its writer is another process.
+            let tick = report.message().tick;
+            for consumer in self.list.iter_mut().filter(|consumer| Some(consumer.role) == part) {
+                consumer.tick = Some(tick);
             }
         }
         Ok(())
+    }
+
+    /// Reports of programs that are no consumer, since this was asked last.
+    pub(super) fn new_strangers(&mut self) -> u64 {
+        let strangers = self.progress.strangers();
+        strangers - std::mem::replace(&mut self.strangers, strangers)
     }
 
     pub(super) fn has_report(&self) -> bool {

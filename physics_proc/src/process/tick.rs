@@ -424,6 +424,13 @@ impl<'v> Runner<'v> {
         }
         self.status_sent = Some(Instant::now());
         self.disturbances.note_steal();
+        let strangers = self.ports.consumers.new_strangers();
+        if strangers > 0 && self.control_remarks.allows() {
+            let text = format!(
+                "progress: {strangers} messages of a program that is neither the DRR process nor the recorder; passed over"
+            );
+            self.ports.events.send(self.tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+        }
         self.ports.status.send(&RunStatus {
             tick: self.tick,
             tick_count: self.tick_count,

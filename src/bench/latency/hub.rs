@@ -3,6 +3,7 @@
 use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
+use ipc_types::identity::Part;
 use ipc_types::messages::State;
 use ipc_types::process::bind_to_parent;
 use ipc_types::session::{CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, SessionHost, SessionPlan};
@@ -52,6 +53,7 @@ pub(super) fn measure(
     };
     let host = SessionHost::create(&plan).map_err(failed)?;
     let session = &host.session;
+    session.claim(Part::Physics).map_err(failed)?;
     std::fs::write(session.folder().join("scene.toml"), SCENE).map_err(failed)?;
     let states = session.publisher::<State>(&services::STATE).map_err(failed)?;
     let commands = session.command_subscriber(NAME).map_err(failed)?;

@@ -91,6 +91,19 @@ impl Client {
     }
 }
 
+/// A port of the transport itself, past our own library, which takes no port of a part.
+pub fn bare_port(session: &Session, service: &str, bytes: usize) -> BarePort {
+    let service = session.node().service_builder(&service.try_into().unwrap()).publish_subscribe::<[u8]>();
+    service.open().unwrap().publisher_builder().initial_max_slice_len(bytes).create().unwrap()
+}
+
+pub type BarePort = iceoryx2::port::publisher::Publisher<iceoryx2::prelude::ipc::Service, [u8], ()>;
+
+/// Sends bytes over it.
+pub fn send_bare(port: &BarePort, bytes: &[u8]) {
+    port.loan_slice_uninit(bytes.len()).unwrap().write_from_slice(bytes).send().unwrap();
+}
+
 /// A controller that the test drives itself.
 pub struct Pilot {
     pub client: Client,
