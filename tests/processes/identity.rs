@@ -67,8 +67,9 @@ fn progress_of_a_stranger_neither_lifts_nor_stalls_lockstep() {
         std::thread::sleep(Duration::from_millis(2));
     }
     assert_eq!(newest(), None, "nobody else lifts the wait at tick {last}");
-    await_event(&mut observer, EVENT_REQUEST_REFUSED, "neither the DRR process nor the recorder");
     signal(recorder, Signal::CONT);
+    // The physics says so as soon as it goes on.
+    await_event(&mut observer, EVENT_REQUEST_REFUSED, "neither the DRR process nor the recorder");
     // What would hold it back for ever does not.
     while newest().is_none_or(|tick| tick < last + 3000) {
         send_bare(&port, progress(0).as_bytes());

@@ -227,7 +227,7 @@ fn two_hubs_in_two_pid_namespaces_do_not_meet() {
         let names = fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.file_name());
         names.filter(|name| name.to_string_lossy().starts_with(&prefix)).count()
     };
-    let long = start(0, 4.0);
+    let long = start(0, 30.0);
     let long_session = session(0);
     let short = start(1, 0.5);
     let short_session = session(1);
