@@ -171,6 +171,7 @@ impl Session {
         let service =
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
+        self.flags.welcome(reader.slot());
         let way = match reader {
             // They look at their queues in intervals: nobody waits for them.
             Reader::Recorder | Reader::Drr => Way::Hybrid,

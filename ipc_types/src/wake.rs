@@ -44,6 +44,9 @@ pub(crate) const FLAG_STRIDE: usize = 64;
 /// Readers that a session can have.
 pub(crate) const FLAG_COUNT: usize = 32;
 
+/// A flag that is up for a reader that has not waited yet.
+const NEW: u32 = 2;
+
 /// The page of flags, one cache line a reader, shared by all processes of a session.
 #[derive(Debug, Clone)]
 pub(crate) struct WakeFlags {
@@ -68,6 +71,11 @@ impl WakeFlags {
             return Err(std::io::Error::other("the file of wake flags has a wrong length"));
         }
         Ok(WakeFlags { map: Arc::new(map) })
+    }
+
+    /// Raises the flag of a reader that has just come: whoever had given up waking the one before it wakes this one.
+    pub(crate) fn welcome(&self, reader: usize) {
+        self.flag(reader).store(NEW, Ordering::SeqCst);
     }
 
     fn flag(&self, reader: usize) -> &AtomicU32 {
@@ -107,12 +115,13 @@ impl Waker {
     /// each time, but when somebody has come, when the flag has been down, or after some messages.
     pub fn try_to_wake(&self) -> bool {
         fence(Ordering::SeqCst);
-        if self.flags.flag(self.reader).load(Ordering::Relaxed) == 0 {
+        let flag = self.flags.flag(self.reader).load(Ordering::Relaxed);
+        if flag == 0 {
             self.spared.set(0);
             return false;
         }
         let (spared, listeners) = (self.spared.get(), self.service.dynamic_config().number_of_listeners());
-        if spared > 0 && listeners == self.listeners.get() {
+        if flag != NEW && spared > 0 && listeners == self.listeners.get() {
             self.spared.set(spared - 1);
             return false;
         }

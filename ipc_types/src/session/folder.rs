@@ -55,12 +55,15 @@ impl HostFolder {
                 Err(Errno::EXIST) => continue,
                 Err(cause) => return Err(system(cause)),
             }
-            let handle = open_private(&above, Path::new(&id.to_string()))
-                .map_err(|cause| SessionError::Unfit { path: path.clone(), cause })?;
+            let handle = match open_private(&above, Path::new(&id.to_string())) {
+                // Another host has found it empty before it was locked, and removed it.
+                Err(Unfit::Missing) => continue,
+                other => other.map_err(|cause| SessionError::Unfit { path: path.clone(), cause })?,
+            };
             flock(&handle, FlockOperation::LockExclusive).map_err(system)?;
             match create_file(&handle, MARKER, id.to_string().as_bytes()) {
                 Ok(()) => return Ok(HostFolder { path, id, handle, above }),
-                // Another host has found it empty before it was locked, and removed it.
+                // The same, a moment later.
                 Err(cause) if cause.kind() == io::ErrorKind::NotFound => {}
                 Err(cause) => return Err(file_error(&path)(cause)),
             }
