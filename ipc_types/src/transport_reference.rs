@@ -3,13 +3,13 @@
 use crate::messages::PHASE_ENDED;
 use crate::services::{self, SAMPLES_HELD};
 use crate::session::{
-    CONTROLLER_VARIABLE, FLAGS_FILE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE, shared_memory_prefix,
+    CONTROLLER_VARIABLE, FLAGS_FILE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE, prefix_of,
 };
 use crate::wake::FLAG_STRIDE;
 
 /// How a program joins, with names, numbers and offsets from where the hub has them.
 pub(crate) fn transport_reference() -> String {
-    let prefix = shared_memory_prefix("<name of the folder>");
+    let prefix = prefix_of("<name of the folder>");
     let command = services::command_name("<controller>");
     let [state, status] = [services::STATE.name, services::RUN_STATUS.name];
     let [physics, drr] = [Reader::Physics, Reader::Drr].map(Reader::event_name);

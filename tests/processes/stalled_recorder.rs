@@ -13,12 +13,14 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Ended, Place, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
 
-/// Stops the recorder of a run that is under way, does something, lets it go on for 300 ticks, and ends the run.
+/// Stops the recorder of a run that is under way, does something, lets it go on until it has told of so many losses and for 300 more
+/// ticks, and ends the run. Returns what it has told.
 fn with_a_stopped_recorder(
     place: &Place,
     scene: &str,
+    losses: usize,
     meanwhile: impl FnOnce(&Client, u64),
-) -> (Ended, Client) {
+) -> (Ended, Vec<String>) {
     let run = place.start(scene);
     let client = Client::join(&run.session());
     client.wait_for_state(|state| state.tick >= 100);
@@ -27,10 +29,14 @@ fn with_a_stopped_recorder(
     let stopped_at = client.wait_for_state(|_| true).tick;
     meanwhile(&client, stopped_at);
     signal(recorder, Signal::CONT);
+    let mut told = Vec::new();
+    wait_for("the recorder's word", || {
+        let events = client.events().into_iter().filter(|(code, _)| *code == EVENT_MESSAGES_LOST);
+        told.extend(events.map(|(_, text)| text));
+        (told.len() >= losses).then_some(())
+    });
     let now = client.wait_for_state(|_| true).tick;
     client.wait_for_state(|state| state.tick >= now + 300);
-    let events = client.events().into_iter().filter(|(code, _)| *code == EVENT_MESSAGES_LOST);
-    let told = events.map(|(_, text)| text).collect();
     client.ask(CONTROL_STOP, 0);
     drop(client);
     (run.end(), told)
@@ -46,8 +52,8 @@ fn summary(ended: &Ended) -> Value {
 fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_with_3() {
     let place = Place::new();
     let mut stopped_at = 0;
-    let (ended, client) =
-        with_a_stopped_recorder(&place, &scenes::hold("realtime", 3600.0), |client, tick| {
+    let (ended, told) =
+        with_a_stopped_recorder(&place, &scenes::hold("realtime", 3600.0), 1, |client, tick| {
             stopped_at = tick;
             client.wait_for_state(|state| state.tick >= tick + RECORDER_QUEUE_TICKS + 1000);
         });
@@ -85,7 +91,7 @@ fn stalled(client: &Client) -> u64 {
 fn a_physics_that_may_wait_for_the_recorder_loses_nothing() {
     let scene = format!("{}\n[recording]\non_full = \"wait\"\n", scenes::hold("realtime", 3600.0));
     let place = Place::new();
-    let (ended, told) = with_a_stopped_recorder(&place, &scene, |client, tick| {
+    let (ended, told) = with_a_stopped_recorder(&place, &scene, 0, |client, tick| {
         let last = stalled(client);
         // The recorder has taken some more ticks before it stopped.
         assert!(last > tick && last < tick + RECORDER_QUEUE_TICKS / 2, "{tick} to {last}");
@@ -106,7 +112,7 @@ fn a_physics_that_may_wait_for_the_recorder_loses_nothing() {
 fn lockstep_always_waits_for_the_recorder() {
     let scene = format!("{}\n[recording]\non_full = \"gap\"\n", scenes::hold("lockstep", 600.0));
     let place = Place::new();
-    let (ended, told) = with_a_stopped_recorder(&place, &scene, |client, _| {
+    let (ended, told) = with_a_stopped_recorder(&place, &scene, 0, |client, _| {
         stalled(client);
     });
     assert!(told.is_empty(), "{told:?}");

@@ -45,7 +45,7 @@ extern "C" {
     "RunStatus=8edbaf551a7c3eea;" \
     "Event=cac67533cfe9d682;" \
     "Progress=df90c4e6342d1729;" \
-    "TickTiming=f0002491977599d0;" \
+    "TickTiming=f2de52b77d20551b;" \
     "FrameTiming=45350c0366698d5a;" \
     "ImagePrefix=ffa8696deb0340eb;" \
     "Pose=e9b8da2ec2f8cc8c;" \
@@ -758,6 +758,17 @@ typedef struct trb_tick_timing {
     /* Steal of the core that the thread is on, since it was looked at last, at most 100 ms before, in
      * steps of 10 ms. It is looked at in late ticks only; 0 otherwise. */
     uint64_t stolen_ns;
+    /* How long the kernel held the control group of this process back because it had used up its quota
+     * (`cpu.stat`), since that was last looked at: in ticks that begin more than 5 ms late only; 0
+     * otherwise. */
+    uint64_t throttled_ns;
+    /* How long this process was stopped: frozen with its control group (`cgroup.stat.local`), since that
+     * was last looked at, in ticks that begin more than 5 ms late only; or all of the lateness, where a
+     * SIGCONT has ended a stop; 0 otherwise. */
+    uint64_t stopped_ns;
+    /* How long behind its deadline this tick waited for the recorder (`recording.on_full = "wait"`, real
+     * time). */
+    uint64_t recorder_wait_ns;
     /* From the publication of the state until the command that answers it was taken, per controller; 0 if
      * none came. In real time commands are taken when the next tick begins, so most of a period is waiting
      * for that. */
@@ -791,16 +802,19 @@ TRB_ASSERT(offsetof(trb_tick_timing, work_cpu_ns) == 64, "trb_tick_timing.work_c
 TRB_ASSERT(offsetof(trb_tick_timing, overrun_ns) == 72, "trb_tick_timing.overrun_ns");
 TRB_ASSERT(offsetof(trb_tick_timing, collect_ns) == 80, "trb_tick_timing.collect_ns");
 TRB_ASSERT(offsetof(trb_tick_timing, stolen_ns) == 88, "trb_tick_timing.stolen_ns");
-TRB_ASSERT(offsetof(trb_tick_timing, round_trip_ns) == 96, "trb_tick_timing.round_trip_ns");
-TRB_ASSERT(offsetof(trb_tick_timing, page_faults) == 128, "trb_tick_timing.page_faults");
-TRB_ASSERT(offsetof(trb_tick_timing, major_page_faults) == 132, "trb_tick_timing.major_page_faults");
-TRB_ASSERT(offsetof(trb_tick_timing, voluntary_switches) == 136, "trb_tick_timing.voluntary_switches");
-TRB_ASSERT(offsetof(trb_tick_timing, involuntary_switches) == 140, "trb_tick_timing.involuntary_switches");
-TRB_ASSERT(offsetof(trb_tick_timing, missed) == 144, "trb_tick_timing.missed");
-TRB_ASSERT(offsetof(trb_tick_timing, late_controllers) == 148, "trb_tick_timing.late_controllers");
-TRB_ASSERT(offsetof(trb_tick_timing, virtual_machine) == 152, "trb_tick_timing.virtual_machine");
-TRB_ASSERT(offsetof(trb_tick_timing, reserved) == 156, "trb_tick_timing.reserved");
-TRB_ASSERT(sizeof(trb_tick_timing) == 160, "trb_tick_timing");
+TRB_ASSERT(offsetof(trb_tick_timing, throttled_ns) == 96, "trb_tick_timing.throttled_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, stopped_ns) == 104, "trb_tick_timing.stopped_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, recorder_wait_ns) == 112, "trb_tick_timing.recorder_wait_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, round_trip_ns) == 120, "trb_tick_timing.round_trip_ns");
+TRB_ASSERT(offsetof(trb_tick_timing, page_faults) == 152, "trb_tick_timing.page_faults");
+TRB_ASSERT(offsetof(trb_tick_timing, major_page_faults) == 156, "trb_tick_timing.major_page_faults");
+TRB_ASSERT(offsetof(trb_tick_timing, voluntary_switches) == 160, "trb_tick_timing.voluntary_switches");
+TRB_ASSERT(offsetof(trb_tick_timing, involuntary_switches) == 164, "trb_tick_timing.involuntary_switches");
+TRB_ASSERT(offsetof(trb_tick_timing, missed) == 168, "trb_tick_timing.missed");
+TRB_ASSERT(offsetof(trb_tick_timing, late_controllers) == 172, "trb_tick_timing.late_controllers");
+TRB_ASSERT(offsetof(trb_tick_timing, virtual_machine) == 176, "trb_tick_timing.virtual_machine");
+TRB_ASSERT(offsetof(trb_tick_timing, reserved) == 180, "trb_tick_timing.reserved");
+TRB_ASSERT(sizeof(trb_tick_timing) == 184, "trb_tick_timing");
 
 /* Wall-clock facts of one DRR frame. Written to the timing lane only. */
 typedef struct trb_frame_timing {

@@ -50,8 +50,13 @@ impl SessionId {
 
     /// What the names of its shared memory begin with: they carry the transport's version.
     pub fn shared_memory_prefix(&self) -> String {
-        format!("trabecula010_{self}_")
+        prefix_of(&self.0)
     }
+}
+
+/// The same of any name: what the reference writes for a session whose name it does not know.
+pub(crate) fn prefix_of(name: &str) -> String {
+    format!("trabecula010_{name}_")
 }
 
 /// Bytes of [`SessionId::shared_memory_prefix`].

@@ -33,6 +33,7 @@ pub(crate) use folder::{create_file, is_locked, open as open_folder, read_file};
 pub use folder::{host_is_alive, newest_session, running_sessions, wipe_dead_sessions};
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
+pub(crate) use id::prefix_of;
 pub use places::{Place, Searched, Unfit, passed_over, places};
 
 /// The iceoryx2 version that the hub speaks; another version does not join.
