@@ -10,6 +10,7 @@ use mcap::records::{Channel, Record, SchemaHeader, op};
 
 use crate::limits::{Declared, MAX_DECLARATION_BYTES, MAX_INDEX_BYTES};
 use crate::records::{RECORD_HEADER, chunk_record};
+use crate::lengths::parse_record;
 use crate::topics;
 
 /// Bytes of the footer's fields and of the whole end of a file.
@@ -45,7 +46,7 @@ impl Summary {
                 return None;
             }
             if is_declaration || opcode == op::CHUNK_INDEX {
-                match mcap::parse_record(opcode, body).ok()? {
+                match parse_record(opcode, body).ok()? {
                     Record::Schema { header, data } => {
                         declared.schema(Path::new(""), &header, data.len()).ok()?;
                         summary.schemas.insert(header.id, (header, data.to_vec()));

@@ -38,6 +38,7 @@ pub mod header;
 mod index;
 pub mod info;
 pub mod join;
+mod lengths;
 mod limits;
 mod mcap_writer;
 pub mod misses;

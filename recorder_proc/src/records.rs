@@ -14,6 +14,7 @@ use mcap::records::{ChunkHeader, Record, op};
 use crate::end::Cut;
 use crate::error::LogError;
 use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
+use crate::lengths::parse_record;
 use crate::sink::MAX_MESSAGE_BYTES;
 
 /// Longest record or unpacked chunk: the longest message with some room for its neighbours.
@@ -261,7 +262,7 @@ impl Records {
     fn interpret(&mut self, opcode: u8) -> Result<Option<FileRecord>, String> {
         match opcode {
             op::CHUNK => {
-                match mcap::parse_record(opcode, &self.record).map_err(|error| error.to_string())? {
+                match parse_record(opcode, &self.record)? {
                     Record::Chunk { header, data } => unpack(&header, &data, &mut self.chunk)?,
                     _ => return Err("a chunk that is none".to_string()),
                 }
@@ -274,7 +275,7 @@ impl Records {
             op::DATA_END => {
                 self.in_data = false;
                 let calculated = self.data_crc.take().map(crc32fast::Hasher::finalize);
-                match mcap::parse_record(opcode, &self.record).map_err(|error| error.to_string())? {
+                match parse_record(opcode, &self.record)? {
                     Record::DataEnd(end) if end.data_section_crc == 0 => Ok(None),
                     Record::DataEnd(end) if calculated.is_none_or(|crc| crc == end.data_section_crc) => {
                         Ok(None)
@@ -378,7 +379,7 @@ pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String
         let found = record.len();
         return Err(format!("a metadata record of {found} bytes, expected at most {MAX_METADATA_BYTES}"));
     }
-    match mcap::parse_record(op::METADATA, record).map_err(|error| error.to_string())? {
+    match parse_record(op::METADATA, record).map_err(|error| error.to_string())? {
         Record::Metadata(found) if found.name.len() <= MAX_NAME_BYTES => Ok((found.name, found.metadata)),
         Record::Metadata(found) => {
             let length = found.name.len();

@@ -21,6 +21,7 @@ use crate::limits::{Declared, check_declaration};
 use crate::opening::{HeaderCopy, Opened, Parts, open};
 pub use crate::records::ReadSeek;
 use crate::records::{FileRecord, Records, chunk_record};
+use crate::lengths::parse_record;
 use crate::topics;
 use crate::verdict::{Fault, Verdict};
 
@@ -366,7 +367,7 @@ impl MessageStream {
             if opcode != op::MESSAGE {
                 check_declaration(self.records.path(), body)?;
             }
-            match mcap::parse_record(opcode, body) {
+            match parse_record(opcode, body) {
                 Ok(Record::Schema { header, .. }) => {
                     if !self.schemas.contains_key(&header.id) {
                         // Its text is not kept.
@@ -382,7 +383,7 @@ impl MessageStream {
                     }
                 }
                 Ok(_) => (),
-                Err(error) => return Err(self.damaged(error.to_string())),
+                Err(cause) => return Err(self.damaged(cause)),
             }
         }
     }

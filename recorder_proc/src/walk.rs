@@ -15,6 +15,7 @@ use crate::end::END_RECORD;
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT};
 use crate::limits::check_declaration;
+use crate::lengths::parse_record;
 use crate::records::{
     Attached, MAX_RECORD_BYTES, RECORD_HEADER, attachment, check_magic, chunk_record, metadata, unpack,
 };
@@ -239,7 +240,7 @@ impl<R: Read + Seek> Walker<R> {
         visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         match opcode {
-            op::CHUNK => match mcap::parse_record(opcode, &self.record) {
+            op::CHUNK => match parse_record(opcode, &self.record) {
                 Ok(Record::Chunk { header, data }) => {
                     if let Err(cause) = unpack(&header, &data, &mut self.chunk) {
                         return Ok(Err(cause));
@@ -300,7 +301,7 @@ impl<R: Read + Seek> Walker<R> {
         let Loaded::Record(opcode, _) = loaded? else { return Ok(false) };
         let mut cost = self.record.len() as u64;
         let whole = match opcode {
-            op::CHUNK => match mcap::parse_record(opcode, &self.record) {
+            op::CHUNK => match parse_record(opcode, &self.record) {
                 Ok(Record::Chunk { header, data }) => {
                     let whole = unpack(&header, &data, &mut self.chunk).is_ok();
                     cost += self.chunk.len() as u64;
@@ -335,12 +336,12 @@ fn of_chunk(
         if opcode != op::MESSAGE {
             check_declaration(path, body)?;
         }
-        match mcap::parse_record(opcode, body) {
+        match parse_record(opcode, body) {
             Ok(Record::Schema { header, data }) => visit(Piece::Schema { header, data: &data })?,
             Ok(Record::Channel(channel)) => visit(Piece::Channel(channel))?,
             Ok(Record::Message { header, data }) => visit(Piece::Message { header, data: &data })?,
             Ok(_) => {}
-            Err(error) => return Ok(Err(error.to_string())),
+            Err(cause) => return Ok(Err(cause)),
         }
     }
     visit(Piece::ChunkEnd).map(Ok)

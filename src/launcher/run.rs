@@ -63,7 +63,8 @@ impl Outcome {
             Outcome::Completed | Outcome::Interrupted => None,
             Outcome::LogGone(how) => Some(how.clone()),
             Outcome::PartDied { name, how, last_words } => {
-                let lines: Vec<String> = last_words.iter().map(|line| foreign_line(line).to_string()).collect();
+                let lines: Vec<String> =
+                    last_words.iter().map(|line| foreign_line(line).to_string()).collect();
                 let words = if lines.is_empty() { "nothing".to_owned() } else { lines.join("\n  ") };
                 Some(format!("part `{name}` died ({how}); its last words:\n  {words}"))
             }

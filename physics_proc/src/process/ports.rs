@@ -154,7 +154,7 @@ pub(super) struct Consumer {
 
 impl Consumer {
     pub(super) fn is_recorder(&self) -> bool {
-        self.sender == SENDER_RECORDER
+        self.role == Part::Recorder
     }
 }
 

@@ -1,0 +1,112 @@
+//! Records parsed only after the lengths of their texts are known to lie within them: `mcap`'s parser takes memory for a
+//! text as soon as its length is read, up to 4 GiB for a record of a few bytes.
+//! Format: <https://mcap.dev/spec>, "Records".
+
+use mcap::records::{Record, op};
+
+/// A part of a record's body.
+#[derive(Clone, Copy)]
+enum Part {
+    /// So many bytes.
+    Fixed(usize),
+    /// A text behind its length.
+    Text,
+    /// Pairs of texts behind the length of all of them.
+    Texts,
+    /// Numbers behind the length of all of them.
+    Numbers,
+}
+
+/// A record's parts up to its last text; none for records without one.
+fn parts(opcode: u8) -> &'static [Part] {
+    use Part::{Fixed, Numbers, Text, Texts};
+    match opcode {
+        op::HEADER => &[Text, Text],
+        op::SCHEMA => &[Fixed(2), Text, Text],
+        op::CHANNEL => &[Fixed(4), Text, Text, Texts],
+        op::CHUNK => &[Fixed(28), Text],
+        op::CHUNK_INDEX => &[Fixed(32), Numbers, Fixed(8), Text],
+        op::ATTACHMENT_INDEX => &[Fixed(40), Text, Text],
+        op::METADATA => &[Text, Texts],
+        op::METADATA_INDEX => &[Fixed(16), Text],
+        _ => &[],
+    }
+}
+
+/// Splits off what stands behind its own length.
+fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk()?;
+    rest.split_at_checked(u32::from_le_bytes(*length) as usize)
+}
+
+/// Whether every text lies within the body.
+fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
+    let mut rest = body;
+    for part in parts(opcode) {
+        rest = match part {
+            Part::Fixed(count) => rest.get(*count..)?,
+            Part::Text | Part::Numbers => counted(rest)?.1,
+            Part::Texts => {
+                let (mut texts, behind) = counted(rest)?;
+                while !texts.is_empty() {
+                    texts = counted(texts)?.1;
+                }
+                behind
+            }
+        };
+    }
+    Some(())
+}
+
+/// Parses a record.
+///
+/// # Errors
+/// What is wrong with it, for people.
+pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
+    texts_fit(opcode, body).ok_or("a text that reaches beyond its record")?;
+    mcap::parse_record(opcode, body).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A metadata record of 8 bytes took 1.9 GB: the length of its name was believed.
+    #[test]
+    fn the_length_of_a_text_takes_no_memory_before_it_is_checked() {
+        // What stands before the first text of each record, zeros throughout.
+        let records = [
+            (op::HEADER, 0),
+            (op::SCHEMA, 2),
+            (op::CHANNEL, 4),
+            (op::CHUNK, 28),
+            (op::CHUNK_INDEX, 44),
+            (op::ATTACHMENT_INDEX, 40),
+            (op::METADATA, 0),
+            (op::METADATA_INDEX, 16),
+        ];
+        let refused = |opcode, body: &[u8]| parse_record(opcode, body).unwrap_err();
+        for (opcode, before) in records {
+            let body = [&vec![0; before][..], &0x7265_7474_u32.to_le_bytes(), &[0; 4]].concat();
+            assert_eq!(refused(opcode, &body), "a text that reaches beyond its record", "{opcode:#04x}");
+        }
+        // Within a map: a length of the map that fits, of a key that does not.
+        let long_key = [0_u32, 4, 0xffff_fff0].map(u32::to_le_bytes).concat();
+        assert_eq!(refused(op::METADATA, &long_key), "a text that reaches beyond its record");
+    }
+
+    #[test]
+    fn records_that_are_right_are_parsed() {
+        let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
+        let entries = [text("key"), text("value")].concat();
+        let length = (entries.len() as u32).to_le_bytes();
+        let map = [&length[..], &entries].concat();
+        let metadata = [text("name"), map.clone()].concat();
+        let Ok(Record::Metadata(found)) = parse_record(op::METADATA, &metadata) else { panic!("metadata") };
+        assert_eq!((found.name.as_str(), found.metadata["key"].as_str()), ("name", "value"));
+        let channel = [vec![1, 0, 2, 0], text("/topic"), text("cdr"), map].concat();
+        assert!(matches!(parse_record(op::CHANNEL, &channel), Ok(Record::Channel(_))));
+        let message = [0; 22];
+        assert!(matches!(parse_record(op::MESSAGE, &message), Ok(Record::Message { .. })));
+    }
+}
