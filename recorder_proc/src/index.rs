@@ -8,9 +8,9 @@ use std::path::Path;
 use mcap::MAGIC;
 use mcap::records::{Channel, Record, SchemaHeader, op};
 
+use crate::lengths::parse_record;
 use crate::limits::{Declared, MAX_DECLARATION_BYTES, MAX_INDEX_BYTES};
 use crate::records::{RECORD_HEADER, chunk_record};
-use crate::lengths::parse_record;
 use crate::topics;
 
 /// Bytes of the footer's fields and of the whole end of a file.

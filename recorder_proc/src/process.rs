@@ -16,9 +16,9 @@ use std::time::{Duration, Instant};
 use ipc_types::identity::Part;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Event, Frame, FrameTiming, Keyframe,
-    Latched, PHASE_ENDED, Progress, Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER,
-    SEVERITY_WARNING, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Event, Frame, FrameTiming,
+    Keyframe, Latched, PHASE_ENDED, Progress, Removed, RunControl, RunControlReply, RunStatus,
+    SENDER_RECORDER, SEVERITY_WARNING, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::{

@@ -13,8 +13,8 @@ use mcap::records::{ChunkHeader, Record, op};
 
 use crate::end::Cut;
 use crate::error::LogError;
-use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
 use crate::lengths::parse_record;
+use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
 use crate::sink::MAX_MESSAGE_BYTES;
 
 /// Longest record or unpacked chunk: the longest message with some room for its neighbours.
@@ -379,7 +379,7 @@ pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String
         let found = record.len();
         return Err(format!("a metadata record of {found} bytes, expected at most {MAX_METADATA_BYTES}"));
     }
-    match parse_record(op::METADATA, record).map_err(|error| error.to_string())? {
+    match parse_record(op::METADATA, record)? {
         Record::Metadata(found) if found.name.len() <= MAX_NAME_BYTES => Ok((found.name, found.metadata)),
         Record::Metadata(found) => {
             let length = found.name.len();

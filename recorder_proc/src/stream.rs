@@ -17,11 +17,11 @@ use crate::error::LogError;
 use crate::fields::message_size;
 use crate::header::{HEADER_RECORD, LogHeader, check_layouts};
 use crate::index::Summary;
+use crate::lengths::parse_record;
 use crate::limits::{Declared, check_declaration};
 use crate::opening::{HeaderCopy, Opened, Parts, open};
 pub use crate::records::ReadSeek;
 use crate::records::{FileRecord, Records, chunk_record};
-use crate::lengths::parse_record;
 use crate::topics;
 use crate::verdict::{Fault, Verdict};
 

@@ -14,8 +14,8 @@ use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
 use crate::end::END_RECORD;
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT};
-use crate::limits::check_declaration;
 use crate::lengths::parse_record;
+use crate::limits::check_declaration;
 use crate::records::{
     Attached, MAX_RECORD_BYTES, RECORD_HEADER, attachment, check_magic, chunk_record, metadata, unpack,
 };

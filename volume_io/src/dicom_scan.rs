@@ -3,6 +3,9 @@
 //! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10 section 7 (file meta group).
 
 use crate::error::VolumeError;
+use dicom_core::VR;
+use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
+use dicom_object::StandardDataDictionary;
 use std::path::Path;
 
 /// Deepest nesting of sequences that is followed; real files stay below ten.
@@ -85,6 +88,8 @@ pub(crate) fn scan(path: &Path, bytes: &[u8]) -> Result<Transfer, VolumeError> {
     let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false };
     let mut at = 132;
     let mut uid = None;
+    // Where the group ends by its own word, which the parser believes.
+    let mut told = None;
     while meta.u16(at) == Some(0x0002) {
         let element = meta.element(at)?;
         let end = meta.value_end(&element, bytes.len())?;
@@ -92,7 +97,15 @@ pub(crate) fn scan(path: &Path, bytes: &[u8]) -> Result<Transfer, VolumeError> {
             let text = String::from_utf8_lossy(&bytes[element.value..end]);
             uid = Some(text.trim_end_matches(['\0', ' ']).to_string());
         }
+        if element.tag == (0x0002, 0x0000) {
+            told = meta.u32(element.value).map(|length| end as u64 + u64::from(length));
+        }
         at = end;
+    }
+    if let Some(told) = told.filter(|told| *told != at as u64) {
+        let given = format!("a file meta group up to byte {told}");
+        let expected = format!("the byte at which it ends, {at}");
+        return Err(meta.malformed("(0002,0000) FileMetaInformationGroupLength", given, &expected));
     }
     let uid = uid.ok_or_else(|| {
         meta.malformed("(0002,0010) TransferSyntaxUID", "nothing".into(), "a transfer syntax")
@@ -171,6 +184,23 @@ impl Scanner<'_> {
         }
     }
 
+    /// Bytes of one number of an element's value. The parser reads whole numbers and goes on where the last of them ends: of
+    /// a value with a part of one it takes the rest for the next element, lengths and all.
+    fn unit(&self, element: &Element) -> u32 {
+        let vr = if self.explicit_vr {
+            VR::from_binary(element.vr)
+        } else {
+            let (group, number) = element.tag;
+            StandardDataDictionary.by_tag(dicom_core::Tag(group, number)).map(|entry| entry.vr().relaxed())
+        };
+        match vr {
+            Some(VR::OW | VR::SS | VR::US) => 2,
+            Some(VR::AT | VR::FL | VR::OF | VR::OL | VR::SL | VR::UL) => 4,
+            Some(VR::FD | VR::OD | VR::OV | VR::SV | VR::UV) => 8,
+            _ => 1,
+        }
+    }
+
     /// The end of a value of defined length, which must lie within `limit`.
     fn value_end(&self, element: &Element, limit: usize) -> Result<usize, VolumeError> {
         let end = element.value as u64 + u64::from(element.length);
@@ -228,6 +258,11 @@ impl Scanner<'_> {
             return inner.items(element.value, limit, true, depth);
         }
         let end = self.value_end(element, limit)?;
+        let unit = self.unit(element);
+        if !element.length.is_multiple_of(unit) {
+            let (field, given) = (tag_name(element.tag), format!("{} bytes", element.length));
+            return Err(self.malformed(&field, given, &format!("a multiple of {unit} bytes")));
+        }
         // In implicit VR a sequence shows only by its first item.
         let looks_like_items = !self.explicit_vr
             && element.tag != PIXEL_DATA

@@ -305,6 +305,44 @@ fn dicom_files() {
     assert!(matches!(refuse("v.dcm", &nested), VolumeError::Header { field, .. } if field == "sequence"));
 }
 
+/// An `SL` of two bytes: the parser read no number of it, took its bytes for the next element and 1.3 GB for that one's
+/// value, of a file of 524 bytes.
+#[test]
+fn a_dicom_value_with_a_part_of_a_number_is_refused() {
+    let mut explicit = DicomSlice::default().bytes();
+    let samples = explicit.windows(6).position(|w| w == b"\x28\0\x02\0US").unwrap();
+    explicit[samples + 4..samples + 6].copy_from_slice(b"SL");
+    let field = |error| match error {
+        VolumeError::Header { field, expected, .. } => (field, expected),
+        other => panic!("{other}"),
+    };
+    let refused = field(refuse("v.dcm", &explicit));
+    assert_eq!(refused, ("(0028,0002)".to_owned(), "a multiple of 4 bytes".to_owned()));
+    // Without VRs in the file the dictionary knows them: 2 bytes of (0008,1160), an IS, and 3 of (0028,0010), an US.
+    let mut implicit = DicomSlice { transfer_syntax: "1.2.840.10008.1.2", ..DicomSlice::default() }.bytes();
+    let data_set = implicit.windows(6).position(|w| w == b"\x08\0\x60\0CS").unwrap();
+    implicit.truncate(data_set);
+    implicit.extend(b"\x08\0\x60\x11\x02\0\0\x001 \x28\0\x10\0\x03\0\0\0\x04\0\0");
+    let refused = field(refuse("v.dcm", &implicit));
+    assert_eq!(refused, ("(0028,0010)".to_owned(), "a multiple of 2 bytes".to_owned()));
+}
+
+/// The parser believes where the group of the file ends, and would read the data set in another encoding.
+#[test]
+fn a_dicom_group_length_that_is_not_the_groups_is_refused() {
+    let whole = DicomSlice::default().bytes();
+    let length = u32::from_le_bytes(whole[140..144].try_into().unwrap());
+    for wrong in [0, length - 2, length + 10, u32::MAX] {
+        let mut file = whole.clone();
+        file[140..144].copy_from_slice(&wrong.to_le_bytes());
+        let refused = refuse("v.dcm", &file);
+        assert!(
+            matches!(&refused, VolumeError::Header { field, .. } if field.contains("FileMetaInformationGroupLength")),
+            "{wrong}: {refused}"
+        );
+    }
+}
+
 #[test]
 fn things_that_are_no_volume() {
     for (name, bytes) in [
