@@ -10,7 +10,7 @@ use crate::common::logs::{assert_replays, read};
 use crate::common::program::{Place, assert_nothing_left};
 use crate::common::scenes;
 use crate::languages::{clients, output_within_limit};
-use crate::python::or_skip;
+use test_support::python::or_skip;
 
 /// The page did not say how to reach the session, how to wake anybody and how the end is known.
 #[test]

@@ -15,7 +15,6 @@ use drr_proc::{
 use super::{POSES, failed, parameters, projectors};
 use crate::bench::samples::median;
 use crate::failure::Failure;
-use crate::output::write_new;
 
 /// Pixels along each side of the detector, and every how many of them the error is taken.
 const SIDE: u32 = 512;

@@ -61,12 +61,9 @@ pub fn outline(path: &Path) -> Result<Outline, LogError> {
     let wanted = [topics::STATE, topics::REMOVED, topics::DRR_FRAME].map(str::to_owned);
     let mut stream = MessageStream::open_topics(path, &wanted, ReadOptions::default())?;
     let mut outline = Outline::new(stream.header().clone());
-    loop {
-        match stream.next_message() {
-            Ok(Some(message)) => outline.take(message.topic, message.log_time_ns, message.body),
-            // What keeps it from being read further is among the faults.
-            Ok(None) | Err(_) => break,
-        }
+    // What keeps it from being read further is among the faults.
+    while let Ok(Some(message)) = stream.next_message() {
+        outline.take(message.topic, message.log_time_ns, message.body);
     }
     outline.notices.extend(stream.verdict().faults.iter().map(ToString::to_string));
     if !outline.has_frames {
