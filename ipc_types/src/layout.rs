@@ -185,6 +185,29 @@ impl Description {
         self.name.rsplit('/').next().unwrap_or(self.name)
     }
 
+    /// Checks that some bytes have the length that the type and their own count say. What follows a `Frame` is an image,
+    /// whose lengths stand in its own prefix.
+    ///
+    /// # Errors
+    /// The length that was expected, for people.
+    pub fn check_length(&self, bytes: &[u8]) -> Result<(), String> {
+        let Some((message, rest)) = bytes.split_at_checked(self.size) else {
+            return Err(format!("at least {} ({})", self.size, self.name));
+        };
+        match (self.tail, message.last_chunk()) {
+            (Some(tail), Some(count)) => {
+                let count = u32::from_le_bytes(*count);
+                let expected = count as usize * tail.element_size;
+                if rest.len() == expected {
+                    return Ok(());
+                }
+                Err(format!("{} for {count} elements of `{}`", self.size + expected, tail.name))
+            }
+            _ if rest.is_empty() || self.short_name() == "Frame" => Ok(()),
+            _ => Err(format!("{} ({})", self.size, self.name)),
+        }
+    }
+
     /// The fields that stand in the schema one by one: all, or all but the count of the tail.
     pub fn schema_fields(&self) -> &'static [Field] {
         let count = self.fields.len() - usize::from(self.tail.is_some());

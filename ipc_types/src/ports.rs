@@ -217,25 +217,11 @@ impl<M: Message> Received<M> {
         service: &str,
     ) -> Result<Self, PortError> {
         let bytes = sample.payload();
-        let size = M::DESCRIPTION.size;
-        let wrong = |expected: String| PortError::Length {
+        M::DESCRIPTION.check_length(bytes).map_err(|expected| PortError::Length {
             service: service.to_owned(),
             bytes: bytes.len(),
             expected,
-        };
-        let Some(rest) = bytes.get(size..) else {
-            return Err(wrong(format!("at least {size} ({})", M::DESCRIPTION.name)));
-        };
-        if let Some(tail) = M::DESCRIPTION.tail {
-            let count =
-                u32::from_le_bytes([bytes[size - 4], bytes[size - 3], bytes[size - 2], bytes[size - 1]]);
-            let expected = count as usize * tail.element_size;
-            if rest.len() != expected {
-                return Err(wrong(format!("{} for {count} elements of `{}`", size + expected, tail.name)));
-            }
-        } else if !rest.is_empty() && M::DESCRIPTION.short_name() != "Frame" {
-            return Err(wrong(format!("{size} ({})", M::DESCRIPTION.name)));
-        }
+        })?;
         let copy = match M::ref_from_prefix(bytes) {
             Ok(_) => None,
             Err(_) => M::read_from_prefix(bytes).ok().map(|(message, _)| Box::new(message)),

@@ -2,8 +2,8 @@
 
 mod bone;
 pub mod file;
-mod marks;
-mod player;
+pub mod marks;
+pub mod player;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

@@ -80,7 +80,11 @@ pub async fn read_head(stream: &mut (impl AsyncRead + Unpin)) -> Result<Option<H
     }
 }
 
-fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
+/// The head of a request in the bytes that have come; none if it is not all there.
+///
+/// # Errors
+/// No HTTP.
+pub fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
     let bad = |error: httparse::Error| Refusal::new("400 Bad Request", format!("no HTTP request: {error}"));

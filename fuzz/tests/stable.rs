@@ -1,0 +1,135 @@
+//! The targets with stable Rust: over the kept corpus and over seeded mutations of the seeds.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
+use std::path::Path;
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
+use fastrand::Rng;
+use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use trabecula_fuzz::{TARGETS, Target};
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<std::alloc::System> = &INSTRUMENTED_SYSTEM;
+
+/// Most memory that an input of the corpus may take, all its pieces one after the other together.
+const MOST_BYTES: usize = 1 << 30;
+/// Longest time for one input: a machine under load takes seconds where libFuzzer allows ten.
+const LIMIT: Duration = Duration::from_secs(120);
+/// Numbers at which readers go wrong.
+const EDGES: [u64; 8] = [0, 1, 0xff, 0x7fff_ffff, 0xffff_ffff, 1 << 40, u64::MAX - 8, u64::MAX];
+
+fn mutate(seed: &[u8], random: &mut Rng) -> Vec<u8> {
+    let mut data = seed.to_vec();
+    for _ in 0..1 + random.usize(..8) {
+        if data.is_empty() {
+            data.push(random.u8(..));
+        }
+        let at = random.usize(..data.len());
+        match random.usize(..7) {
+            0 => data[at] ^= 1 << random.usize(..8),
+            1 => data[at] = random.u8(..),
+            2 => data.truncate(at),
+            3 => {
+                let end = (at + random.usize(..64)).min(data.len());
+                data.drain(at..end);
+            }
+            4 => {
+                let from = random.usize(..data.len());
+                let piece = data[from..(from + random.usize(..200)).min(data.len())].to_vec();
+                data.splice(at..at, piece);
+            }
+            5 => {
+                let width = [1, 2, 4, 8][random.usize(..4)].min(data.len() - at);
+                let edge = EDGES[random.usize(..EDGES.len())].to_le_bytes();
+                data[at..at + width].copy_from_slice(&edge[..width]);
+            }
+            _ => {
+                let noise: Vec<u8> = (0..random.usize(..16)).map(|_| random.u8(..)).collect();
+                data.splice(at..at, noise);
+            }
+        }
+    }
+    data
+}
+
+/// Runs the inputs of all targets, each named, and fails for one that panics, takes too much memory or does not end.
+fn run(inputs: impl Fn(&'static Target) -> Vec<(String, Vec<u8>)>) {
+    for target in TARGETS {
+        let inputs = inputs(target);
+        let (done, finished) = channel();
+        let names: Vec<String> = inputs.iter().map(|(name, _)| name.clone()).collect();
+        // As much stack as a program's first thread has, in which libFuzzer runs them.
+        let builder = std::thread::Builder::new().stack_size(8 << 20);
+        let worker = builder.spawn(move || {
+            for (name, data) in &inputs {
+                let region = Region::new(ALLOCATOR);
+                (target.run)(data);
+                let bytes = region.change().bytes_allocated;
+                assert!(bytes < MOST_BYTES, "{}, {name}: {bytes} bytes of memory", target.name);
+                let _ = done.send(());
+            }
+        });
+        let worker = worker.unwrap();
+        for name in names {
+            match finished.recv_timeout(LIMIT) {
+                Ok(()) => {}
+                Err(RecvTimeoutError::Timeout) => panic!("{}, {name}: not done in {LIMIT:?}", target.name),
+                Err(RecvTimeoutError::Disconnected) => {
+                    panic!("{}, {name}: the message is above", target.name)
+                }
+            }
+        }
+        worker.join().unwrap();
+    }
+}
+
+fn corpus(target: &Target) -> Vec<(String, Vec<u8>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target.name);
+    let mut files: Vec<_> = std::fs::read_dir(&folder)
+        .unwrap_or_else(|cause| panic!("{}: {cause}", folder.display()))
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    files.sort();
+    files.iter().map(|path| (path.display().to_string(), std::fs::read(path).unwrap())).collect()
+}
+
+fn mutations(target: &Target) -> Vec<(String, Vec<u8>)> {
+    let seeds = (target.seeds)();
+    assert!(!seeds.is_empty(), "{} has no seeds", target.name);
+    let mut random = Rng::with_seed(7);
+    let mut all: Vec<(String, Vec<u8>)> =
+        seeds.iter().enumerate().map(|(number, seed)| (format!("seed {number}"), seed.clone())).collect();
+    for number in 0..1000 {
+        let seed = random.usize(..seeds.len());
+        all.push((format!("mutation {number} of seed {seed}"), mutate(&seeds[seed], &mut random)));
+    }
+    all
+}
+
+/// Whatever a fuzzer has found, and what it needs to get everywhere.
+#[test]
+fn every_input_that_was_kept_ends_without_a_panic_soon_and_in_little_memory() {
+    run(|target| {
+        let kept = corpus(target);
+        assert!(!kept.is_empty(), "no corpus of {}", target.name);
+        kept
+    });
+}
+
+#[test]
+fn every_target_takes_mutated_seeds() {
+    run(mutations);
+}
+
+/// A folder that no target has would be replayed by nobody; a large corpus would be dear to everybody.
+#[test]
+fn every_folder_of_the_corpus_is_a_targets_and_all_of_them_are_small() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let name = entry.unwrap().file_name();
+        assert!(TARGETS.iter().any(|target| name == target.name), "{} is no target", name.display());
+    }
+    let bytes: usize = TARGETS.iter().flat_map(corpus).map(|(_, data)| data.len()).sum();
+    assert!(bytes < 2_000_000, "the corpus has {bytes} bytes");
+}

@@ -1,3 +1,0 @@
-//! Fuzz targets of the log reader, the repair and the scene reader.
-
-pub mod targets;
