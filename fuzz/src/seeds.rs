@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{Keyframe, State, TickTiming};
+use ipc_types::messages::{Keyframe, TickTiming};
 use ipc_types::scene::{Policy, Scene, Wait};
 use ipc_types::session::Announcement;
-use recorder_proc::{EndReason, Resumable, RunLog, TimingLog, topics};
+use recorder_proc::{EndReason, RunLog, TimingLog, topics};
 use volume_io::{IDENTITY_DIRECTION, Volume, write_nrrd};
-use zerocopy::{FromBytes, IntoBytes};
+use zerocopy::IntoBytes;
 
 #[path = "../../volume_io/tests/common/dicom_bytes.rs"]
 #[allow(missing_docs, dead_code)]
@@ -30,16 +30,6 @@ pub(crate) const JPEG_SYNTAXES: [&str; 4] =
     ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70"];
 /// Transfer syntax of RLE lossless.
 pub(crate) const RLE_SYNTAX: &str = "1.2.840.10008.1.2.5";
-
-impl Resumable for Toy {
-    fn save(&mut self) -> Result<Vec<u8>, String> {
-        Ok(self.state.as_bytes().to_vec())
-    }
-    fn resume(&mut self, keyframe: &[u8]) -> Result<(), String> {
-        self.state = State::read_from_bytes(keyframe).map_err(|_| "no state".to_string())?;
-        Ok(())
-    }
-}
 
 /// Bytes of a keyframe that travel in one message.
 const PART: usize = 4000;
