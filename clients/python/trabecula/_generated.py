@@ -25,7 +25,7 @@ LAYOUTS = (
     "RunStatus=8edbaf551a7c3eea;"
     "Event=cac67533cfe9d682;"
     "Progress=df90c4e6342d1729;"
-    "TickTiming=f0002491977599d0;"
+    "TickTiming=f2de52b77d20551b;"
     "FrameTiming=45350c0366698d5a;"
     "ImagePrefix=ffa8696deb0340eb;"
     "Pose=e9b8da2ec2f8cc8c;"
@@ -630,10 +630,10 @@ class TickTiming(View):
 
     dtype = np.dtype(
         {
-            "names": ["tick", "start_ns", "wake_lateness_ns", "latch_ns", "step_ns", "publish_ns", "run_queue_wait_ns", "work_ns", "work_cpu_ns", "overrun_ns", "collect_ns", "stolen_ns", "round_trip_ns", "page_faults", "major_page_faults", "voluntary_switches", "involuntary_switches", "missed", "late_controllers", "virtual_machine", "reserved"],
-            "formats": ["<u8", "<u8", "<i8", "<u8", "<u8", "<u8", "<u8", "<u8", "<u8", "<i8", "<u8", "<u8", ("<u8", (4,)), "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4"],
-            "offsets": [0, 8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 128, 132, 136, 140, 144, 148, 152, 156],
-            "itemsize": 160,
+            "names": ["tick", "start_ns", "wake_lateness_ns", "latch_ns", "step_ns", "publish_ns", "run_queue_wait_ns", "work_ns", "work_cpu_ns", "overrun_ns", "collect_ns", "stolen_ns", "throttled_ns", "stopped_ns", "recorder_wait_ns", "round_trip_ns", "page_faults", "major_page_faults", "voluntary_switches", "involuntary_switches", "missed", "late_controllers", "virtual_machine", "reserved"],
+            "formats": ["<u8", "<u8", "<i8", "<u8", "<u8", "<u8", "<u8", "<u8", "<u8", "<i8", "<u8", "<u8", "<u8", "<u8", "<u8", ("<u8", (4,)), "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4", "<u4"],
+            "offsets": [0, 8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112, 120, 152, 156, 160, 164, 168, 172, 176, 180],
+            "itemsize": 184,
         }
     )
     tick: int = field("<Q", 0, "k: the tick that these facts are about.")
@@ -648,15 +648,18 @@ class TickTiming(View):
     overrun_ns: int = field("<q", 72, "How long after this tick's deadline the last tick's work ended; negative: so long before (real time).")
     collect_ns: int = field("<Q", 80, "Time of taking the controllers' commands before this tick began (real time).")
     stolen_ns: int = field("<Q", 88, "Steal of the core that the thread is on, since it was looked at last, at most 100 ms before, in steps of 10 ms. It is looked at in late ticks only; 0 otherwise.")
-    round_trip_ns: np.ndarray = field(None, 96, "From the publication of the state until the command that answers it was taken, per controller; 0 if none came. In real time commands are taken when the next tick begins, so most of a period is waiting for that.")
-    page_faults: int = field("<I", 128, "Page faults of this thread from the beginning of the last tick to that of this one.")
-    major_page_faults: int = field("<I", 132, "Those of them that waited for a disk.")
-    voluntary_switches: int = field("<I", 136, "How often in this time the thread gave its core away by itself: it sleeps once a tick in real time.")
-    involuntary_switches: int = field("<I", 140, "How often its core was taken from it.")
-    missed: int = field("<I", 144, "1 if this tick began more than one period late.")
-    late_controllers: int = field("<I", 148, "Bit i: the command of controller i was late, so that its last or the safe one held.")
-    virtual_machine: int = field("<I", 152, "1 if the machine is a virtual one.")
-    reserved: int = field("<I", 156, "Always 0.")
+    throttled_ns: int = field("<Q", 96, "How long the kernel held the control group of this process back because it had used up its quota (`cpu.stat`), since that was last looked at: in ticks that begin more than 5 ms late only; 0 otherwise.")
+    stopped_ns: int = field("<Q", 104, "How long this process was stopped: frozen with its control group (`cgroup.stat.local`), since that was last looked at, in ticks that begin more than 5 ms late only; or all of the lateness, where a SIGCONT has ended a stop; 0 otherwise.")
+    recorder_wait_ns: int = field("<Q", 112, "How long behind its deadline this tick waited for the recorder (`recording.on_full = 'wait'`, real time).")
+    round_trip_ns: np.ndarray = field(None, 120, "From the publication of the state until the command that answers it was taken, per controller; 0 if none came. In real time commands are taken when the next tick begins, so most of a period is waiting for that.")
+    page_faults: int = field("<I", 152, "Page faults of this thread from the beginning of the last tick to that of this one.")
+    major_page_faults: int = field("<I", 156, "Those of them that waited for a disk.")
+    voluntary_switches: int = field("<I", 160, "How often in this time the thread gave its core away by itself: it sleeps once a tick in real time.")
+    involuntary_switches: int = field("<I", 164, "How often its core was taken from it.")
+    missed: int = field("<I", 168, "1 if this tick began more than one period late.")
+    late_controllers: int = field("<I", 172, "Bit i: the command of controller i was late, so that its last or the safe one held.")
+    virtual_machine: int = field("<I", 176, "1 if the machine is a virtual one.")
+    reserved: int = field("<I", 180, "Always 0.")
 
 
 class FrameTiming(View):
