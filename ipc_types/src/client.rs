@@ -2,6 +2,7 @@
 
 use std::cell::Cell;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::publisher::PublisherCreateError;
@@ -52,9 +53,10 @@ impl Session {
         check_layouts(&announcement)?;
         let none = || SessionError::NoSession { searched: Searched::folder(folder) };
         let id = SessionId::of(folder).ok_or_else(none)?;
-        let node = create_node(folder, &id)?;
+        let node = Own::new(create_node(folder, &id)?);
         let flags = WakeFlags::open(&handle).map_err(file_error(&folder.join(FLAGS_FILE)))?;
-        Ok(Session { folder: folder.to_owned(), handle, id, announcement, node, flags })
+        let claims = Arc::default();
+        Ok(Session { folder: folder.to_owned(), handle, claims, id, announcement, node, flags })
     }
 
     /// Whether the session's host is running. Its folder may have been removed meanwhile.

@@ -5,6 +5,7 @@ use std::cell::{Cell, RefCell};
 use std::fmt::{self, Display, Formatter};
 use std::io;
 use std::os::fd::OwnedFd;
+use std::sync::{Arc, OnceLock};
 
 use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::prelude::{CallbackProgression, PortFactory};
@@ -30,6 +31,8 @@ pub enum Part {
 }
 
 impl Part {
+    const ALL: [Part; 4] = [Part::Host, Part::Physics, Part::Drr, Part::Recorder];
+
     /// File in the session's folder that says which node it is.
     fn file(self) -> &'static str {
         match self {
@@ -61,7 +64,7 @@ impl Session {
         let node = self.node.id().value();
         match create_file(&self.handle, part.file(), node.to_string().as_bytes()) {
             Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
-                match claimant(&self.handle, part) {
+                match self.claims.node_of(&self.handle, part) {
                     Some(other) if other == node => Ok(()),
                     _ => Err(SessionError::PartTaken { part }),
                 }
@@ -73,13 +76,31 @@ impl Session {
     /// Whether this program may write a service with these writers.
     pub(crate) fn is_one_of(&self, writers: &[Part]) -> bool {
         let node = self.node.id().value();
-        writers.is_empty() || writers.iter().any(|part| claimant(&self.handle, *part) == Some(node))
+        writers.is_empty()
+            || writers.iter().any(|part| self.claims.node_of(&self.handle, *part) == Some(node))
     }
 }
 
-/// Number of the node that a part is.
-fn claimant(folder: &OwnedFd, part: Part) -> Option<u128> {
-    read_file(folder, part.file()).ok()?.parse().ok()
+/// Numbers of the nodes that the parts are, once they have been read: a claim never changes, and the session's folder may be
+/// removed before a part's first message on some service comes.
+#[derive(Debug, Default)]
+pub(crate) struct Claims([OnceLock<u128>; Part::ALL.len()]);
+
+impl Claims {
+    /// Number of the node that a part is. Where it has to be read, all claims are: one part's first message comes when the
+    /// others have claimed theirs.
+    fn node_of(&self, folder: &OwnedFd, part: Part) -> Option<u128> {
+        let Claims(nodes) = self;
+        if nodes[part as usize].get().is_none() {
+            for (part, node) in Part::ALL.into_iter().zip(nodes) {
+                if let Some(claimant) = read_file(folder, part.file()).ok().and_then(|text| text.parse().ok())
+                {
+                    node.get_or_init(|| claimant);
+                }
+            }
+        }
+        nodes[part as usize].get().copied()
+    }
 }
 
 /// Connections that a reader remembers; of one that comes back after so many others is asked again.
@@ -90,6 +111,7 @@ const KNOWN_CONNECTIONS: usize = 32;
 pub(crate) struct Guard {
     service: ByteService,
     folder: OwnedFd,
+    claims: Arc<Claims>,
     writers: &'static [Part],
     /// Connections that have been looked at.
     known: RefCell<Vec<(UniquePublisherId, Option<Part>)>>,
@@ -107,8 +129,9 @@ impl Guard {
             return Ok(None);
         }
         let folder = session.handle.try_clone()?;
+        let claims = Arc::clone(&session.claims);
         let (known, strangers) = (RefCell::default(), Cell::new(0));
-        Ok(Some(Guard { service, folder, writers, known, strangers }))
+        Ok(Some(Guard { service, folder, claims, writers, known, strangers }))
     }
 
     /// The part at the other end of a connection; a stranger is counted.
@@ -136,7 +159,7 @@ impl Guard {
         let node = publishers(&self.service).find(|details| details.publisher_id == sender);
         let node = node.map(|details| details.node_id.value());
         let is_it = |part: &Part| {
-            let claimant = claimant(&self.folder, *part);
+            let claimant = self.claims.node_of(&self.folder, *part);
             claimant.is_some_and(|claimant| match node {
                 Some(node) => claimant == node,
                 None => process(claimant) == process(sender.value()),

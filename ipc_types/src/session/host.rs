@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use iceoryx2::prelude::{Node, ipc};
 use iceoryx2::service::attribute::AttributeSpecifier;
@@ -14,6 +15,7 @@ use super::{
     create_node, file_error, transported,
 };
 use crate::identity::Part;
+use crate::own::Own;
 use crate::scene::{Policy, Wait};
 use crate::services::{self, SAMPLES_HELD, Service};
 use crate::shared_memory::SharedMemory;
@@ -94,10 +96,11 @@ impl SessionHost {
         let session = Session {
             // Not the handle that holds the lock: asking through that one would give it away.
             handle: folder::open(&folder.path)?,
+            claims: Arc::default(),
             folder: folder.path.clone(),
             id: folder.id.clone(),
             announcement,
-            node,
+            node: Own::new(node),
             flags,
         };
         session.claim(Part::Host)?;

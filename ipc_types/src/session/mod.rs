@@ -14,6 +14,7 @@ mod places;
 
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -21,6 +22,8 @@ use iceoryx2::prelude::{
 };
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
+use crate::identity::Claims;
+use crate::own::Own;
 use crate::services::CONNECTIONS_BYTES;
 use crate::shared_memory::require_free;
 use crate::wake::WakeFlags;
@@ -55,9 +58,11 @@ pub struct Session {
     pub(crate) folder: PathBuf,
     /// The open folder: it can be asked whether the host lives even when its name is gone.
     pub(crate) handle: OwnedFd,
+    /// Which node each part is, as far as this program has asked.
+    pub(crate) claims: Arc<Claims>,
     pub(crate) id: SessionId,
     pub(crate) announcement: Announcement,
-    pub(crate) node: Node<ipc::Service>,
+    pub(crate) node: Own<Node<ipc::Service>>,
     pub(crate) flags: WakeFlags,
 }
 
