@@ -29,7 +29,11 @@ fn the_stepping_clock_steps() {
 const WALL_CLOCK: [(&str, &str, &str); 3] = [
     ("src/launcher/run.rs", "Zoned::now", "the name of a run's folder; a name that is taken gets a suffix"),
     ("src/stress/mod.rs", "Zoned::now", "the date in a report"),
-    ("ipc_types/src/session.rs", ".modified()", "which session was announced last, when none is named"),
+    (
+        "ipc_types/src/session/folder.rs",
+        ".modified()",
+        "which session was announced last, when none is named",
+    ),
 ];
 
 /// Loops run by the monotonic clock (`Instant`, `CLOCK_MONOTONIC`): nobody reads another one.

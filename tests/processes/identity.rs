@@ -40,6 +40,8 @@ fn progress_of_a_stranger_neither_lifts_nor_stalls_lockstep() {
     let taken = stranger.claim(Part::Recorder).unwrap_err();
     assert!(matches!(taken, SessionError::PartTaken { .. }), "{taken}");
     let port = bare_port(&stranger, "progress", size_of::<Progress>());
+    // A recorder that has not connected yet would be waited for in another way.
+    let mut last = watcher.wait_for_state(|state| state.tick > 0).tick;
     let recorder = run.part("recorder");
     signal(recorder, Signal::STOP);
     let newest = || {
@@ -50,7 +52,6 @@ fn progress_of_a_stranger_neither_lifts_nor_stalls_lockstep() {
         newest
     };
     // It runs a while ahead of the stopped recorder, and then waits for it.
-    let mut last = watcher.wait_for_state(|_| true).tick;
     wait_for("the wait for the recorder", || {
         std::thread::sleep(Duration::from_millis(200));
         match newest() {

@@ -12,7 +12,9 @@ use rustix::process::Signal;
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Ended, LIMIT, Place, Run, assert_nothing_left, parts_of, signal, wait_for};
+use crate::common::program::{
+    Ended, LIMIT, Place, Run, assert_nothing_left, parts_of, session_folder, signal, wait_for,
+};
 use crate::common::scenes;
 
 /// Time between two looks at a run that is to end.
@@ -204,8 +206,7 @@ fn a_closed_terminal_ends_the_run_as_sigterm_does() {
     let mut terminal = Guarded(command.spawn().unwrap());
     let mut said = BufReader::new(terminal.0.stdout.take().unwrap()).lines();
     let launcher: u32 = said.next().unwrap().unwrap().parse().unwrap();
-    let session = crate::common::program::session_folder(launcher);
-    wait_for("the session", || session.join("session.json").exists().then_some(()));
+    let session = wait_for("the session", || Some(session_folder(launcher)).filter(|folder| folder.exists()));
     Client::join(&session).wait_for_state(|state| state.tick >= 100);
     terminal.0.stdin.take().unwrap().write_all(b"close\n").unwrap();
     wait_for("the launcher's end", || (!is_running(launcher)).then_some(()));

@@ -111,7 +111,8 @@ fn texts_of_a_strangers_log_do_not_reach_the_terminal_raw() {
         let named: Vec<&OsStr> = words.iter().map(|word| word.as_ref()).collect();
         let done = limited(words);
         let said = assert_plain(&done, &format!("{named:?}"));
-        assert!(done.code.is_some_and(|code| code <= 2), "{named:?}: {said}");
+        // An exit code of ours, 3 for what is cut: no signal, no panic.
+        assert!(done.code.is_some_and(|code| code <= 3), "{named:?}: {said}");
         assert!(!shows || said.contains("\\u001b[2J"), "{named:?} shows the text: {said}");
         assert!(!said.lines().any(|line| line.starts_with("end         forged")), "{named:?}: {said}");
         if named[1] == "cat" {
