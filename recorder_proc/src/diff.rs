@@ -151,6 +151,10 @@ fn compare_ticks(
     for (path, count) in [first, second].into_iter().zip(alone).filter(|(_, count)| *count > 0) {
         out.remarks.push(format!("{count} ticks are in {} alone", path.display()));
     }
+    // A verdict is on the whole log, also where the logs differ before its end.
+    for reader in [&mut a, &mut b] {
+        while let Ok(Some(_)) = next_tick(reader) {}
+    }
     out.verdicts = [a.stream().verdict(), b.stream().verdict()];
     Ok(())
 }

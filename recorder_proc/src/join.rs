@@ -1,7 +1,6 @@
 //! `compress`, `cat-files`, `split` — whole logs, written again.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{Channel, SchemaHeader};
@@ -12,12 +11,13 @@ use crate::error::LogError;
 use crate::header::RUNS_RECORD;
 use crate::limits::Declared;
 use crate::new_file::NewFile;
+use crate::records::open_log;
 use crate::rewrite::{Packing, Rewriter};
 use crate::walk::{Piece, walk};
 
 /// Calls `visit` for every piece of a log that must be whole.
 fn walk_whole(path: &Path, visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>) -> Result<(), LogError> {
-    let file = File::open(path).map_err(|source| LogError::Open { path: path.into(), source })?;
+    let file = open_log(path)?;
     let not_whole = |cause: String| LogError::NotWhole { path: path.into(), cause };
     let mut marked = false;
     walk(file, path, &mut |piece| match piece {

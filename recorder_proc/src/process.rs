@@ -467,11 +467,19 @@ impl Recorder {
 
     fn finish(self, output: &Path, failed: bool) -> Result<(), RecorderError> {
         let reason_path = output.join(REASON_FILE);
+        // Somebody else's signal may come before the launcher's word: of a run that is over the launcher is about to give it.
+        let limit = Instant::now() + ORPHANED_LIMIT;
+        let launcher_lives = || host_is_alive(&self.session_folder);
+        while self.run_has_ended && !reason_path.exists() && launcher_lives() && Instant::now() < limit {
+            std::thread::sleep(LOOK_TIME);
+        }
         let reason = match std::fs::read_to_string(&reason_path) {
             _ if failed => EndReason::PartDied("recorder".to_owned()),
             Ok(text) if text == "interrupted" => EndReason::Interrupted,
             Ok(part) if !part.is_empty() && part != "completed" => EndReason::PartDied(part),
             Ok(_) => EndReason::Completed,
+            // Nobody has ended the run: the recorder was told to go.
+            Err(_) if launcher_lives() => EndReason::PartDied("recorder".to_owned()),
             // It was killed, and could not say why the run ends.
             Err(_) => EndReason::PartDied("launcher".to_owned()),
         };

@@ -5,11 +5,14 @@
 //! Format: <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use mcap::MAGIC;
 use mcap::records::{ChunkHeader, Record, op};
+use rustix::fs::OFlags;
 
 use crate::end::Cut;
 use crate::error::LogError;
@@ -387,6 +390,18 @@ pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String
         }
         _ => Err("a metadata record that is none".to_string()),
     }
+}
+
+/// Opens a log file. A pipe or a device has no end that could be read: it is refused, and its writer not waited for.
+pub(crate) fn open_log(path: &Path) -> Result<File, LogError> {
+    let open = || {
+        let file = File::options().read(true).custom_flags(OFlags::NONBLOCK.bits() as i32).open(path)?;
+        match file.metadata()?.is_file() {
+            true => Ok(file),
+            false => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file")),
+        }
+    };
+    open().map_err(|source| LogError::Open { path: path.into(), source })
 }
 
 /// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length each),

@@ -7,7 +7,6 @@
 //! reason is `repaired`.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::path::Path;
 
@@ -23,7 +22,7 @@ use crate::index::Summary;
 use crate::limits::{Declared, MAX_TOLD};
 use crate::opening::Parts;
 use crate::reader::{LogReader, ReadOptions};
-use crate::records::Attached;
+use crate::records::{Attached, open_log};
 use crate::rewrite::{Packing, Rewriter};
 use crate::topics;
 use crate::verdict::{Fault, Verdict, verdict};
@@ -142,7 +141,7 @@ impl RepairReport {
 /// [`LogError::NotMcap`], [`LogError::NoHeader`] if the header itself is gone, [`LogError::Exists`], and what the disk
 /// says; then there is no output.
 pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
-    let open = || File::open(input).map_err(|source| LogError::Open { path: input.into(), source });
+    let open = || open_log(input);
     let options = ReadOptions { allow_other_layouts: true };
     let mut survey = Survey::of(open()?, input)?;
     let mut rewriter = Rewriter::create(output, Packing::RECORDED)?;

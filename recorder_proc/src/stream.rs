@@ -1,7 +1,6 @@
 //! The messages of a log, one after the other, checked.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::BufReader;
 use std::ops::Range;
 use std::path::Path;
@@ -21,7 +20,7 @@ use crate::lengths::parse_record;
 use crate::limits::{Declared, check_declaration};
 use crate::opening::{HeaderCopy, Opened, Parts, open};
 pub use crate::records::ReadSeek;
-use crate::records::{FileRecord, Records, chunk_record};
+use crate::records::{FileRecord, Records, chunk_record, open_log};
 use crate::topics;
 use crate::verdict::{Fault, Verdict};
 
@@ -110,7 +109,7 @@ struct Found {
 impl MessageStream {
     /// Opens a log and reads its header.
     pub fn open(path: &Path, options: ReadOptions) -> Result<MessageStream, LogError> {
-        let file = File::open(path).map_err(|source| LogError::Open { path: path.into(), source })?;
+        let file = open_log(path)?;
         MessageStream::from_reader(Box::new(file), path, options)
     }
 
@@ -126,7 +125,7 @@ impl MessageStream {
         options: ReadOptions,
     ) -> Result<MessageStream, LogError> {
         let mut stream = MessageStream::open(path, options)?;
-        if let Ok(mut file) = File::open(path)
+        if let Ok(mut file) = open_log(path)
             && let Some(summary) = Summary::read(&mut file, None)
         {
             stream.records.pass_over(summary.chunks_without(topics));

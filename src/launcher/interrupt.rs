@@ -105,13 +105,14 @@ fn answer(stage: &Stage, ask: Ask) {
             );
         }
         (Stage::Running, Ask::Again(_)) => {
-            tell!("trabecula: {signal}: everything ends at once; `trabecula log repair` finishes the log");
+            // First, since nobody may read what is said: a terminal that was stopped, a full pipe.
             part::end_all_at_once();
             // The launcher clears up what the parts leave; should it hang, the next run does.
             std::thread::spawn(|| {
                 std::thread::sleep(URGENT_LIMIT);
                 std::process::exit(EXIT_INTERRUPTED.into());
             });
+            tell!("trabecula: {signal}: everything ends at once; `trabecula log repair` finishes the log");
         }
     }
 }

@@ -4,6 +4,7 @@
 //! asserts a wall-clock time; limits only keep a broken run from hanging the tests.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
+mod attacked;
 mod bad_input;
 mod bare_iceoryx2;
 mod calibrate;
