@@ -9,6 +9,7 @@ use fastrand::Rng;
 use ipc_types::messages::PHASE_ENDED;
 use recorder_proc::EndReason;
 use rustix::process::Signal;
+use test_support::limited::{COMMAND_LIMIT, Watchdog};
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read};
@@ -204,6 +205,7 @@ fn a_closed_terminal_ends_the_run_as_sigterm_does() {
     command.args(["-c", CLOSING_TERMINAL, env!("CARGO_BIN_EXE_trabecula"), "run"]);
     command.arg(&scene).arg("--output").arg(&output).stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut terminal = Guarded(command.spawn().unwrap());
+    let _watchdog = Watchdog::over(&terminal.0, COMMAND_LIMIT);
     let mut said = BufReader::new(terminal.0.stdout.take().unwrap()).lines();
     let launcher: u32 = said.next().unwrap().unwrap().parse().unwrap();
     let session = wait_for("the session", || Some(session_folder(launcher)).filter(|folder| folder.exists()));
@@ -256,6 +258,7 @@ fn a_viewer_ends_with_its_terminal() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
     command.args(["view", "--port", "0", "--no-open", "--session"]).arg(&session);
     let mut viewer = Guarded(command.stdout(Stdio::piped()).spawn().unwrap());
+    let _watchdog = Watchdog::over(&viewer.0, COMMAND_LIMIT);
     let mut said = BufReader::new(viewer.0.stdout.take().unwrap());
     said.read_line(&mut String::new()).unwrap();
     signal(viewer.0.id(), Signal::HUP);

@@ -11,6 +11,8 @@ use ipc_types::session::{SESSION_VARIABLE, SessionId};
 use tempfile::TempDir;
 use trabecula_client::{Client, ClientError, Connection};
 
+use test_support::limited::{Watchdog, end_within};
+
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, wait_for};
 use crate::common::scenes;
@@ -307,10 +309,12 @@ fn programs_with_and_without_a_run_time_folder_find_each_other() {
         .env(VARIABLE, runtime.path())
         .env_remove(SESSION_VARIABLE);
     let mut view = view.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit()).spawn().unwrap();
+    let watchdog = Watchdog::over(&view, LIMIT);
     let mut line = String::new();
     BufReader::new(view.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    drop(watchdog);
     let _ = view.kill();
-    let _ = view.wait();
+    end_within(&mut view, LIMIT, "the viewer");
     assert!(line.starts_with("http://"), "the viewer finds a session: {line:?}");
     let client = joined(&run, "");
     crate::strays::stopped(run, client, ());
