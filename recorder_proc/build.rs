@@ -8,7 +8,15 @@ use std::process::Command;
 use sha2::{Digest, Sha256};
 
 /// What decides a tick, from this crate's folder.
-const SOURCES: [&str; 4] = ["../physics_proc/src", "../ipc_types/src", "../volume_io/src", "../Cargo.lock"];
+const SOURCES: [&str; 7] = [
+    "../simulation/src",
+    "../hub/src",
+    "../messages/src",
+    "../scene/src",
+    "../voxel_grid/src",
+    "../volume_io/src",
+    "../Cargo.lock",
+];
 
 fn main() {
     let target = std::env::var("TARGET").unwrap_or_default();

@@ -1,7 +1,14 @@
 //! How a command fails: a message and an exit code.
 
+use std::path::Path;
+
 use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED};
 use output_file::OutputError;
+use recorder_proc::LogError;
+use rustix::io::Errno;
+use volume_io::VolumeError;
+
+use crate::report::ReportError;
 
 /// Why a command did not succeed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -16,16 +23,75 @@ pub struct Failure {
 /// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
 pub const EXIT_INTERRUPTED: u8 = 130;
 
+/// A full or broken disk, a limit of the system: no other argument mends that. What the system says besides, of a file that is not
+/// there or not permitted, is bad input.
+fn is_of_the_machine(cause: &std::io::Error) -> bool {
+    let faults = [
+        Errno::NOSPC,
+        Errno::DQUOT,
+        Errno::FBIG,
+        Errno::IO,
+        Errno::NOMEM,
+        Errno::MFILE,
+        Errno::NFILE,
+        Errno::NODEV,
+        Errno::STALE,
+    ];
+    cause.raw_os_error().is_some_and(|code| faults.iter().any(|fault| fault.raw_os_error() == code))
+}
+
 impl From<OutputError> for Failure {
     fn from(error: OutputError) -> Failure {
-        match error {
-            OutputError::Exists { .. } => Failure::bad_input(error),
+        match &error {
+            OutputError::Write { .. } => Failure::failed(error.to_string()),
+            OutputError::Create { source, .. } if is_of_the_machine(source) => {
+                Failure::failed(error.to_string())
+            }
+            OutputError::Exists { .. } | OutputError::Create { .. } => Failure::bad_input(error),
+        }
+    }
+}
+
+/// What the caller can mend by another argument is bad input; damage and faults of the machine are not.
+impl From<LogError> for Failure {
+    fn from(error: LogError) -> Failure {
+        match &error {
+            LogError::Create { source, .. } | LogError::Open { source, .. } if is_of_the_machine(source) => {
+                Failure::failed(error.to_string())
+            }
+            _ if error.is_bad_input() => Failure::bad_input(error),
             _ => Failure::failed(error.to_string()),
         }
     }
 }
 
+impl From<VolumeError> for Failure {
+    fn from(error: VolumeError) -> Failure {
+        match error {
+            VolumeError::Output(error) => Failure::from(error),
+            VolumeError::Io { ref source, .. } if is_of_the_machine(source) => {
+                Failure::failed(error.to_string())
+            }
+            other => Failure::bad_input(other),
+        }
+    }
+}
+
+impl From<ReportError> for Failure {
+    fn from(error: ReportError) -> Failure {
+        match error {
+            ReportError::Output(error) => Failure::from(error),
+            other => Failure::failed(other.to_string()),
+        }
+    }
+}
+
 impl Failure {
+    /// A folder for outputs cannot be made.
+    pub fn folder(path: &Path) -> impl FnOnce(std::io::Error) -> Failure + '_ {
+        move |source| OutputError::Create { path: path.to_owned(), source }.into()
+    }
+
     /// The work failed.
     pub fn failed(message: impl Into<String>) -> Failure {
         Failure { message: message.into(), code: EXIT_FAILED }

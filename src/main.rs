@@ -1,25 +1,34 @@
 //! `trabecula`: launches, watches, records and replays image-guided bone drilling across processes.
 
+#![cfg_attr(not(test), warn(clippy::print_stdout))]
+
 #[macro_use]
 mod say;
 
 mod bench;
 mod charts;
 mod commands;
+mod doorway;
 mod failure;
 mod keeper;
 mod launcher;
 mod output;
 mod plan;
+mod printer;
 mod replay;
 mod report;
 mod reproduce;
+mod scenes;
 mod stress;
 mod x_ray;
 
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
-use clap::{Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand};
+use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED, EXIT_GAP};
 
 use commands::bench::BenchCommand;
 use commands::calibrate::CalibrateArguments;
@@ -39,6 +48,9 @@ use commands::stress::{LoadArguments, StressArguments};
 use commands::view::ViewArguments;
 use commands::volume::{PhantomArguments, VolumeCommand};
 use failure::Failure;
+
+/// Of a command that has done what it was asked for.
+const EXIT_DONE: u8 = 0;
 
 const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is not whole; 130 interrupted";
 
@@ -101,14 +113,77 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let arguments = match Arguments::parse().command {
-        Some(command) => command,
-        None => match Arguments::try_parse_from(["trabecula", "run"]).map(|arguments| arguments.command) {
-            Ok(Some(command)) => command,
-            Ok(None) | Err(_) => return ExitCode::from(ipc_types::process::EXIT_BAD_INPUT),
+    // A file that reaches the process's size limit is an error to tell, not a death.
+    let heard = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)));
+    let outcome = heard
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))
+        .and_then(|_| command());
+    let outcome = match outcome {
+        // A part says nothing here, and may end as a program that is not ours does.
+        Ok(Some(Command::Proc(part))) => match commands::proc::run(&part) {
+            Ok(code) => return code,
+            Err(failure) => Err(failure),
         },
+        Ok(Some(command)) => obey(&command),
+        Ok(None) => Ok(()),
+        Err(failure) => Err(failure),
     };
-    let outcome: Result<(), Failure> = match &arguments {
+    let code = outcome.map_or_else(told, |()| EXIT_DONE);
+    ExitCode::from(with_its_answer(code))
+}
+
+/// Says why a command failed, unless that has been said; its exit code.
+fn told(failure: Failure) -> u8 {
+    if !failure.message.is_empty() {
+        tell!("trabecula: {failure}");
+    }
+    failure.code
+}
+
+/// What is asked for; none if that was the help or the version.
+fn command() -> Result<Option<Command>, Failure> {
+    let parsed = Arguments::try_parse().and_then(|arguments| match arguments.command {
+        Some(command) => Ok(command),
+        None => {
+            let run = Arguments::try_parse_from(["trabecula", "run"])?.command;
+            run.ok_or_else(|| Arguments::command().error(ErrorKind::MissingSubcommand, "expected a command"))
+        }
+    });
+    match parsed {
+        Ok(command) => Ok(Some(command)),
+        Err(error) => {
+            let printed = error.print();
+            match error.use_stderr() {
+                // It has said what is wrong.
+                true => Err(Failure { message: String::new(), code: EXIT_BAD_INPUT }),
+                false => {
+                    let _ = say::note(printed);
+                    Ok(None)
+                }
+            }
+        }
+    }
+}
+
+/// The exit code of a command that ends with `code`, seen with whether its answer has reached anybody.
+fn with_its_answer(code: u8) -> u8 {
+    let unwritten = printer::finish_answers().or_else(|| say::unwritten().map(str::to_owned));
+    let code = match unwritten {
+        None => code,
+        Some(cause) => {
+            tell!(
+                "trabecula: standard output: cannot be written ({cause}); what it should have said is lost"
+            );
+            if matches!(code, EXIT_DONE | EXIT_GAP) { EXIT_FAILED } else { code }
+        }
+    };
+    printer::finish_words();
+    code
+}
+
+/// Does what is asked for.
+fn obey(command: &Command) -> Result<(), Failure> {
+    match command {
         Command::Run(arguments) => commands::run::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
         Command::View(arguments) => commands::view::run(arguments),
@@ -127,16 +202,6 @@ fn main() -> ExitCode {
         Command::Load(arguments) => commands::stress::disturb(arguments),
         Command::Chart(command) => commands::chart::run(command),
         Command::Reproduce(arguments) => commands::reproduce::run(arguments),
-        Command::Proc(command) => match commands::proc::run(command) {
-            Ok(code) => return code,
-            Err(failure) => Err(failure),
-        },
-    };
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            tell!("trabecula: {failure}");
-            ExitCode::from(failure.code)
-        }
+        Command::Proc(command) => commands::proc::run(command).map(|_| ()),
     }
 }

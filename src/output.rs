@@ -1,11 +1,9 @@
-//! What commands write: never over a file that is there. Every command with an output comes here.
+//! What commands write: never over a file that is there, and whole. Every command with an output comes here.
 //!
 //! That refuses an input by the same rule: it is there. A command looks before its work, so that it refuses at once and has written
-//! nothing, and makes its files only if they are still not there when it has something to write.
+//! nothing. What it writes gets its name when it is whole, and only if nothing has that name then (`output_file`).
 
 use std::path::{Path, PathBuf};
-
-use recorder_proc::{LogError, NewFile};
 
 use crate::failure::Failure;
 
@@ -14,53 +12,7 @@ use crate::failure::Failure;
 /// # Errors
 /// Bad input: the first one that is there.
 pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), Failure> {
-    match files.iter().find(|file| file.as_ref().symlink_metadata().is_ok()) {
-        Some(file) => Err(Failure::bad_input(LogError::Exists { path: file.as_ref().to_owned() })),
-        None => Ok(()),
-    }
-}
-
-/// Files that were made for a command, still empty; they are removed again unless they are kept.
-#[derive(Debug)]
-pub struct NewFiles(Vec<NewFile>);
-
-impl NewFiles {
-    /// Makes all files, or none.
-    ///
-    /// # Errors
-    /// One is there already (2); one cannot be made (1).
-    pub fn make<P: AsRef<Path>>(files: &[P]) -> Result<NewFiles, Failure> {
-        refuse_existing(files)?;
-        let made = files.iter().map(|file| NewFile::create(file.as_ref()).map(|(_, made)| made));
-        made.collect::<Result<Vec<_>, _>>().map(NewFiles).map_err(|error| match error {
-            LogError::Create { path, source } => {
-                Failure::failed(format!("{}: cannot be written ({source})", path.display()))
-            }
-            other => Failure::bad_input(other),
-        })
-    }
-
-    /// They hold what they should, or something that is worth having.
-    ///
-    /// # Errors
-    /// What the disk says of one.
-    pub fn keep(self) -> Result<(), Failure> {
-        let kept = self.0.into_iter().try_for_each(NewFile::keep);
-        kept.map_err(|error| Failure::failed(error.to_string()))
-    }
-}
-
-/// Makes the files, lets them be written, and keeps them if that succeeded.
-///
-/// # Errors
-/// As [`NewFiles::make`], and those of `write`.
-pub fn write_new<P: AsRef<Path>>(
-    files: &[P],
-    write: impl FnOnce() -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    let made = NewFiles::make(files)?;
-    write()?;
-    made.keep()
+    Ok(output_file::refuse_existing(files)?)
 }
 
 /// Files of these names in a folder.
@@ -74,7 +26,7 @@ mod tests {
 
     /// Commands with an output, and the argument that names it. Each is in the table of `tests/processes/outputs.rs`, but for `run` and
     /// `stress`, which make a folder of a new name, and `proc recorder`, which `run` starts in it.
-    const KNOWN: [&str; 19] = [
+    const KNOWN: [&str; 20] = [
         "bench soak --output",
         "calibrate --output",
         "chart drr --out",
@@ -92,6 +44,7 @@ mod tests {
         "replay --record",
         "reproduce --out",
         "run --output",
+        "scene init folder",
         "stress --output",
         "volume drilled file",
     ];
@@ -100,7 +53,8 @@ mod tests {
         for argument in command.get_arguments() {
             let id = argument.get_id().as_str();
             // What is only read is also called a file.
-            let writes_file = id == "file" && matches!(path, "phantom " | "volume drilled ");
+            let writes_file = (id == "file" && matches!(path, "phantom " | "volume drilled "))
+                || (id == "folder" && path == "scene init ");
             if writes_file || ["output", "out", "record", "rungs"].contains(&id) {
                 found.push(format!("{path}{}{id}", if writes_file { "" } else { "--" }));
             }

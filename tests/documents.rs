@@ -16,7 +16,8 @@ fn read(name: impl AsRef<Path>) -> String {
 fn documents() -> Vec<PathBuf> {
     let in_docs = std::fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
     let pages = in_docs.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
-    pages.chain(["README.md", "ARCHITECTURE.md", "CHANGELOG.md"].map(|name| root().join(name))).collect()
+    let others = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"];
+    pages.chain(others.map(|name| root().join(name))).collect()
 }
 
 /// The module documentation of a source file, without its marks.
@@ -34,9 +35,7 @@ fn text_blocks(page: &str) -> Vec<Vec<String>> {
 #[test]
 fn the_tick_of_the_architecture_is_that_of_the_code() {
     let blocks = text_blocks(&read("ARCHITECTURE.md"));
-    for (source, first) in
-        [("physics_proc/src/process/mod.rs", "connect:"), ("physics_proc/src/simulation/mod.rs", "1. apply")]
-    {
+    for (source, first) in [("hub/src/lib.rs", "connect:"), ("simulation/src/world/mod.rs", "1. apply")] {
         let block = blocks.iter().find(|block| block[0].starts_with(first));
         let block =
             block.unwrap_or_else(|| panic!("ARCHITECTURE.md has no block that begins with `{first}`"));
@@ -104,5 +103,62 @@ fn the_documents_say_how_much_the_recorders_queues_hold() {
                 assert!(!text.contains(other), "{} says `{other}`: {text}", path.display());
             }
         }
+    }
+}
+
+/// The folder of each package of the workspace.
+fn packages() -> Vec<(String, PathBuf)> {
+    let manifest = read("Cargo.toml");
+    let members = manifest.lines().find_map(|line| line.strip_prefix("members = ")).unwrap();
+    let folders = members.split('"').skip(1).step_by(2).map(|folder| root().join(folder));
+    folders
+        .map(|folder| {
+            let manifest = read(folder.join("Cargo.toml"));
+            let (_, package) = manifest.split_once("[package]").unwrap();
+            let name = package.lines().find_map(|line| line.strip_prefix("name = ")).unwrap();
+            (name.trim_matches('"').to_owned(), folder)
+        })
+        .collect()
+}
+
+/// Whether a folder has a target of this kind: `tests`, `examples` or `src/bin`.
+fn has_target(folder: &Path, kind: &str, name: &str) -> bool {
+    let place = folder.join(kind);
+    let own = kind == "src/bin" && read(folder.join("Cargo.toml")).contains(&format!("name = \"{name}\""));
+    own || place.join(format!("{name}.rs")).exists() || place.join(name).join("main.rs").exists()
+}
+
+#[test]
+fn every_package_test_and_program_that_the_documents_call_is_there() {
+    let packages = packages();
+    for page in documents() {
+        let text = std::fs::read_to_string(&page).unwrap();
+        for command in text.split(['`', '\n']).filter(|piece| piece.starts_with("cargo ")) {
+            let words: Vec<&str> = command.split_whitespace().collect();
+            let after =
+                |flag: &str| words.iter().position(|word| *word == flag).and_then(|at| words.get(at + 1));
+            let name = after("-p").copied().unwrap_or("trabecula");
+            let package = packages.iter().find(|(package, _)| package == name);
+            let Some((_, folder)) = package else {
+                panic!("{}: `{command}` names no package of ours", page.display())
+            };
+            for (flag, kind) in [("--test", "tests"), ("--example", "examples"), ("--bin", "src/bin")] {
+                let Some(target) = after(flag) else { continue };
+                assert!(has_target(folder, kind, target), "{}: `{command}`: no {target}", page.display());
+            }
+        }
+    }
+}
+
+#[test]
+fn every_file_that_the_guides_for_changing_it_name_is_there() {
+    for page in ["ARCHITECTURE.md", "CONTRIBUTING.md"] {
+        let text = read(page);
+        let named = text.split('`').skip(1).step_by(2).filter(|name| {
+            let is_path = name.chars().all(|c| c.is_ascii_alphanumeric() || "_-./".contains(c));
+            is_path && name.contains('/') && Path::new(name).extension().is_some()
+        });
+        let missing: Vec<&str> = named.filter(|name| !root().join(name).exists()).collect();
+        assert!(missing.is_empty(), "{page} names files that are not there: {missing:?}");
     }
 }

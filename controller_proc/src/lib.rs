@@ -1,6 +1,8 @@
 //! The controller trait, the reference controllers, and their process.
 //!
-//! A controller is anything that turns a [`State`] into a [`Command`] once a tick. Those here are deterministic: no
+//! A controller is anything that turns a [`State`] into a [`Command`] once a tick.
+//!
+//! **Boundary:** a controller sees what a client sees, and nothing of the simulation. **Invariant:** those here are deterministic: no
 //! clock, no randomness, so that a lockstep run repeats bit for bit.
 
 mod bone_seen;

@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use hub::patience::Patience;
+use ipc_types::clock::now_ns;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
     Command, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, Frame, ImagePrefix, PHASE_ENDED, RunStatus,
     SENDER_CONTROLLER, SEVERITY_WARNING, State,
 };
-use ipc_types::patience::Patience;
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, Role, prioritise, session_scene};
 use ipc_types::scene::{Mode, Policy, Scene, SceneError};
@@ -199,8 +200,8 @@ impl Frames {
             return Ok(());
         }
         let wanted = tick - delay;
-        let mut patience = Patience::new(FRAME_LIMIT);
-        while !patience.is_over() {
+        let mut patience = Patience::new(FRAME_LIMIT.as_nanos() as u64, now_ns());
+        while !patience.is_over(now_ns()) {
             match self.subscriber.receive()? {
                 Some(frame) if frame.message().tick == wanted && frame.message().request_id == 0 => {
                     self.show(&frame, controller);

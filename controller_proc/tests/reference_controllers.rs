@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use controller_proc::{
     Calibration, Controller, CurvedDrillingController, SkivingController, TensionSweepController,
 };
+use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::{Command, State};
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
-use physics_proc::bone::GridGeometry;
-use physics_proc::latch::Latch;
-use physics_proc::simulation::{CtView, Simulation};
+use simulation::bone::GridGeometry;
+use simulation::{CtView, Simulation};
 
 fn config(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs").join(name)
@@ -19,16 +19,16 @@ fn config(name: &str) -> PathBuf {
 
 /// Steps the scene with its controller to the end; every command must be accepted by the physics.
 fn play(scene: &Scene, ct: Option<CtView>, controller: &mut dyn Controller) -> State {
-    let mut simulation = Simulation::new(scene, ct).unwrap();
-    let mut latch = Latch::new(scene);
-    for tick in 0..scene.tick_count() {
-        let mut command = Command { sequence: tick + 1, state_tick: tick, ..Command::zeroed() };
-        controller.step(simulation.state(), &mut command);
-        latch.offer(0, &command, tick).unwrap();
-        simulation.step(&latch.latch(tick, false)).unwrap();
-        assert_eq!(simulation.refusals(), &[]);
+    let mut run = InProcess::new(scene, Simulation::new(scene, ct).unwrap());
+    for _ in 0..scene.tick_count() {
+        let answer = |_, state: &State, command: &mut Command| {
+            controller.step(state, command);
+            Answer::Command
+        };
+        run.tick(answer).unwrap();
+        assert_eq!(run.plant().refusals(), &[]);
     }
-    *simulation.state()
+    *run.plant().state()
 }
 
 /// The block of the scenes, 40 × 40 × 60 mm of 0.5 mm voxels around the origin, its half at +x denser by `ratio`.
@@ -60,7 +60,7 @@ fn sweep_scene() -> String {
 fn a_sweep_without_friction_measures_the_closed_form() {
     let text = sweep_scene().replace("[tool]", "[manipulator]\ntendon_friction = 0.0\n[tool]");
     let text = text.replace("most_n = 12.0", "most_n = 6.0").replace("step_n = 0.5", "step_n = 2.0");
-    let parameters = physics_proc::manipulator::ManipulatorParameters::jhu_27();
+    let parameters = simulation::manipulator::ManipulatorParameters::jhu_27();
     let compliance: f64 = parameters.joint_stiffness_nm_per_rad.iter().map(|k| 1.0 / k).sum();
     let calibration = sweep(&text);
     assert_eq!(calibration.rows.len(), 7);
@@ -110,7 +110,7 @@ fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
 
 /// Distance of the burr from the target at the end, mm.
 fn drill(name: &str) -> f64 {
-    let scene = Scene::load(&config(name)).unwrap();
+    let scene = ipc_types::scene_file::load(&config(name)).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
     let mut controller = CurvedDrillingController::new(plan, &scene).unwrap();
     let (geometry, hu) = block(1.0);
@@ -138,7 +138,7 @@ fn the_measured_shape_brings_the_burr_nearer_to_the_target_than_the_calibration_
 fn the_burr_skives_away_from_the_denser_half() {
     let mut aside_mm = [0.0; 2];
     for (aside, ratio) in aside_mm.iter_mut().zip([1.0, 10.0]) {
-        let scene = Scene::load(&config("skiving.toml")).unwrap();
+        let scene = ipc_types::scene_file::load(&config("skiving.toml")).unwrap();
         let plan = scene.controller[0].skiving.as_ref().unwrap();
         let mut controller = SkivingController::new(plan);
         let (geometry, hu) = block(ratio);
@@ -195,10 +195,10 @@ fn a_target_on_the_side_away_from_the_bend_is_refused() {
 /// front of the bone.
 #[test]
 fn a_reset_sets_the_reference_controllers_back() {
-    let scene = Scene::load(&config("curved_shape_feedback.toml")).unwrap();
+    let scene = ipc_types::scene_file::load(&config("curved_shape_feedback.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
     let fresh = CurvedDrillingController::new(plan, &scene).unwrap();
-    let skiving = Scene::load(&config("skiving.toml")).unwrap();
+    let skiving = ipc_types::scene_file::load(&config("skiving.toml")).unwrap();
     let skiving = SkivingController::new(skiving.controller[0].skiving.as_ref().unwrap());
     let begin =
         *Simulation::new(&scene, Some(CtView { geometry: block(1.0).0, hu: &block(1.0).1 })).unwrap().state();

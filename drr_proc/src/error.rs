@@ -29,10 +29,13 @@ pub enum DrrError {
         /// The length it must have.
         expected: usize,
     },
+    /// The voxels lie on no grid that a volume may have.
+    #[error("the volume has {0}")]
+    Grid(#[from] voxel_grid::GridError),
     /// Two direction vectors that must be perpendicular are not.
     #[error(
         "{field} are not perpendicular unit vectors (worst error {error:.3e}, limit {limit:.1e}): \
-         resample a sheared volume, or normalise the axes"
+         normalise the axes"
     )]
     NotOrthonormal {
         /// The vectors concerned.

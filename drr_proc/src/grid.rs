@@ -1,12 +1,9 @@
 //! The CT's grid in the world, and the borrowed voxels.
 
-use crate::error::{DrrError, check_orthonormal, check_range};
-use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
+use voxel_grid::VoxelGrid;
 
-/// Largest deviation from perpendicular unit axes that is taken as rounding of the file's direction cosines.
-const ORTHONORMAL_LIMIT: f64 = 1e-4;
-/// Most voxels along one axis; keeps the projector's 32.32 fixed-point arithmetic far from overflow.
-const MAX_AXIS: usize = 1 << 16;
+use crate::error::DrrError;
+use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
 /// Where the voxels are: voxel (i, j, k) has its centre at `origin_m + i s_x d_0 + j s_y d_1 + k s_z d_2` (world LPS).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,29 +22,15 @@ impl Grid {
     /// unit world vectors of the index axes. `origin_m` is the centre of voxel (0, 0, 0).
     ///
     /// # Errors
-    /// Sizes of 0 or above 65536, more than 2^32 - 1 voxels, spacings outside 1 um to 0.1 m, a sheared direction matrix.
+    /// What [`VoxelGrid`] refuses.
     pub fn new(
         dims: [usize; 3],
         spacing_m: [f64; 3],
         origin_m: [f64; 3],
         direction: [[f64; 3]; 3],
     ) -> Result<Self, DrrError> {
-        for &n in &dims {
-            check_range("dims", n as f64, 1.0, MAX_AXIS as f64, "1 to 65536 voxels along each axis")?;
-        }
-        let voxels = dims.iter().map(|&n| n as u64).product::<u64>();
-        let limit = u64::from(u32::MAX);
-        check_range("number of voxels", voxels as f64, 1.0, limit as f64, "at most 2^32 - 1")?;
-        for &s in &spacing_m {
-            check_range("spacing_m", s, 1e-6, 0.1, "1e-6 to 0.1 m")?;
-        }
-        for &x in &origin_m {
-            check_range("origin_m", x, -100.0, 100.0, "-100 to 100 m")?;
-        }
         let axes = [0, 1, 2].map(|a| [direction[0][a], direction[1][a], direction[2][a]]);
-        check_orthonormal("direction axes of the volume", &axes, ORTHONORMAL_LIMIT)?;
-        let axis_steps_m = [0, 1, 2].map(|a| scale(axes[a], spacing_m[a]));
-        Ok(Self { dims, spacing_m, origin_m, axis_steps_m, world_to_index: inverse_rows(axis_steps_m) })
+        Ok(Self::from(VoxelGrid::new(dims, spacing_m, origin_m, axes)?))
     }
 
     /// A grid along the world axes.
@@ -133,6 +116,20 @@ impl Grid {
     /// Index-space components of a world displacement.
     pub fn vector_to_index(&self, d_m: [f64; 3]) -> [f64; 3] {
         self.world_to_index.map(|row| dot(row, d_m))
+    }
+}
+
+impl From<VoxelGrid> for Grid {
+    fn from(grid: VoxelGrid) -> Self {
+        let (axes, spacing_m) = (grid.axes(), grid.spacing_m());
+        let axis_steps_m = [0, 1, 2].map(|a| scale(axes[a], spacing_m[a]));
+        Self {
+            dims: grid.dims(),
+            spacing_m,
+            origin_m: grid.origin_m(),
+            axis_steps_m,
+            world_to_index: inverse_rows(axis_steps_m),
+        }
     }
 }
 

@@ -34,7 +34,7 @@ pub enum Projector {
     /// All slices summed in the volume's own order, then warped ([`slice_ordered`](crate::slice_ordered)): as exact as Joseph beside the
     /// error of the voxels themselves. Keeps a copy of the volume for each of two orders, made when a frame needs it.
     SliceOrdered {
-        /// Samples for each voxel of the farthest slice, 1 to 4: more are slower, and closer to Joseph.
+        /// Samples for each voxel of the farthest slice, 0.8 to 4: more are slower, and closer to Joseph.
         oversampling: f64,
         /// Whether the blur of the interpolation is taken back.
         sharpen: bool,

@@ -6,6 +6,15 @@
 //!
 //! [`foreign`] shows one value within a line of ours. [`Plain`] is the last gate before the terminal: everything that a command
 //! prints goes through it.
+//!
+//! **Boundary:** texts; it opens nothing and prints nothing itself. **Invariant:** what comes out holds no control character but line ends
+//! and tabs that are ours, no character without width and no mark that turns the direction of writing; a value has a bounded length.
+//!
+//! ```
+//! use foreign_text::foreign;
+//!
+//! assert_eq!(foreign("femur\u{1b}[2J\nend").to_string(), "femur\\u001b[2J\\u000aend");
+//! ```
 
 use std::fmt::{self, Display, Write as _};
 use std::io::{self, Write};

@@ -4,27 +4,20 @@ use std::cell::RefCell;
 use std::path::Path;
 
 use drr_proc::process::c_arm_of;
+use hub::latch::Latch;
 use ipc_types::messages::{
     self, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JV, BURR_SPEED,
     Command, DrrRequest, State, TENDON_MOVE_JP, TENDON_SERVO_JF,
 };
 use ipc_types::scene::Scene;
-use physics_proc::latch::Latch;
-use physics_proc::simulation::{Simulation, SimulationSnapshot};
+use simulation::{Simulation, SimulationSnapshot};
+use test_support::scenes::TOOL;
 use zerocopy::{FromBytes, IntoBytes};
 
 const SCENE: &str = r#"
 name = "commands"
 run = { mode = "realtime", duration_s = 1.0, hold_ticks = 3 }
 manipulator = { model = "planar", links = 8 }
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[[controller]]
-name = "test"
-drives = ["tendon", "arm", "burr"]
-external = true
 "#;
 
 /// Ticks after each command.
@@ -38,7 +31,7 @@ struct World {
 
 thread_local! {
     static WORLD: RefCell<World> = RefCell::new({
-        let scene = Scene::parse(SCENE, Path::new("fuzz.toml")).unwrap();
+        let scene = Scene::parse(&format!("{SCENE}{TOOL}"), Path::new("fuzz.toml")).unwrap();
         let simulation = Simulation::new(&scene, None).unwrap();
         let initial = simulation.snapshot();
         World { scene, simulation, initial }
@@ -108,7 +101,7 @@ fn is_finite(state: &State) -> bool {
 
 /// A command of each mode, some together, a request, and each message's zeros.
 pub fn seeds() -> Vec<Vec<u8>> {
-    let scene = Scene::parse(SCENE, Path::new("fuzz.toml")).unwrap();
+    let scene = Scene::parse(&format!("{SCENE}{TOOL}"), Path::new("fuzz.toml")).unwrap();
     let start = *Simulation::new(&scene, None).unwrap().state();
     let base = Command {
         sequence: 1,

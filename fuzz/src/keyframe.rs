@@ -9,20 +9,9 @@ use ipc_types::messages::{
 };
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
-use physics_proc::bone::GridGeometry;
-use physics_proc::simulation::{CtView, Simulation, SimulationSnapshot};
-
-/// The tool along +z with the burr at the origin, and a controller that drives everything.
-const TOOL: &str = r#"
-[tool]
-burr_start_mm = [0.0, 0.0, 0.0]
-direction = [0.0, 0.0, 1.0]
-bend_toward = [1.0, 0.0, 0.0]
-[[controller]]
-name = "test"
-drives = ["tendon", "arm", "burr"]
-external = true
-"#;
+use simulation::bone::GridGeometry;
+use simulation::{CtView, Simulation, SimulationSnapshot};
+use test_support::scenes::TOOL;
 
 /// Bone, bodies, elastic joints, and each kind of manipulator: what a keyframe can hold.
 const SCENES: [&str; 4] = [
@@ -72,7 +61,8 @@ manipulator = { model = "constant_curvature" }
 const LONGEST: usize = 1 << 20;
 
 struct World {
-    simulation: Simulation<'static>,
+    // In a box, and made one at a time: four of 105 kB, moved a few times each, are too many for the 2 MB of a thread's stack.
+    simulation: Box<Simulation<'static>>,
     initial: SimulationSnapshot,
     start: State,
     has_bodies: bool,
@@ -82,7 +72,7 @@ impl World {
     fn new(text: &str) -> World {
         let scene = Scene::parse(&format!("{text}{TOOL}"), Path::new("fuzz.toml")).unwrap();
         let ct = scene.volume.is_some().then(ct);
-        let simulation = Simulation::new(&scene, ct).unwrap();
+        let simulation = Box::new(Simulation::new(&scene, ct).unwrap());
         let (initial, start) = (simulation.snapshot(), *simulation.state());
         World { simulation, initial, start, has_bodies: !scene.body.is_empty() }
     }
@@ -133,7 +123,7 @@ fn ct() -> CtView<'static> {
 }
 
 thread_local! {
-    static WORLDS: RefCell<Vec<World>> = RefCell::new(SCENES.map(World::new).into());
+    static WORLDS: RefCell<Vec<World>> = RefCell::new(SCENES.iter().map(|text| World::new(text)).collect());
 }
 
 /// The first byte says which scene's; the others are the keyframe. What is taken leads to ticks, and comes out again as a

@@ -133,7 +133,7 @@ fn files(name: &str) -> Vec<Vec<u8>> {
 
 /// One of the scenes of `configs/`.
 pub(crate) fn scene_file(name: &str) -> Scene {
-    Scene::load(&folder("configs").join(name)).unwrap()
+    ipc_types::scene_file::load(&folder("configs").join(name)).unwrap()
 }
 
 /// The scenes of `configs/`.

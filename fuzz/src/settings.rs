@@ -6,7 +6,7 @@ use controller_proc::Calibration;
 use drr_proc::process::{c_arm_message, c_arm_of, projection_message, scene_c_arm, scene_isocentre_m};
 use ipc_types::scene::Scene;
 use ipc_types::session::Announcement;
-use physics_proc::simulation::Simulation;
+use simulation::Simulation;
 
 /// A scene's text. One that is taken has a C-arm and a simulation, or says why not.
 pub fn scene(data: &[u8]) {

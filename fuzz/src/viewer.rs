@@ -1,6 +1,7 @@
 //! What a browser sends to the viewer: the head of a request, texts and calls of the WebSocket protocol.
 
 use std::cell::OnceCell;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 use viewer_proc::board::Board;
@@ -11,7 +12,7 @@ use viewer_proc::server::http::{Origins, parse, websocket_answer};
 use viewer_proc::services::{Request, read_request, response};
 
 const TOKEN: &str = "t";
-const HOST: &str = "127.0.0.1:8765";
+const ADDRESS: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8765);
 
 thread_local! {
     static BOARD: OnceCell<Board> = const { OnceCell::new() };
@@ -36,8 +37,8 @@ fn request_head(data: &[u8]) {
     let Ok(Some(head)) = parse(data) else { return };
     assert!(data.ends_with(&head.rest));
     let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
-    let own = origins.check(&head, HOST, false).is_ok();
-    assert!(!own || origins.check(&head, HOST, true).is_ok());
+    let own = origins.check(&head, ADDRESS, false).is_ok();
+    assert!(!own || origins.check(&head, ADDRESS, true).is_ok());
     if let Ok(answer) = websocket_answer(&head) {
         assert_eq!(answer.matches("\r\n\r\n").count(), 1, "an answer with a head inside");
     }

@@ -59,9 +59,8 @@ fn run(inputs: impl Fn(&'static Target) -> Vec<(String, Vec<u8>)>) {
         let inputs = inputs(target);
         let (done, finished) = channel();
         let names: Vec<String> = inputs.iter().map(|(name, _)| name.clone()).collect();
-        // As much stack as a program's first thread has, in which libFuzzer runs them.
-        let builder = std::thread::Builder::new().stack_size(8 << 20);
-        let worker = builder.spawn(move || {
+        // With the 2 MB of stack that a thread of a user's has.
+        let worker = std::thread::spawn(move || {
             for (name, data) in &inputs {
                 let region = Region::new(ALLOCATOR);
                 (target.run)(data);
@@ -70,7 +69,6 @@ fn run(inputs: impl Fn(&'static Target) -> Vec<(String, Vec<u8>)>) {
                 let _ = done.send(());
             }
         });
-        let worker = worker.unwrap();
         for name in names {
             match finished.recv_timeout(LIMIT) {
                 Ok(()) => {}

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use foreign_text::foreign_path;
 use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{AllocationStrategy, Node, ipc};
@@ -13,16 +14,17 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 
 use rustix::fs::{Access, AtFlags};
 
-use crate::identity::{Guard, Part};
+use crate::identity::Guard;
 use crate::layout::Message;
 use crate::messages::Command;
+use crate::messages::Part;
 use crate::own::Own;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, CONNECTIONS_BYTES, Service};
 use crate::session::{
     ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, FLAGS_FILE, Reader, SESSION_VARIABLE,
-    Searched, Session, SessionError, SessionId, await_announcement, check_layouts, create_node, file_error,
-    is_locked, open_folder, short_memory, transported,
+    Session, SessionError, SessionId, await_announcement, check_layouts, create_node, file_error, is_locked,
+    open_folder, short_memory, transported,
 };
 use crate::shared_memory::{SharedMemory, require_free};
 use crate::wake::{Crowd, Waiter, WakeFlags, Waker, Way, allowed_cores};
@@ -37,7 +39,7 @@ impl Session {
     /// Joins the session in a folder; waits up to ten seconds for its announcement.
     ///
     /// # Errors
-    /// [`SessionError::NoSession`]; [`SessionError::Version`], [`SessionError::Transport`] or [`SessionError::Layout`] for
+    /// [`SessionError::NotASession`], at once; [`SessionError::NoSession`]; [`SessionError::Version`], [`SessionError::Transport`] or [`SessionError::Layout`] for
     /// a hub of another version; a transport failure.
     pub fn join(folder: &Path) -> Result<Session, SessionError> {
         Session::join_within(folder, JOIN_TIME)
@@ -48,10 +50,11 @@ impl Session {
     /// # Errors
     /// As [`Session::join`].
     pub fn join_within(folder: &Path, limit: Duration) -> Result<Session, SessionError> {
+        SessionId::can_be(folder)?;
         let handle = open_folder(folder)?;
         let announcement = await_announcement(&handle, folder, limit)?;
         check_layouts(&announcement)?;
-        let none = || SessionError::NoSession { searched: Searched::folder(folder) };
+        let none = || SessionError::NotASession { given: foreign_path(folder) };
         let id = SessionId::of(folder).ok_or_else(none)?;
         let node = Own::new(create_node(folder, &id)?);
         let flags = WakeFlags::open(&handle).map_err(file_error(&folder.join(FLAGS_FILE)))?;

@@ -42,8 +42,7 @@ pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Comman
 /// All living processes that descend from one, whatever group or session they have made for themselves. What a process
 /// leaves behind when it ends counts as its nearest subreaper's (`PR_SET_CHILD_SUBREAPER`).
 pub fn descendants(of: Pid) -> Vec<Pid> {
-    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
-    let pairs: Vec<(Pid, Pid)> = entries.filter_map(|entry| parentage(entry.file_name().to_str()?)).collect();
+    let pairs = families();
     let mut found = vec![of];
     let mut looked_at = 0;
     while let Some(parent) = found.get(looked_at).copied() {
@@ -52,6 +51,18 @@ pub fn descendants(of: Pid) -> Vec<Pid> {
     }
     found.remove(0);
     found
+}
+
+/// The living processes whose parent is this one.
+pub fn children() -> Vec<Pid> {
+    let own = getpid();
+    families().into_iter().filter(|(_, parent)| *parent == own).map(|(child, _)| child).collect()
+}
+
+/// Every living process and its parent.
+fn families() -> Vec<(Pid, Pid)> {
+    let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    entries.filter_map(|entry| parentage(entry.file_name().to_str()?)).collect()
 }
 
 /// A process and its parent; none for one that is dead.

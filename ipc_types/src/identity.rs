@@ -2,7 +2,6 @@
 //! what claims to be a part's is that part's.
 
 use std::cell::{Cell, RefCell};
-use std::fmt::{self, Display, Formatter};
 use std::io;
 use std::os::fd::OwnedFd;
 use std::sync::{Arc, OnceLock};
@@ -12,46 +11,18 @@ use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use iceoryx2::service::dynamic_config::publish_subscribe::PublisherDetails;
 
 use crate::layout::Message;
-use crate::messages::{Command, DrrRequest};
+use crate::messages::{Command, DrrRequest, Part};
 use crate::ports::Received;
 use crate::services;
 use crate::session::{ByteService, Session, SessionError, create_file, file_error, read_file};
 
-/// What a session consists of beside its controllers and clients. One program is each of them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
-    /// The launcher, or whoever has made the session.
-    Host,
-    /// The physics process.
-    Physics,
-    /// The DRR process.
-    Drr,
-    /// The recorder process.
-    Recorder,
-}
-
-impl Part {
-    const ALL: [Part; 4] = [Part::Host, Part::Physics, Part::Drr, Part::Recorder];
-
-    /// File in the session's folder that says which node it is.
-    fn file(self) -> &'static str {
-        match self {
-            Part::Host => "part.host",
-            Part::Physics => "part.physics",
-            Part::Drr => "part.drr",
-            Part::Recorder => "part.recorder",
-        }
-    }
-}
-
-impl Display for Part {
-    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Part::Host => "the host",
-            Part::Physics => "the physics",
-            Part::Drr => "the DRR process",
-            Part::Recorder => "the recorder",
-        })
+/// File in the session's folder that says which node a part is.
+fn file(part: Part) -> &'static str {
+    match part {
+        Part::Host => "part.host",
+        Part::Physics => "part.physics",
+        Part::Drr => "part.drr",
+        Part::Recorder => "part.recorder",
     }
 }
 
@@ -62,14 +33,14 @@ impl Session {
     /// [`SessionError::PartTaken`]; a file that cannot be written.
     pub fn claim(&self, part: Part) -> Result<(), SessionError> {
         let node = self.node.id().value();
-        match create_file(&self.handle, part.file(), node.to_string().as_bytes()) {
+        match create_file(&self.handle, file(part), node.to_string().as_bytes()) {
             Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
                 match self.claims.node_of(&self.handle, part) {
                     Some(other) if other == node => Ok(()),
                     _ => Err(SessionError::PartTaken { part }),
                 }
             }
-            other => other.map_err(file_error(&self.folder.join(part.file()))),
+            other => other.map_err(file_error(&self.folder.join(file(part)))),
         }
     }
 
@@ -93,7 +64,7 @@ impl Claims {
         let Claims(nodes) = self;
         if nodes[part as usize].get().is_none() {
             for (part, node) in Part::ALL.into_iter().zip(nodes) {
-                if let Some(claimant) = read_file(folder, part.file()).ok().and_then(|text| text.parse().ok())
+                if let Some(claimant) = read_file(folder, file(part)).ok().and_then(|text| text.parse().ok())
                 {
                     node.get_or_init(|| claimant);
                 }

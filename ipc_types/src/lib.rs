@@ -1,4 +1,10 @@
-//! Messages, service names, ports, tick protocol and scene files: what every process of the hub shares.
+//! The transport: sessions, ports, waiting and waking over iceoryx2, and what else every process of the hub does alike.
+//!
+//! **Boundary:** it moves messages and knows none of their meaning; nothing below it (`messages`, `scene`) knows iceoryx2. It hands both on
+//! under their names, so that a client names one crate.
+//!
+//! **Invariants:** only the host creates services; nobody blocks a writer, and whoever loses a message can see it; each `unsafe` states its
+//! proof. What is created is reserved and touched first, so that a full `/dev/shm` is an error and no signal.
 //!
 //! A client joins a session, opens ports of its services and takes what has arrived:
 //!
@@ -21,37 +27,31 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`messages`], [`layout`] | the messages; one declaration gives struct, schema, field table and layout hash |
-//! | [`services`] | names, queues, lanes |
+//! | [`messages`], [`layout`], [`services`] | the crate `messages` |
 //! | [`session`], [`ports`], [`wake`] | creating and joining a session, sending and receiving, waiting and waking |
 //! | [`own`] | what a child of `fork` inherits and does not clean up |
 //! | [`identity`] | which controller a message comes from, as the transport knows it |
-//! | [`ration`] | what a reader grants programs that flood |
-//! | [`command_check`] | what a command must be before it may reach the model |
-//! | [`scene`] | scene files |
+//! | [`scene`], [`scene_file`] | the crate `scene`; scenes from files |
 //! | [`text_file`] | reading text files that a user names |
 //! | [`process`] | exit codes, priorities, events: what every process does alike |
-//! | [`signals`], [`family`], [`patience`] | being asked to end; parents and children; limits that a suspended process does not lose |
-//! | [`reference`](mod@reference), [`scene_reference`] | docs/messages.md and docs/scene.md, generated |
+//! | [`clock`], [`signals`], [`family`] | the monotonic clock; being asked to end; parents and children |
+//! | [`reference`](mod@reference) | docs/messages.md, generated |
 
 mod client;
-pub mod command_check;
+pub mod clock;
 pub mod family;
 pub mod identity;
-pub mod layout;
-pub mod messages;
 pub mod own;
-pub mod patience;
 pub mod ports;
 pub mod process;
-pub mod ration;
 pub mod reference;
-pub mod scene;
-pub mod scene_reference;
-pub mod services;
+pub mod scene_file;
 pub mod session;
 mod shared_memory;
 pub mod signals;
 pub mod text_file;
 mod transport_reference;
 pub mod wake;
+
+pub use ::messages::{self, layout, services};
+pub use ::scene;

@@ -10,8 +10,9 @@ use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
 use thiserror::Error;
 
-use crate::identity::{Guard, Part};
+use crate::identity::Guard;
 use crate::layout::Message;
+use crate::messages::Part;
 use crate::own::Own;
 
 /// Messages of a wrong length that one look takes off a queue: whoever floods with them holds nobody up.

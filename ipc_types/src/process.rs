@@ -193,9 +193,9 @@ pub fn set_fifo(priority: i32) -> std::io::Result<()> {
 /// The scene of a session, as the launcher laid it into the session's folder.
 ///
 /// # Errors
-/// As [`Scene::load`].
+/// As [`crate::scene_file::load`].
 pub fn session_scene(folder: &Path) -> Result<Scene, SceneError> {
-    Scene::load(&folder.join("scene.toml"))
+    crate::scene_file::load(&folder.join("scene.toml"))
 }
 
 /// Sends a process's events.

@@ -1,6 +1,7 @@
 //! The names of a session's shared memory in `/dev/shm`, a folder where every user of the machine may have files: what is
 //! changed, reserved or removed there is first opened and found to be this user's own.
 
+use std::fmt::{self, Display, Formatter};
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
 
@@ -93,6 +94,68 @@ pub(crate) fn require_free(bytes: u64) -> Result<(), Short> {
         }
         // A file system that does not say may have enough.
         _ => Ok(()),
+    }
+}
+
+/// Files that must be left for what follows a look: a port makes several at once.
+const FILES_LEFT: u64 = 8;
+
+/// Why a file cannot be made in shared memory.
+#[derive(Debug)]
+pub(crate) enum Refused {
+    /// The system's reason.
+    System(Errno),
+    /// There is room for bytes, but for too few files.
+    NoFiles {
+        /// How many there are.
+        left: u64,
+    },
+}
+
+/// Whether shared memory takes files and bytes at all. The transport says of a segment that it could not make neither where nor why.
+pub(crate) fn refusal() -> Option<Refused> {
+    refusal_of(FOLDER)
+}
+
+fn refusal_of(folder: &str) -> Option<Refused> {
+    // A file without a name: nothing is to be cleared up.
+    let flags = OFlags::RDWR | OFlags::TMPFILE | OFlags::CLOEXEC;
+    let made = rustix::fs::openat(CWD, folder, flags, Mode::RUSR | Mode::WUSR);
+    let stat = rustix::fs::statvfs(folder).ok().filter(|stat| stat.f_files > 0);
+    let left = stat.map_or(u64::MAX, |stat| stat.f_favail);
+    match made.and_then(|file| rustix::fs::fallocate(file, FallocateFlags::empty(), 0, 1)) {
+        // A file system that cannot make such files may yet take others.
+        Ok(()) | Err(Errno::OPNOTSUPP | Errno::ISDIR) if left >= FILES_LEFT => None,
+        Err(cause) if left >= FILES_LEFT => Some(Refused::System(cause)),
+        _ => Some(Refused::NoFiles { left }),
+    }
+}
+
+impl Display for Refused {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match self {
+            Refused::System(cause) => write!(f, "{}; ", io::Error::from(*cause))?,
+            Refused::NoFiles { left } => {
+                return write!(
+                    f,
+                    "{left} more files fit into it; remove files there that nobody uses, or enlarge it (`mount -o \
+                     remount,nr_inodes=100k {FOLDER}`)"
+                );
+            }
+        }
+        f.write_str(match self {
+            Refused::System(Errno::ROFS) => {
+                "it must be writable: `mount -o remount,rw /dev/shm`; a container needs one of its own, as without `--read-only` or \
+                 with `--tmpfs /dev/shm`"
+            }
+            Refused::System(Errno::NOENT | Errno::NOTDIR) => {
+                "it must be there: `mount -t tmpfs tmpfs /dev/shm`"
+            }
+            Refused::System(Errno::ACCESS | Errno::PERM) => {
+                "every user must be able to make files there: its mode is to be 1777"
+            }
+            _ => "free some or enlarge it",
+        })
     }
 }
 

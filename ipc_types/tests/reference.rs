@@ -5,7 +5,7 @@ use std::path::Path;
 use ipc_types::layout::Description;
 use ipc_types::messages;
 use ipc_types::reference::{every_message, message_reference};
-use ipc_types::scene_reference::scene_reference;
+use ipc_types::scene::reference::scene_reference;
 
 /// `^(?!.*__)(?!.*_$)[a-z][a-z0-9_]*$`, the rule of the ROS interface language for field names.
 fn is_ros_legal(name: &str) -> bool {

@@ -7,8 +7,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use ipc_types::identity::Part;
-use ipc_types::messages::{Command, Event, Frame, Keyframe, Removed, State, Volume};
+use ipc_types::messages::{Command, Event, Frame, Keyframe, Part, Removed, State, Volume};
 use ipc_types::scene::{Policy, Wait};
 use ipc_types::services::{self, Service};
 use ipc_types::session::{Reader, Session, SessionError, SessionHost, SessionPlan, host_is_alive};

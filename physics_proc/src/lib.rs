@@ -1,14 +1,7 @@
-//! The manipulator, its contact with bone, drilling and the arm: a pure library that steps, and its process.
+//! The physics process: the hub's tick on shared memory and the machine's clock.
 //!
-//! [`simulation::Simulation`] is x_{k+1} = step(x_k, u_k): no clock, no randomness, no I/O, no allocation. The process
-//! ([`process`]) gives it the commands that it has latched and publishes what comes out; replay gives it those of a log.
+//! **Boundary:** it owns ports, clock, priority and locked memory, and decides nothing: when a tick is made, what is latched and what is
+//! published are the [`hub`]'s, the step is the [`simulation`]'s. **Invariant:** whatever the hub sends goes out, in its order, or the
+//! process ends with an error. It needs a session, so there is no example here; `hub` and `simulation` have theirs.
 
-pub mod arm;
-pub mod baselines;
-pub mod bone;
-pub mod contact_plane;
-pub mod latch;
-pub mod manipulator;
 pub mod process;
-pub mod rigid;
-pub mod simulation;

@@ -11,7 +11,7 @@ use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare, compare_removed};
-use crate::end::{EndReason, Ending};
+use crate::end::EndReason;
 use crate::error::LogError;
 use crate::frames::{FrameReader, FrameRecord, frames};
 use crate::reader::{LogReader, ReadOptions, TickRecord};
@@ -36,7 +36,8 @@ pub struct DiffReport {
     pub frames: Option<Divergence>,
     /// The first keyframe part and the first reply that differ.
     pub messages: Vec<Divergence>,
-    /// What one log has and the other lacks, and how each ends if not both end alike.
+    /// What one log has and the other lacks, and how each ends if they ended for different reasons. That one lacks only its end is
+    /// said by its verdict.
     pub remarks: Vec<String>,
     /// What is wrong with each.
     pub verdicts: [Verdict; 2],
@@ -130,7 +131,9 @@ fn compare_ticks(
                 out.identical_ticks += u64::from(out.ticks.is_none());
             }
             (None, None) => {
-                if outcome(a.ending()) != outcome(b.ending()) {
+                if let (Some(x), Some(y)) = (reason(&a), reason(&b))
+                    && x != y
+                {
                     out.remarks.push(format!("{}: {}", first.display(), a.ending().describe()));
                     out.remarks.push(format!("{}: {}", second.display(), b.ending().describe()));
                 }
@@ -175,9 +178,13 @@ fn next_tick(reader: &mut LogReader) -> Result<Option<TickRecord>, LogError> {
     }
 }
 
-/// Why a log ends. Its counts are no part of that: one log may hold images, the other hashes.
-fn outcome(ending: &Ending) -> (bool, Option<&EndReason>) {
-    (ending.cut.is_some(), ending.marker.as_ref().map(|marker| &marker.reason))
+/// Why a run ended, if its log says so; also of one that was repaired.
+fn reason(reader: &LogReader) -> Option<&EndReason> {
+    let mut reason = &reader.ending().marker.as_ref()?.reason;
+    while let EndReason::Repaired(before) = reason {
+        reason = before.as_ref()?;
+    }
+    Some(reason)
 }
 
 fn compare_headers(

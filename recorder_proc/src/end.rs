@@ -15,6 +15,9 @@ pub const END_RECORD: &str = "end";
 /// Name of the metadata record near the start of a repaired log.
 pub const REPAIR_RECORD: &str = "repair";
 
+/// What an end marker, and the launcher before it, says of a log that was moved. No part has such a name.
+const LOG_MOVED: &str = "log moved";
+
 /// Why a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndReason {
@@ -24,6 +27,8 @@ pub enum EndReason {
     Interrupted,
     /// A part died; its name.
     PartDied(String),
+    /// The log, or its folder, was moved while it was written.
+    LogMoved,
     /// The log was damaged or cut, and repaired; the reason that it gave before, if that could be read.
     Repaired(Option<Box<EndReason>>),
 }
@@ -35,15 +40,17 @@ impl EndReason {
             EndReason::Completed => "completed".to_string(),
             EndReason::Interrupted => "interrupted".to_string(),
             EndReason::PartDied(part) => format!("part died: {part}"),
+            EndReason::LogMoved => LOG_MOVED.to_string(),
             EndReason::Repaired(None) => "repaired".to_string(),
             EndReason::Repaired(Some(before)) => format!("repaired, before: {}", before.text()),
         }
     }
 
-    fn parse(text: &str) -> Option<EndReason> {
+    pub(crate) fn parse(text: &str) -> Option<EndReason> {
         match text {
             "completed" => Some(EndReason::Completed),
             "interrupted" => Some(EndReason::Interrupted),
+            LOG_MOVED => Some(EndReason::LogMoved),
             "repaired" => Some(EndReason::Repaired(None)),
             _ if text.starts_with("repaired, before: ") => {
                 let before =
@@ -103,7 +110,7 @@ impl EndMarker {
         if !is_unbroken(map) {
             return Err(entries.wrong("crc32", "the checksum of the other entries"));
         }
-        let wrong_reason = || entries.wrong("reason", "completed, interrupted or part died");
+        let wrong_reason = || entries.wrong("reason", "completed, interrupted, log moved or part died");
         let reason = EndReason::parse(entries.text("reason")?).ok_or_else(wrong_reason)?;
         let last_tick = match entries.text("last_tick")? {
             "" => None,

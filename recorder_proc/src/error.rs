@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use foreign_text::{foreign, foreign_line};
+use output_file::OutputError;
 
 /// What went wrong, with the file, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -177,6 +178,15 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
+    /// A whole log without a state: nothing in it can be replayed.
+    #[error(
+        "{}: a whole log, but without states: it is not a run's `run.mcap`, or the run ended before its first state",
+        path.display()
+    )]
+    NoStates {
+        /// The file.
+        path: PathBuf,
+    },
     /// A topic that the log has not.
     #[error("{}: no topic {topic}; it has {}", path.display(), foreign_line(.topics))]
     NoSuchTopic {
@@ -204,7 +214,32 @@ pub enum LogError {
     },
 }
 
+impl From<OutputError> for LogError {
+    fn from(error: OutputError) -> LogError {
+        match error {
+            OutputError::Exists { path } => LogError::Exists { path },
+            OutputError::Create { path, source } => LogError::Create { path, source },
+            OutputError::Write { path, source } => LogError::Write { path, source },
+        }
+    }
+}
+
 impl LogError {
+    /// Whether another argument would mend it; damage and a full disk it would not.
+    pub fn is_bad_input(&self) -> bool {
+        !matches!(
+            self,
+            LogError::Damaged { .. }
+                | LogError::Gap { .. }
+                | LogError::NotWhole { .. }
+                | LogError::NoInitialState { .. }
+                | LogError::Write { .. }
+                | LogError::Encode { .. }
+                | LogError::Read { .. }
+                | LogError::Output { .. }
+        )
+    }
+
     /// What is wrong, where the file is known.
     pub(crate) fn without_path(&self) -> String {
         let text = self.to_string();

@@ -103,7 +103,15 @@ impl Values {
 }
 
 fn parquet_error(error: ParquetError) -> LogError {
-    LogError::Output { source: std::io::Error::other(error) }
+    let source = match error {
+        // What the disk has said, as it said it.
+        ParquetError::External(cause) => match cause.downcast::<std::io::Error>() {
+            Ok(cause) => *cause,
+            Err(other) => std::io::Error::other(other),
+        },
+        other => std::io::Error::other(other),
+    };
+    LogError::Output { source }
 }
 
 impl<W: Write + Send> Parquet<W> {

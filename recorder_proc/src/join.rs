@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{Channel, SchemaHeader};
+use output_file::{WholeFile, keep_all};
 use sha2::{Digest, Sha256};
 
 use crate::end::END_RECORD;
 use crate::error::LogError;
 use crate::header::RUNS_RECORD;
 use crate::limits::Declared;
-use crate::new_file::NewFile;
 use crate::records::open_log;
 use crate::rewrite::{Packing, Rewriter};
 use crate::walk::{Piece, walk};
@@ -62,17 +62,18 @@ fn digest(path: &Path) -> Result<[u8; 32], LogError> {
 pub fn compress(input: &Path, output: &Path, packing: Packing) -> Result<(u64, u64), LogError> {
     let mut out = Rewriter::create(output, packing)?;
     walk_whole(input, &mut |piece| out.piece(piece))?;
-    let made = out.finish()?;
-    if digest(input)? != digest(output)? {
-        let cause = "the packed log reads back differently".to_string();
-        return Err(LogError::Damaged { path: output.into(), offset: 0, cause });
+    let packed = out.finish()?;
+    let damaged = |cause| LogError::Damaged { path: output.into(), offset: 0, cause };
+    let read_back = digest(&packed.draft()).map_err(|error| damaged(error.without_path()))?;
+    if digest(input)? != read_back {
+        return Err(damaged("the packed log reads back differently".to_string()));
     }
     let bytes = |path: &Path| {
         let found = std::fs::metadata(path).map(|metadata| metadata.len());
         found.map_err(|source| LogError::Open { path: path.into(), source })
     };
-    let sizes = (bytes(input)?, bytes(output)?);
-    made.keep()?;
+    let sizes = (bytes(input)?, bytes(&packed.draft())?);
+    packed.keep()?;
     Ok(sizes)
 }
 
@@ -106,7 +107,7 @@ pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
             other => out.piece(other),
         })?;
     }
-    out.finish()?.keep()
+    Ok(out.finish()?.keep()?)
 }
 
 /// Makes a log of each run of a file of several: `run1.mcap`, `run2.mcap`, … in the folder `output`. Returns their
@@ -129,23 +130,20 @@ pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     walk_whole(input, &mut |piece| split.take(piece))?;
     split.finish_run()?;
     // All of them, or none.
-    let Split { made, .. } = split;
-    if made.is_empty() {
+    let Split { whole, .. } = split;
+    if whole.is_empty() {
         return Err(not_whole("it holds no run"));
     }
-    made.into_iter()
-        .map(|(path, made)| {
-            made.keep()?;
-            Ok(path)
-        })
-        .collect()
+    let paths = whole.iter().map(|file| file.path().to_owned()).collect();
+    keep_all(whole)?;
+    Ok(paths)
 }
 
 /// A file of several runs on its way into one file a run. They follow each other, so one is written at a time.
 struct Split<'o> {
     folder: &'o Path,
     /// Files of the runs that are whole.
-    made: Vec<(PathBuf, NewFile)>,
+    whole: Vec<WholeFile>,
     /// The run that is being written.
     out: Option<Rewriter>,
     /// A schema stands in the file once, for all runs; each run declares it with its first channel that needs it.
@@ -156,8 +154,8 @@ struct Split<'o> {
 
 impl<'o> Split<'o> {
     fn of(folder: &'o Path) -> Split<'o> {
-        let (made, schemas, kept) = (Vec::new(), BTreeMap::new(), Declared::default());
-        Split { folder, made, out: None, schemas, kept, chunk_is_ours: false }
+        let (whole, schemas, kept) = (Vec::new(), BTreeMap::new(), Declared::default());
+        Split { folder, whole, out: None, schemas, kept, chunk_is_ours: false }
     }
 
     fn take(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
@@ -213,7 +211,7 @@ impl<'o> Split<'o> {
         let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
         let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));
         let Some((run, rest)) = parts else { return Ok(None) };
-        let present = self.made.len() + usize::from(self.out.is_some());
+        let present = self.whole.len() + usize::from(self.out.is_some());
         if run == present + 1 {
             self.finish_run()?;
             let path = self.path(run);
@@ -232,8 +230,7 @@ impl<'o> Split<'o> {
 
     fn finish_run(&mut self) -> Result<(), LogError> {
         let Some(out) = self.out.take() else { return Ok(()) };
-        let path = self.path(self.made.len() + 1);
-        self.made.push((path, out.finish()?));
+        self.whole.push(out.finish()?);
         Ok(())
     }
 }

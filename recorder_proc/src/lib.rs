@@ -8,6 +8,11 @@
 //! `cdr` with `ros2msg` schemas shows it. Chunks are closed every 100 ms of simulated time and checked by CRC when
 //! they are read; a log cut at any byte is read up to the last complete tick.
 //!
+//! **Boundary:** it knows messages and files, and no simulation: a log is verified against any [`Plant`](ipc_types::messages::Plant).
+//!
+//! **Invariants:** the bytes of `run.mcap` do not depend on when the messages came; a reader believes no length and no count that it has not
+//! checked; no single record makes a log unreadable; what is read over is said.
+//!
 //! | module | what it holds |
 //! |---|---|
 //! | [`run_log`], [`timing_log`] | the writers |
@@ -18,7 +23,6 @@
 //! | [`misses`] | why ticks began late |
 //! | [`repair`](mod@repair), [`join`] | logs made of logs: repaired, packed, joined, split |
 //! | [`columns`], [`export`] | a topic as a table: CSV and Parquet |
-//! | [`new_file`] | files that a command makes |
 //! | [`background`] | the thread that writes |
 
 pub mod background;
@@ -42,11 +46,11 @@ mod lengths;
 mod limits;
 mod mcap_writer;
 pub mod misses;
-pub mod new_file;
 pub mod opening;
 mod order;
 pub mod process;
 pub mod reader;
+pub mod reason_file;
 mod records;
 pub mod repair;
 pub mod rewrite;
@@ -72,8 +76,7 @@ pub use header::{BuildInfo, LogHeader, RunMode};
 pub use info::{LogInfo, info};
 pub use join::{cat_files, compress, split};
 pub use misses::{Cause, LostTime, Misses};
-pub use new_file::NewFile;
-pub use opening::HeaderCopy;
+pub use opening::{HeaderCopy, log_path};
 pub use reader::{LogReader, ReadOptions, SavedState, TickRecord};
 pub use repair::{RepairReport, repair};
 pub use rewrite::Packing;
@@ -82,4 +85,4 @@ pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segmen
 pub use stream::{LogMessage, MessageStream};
 pub use timing_log::TimingLog;
 pub use verdict::{Fault, Verdict, verdict};
-pub use verify::{ReplayReport, Resumable, Simulation, VerifyOptions, verify};
+pub use verify::{ReplayReport, VerifyOptions, verify};

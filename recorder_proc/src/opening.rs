@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::end::END_RECORD;
 use crate::error::LogError;
@@ -11,6 +11,11 @@ use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, RUNS_RECOR
 use crate::limits::MAX_SCENE_BYTES;
 use crate::records::{Attached, FileRecord, Records, Source};
 use crate::walk::{Piece, walk};
+
+/// The log that a user names: a file, or the folder of a run, which holds it as `run.mcap`.
+pub fn log_path(given: &Path) -> PathBuf {
+    if given.is_dir() { given.join("run.mcap") } else { given.to_owned() }
+}
 
 /// Which copy of the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

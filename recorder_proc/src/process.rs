@@ -9,15 +9,14 @@ use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
-use ipc_types::identity::Part;
+use hub::rate_limit::WarningLimit;
+use ipc_types::clock::now_ns;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
     Command, DrrReply, DrrRequest, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Event, Frame, FrameTiming,
-    Keyframe, Latched, PHASE_ENDED, Progress, Removed, RunControl, RunControlReply, RunStatus,
+    Keyframe, Latched, PHASE_ENDED, Part, Progress, Removed, RunControl, RunControlReply, RunStatus,
     SENDER_RECORDER, SEVERITY_WARNING, State, TickTiming, Volume,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
@@ -25,7 +24,6 @@ use ipc_types::process::{
     EXIT_FAILED, EXIT_GAP, EndRequest, EventSender, Role, VOLUME_LIMIT, await_volume, prioritise,
     session_scene,
 };
-use ipc_types::ration::Remarks;
 use ipc_types::scene::{Images, Mode, Recording, Scene, SceneError};
 use ipc_types::services::{self, RECORDER_QUEUE_TICKS};
 use ipc_types::session::{Reader, Session, SessionError, host_is_alive};
@@ -35,7 +33,9 @@ use thiserror::Error;
 use crate::background::{BackgroundFile, BackgroundOptions};
 use crate::gaps::Gaps;
 use crate::header::CALIBRATION_ATTACHMENT;
-use crate::{BuildInfo, EndMarker, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, topics};
+use crate::{
+    BuildInfo, EndMarker, EndReason, LogError, LogHeader, RunLog, RunMode, TimingLog, reason_file, topics,
+};
 
 /// Longest time between two looks at the queues: a small part of what they hold.
 const LOOK_TIME: Duration = Duration::from_millis(2);
@@ -52,9 +52,6 @@ const LAST_ROUNDS: usize = 8;
 const ORPHANED_LIMIT: Duration = Duration::from_secs(5);
 /// Time without a state after which the timing lane is handed to the file.
 const QUIET_TIME: Duration = Duration::from_millis(100);
-/// Name of the file in the run folder through which the launcher says why the run ended.
-pub const REASON_FILE: &str = ".end_reason";
-
 /// Why the recorder ends early.
 #[derive(Debug, Error)]
 pub enum RecorderError {
@@ -120,9 +117,6 @@ pub const OUTPUT_FILE: &str = "output";
 /// Any [`RecorderError`].
 pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let end = EndRequest::install().map_err(RecorderError::Signals)?;
-    // A file that reaches the process's size limit is an error to tell, not a death.
-    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
-        .map_err(RecorderError::Signals)?;
     let scene = session_scene(session_folder)?;
     if scene.run.mode == Mode::Realtime {
         // Before the writing threads start, which are to have it too.
@@ -143,8 +137,8 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         run_has_ended: false,
         session_folder: session_folder.to_owned(),
         strangers: 0,
-        stranger_remarks: Remarks::default(),
-        gap_remarks: Remarks::default(),
+        stranger_warnings: WarningLimit::default(),
+        gap_warnings: WarningLimit::default(),
         ports,
     };
     // From here on a machine that loses its power leaves files that say what they are.
@@ -269,7 +263,7 @@ impl Ports {
 struct Recorder {
     /// Messages of strangers that have been said.
     strangers: u64,
-    stranger_remarks: Remarks,
+    stranger_warnings: WarningLimit,
     run: RunLog<BackgroundFile>,
     timing: TimingLog<BackgroundFile>,
     recording: Recording,
@@ -280,7 +274,7 @@ struct Recorder {
     /// Whether the physics has said so.
     run_has_ended: bool,
     session_folder: PathBuf,
-    gap_remarks: Remarks,
+    gap_warnings: WarningLimit,
     ports: Ports,
 }
 
@@ -303,8 +297,7 @@ impl Recorder {
             self.report_strangers()?;
         }
         // The launcher says why the run ends before it asks. Its lock alone may outlive it for a moment.
-        let says_why = self.run.path().with_file_name(REASON_FILE).exists();
-        if !says_why || !host_is_alive(&self.session_folder) {
+        if self.reason_path().is_none() || !host_is_alive(&self.session_folder) {
             self.outlast_physics()?;
         }
         for _ in 0..LAST_ROUNDS {
@@ -357,7 +350,7 @@ impl Recorder {
             }
         }
         self.take_inputs()?;
-        if let Some(more) = self.gap_remarks.unsaid() {
+        if let Some(more) = self.gap_warnings.take_suppressed(now_ns()) {
             let text = format!("{more} more gaps in the log");
             self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
         }
@@ -426,7 +419,7 @@ impl Recorder {
 
     /// At once: what is recorded from here on may not be what the run is made for.
     fn tell_of_gap(&mut self, missing: &Range<u64>) -> Result<(), RecorderError> {
-        if !self.gap_remarks.allows() {
+        if !self.gap_warnings.allows(now_ns()) {
             return Ok(());
         }
         let text = format!(
@@ -441,13 +434,13 @@ impl Recorder {
     fn report_strangers(&mut self) -> Result<(), RecorderError> {
         let strangers = self.ports.strangers();
         let new = strangers - self.strangers;
-        if new > 0 && self.stranger_remarks.allows() {
+        if new > 0 && self.stranger_warnings.allows(now_ns()) {
             self.strangers = strangers;
             let text = format!("{new} messages on services of other parts came from strangers; not recorded");
             self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
         }
         // They are told the next time, with those that come until then.
-        self.stranger_remarks.unsaid();
+        self.stranger_warnings.take_suppressed(now_ns());
         Ok(())
     }
 
@@ -465,26 +458,30 @@ impl Recorder {
         Ok(())
     }
 
+    /// Where the launcher has said why the run ends, if it has.
+    fn reason_path(&self) -> Option<PathBuf> {
+        reason_file::find(&self.session_folder, self.run.path().parent().unwrap_or(Path::new(".")))
+    }
+
     fn finish(self, output: &Path, failed: bool) -> Result<(), RecorderError> {
-        let reason_path = output.join(REASON_FILE);
         // Somebody else's signal may come before the launcher's word: of a run that is over the launcher is about to give it.
         let limit = Instant::now() + ORPHANED_LIMIT;
         let launcher_lives = || host_is_alive(&self.session_folder);
-        while self.run_has_ended && !reason_path.exists() && launcher_lives() && Instant::now() < limit {
+        while self.run_has_ended && self.reason_path().is_none() && launcher_lives() && Instant::now() < limit
+        {
             std::thread::sleep(LOOK_TIME);
         }
-        let reason = match std::fs::read_to_string(&reason_path) {
+        let reason_path = self.reason_path();
+        let reason = match reason_path.as_deref().map(reason_file::read) {
             _ if failed => EndReason::PartDied("recorder".to_owned()),
-            Ok(text) if text == "interrupted" => EndReason::Interrupted,
-            Ok(part) if !part.is_empty() && part != "completed" => EndReason::PartDied(part),
-            Ok(_) => EndReason::Completed,
+            Some(Ok(reason)) => reason,
             // Nobody has ended the run: the recorder was told to go.
-            Err(_) if launcher_lives() => EndReason::PartDied("recorder".to_owned()),
+            _ if launcher_lives() => EndReason::PartDied("recorder".to_owned()),
             // It was killed, and could not say why the run ends.
-            Err(_) => EndReason::PartDied("launcher".to_owned()),
+            _ => EndReason::PartDied("launcher".to_owned()),
         };
-        // It has done its work, and may be absent.
-        let _ = std::fs::remove_file(&reason_path);
+        // It has done its work.
+        reason_path.iter().for_each(|path| drop(std::fs::remove_file(path)));
         let lost = self.gaps.lost();
         let paths = [self.run.path().to_owned(), self.timing.path().to_owned()];
         let [run_path, timing_path] = paths.clone();

@@ -13,9 +13,6 @@ pub use crate::stream::ReadOptions;
 use crate::stream::{LogMessage, MessageStream};
 use crate::topics;
 
-/// Most voxels of a volume that this build reads (`volume_io::MAX_VOXELS`), whatever a header says.
-const MAX_VOXELS: u64 = 1 << 29;
-
 /// One complete tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TickRecord {
@@ -142,7 +139,15 @@ impl LogReader {
     ) -> Result<(State, Vec<u32>), LogError> {
         let path: PathBuf = stream.path().into();
         let initial = loop {
-            let Some(message) = stream.next_message()? else { return Err(LogError::NoInitialState { path }) };
+            let Some(message) = stream.next_message()? else {
+                // A log of the timing lane, for one.
+                let is_whole = stream.ending().is_complete();
+                return Err(if is_whole {
+                    LogError::NoStates { path }
+                } else {
+                    LogError::NoInitialState { path }
+                });
+            };
             if message.topic == topics::LATCHED {
                 return Err(gap(&path, topics::STATE, 0, "a command comes first"));
             }
@@ -420,7 +425,7 @@ pub fn voxels_of(header: &LogHeader) -> u64 {
         .volume_dimensions
         .iter()
         .fold(1_u64, |count, n| count.saturating_mul(u64::from(*n)))
-        .min(MAX_VOXELS)
+        .min(voxel_grid::MAX_VOXELS as u64)
 }
 
 /// The voxel indices behind a `Removed`.

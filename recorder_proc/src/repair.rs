@@ -147,15 +147,16 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
     let mut rewriter = Rewriter::create(output, Packing::RECORDED)?;
     rewriter.declare(std::mem::take(&mut survey.declared));
     write_repaired(open()?, input, &survey, &mut rewriter)?;
-    rewriter.finish()?.keep()?;
+    let repaired = rewriter.finish()?;
     let mut report = survey.report;
     report.before = report.verdict_before(verdict(input, options));
-    report.after = verdict(output, options)?;
     // As the result reads, not as it should.
-    if let Ok(mut reader) = LogReader::open_with(output, options) {
+    report.after = verdict(&repaired.draft(), options)?;
+    if let Ok(mut reader) = LogReader::open_with(&repaired.draft(), options) {
         let complete = reader.by_ref().take_while(Result::is_ok).count() as u64;
         report.complete_tick = Some(complete);
     }
+    repaired.keep()?;
     Ok(report)
 }
 

@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 use mcap::records::{Channel, MessageHeader, Metadata, SchemaHeader, op};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
+use output_file::{OutputFile, WholeFile};
 
 use crate::error::LogError;
 use crate::index::Summary;
 use crate::limits::Declared;
-use crate::new_file::NewFile;
 use crate::records::Attached;
 use crate::sink::{LIBRARY, PROFILE};
 use crate::walk::Piece;
@@ -45,7 +45,7 @@ impl Packing {
 /// A new file made of others' records.
 pub(crate) struct Rewriter {
     writer: Writer<NoSeek<BufWriter<File>>>,
-    made: NewFile,
+    file: OutputFile,
     path: PathBuf,
     /// New identifiers of the present source's schemas and channels.
     schemas: BTreeMap<u16, u16>,
@@ -65,16 +65,16 @@ impl Rewriter {
     /// # Errors
     /// [`LogError::Exists`], [`LogError::Create`], or the header cannot be written.
     pub fn create(path: &Path, packing: Packing) -> Result<Rewriter, LogError> {
-        let (file, made) = NewFile::create(path)?;
+        let file = OutputFile::create(path)?;
         let (compression, level) = packing.compression();
         // Chunks end where we say, and the bytes depend on nothing but the calls.
         let options =
             WriteOptions::new().library(LIBRARY).profile(PROFILE).chunk_size(None).disable_seeking(true);
         let options = options.compression(compression).compression_level(level).compression_threads(0);
-        let writer = options.create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)));
+        let writer = options.create(NoSeek::new(BufWriter::with_capacity(1 << 20, file.handle()?)));
         Ok(Rewriter {
             writer: writer.map_err(|error| encode_error(path, error))?,
-            made,
+            file,
             path: path.into(),
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
@@ -178,13 +178,13 @@ impl Rewriter {
         self.with(|writer| writer.write_to_known_channel(&header, data))
     }
 
-    /// Writes the index and the footer. The file is the caller's to keep.
-    pub fn finish(mut self) -> Result<NewFile, LogError> {
+    /// Writes the index and the footer. The file is the caller's to read and to keep.
+    pub fn finish(mut self) -> Result<WholeFile, LogError> {
         self.with(|writer| writer.finish().map(|_| ()))?;
-        let mut file = self.writer.into_inner().into_inner();
-        let flushed = std::io::Write::flush(&mut file);
+        let mut written = self.writer.into_inner().into_inner();
+        let flushed = std::io::Write::flush(&mut written);
         flushed.map_err(|source| LogError::Write { path: self.path, source })?;
-        Ok(self.made)
+        Ok(self.file.finish()?)
     }
 }
 

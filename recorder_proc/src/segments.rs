@@ -12,7 +12,8 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{Keyframe, State};
+use ipc_types::messages::{Keyframe, Plant, State};
+use ipc_types::services::MAX_KEYFRAME_BYTES;
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare};
@@ -20,7 +21,7 @@ use crate::end::Ending;
 use crate::error::LogError;
 use crate::reader::{LogReader, SavedState, TickRecord};
 use crate::topics;
-use crate::verify::{ReplayReport, Resumable, compare_state, compare_tick};
+use crate::verify::{ReplayReport, compare_state, compare_tick};
 
 /// Ticks that are handed over at once.
 const BLOCK_TICKS: usize = 64;
@@ -131,7 +132,7 @@ enum Problem {
 /// Replays a log from its start or a keyframe, on several threads, and compares hash, every byte of the state and the
 /// removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene; each
 /// thread has its own.
-pub fn verify_segments<S: Resumable>(
+pub fn verify_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),
     options: &SegmentOptions,
@@ -235,7 +236,7 @@ fn feed(
 }
 
 /// Replays segments until there are no more.
-fn work<S: Resumable>(
+fn work<S: Plant>(
     make: &impl Fn() -> Result<S, String>,
     segments: &Mutex<Receiver<Segment>>,
     bound: &AtomicU64,
@@ -298,12 +299,12 @@ impl Outcome {
         }
     }
 
-    fn replay<S: Resumable>(&mut self, simulation: &mut S, segment: Segment) {
+    fn replay<S: Plant>(&mut self, simulation: &mut S, segment: Segment) {
         let Segment { start, blocks } = segment;
-        let resumed = start.keyframe.map_or(Ok(()), |saved| simulation.resume(&saved.bytes));
+        let resumed = start.keyframe.map_or(Ok(()), |saved| simulation.restore_keyframe(&saved.bytes));
         self.problem = match resumed {
             Ok(()) => compare_state(&start.state, simulation.state()).map(Problem::Differs),
-            Err(cause) => Some(Problem::Cannot(self.start_tick, cause)),
+            Err(cause) => Some(Problem::Cannot(self.start_tick, cause.to_string())),
         };
         while self.problem.is_none() {
             let Ok(block) = blocks.recv() else { return };
@@ -314,9 +315,9 @@ impl Outcome {
         }
     }
 
-    fn tick<S: Resumable>(&mut self, simulation: &mut S, recorded: &TickRecord) -> Option<Problem> {
+    fn tick<S: Plant>(&mut self, simulation: &mut S, recorded: &TickRecord) -> Option<Problem> {
         if let Err(cause) = simulation.step(&recorded.latched) {
-            return Some(Problem::Cannot(recorded.state.tick, cause));
+            return Some(Problem::Cannot(recorded.state.tick, cause.to_string()));
         }
         if let Some(divergence) = compare_tick(recorded, simulation) {
             return Some(Problem::Differs(divergence));
@@ -327,10 +328,12 @@ impl Outcome {
         None
     }
 
-    fn keyframe<S: Resumable>(&mut self, simulation: &mut S, recorded: &SavedState) -> Option<Problem> {
-        match simulation.save() {
-            Err(cause) => Some(Problem::Cannot(recorded.tick, cause)),
-            Ok(bytes) => {
+    fn keyframe<S: Plant>(&mut self, simulation: &mut S, recorded: &SavedState) -> Option<Problem> {
+        let mut buffer = vec![0; MAX_KEYFRAME_BYTES];
+        match simulation.write_keyframe(&mut buffer) {
+            Err(cause) => Some(Problem::Cannot(recorded.tick, cause.to_string())),
+            Ok(length) => {
+                let bytes = buffer[..length].to_vec();
                 let replayed =
                     SavedState { tick: simulation.state().tick, hash: simulation.state().hash, bytes };
                 self.keyframes += u64::from(replayed == *recorded);

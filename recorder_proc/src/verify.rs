@@ -1,7 +1,7 @@
 //! Replay: steps a simulation through a log's latched commands and compares every tick.
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{Latched, State};
+use ipc_types::messages::{Plant, State};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare, compare_removed};
@@ -9,34 +9,6 @@ use crate::end::Ending;
 use crate::error::LogError;
 use crate::reader::{LogReader, TickRecord};
 use crate::topics;
-
-/// What a log can be replayed through: the physics, built from the log's scene.
-pub trait Simulation {
-    /// The present state with its chained hash; before the first step, the initial one.
-    fn state(&self) -> &State;
-    /// Makes one tick; `latched.reset` sets the simulation back first, but for the tick count and the hash.
-    ///
-    /// # Errors
-    /// What keeps it from making the tick, for people: the recorded run made it.
-    fn step(&mut self, latched: &Latched) -> Result<(), String>;
-    /// Voxels that the last step drilled away, in the order of the physics; not those that a reset put back or removed
-    /// again.
-    fn removed(&self) -> &[u32];
-}
-
-/// A simulation that a keyframe can be made of, and that can begin at one.
-pub trait Resumable: Simulation {
-    /// The present state's keyframe.
-    ///
-    /// # Errors
-    /// Why there is none, for people.
-    fn save(&mut self) -> Result<Vec<u8>, String>;
-    /// Goes to a keyframe.
-    ///
-    /// # Errors
-    /// Why it cannot, for people; the simulation is not to be used any more.
-    fn resume(&mut self, keyframe: &[u8]) -> Result<(), String>;
-}
 
 /// How far to replay.
 #[derive(Debug, Clone, Copy, Default)]
@@ -75,11 +47,7 @@ impl ReplayReport {
 
 /// Replays a log and compares hash, every byte of the state, and the removed voxels at every tick, up to the first
 /// difference. Measures no time: the caller does.
-pub fn verify(
-    reader: &mut LogReader,
-    simulation: &mut impl Simulation,
-    options: VerifyOptions,
-) -> ReplayReport {
+pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: VerifyOptions) -> ReplayReport {
     let mut report = ReplayReport {
         identical_ticks: 0,
         last_tick: 0,
@@ -102,7 +70,7 @@ pub fn verify(
             }
             Some(Ok(tick)) => {
                 if let Err(cause) = simulation.step(&tick.latched) {
-                    report.simulation_error = Some((tick.state.tick, cause));
+                    report.simulation_error = Some((tick.state.tick, cause.to_string()));
                     break;
                 }
                 report.divergence = compare_tick(&tick, simulation);
@@ -119,7 +87,7 @@ pub fn verify(
 }
 
 /// Where a simulation's last tick differs from the recorded one.
-pub fn compare_tick(recorded: &TickRecord, replayed: &impl Simulation) -> Option<Divergence> {
+pub fn compare_tick(recorded: &TickRecord, replayed: &impl Plant) -> Option<Divergence> {
     compare_state(&recorded.state, replayed.state())
         .or_else(|| compare_removed(recorded.state.tick, &recorded.removed, replayed.removed()))
 }

@@ -159,7 +159,7 @@ fn removals_that_no_volume_can_hold_are_refused() {
     refused(&log([4, 4, 4], 1000, 0), "removals of 66 voxels in a tick, the volume has 64");
     // As many as it has are none too many.
     let error = open_bytes(&log([100, 10, 3], 5, 600)).err().unwrap();
-    assert!(matches!(error, LogError::NoInitialState { .. }), "{error}");
+    assert!(matches!(error, LogError::NoStates { .. }), "{error}");
 }
 
 #[test]

@@ -46,7 +46,9 @@ fn the_first_difference_is_named_with_its_bits() {
 /// A simulation that computes the right state and reports the wrong voxels.
 struct WrongVoxels(Toy);
 
-impl Simulation for WrongVoxels {
+impl Plant for WrongVoxels {
+    type Error = String;
+
     fn state(&self) -> &State {
         self.0.state()
     }
@@ -59,6 +61,18 @@ impl Simulation for WrongVoxels {
     }
     fn removed(&self) -> &[u32] {
         self.0.removed()
+    }
+    fn predrilled(&self) -> &[u32] {
+        self.0.predrilled()
+    }
+    fn refusals(&self) -> &[Refusal] {
+        self.0.refusals()
+    }
+    fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, String> {
+        self.0.write_keyframe(buffer)
+    }
+    fn restore_keyframe(&mut self, keyframe: &[u8]) -> Result<(), String> {
+        self.0.restore_keyframe(keyframe)
     }
 }
 

@@ -1,10 +1,10 @@
 //! Instructions of a physics step, counted by valgrind: a figure that no other program's load changes.
 
-use std::path::Path;
 use std::process::Command;
 
 use super::failed;
 use crate::failure::Failure;
+use crate::scenes::SceneSource;
 
 /// Only what this function calls is counted: [`super::step`] calls it around every step.
 const COUNTED: &str = "*one_step*";
@@ -13,7 +13,7 @@ const COUNTED: &str = "*one_step*";
 ///
 /// # Errors
 /// No valgrind on the path, or it fails.
-pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
     let program = std::env::current_exe().map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
     let mut valgrind = Command::new("valgrind");
@@ -22,7 +22,7 @@ pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
         .arg(format!("--callgrind-out-file={}", folder.path().join("callgrind.out").display()))
         .arg(program)
         .args(["bench", "step"])
-        .arg(scene)
+        .args(scene.argument())
         .arg("--in-process");
     if let Some(ticks) = ticks {
         valgrind.args(["--ticks", &ticks.to_string()]);

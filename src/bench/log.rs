@@ -5,9 +5,8 @@ use std::time::Instant;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
-use physics_proc::process::ct_geometry;
-use physics_proc::simulation::{CtView, Simulation};
 use recorder_proc::{LogReader, SegmentOptions, verify_segments};
+use simulation::{CtView, Simulation, ct_geometry};
 
 use super::machine::Machine;
 use super::{complete_run, cut, failed, row};
@@ -16,13 +15,14 @@ use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::replay::{OpenedLog, Overrides};
+use crate::scenes::SceneSource;
 
 /// Records the scene in lockstep to its end, or for `ticks`, and replays the log without frames.
 ///
 /// # Errors
 /// A scene that is not one (2); a run that fails.
-pub fn run(scene: &Path, ticks: Option<u64>) -> Result<(), Failure> {
-    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
     cut(&mut scene, ticks);
     let end = EndRequest::install().map_err(failed)?;
@@ -70,7 +70,7 @@ pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let began = Instant::now();
     let options = SegmentOptions { start: None, to_tick: None, threads };
-    let report = verify_segments(&mut opened.reader()?, &|| opened.world(), &options);
+    let report = verify_segments(&mut opened.reader()?, &|| opened.simulation(), &options);
     let found = report.replay;
     if let Some(gap) = report.gaps.first() {
         return Err(Failure::failed(format!("{}: {gap}", log.display())));

@@ -5,7 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Scene, Volume as SceneVolume};
+use ipc_types::scene::Volume as SceneVolume;
 use ipc_types::session::SessionId;
 use volume_io::Volume;
 use zerocopy::IntoBytes;
@@ -17,6 +17,7 @@ use crate::launcher::part::Memory;
 use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source;
 use crate::launcher::volume_source::VolumeFiles;
+use crate::scenes::SceneSource;
 
 /// Bytes of a mebibyte.
 const MEBIBYTE: f64 = 1_048_576.0;
@@ -37,8 +38,8 @@ pub fn parse_dimensions(text: &str) -> Result<[usize; 3], String> {
 ///
 /// # Errors
 /// A scene that is not one, or without a volume (2); a run that fails.
-pub fn run(scene: &Path, dimensions: [usize; 3], ticks: u64) -> Result<(), Failure> {
-    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+pub fn run(scene: &SceneSource, dimensions: [usize; 3], ticks: u64) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
     cut(&mut scene, Some(ticks));
     let folder = tempfile::tempdir().map_err(failed)?;
     let file = folder.path().join("large.nrrd");

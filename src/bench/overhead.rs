@@ -1,7 +1,5 @@
 //! The hub's own overhead: a lockstep tick over processes less its physics step, beside a bare ping-pong in turn.
 
-use std::path::Path;
-
 use ipc_types::messages::TickTiming;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
@@ -13,6 +11,7 @@ use super::{complete_run, failed, row};
 use crate::failure::Failure;
 use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source::VolumeFiles;
+use crate::scenes::SceneSource;
 
 /// Where the time of lockstep ticks goes.
 #[derive(Debug, Default)]
@@ -57,8 +56,8 @@ impl Ticks {
 ///
 /// # Errors
 /// A scene that is not one (2); a run that fails.
-pub fn run(scene: &Path, ticks: u64, rounds: usize) -> Result<(), Failure> {
-    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+pub fn run(scene: &SceneSource, ticks: u64, rounds: usize) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
     scene.run.duration_s = ticks as f64 * scene.dt_s();
     let end = EndRequest::install().map_err(failed)?;

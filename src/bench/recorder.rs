@@ -13,6 +13,7 @@ use crate::failure::Failure;
 use crate::launcher::hub::View;
 use crate::launcher::run::RunPlan;
 use crate::launcher::volume_source::VolumeFiles;
+use crate::scenes::SceneSource;
 
 /// The physics' figures of runs of one kind.
 #[derive(Debug, Default)]
@@ -48,13 +49,13 @@ impl Physics {
 ///
 /// # Errors
 /// A scene that is not one (2); a run that fails.
-pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failure> {
     let recorded = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         let folder = tempfile::tempdir_in(".").map_err(failed)?;
         one(scene, Some(folder.path()), None, end, with)?;
         Ok(std::fs::metadata(folder.path().join("run.mcap")).map_err(failed)?.len())
     };
-    let scene = Scene::load(scene).map_err(Failure::bad_input)?;
+    let scene = scene.load()?;
     in_turn("a recorder", [scene.clone(), scene], seconds, rounds, recorded, |bytes| {
         let megabytes = bytes * 1e-6;
         row("run.mcap", &format!("{megabytes:.1} MB a run, {:.2} MB/s", megabytes / seconds));

@@ -17,6 +17,7 @@ use crate::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene
 use crate::launcher::volume_source::VolumeFiles;
 use crate::output::{refuse_existing, within};
 use crate::report::{self, Summary};
+use crate::scenes::SceneSource;
 
 /// Bytes of a mebibyte.
 const MEBIBYTE: f64 = 1_048_576.0;
@@ -39,8 +40,13 @@ const FLAT_BYTES: f64 = MEBIBYTE;
 /// # Errors
 /// A scene that is not one (2); a run that fails; a log that is not whole, or lost messages, or replays differently;
 /// Ctrl-C (130).
-pub fn run(scene: &Path, minutes: f64, policy: Option<Policy>, output: Option<&Path>) -> Result<(), Failure> {
-    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+pub fn run(
+    scene: &SceneSource,
+    minutes: f64,
+    policy: Option<Policy>,
+    output: Option<&Path>,
+) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
     if let Some(folder) = output {
         refuse_existing(&within(folder, &["run.mcap", "timing.mcap", "summary.json"]))?;
     }
@@ -65,14 +71,15 @@ pub fn run(scene: &Path, minutes: f64, policy: Option<Policy>, output: Option<&P
     let mut watch = Watch::new(minutes, plan.scene.run.policy);
     let result = run_scene(&plan, &end, |glance| watch.look(glance)).map_err(failed)?;
     let facts = result.facts(String::new());
-    let summary = report::write(folder, &facts).map_err(failed)?;
+    let report::Report { summary, missing } = report::write(folder, &facts)?;
     say!("scene {}, {minutes} minutes in real time, recorded; {}", plan.scene.name, facts.outcome);
     slowed.iter().for_each(|line| say!("{line}"));
     say!();
     print_run(&result, &summary);
     let grown = print_memory(&watch.growth);
     machine.print();
-    let problems = check(&plan.scene, folder, &result)?;
+    let mut problems = check(&plan.scene, folder, &result)?;
+    problems.extend(missing.iter().map(ToString::to_string));
     match (&result.outcome, problems.first().or(grown.first())) {
         (_, Some(problem)) => Err(Failure::failed(problem)),
         (Outcome::Interrupted, None) => {

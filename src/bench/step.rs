@@ -1,6 +1,5 @@
 //! Physics step and DRR of a scene in one process, driven by the scene's own controllers: no other process, no log.
 
-use std::path::Path;
 use std::time::Instant;
 
 use controller_proc::{Controller, built_in};
@@ -8,12 +7,11 @@ use drr_proc::process::{
     Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view,
 };
 use drr_proc::{CArm, DrrRenderer, VolumeView};
-use ipc_types::messages::{Command, Latched, State, Volume as VolumeMessage};
+use hub::in_process::{Answer, InProcess};
+use ipc_types::messages::{Latched, State, Volume as VolumeMessage};
 use ipc_types::scene::{Drr, Mode, Notch, Scene};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
-use physics_proc::latch::Latch;
-use physics_proc::process::ct_geometry;
-use physics_proc::simulation::{CtView, Simulation};
+use simulation::{CtView, Simulation, ct_geometry};
 use zerocopy::IntoBytes;
 
 use super::machine::Machine;
@@ -21,6 +19,7 @@ use super::samples::Samples;
 use super::{cut, failed, row};
 use crate::failure::Failure;
 use crate::launcher::volume_source;
+use crate::scenes::SceneSource;
 
 /// Frames from a C-arm that has moved, at the end.
 const FULL_FRAMES: usize = 9;
@@ -30,8 +29,8 @@ const FULL_FRAMES: usize = 9;
 ///
 /// # Errors
 /// A scene that is not one, or whose controllers are not built in (2).
-pub fn run(scene: &Path, ticks: Option<u64>, rounds: usize) -> Result<(), Failure> {
-    let mut scene = Scene::load(scene).map_err(Failure::bad_input)?;
+pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
     cut(&mut scene, ticks);
     let volume =
@@ -47,7 +46,7 @@ pub fn run(scene: &Path, ticks: Option<u64>, rounds: usize) -> Result<(), Failur
             _ => None,
         };
         Ok(Bench {
-            simulation,
+            run: InProcess::new(&scene, simulation),
             x_ray,
             steps: Samples::default(),
             keyframes: Samples::default(),
@@ -71,7 +70,7 @@ pub fn run(scene: &Path, ticks: Option<u64>, rounds: usize) -> Result<(), Failur
     }
     row(&format!("keyframe, {} bytes at the end", bench.keyframe_bytes), &bench.keyframes.line());
     if let Some(mut x_ray) = bench.x_ray.take() {
-        x_ray.render_from_elsewhere(bench.simulation.state())?;
+        x_ray.render_from_elsewhere(bench.run.plant().state())?;
         let what =
             format!("{} x {} pixels, {} threads", x_ray.c_arm.columns, x_ray.c_arm.rows, x_ray.threads);
         row(&format!("DRR, full ({what})"), &x_ray.full.line());
@@ -82,7 +81,7 @@ pub fn run(scene: &Path, ticks: Option<u64>, rounds: usize) -> Result<(), Failur
 }
 
 struct Bench<'v> {
-    simulation: Simulation<'v>,
+    run: InProcess<Simulation<'v>>,
     x_ray: Option<XRay<'v>>,
     steps: Samples,
     keyframes: Samples,
@@ -93,24 +92,23 @@ struct Bench<'v> {
 impl Bench<'_> {
     fn play(&mut self, scene: &Scene) -> Result<(), Failure> {
         let mut controllers = controllers(scene)?;
-        let mut latch = Latch::new(scene);
         let period = scene.frame_period_ticks();
         for tick in 0..scene.tick_count() {
             if let Some(x_ray) = &mut self.x_ray {
-                x_ray.see(self.simulation.state(), self.simulation.removed(), period, &mut controllers)?;
+                let plant = self.run.plant();
+                x_ray.see(plant.state(), plant.removed(), period, &mut controllers)?;
             }
-            for (index, controller) in controllers.iter_mut().enumerate() {
-                let mut command = Command { sequence: tick + 1, state_tick: tick, ..Command::zeroed() };
-                controller.step(self.simulation.state(), &mut command);
-                latch.offer(index, &command, tick).map_err(failed)?;
-            }
-            let latched = latch.latch(tick, false);
+            let latched = self.run.latch(|index, state, command| {
+                controllers[index].step(state, command);
+                Answer::Command
+            });
+            let latched = latched.map_err(failed)?;
             let began = Instant::now();
-            one_step(&mut self.simulation, &latched)?;
+            one_step(&mut self.run, &latched)?;
             self.steps.add(began.elapsed().as_nanos() as u64);
             if scene.keyframe_period_ticks().is_some_and(|period| (tick + 1).is_multiple_of(period)) {
                 let began = Instant::now();
-                self.keyframe_bytes = self.simulation.write_keyframe(&mut self.keyframe).map_err(failed)?;
+                self.keyframe_bytes = self.run.plant().write_keyframe(&mut self.keyframe).map_err(failed)?;
                 self.keyframes.add(began.elapsed().as_nanos() as u64);
             }
         }
@@ -120,8 +118,8 @@ impl Bench<'_> {
 
 /// What is timed, and what a profiler counts ([`super::instructions`]).
 #[inline(never)]
-fn one_step(simulation: &mut Simulation, latched: &Latched) -> Result<(), Failure> {
-    simulation.step(latched).map_err(failed)
+fn one_step(run: &mut InProcess<Simulation>, latched: &Latched) -> Result<(), Failure> {
+    run.step(latched).map_err(failed)
 }
 
 fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {

@@ -3,7 +3,6 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -14,12 +13,13 @@ use super::recorder::{Physics, in_turn, one};
 use super::{failed, row};
 use crate::failure::Failure;
 use crate::launcher::hub::View;
+use crate::scenes::SceneSource;
 
 /// Runs the scene in real time for `seconds`, `rounds` times without and with a viewer in turn.
 ///
 /// # Errors
 /// A scene that is not one (2); a run that fails.
-pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
+pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failure> {
     let viewed = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         // A port that was free a moment ago.
         let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).map_err(failed)?.port();
@@ -32,7 +32,7 @@ pub fn run(scene: &Path, seconds: f64, rounds: usize) -> Result<(), Failure> {
             made.map(|_| taken)
         })
     };
-    let scene = Scene::load(scene).map_err(Failure::bad_input)?;
+    let scene = scene.load()?;
     in_turn("a viewer", [scene.clone(), scene], seconds, rounds, viewed, |bytes| {
         row("taken by the viewer's client", &format!("{:.1} MB a run", bytes * 1e-6));
     })

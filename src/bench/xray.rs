@@ -1,21 +1,20 @@
 //! What X-ray frames cost the physics: the same run in real time without and with them, in turn.
 
-use std::path::Path;
-
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Feedback, Scene};
 
 use super::recorder::{Physics, in_turn, one};
 use super::row;
 use crate::failure::Failure;
+use crate::scenes::SceneSource;
 
 /// Runs the scene in real time for `seconds`, `rounds` times without and with its X-ray in turn, at `rate_hz` frames a second if
 /// that is given. A controller that steers by the frames steers by the measured shape in all runs: without frames it could not.
 ///
 /// # Errors
 /// A scene that is not one or that has no X-ray (2); a run that fails.
-pub fn run(scene: &Path, seconds: f64, rounds: usize, rate_hz: Option<f64>) -> Result<(), Failure> {
-    let mut with = Scene::load(scene).map_err(Failure::bad_input)?;
+pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, rate_hz: Option<f64>) -> Result<(), Failure> {
+    let mut with = scene.load()?;
     for drilling in with.controller.iter_mut().filter_map(|controller| controller.curved_drilling.as_mut()) {
         if drilling.feedback == Feedback::Image {
             drilling.feedback = Feedback::Shape;

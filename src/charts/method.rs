@@ -3,8 +3,8 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use nalgebra::Vector3;
-use physics_proc::baselines::{ProxyDrive, ProxyTool, RapierChain, RapierJoints, Wall, explicit_chain};
-use physics_proc::manipulator::{
+use simulation::baselines::{ProxyDrive, ProxyTool, RapierChain, RapierJoints, Wall, explicit_chain};
+use simulation::manipulator::{
     AnyManipulator, BaseMotion, Integrator, ManipulatorError, ManipulatorModel, ManipulatorParameters, Rung,
     SpatialChain, StepInput, TendonCommand, Wrench,
 };
@@ -80,7 +80,7 @@ enum Model {
 pub struct Tool {
     model: Model,
     walls: Vec<Wall>,
-    planes: Vec<physics_proc::contact_plane::ContactPlane>,
+    planes: Vec<simulation::contact_plane::ContactPlane>,
     lost: bool,
 }
 

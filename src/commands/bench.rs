@@ -5,20 +5,20 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use ipc_types::scene::Policy;
 
-use super::run::{DEFAULT_SCENE, PolicyArgument};
+use super::run::PolicyArgument;
 use crate::bench::ping_pong::Wait;
 use crate::bench::{
     drr, instructions, latency, log, memory, overhead, ping_pong, readings, recorder, soak, step, viewer,
     xray,
 };
 use crate::failure::Failure;
+use crate::scenes::{BuiltIn, SceneSource};
 
 /// A scene in real time, without and with something in turn.
 #[derive(Debug, Args)]
 pub struct InTurn {
-    /// Scene.
-    #[arg(default_value = DEFAULT_SCENE)]
-    scene: PathBuf,
+    /// Scene; without one, the femur inside the program.
+    scene: Option<PathBuf>,
     /// Seconds of a run, 1 to 3600.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
@@ -29,9 +29,9 @@ pub struct InTurn {
 
 impl InTurn {
     /// The three, checked.
-    fn checked(&self) -> Result<(&Path, f64, usize), Failure> {
+    fn checked(&self) -> Result<(SceneSource, f64, usize), Failure> {
         in_range("--seconds", self.seconds, 1.0, 3600.0)?;
-        Ok((&self.scene, self.seconds, self.rounds as usize))
+        Ok((femur_or(self.scene.as_deref()), self.seconds, self.rounds as usize))
     }
 }
 
@@ -40,9 +40,8 @@ impl InTurn {
 pub enum BenchCommand {
     /// The hub's own time of a lockstep tick over processes, beside a bare ping-pong.
     Overhead {
-        /// Scene; it runs in lockstep and is not recorded.
-        #[arg(default_value = "configs/free_space.toml")]
-        scene: PathBuf,
+        /// Scene; it runs in lockstep and is not recorded. Without one, the free space inside the program.
+        scene: Option<PathBuf>,
         /// Ticks of a round, 100 to 1000000.
         #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
         ticks: u64,
@@ -52,9 +51,8 @@ pub enum BenchCommand {
     },
     /// Physics step and DRR in one process; then a recorded lockstep run: log size, and speed of its replay.
     Step {
-        /// Scene whose controllers are all built in.
-        #[arg(default_value = DEFAULT_SCENE)]
-        scene: PathBuf,
+        /// Scene whose controllers are all built in; without one, the femur inside the program.
+        scene: Option<PathBuf>,
         /// Ticks at most.
         #[arg(long)]
         ticks: Option<u64>,
@@ -70,9 +68,8 @@ pub enum BenchCommand {
     },
     /// Memory of each process with a large volume.
     Memory {
-        /// Scene; its volume is resampled to the dimensions.
-        #[arg(default_value = DEFAULT_SCENE)]
-        scene: PathBuf,
+        /// Scene; its volume is resampled to the dimensions. Without one, the femur inside the program.
+        scene: Option<PathBuf>,
         /// Voxels along i, j, k.
         #[arg(long, default_value = "512x512x400", value_parser = memory::parse_dimensions)]
         dimensions: [usize; 3],
@@ -137,9 +134,8 @@ pub enum BenchCommand {
     },
     /// A long run in real time with frames: misses by cause, memory of each process over time, log verified by replay.
     Soak {
-        /// Scene; a feed is slowed so that it drills all the time.
-        #[arg(default_value = DEFAULT_SCENE)]
-        scene: PathBuf,
+        /// Scene; a feed is slowed so that it drills all the time. Without one, the femur inside the program.
+        scene: Option<PathBuf>,
         /// Minutes, up to 60.
         #[arg(long, default_value_t = 10.0)]
         minutes: f64,
@@ -171,17 +167,25 @@ pub enum BenchCommand {
 /// A scene that is not one (2); a run that fails (1).
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     match command {
-        BenchCommand::Overhead { scene, ticks, rounds } => overhead::run(scene, *ticks, *rounds as usize),
-        BenchCommand::Step { scene, ticks, instructions: true, .. } => instructions::run(scene, *ticks),
+        BenchCommand::Overhead { scene, ticks, rounds } => {
+            let scene = SceneSource::new(scene.as_deref(), BuiltIn::FreeSpace);
+            overhead::run(&scene, *ticks, *rounds as usize)
+        }
+        BenchCommand::Step { scene, ticks, instructions: true, .. } => {
+            instructions::run(&femur_or(scene.as_deref()), *ticks)
+        }
         BenchCommand::Step { scene, ticks, in_process, rounds, .. } => {
-            step::run(scene, *ticks, *rounds as usize)?;
+            let scene = femur_or(scene.as_deref());
+            step::run(&scene, *ticks, *rounds as usize)?;
             if *in_process {
                 return Ok(());
             }
             say!();
-            log::run(scene, *ticks)
+            log::run(&scene, *ticks)
         }
-        BenchCommand::Memory { scene, dimensions, ticks } => memory::run(scene, *dimensions, *ticks),
+        BenchCommand::Memory { scene, dimensions, ticks } => {
+            memory::run(&femur_or(scene.as_deref()), *dimensions, *ticks)
+        }
         BenchCommand::Drr { dimensions, rounds } => drr::run(*dimensions, *rounds as usize),
         BenchCommand::Latency { rounds, turns, python } => {
             latency::run(*rounds as usize, *turns as usize, python.clone())
@@ -193,25 +197,30 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         }
         BenchCommand::Recorder(plan) => {
             let (scene, seconds, rounds) = plan.checked()?;
-            recorder::run(scene, seconds, rounds)
+            recorder::run(&scene, seconds, rounds)
         }
         BenchCommand::Viewer(plan) => {
             let (scene, seconds, rounds) = plan.checked()?;
-            viewer::run(scene, seconds, rounds)
+            viewer::run(&scene, seconds, rounds)
         }
         BenchCommand::Xray { in_turn, rate_hz } => {
             let (scene, seconds, rounds) = in_turn.checked()?;
             if let Some(rate_hz) = rate_hz {
                 in_range("--rate-hz", *rate_hz, 1.0, 200.0)?;
             }
-            xray::run(scene, seconds, rounds, *rate_hz)
+            xray::run(&scene, seconds, rounds, *rate_hz)
         }
         BenchCommand::Soak { scene, minutes, policy, output } => {
             in_range("--minutes", *minutes, 0.05, 60.0)?;
-            soak::run(scene, *minutes, policy.map(Policy::from), output.as_deref())
+            let scene = femur_or(scene.as_deref());
+            soak::run(&scene, *minutes, policy.map(Policy::from), output.as_deref())
         }
         BenchCommand::Pong { session, wait, rounds } => ping_pong::answer(session, *wait, *rounds),
     }
+}
+
+fn femur_or(scene: Option<&Path>) -> SceneSource {
+    SceneSource::new(scene, BuiltIn::Femur)
 }
 
 fn in_range(option: &str, value: f64, lowest: f64, highest: f64) -> Result<(), Failure> {

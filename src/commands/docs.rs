@@ -1,15 +1,14 @@
 //! `trabecula docs`: what the declarations of messages, scenes and commands say.
 
-use std::io::{ErrorKind, Write, stdout};
-
 use clap::{CommandFactory, Subcommand};
 use clap_complete::Shell;
 use ipc_types::reference::{every_message, message_reference};
-use ipc_types::scene_reference::scene_reference;
+use ipc_types::scene::reference::scene_reference;
 use recorder_proc::topics::schema_of;
 
 use crate::Arguments;
 use crate::failure::Failure;
+use crate::say;
 
 /// What to print.
 #[derive(Debug, Subcommand)]
@@ -44,13 +43,8 @@ pub fn run(command: &DocsCommand) -> Result<(), Failure> {
         DocsCommand::Completions { shell } => completions(*shell),
         DocsCommand::Man => man_page()?,
     };
-    match stdout().write_all(text.as_bytes()) {
-        // A reader that has had enough (`| head`) is no failure.
-        Err(cause) if cause.kind() != ErrorKind::BrokenPipe => {
-            Err(Failure::failed(format!("standard output: {cause}")))
-        }
-        _ => Ok(()),
-    }
+    say::verbatim(&text);
+    Ok(())
 }
 
 fn completions(shell: Shell) -> String {

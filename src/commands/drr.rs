@@ -12,7 +12,7 @@ use volume_io::Volume;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
-use crate::output::{refuse_existing, write_new};
+use crate::output::refuse_existing;
 use crate::x_ray::files::{Picture, write_dicom, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Placed, Pose};
 
@@ -124,7 +124,7 @@ enum Kind {
 /// Runs the command.
 ///
 /// # Errors
-/// A volume, pose or option that is not one (2, and nothing is written); a file that cannot be written (1).
+/// A volume, pose or option that is not one, a folder that takes no file (2, and nothing is written); a full disk (1).
 pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let kind = kind_of(&arguments.output)?;
     let poses = all_poses(arguments)?;
@@ -138,14 +138,14 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     };
     refuse_existing(&paths)?;
     let files = arguments.volume_files.allowed();
-    let (volume, _) = volume_io::read_where(&arguments.volume, files).map_err(Failure::bad_input)?;
+    let (volume, _) = volume_io::read_where(&arguments.volume, files)?;
     let placed = place(&poses, &volume)?;
     let sides: Vec<(u32, u32)> = placed.iter().map(|p| (p.c_arm.columns, p.c_arm.rows)).collect();
     if arguments.animate && sides.iter().any(|side| *side != sides[0]) {
         return Err(Failure::bad_input("--animate: the poses differ in columns or rows; expected one size"));
     }
-    let grid = Grid::new(volume.dims, volume.spacing_m, volume.origin_m, volume.direction);
-    let view = VolumeView::new(grid.map_err(Failure::bad_input)?, &volume.hu).map_err(Failure::bad_input)?;
+    let grid = Grid::from(volume.grid(&arguments.volume)?);
+    let view = VolumeView::new(grid, &volume.hu).map_err(Failure::bad_input)?;
     let mut renderer = DrrRenderer::new(&view, parameters(arguments)).map_err(Failure::bad_input)?;
     let linear = matches!(arguments.display, DisplayName::Linear);
     let mut animation = Vec::new();
@@ -159,14 +159,14 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
             continue;
         }
         let path = &paths[number];
-        write_new(&[path], || match kind {
+        match kind {
             Kind::Png => write_png(path, std::slice::from_ref(&picture)),
             Kind::Nrrd => write_nrrd(path, &picture),
             Kind::Dicom => write_dicom(path, &picture),
-        })?;
+        }?;
     }
     if arguments.animate {
-        write_new(&paths, || write_png(&arguments.output, &animation))?;
+        write_png(&arguments.output, &animation)?;
     }
     let (count, output) = (placed.len(), arguments.output.display());
     say!("{output}: {count} frame(s), the slowest took {slowest_ms:.1} ms");

@@ -9,6 +9,7 @@ use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
 use crate::plan::{self, check, resolve};
 use crate::replay::Overrides;
+use crate::scenes::SceneSource;
 
 /// Arguments of `plan`.
 #[derive(Debug, Args)]
@@ -57,15 +58,14 @@ pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
 ///
 /// # Errors
 /// Bad input: the scene, or a tolerance that nothing keeps.
-pub fn load(file: &Path) -> Result<(Scene, Option<String>), Failure> {
-    let mut scene = Scene::load(file).map_err(Failure::bad_input)?;
-    let text = ipc_types::text_file::read(file).map_err(Failure::bad_input)?;
-    let choice = resolve(&mut scene, &text)?;
+pub fn load(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
+    let mut scene = source.load()?;
+    let choice = resolve(&mut scene, &source.text()?)?;
     Ok((scene, choice.map(|choice| choice.text())))
 }
 
 fn show(file: &Path) -> Result<(), Failure> {
-    let (scene, choice) = load(file)?;
+    let (scene, choice) = load(&SceneSource::File(file.to_owned()))?;
     match choice {
         Some(choice) => say!("{}: scene `{}`\n{choice}", file.display(), scene.name),
         None => say!(

@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use recorder_proc::columns::{Column, Rows, columns, description_of_topic, read_rows};
 use recorder_proc::fields::Scalar;
-use recorder_proc::{LogError, topics};
+use recorder_proc::{LogError, log_path, topics};
 
-use super::replay::log_path;
 use crate::failure::Failure;
-use crate::output::{refuse_existing, write_new};
+use crate::output::refuse_existing;
 use crate::report::axis::{Axis, bounds};
 use crate::report::panel::{INK, Panel, Rect};
 use crate::report::shapes::{Anchor, Figure, Point, Stroke};
@@ -43,11 +42,10 @@ pub struct PlotArguments {
 /// Draws the figure.
 ///
 /// # Errors
-/// A log or field that is not there, a figure that is there already (2), a file that cannot be written (1).
+/// A log or field that is not there, a figure that is there already (2), a damaged log, a full disk (1).
 pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
-    let bad = |error: LogError| Failure::bad_input(error);
-    let description = description_of_topic(&log, &arguments.topic).map_err(bad)?;
+    let description = description_of_topic(&log, &arguments.topic)?;
     if arguments.fields.len() > MOST_PANELS {
         let text = format!("{} fields; a figure shows {MOST_PANELS} at most", arguments.fields.len());
         return Err(Failure::bad_input(text));
@@ -60,16 +58,15 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     refuse_existing(&paths)?;
     let mut panels = Vec::new();
     for field in &arguments.fields {
-        let mut chosen = columns(description, std::slice::from_ref(field)).map_err(bad)?;
+        let mut chosen = columns(description, std::slice::from_ref(field))?;
         chosen.truncate(MOST_LINES);
         panels.push((field.as_str(), chosen));
     }
     let all: Vec<Column> = panels.iter().flat_map(|(_, columns)| columns.iter().cloned()).collect();
     let mut lines = Lines(vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()]);
-    read_rows(&log, &arguments.topic, &all, (0, None), &mut lines).map_err(bad)?;
+    read_rows(&log, &arguments.topic, &all, (0, None), &mut lines)?;
     let title = format!("{}  {}", log.display(), arguments.topic);
-    let figure = draw(&title, &panels, &lines).map_err(|error| Failure::failed(error.to_string()))?;
-    write_new(&paths, || figure.write(folder, &stem).map_err(|error| Failure::failed(error.to_string())))?;
+    draw(&title, &panels, &lines)?.write(folder, &stem)?;
     paths.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
 }

@@ -1,12 +1,12 @@
 //! `trabecula replay LOG`: steps the physics through a log's latched commands again.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
 use recorder_proc::{
-    LogError, ReplayReport, Resumable as _, SavedState, SegmentOptions, SegmentReport, Simulation as _,
-    Verdict, keyframe_before, segments::Passed, verify_segments,
+    LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, keyframe_before,
+    segments::Passed, verify_segments,
 };
 
 use ipc_types::process::EXIT_GAP;
@@ -131,11 +131,6 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     }
 }
 
-/// `run.mcap` of a folder, or the file itself.
-pub fn log_path(given: &Path) -> PathBuf {
-    if given.is_dir() { given.join("run.mcap") } else { given.to_owned() }
-}
-
 impl ReplayArguments {
     fn threads(&self) -> usize {
         let cores = || std::thread::available_parallelism().map_or(1, usize::from);
@@ -154,7 +149,7 @@ fn replay(
     let (found, verdict) = if arguments.verify {
         let options = SegmentOptions { start, to_tick: to, threads: arguments.threads() };
         let mut reader = log.reader()?;
-        let found = verify_segments(&mut reader, &|| log.world(), &options);
+        let found = verify_segments(&mut reader, &|| log.simulation(), &options);
         (found, reader.stream().verdict())
     } else {
         step_only(log, start, to)?
@@ -189,20 +184,20 @@ fn step_only(
     to: Option<u64>,
 ) -> Result<(SegmentReport, Verdict), Failure> {
     let mut reader = log.reader()?;
-    let mut world = log.world().map_err(Failure::failed)?;
+    let mut simulation = log.simulation().map_err(Failure::failed)?;
     let mut gaps = Vec::new();
     if let Some(beginning) = reader.beginning() {
         gaps.push(Passed { after: None, resumed: Some(beginning.tick) });
     }
     if let Some(start) = start.as_ref().or(reader.beginning()) {
-        world.resume(&start.bytes).map_err(Failure::failed)?;
+        simulation.restore_keyframe(&start.bytes).map_err(|cause| Failure::failed(cause.to_string()))?;
     }
-    let (first, mut ticks) = (world.state().tick, 0);
-    while to.is_none_or(|to| world.state().tick < to) {
+    let (first, mut ticks) = (simulation.state().tick, 0);
+    while to.is_none_or(|to| simulation.state().tick < to) {
         let record = match reader.next() {
             None => break,
             Some(Err(LogError::Gap { .. })) => {
-                let (after, read) = (world.state().tick, reader.last_complete_tick());
+                let (after, read) = (simulation.state().tick, reader.last_complete_tick());
                 let behind = reader.go_on().map_err(|cause| Failure::failed(cause.to_string()))?;
                 let resumed = behind.as_ref().map(|behind| behind.state.tick);
                 // One before the start is passed without a word.
@@ -211,18 +206,20 @@ fn step_only(
                 }
                 let Some(behind) = behind else { break };
                 if behind.state.tick >= first {
-                    world.resume(&behind.keyframe.bytes).map_err(Failure::failed)?;
+                    simulation
+                        .restore_keyframe(&behind.keyframe.bytes)
+                        .map_err(|cause| Failure::failed(cause.to_string()))?;
                 }
                 continue;
             }
             Some(record) => record.map_err(|cause| Failure::failed(cause.to_string()))?,
         };
         if record.latched.tick >= first {
-            world.step(&record.latched).map_err(Failure::failed)?;
+            simulation.step(&record.latched).map_err(|cause| Failure::failed(cause.to_string()))?;
             ticks += 1;
         }
     }
-    let (tick, hash) = (world.state().tick, world.state().hash);
+    let (tick, hash) = (simulation.state().tick, simulation.state().hash);
     let replay = ReplayReport {
         identical_ticks: ticks,
         last_tick: tick,

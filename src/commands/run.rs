@@ -7,25 +7,26 @@ use clap::{Args, ValueEnum};
 use ipc_types::process::{EXIT_GAP, Role, prioritise};
 use ipc_types::scene::{Images, LONGEST_RUN_S, Mode, Policy, Scene, Wait};
 use ipc_types::services::RECORDER_QUEUE_TICKS;
+use output_file::OutputError;
 
 use crate::commands::plan;
+use crate::doorway;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::hub::View;
 use crate::launcher::interrupt::{Interrupts, remove_empty};
+use crate::launcher::part;
 use crate::launcher::progress::{Display, Manner};
 use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run_with};
 use crate::launcher::volume_source::{self, VolumeFiles};
-use crate::report;
-
-/// The scene that runs when none is named.
-pub const DEFAULT_SCENE: &str = "configs/femur_curved_drilling.toml";
+use crate::printer;
+use crate::report::{self, ReportError};
+use crate::scenes::{BuiltIn, SceneSource};
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// Scene file.
-    #[arg(default_value = DEFAULT_SCENE)]
-    pub scene: PathBuf,
+    /// Scene file; without one, the femur inside the program.
+    pub scene: Option<PathBuf>,
     /// How time passes, instead of what the scene says.
     #[arg(long, value_enum)]
     pub mode: Option<ModeArgument>,
@@ -138,8 +139,11 @@ impl From<PolicyArgument> for Policy {
 /// Runs a scene.
 ///
 /// # Errors
-/// Bad input (exit code 2), a part that died or a log that has gone (1), a log with a gap (3), Ctrl-C (130).
+/// Bad input (exit code 2), a part that died, a log that has gone, a report that is not complete, an output that nobody reads (1), a
+/// log with a gap (3), Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
+    printer::start()
+        .map_err(|cause| Failure::failed(format!("standard output cannot be written: {cause}")))?;
     let interrupts =
         Interrupts::hear().map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let scene = scene_of(arguments)?;
@@ -158,7 +162,11 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             })?)
         }
     };
+    doorway::sweep(&doorway::folder());
     let view = arguments.view.map(|port| View { port, watch_by_anyone: arguments.watch_by_anyone });
+    if view.is_none() {
+        part::adopt();
+    }
     let plan = RunPlan { scene, output, view, volume_files: arguments.volume_files };
     let mut display = Display::new(arguments.manner())?;
     let began = Instant::now();
@@ -192,7 +200,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
 }
 
 fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
-    let (mut scene, choice) = plan::load(&arguments.scene)?;
+    let (mut scene, choice) = plan::load(&SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur))?;
     if let Some(choice) = choice.filter(|_| !arguments.json) {
         say!("{choice}");
     }
@@ -232,14 +240,46 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
 fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
     let facts = result.facts(replay_command.clone());
-    let summary = report::write(output, &facts).map_err(|error| Failure::failed(error.to_string()))?;
-    if json {
-        say!("{}", serde_json::json!({"phase": "ended", "folder": output, "outcome": facts.outcome}));
-        return Ok(());
+    let report = report::write(output, &facts)?;
+    match json {
+        true => say!("{}", serde_json::json!({"phase": "ended", "folder": output, "outcome": facts.outcome})),
+        false => {
+            say!("{}", report.summary);
+            say!("\nfolder       {}\nreplay it    {replay_command}", output.display());
+        }
     }
-    say!("{summary}");
-    say!("\nfolder       {}\nreplay it    {replay_command}", output.display());
-    Ok(())
+    complete(&report.missing)
+}
+
+/// Says which files of the report are missing.
+fn complete(missing: &[ReportError]) -> Result<(), Failure> {
+    for error in missing {
+        match error {
+            ReportError::Output(OutputError::Exists { path }) => {
+                tell!(
+                    "trabecula: {}: {} is there that is not of this run; it stays",
+                    path.display(),
+                    found(path)
+                );
+            }
+            other => tell!("trabecula: {other}"),
+        }
+    }
+    match missing.len() {
+        0 => Ok(()),
+        1 => Err(Failure::failed("a part of the report could not be written: see above")),
+        more => Err(Failure::failed(format!("{more} parts of the report could not be written: see above"))),
+    }
+}
+
+/// What lies at a path, in words.
+fn found(path: &Path) -> String {
+    match path.symlink_metadata().map(|found| (found.file_type(), found.len())) {
+        Ok((kind, _)) if kind.is_symlink() => "a link".to_owned(),
+        Ok((kind, _)) if kind.is_dir() => "a folder".to_owned(),
+        Ok((kind, bytes)) if kind.is_file() => format!("a file of {bytes} bytes"),
+        _ => "something".to_owned(),
+    }
 }
 
 /// How the user called this program.

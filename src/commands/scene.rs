@@ -1,37 +1,67 @@
-//! `trabecula scene check FILE`.
+//! `trabecula scene check FILE`, and `trabecula scene init`: a scene to begin with.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use controller_proc::Calibration;
 
 use crate::failure::Failure;
+use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::output::refuse_existing;
+use crate::scenes::{BuiltIn, SceneSource};
 
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
 pub enum SceneCommand {
-    /// Check every key and range, that the volume is there, and the calibrations.
+    /// Check every key and range, and that the volume and the calibrations can be read.
     Check {
         /// Scene file.
         file: PathBuf,
+        #[command(flatten)]
+        volume_files: VolumeFiles,
+    },
+    /// Write a scene that is inside the program into a folder, to be changed: the default scene unless another is named.
+    Init {
+        /// Folder; made if it is not there.
+        #[arg(default_value = ".")]
+        folder: PathBuf,
+        /// Which one.
+        #[arg(long, value_enum, default_value_t = BuiltIn::Femur)]
+        scene: BuiltIn,
     },
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// A scene that is not one (2).
+/// A scene that is not one (2); a file that is there already or cannot be written.
 pub fn run(command: &SceneCommand) -> Result<(), Failure> {
-    let SceneCommand::Check { file } = command;
-    let (scene, _) = super::plan::load(file)?;
-    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref())
-        && !path.exists()
-    {
-        return Err(Failure::bad_input(format!(
-            "{}: `volume.path` is {}, which does not exist",
-            file.display(),
-            path.display()
-        )));
+    match command {
+        SceneCommand::Check { file, volume_files } => check(file, *volume_files),
+        SceneCommand::Init { folder, scene } => init(folder, *scene),
+    }
+}
+
+fn init(folder: &Path, scene: BuiltIn) -> Result<(), Failure> {
+    let file = folder.join(scene.name()).with_extension("toml");
+    refuse_existing(&[&file])?;
+    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
+    output_file::write(&file, scene.text())?;
+    say!("written      {}", file.display());
+    Ok(())
+}
+
+fn check(file: &Path, volume_files: VolumeFiles) -> Result<(), Failure> {
+    let (scene, _) = super::plan::load(&SceneSource::File(file.to_owned()))?;
+    if let Some(path) = scene.volume.as_ref().and_then(|volume| volume.path.as_ref()) {
+        if !path.exists() {
+            return Err(Failure::bad_input(format!(
+                "{}: `volume.path` is {}, which does not exist",
+                file.display(),
+                path.display()
+            )));
+        }
+        volume_source::load(&scene, volume_files)?;
     }
     let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
     for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {

@@ -7,10 +7,11 @@ use clap::{Args, ValueEnum};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Policy, Scene, Wait};
 
-use super::run::{DEFAULT_SCENE, PolicyArgument, WaitArgument};
+use super::run::{PolicyArgument, WaitArgument};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::run::output_folder;
 use crate::launcher::volume_source::VolumeFiles;
+use crate::scenes::{BuiltIn, SceneSource};
 use crate::stress::confine::allowed;
 use crate::stress::plan::{self, Load, LoadKind};
 use crate::stress::report::{StressReport, comparison, table};
@@ -19,9 +20,8 @@ use crate::stress::{self, StressPlan, load};
 /// Arguments of `stress`.
 #[derive(Debug, Args)]
 pub struct StressArguments {
-    /// Scene file; it runs in real time.
-    #[arg(default_value = DEFAULT_SCENE)]
-    pub scene: PathBuf,
+    /// Scene file; it runs in real time. Without one, the femur inside the program.
+    pub scene: Option<PathBuf>,
     /// Numbers of cores that the whole hub and its neighbours may use.
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
     pub cores: Vec<usize>,
@@ -94,7 +94,8 @@ pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
 }
 
 fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
-    let scene = Scene::load(&arguments.scene).map_err(Failure::bad_input)?;
+    let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
+    let scene = source.load()?;
     let most = allowed().map_or(1, |cores| cores.len());
     if let Some(cores) = arguments.cores.iter().find(|cores| !(1..=most).contains(*cores)) {
         return Err(Failure::bad_input(format!("--cores {cores}: this program may use 1 to {most}")));
@@ -125,7 +126,7 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
         Failure::bad_input(format!("--output {}: cannot be made ({cause})", arguments.output.display()))
     })?;
     Ok(StressPlan {
-        scene: arguments.scene.clone(),
+        scene: source,
         combinations,
         seconds: arguments.seconds,
         seed: arguments.seed,

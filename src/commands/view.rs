@@ -1,24 +1,21 @@
 //! `trabecula view`: a running session, or logs, in the browser.
 
-use std::io::Write;
 use std::net::IpAddr;
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use clap::Args;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use ipc_types::session::{SESSION_VARIABLE, Searched, newest_session};
-use physics_proc::simulation::manipulator_parameters;
-use tempfile::NamedTempFile;
+use simulation::manipulator_parameters;
 use viewer_proc::live::{self, LiveOptions};
 use viewer_proc::log::{self, LogOptions, LogVolume, SceneHelp};
 use viewer_proc::server::Server;
 use viewer_proc::surface::Geometry;
 use viewer_proc::{ServerOptions, ToolShape, ViewerError};
 
+use crate::doorway::{self, Doorway};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::volume_source::{self, VolumeFiles};
 
@@ -96,6 +93,7 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
         });
     })
     .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    doorway::sweep(&doorway::folder());
     if let Some(log) = &arguments.log {
         return view_logs(log, arguments, &end);
     }
@@ -104,6 +102,7 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
         Some(folder) => folder,
         None => return Err(failure(&ViewerError::NoSession(Searched::places(None)))),
     };
+    doorway::sweep(&session);
     let options = LiveOptions { session, server: arguments.server.options() };
     let mut _doorway = None;
     let ready = |server: &Server| _doorway = arguments.server.ready(server, &options.session);
@@ -118,8 +117,7 @@ fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<
     };
     let volume = |scene: &Scene| log_volume(scene, arguments.volume_files);
     let help = SceneHelp { tool: &tool_shape, volume: &volume };
-    let folder = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_absolute());
-    let folder = folder.unwrap_or_else(std::env::temp_dir);
+    let folder = doorway::folder();
     let mut _doorway = None;
     let ready = |server: &Server| _doorway = arguments.server.ready(server, &folder);
     log::view(&options, &help, ready, end).map_err(|error| failure(&error))
@@ -159,35 +157,5 @@ fn tool_shape(scene: &Scene) -> ToolShape {
             outer_radius_m: 3.0e-3,
             burr_radius_m: 3.25e-3,
         },
-    }
-}
-
-/// A file that leads a browser to the page: the address holds the token, and every user of the machine may read the arguments of
-/// every program. Only this user may read the file; it is removed with the viewer.
-struct Doorway {
-    _file: NamedTempFile,
-}
-
-impl Doorway {
-    /// Asks the desktop to open one. None where there is no desktop, or no room for the file: the address has been printed.
-    fn open(url: &str, folder: &Path) -> Option<Doorway> {
-        if !["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some()) {
-            return None;
-        }
-        // Of mode 0600, under a name that nobody can guess.
-        let mut file = tempfile::Builder::new().prefix("view-").suffix(".html").tempfile_in(folder).ok()?;
-        let text = format!(
-            "<!doctype html><meta charset=\"utf-8\"><title>Trabecula</title>\n\
-             <meta http-equiv=\"refresh\" content=\"0; url={url}\">\n<a href=\"{url}\">The viewer</a>\n"
-        );
-        file.write_all(text.as_bytes()).ok()?;
-        let quiet = Stdio::null;
-        let mut opener = Command::new("xdg-open");
-        let opener = opener.arg(file.path()).stdin(quiet()).stdout(quiet()).stderr(quiet());
-        // In a group of its own: a browser that it becomes does not end with the viewer.
-        let mut child = opener.process_group(0).spawn().ok()?;
-        // Waited for, whenever it ends: it may be the browser itself.
-        std::thread::spawn(move || child.wait());
-        Some(Doorway { _file: file })
     }
 }

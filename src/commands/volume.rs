@@ -78,7 +78,7 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
             *hu = AIR_HU;
         }
     }
-    write_nrrd(&arguments.file, &volume).map_err(Failure::bad_input)?;
+    write_nrrd(&arguments.file, &volume)?;
     say!("{}: the CT after tick {last}, {} voxels gone", arguments.file.display(), gone.len());
     Ok(())
 }
@@ -86,13 +86,13 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a volume, or not a log with one (2); a log that cannot be read further (1).
+/// Not a volume, or not a log with one (2); a log that cannot be read further, a full disk (1).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
     let (file, files) = match command {
         VolumeCommand::Info { file, files } => (file, files),
         VolumeCommand::Drilled(arguments) => return write_drilled(arguments),
     };
-    let (_, info) = read_where(file, files.allowed()).map_err(Failure::bad_input)?;
+    let (_, info) = read_where(file, files.allowed())?;
     say!("{info}");
     Ok(())
 }
@@ -124,7 +124,7 @@ pub enum PhantomKind {
 /// Writes a phantom.
 ///
 /// # Errors
-/// A spacing out of range, or a file that cannot be written (2).
+/// A spacing out of range, a file that is there, a folder that takes none (2); a full disk (1).
 pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
     if !(0.25..=2.0).contains(&arguments.spacing_mm) {
         let given = arguments.spacing_mm;
@@ -142,7 +142,7 @@ pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
         }
     };
     let volume = volume.map_err(Failure::bad_input)?;
-    write_nrrd(&arguments.file, &volume).map_err(Failure::bad_input)?;
+    write_nrrd(&arguments.file, &volume)?;
     let [i, j, k] = volume.dims;
     say!("{}: synthetic, {i} x {j} x {k} voxels of {} mm", arguments.file.display(), arguments.spacing_mm);
     Ok(())

@@ -4,9 +4,12 @@
 //! recorder is asked last, when nobody writes any more. A signal shortens every wait but the recorder's, which has the log
 //! to finish; a second signal ends that one too.
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use ipc_types::process::EndRequest;
+use output_file::SavedFile;
+use recorder_proc::{EndReason, reason_file};
 
 use super::hub::{DRR, PHYSICS, RECORDER};
 use super::part::Part;
@@ -28,6 +31,8 @@ const VIEWER_LIMIT: Duration = Duration::from_secs(3);
 pub(super) struct Ending<'a> {
     pub(super) plan: &'a RunPlan,
     pub(super) end: &'a EndRequest,
+    /// The session's folder.
+    pub(super) session: &'a Path,
     /// Whether the physics has been heard of: before, nobody has anything to finish.
     pub(super) has_begun: bool,
 }
@@ -57,7 +62,8 @@ impl Ending<'_> {
     /// Ends all parts in order; returns when the physics was over, and the outcome with how the others ended.
     pub(super) fn end_parts(&self, outcome: Outcome, parts: &mut [Part]) -> (Instant, Outcome) {
         let mut outcome = outcome;
-        self.write_reason(&outcome);
+        let mut reason = None;
+        self.write_reason(&mut reason, &outcome, parts);
         let stops = outcome != Outcome::Completed;
         // Of a run that did not begin nobody has anything to finish, and nobody listens yet.
         let is_deaf = stops && !self.has_begun;
@@ -75,7 +81,7 @@ impl Ending<'_> {
         if !is_deaf {
             outcome = self.with_end_of(DRR, outcome, parts);
         }
-        self.write_reason(&outcome);
+        self.write_reason(&mut reason, &outcome, parts);
         if let Some(recorder) = parts.iter_mut().find(|part| part.name == RECORDER) {
             recorder.ask_to_end();
             // Never cut short: what was published is to be in the log.
@@ -83,9 +89,9 @@ impl Ending<'_> {
                 self.tell_killed(recorder);
             }
         }
-        if let Some(output) = &self.plan.output {
+        if let Some(reason) = reason {
             // A recorder that died has not taken it.
-            let _ = std::fs::remove_file(output.join(recorder_proc::process::REASON_FILE));
+            let _ = reason.remove();
         }
         (over, if is_deaf { outcome } else { self.with_end_of(RECORDER, outcome, parts) })
     }
@@ -180,17 +186,25 @@ impl Ending<'_> {
         died
     }
 
-    /// Tells the recorder what to write into the log's end.
-    fn write_reason(&self, outcome: &Outcome) {
+    /// Tells the recorder what to write into the log's end: in the session's folder, or, if that has been removed, in the run's.
+    fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[Part]) {
         let reason = match outcome {
-            Outcome::Completed => "completed",
-            Outcome::Interrupted => "interrupted",
-            Outcome::PartDied { name, .. } => name,
-            Outcome::LogGone(_) => "launcher",
+            Outcome::Completed => EndReason::Completed,
+            Outcome::Interrupted => EndReason::Interrupted,
+            Outcome::PartDied { name, .. } => EndReason::PartDied(name.clone()),
+            // Of one that was removed nobody reads the end.
+            Outcome::LogGone(_) => EndReason::LogMoved,
         };
-        if let Some(output) = &self.plan.output {
-            // Without it the log's end blames the launcher; the exit code and the message still tell.
-            let _ = std::fs::write(output.join(recorder_proc::process::REASON_FILE), reason);
+        let reason = reason.text();
+        let Some(output) = &self.plan.output else { return };
+        if in_output.is_none() && std::fs::write(reason_file::in_session(self.session), &reason).is_ok() {
+            return;
         }
+        let Some(recorder) = parts.iter().find(|part| part.name == RECORDER) else { return };
+        // Without either the log's end blames the launcher; the exit code and the message still tell.
+        if in_output.is_none() {
+            *in_output = SavedFile::create(&reason_file::in_output(output, recorder.pid())).ok();
+        }
+        let _ = in_output.as_mut().map(|file| file.save(reason));
     }
 }

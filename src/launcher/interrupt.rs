@@ -9,6 +9,7 @@ use ipc_types::signals::{Ask, EndRequest};
 
 use super::part;
 use crate::failure::EXIT_INTERRUPTED;
+use crate::printer;
 
 /// How long the launcher may take to go when all its parts have been killed.
 const URGENT_LIMIT: Duration = Duration::from_secs(2);
@@ -88,16 +89,18 @@ pub fn remove_empty(folders: &[PathBuf]) {
 }
 
 fn answer(stage: &Stage, ask: Ask) {
+    // Whoever signals does not wait for a terminal that is stopped.
+    printer::hurry();
     let (Ask::First(signal) | Ask::Again(signal)) = ask;
     match (stage, ask) {
         (Stage::Before(folders), _) => {
             remove_empty(folders);
             tell!("trabecula: {signal}: ended before anything had begun");
-            std::process::exit(EXIT_INTERRUPTED.into());
+            printer::leave(EXIT_INTERRUPTED);
         }
         (Stage::Reporting, _) => {
             tell!("trabecula: {signal}: the logs are whole, pictures and summary.json may be missing");
-            std::process::exit(EXIT_INTERRUPTED.into());
+            printer::leave(EXIT_INTERRUPTED);
         }
         (Stage::Running, Ask::First(_)) => {
             tell!(
@@ -105,7 +108,6 @@ fn answer(stage: &Stage, ask: Ask) {
             );
         }
         (Stage::Running, Ask::Again(_)) => {
-            // First, since nobody may read what is said: a terminal that was stopped, a full pipe.
             part::end_all_at_once();
             // The launcher clears up what the parts leave; should it hang, the next run does.
             std::thread::spawn(|| {

@@ -5,14 +5,20 @@ use std::io::{BufRead, BufReader, Error, Read, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use ipc_types::family::{children, descendants};
 use ipc_types::process::{ProcessorTime, bind_to_parent};
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+use rustix::process::{
+    Pid, Signal, WaitId, WaitIdOptions, WaitOptions, getpid, kill_process, kill_process_group,
+    set_child_subreaper, waitid, waitpid,
+};
 
 use crate::keeper::{END_AT_ONCE, Started};
+use crate::printer::Echo;
 
 /// Lines that are kept of what a part said.
 const LAST_WORDS: usize = 20;
@@ -25,8 +31,14 @@ const START_LIMIT: Duration = Duration::from_secs(20);
 /// How long a keeper may take to end all at once; then it is killed itself.
 const KEEPER_LIMIT: Duration = Duration::from_secs(3);
 
+/// Between two looks at what a killed keeper has left.
+const LEFT_LOOK: Duration = Duration::from_millis(2);
+
 /// Every part that has not been reaped, so that another thread can end all at once ([`end_all_at_once`]).
 static RUNNING: Mutex<Vec<Hold>> = Mutex::new(Vec::new());
+
+/// Whether this process is the subreaper of what its parts start.
+static ADOPTS: AtomicBool = AtomicBool::new(false);
 
 /// What it takes to end a part at once.
 #[derive(Debug, Clone)]
@@ -57,6 +69,35 @@ impl Hold {
 pub fn end_all_at_once() {
     // A part leaves the list before it is reaped: until then nobody else's group can have its number.
     running().iter().for_each(Hold::end_at_once);
+}
+
+/// From now on what a killed keeper leaves behind counts as this process's and is ended with it. Only for a process whose children are
+/// parts, and none of them a viewer: what that leaves is a browser, which the user goes on with.
+pub fn adopt() {
+    ADOPTS.store(set_child_subreaper(Some(getpid())).is_ok(), Ordering::Relaxed);
+}
+
+/// Ends what a keeper that was killed has left behind; one that ended by itself has left nothing. Again and again, since who is killed
+/// may just have started somebody.
+fn end_left_behind() {
+    let end = Instant::now() + KEEPER_LIMIT;
+    let mut killed = Vec::new();
+    while ADOPTS.load(Ordering::Relaxed) && Instant::now() < end {
+        let parts: Vec<Option<Pid>> = running().iter().map(|hold| hold.pid).collect();
+        let left: Vec<Pid> = children().into_iter().filter(|pid| !parts.contains(&Some(*pid))).collect();
+        if left.is_empty() {
+            break;
+        }
+        for pid in left.iter().flat_map(|pid| descendants(*pid)).chain(left.iter().copied()) {
+            // It may have ended in this instant.
+            let _ = kill_process(pid, Signal::KILL);
+        }
+        killed.extend(left);
+        std::thread::sleep(LEFT_LOOK);
+    }
+    for pid in killed {
+        let _ = waitpid(Some(pid), WaitOptions::NOHANG);
+    }
 }
 
 fn running() -> MutexGuard<'static, Vec<Hold>> {
@@ -171,6 +212,11 @@ impl Part {
         })
     }
 
+    /// Its process.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     /// How it ended, if it has. What it started itself ends with it.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.status.is_none() && self.is_to_be_reaped() {
@@ -194,6 +240,9 @@ impl Part {
     fn reap(&mut self) {
         running().retain(|hold| hold.pid != self.hold.pid);
         self.status = self.child.wait().ok();
+        if self.hold.leash.is_some() {
+            end_left_behind();
+        }
     }
 
     /// The last lines it said; of a part that has ended.
@@ -276,7 +325,7 @@ fn listen(
             let line = String::from_utf8_lossy(&bytes).trim_end_matches(['\n', '\r']).to_owned();
             bytes.clear();
             if let Some(name) = &shown_as {
-                tell!("[{name}] {line}");
+                crate::say::line(&mut Echo, &format!("[{name}] {line}"));
             }
             let mut words = words.lock().unwrap_or_else(PoisonError::into_inner);
             if words.len() == LAST_WORDS {

@@ -8,6 +8,7 @@ use ipc_types::messages::{PHASE_CONNECTING, PHASE_PAUSED};
 
 use super::run::Glance;
 use crate::failure::Failure;
+use crate::printer::{self, Echo};
 use crate::report::{History, LiveSnapshot, LiveStats, json_line, progress_line};
 
 const TERMINAL_PERIOD: Duration = Duration::from_millis(250);
@@ -123,6 +124,9 @@ impl Display {
             lines.iter().for_each(|line| say!("{line}"));
             return;
         }
+        if self.terminal && printer::is_behind() {
+            return;
+        }
         let mut text = String::new();
         if self.terminal {
             // Back to the table's first line; what was there is cleared line by line.
@@ -133,9 +137,7 @@ impl Display {
         } else {
             lines.iter().for_each(|line| text += &format!("{line}\n"));
         }
-        let mut out = stderr().lock();
-        let _ = out.write_all(text.as_bytes());
-        let _ = out.flush();
+        let _ = Echo.write_all(text.as_bytes());
         self.drawn = lines.len();
     }
 

@@ -192,7 +192,7 @@ pub fn run_with(
         tell!("trabecula: {death}");
     }
     let first_tick = first_tick.unwrap_or_else(Instant::now);
-    let ending = Ending { plan, end, has_begun: eyes.status.is_some() };
+    let ending = Ending { plan, end, session: hub.folder(), has_begun: eyes.status.is_some() };
     let (over, outcome) = ending.end_parts(outcome, &mut parts);
     let running = over.duration_since(first_tick);
     if let Some(viewer) = &mut viewer {

@@ -1,5 +1,7 @@
 //! The scene's volume, made or read.
 
+use std::path::Path;
+
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Phantom, Scene, Volume as SceneVolume};
@@ -43,6 +45,8 @@ pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<(Volume, [u8; 32
             phantom::femur(&phantom::FemurSpec { spacing_m, ..phantom::FemurSpec::default() })?
         }
     };
+    // What a part would refuse is refused before there is one.
+    volume.check(source.path.as_deref().unwrap_or(Path::new("volume")))?;
     let hash = volume_hash(&volume);
     Ok(Some((volume, hash)))
 }
@@ -61,7 +65,7 @@ const MASK_MODEL: MaskModel = MaskModel {
     air_hu: -1000,
 };
 
-/// Apparent density at 0 HU and per HU, kg/m³ (the line of the drilling law, `physics_proc::bone::MaterialLaw`).
+/// Apparent density at 0 HU and per HU, kg/m³ (the line of the drilling law, `simulation::bone::MaterialLaw`).
 const DENSITY_AT_ZERO: f64 = 131.0;
 const DENSITY_PER_HU: f64 = 1.067;
 /// HU of the block's near half: cancellous bone.

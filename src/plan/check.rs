@@ -9,8 +9,7 @@ use std::time::Instant;
 
 use ipc_types::messages::{Latched, SOURCE_FRESH, SOURCE_HELD, State};
 use ipc_types::scene::{Integrator, ManipulatorRung, Scene};
-use physics_proc::process::ct_geometry;
-use physics_proc::simulation::{CtView, Simulation};
+use simulation::{CtView, Simulation, ct_geometry};
 
 use crate::failure::Failure;
 use crate::launcher::volume_source;
@@ -46,7 +45,7 @@ pub fn check(log: &Path, overrides: &Overrides, samples: u64, to: u64) -> Result
         let message = volume_source::message(volume, *hash);
         CtView { geometry: ct_geometry(&message), hu: &volume.hu }
     });
-    let failed = |cause: physics_proc::simulation::SimulationError| Failure::failed(cause.to_string());
+    let failed = |cause: simulation::SimulationError| Failure::failed(cause.to_string());
     let mut reference = Simulation::new(&reference_scene(&log.scene), ct).map_err(failed)?;
     let every = log.scene.tick_count().min(to).div_ceil(samples.max(1)).max(1);
     let mut found =

@@ -1,10 +1,14 @@
 //! Which settings a scene gets.
 
-use ipc_types::scene::{ContactVoxels, Integrator, ManipulatorRung, Scene};
-use physics_proc::manipulator::Rung;
+use std::fmt;
+
+use ipc_types::scene::{ContactVoxels, Integrator, Scene};
+use serde::{Deserialize, Serialize};
+use simulation::manipulator::Rung;
+use simulation::rung;
 
 use super::TABLE;
-use super::table::{Row, Settings, contact_name, integrator_name, read};
+use super::table::{OWN_LINKS, Row, Settings, contact_name, integrator_name, read};
 use crate::failure::Failure;
 
 /// What the scene's author has named and the choice must keep.
@@ -29,7 +33,7 @@ impl Given {
         let names_dt = table.get("run").is_some_and(|run| run.get("dt_ms").is_some());
         let manipulator = &scene.manipulator;
         Given {
-            rung: manipulator.model.map(rung_of),
+            rung: manipulator.model.map(rung),
             links: manipulator.links,
             integrator: manipulator.integrator,
             dt_ms: names_dt.then_some(scene.run.dt_ms),
@@ -37,12 +41,13 @@ impl Given {
         }
     }
 
+    /// Balls only where they are named: their drilled path is off by up to 12 mm, which a bound on the place at rest does not see.
     fn allows(&self, settings: &Settings) -> bool {
         self.rung.is_none_or(|rung| rung == settings.rung)
             && self.links.is_none_or(|links| links == settings.links)
             && self.integrator.is_none_or(|integrator| integrator == settings.integrator)
             && self.dt_ms.is_none_or(|dt_ms| dt_ms == settings.dt_ms)
-            && self.contact.is_none_or(|contact| contact == settings.contact)
+            && self.contact.unwrap_or_default() == settings.contact
     }
 
     fn text(&self) -> String {
@@ -89,15 +94,6 @@ impl Choice {
             if self.bone { format!(", drilled {:.4}", row.drilled_path_mm) } else { String::new() },
             row.us_per_ms(self.bone),
         )
-    }
-}
-
-fn rung_of(rung: ManipulatorRung) -> Rung {
-    match rung {
-        ManipulatorRung::ConstantCurvature => Rung::ConstantCurvature,
-        ManipulatorRung::Planar => Rung::Planar,
-        ManipulatorRung::Spatial => Rung::Spatial,
-        ManipulatorRung::Full => Rung::Full,
     }
 }
 
@@ -187,9 +183,70 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], bone: bool) -> Failure {
     ))
 }
 
+/// How far a model that bends in one plane was off the reference where it drills.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelError {
+    /// Name of the rung.
+    pub model: String,
+    /// R.m.s. error of the drilled path of the default scene: that of these settings, or the range of all that were measured with the
+    /// same rung and contact.
+    pub path_mm: [f64; 2],
+}
+
+impl ModelError {
+    /// Of a scene with bone whose rung bends in one plane, if it was measured.
+    pub fn of(scene: &Scene) -> Option<ModelError> {
+        ModelError::by(scene, &read(TABLE)?)
+    }
+
+    fn by(scene: &Scene, rows: &[Row]) -> Option<ModelError> {
+        scene.volume.as_ref()?;
+        let manipulator = &scene.manipulator;
+        let settings = Settings {
+            rung: rung(manipulator.model.unwrap_or_default()),
+            links: manipulator.links.unwrap_or(OWN_LINKS),
+            integrator: manipulator.integrator.unwrap_or_default(),
+            dt_ms: scene.run.dt_ms,
+            contact: scene.contact.voxels.unwrap_or_default(),
+        };
+        let is_alike = |row: &&Row| {
+            row.settings.rung == settings.rung
+                && row.settings.contact == settings.contact
+                && row.drilled_path_mm.is_finite()
+        };
+        if !matches!(settings.rung, Rung::ConstantCurvature | Rung::Planar) {
+            return None;
+        }
+        let alike: Vec<&Row> = rows.iter().filter(is_alike).collect();
+        let same = alike.iter().find(|row| row.settings == settings);
+        let errors = same.map_or_else(
+            || alike.iter().map(|row| row.drilled_path_mm).collect(),
+            |row| vec![row.drilled_path_mm],
+        );
+        let (least, most) =
+            errors.iter().fold((f64::INFINITY, 0.0_f64), |(least, most), &mm| (least.min(mm), most.max(mm)));
+        (!errors.is_empty())
+            .then(|| ModelError { model: settings.rung.name().to_owned(), path_mm: [least, most] })
+    }
+}
+
+impl fmt::Display for ModelError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [least, most] = self.path_mm.map(|mm| format!("{mm:.1}"));
+        let range = if least == most { least } else { format!("{least} to {most}") };
+        write!(
+            out,
+            "`{}` bends in one plane: {range} mm r.m.s. off `full` on the drilled path of the default scene",
+            self.model
+        )
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "tests")]
+
+    use ipc_types::scene::ManipulatorRung;
     use std::path::Path;
 
     use super::*;
@@ -282,20 +339,64 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(bone.text().contains("drilled") && !free.text().contains("drilled"));
     }
 
-    /// Balls are cheaper in this table, and no better than 0.2 mm.
+    /// Balls are cheaper in this table, and good enough for a tip; without `path_mm` they were chosen.
     #[test]
-    fn the_contact_is_chosen_by_its_measured_error_where_there_is_bone() {
-        let bone = |more: &str| planned(&format!("volume = {{ phantom = \"block\" }}\n{more}")).unwrap();
-        for (tip_mm, contact) in [(0.5, ContactVoxels::Balls), (0.1, ContactVoxels::Planes)] {
-            let (after, choice) = bone(&format!("tolerance = {{ tip_mm = {tip_mm} }}"));
-            assert_eq!(choice.unwrap().row.settings.contact, contact);
-            assert_eq!(after.contact.voxels, Some(contact));
+    fn a_tolerance_never_chooses_balls() {
+        let bone = |more: &str| planned(&format!("volume = {{ phantom = \"block\" }}\n{more}"));
+        for tolerance in ["tip_mm = 0.5", "tip_mm = 0.1", "tip_mm = 100.0", "path_mm = 2.0"] {
+            let (after, choice) = bone(&format!("tolerance = {{ {tolerance} }}")).unwrap();
+            assert_eq!(choice.unwrap().row.settings.contact, ContactVoxels::Planes, "{tolerance}");
+            assert_eq!(after.contact.voxels, Some(ContactVoxels::Planes));
         }
-        let named = bone("tolerance = { tip_mm = 0.5 }\ncontact = { voxels = \"planes\" }").1.unwrap();
-        assert_eq!(named.row.settings.contact, ContactVoxels::Planes);
-        assert!(named.text().contains("contact planes (kept)"), "{}", named.text());
+        for (named, contact) in [("planes", ContactVoxels::Planes), ("balls", ContactVoxels::Balls)] {
+            let scene = format!("tolerance = {{ tip_mm = 0.5 }}\ncontact = {{ voxels = \"{named}\" }}");
+            let choice = bone(&scene).unwrap().1.unwrap();
+            assert_eq!(choice.row.settings.contact, contact);
+            assert!(choice.text().contains(&format!("contact {named} (kept)")), "{}", choice.text());
+        }
+        let refused = bone("tolerance = { tip_mm = 0.1 }\ncontact = { voxels = \"balls\" }").unwrap_err();
+        assert!(refused.code == 2 && refused.message.contains("contact balls"), "{refused}");
         let (free, _) = planned("tolerance = { tip_mm = 0.5 }").unwrap();
         assert_eq!(free.contact.voxels, None, "no bone, no contact with it");
+    }
+
+    /// Neither the end of a run nor README said that the default model is more than a millimetre off.
+    #[test]
+    fn the_known_error_of_a_model_that_bends_in_one_plane_is_said() {
+        use crate::scenes::BuiltIn;
+        let femur = BuiltIn::Femur.scene().unwrap();
+        let known = |change: &dyn Fn(&mut Scene)| {
+            let mut scene = femur.clone();
+            change(&mut scene);
+            ModelError::of(&scene).map(|error| error.to_string())
+        };
+        let rows = read(TABLE).unwrap();
+        let measured = |integrator| {
+            let settings = Settings {
+                rung: Rung::Planar,
+                links: 27,
+                integrator,
+                dt_ms: 1.0,
+                contact: ContactVoxels::Planes,
+            };
+            rows.iter().find(|row| row.settings == settings).unwrap().drilled_path_mm
+        };
+        let figure = format!("{:.1} mm r.m.s.", measured(Integrator::LinearlyImplicitEuler));
+        // The scene names no integrator: the figure is that of the standard one, and no other's.
+        let standard = measured(Integrator::Hybrid);
+        assert_ne!(standard, measured(Integrator::LinearlyImplicitEuler));
+        assert_eq!(ModelError::of(&femur).unwrap().path_mm, [standard; 2]);
+        let said = known(&|_| {}).unwrap();
+        assert!(said.starts_with("`planar` bends in one plane: ") && said.contains(&figure), "{said}");
+        for page in [include_str!("../../README.md"), include_str!("../../docs/accuracy-plan.md")] {
+            assert!(page.contains(&figure), "a page does not say {figure}");
+        }
+        // A step that was not measured: the model decides, not the step.
+        assert!(known(&|scene| scene.run.dt_ms = 0.7).unwrap().contains("1.2 to 1.4 mm"));
+        let arc = known(&|scene| scene.manipulator.model = Some(ManipulatorRung::ConstantCurvature));
+        assert!(arc.unwrap().contains("`constant_curvature` bends in one plane: 5.6 mm"));
+        assert_eq!(known(&|scene| scene.manipulator.model = Some(ManipulatorRung::Full)), None);
+        assert_eq!(known(&|scene| scene.volume = None), None, "measured in bone only");
     }
 
     #[test]

@@ -7,7 +7,7 @@ pub mod check;
 mod choice;
 pub mod table;
 
-pub use choice::resolve;
+pub use choice::{ModelError, resolve};
 pub use table::{Row, Settings, write};
 
 /// The measured table of this build.

@@ -3,10 +3,10 @@
 use std::fmt::Write as _;
 
 use ipc_types::scene::{ContactVoxels, Integrator, ManipulatorRung, Scene};
-use physics_proc::manipulator::Rung;
+use simulation::manipulator::Rung;
 
 /// Flexures of the standard tool.
-const OWN_LINKS: usize = 27;
+pub(super) const OWN_LINKS: usize = 27;
 
 /// What a row of the table was measured with.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -6,7 +6,7 @@ use drr_proc::process::{
 use drr_proc::{DrrRenderer, VolumeView};
 use ipc_types::messages::{Frame, State};
 use recorder_proc::diff::compare_frame;
-use recorder_proc::{FrameReader, FrameRecord, LogError, LogReader, Resumable as _, SavedState, frames};
+use recorder_proc::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
@@ -51,7 +51,7 @@ impl<'l> FrameReplay<'l> {
         Ok(Some(FrameReplay {
             renderer: DrrRenderer::new(&view, parameters).map_err(|cause| failed(cause.to_string()))?,
             view,
-            recorded: frames(&log.path, log.options()).map_err(Failure::bad_input)?,
+            recorded: frames(&log.path, log.options())?,
             state: Box::new(*ticks.initial()),
             restore_first: false,
             removed,
@@ -145,10 +145,10 @@ fn failed(cause: LogError) -> Failure {
 
 /// Voxels that are predrilled, and all that are gone at a keyframe.
 fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>), Failure> {
-    let mut world = log.world().map_err(Failure::failed)?;
-    let predrilled = world.simulation.predrilled().to_vec();
-    world.resume(&keyframe.bytes).map_err(Failure::failed)?;
-    Ok((predrilled, world.simulation.gone()))
+    let mut simulation = log.simulation().map_err(Failure::failed)?;
+    let predrilled = simulation.predrilled().to_vec();
+    simulation.restore_keyframe(&keyframe.bytes).map_err(|cause| Failure::failed(cause.to_string()))?;
+    Ok((predrilled, simulation.gone()))
 }
 
 /// Renders the frames of ticks in `from..=to` again and compares them with their replies; returns their number, and that

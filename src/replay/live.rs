@@ -6,10 +6,11 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use ipc_types::identity;
+use hub::latch::Latch;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, Frame, Latched, PHASE_ENDED, PHASE_RUNNING, RunStatus, SOURCE_FRESH, State,
+    Command, DrrReply, Frame, Latched, PHASE_ENDED, PHASE_RUNNING, Part as HubPart, RunStatus, SOURCE_FRESH,
+    State,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::process::EndRequest;
@@ -17,14 +18,14 @@ use ipc_types::scene::Mode;
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
-use physics_proc::latch::Latch;
 use recorder_proc::difference::compare;
 use recorder_proc::verify::compare_state;
-use recorder_proc::{FrameRecord, MessageStream, RunMode, Simulation, TickRecord, topics};
+use recorder_proc::{FrameRecord, MessageStream, RunMode, TickRecord, topics};
+use simulation::Simulation;
 use zerocopy::{FromBytes, IntoBytes};
 
+use super::OpenedLog;
 use super::frames::FrameReplay;
-use super::{OpenedLog, World};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::hub::Hub;
 use crate::launcher::part::Part;
@@ -128,7 +129,7 @@ impl Answers {
     fn read(log: &OpenedLog, indices: &[usize]) -> Result<Answers, Failure> {
         let mut expected = vec![BTreeMap::new(); indices.len()];
         let mut replies = BTreeMap::new();
-        let mut stream = MessageStream::open(&log.path, log.options()).map_err(Failure::bad_input)?;
+        let mut stream = MessageStream::open(&log.path, log.options())?;
         let real_time = stream.header().mode == RunMode::RealTime;
         while let Ok(Some(message)) = stream.next_message() {
             if let (topics::LATCHED, Ok(latched)) = (message.topic, Latched::read_from_bytes(message.body)) {
@@ -199,8 +200,8 @@ impl Stage {
             })
         };
         let open = || -> Result<Stage, SessionError> {
-            session.claim(identity::Part::Physics)?;
-            session.claim(identity::Part::Drr)?;
+            session.claim(HubPart::Physics)?;
+            session.claim(HubPart::Drr)?;
             Ok(Stage {
                 states: session.publisher(&services::STATE)?,
                 latched: session.publisher(&services::LATCHED)?,
@@ -293,17 +294,17 @@ impl Play<'_> {
     /// Steps the physics with the live commands, and compares commands and states.
     fn closed_loop(&mut self, to_tick: u64, mut latch: Latch) -> Result<(), Failure> {
         let mut ticks = self.log.reader()?;
-        let mut world = self.log.world().map_err(Failure::failed)?;
-        if let Some(divergence) = compare_state(ticks.initial(), world.state()) {
+        let mut simulation = self.log.simulation().map_err(Failure::failed)?;
+        if let Some(divergence) = compare_state(ticks.initial(), simulation.state()) {
             return Err(self.differs(&divergence.to_string()));
         }
         self.stage.say(0, PHASE_RUNNING).map_err(failed)?;
-        while world.state().tick < to_tick {
+        while simulation.state().tick < to_tick {
             let Some(record) = ticks.next() else { return Ok(()) };
             let record = record.map_err(failed)?;
-            self.show(world.state())?;
+            self.show(simulation.state())?;
             let latched = self.latch(&record, &mut latch)?;
-            self.step(&mut world, &latched, &record)?;
+            self.step(&mut simulation, &latched, &record)?;
         }
         Ok(())
     }
@@ -339,10 +340,15 @@ impl Play<'_> {
         Ok(latched)
     }
 
-    fn step(&mut self, world: &mut World<'_>, latched: &Latched, record: &TickRecord) -> Result<(), Failure> {
+    fn step(
+        &mut self,
+        simulation: &mut Simulation<'_>,
+        latched: &Latched,
+        record: &TickRecord,
+    ) -> Result<(), Failure> {
         self.stage.latched.send(latched).map_err(failed)?;
-        world.step(latched).map_err(Failure::failed)?;
-        match compare_state(&record.state, world.state()) {
+        simulation.step(latched).map_err(failed)?;
+        match compare_state(&record.state, simulation.state()) {
             None => Ok(()),
             Some(divergence) => Err(self.differs(&divergence.to_string())),
         }

@@ -5,14 +5,11 @@ use std::path::{Path, PathBuf};
 use foreign_text::foreign;
 use ipc_types::layout::hex;
 use ipc_types::scene::Scene;
-use physics_proc::process::ct_geometry;
-use physics_proc::simulation::{CtView, Simulation};
 use recorder_proc::header::layout_hashes;
-use recorder_proc::{BuildInfo, LogReader, ReadOptions};
+use recorder_proc::{BuildInfo, LogReader, ReadOptions, log_path};
+use simulation::{CtView, Simulation, ct_geometry};
 use volume_io::Volume;
 
-use super::World;
-use crate::commands::replay::log_path;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 
@@ -46,17 +43,18 @@ impl OpenedLog {
     /// Opens a log, its scene and its volume.
     ///
     /// # Errors
-    /// Bad input: not a log; or another build, layout, scene or volume, by name, unless that is allowed.
+    /// Bad input: not a log; or another build, layout, scene or volume, by name, unless that is allowed. Damage: nothing of it can
+    /// be replayed.
     pub fn open(given: &Path, overrides: &Overrides) -> Result<OpenedLog, Failure> {
         let path = log_path(given);
         let options = ReadOptions { allow_other_layouts: overrides.allow_mismatch };
-        let reader = LogReader::open_with(&path, options).map_err(Failure::bad_input)?;
+        let reader = LogReader::open_with(&path, options)?;
         let recorded = Scene::parse(&reader.header().scene_toml, &path).map_err(Failure::bad_input)?;
         let mut mismatches = build_mismatch(&reader);
         mismatches.extend(layout_mismatches(&reader));
         let mut scene = recorded.clone();
         if let Some(file) = &overrides.scene {
-            scene = Scene::load(file).map_err(Failure::bad_input)?;
+            scene = ipc_types::scene_file::load(file).map_err(Failure::bad_input)?;
             mismatches.extend(scene_mismatch(&recorded, &scene, file));
         }
         if let Some(file) = &overrides.volume {
@@ -83,7 +81,7 @@ impl OpenedLog {
     /// # Errors
     /// The file cannot be opened any more.
     pub fn reader(&self) -> Result<LogReader, Failure> {
-        LogReader::open_with(&self.path, self.options).map_err(Failure::bad_input)
+        Ok(LogReader::open_with(&self.path, self.options)?)
     }
 
     /// How the log is to be read.
@@ -95,12 +93,12 @@ impl OpenedLog {
     ///
     /// # Errors
     /// The physics refuses the scene.
-    pub fn world(&self) -> Result<World<'_>, String> {
+    pub fn simulation(&self) -> Result<Simulation<'_>, String> {
         let ct = self.volume.as_ref().map(|(volume, hash)| {
             let message = volume_source::message(volume, *hash);
             CtView { geometry: ct_geometry(&message), hu: &volume.hu }
         });
-        Ok(World::new(Simulation::new(&self.scene, ct).map_err(|cause| cause.to_string())?))
+        Simulation::new(&self.scene, ct).map_err(|cause| cause.to_string())
     }
 
     /// What every result is labelled with.

@@ -5,10 +5,8 @@ mod live;
 mod log;
 mod recording;
 mod replies;
-mod world;
 
 pub use frames::verify_frames;
 pub use live::{LivePlan, run as run_live};
 pub use log::{OpenedLog, Overrides};
 pub use recording::{Recorded, record};
-pub use world::World;

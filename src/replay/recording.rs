@@ -4,18 +4,19 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
+use hub::Outputs;
+use hub::run_lane::RunLane;
 use ipc_types::layout::{Message, hex};
 use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State};
-use ipc_types::services::{KEYFRAME_PART_BYTES, MAX_REMOVED_PER_TICK};
+use output_file::{OutputError, OutputFile};
 use recorder_proc::verify::compare_state;
-use recorder_proc::{
-    EndReason, FrameRecord, LogMessage, MessageStream, NewFile, Resumable, RunLog, Simulation, topics,
-};
+use recorder_proc::{EndReason, FrameRecord, LogError, LogMessage, MessageStream, RunLog, topics};
 use sha2::{Digest, Sha256};
+use simulation::Simulation;
 use zerocopy::{FromBytes, IntoBytes};
 
+use super::OpenedLog;
 use super::frames::{FrameReplay, compare};
-use super::{OpenedLog, World};
 use crate::failure::Failure;
 use crate::output::refuse_existing;
 
@@ -43,25 +44,23 @@ pub struct Recorded {
 pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
     let path = folder.join("run.mcap");
     refuse_existing(&[&path])?;
-    let mut stream = MessageStream::open(&log.path, log.options()).map_err(Failure::bad_input)?;
+    let mut stream = MessageStream::open(&log.path, log.options())?;
     let frames = match frame_threads {
         Some(threads) => FrameReplay::new(log, threads)?,
         None => None,
     };
-    let world = log.world().map_err(Failure::failed)?;
-    output_file::create_folder(folder)
-        .map_err(|cause| Failure::bad_input(format!("--record {}: {cause}", folder.display())))?;
-    let (file, made) = NewFile::create(&path).map_err(Failure::bad_input)?;
-    let file = BufWriter::with_capacity(1 << 16, file);
-    let mut out = RunLog::create_named(file, &path, stream.header()).map_err(failed)?;
+    let simulation = log.simulation().map_err(Failure::failed)?;
+    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
+    let file = OutputFile::create(&path)?;
+    let written = BufWriter::with_capacity(1 << 16, file.handle()?);
+    let mut out = RunLog::create_named(written, &path, stream.header()).map_err(failed)?;
     out.keep_places();
     let mut copy = Copy {
         log,
-        out,
-        world,
+        out: Out(out),
+        simulation,
         frames,
-        removals: 0,
-        keyframe_parts: 0,
+        lane: RunLane::with_keyframes_on_demand(),
         ticks: 0,
         frame_count: 0,
         latched: None,
@@ -78,24 +77,23 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     // A log without a marker was left by a recorder that died.
     let reason = marker.map_or(EndReason::PartDied("recorder".to_owned()), |marker| marker.reason.clone());
     let lost = marker.map(|marker| marker.lost.clone()).unwrap_or_default();
-    let (_, mut file) = copy.out.finish(reason, &lost).map_err(failed)?;
+    let (_, mut written) = copy.out.0.finish(reason, &lost).map_err(failed)?;
     // What a buffer could not write is an error, not a file without its end.
-    std::io::Write::flush(&mut file)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be written: {cause}", path.display())))?;
+    std::io::Write::flush(&mut written).map_err(OutputError::write(&path))?;
+    let recorded = file.finish()?;
     let remark = (!stream.ending().is_complete()).then(|| stream.ending().describe());
-    let sha256 = [sha256(&log.path)?, sha256(&path)?];
-    made.keep().map_err(failed)?;
+    let sha256 = [sha256(&log.path)?, sha256(&recorded.draft())?];
+    recorded.keep()?;
     Ok(Recorded { path, ticks, frames, sha256, remark })
 }
 
 /// The replay being written.
 struct Copy<'l> {
     log: &'l OpenedLog,
-    out: RunLog<BufWriter<File>>,
-    world: World<'l>,
+    out: Out,
+    simulation: Simulation<'l>,
     frames: Option<FrameReplay<'l>>,
-    removals: u64,
-    keyframe_parts: u64,
+    lane: RunLane,
     ticks: u64,
     frame_count: u64,
     latched: Option<Box<Latched>>,
@@ -114,7 +112,7 @@ impl Copy<'_> {
         }
         self.put_frame(None)?;
         if chunk_ended {
-            self.out.close_chunk().map_err(failed)?;
+            self.out.0.close_chunk().map_err(failed)?;
         }
         match message.topic {
             topics::LATCHED => self.latched = Latched::read_from_bytes(message.body).ok().map(Box::new),
@@ -132,7 +130,7 @@ impl Copy<'_> {
             }
             topics::DRR_REPLY => {
                 if let Ok(reply) = DrrReply::read_from_bytes(message.body) {
-                    self.out.drr_reply(&reply).map_err(failed)?;
+                    self.out.0.drr_reply(&reply).map_err(failed)?;
                 }
             }
             topics::DRR_FRAME => self.frame = Frame::read_from_bytes(message.body).ok(),
@@ -144,31 +142,25 @@ impl Copy<'_> {
 
     /// Makes a tick, or writes the initial state, and compares it with the log's.
     fn tick(&mut self, recorded: &State) -> Result<(), Failure> {
-        let mut reset = false;
-        let expected = self.world.state().tick + u64::from(self.latched.is_some());
+        let expected = self.simulation.state().tick + u64::from(self.latched.is_some());
         if recorded.tick != expected {
             return Err(Failure::failed(self.gap(expected)));
         }
-        if let Some(latched) = self.latched.take() {
-            self.world.step(&latched).map_err(Failure::failed)?;
-            self.out.latched(&latched).map_err(failed)?;
-            reset = latched.reset != 0;
-            self.ticks += 1;
+        let plant = &mut self.simulation;
+        match self.latched.take() {
+            Some(latched) => {
+                let marks = self.lane.tick(plant, &latched, &mut self.out, |_| 0);
+                marks.map_err(|cause| Failure::failed(cause.to_string()))?;
+                self.ticks += 1;
+            }
+            None => {
+                self.lane.begin(plant, &mut self.out).map_err(|cause| Failure::failed(cause.to_string()))?
+            }
         }
-        if let Some(divergence) = compare_state(recorded, self.world.state()) {
-            return Err(Failure::failed(format!("{divergence}{}", self.log.label())));
+        match compare_state(recorded, self.simulation.state()) {
+            None => Ok(()),
+            Some(divergence) => Err(Failure::failed(format!("{divergence}{}", self.log.label()))),
         }
-        let (tick, total) = (recorded.tick, recorded.removed_total);
-        if tick == 0 {
-            let predrilled = self.world.simulation.predrilled().to_vec();
-            predrilled
-                .chunks(MAX_REMOVED_PER_TICK)
-                .try_for_each(|voxels| self.removed(0, voxels, 0, false))?;
-        } else if reset || !self.world.removed().is_empty() {
-            let removed = self.world.removed().to_vec();
-            self.removed(tick, &removed, total, reset)?;
-        }
-        self.out.state(self.world.simulation.state()).map_err(failed)
     }
 
     /// A part of a run cannot be the same file.
@@ -176,35 +168,9 @@ impl Copy<'_> {
         format!("{}: a gap at tick {tick}: --record needs every tick", self.log.path.display())
     }
 
-    fn removed(&mut self, tick: u64, voxels: &[u32], total: u64, restore_first: bool) -> Result<(), Failure> {
-        self.removals += 1;
-        let head = Removed {
-            tick,
-            sequence: self.removals,
-            removed_total: total,
-            restore_first: u32::from(restore_first),
-            voxel_index_length: voxels.len() as u32,
-        };
-        self.out.removed(&[head.as_bytes(), voxels.as_bytes()].concat()).map_err(failed)
-    }
-
     fn keyframe(&mut self) -> Result<(), Failure> {
-        let bytes = self.world.save().map_err(Failure::failed)?;
-        let state = *self.world.state();
-        for (index, part) in bytes.chunks(KEYFRAME_PART_BYTES).enumerate() {
-            self.keyframe_parts += 1;
-            let head = Keyframe {
-                tick: state.tick,
-                hash: state.hash,
-                sequence: self.keyframe_parts,
-                total_bytes: bytes.len() as u32,
-                offset_bytes: (index * KEYFRAME_PART_BYTES) as u32,
-                reserved: 0,
-                data_length: part.len() as u32,
-            };
-            self.out.keyframe(&[head.as_bytes(), part].concat()).map_err(failed)?;
-        }
-        Ok(())
+        let written = self.lane.keyframe(&self.simulation, &mut self.out);
+        written.map_err(|cause| Failure::failed(cause.to_string()))
     }
 
     /// Writes the frame that waits, with its image if that is what follows it in the log.
@@ -232,17 +198,40 @@ impl Copy<'_> {
             }
         }
         match &record.image {
-            None => self.out.frame_without_image(&record.frame).map_err(failed),
+            None => self.out.0.frame_without_image(&record.frame).map_err(failed),
             Some(prefix) => {
                 let bytes = [record.frame.as_bytes(), prefix.as_bytes(), &record.pixels].concat();
                 debug_assert!(bytes.len() > Frame::DESCRIPTION.size);
-                self.out.frame(&bytes).map_err(failed)
+                self.out.0.frame(&bytes).map_err(failed)
             }
         }
     }
 }
 
-fn failed(cause: recorder_proc::LogError) -> Failure {
+/// The run lane into a log.
+struct Out(RunLog<BufWriter<File>>);
+
+impl Outputs for Out {
+    type Error = LogError;
+
+    fn send_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
+        self.0.latched(latched)
+    }
+
+    fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), LogError> {
+        self.0.removed(&[removed.as_bytes(), voxels.as_bytes()].concat())
+    }
+
+    fn send_state(&mut self, state: &State) -> Result<(), LogError> {
+        self.0.state(state)
+    }
+
+    fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), LogError> {
+        self.0.keyframe(&[keyframe.as_bytes(), part].concat())
+    }
+}
+
+fn failed(cause: LogError) -> Failure {
     Failure::failed(cause.to_string())
 }
 

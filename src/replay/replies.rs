@@ -42,8 +42,7 @@ impl Replies {
         let scene = scene_c_arm(drr).map_err(|cause| Failure::failed(cause.to_string()))?;
         let scene = c_arm_message(&scene);
         let wanted = [topics::DRR_REPLY.to_owned()];
-        let stream =
-            MessageStream::open_topics(&log.path, &wanted, log.options()).map_err(Failure::bad_input)?;
+        let stream = MessageStream::open_topics(&log.path, &wanted, log.options())?;
         let requests = requests(log, &scene);
         let (path, options) = (log.path.clone(), log.options());
         Ok(Replies { stream, waiting: VecDeque::new(), scene, requests, path, options, lacks: None })

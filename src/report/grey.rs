@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use output_file::Existing;
-
 use super::ReportError;
 
 /// An 8-bit grey picture, row by row from the top left.
@@ -31,18 +29,19 @@ impl GreyImage {
 
     /// Writes the picture.
     pub fn write_png(&self, path: &Path) -> Result<(), ReportError> {
-        write_png(path, self.columns, self.rows, png::ColorType::Grayscale, &self.pixels)
+        let bytes = encode_png(path, self.columns, self.rows, png::ColorType::Grayscale, &self.pixels)?;
+        Ok(output_file::write(path, bytes)?)
     }
 }
 
-/// Writes 8-bit samples as a PNG file.
-pub fn write_png(
+/// 8-bit samples as PNG, for a file of this name.
+pub fn encode_png(
     path: &Path,
     columns: u32,
     rows: u32,
     colour: png::ColorType,
     samples: &[u8],
-) -> Result<(), ReportError> {
+) -> Result<Vec<u8>, ReportError> {
     let mut bytes = Vec::new();
     let mut encode = || {
         let mut encoder = png::Encoder::new(&mut bytes, columns, rows);
@@ -53,5 +52,5 @@ pub fn write_png(
         writer.finish()
     };
     encode().map_err(|source: png::EncodingError| ReportError::Png { path: path.into(), source })?;
-    Ok(output_file::write(path, bytes, Existing::Replace)?)
+    Ok(bytes)
 }

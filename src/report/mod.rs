@@ -1,6 +1,6 @@
 //! What a user sees of a finished run: pictures, numbers, a table; and the line that shows how a run goes on.
 //!
-//! [`write`] reads `run.mcap` and `timing.mcap` of a run folder once each, in bounded memory, and writes beside them:
+//! [`write()`] reads `run.mcap` and `timing.mcap` of a run folder once each, in bounded memory, and writes beside them:
 //!
 //! | file | what it shows |
 //! |---|---|
@@ -32,7 +32,7 @@ mod tests;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use output_file::{Existing, OutputError};
+use output_file::OutputError;
 
 pub use live::{LiveSnapshot, LiveStats, progress_line};
 pub use summary::{MissSummary, NOT_SHARED, Summary};
@@ -40,6 +40,20 @@ pub use table::{History, json_line};
 
 use run_lane::RunLane;
 use timing_lane::TimingLane;
+
+/// What a run writes into its folder.
+pub const FILES: [&str; 10] = [
+    "run.mcap",
+    "timing.mcap",
+    "summary.json",
+    "drr_before.png",
+    "drr_half.png",
+    "drr_after.png",
+    "tip_path.png",
+    "tip_path.svg",
+    "timing.png",
+    "timing.svg",
+];
 
 /// What only the launcher knows of a run.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -101,29 +115,52 @@ pub enum ReportError {
     },
 }
 
-/// Writes the report of a run into its folder and returns its numbers.
+/// What a run's report is, and what of it could not be written.
+#[derive(Debug)]
+pub struct Report {
+    /// Its numbers.
+    pub summary: Summary,
+    /// Why a file of it is not there, one error a file or figure.
+    pub missing: Vec<ReportError>,
+}
+
+/// Writes the report of a run into its folder. Each file is for itself: one that cannot be written costs no other, and what somebody
+/// else has put there under its name stays.
 ///
 /// # Errors
-/// [`ReportError`] if something cannot be written. Logs that cannot be read are not an error.
-pub fn write(folder: &Path, facts: &RunFacts) -> Result<Summary, ReportError> {
+/// [`ReportError::Histogram`]: there are no numbers. Logs that cannot be read are not an error.
+pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let paths = [folder.join("run.mcap"), folder.join("timing.mcap")];
     // The timing lane first: it tells the length of the run, and so which frame is the middle one.
     let timing = TimingLane::read(&paths[1])?;
     let run = RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0));
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
+    let summary = Summary::new(&run, &timing, facts, bytes);
+    let mut missing: Vec<ReportError> = Vec::new();
+    // The numbers first: they take the least of a disk that is nearly full.
+    missing.extend(write_json(&folder.join("summary.json"), &summary).err());
     for (name, image) in frames {
-        if let Some(image) = image {
-            image.write_png(&folder.join(format!("drr_{name}.png")))?;
+        let Some(image) = image else { continue };
+        missing.extend(image.write_png(&folder.join(format!("drr_{name}.png"))).err());
+    }
+    for (stem, figure) in
+        [("tip_path", tip_figure::draw(&run)), ("timing", timing_figure::draw(&timing, run.end_ns))]
+    {
+        match figure.and_then(|figure| figure.files(folder, stem)) {
+            Ok(files) => {
+                let written = files.iter().map(|(path, bytes)| output_file::write(path, bytes));
+                missing.extend(written.filter_map(Result::err).map(ReportError::from));
+            }
+            Err(error) => missing.push(error),
         }
     }
-    tip_figure::draw(&run)?.write(folder, "tip_path")?;
-    timing_figure::draw(&timing, run.end_ns)?.write(folder, "timing")?;
-    let summary = Summary::new(&run, &timing, facts, bytes);
-    let path = folder.join("summary.json");
-    let mut text = serde_json::to_string_pretty(&summary)
-        .map_err(|source| ReportError::Json { path: path.clone(), source })?;
+    Ok(Report { summary, missing })
+}
+
+fn write_json(path: &Path, summary: &Summary) -> Result<(), ReportError> {
+    let mut text = serde_json::to_string_pretty(summary)
+        .map_err(|source| ReportError::Json { path: path.into(), source })?;
     text.push('\n');
-    output_file::write(&path, text, Existing::Replace)?;
-    Ok(summary)
+    Ok(output_file::write(path, text)?)
 }

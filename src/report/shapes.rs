@@ -1,6 +1,6 @@
 //! A figure as a list of shapes, and its rendering as PNG and SVG.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use plotters::backend::{BitMapBackend, SVGBackend};
 use plotters::coord::Shift;
@@ -13,7 +13,7 @@ use plotters::style::{
 };
 
 use super::ReportError;
-use super::grey::write_png;
+use super::grey::encode_png;
 
 const FONT: &str = "sans-serif";
 /// Pixels per figure unit while drawing; plotters places shapes on whole pixels.
@@ -137,11 +137,17 @@ impl Figure {
 
     /// Writes `<stem>.png` and `<stem>.svg`.
     pub fn write(&self, folder: &Path, stem: &str) -> Result<(), ReportError> {
-        self.write_png(&folder.join(format!("{stem}.png")))?;
-        self.write_svg(&folder.join(format!("{stem}.svg")))
+        Ok(output_file::write_all(&self.files(folder, stem)?)?)
     }
 
-    fn write_png(&self, path: &Path) -> Result<(), ReportError> {
+    /// `<stem>.png` and `<stem>.svg`, with what they are to hold.
+    pub fn files(&self, folder: &Path, stem: &str) -> Result<[(PathBuf, Vec<u8>); 2], ReportError> {
+        let [png, svg] = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
+        let bytes = (self.png(&png)?, self.svg(&svg)?.into_bytes());
+        Ok([(png, bytes.0), (svg, bytes.1)])
+    }
+
+    fn png(&self, path: &Path) -> Result<Vec<u8>, ReportError> {
         let size = (self.width * SCALE as u32, self.height * SCALE as u32);
         let mut pixels = vec![0u8; size.0 as usize * size.1 as usize * 3];
         {
@@ -151,11 +157,11 @@ impl Figure {
         }
         let (columns, rows) = (size.0 as usize / SHRINK, size.1 as usize / SHRINK);
         let shrunk = shrink(&pixels, columns, rows);
-        write_png(path, columns as u32, rows as u32, png::ColorType::Rgb, &shrunk)
+        encode_png(path, columns as u32, rows as u32, png::ColorType::Rgb, &shrunk)
     }
 
-    /// Writes an SVG file.
-    pub fn write_svg(&self, path: &Path) -> Result<(), ReportError> {
+    /// The figure as SVG, for a file of this name.
+    pub fn svg(&self, path: &Path) -> Result<String, ReportError> {
         let size = (self.width * SCALE as u32, self.height * SCALE as u32);
         let mut text = String::new();
         self.draw(SVGBackend::with_string(&mut text, size), false)
@@ -163,8 +169,7 @@ impl Figure {
         // Drawn on a fine grid, shown at its own size.
         let drawn = format!("width=\"{}\" height=\"{}\"", size.0, size.1);
         let shown = format!("width=\"{}\" height=\"{}\"", self.width, self.height);
-        let text = text.replacen(&drawn, &shown, 1);
-        Ok(output_file::write(path, text, output_file::Existing::Replace)?)
+        Ok(text.replacen(&drawn, &shown, 1))
     }
 
     fn draw<DB: DrawingBackend>(&self, backend: DB, bitmap: bool) -> Result<(), Box<dyn std::error::Error>>

@@ -11,6 +11,7 @@ use super::RunFacts;
 use super::distribution::Quantiles;
 use super::run_lane::{RunLane, distance_m};
 use super::timing_lane::TimingLane;
+use crate::plan::ModelError;
 
 /// What a run came to: the content of `summary.json`. What the logs do not say is null.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -35,6 +36,9 @@ pub struct Summary {
     pub final_hash: Option<String>,
     /// The tool; none without a state.
     pub tool: Option<ToolSummary>,
+    /// What is known of the model's error; none for one that does not bend in one plane, without bone, or that was not measured.
+    #[serde(default)]
+    pub model_error: Option<ModelError>,
     /// Drilling and contact; none without a state.
     pub drilling: Option<DrillingSummary>,
     /// X-ray frames; none without a frame.
@@ -213,6 +217,7 @@ impl Summary {
             real_time_factor: ratio(simulated_s, facts.wall_s),
             final_hash: run.last.as_ref().map(|state| hash_text(state.hash)),
             tool: ToolSummary::of(run),
+            model_error: run.scene.as_ref().and_then(ModelError::of),
             drilling: DrillingSummary::of(run),
             drr: DrrSummary::of(run, timing, facts),
             timing: TimingSummary::of(timing),
@@ -322,7 +327,7 @@ const GAPS_SHOWN: usize = 3;
 /// Ending of a name in [`Summary::peak_memory_bytes`] under which the memory of a process without shared memory stands.
 pub const NOT_SHARED: &str = ", not shared";
 
-/// The short table at the end of a run: 20 lines, and one for each controller behind the third.
+/// The short table at the end of a run: 21 lines, and one for each controller behind the third.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unknown = || "unknown".to_string();
@@ -365,6 +370,9 @@ impl Summary {
                 "bend",
                 format!("{:.2} deg, tension up to {:.2} N", tool.bend_deg, tool.max_tension_n),
             ));
+        }
+        if let Some(error) = &self.model_error {
+            rows.push(("model", error.to_string()));
         }
         if let Some(drilling) = &self.drilling {
             let volume = drilling.removed_volume_mm3.map_or(String::new(), |mm3| format!(" ({mm3:.1} mm3)"));

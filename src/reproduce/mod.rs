@@ -59,8 +59,7 @@ pub fn run(plan: &Plan, only: Option<usize>) -> Result<(), Failure> {
     for (_, (_, _, files)) in (1..).zip(PARTS).filter(|(number, _)| chosen(*number)) {
         refuse_existing(&within(&plan.out, files))?;
     }
-    output_file::create_folder(&plan.out)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", plan.out.display())))?;
+    output_file::create_folder(&plan.out).map_err(Failure::folder(&plan.out))?;
     for (number, (title, part, _)) in (1..).zip(PARTS) {
         if chosen(number) {
             let began = std::time::Instant::now();

@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
-use crate::output::write_new;
 use crate::report::shapes::Figure;
 
 /// Where the files go, and how much is computed.
@@ -21,10 +20,7 @@ impl Plan {
     /// # Errors
     /// A file that cannot be written.
     pub fn draw(&self, figure: &Figure, stem: &str) -> Result<(), Failure> {
-        let files = ["png", "svg"].map(|ending| self.out.join(format!("{stem}.{ending}")));
-        write_new(&files, || {
-            figure.write(&self.out, stem).map_err(|cause| Failure::failed(cause.to_string()))
-        })
+        Ok(figure.write(&self.out, stem)?)
     }
 }
 
@@ -71,6 +67,6 @@ impl Table {
             csv.push_str(&(cells.join(",") + "\n"));
         }
         let path = folder.join(name);
-        Ok(output_file::write(&path, csv, output_file::Existing::Refuse)?)
+        Ok(output_file::write(&path, csv)?)
     }
 }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use plotters::style::RGBColor;
 use rayon::prelude::*;
 
-use physics_proc::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, Removal};
+use simulation::bone::{BoneField, BoneParameters, BurrState, ContactBuffer, Removal};
 
 use super::output::{Plan, Table};
 use super::rig::Block;
@@ -74,7 +74,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
 
 /// Presses the burr along +z at a boundary at x = 0, the dense side at +x.
 fn drill(rule: Removal, name: &'static str, ratio: f64, force_n: f64) -> Result<Run, Failure> {
-    let failed = |cause: physics_proc::bone::BoneError| Failure::failed(cause.to_string());
+    let failed = |cause: simulation::bone::BoneError| Failure::failed(cause.to_string());
     // An odd number of voxels beside each other, 0.3 mm wide: the grid has no plane of symmetry where the burr is.
     let block = Block::new([-6.0, -6.15, 0.0], [6.0, 6.15, 12.0], 0.3, |p| {
         if p.x > 0.0 { FOAM_KG_PER_M3 * ratio } else { FOAM_KG_PER_M3 }

@@ -2,14 +2,12 @@
 
 use std::path::Path;
 
-use ipc_types::messages::{
-    ARM_INSERT, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
-    TENDON_SERVO_JF,
-};
+use hub::in_process::{Answer, InProcess};
+use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
-use physics_proc::bone::{GridGeometry, MaterialLaw};
-use physics_proc::simulation::{CtView, Simulation};
+use simulation::bone::{GridGeometry, MaterialLaw};
+use simulation::{CtView, Simulation};
 
 use crate::failure::Failure;
 
@@ -155,19 +153,23 @@ impl Trial {
     pub fn play(&self, block: &Block, mut see: impl FnMut(&State, &[u32])) -> Result<Outcome, Failure> {
         let failed = |cause: &dyn core::fmt::Display| Failure::failed(cause.to_string());
         let ct = CtView { geometry: block.geometry, hu: &block.hu };
-        let mut simulation = Simulation::new(&self.scene()?, Some(ct)).map_err(|cause| failed(&cause))?;
+        let scene = self.scene()?;
+        let simulation = Simulation::new(&scene, Some(ct)).map_err(|cause| failed(&cause))?;
+        let mut run = InProcess::new(&scene, simulation);
         let dt_s = self.dt_ms * 1e-3;
         let seconds = RAMP_S + self.insertion_mm / self.feed_mm_per_s + REST_S;
-        let mut outcome = Outcome::new(simulation.state());
-        let mut held = Command::zeroed();
+        let mut outcome = Outcome::new(run.plant().state());
         let ticks = (seconds / dt_s).ceil() as u64;
         for tick in 0..ticks {
-            let fresh = self.command(tick as f64 * dt_s, dt_s);
-            let source = if fresh.is_some() { SOURCE_FRESH } else { SOURCE_HELD };
-            held = fresh.map_or(held, |command| Command { sequence: held.sequence + 1, ..command });
-            let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
-            latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: 0, command: held };
-            simulation.step(&latched).map_err(|cause| failed(&cause))?;
+            let answer = |_, _: &State, command: &mut Command| match self.command(tick as f64 * dt_s, dt_s) {
+                None => Answer::Nothing,
+                Some(new) => {
+                    *command = Command { sequence: command.sequence, state_tick: command.state_tick, ..new };
+                    Answer::Command
+                }
+            };
+            run.tick(answer).map_err(|cause| failed(&cause))?;
+            let simulation = run.plant();
             if let Some(refusal) = simulation.refusals().first() {
                 return Err(Failure::failed(format!("a command was refused: {}", refusal.reason)));
             }
@@ -176,7 +178,7 @@ impl Trial {
             outcome.see(state, feeding, tick * 2 > ticks);
             see(state, simulation.removed());
         }
-        outcome.end = *simulation.state();
+        outcome.end = *run.plant().state();
         Ok(outcome)
     }
 }

@@ -1,11 +1,11 @@
 //! Bend against tension in free space: friction in the channels, loading and unloading.
 
 use nalgebra::{Isometry3, Vector3};
-use physics_proc::manipulator::{
-    BaseMotion, Manipulator, ManipulatorError, ManipulatorParameters, StepInput, TendonCommand, Wrench,
-};
 use plotters::style::RGBColor;
 use rayon::prelude::*;
+use simulation::manipulator::{
+    BaseMotion, Manipulator, ManipulatorError, ManipulatorParameters, StepInput, TendonCommand, Wrench,
+};
 
 use super::output::{Plan, Table};
 use super::tunnel::radius_mm;
@@ -132,7 +132,8 @@ fn draw(loops: &[Loop]) -> Result<Figure, Failure> {
 mod tests {
     use super::*;
 
-    /// The capstan prediction for this table of stiffnesses (seed-system.md, 2a): 10 N bend 86.5, 80.4, 75.2, 70.9 degrees.
+    /// k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's capstan) for this table of stiffnesses: 10 N bend 86.5,
+    /// 80.4, 75.2, 70.9 degrees.
     #[test]
     fn loading_follows_the_capstan_and_unloading_stays_behind() -> Result<(), ManipulatorError> {
         for (friction, exact) in FRICTIONS.into_iter().zip([86.5, 80.4, 75.2, 70.9]) {

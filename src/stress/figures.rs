@@ -1,7 +1,5 @@
 //! The figures of a stress test.
 
-use std::path::Path;
-
 use plotters::style::RGBColor;
 use recorder_proc::Cause;
 
@@ -161,9 +159,4 @@ fn map_cell(figure: &mut Figure, (x, y): Point, p99_us: Option<f64>) {
     let ink = if shade.is_some_and(|s| s > 0.5) { RGBColor(255, 255, 255) } else { INK };
     let text = p99_us.map_or("not run".to_owned(), duration_label);
     figure.text((0.5 * (x + right), 0.5 * (y + lower)), &text, 13.0, ink, Anchor::Centre);
-}
-
-/// Writes a figure as SVG.
-pub fn write(figure: &Figure, path: &Path) -> Result<(), ReportError> {
-    figure.write_svg(path)
 }

@@ -19,11 +19,13 @@ use std::time::{Duration, Instant};
 use fastrand::Rng;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
+use output_file::SavedFile;
 
 use crate::bench::machine::Machine;
 use crate::failure::Failure;
 use crate::launcher::part::Part;
 use crate::launcher::volume_source::VolumeFiles;
+use crate::scenes::SceneSource;
 use confine::Confinement;
 use load::Loads;
 use plan::{Combination, policy_name, wait_name};
@@ -38,8 +40,8 @@ const RUN_LIMIT: Duration = Duration::from_secs(600);
 /// What is to be run.
 #[derive(Debug, Clone)]
 pub struct StressPlan {
-    /// Scene file.
-    pub scene: PathBuf,
+    /// Where its scene comes from.
+    pub scene: SceneSource,
     /// Combinations, in order.
     pub combinations: Vec<Combination>,
     /// Seconds of each run.
@@ -63,7 +65,7 @@ pub struct StressPlan {
 /// # Errors
 /// A scene that is not one (2); a report that cannot be written. A run that fails is in the report.
 pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), Failure> {
-    let scene = Scene::load(&plan.scene).map_err(Failure::bad_input)?;
+    let scene = plan.scene.load()?;
     let watched = Machine::watch();
     let mut report = StressReport {
         trabecula: env!("CARGO_PKG_VERSION").to_owned(),
@@ -76,6 +78,7 @@ pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), 
         planned: plan.combinations.len(),
         tested: Vec::new(),
     };
+    let mut written = Written::create(&plan.output)?;
     let (began, total) = (Instant::now(), plan.combinations.len());
     for (index, combination) in plan.combinations.iter().enumerate() {
         let left = estimate(began.elapsed(), index, total, plan.seconds);
@@ -83,18 +86,36 @@ pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), 
         let Some(tested) = test(plan, &scene, combination, index, end)? else { break };
         report.tested.push(tested);
         report.machine = machine::facts(&watched);
-        write(&report, plan)?;
+        written.save(&report, plan)?;
     }
     let interrupted = report.tested.len() < total;
-    write(&report, plan)?;
+    written.save(&report, plan)?;
     Ok((report, interrupted))
 }
 
-fn write(report: &StressReport, plan: &StressPlan) -> Result<(), Failure> {
-    let map = figures::map(&report.tested).map_err(|error| Failure::failed(error.to_string()))?;
-    figures::write(&map, &plan.output.join("map.svg")).map_err(|error| Failure::failed(error.to_string()))?;
-    report.write(&plan.output)?;
-    page::write(report, plan.compare.as_ref(), &plan.output)
+/// The report's files, which are written again after every combination.
+struct Written {
+    map: SavedFile,
+    json: SavedFile,
+    csv: SavedFile,
+    page: SavedFile,
+}
+
+impl Written {
+    fn create(folder: &Path) -> Result<Written, Failure> {
+        let file = |name: &str| SavedFile::create(&folder.join(name));
+        let (map, json) = (file("map.svg")?, file("stress.json")?);
+        Ok(Written { map, json, csv: file("stress.csv")?, page: file("index.html")? })
+    }
+
+    fn save(&mut self, report: &StressReport, plan: &StressPlan) -> Result<(), Failure> {
+        let map = figures::map(&report.tested)?;
+        self.map.save(map.svg(&plan.output.join("map.svg"))?)?;
+        self.json.save(report.json()?)?;
+        self.csv.save(report.csv())?;
+        // It shows the map as it lies in the folder.
+        Ok(self.page.save(page::html(report, plan.compare.as_ref(), &plan.output))?)
+    }
 }
 
 /// Time that is left, by the combinations that are done; before the first is, by their length.
@@ -150,9 +171,8 @@ fn test(
     let (measured, curves) = measure::measure(folder.as_deref().unwrap_or(&logs), expected.tick_count())?;
     not_permitted.extend(folder.as_deref().map(refused_priority).unwrap_or_default());
     let name = format!("combination_{:02}.svg", index + 1);
-    let figure = figures::combination(combination, &measured, &curves);
-    let written = figure.and_then(|figure| figures::write(&figure, &plan.output.join(&name)));
-    written.map_err(|error| Failure::failed(error.to_string()))?;
+    let (figure, path) = (figures::combination(combination, &measured, &curves)?, plan.output.join(&name));
+    output_file::write(&path, figure.svg(&path)?)?;
     remove(&logs, plan.keep_logs);
     Ok(Some(Tested {
         combination: *combination,
@@ -167,7 +187,8 @@ fn test(
 
 fn command(plan: &StressPlan, combination: &Combination, logs: &Path) -> std::io::Result<Command> {
     let mut command = Command::new(std::env::current_exe()?);
-    command.arg("run").arg(&plan.scene).args(["--mode", "realtime", "--quiet"]);
+    // Without a scene `run` takes the one that `stress` takes.
+    command.arg("run").args(plan.scene.argument()).args(["--mode", "realtime", "--quiet"]);
     command.arg("--duration-s").arg(plan.seconds.to_string()).arg("--output").arg(logs);
     if plan.volume_files.allow_elsewhere {
         command.arg("--allow-elsewhere");
@@ -203,9 +224,40 @@ fn refused_priority(folder: &Path) -> Vec<String> {
     said
 }
 
+/// Removes what runs have written into their folders, and these if nothing else is in them.
 fn remove(logs: &Path, keep: bool) {
-    if !keep {
-        // What cannot be removed lies in the user's own output folder, and is named after what it is.
-        let _ = std::fs::remove_dir_all(logs);
+    if keep {
+        return;
+    }
+    // What cannot be removed lies in the user's own output folder, and is named after what it is.
+    for folder in std::fs::read_dir(logs).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        crate::report::FILES.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
+        let _ = std::fs::remove_dir(folder);
+    }
+    let _ = std::fs::remove_dir(logs);
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    /// The folders of a stress test's runs were removed with all that was in them.
+    #[test]
+    fn what_others_put_beside_the_logs_of_a_stress_test_stays() {
+        let logs = tempfile::tempdir().unwrap();
+        let [ours, mixed] = ["ours", "mixed"].map(|name| logs.path().join(name));
+        for folder in [&ours, &mixed] {
+            fs::create_dir(folder).unwrap();
+            crate::report::FILES.iter().for_each(|name| fs::write(folder.join(name), name).unwrap());
+        }
+        fs::write(mixed.join("notes.txt"), "a user's own").unwrap();
+        remove(logs.path(), true);
+        assert_eq!(fs::read_dir(&ours).unwrap().count(), crate::report::FILES.len());
+        remove(logs.path(), false);
+        assert!(!ours.exists());
+        let left: Vec<_> = fs::read_dir(&mixed).unwrap().flatten().map(|entry| entry.file_name()).collect();
+        assert_eq!(left, ["notes.txt"]);
     }
 }

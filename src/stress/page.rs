@@ -5,8 +5,7 @@ use std::path::Path;
 use recorder_proc::Cause;
 
 use super::machine::{Finding, Grade};
-use super::report::{COLUMNS, StressReport, Tested, causes, comparison, write_file, yes};
-use crate::failure::Failure;
+use super::report::{COLUMNS, StressReport, Tested, causes, comparison, yes};
 use crate::report::axis::duration_label;
 
 const STYLE: &str = "
@@ -17,11 +16,8 @@ th:first-child, td:first-child, td.text, th.text { text-align: left; } td:not(.t
 .wide { overflow-x: auto; } svg { max-width: 100%; height: auto; } .note { color: #555; }
 ";
 
-/// Writes `index.html`, with the figures of the folder in it.
-///
-/// # Errors
-/// The file cannot be written.
-pub fn write(report: &StressReport, old: Option<&StressReport>, folder: &Path) -> Result<(), Failure> {
+/// The page, with the figures of the folder in it.
+pub fn html(report: &StressReport, old: Option<&StressReport>, folder: &Path) -> String {
     let mut text = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\"><title>Stress test: {scene}</title>\n<style>{STYLE}</style></head><body>\n<h1>Stress test: {scene}</h1>\n{}",
         head(report),
@@ -41,7 +37,7 @@ pub fn write(report: &StressReport, old: Option<&StressReport>, folder: &Path) -
     }
     text += &machine(report);
     text += "</body></html>\n";
-    write_file(&folder.join("index.html"), &text)
+    text
 }
 
 fn escape(text: &str) -> String {

@@ -106,14 +106,13 @@ impl StressReport {
         serde_json::from_str(&text).map_err(|cause| bad(cause.to_string()))
     }
 
-    /// Writes `stress.json` and `stress.csv`.
+    /// The whole report as JSON.
     ///
     /// # Errors
-    /// The files cannot be written.
-    pub fn write(&self, folder: &Path) -> Result<(), Failure> {
+    /// It cannot be encoded.
+    pub fn json(&self) -> Result<String, Failure> {
         let json = serde_json::to_string_pretty(self).map_err(|cause| Failure::failed(cause.to_string()))?;
-        write_file(&folder.join("stress.json"), &format!("{json}\n"))?;
-        write_file(&folder.join("stress.csv"), &self.csv())
+        Ok(format!("{json}\n"))
     }
 
     /// A row a combination. Times in µs; a value that there is none of is empty.
@@ -253,12 +252,4 @@ pub fn comparison(old: &StressReport, new: &StressReport) -> Vec<[String; 6]> {
         ])
     });
     rows.collect()
-}
-
-/// Writes a text file.
-///
-/// # Errors
-/// The system's, with the file's name.
-pub fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
-    Ok(output_file::write(path, text, output_file::Existing::Replace)?)
 }

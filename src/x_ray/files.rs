@@ -5,7 +5,6 @@ use std::path::Path;
 use dicom_core::value::PrimitiveValue;
 use dicom_core::{DataElement, Tag, VR};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
-use output_file::Existing;
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
@@ -58,7 +57,7 @@ pub fn write_png(path: &Path, pictures: &[Picture]) -> Result<(), Failure> {
         writer.write_image_data(&bytes).map_err(|e| fail(e.to_string()))?;
     }
     writer.finish().map_err(|e| fail(e.to_string()))?;
-    Ok(output_file::write(path, bytes, Existing::Replace)?)
+    Ok(output_file::write(path, bytes)?)
 }
 
 /// 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the world.
@@ -81,7 +80,7 @@ pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
         vector(c_arm.source_m),
     );
     let bytes = [header.as_bytes(), picture.values.as_bytes()].concat();
-    Ok(output_file::write(path, bytes, Existing::Replace)?)
+    Ok(output_file::write(path, bytes)?)
 }
 
 /// DICOM X-ray angiography image of one frame, with the positioner's angles and distances.
@@ -144,5 +143,5 @@ pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let file = object.with_meta(meta).map_err(|e| fail(e.to_string()))?;
     let mut bytes = Vec::new();
     file.write_all(&mut bytes).map_err(|e| fail(e.to_string()))?;
-    Ok(output_file::write(path, bytes, Existing::Replace)?)
+    Ok(output_file::write(path, bytes)?)
 }

@@ -15,13 +15,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command as Program, Stdio};
 use test_support::limited::{Limited, end_within};
 
+use hub::latch::Latch;
 use ipc_types::messages::{ARM_MOVE_CP, BURR_SPEED, CONTROL_STOP, Command, State, TENDON_SERVO_JF};
 use ipc_types::scene::Scene;
-use physics_proc::bone::GridGeometry;
-use physics_proc::latch::Latch;
-use physics_proc::simulation::{CtView, Simulation};
 use recorder_proc::{MessageStream, ReadOptions, topics};
 use rustix::process::Signal;
+use simulation::bone::GridGeometry;
+use simulation::{CtView, Simulation};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
 use common::client::Pilot;

@@ -40,12 +40,22 @@ const WALL_CLOCK: [(&str, &str, &str); 3] = [
 #[test]
 fn no_loop_reads_the_wall_clock() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut folders: Vec<PathBuf> =
-        ["src", "ipc_types/src", "volume_io/src", "physics_proc/src", "drr_proc/src"]
-            .into_iter()
-            .chain(["controller_proc/src", "recorder_proc/src", "viewer_proc/src", "clients/c/src"])
-            .map(|folder| root.join(folder))
-            .collect();
+    let mut folders: Vec<PathBuf> = [
+        "src",
+        "ipc_types/src",
+        "volume_io/src",
+        "voxel_grid/src",
+        "physics_proc/src",
+        "drr_proc/src",
+        "hub/src",
+        "simulation/src",
+        "scene/src",
+        "messages/src",
+    ]
+    .into_iter()
+    .chain(["controller_proc/src", "recorder_proc/src", "viewer_proc/src", "clients/c/src"])
+    .map(|folder| root.join(folder))
+    .collect();
     let mut found = Vec::new();
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).unwrap().flatten() {

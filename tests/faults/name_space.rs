@@ -11,13 +11,26 @@ const LIMIT: Duration = Duration::from_secs(90);
 
 /// Kept by a sleeping process; gone with it.
 #[derive(Debug)]
-pub struct NameSpace(Child);
+pub struct NameSpace {
+    holder: Child,
+    has_own_user: bool,
+}
 
 impl NameSpace {
     /// A tmpfs of some bytes at a place that only this namespace sees; the error is the reason why there is none.
     pub fn with_tmpfs(at: &Path, bytes: u64) -> Result<NameSpace, String> {
-        let script = format!("mount -t tmpfs -o size={bytes} tmpfs \"$0\" && echo mounted && exec sleep 600");
+        NameSpace::with(false, at, &format!("size={bytes}"))
+    }
+
+    /// The same with any options, as whoever may have a user namespace, in which its user is root.
+    pub fn of_own_user(at: &Path, options: &str) -> Result<NameSpace, String> {
+        NameSpace::with(true, at, options)
+    }
+
+    fn with(has_own_user: bool, at: &Path, options: &str) -> Result<NameSpace, String> {
+        let script = format!("mount -t tmpfs -o {options} tmpfs \"$0\" && echo mounted && exec sleep 600");
         let mut unshare = Command::new("unshare");
+        unshare.args(has_own_user.then_some(["--user", "--map-root-user"]).iter().flatten());
         unshare.args(["--mount", "sh", "-c", &script]).arg(at);
         let mut child = unshare
             .stdin(Stdio::null())
@@ -31,7 +44,7 @@ impl NameSpace {
             .unwrap();
         drop(watchdog);
         if said.trim() == "mounted" {
-            return Ok(NameSpace(child));
+            return Ok(NameSpace { holder: child, has_own_user });
         }
         end_within(&mut child, LIMIT, "unshare");
         Err("this user may not mount in a namespace of its own".to_owned())
@@ -40,13 +53,15 @@ impl NameSpace {
     /// A command whose program is the rest of its arguments, seen by nobody outside.
     pub fn command(&self) -> Command {
         let mut command = Command::new("nsenter");
-        command.arg(format!("--mount=/proc/{}/ns/mnt", self.0.id())).arg("--");
+        let space = |kind: &str, name: &str| format!("--{kind}=/proc/{}/ns/{name}", self.holder.id());
+        command.args(self.has_own_user.then(|| space("user", "user")));
+        command.arg(space("mount", "mnt")).arg("--");
         command
     }
 
     /// Where a path of the namespace is seen from outside.
     pub fn path(&self, inside: &Path) -> PathBuf {
-        Path::new(&format!("/proc/{}/root", self.0.id())).join(inside.strip_prefix("/").unwrap())
+        Path::new(&format!("/proc/{}/root", self.holder.id())).join(inside.strip_prefix("/").unwrap())
     }
 
     /// Gives its tmpfs another size.
@@ -67,7 +82,7 @@ impl NameSpace {
 
 impl Drop for NameSpace {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.holder.kill();
+        let _ = self.holder.wait();
     }
 }

@@ -3,13 +3,14 @@
 use std::ffi::OsStr;
 use std::fs;
 
-use recorder_proc::EndReason;
+use ipc_types::messages::CONTROL_STOP;
+use recorder_proc::{EndReason, LogError, LogReader, log_path};
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::Signal;
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{Place, assert_nothing_left, signal, trabecula};
+use crate::common::program::{Place, assert_nothing_left, signal, trabecula, wait_for};
 use crate::common::scenes;
 
 /// The command waited for somebody to write into it, for ever.
@@ -63,4 +64,161 @@ fn a_signal_of_somebody_else_to_the_recorder_blames_nobody() {
     let log = read(&ended.folder);
     assert_eq!((log.marker.unwrap().reason, log.ticks.len()), (EndReason::Completed, 1500));
     assert_replays(&ended.folder);
+}
+
+/// Every other command with a LOG takes a folder; this one said that a folder is no regular file.
+#[test]
+fn a_folder_in_place_of_a_file_of_several_runs_is_split() {
+    let place = Place::new();
+    let run = place.complete(&scenes::hold("lockstep", 0.1)).folder;
+    let (both, parts) = (place.path("both"), place.path("parts"));
+    fs::create_dir(&both).unwrap();
+    let joined = trabecula(&[&"log", &"cat-files", &run, &run, &"-o", &both.join("run.mcap")]);
+    assert_eq!(joined.code, Some(0), "{}", joined.err);
+    let split = trabecula(&[&"log", &"split", &both, &"-o", &parts]);
+    assert_eq!(split.code, Some(0), "{}", split.err);
+    assert_replays(&parts.join("run2.mcap"));
+}
+
+/// Exit code 1, "the logs differ", beside "no message is missing".
+#[test]
+fn a_log_that_lacks_only_its_end_does_not_differ() {
+    let place = Place::new();
+    let log = place.complete(&scenes::hold("lockstep", 0.3)).folder.join("run.mcap");
+    let bytes = fs::read(&log).unwrap();
+    let cut = place.path("cut.mcap");
+    // Behind the data: in the closing magic, in the index, and without an end marker.
+    let marker = bytes.windows(9).rposition(|bytes| bytes == b"completed").unwrap();
+    for length in [bytes.len() - 8, bytes.len() - 60, marker] {
+        fs::write(&cut, &bytes[..length]).unwrap();
+        for words in [[&log, &cut], [&cut, &log]] {
+            let done = trabecula(&[&"log", &"diff", words[0], words[1]]);
+            assert_eq!(done.code, Some(3), "{length} of {} bytes: {}{}", bytes.len(), done.out, done.err);
+            assert!(
+                done.out.contains("300 identical ticks") && done.out.contains("identical\n"),
+                "{}",
+                done.out
+            );
+            assert!(done.out.contains("log: cut after byte"), "{}", done.out);
+        }
+    }
+}
+
+/// Exit code 2, as if another argument could help; the pages say that damage is 1.
+#[test]
+fn a_log_without_any_state_is_damage_to_every_command() {
+    let place = Place::new();
+    let log = place.complete(&scenes::hold("lockstep", 0.1)).folder.join("run.mcap");
+    let bytes = fs::read(&log).unwrap();
+    let cut = place.path("cut.mcap");
+    let has_no_state = |length: &usize| {
+        fs::write(&cut, &bytes[..*length]).unwrap();
+        matches!(LogReader::open(&cut), Err(LogError::NoInitialState { .. }))
+    };
+    let length = (100..bytes.len()).step_by(100).find(has_no_state).unwrap();
+    fs::write(&cut, &bytes[..length]).unwrap();
+    let (made, folder) = (place.path("made.nrrd"), place.path("again"));
+    let all: [&[&dyn AsRef<OsStr>]; 8] = [
+        &[&"replay", &cut],
+        &[&"replay", &cut, &"--verify"],
+        &[&"replay", &cut, &"--from", &"3"],
+        &[&"replay", &cut, &"--record", &folder],
+        &[&"log", &"diff", &cut, &log],
+        &[&"log", &"diff", &log, &cut],
+        &[&"plan", &"--check", &cut],
+        &[&"volume", &"drilled", &cut, &made],
+    ];
+    for words in all {
+        let done = trabecula(words);
+        assert_eq!(done.code, Some(1), "{}{}", done.out, done.err);
+        assert!(done.err.contains("no initial state"), "{}", done.err);
+        assert!(!made.exists() && !folder.exists());
+    }
+}
+
+/// "part died: launcher", though the launcher was well and had said on the terminal what it was.
+#[test]
+fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
+    for whole_folder in [true, false] {
+        let place = Place::new();
+        let run = place.start(&scenes::hold("realtime", 3600.0));
+        Client::join(&run.session()).wait_for_state(|state| state.tick >= 200);
+        let log = wait_for("the log", || run.log());
+        let (from, to) = match whole_folder {
+            true => (log.parent().unwrap(), place.path("moved")),
+            false => (log.as_path(), place.path("moved.mcap")),
+        };
+        fs::rename(from, &to).unwrap();
+        let ended = run.end();
+        assert_eq!(ended.code, Some(1), "{}", ended.err);
+        assert!(ended.err.contains("run.mcap has been moved to"), "{}", ended.err);
+        assert_nothing_left(ended.pid);
+        let mut log = LogReader::open(&log_path(&to)).unwrap();
+        while log.next().is_some() {}
+        assert_eq!(log.ending().marker.as_ref().unwrap().reason, EndReason::LogMoved);
+        assert_replays(&to);
+    }
+}
+
+/// The pictures, figures and summary of a run replaced what somebody had put under their names, and one picture that could not be
+/// written cost summary and table.
+#[test]
+fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
+    const MINE: &str = "a user's own work";
+    let place = Place::new();
+    let run = place.start(&scenes::drill("realtime", 60.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 200);
+    let folder = wait_for("the log", || run.log()).parent().unwrap().to_owned();
+    // A file, a folder, a link to somebody's file, and names that the run uses on its way to its end.
+    let elsewhere = place.path("elsewhere");
+    fs::write(&elsewhere, MINE).unwrap();
+    fs::write(folder.join("drr_after.png"), MINE).unwrap();
+    fs::write(folder.join(".end_reason"), MINE).unwrap();
+    fs::create_dir(folder.join("tip_path.png")).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, folder.join("timing.svg")).unwrap();
+    client.ask(CONTROL_STOP, 0);
+    drop(client);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}{}", ended.out, ended.err);
+    assert_nothing_left(ended.pid);
+    assert_eq!(fs::read_to_string(folder.join("drr_after.png")).unwrap(), MINE);
+    assert_eq!(fs::read_to_string(folder.join(".end_reason")).unwrap(), MINE);
+    assert_eq!(fs::read_to_string(&elsewhere).unwrap(), MINE);
+    assert!(folder.join("tip_path.png").is_dir() && folder.join("timing.svg").is_symlink());
+    let found =
+        [("drr_after.png", "a file of 17 bytes"), ("tip_path.png", "a folder"), ("timing.svg", "a link")];
+    for (name, what) in found {
+        let said =
+            format!("{}: {what} is there that is not of this run; it stays", folder.join(name).display());
+        assert!(ended.err.contains(&said), "{}", ended.err);
+    }
+    assert!(ended.err.contains("3 parts of the report could not be written"), "{}", ended.err);
+    for name in ["summary.json", "drr_before.png", "tip_path.svg", "timing.png"] {
+        assert!(fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
+    }
+    assert!(ended.out.contains("completed") && ended.out.contains("replay it"), "{}", ended.out);
+    assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Completed);
+    assert_replays(&folder);
+}
+
+/// The same of `summary.json` itself: the table is shown all the same.
+#[test]
+fn a_summary_that_cannot_be_written_costs_no_picture_and_no_table() {
+    let place = Place::new();
+    let run = place.start(&scenes::drill("realtime", 60.0));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 200);
+    let folder = wait_for("the log", || run.log()).parent().unwrap().to_owned();
+    fs::write(folder.join("summary.json"), "mine").unwrap();
+    client.ask(CONTROL_STOP, 0);
+    drop(client);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(1), "{}{}", ended.out, ended.err);
+    assert_eq!(fs::read_to_string(folder.join("summary.json")).unwrap(), "mine");
+    assert!(ended.err.contains("a part of the report could not be written"), "{}", ended.err);
+    assert!(ended.out.contains("completed"), "{}", ended.out);
+    for name in ["drr_after.png", "tip_path.png", "tip_path.svg", "timing.png", "timing.svg"] {
+        assert!(fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
+    }
 }

@@ -193,7 +193,7 @@ fn a_run_may_last_a_day() {
     let scene = place.scene(&scenes::hold("lockstep", 86_400.0).replace("seed = 7", "seed = 7\ndt_ms = 0.1"));
     let check = trabecula(&[&"scene", &"check", &scene]);
     assert_eq!(check.code, Some(0), "{}", check.err);
-    let ticks = ipc_types::scene::Scene::load(&scene).unwrap().tick_count();
+    let ticks = ipc_types::scene_file::load(&scene).unwrap().tick_count();
     assert_eq!(ticks, 864_000_000);
     // MCAP numbers the messages of a channel so.
     assert!(u32::try_from(ticks).is_ok());

@@ -1,8 +1,8 @@
 //! Ctrl-C, SIGTERM and SIGHUP at any moment of a run: answered at once, obeyed soon, and nothing is left.
 
-use std::io::{BufRead, BufReader, Write};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use fastrand::Rng;
@@ -14,9 +14,10 @@ use test_support::limited::{COMMAND_LIMIT, Watchdog};
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read};
 use crate::common::program::{
-    Ended, LIMIT, Place, Run, assert_nothing_left, parts_of, session_folder, signal, wait_for,
+    Ended, Guarded, LIMIT, Place, Run, assert_nothing_left, only_entry, parts_of, signal, wait_for,
 };
 use crate::common::scenes;
+use crate::common::terminal::Terminal;
 
 /// Time between two looks at a run that is to end.
 const LOOK: Duration = Duration::from_millis(5);
@@ -186,33 +187,17 @@ _, status = os.waitpid(pid, 0)
 print(os.waitstatus_to_exitcode(status), flush=True)
 ";
 
-/// A process that is killed when the test is over, however that ends.
-struct Guarded(Child);
-
-impl Drop for Guarded {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// SIGHUP was not handled: no summary, and session and memory stayed.
 #[test]
 fn a_closed_terminal_ends_the_run_as_sigterm_does() {
     let place = Place::new();
     let (scene, output) = (place.scene(&scenes::drill("realtime", 600.0)), place.path("out"));
-    let mut command = Command::new("python3");
-    command.args(["-c", CLOSING_TERMINAL, env!("CARGO_BIN_EXE_trabecula"), "run"]);
-    command.arg(&scene).arg("--output").arg(&output).stdin(Stdio::piped()).stdout(Stdio::piped());
-    let mut terminal = Guarded(command.spawn().unwrap());
-    let _watchdog = Watchdog::over(&terminal.0, COMMAND_LIMIT);
-    let mut said = BufReader::new(terminal.0.stdout.take().unwrap()).lines();
-    let launcher: u32 = said.next().unwrap().unwrap().parse().unwrap();
-    let session = wait_for("the session", || Some(session_folder(launcher)).filter(|folder| folder.exists()));
+    let mut terminal = Terminal::new(CLOSING_TERMINAL, &scene, &output);
+    let (launcher, session) = (terminal.launcher, terminal.session.clone());
     Client::join(&session).wait_for_state(|state| state.tick >= 100);
-    terminal.0.stdin.take().unwrap().write_all(b"close\n").unwrap();
+    terminal.tell("close");
     wait_for("the launcher's end", || (!is_running(launcher)).then_some(()));
-    assert_eq!(said.next().unwrap().unwrap(), "130");
+    assert_eq!(terminal.next_line(), "130");
     assert_nothing_left(launcher);
     let folder = only_entry(&output);
     assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Interrupted);
@@ -223,10 +208,6 @@ fn a_closed_terminal_ends_the_run_as_sigterm_does() {
 fn is_running(process: u32) -> bool {
     let status = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
     status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
-}
-
-fn only_entry(folder: &Path) -> PathBuf {
-    std::fs::read_dir(folder).unwrap().next().unwrap().unwrap().path()
 }
 
 #[test]

@@ -4,6 +4,8 @@
 //! asserts a wall-clock time; limits only keep a broken run from hanging the tests.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
+mod answers;
+mod anywhere;
 mod attacked;
 mod bad_input;
 mod bare_iceoryx2;
@@ -16,6 +18,8 @@ mod crash;
 #[allow(dead_code, reason = "the tests of volumes need more of it")]
 #[path = "../../volume_io/tests/common/dicom_bytes.rs"]
 mod dicom_bytes;
+mod doctor;
+mod doorway;
 mod ends;
 mod floods;
 mod forks;
@@ -30,6 +34,7 @@ mod late_controllers;
 mod lichtblick;
 mod lifetimes;
 mod log_tools;
+mod oblique;
 mod orphans;
 mod outputs;
 mod plan;
@@ -52,5 +57,7 @@ mod stress;
 mod survival;
 mod suspended;
 mod terminal;
+mod unread;
+mod unwritable;
 mod versions;
 mod view;

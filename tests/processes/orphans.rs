@@ -68,6 +68,48 @@ fn a_grandchild_ends_with_an_interrupted_run() {
     descendants_end(|run| signal(run.pid(), Signal::INT));
 }
 
+/// It counted as init's, and stayed for ever.
+#[test]
+fn a_grandchild_ends_with_a_killed_keeper_and_the_run_goes_on() {
+    let times = [0, 1, 2, 3].map(unmistakable);
+    let place = Place::new();
+    let run = place.start(&with_descendants("realtime", &times));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 100);
+    for time in &times {
+        wait_for("what the program starts", || {
+            let sleeps = processes_with(&[format!("sleep {time} ")]);
+            sleeps.iter().any(|line| line.starts_with("sleep")).then_some(())
+        });
+    }
+    let pids_with = |words: &str| -> Vec<u32> {
+        let pids = std::fs::read_dir("/proc").unwrap().flatten();
+        let pids = pids.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+        let line = |pid: u32| std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        pids.filter(|pid| String::from_utf8_lossy(&line(*pid)).replace('\0', " ").contains(words)).collect()
+    };
+    let all = || times.iter().flat_map(|time| pids_with(time)).collect::<Vec<u32>>();
+    let keeper = all().into_iter().find(|pid| pids_with(" proc keep ").contains(pid)).unwrap();
+    signal(keeper, Signal::KILL);
+    for _ in 0..4000 {
+        std::thread::sleep(Duration::from_millis(5));
+        if all().is_empty() {
+            break;
+        }
+    }
+    let left = all();
+    // A test that fails leaves nothing, either.
+    left.iter().for_each(|pid| signal(*pid, Signal::KILL));
+    assert!(left.is_empty(), "{left:?} of the keeper {keeper}");
+    let tick = client.wait_for_state(|_| true).tick;
+    client.wait_for_state(|state| state.tick >= tick + 100);
+    drop(client);
+    signal(run.pid(), Signal::INT);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(130), "{}", ended.err);
+    assert_replays(&ended.folder);
+}
+
 #[test]
 fn a_grandchild_ends_with_its_program_and_the_run_goes_on() {
     let times = [0, 1, 2, 3].map(unmistakable);

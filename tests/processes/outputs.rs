@@ -81,6 +81,7 @@ fn table(place: &Place) -> Vec<Row> {
         row("reproduce --quick --only 3 --out @rep", &["rep/reproduce-3-deviation.csv"]),
         row("reproduce --quick --only 4 --out @rep", &["rep/reproduce-4-tension.png"]),
         row("reproduce --quick --out @rep", &["rep/reproduce-5-thrust.csv"]),
+        row("scene init @scenes", &["scenes/femur_curved_drilling.toml"]),
         row("bench soak @scene.toml --minutes 0.1 --output @soak", &["soak/run.mcap", "soak/summary.json"]),
     ]
 }

@@ -14,8 +14,9 @@ use trabecula_client::{Client, ClientError, Connection};
 use test_support::limited::{Watchdog, end_within};
 
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, wait_for};
+use crate::common::program::{LIMIT, Place, Run, assert_nothing_left, trabecula, wait_for};
 use crate::common::scenes;
+use crate::languages::{output_within_limit, python, skip};
 use crate::strays::joined;
 
 const VARIABLE: &str = "XDG_RUNTIME_DIR";
@@ -318,4 +319,39 @@ fn programs_with_and_without_a_run_time_folder_find_each_other() {
     assert!(line.starts_with("http://"), "the viewer finds a session: {line:?}");
     let client = joined(&run, "");
     crate::strays::stopped(run, client, ());
+}
+
+/// A client waited ten seconds, or for whatever its limit was, for `/etc` to become a session.
+#[test]
+fn a_name_that_can_never_be_a_session_is_refused_at_once() {
+    for given in ["/etc", "/nowhere/at-all", "/tmp/", "..", "mine", "AAAAAAAAAA-"] {
+        let connection = Connection {
+            session: Some(given.to_owned()),
+            controller: Some(String::new()),
+            // Nobody could wait for that.
+            limit: std::time::Duration::from_secs(100_000),
+        };
+        let (sender, receiver) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            sender.send(Client::connect(&connection).map(|_| ()).unwrap_err().to_string())
+        });
+        let refusal = receiver.recv_timeout(LIMIT).unwrap_or_else(|_| panic!("{given} is still waited for"));
+        assert!(
+            refusal.contains("can be no session") && refusal.contains("11 letters and digits"),
+            "{refusal}"
+        );
+    }
+    let done = trabecula(&[&"view", &"--session", &"/etc", &"--no-open", &"--port", &"0"]);
+    assert!(done.code == Some(2) && done.err.contains("can be no session"), "{}", done.err);
+}
+
+#[test]
+fn a_name_that_can_never_be_a_session_is_refused_at_once_in_python() {
+    let python = match python() {
+        Ok(python) => python,
+        Err(reason) => return skip(&reason),
+    };
+    let script = "import trabecula as t\ntry:\n    t.Client(session='/etc', timeout_s=1e5)\nexcept t.Error as e:\n    print(e.status, e)";
+    let said = output_within_limit(std::process::Command::new(python).args(["-c", script]));
+    assert!(said.starts_with("-3 `/etc` can be no session"), "{said}");
 }

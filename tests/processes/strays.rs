@@ -306,7 +306,7 @@ fn a_python_client_hears_ctrl_c_while_it_waits() {
     let physics = run.part("physics");
     signal(physics, Signal::STOP);
     for waiting in [
-        "trabecula.Client(session='no-such-session', timeout_s=1e6)",
+        "trabecula.Client(session='NoSuchSessi', timeout_s=1e6)",
         "trabecula.Client(controller='').run_control(trabecula.CONTROL_PAUSE, timeout_s=1e6)",
     ] {
         let script = format!(

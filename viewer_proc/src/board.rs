@@ -108,7 +108,7 @@ impl Board {
         self.publish(topic, self.time_ns(), 0, value.to_string().into_bytes());
     }
 
-    /// Tells the user something. Whoever comes later is told the last [`NOTICES_KEPT`].
+    /// Tells the user something. Whoever comes later is told the last `NOTICES_KEPT`.
     pub fn notice(&self, level: &str, text: &str) {
         let number = self.notices.fetch_add(1, Ordering::Relaxed);
         let value = serde_json::json!({"level": level, "text": text});

@@ -55,13 +55,14 @@ pub enum ViewerError {
 impl ViewerError {
     /// Whether the user asked for something that cannot be, rather than that something failed.
     pub fn is_bad_input(&self) -> bool {
-        matches!(
-            self,
+        match self {
             ViewerError::Port { .. }
-                | ViewerError::NoSession(_)
-                | ViewerError::Log(_)
-                | ViewerError::Play(_)
-                | ViewerError::Scene(_)
-        ) || matches!(self, ViewerError::Session(SessionError::NoSession { .. }))
+            | ViewerError::NoSession(_)
+            | ViewerError::Play(_)
+            | ViewerError::Scene(_)
+            | ViewerError::Session(SessionError::NoSession { .. } | SessionError::NotASession { .. }) => true,
+            ViewerError::Log(error) => error.is_bad_input(),
+            _ => false,
+        }
     }
 }

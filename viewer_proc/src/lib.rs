@@ -3,6 +3,9 @@
 //! Started only when asked for. It reads a session as any client does and nobody waits for it: it takes what it finds and
 //! drops what its own clients do not take.
 //!
+//! **Boundary:** the only async runtime; no vendor's code, no request to anything but its own server. **Invariants:** each client's
+//! queue is bounded; who has no token reads and changes nothing.
+//!
 //! | module | what it holds |
 //! |---|---|
 //! | [`live`] | a running session: messages, run control, driving |

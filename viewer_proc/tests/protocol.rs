@@ -13,7 +13,7 @@ use ipc_types::messages::State;
 use recorder_proc::topics;
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream};
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::{Error, Message};
@@ -22,7 +22,7 @@ use viewer_proc::ServerOptions;
 use viewer_proc::board::Board;
 use viewer_proc::channels::{Channels, INFO, NOTICE, SURFACE};
 use viewer_proc::queue::STREAM_BYTES;
-use viewer_proc::server::Server;
+use viewer_proc::server::{MAX_CLIENTS, Server};
 use viewer_proc::services::{Action, Request};
 use zerocopy::IntoBytes;
 
@@ -341,12 +341,63 @@ fn the_page_is_served_and_nothing_else() {
         }
         let post = format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n");
         assert!(http(&running, &post).await.starts_with("HTTP/1.1 404"));
-        let rebound = "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n";
-        assert!(http(&running, rebound).await.starts_with("HTTP/1.1 403"));
+        for rebound in ["evil.example".to_owned(), format!("{host}.evil.example"), "127.0.0.1:1".to_owned()] {
+            let get = format!("GET / HTTP/1.1\r\nHost: {rebound}\r\n\r\n");
+            assert!(http(&running, &get).await.starts_with("HTTP/1.1 403"), "{rebound}");
+        }
+        let twice = format!("GET / HTTP/1.1\r\nHost: {host}\r\nHost: evil.example\r\n\r\n");
+        assert!(http(&running, &twice).await.starts_with("HTTP/1.1 400"));
         assert!(http(&running, "\0\u{1}garbage\r\n\r\n").await.starts_with("HTTP/1.1 400"));
         let long = format!("GET / HTTP/1.1\r\nHost: {}\r\n", "x".repeat(20_000));
         assert!(http(&running, &long).await.starts_with("HTTP/1.1 431"));
         assert!(http(&running, &get("/ws")).await.starts_with("HTTP/1.1 426"));
+    });
+}
+
+/// All connections that the server takes were idle ones, for five seconds and again, and the page did not come.
+#[test]
+fn idle_connections_keep_nobody_from_the_page() {
+    with_server(async |running| {
+        let get = format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", running.address);
+        // Somebody at another address who is slow.
+        let slow = TcpSocket::new_v4().unwrap();
+        slow.bind("127.0.0.2:0".parse().unwrap()).unwrap();
+        let mut slow = slow.connect(running.address).await.unwrap();
+        slow.write_all(&get.as_bytes()[..10]).await.unwrap();
+        let (mut client, channels) = running.client().await;
+        let mut idle = Vec::new();
+        for _ in 0..3 {
+            for _ in 0..100 {
+                idle.push(running.tcp().await);
+            }
+            assert!(http(&running, &get).await.starts_with("HTTP/1.1 200 OK"));
+            running.client().await;
+        }
+        slow.write_all(&get.as_bytes()[10..]).await.unwrap();
+        let mut answer = String::new();
+        slow.read_to_string(&mut answer).await.unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200 OK"), "{answer}");
+        // Who has the token stays.
+        subscribe(&mut client, 1, channel(&channels, INFO)).await;
+        running.board.publish_json(INFO, &json!({"kind": "live"}));
+        assert_eq!(next_data(&mut client).await.2, b"{\"kind\":\"live\"}");
+    });
+}
+
+#[test]
+fn more_clients_than_are_served_are_told() {
+    with_server(async |running| {
+        let mut clients = Vec::new();
+        for _ in 0..MAX_CLIENTS {
+            clients.push(running.client().await);
+        }
+        let refused = running.open("foxglove.sdk.v1", None).await;
+        let Err(Error::Http(response)) = refused else { panic!("{refused:?}") };
+        assert_eq!(response.status(), 503);
+        drop(clients.pop());
+        while running.open("foxglove.sdk.v1", None).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
     });
 }
 

@@ -5,7 +5,7 @@ use crate::dicom_slice::{Slice, read_header, read_pixels, series_of};
 use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles, folder_of};
 use crate::scalar::HuSink;
-use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, cross, dot, norm, voxel_count};
+use crate::volume::{GeometryFields, Volume, VolumeInfo, cross, dot, norm, placement, voxel_count};
 use foreign_text::foreign;
 use std::path::{Path, PathBuf};
 
@@ -120,7 +120,7 @@ fn assemble(
     };
     let spacing_m = [column_mm * 1e-3, row_mm * 1e-3, step_m];
     let origin_m = slices[0].position_mm.map(|p| p * 1e-3);
-    let geometry = Geometry::checked(path, names, spacing_m, origin_m, [row, column, normal])?;
+    let geometry = placement(path, names, spacing_m, origin_m, [row, column, normal])?;
     let dims = [first.columns, first.rows, slices.len()];
     voxel_count(path, "Columns, Rows, number of slices", dims)?;
 
@@ -133,7 +133,7 @@ fn assemble(
         notes.push(format!("modality is `{modality}`, not CT: the values are not Hounsfield units"));
     }
     let hu = sink.finish(&mut notes);
-    let volume = geometry.with_voxels(dims, hu);
+    let volume = Volume::placed(dims, &geometry, hu);
     let format = format!("DICOM series of {} files ({})", slices.len(), first.transfer.name);
     let stored_as = format!("slope {}, intercept {}", first.scale.slope, first.scale.intercept);
     let info = VolumeInfo::new(&volume, format, stored_as, "mm".into(), notes);
@@ -227,7 +227,7 @@ fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(),
         let offset = [0, 1, 2].map(|i| (slice.position_mm[i] - start[i]) * 1e-3);
         let along = dot(offset, normal);
         let aside = norm([0, 1, 2].map(|i| offset[i] - along * normal[i]));
-        if aside > STRAIGHT_M.max(crate::volume::ORTHOGONALITY_TOLERANCE * along.abs()) {
+        if aside > STRAIGHT_M.max(voxel_grid::PERPENDICULAR_TOLERANCE * along.abs()) {
             let tilt =
                 slice.gantry_tilt_deg.map_or(String::new(), |t| format!("; GantryDetectorTilt {t} degrees"));
             return Err(VolumeError::Sheared {
@@ -240,7 +240,7 @@ fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(),
                     name(&slices[0]),
                     along.abs() * 1e3
                 ),
-                tolerance: crate::volume::ORTHOGONALITY_TOLERANCE,
+                tolerance: voxel_grid::PERPENDICULAR_TOLERANCE,
             });
         }
     }

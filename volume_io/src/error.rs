@@ -3,6 +3,7 @@
 
 use foreign_text::{foreign, foreign_path};
 use std::path::PathBuf;
+use voxel_grid::{MAX_SPACING_M, MAX_VOXELS_ALONG_AXIS, MIN_SPACING_M};
 
 /// Why a volume could not be read, written or built.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +18,9 @@ pub enum VolumeError {
         /// The system's own error.
         source: std::io::Error,
     },
+    /// A file could not be written.
+    #[error(transparent)]
+    Output(#[from] output_file::OutputError),
     /// The file is none of the formats this crate reads.
     #[error(
         "{}: not a volume: {}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series (a folder or one of its files)", foreign_path(.path), foreign(.given)
@@ -91,7 +95,7 @@ pub enum VolumeError {
     },
     /// More voxels than this crate accepts (or dimensions whose product overflows).
     #[error(
-        "{}: `{}`: given {}; expected at most {limit} voxels in all; crop or resample the volume", foreign_path(.path), foreign(.field), foreign(.given)
+        "{}: `{}`: given {}; expected at most {limit} voxels in all and {MAX_VOXELS_ALONG_AXIS} along each axis; crop or resample the volume", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     TooLarge {
         /// File.
@@ -100,7 +104,7 @@ pub enum VolumeError {
         field: String,
         /// The dimensions found.
         given: String,
-        /// The limit, [`crate::MAX_VOXELS`].
+        /// The limit, [`voxel_grid::MAX_VOXELS`].
         limit: usize,
     },
     /// Not a three-dimensional image.
@@ -128,7 +132,7 @@ pub enum VolumeError {
         given: String,
     },
     /// A voxel distance that is zero, negative, infinite or not a number.
-    #[error("{}: `{}`: given {}; expected three finite distances between 1e-7 m and 1 m", foreign_path(.path), foreign(.field), foreign(.given))]
+    #[error("{}: `{}`: given {}; expected three distances between {MIN_SPACING_M:e} m and {MAX_SPACING_M} m", foreign_path(.path), foreign(.field), foreign(.given))]
     Spacing {
         /// File.
         path: PathBuf,

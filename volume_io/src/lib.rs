@@ -1,7 +1,33 @@
 //! CT volumes for the hub: readers, a synthetic femur with known landmarks, and geometry in world LPS.
 //!
 //! Everything ends as one [`Volume`]: Hounsfield units as `i16`, i fastest, with spacing, origin and direction in the world frame
-//! (LPS, metres). Reading never resamples or reorders voxels, it only converts the geometry; [`resample`] is for who asks.
+//! (LPS, metres). Reading never resamples or reorders voxels, it only converts the geometry, which [`voxel_grid`] checks; [`resample`]
+//! is for who asks.
+//!
+//! **Boundary:** it knows nothing of processes or scenes. **Invariants:** every length in a file is checked before memory is taken for it;
+//! no file outside of a header's folder is opened unless the caller allows it; what is sheared, unevenly spaced, incomplete or mixed is
+//! refused, never assumed to be uniform.
+//!
+//! ```
+//! use volume_io::{IDENTITY_DIRECTION, Volume, read, write_nrrd};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let volume = Volume {
+//!     dims: [2, 2, 2],
+//!     spacing_m: [1e-3; 3],
+//!     origin_m: [0.0, 0.0, 0.1],
+//!     direction: IDENTITY_DIRECTION,
+//!     hu: vec![-1000, 0, 40, 300, 700, 1000, 1500, 1900],
+//! };
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("block.nrrd");
+//! write_nrrd(&path, &volume)?;
+//! let again = read(&path)?;
+//! assert_eq!(again.at([1, 1, 1]), Some(1900));
+//! assert!((again.voxel_to_world_m([1.0, 0.0, 0.0])[0] - 1e-3).abs() < 1e-12);
+//! # Ok(())
+//! # }
+//! ```
 
 mod dicom_scan;
 mod dicom_series;
@@ -31,7 +57,4 @@ pub use mask::{MaskModel, mask_to_hu};
 pub use nrrd_write::write_nrrd;
 pub use read::{read, read_where, read_with_info};
 pub use resample::resample;
-pub use volume::{
-    HuStatistics, IDENTITY_DIRECTION, MAX_SPACING_M, MAX_VOXELS, MIN_SPACING_M, ORTHOGONALITY_TOLERANCE,
-    Volume, VolumeInfo,
-};
+pub use volume::{HuStatistics, IDENTITY_DIRECTION, Volume, VolumeInfo};

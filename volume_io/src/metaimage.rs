@@ -7,9 +7,10 @@ use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles};
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
 use crate::text_header::{MAX_HEADER_BYTES, numbers, read_ascii, sizes, unit_of_length, wrong};
-use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, voxel_count};
+use crate::volume::{GeometryFields, Volume, VolumeInfo, placement, voxel_count};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use voxel_grid::Placement;
 
 struct Header<'a> {
     path: &'a Path,
@@ -41,7 +42,7 @@ pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo)
         ("ascii", scalar.name().into())
     };
     let hu = sink.finish(&mut notes);
-    let volume = geometry.with_voxels(dims, hu);
+    let volume = Volume::placed(dims, &geometry, hu);
     let kind = if data_path == path { "local" } else { "detached" };
     let format = format!("MetaImage ({encoding}, {kind})");
     let info = VolumeInfo::new(&volume, format, stored_as, unit_name, notes);
@@ -173,7 +174,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    fn geometry(&self, unit_m: f64, notes: &mut Vec<String>) -> Result<Geometry, VolumeError> {
+    fn geometry(&self, unit_m: f64, notes: &mut Vec<String>) -> Result<Placement, VolumeError> {
         let names =
             GeometryFields { spacing: "ElementSpacing", direction: "TransformMatrix", origin: "Offset" };
         let (field, text) = self.require(&["ElementSpacing", "ElementSize"], "three distances")?;
@@ -193,7 +194,7 @@ impl<'a> Header<'a> {
             }
         };
         let axes = [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]];
-        Geometry::checked(self.path, names, spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m), axes)
+        placement(self.path, names, spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m), axes)
     }
 
     /// The intensity function is applied by some readers and ignored by others (ITK ignores it): no value can be trusted.

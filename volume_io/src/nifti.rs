@@ -4,8 +4,9 @@ use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles};
 use crate::nifti_header::{NIFTI2_SIZE, parse};
 use crate::scalar::HuSink;
-use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, columns, norm, voxel_count};
+use crate::volume::{GeometryFields, Volume, VolumeInfo, columns, norm, placement, voxel_count};
 use std::path::{Path, PathBuf};
+use voxel_grid::Placement;
 
 /// Reads the volume whose header is at `path`.
 pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
@@ -37,7 +38,7 @@ pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo)
         notes.push(format!("values are {} x stored + {}", scale.slope, scale.intercept));
     }
     let hu = sink.finish(&mut notes);
-    let volume = geometry.with_voxels(header.dims, hu);
+    let volume = Volume::placed(header.dims, &geometry, hu);
     let pair = if header.single_file { "" } else { ", .hdr/.img" };
     let format = format!("NIfTI-{} ({}{pair})", header.version, data_codec.name());
     let stored_as = header.layout.scalar.describe(header.endian);
@@ -52,7 +53,7 @@ fn codec_of(path: &Path) -> Result<Codec, VolumeError> {
 }
 
 /// The RAS affine as LPS geometry in metres: x and y change sign.
-fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Geometry, VolumeError> {
+fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Placement, VolumeError> {
     let [x, y, z] = *affine;
     let lps = [x.map(|v| -v), y.map(|v| -v), z];
     let axes = columns(lps.map(|row| [row[0], row[1], row[2]]));
@@ -71,7 +72,7 @@ fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Geometry
         });
     }
     let spacing_m = axes.map(|axis| norm(axis) * unit_m);
-    Geometry::checked(path, names, spacing_m, lps.map(|row| row[3] * unit_m), axes)
+    placement(path, names, spacing_m, lps.map(|row| row[3] * unit_m), axes)
 }
 
 /// The .img file of a .hdr file (plain or gzip).

@@ -6,9 +6,10 @@ use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles};
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
 use crate::text_header::{MAX_HEADER_BYTES, numbers, read_ascii, sizes, unit_of_length, wrong};
-use crate::volume::{Geometry, GeometryFields, Volume, VolumeInfo, columns, norm, voxel_count};
+use crate::volume::{GeometryFields, Volume, VolumeInfo, columns, norm, placement, voxel_count};
 use std::collections::BTreeMap;
 use std::path::Path;
+use voxel_grid::Placement;
 
 /// Fields by lower-case name, and the length of the header in bytes (the voxels of an attached file follow).
 struct Header<'a> {
@@ -54,7 +55,7 @@ pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo)
         }
     };
     let hu = sink.finish(&mut notes);
-    let volume = geometry.with_voxels(dims, hu);
+    let volume = Volume::placed(dims, &geometry, hu);
     let kind = if header.get("data file").is_some() { ", detached" } else { "" };
     let format = format!("NRRD ({encoding}{kind})");
     let info = VolumeInfo::new(&volume, format, stored_as, unit_name, notes);
@@ -251,7 +252,7 @@ impl<'a> Header<'a> {
         Ok(Space { to_lps, name: lower })
     }
 
-    fn geometry(&self, unit_m: f64, notes: &mut Vec<String>) -> Result<Geometry, VolumeError> {
+    fn geometry(&self, unit_m: f64, notes: &mut Vec<String>) -> Result<Placement, VolumeError> {
         let space = self.space(notes)?;
         let origin = match self.get("space origin") {
             Some(text) => self.vector("space origin", text)?,
@@ -292,7 +293,7 @@ impl<'a> Header<'a> {
                 });
             }
             let names = GeometryFields { spacing: "space directions", ..names };
-            return Geometry::checked(self.path, names, axes.map(|a| norm(a) * unit_m), origin_m, axes);
+            return placement(self.path, names, axes.map(|a| norm(a) * unit_m), origin_m, axes);
         }
         let spacing = match self.get("spacings") {
             Some(text) => numbers::<3>(self.path, "spacings", text)?,
@@ -310,7 +311,7 @@ impl<'a> Header<'a> {
         }
         let axes =
             columns([[space.to_lps[0], 0.0, 0.0], [0.0, space.to_lps[1], 0.0], [0.0, 0.0, space.to_lps[2]]]);
-        Geometry::checked(self.path, names, spacing.map(|s| s * unit_m), origin_m, axes)
+        placement(self.path, names, spacing.map(|s| s * unit_m), origin_m, axes)
     }
 
     /// Origin of a file without a space: `axis mins`, or zero.
@@ -418,7 +419,7 @@ fn decoded_length(path: &Path, start: u64, codec: Codec) -> Result<u64, VolumeEr
         return Ok(most_bytes);
     }
     // Twice the largest volume of the widest type: a stream that goes on is a decompression bomb.
-    let most_bytes = most_bytes.min(16 * crate::volume::MAX_VOXELS as u64);
+    let most_bytes = most_bytes.min(16 * voxel_grid::MAX_VOXELS as u64);
     let mut buffer = vec![0_u8; 1 << 16];
     let mut length = 0;
     loop {
@@ -431,7 +432,7 @@ fn decoded_length(path: &Path, start: u64, codec: Codec) -> Result<u64, VolumeEr
                 path: path.into(),
                 field: "voxel data".into(),
                 given: format!("more than {length} decoded bytes"),
-                limit: crate::volume::MAX_VOXELS,
+                limit: voxel_grid::MAX_VOXELS,
             });
         }
     }

@@ -1,11 +1,10 @@
 //! Writing NRRD: gzip-compressed int16 in left-posterior-superior space, millimetres.
 
 use crate::error::VolumeError;
-use crate::input::io_error;
 use crate::volume::Volume;
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use output_file::{Existing, OutputError, OutputFile};
+use output_file::{OutputError, OutputFile};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -15,22 +14,14 @@ use std::path::Path;
 /// stores metres as millimetres and the product of direction and spacing.
 ///
 /// # Errors
-/// [`VolumeError::Io`] when the file is there already or cannot be written, then nothing is left of it; as
+/// [`VolumeError::Output`] when the file is there already or cannot be written, then nothing is left of it; as
 /// [`Volume::check`] for a volume that is not consistent.
 pub fn write_nrrd(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
     volume.check(path)?;
-    let written = |error: OutputError| {
-        let (action, source) = match error {
-            OutputError::Exists { .. } => ("create", std::io::ErrorKind::AlreadyExists.into()),
-            OutputError::Create { source, .. } => ("create", source),
-            OutputError::Write { source, .. } => ("write", source),
-        };
-        io_error(path, action)(source)
-    };
-    let mut file = OutputFile::create(path, Existing::Refuse).map_err(written)?;
-    write_into(&mut file, volume).map_err(io_error(path, "write"))?;
-    file.keep().map_err(written)
+    let mut file = OutputFile::create(path)?;
+    write_into(&mut file, volume).map_err(OutputError::write(path))?;
+    Ok(file.keep()?)
 }
 
 fn write_into(file: &mut OutputFile, volume: &Volume) -> std::io::Result<()> {

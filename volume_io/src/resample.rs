@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use crate::error::VolumeError;
-use crate::volume::{MAX_VOXELS, Volume};
+use crate::volume::Volume;
+use voxel_grid::MAX_VOXELS;
 
 /// The same body in cubic voxels of `spacing_m`, by trilinear interpolation between voxel centres; axes and outer extent
 /// are kept, values at the rim are those of the outermost centres. A binary mask is best resampled after

@@ -165,7 +165,7 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Bytes that `count` voxels take; `count` is at most [`crate::MAX_VOXELS`], so this cannot overflow.
+    /// Bytes that `count` voxels take; `count` is at most [`voxel_grid::MAX_VOXELS`], so this cannot overflow.
     pub fn byte_count(self, count: usize) -> u64 {
         count as u64 * self.scalar.size() as u64
     }

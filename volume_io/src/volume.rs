@@ -4,18 +4,7 @@ use crate::error::VolumeError;
 use std::fmt;
 use std::path::Path;
 
-/// Most voxels a volume may have (2^29, 1 GiB of `i16`): a bound that a hostile header cannot exceed.
-pub const MAX_VOXELS: usize = 1 << 29;
-
-/// Largest |cosine| between two axes that still counts as a right angle (0.006 degrees; a slice 500 mm away is then off by 0.05 mm).
-///
-/// NIfTI stores affines as f32 and DICOM directions as decimal text of a few digits: both stay well below this.
-pub const ORTHOGONALITY_TOLERANCE: f64 = 1.0e-4;
-
-/// Smallest voxel distance that is accepted, metres.
-pub const MIN_SPACING_M: f64 = 1.0e-7;
-/// Largest voxel distance that is accepted, metres.
-pub const MAX_SPACING_M: f64 = 1.0;
+use voxel_grid::{GridError, MAX_ORIGIN_M, MAX_VOXELS, PERPENDICULAR_TOLERANCE, Placement, VoxelGrid};
 
 /// A CT volume in Hounsfield units on a rectangular grid in the world frame (LPS, metres).
 ///
@@ -31,8 +20,8 @@ pub struct Volume {
     pub origin_m: [f64; 3],
     /// Row-major matrix whose columns are the unit vectors of i, j, k in LPS: `direction[row][axis]`.
     ///
-    /// The columns have unit length to rounding and are at right angles within [`ORTHOGONALITY_TOLERANCE`]; the determinant may be
-    /// −1 (a left-handed grid), because voxels are never reordered.
+    /// The columns are perpendicular unit vectors to rounding ([`voxel_grid`]); the determinant may be −1 (a left-handed grid), because
+    /// voxels are never reordered.
     pub direction: [[f64; 3]; 3],
     /// Hounsfield units, i fastest.
     pub hu: Vec<i16>,
@@ -69,8 +58,6 @@ impl Volume {
     }
 
     /// Continuous voxel coordinate of a world position (LPS, metres): the inverse of [`Volume::voxel_to_world_m`].
-    ///
-    /// Exact for orthonormal directions; off by the square of [`ORTHOGONALITY_TOLERANCE`] times the distance otherwise.
     pub fn world_to_voxel(&self, world_m: [f64; 3]) -> [f64; 3] {
         let offset = [0, 1, 2].map(|row| world_m[row] - self.origin_m[row]);
         [0, 1, 2].map(|axis| {
@@ -99,6 +86,14 @@ impl Volume {
     /// # Errors
     /// The first rule that is broken, with the same variants as the readers use; `path` names the volume in the message.
     pub fn check(&self, path: &Path) -> Result<(), VolumeError> {
+        self.grid(path).map(|_| ())
+    }
+
+    /// Where its voxels lie.
+    ///
+    /// # Errors
+    /// As [`Volume::check`].
+    pub fn grid(&self, path: &Path) -> Result<VoxelGrid, VolumeError> {
         let count = voxel_count(path, "dims", self.dims)?;
         if self.hu.len() != count {
             return Err(VolumeError::Header {
@@ -109,7 +104,14 @@ impl Volume {
             });
         }
         let names = GeometryFields { spacing: "spacing_m", direction: "direction", origin: "origin_m" };
-        Geometry::checked(path, names, self.spacing_m, self.origin_m, columns(self.direction)).map(|_| ())
+        let placement = placement(path, names, self.spacing_m, self.origin_m, columns(self.direction))?;
+        VoxelGrid::placed(self.dims, placement).map_err(|_| too_large(path, "dims", self.dims))
+    }
+
+    /// Voxels on a grid without dimensions.
+    pub(crate) fn placed(dims: [usize; 3], placement: &Placement, hu: Vec<i16>) -> Volume {
+        let (spacing_m, origin_m) = (placement.spacing_m(), placement.origin_m());
+        Volume { dims, spacing_m, origin_m, direction: columns(placement.axes()), hu }
     }
 }
 
@@ -203,81 +205,67 @@ pub(crate) struct GeometryFields {
     pub origin: &'static str,
 }
 
-/// Checked geometry, ready to be put into a [`Volume`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Geometry {
-    pub spacing_m: [f64; 3],
-    pub origin_m: [f64; 3],
-    pub direction: [[f64; 3]; 3],
+impl GeometryFields {
+    /// What the grid refuses, with the file's own words for it; `axes` are the unit axes that it was given.
+    fn error(self, path: &Path, error: GridError, axes: [[f64; 3]; 3]) -> VolumeError {
+        let path = path.to_owned();
+        match error {
+            GridError::Spacing { spacing_m } => {
+                VolumeError::Spacing { path, field: self.spacing.into(), given: format!("{spacing_m:?} m") }
+            }
+            GridError::Origin { origin_m } => VolumeError::Header {
+                path,
+                field: self.origin.into(),
+                given: format!("{origin_m:?} m"),
+                expected: format!("a finite position within {MAX_ORIGIN_M} m"),
+            },
+            GridError::Sheared { .. } => {
+                let angle =
+                    |a: usize, b: usize| libm::acos(dot(axes[a], axes[b]).clamp(-1.0, 1.0)).to_degrees();
+                let (ij, ik, jk) = (angle(0, 1), angle(0, 2), angle(1, 2));
+                VolumeError::Sheared {
+                    path,
+                    field: self.direction.into(),
+                    given: format!("angles i-j {ij:.4}, i-k {ik:.4}, j-k {jk:.4} degrees"),
+                    tolerance: PERPENDICULAR_TOLERANCE,
+                }
+            }
+            GridError::Dimensions { dims } => too_large(&path, "dims", dims),
+        }
+    }
 }
 
-impl Geometry {
-    /// Checks spacing and axis directions; `axes` are the columns (any positive length, LPS).
-    pub fn checked(
-        path: &Path,
-        names: GeometryFields,
-        spacing_m: [f64; 3],
-        origin_m: [f64; 3],
-        axes: [[f64; 3]; 3],
-    ) -> Result<Self, VolumeError> {
-        if !spacing_m.iter().all(|s| (MIN_SPACING_M..=MAX_SPACING_M).contains(s)) {
-            return Err(VolumeError::Spacing {
-                path: path.into(),
-                field: names.spacing.into(),
-                given: format!("{spacing_m:?} m"),
-            });
-        }
-        // 1e4 m bounds what can be a patient position: beyond it an f64 hash is still exact, but the file is surely wrong.
-        if !origin_m.iter().all(|o| o.abs() <= 1.0e4) {
-            return Err(VolumeError::Header {
-                path: path.into(),
-                field: names.origin.into(),
-                given: format!("{origin_m:?} m"),
-                expected: "a finite position within 10 km".into(),
-            });
-        }
-        let singular = || VolumeError::SingularDirection {
-            path: path.into(),
-            field: names.direction.into(),
-            given: format!("{axes:?}"),
-        };
-        let mut unit = [[0.0; 3]; 3];
-        for (out, axis) in unit.iter_mut().zip(axes) {
-            let length = norm(axis);
-            if !(length.is_finite() && length > 1e-12) {
-                return Err(singular());
-            }
-            // Adding zero turns −0 into +0: two files that mean the same geometry then compare and print the same.
-            *out = axis.map(|c| c / length + 0.0);
-        }
-        // Linear dependence is told apart from shear: a volume of zero thickness cannot be resampled, a sheared one can.
-        let triple = dot(unit[0], cross(unit[1], unit[2]));
-        if !(triple.is_finite() && triple.abs() > 1e-6) {
+/// Where voxels lie, from spacing and axis directions; `axes` are the columns (any positive length, LPS).
+pub(crate) fn placement(
+    path: &Path,
+    names: GeometryFields,
+    spacing_m: [f64; 3],
+    origin_m: [f64; 3],
+    axes: [[f64; 3]; 3],
+) -> Result<Placement, VolumeError> {
+    let singular = || VolumeError::SingularDirection {
+        path: path.into(),
+        field: names.direction.into(),
+        given: format!("{axes:?}"),
+    };
+    let mut unit = [[0.0; 3]; 3];
+    for (out, axis) in unit.iter_mut().zip(axes) {
+        let length = norm(axis);
+        if !(length.is_finite() && length > 1e-12) {
             return Err(singular());
         }
-        let cosines = [dot(unit[0], unit[1]), dot(unit[0], unit[2]), dot(unit[1], unit[2])];
-        if cosines.iter().any(|c| c.abs() > ORTHOGONALITY_TOLERANCE) {
-            let angles = cosines.map(|c| libm::acos(c.clamp(-1.0, 1.0)).to_degrees());
-            return Err(VolumeError::Sheared {
-                path: path.into(),
-                field: names.direction.into(),
-                given: format!(
-                    "angles i-j {:.4}, i-k {:.4}, j-k {:.4} degrees",
-                    angles[0], angles[1], angles[2]
-                ),
-                tolerance: ORTHOGONALITY_TOLERANCE,
-            });
-        }
-        Ok(Self { spacing_m, origin_m: origin_m.map(|o| o + 0.0), direction: columns(unit) })
+        // Adding zero turns −0 into +0: two files that mean the same geometry then compare and print the same.
+        *out = axis.map(|c| c / length + 0.0);
     }
-
-    /// The volume with this geometry.
-    pub fn with_voxels(self, dims: [usize; 3], hu: Vec<i16>) -> Volume {
-        Volume { dims, spacing_m: self.spacing_m, origin_m: self.origin_m, direction: self.direction, hu }
+    // Linear dependence is told apart from shear: a volume of zero thickness cannot be resampled, a sheared one can.
+    let triple = dot(unit[0], cross(unit[1], unit[2]));
+    if !(triple.is_finite() && triple.abs() > 1e-6) {
+        return Err(singular());
     }
+    Placement::new(spacing_m, origin_m.map(|o| o + 0.0), unit).map_err(|error| names.error(path, error, unit))
 }
 
-/// The product of the dimensions, if every one is at least 1 and the product at most [`MAX_VOXELS`].
+/// The number of voxels, if a volume may have so many; `field` names the dimensions.
 pub(crate) fn voxel_count(path: &Path, field: &str, dims: [usize; 3]) -> Result<usize, VolumeError> {
     if dims.contains(&0) {
         return Err(VolumeError::Header {
@@ -287,15 +275,15 @@ pub(crate) fn voxel_count(path: &Path, field: &str, dims: [usize; 3]) -> Result<
             expected: "at least one voxel along every axis".into(),
         });
     }
-    let product = dims[0].checked_mul(dims[1]).and_then(|p| p.checked_mul(dims[2]));
-    match product {
-        Some(count) if count <= MAX_VOXELS => Ok(count),
-        _ => Err(VolumeError::TooLarge {
-            path: path.into(),
-            field: field.into(),
-            given: format!("{} x {} x {}", dims[0], dims[1], dims[2]),
-            limit: MAX_VOXELS,
-        }),
+    voxel_grid::voxel_count(dims).map_err(|_| too_large(path, field, dims))
+}
+
+fn too_large(path: &Path, field: &str, dims: [usize; 3]) -> VolumeError {
+    VolumeError::TooLarge {
+        path: path.into(),
+        field: field.into(),
+        given: format!("{} x {} x {}", dims[0], dims[1], dims[2]),
+        limit: MAX_VOXELS,
     }
 }
 

@@ -362,5 +362,5 @@ fn writing_refuses_an_inconsistent_volume() {
     };
     assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &volume), Err(VolumeError::Header { .. })));
     let whole = Volume { hu: vec![0; 8], ..volume };
-    assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &whole), Err(VolumeError::Io { .. })));
+    assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &whole), Err(VolumeError::Output(_))));
 }

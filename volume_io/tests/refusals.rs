@@ -10,7 +10,8 @@ mod nifti_bytes;
 
 use dicom_bytes::{DicomSlice, LOSSLESS_JPEG, write_series};
 use nifti_bytes::NiftiBytes;
-use volume_io::{MAX_VOXELS, VolumeError, read};
+use volume_io::{VolumeError, read};
+use voxel_grid::MAX_VOXELS;
 
 const IDENTITY_MM: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 

@@ -442,8 +442,8 @@ TRB_ASSERT(offsetof(trb_removed, voxel_index_length) == 28, "trb_removed.voxel_i
 TRB_ASSERT(sizeof(trb_removed) == 32, "trb_removed");
 
 /* A part of a keyframe: everything that the physics keeps between ticks, so that a replay can begin
- * here. The bytes are the physics' own (`physics_proc::simulation`, `write_keyframe`) and belong to
- * one build. Published behind the state that they save. */
+ * here. The bytes are the physics' own (`simulation::Simulation::write_keyframe`) and belong to one
+ * build. Published behind the state that they save. */
 typedef struct trb_keyframe {
     /* `State.tick` of that state. */
     uint64_t tick;

@@ -15,8 +15,8 @@ use ipc_types::process::{EventSender, session_scene};
 use ipc_types::scene::{Mode, Scene};
 use ipc_types::services;
 use ipc_types::session::{
-    CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, Searched, Session, host_is_alive, newest_session,
-    running_sessions,
+    CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, Searched, Session, SessionId, host_is_alive,
+    newest_session, running_sessions,
 };
 use ipc_types::wake::{Waiter, Waker};
 
@@ -593,6 +593,9 @@ fn await_folder(connection: &Connection) -> Result<PathBuf, ClientError> {
     let given = connection.session.clone().filter(|text| !text.is_empty());
     let from_environment = || std::env::var(SESSION_VARIABLE).ok().filter(|text| !text.is_empty());
     let named = given.or_else(from_environment);
+    if let Some(given) = &named {
+        SessionId::can_be(Path::new(given))?;
+    }
     // A path is one folder; a name may lie in any place where this user's sessions lie.
     let look = || match &named {
         Some(path) if path.contains('/') => Some(PathBuf::from(path)).filter(|folder| host_is_alive(folder)),

@@ -231,12 +231,12 @@ class Client:
         if command is not None:
             command._seal(bytes(command._buffer), why)
 
-    def _bytes(self, address: int, size: int) -> memoryview:
-        memory = (ctypes.c_ubyte * size).from_address(address)
-        memory.held = self._memory  # keeps it mapped
+    def _bytes(self, address: Optional[int], size: int) -> memoryview:
+        memory = (ctypes.c_ubyte * size).from_address(address)  # type: ignore[arg-type]  # none is a TypeError
+        setattr(memory, "held", self._memory)  # keeps it mapped
         return memoryview(memory).cast("B")
 
-    def _view(self, message: Type[_V], address: int) -> _V:
+    def _view(self, message: Type[_V], address: Optional[int]) -> _V:
         # The samples of a queue lie at addresses that come again and again.
         view = self._views.get((message, address))
         if view is None:
@@ -244,7 +244,7 @@ class Client:
             self._views[(message, address)] = view
         return view
 
-    def _array(self, address: int, dtype: str, count: int) -> np.ndarray:
+    def _array(self, address: Optional[int], dtype: str, count: int) -> np.ndarray:
         size = count * np.dtype(dtype).itemsize
         return np.frombuffer(self._bytes(address, size).toreadonly(), dtype) if count else np.empty(0, dtype)
 
@@ -262,7 +262,7 @@ class Client:
         """What does not change during the session."""
         info = g.trb_session_info()
         _check(_library.trb_get_info(self._handle, _byref(info)))
-        values = {name: getattr(info, name) for name, _ in info._fields_}
+        values = {name: getattr(info, name) for name, *_ in info._fields_}
         for name in ("folder", "controller", "scene_toml"):
             values[name] = values[name].decode()
         values.update(lockstep=bool(info.lockstep), has_volume=bool(info.has_volume))
@@ -340,7 +340,7 @@ class Client:
         if command is None:
             return _check(_library.trb_send_command(self._handle))
         content = bytes(command._buffer)
-        self._sending[:] = content
+        self._sending[:] = content  # type: ignore[index]  # the loan has set it
         status = _library.trb_send_command(self._handle)
         if status:
             if status == g.ERROR_ARGUMENT:
@@ -384,7 +384,7 @@ class Client:
         pose = None
         if position_m is not None:
             pose = g.Pose()
-            pose.position_m, pose.orientation_xyzw = position_m, orientation_xyzw
+            pose.position_m[:], pose.orientation_xyzw[:] = position_m, orientation_xyzw
         address = None if pose is None else pose.array.ctypes.data
         _check(_library.trb_request_frame(self._handle, address, tick, _byref(number)))
         return number.value
@@ -447,7 +447,7 @@ class Client:
 
     def events(self) -> list[SessionEvent]:
         """Every event since the last call, as copies; kept from the first call on, 256 at most."""
-        events = []
+        events: list[SessionEvent] = []
         view = g.trb_event_view()
         while True:
             status = _library.trb_next_event(self._handle, _byref(view))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -132,7 +133,8 @@ class Pose(View):
     Field names and order are those of geometry_msgs/msg/Pose, flattened.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -149,7 +151,8 @@ class Pose(View):
 class Wrench(View):
     """A force and a torque in world axes."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -166,7 +169,8 @@ class Wrench(View):
 class Contact(View):
     """One contact of a proxy sphere of the tool."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -188,7 +192,8 @@ class Contact(View):
 class AppliedCommand(View):
     """Which command of a controller the tick that led to this state applied."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -209,7 +214,8 @@ class State(View):
     state.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -261,7 +267,8 @@ class Command(View):
     told before; a controller may drive only the parts that the scene gives it.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -292,7 +299,8 @@ class Command(View):
 class LatchedCommand(View):
     """One controller's part of u_k."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -313,7 +321,8 @@ class Latched(View):
     to; the only non-deterministic input of a run.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -335,7 +344,8 @@ class Removed(View):
     which `removed_total` does not count.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -354,11 +364,12 @@ class Removed(View):
 
 class Keyframe(View):
     """A part of a keyframe: everything that the physics keeps between ticks, so that a replay
-    can begin here. The bytes are the physics' own (`physics_proc::simulation`,
-    `write_keyframe`) and belong to one build. Published behind the state that they save.
+    can begin here. The bytes are the physics' own (`simulation::Simulation::write_keyframe`)
+    and belong to one build. Published behind the state that they save.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -382,7 +393,8 @@ class Volume(View):
     receive it.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -405,7 +417,8 @@ class CArmGeometry(View):
     screen.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -430,7 +443,8 @@ class CArmProjection(View):
     seen from the detector's side.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -452,7 +466,8 @@ class CArmProjection(View):
 class Frame(View):
     """What a frame shows; on the wire an `ImagePrefix` and the pixels follow."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -477,7 +492,8 @@ class Frame(View):
 class DrrRequest(View):
     """Asks for a frame."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -499,7 +515,8 @@ class DrrReply(View):
     or scheduled.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -520,7 +537,8 @@ class DrrReply(View):
 class RunControl(View):
     """Steers the run. Sent by the launcher, a viewer or a client."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -539,7 +557,8 @@ class RunControl(View):
 class RunControlReply(View):
     """Answers a `RunControl`."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -560,7 +579,8 @@ class RunStatus(View):
     receive the newest.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -582,7 +602,8 @@ class RunStatus(View):
 class Event(View):
     """Something that happened, for people."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -605,7 +626,8 @@ class Progress(View):
     further ahead than the queues hold; the first one also says that the consumer is there.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -626,7 +648,8 @@ class TickTiming(View):
     stays deterministic.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -665,7 +688,8 @@ class TickTiming(View):
 class FrameTiming(View):
     """Wall-clock facts of one DRR frame. Written to the timing lane only."""
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {
@@ -689,7 +713,8 @@ class ImagePrefix(View):
     `mono16`: the bytes from here on are that message's CDR body.
     """
 
-    __slots__ = ()
+    if not TYPE_CHECKING:
+        __slots__ = ()
 
     dtype = np.dtype(
         {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any, Optional, TypeVar, Union
+from typing import Any, Optional, Type, TypeVar, Union
 
 import numpy as np
 
@@ -19,7 +19,8 @@ class View:
 
     __slots__ = ("_buffer", "_array", "_parts", "_sealed")
 
-    dtype: np.dtype
+    dtype: np.dtype[np.void]
+    _sealed: str
 
     def __init__(self, buffer: Union[memoryview, bytes, bytearray, None] = None, parts: Optional[dict] = None) -> None:
         """A view of `buffer`; without one, a message of zeros in memory of its own. With `parts` it can be sealed."""
@@ -62,7 +63,7 @@ class View:
         return ValueError(f"`{name}` of this {type(self).__name__} cannot be written: {why}")
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join(f'{name}={getattr(self, name)!r}' for name in self.dtype.names)})"
+        return f"{type(self).__name__}({', '.join(f'{name}={getattr(self, name)!r}' for name in self.dtype.names or ())})"
 
 
 class _Member:
@@ -75,6 +76,9 @@ class _Member:
         if view._is_read_only():
             raise view._refusal(self._name)
         self._write(view, value)
+
+    def _write(self, view: View, value: Any) -> None:
+        raise NotImplementedError
 
 
 class _Number(_Member):
@@ -103,10 +107,13 @@ class _Array(_Member):
     def __init__(self, doc: str) -> None:
         self.__doc__ = doc
 
-    def __set_name__(self, owner: type, name: str) -> None:
+    def __set_name__(self, owner: Type[View], name: str) -> None:
         self._name = name
-        field, self._offset = owner.dtype.fields[name]
-        self._element, self._shape = field.subdtype
+        fields = owner.dtype.fields
+        assert fields is not None  # every message has fields
+        element, self._offset = fields[name][:2]
+        assert element.subdtype is not None  # of a fixed array
+        self._element, self._shape = element.subdtype
 
     def __get__(self, view: Optional[View], owner: type) -> Any:
         if view is None:
@@ -126,7 +133,7 @@ class _Array(_Member):
 class _Nested(_Member):
     """A message in a message."""
 
-    def __init__(self, message: type, offset: int, doc: str) -> None:
+    def __init__(self, message: Type[View], offset: int, doc: str) -> None:
         self._message, self._offset, self._end = message, offset, offset + message.dtype.itemsize
         self.__doc__ = doc
 
@@ -150,6 +157,6 @@ def field(code: Optional[str], offset: int, doc: str) -> Any:
     return _Array(doc) if code is None else _Number(code, offset, doc)
 
 
-def nested(message: type, offset: int, doc: str) -> Any:
+def nested(message: Type[View], offset: int, doc: str) -> Any:
     """The attribute of a message in a message."""
     return _Nested(message, offset, doc)

@@ -13,8 +13,7 @@ mod worker;
 
 use std::path::Path;
 
-use ipc_types::identity::Part;
-use ipc_types::messages::{CArmGeometry, CArmProjection, Volume};
+use ipc_types::messages::{CArmGeometry, CArmProjection, Part, Volume};
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
 use ipc_types::scene::{
@@ -106,10 +105,7 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
 /// # Errors
 /// [`DrrProcessError::BadVolume`], or a grid that is not one.
 pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'v>, DrrProcessError> {
-    let d = &volume.direction;
-    let direction = [[d[0], d[1], d[2]], [d[3], d[4], d[5]], [d[6], d[7], d[8]]];
-    let dims = volume.dimensions.map(|n| n as usize);
-    let grid = Grid::new(dims, volume.spacing_m, volume.origin_m, direction)?;
+    let grid = Grid::from(volume.grid().map_err(DrrError::from)?);
     let hu = <[i16]>::ref_from_bytes(voxels).map_err(|cause| DrrProcessError::BadVolume {
         problem: format!("voxels do not lie aligned: {cause}"),
     })?;

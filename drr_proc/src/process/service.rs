@@ -4,13 +4,14 @@ use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
+use hub::rate_limit::{Connection, LOOKED_AT, RateLimit, WarningLimit};
+use ipc_types::clock::now_ns;
 use ipc_types::messages::{
     DRR_ACCEPTED, DRR_BUSY, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming,
     GEOMETRY_REQUEST, PHASE_ENDED, SEVERITY_WARNING, State,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
-use ipc_types::ration::{LOOKED_AT, Ration, Remarks};
 use ipc_types::scene::{Drives, Mode, Notch, Scene};
 use zerocopy::FromBytes;
 
@@ -72,8 +73,8 @@ struct Service {
     outcomes: Receiver<Outcome>,
     in_flight: usize,
     sequence: u64,
-    ration: Ration,
-    remarks: Remarks,
+    rate_limit: RateLimit,
+    warnings: WarningLimit,
     removals: Removals,
     newest: Option<Box<State>>,
     shown_tick: Option<u64>,
@@ -108,8 +109,8 @@ impl Service {
             outcomes,
             in_flight: 0,
             sequence: 0,
-            ration: Ration::default(),
-            remarks: Remarks::default(),
+            rate_limit: RateLimit::default(),
+            warnings: WarningLimit::default(),
             removals: Removals::default(),
             newest: None,
             shown_tick: None,
@@ -206,7 +207,7 @@ impl Service {
             let malformed = |error: &PortError| refused.push(format!("{error}; refused"));
             let Some(request) = self.ports.requests.receive_valid(malformed)? else { break };
             let connection = request.sender();
-            if !self.ration.allows(connection) {
+            if !self.rate_limit.allows(Connection(connection.number()), now_ns()) {
                 refused.push("a program asks for more frames than can be answered; refused".to_owned());
                 continue;
             }
@@ -239,11 +240,11 @@ impl Service {
             }
         }
         for text in refused {
-            if self.remarks.allows() {
+            if self.warnings.allows(now_ns()) {
                 self.warn(&text)?;
             }
         }
-        match self.remarks.unsaid() {
+        match self.warnings.take_suppressed(now_ns()) {
             None => Ok(()),
             Some(more) => self.warn(&format!("{more} more requests for frames refused")),
         }

@@ -116,7 +116,7 @@ impl SliceOrderedMemory {
     }
 }
 
-/// Milliseconds measured while running, which decide how changes are worked in (never what comes out).
+/// Times measured while running, nanoseconds, which decide how changes are worked in (never what comes out).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct UpdateCost {
     /// Nanoseconds of the last full sum over slices.

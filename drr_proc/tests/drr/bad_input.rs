@@ -6,6 +6,8 @@ use drr_proc::{
     VolumeView, Window, detector::DetectorParameters, display::DisplayParameters,
 };
 
+use voxel_grid::GridError;
+
 use crate::poses::c_arm;
 
 const DIMS: [usize; 3] = [24, 20, 22];
@@ -35,12 +37,18 @@ fn a_spacing_of_zero_below_zero_infinite_or_nan_is_refused() {
             let mut spacing_m = [1e-3; 3];
             spacing_m[axis] = bad;
             let error = Grid::axis_aligned(DIMS, spacing_m, [0.0; 3]).unwrap_err().to_string();
-            assert!(error.contains(&format!("spacing_m is {bad}, expected 1e-6 to 0.1 m")), "{error}");
+            assert!(
+                error.contains(&format!("a voxel spacing of {spacing_m:?} m; expected 1e-6 to 0.1 m")),
+                "{error}"
+            );
         }
     }
     assert!(Grid::axis_aligned(DIMS, [1e-3; 3], [f64::NAN, 0.0, 0.0]).is_err());
     let nan = [[f64::NAN, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    assert!(matches!(Grid::new(DIMS, [1e-3; 3], [0.0; 3], nan), Err(DrrError::NotOrthonormal { .. })));
+    assert!(matches!(
+        Grid::new(DIMS, [1e-3; 3], [0.0; 3], nan),
+        Err(DrrError::Grid(GridError::Sheared { .. }))
+    ));
 }
 
 #[test]

@@ -1,7 +1,11 @@
 //! C-arm and grid against hand-worked bead positions.
 
+use drr_proc::process::volume_view;
 use drr_proc::{CArm, DetectorFormat, DrrError, Grid, PositionerAngles};
+use ipc_types::messages::Volume;
 use proptest::prelude::*;
+use voxel_grid::GridError;
+use zerocopy::IntoBytes;
 
 const FORMAT: DetectorFormat = DetectorFormat { columns: 101, rows: 81, pixel_pitch_m: [1e-3; 2] };
 
@@ -113,12 +117,40 @@ fn the_columns_of_the_direction_matrix_are_the_index_axes() {
     assert_eq!(grid.linear_of([4, 0, 0]), None);
 }
 
+/// The process took the axes of the message for rows, so in a run an oblique CT was seen turned the other way; physics and `trabecula
+/// drr` had it right.
+#[test]
+fn the_process_sees_an_oblique_ct_where_its_message_says_it_is() {
+    // i runs to +y, j to +z, k to +x.
+    let direction = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
+    let message = Volume {
+        sha256: [0; 32],
+        origin_m: [0.1, 0.2, 0.3],
+        spacing_m: [1e-3, 2e-3, 3e-3],
+        direction,
+        dimensions: [4, 5, 6],
+        hu_length: 120,
+    };
+    let hu = [0_i16; 120];
+    let view = volume_view(&message, hu.as_bytes()).unwrap();
+    let p = view.grid().index_to_world([1.0, 2.0, 3.0]);
+    assert!(
+        (p[0] - 0.109).abs() < 1e-15 && (p[1] - 0.201).abs() < 1e-15 && (p[2] - 0.304).abs() < 1e-15,
+        "{p:?}"
+    );
+    let sheared = Volume { direction: [1.0, 0.0, 0.0, 0.01, 1.0, 0.0, 0.0, 0.0, 1.0], ..message };
+    assert!(volume_view(&sheared, hu.as_bytes()).unwrap_err().to_string().contains("resample"));
+}
+
 #[test]
 fn sheared_and_empty_grids_are_refused() {
     let shear = [[1.0, 0.0, 0.0], [0.1, 0.995, 0.0], [0.0, 0.0, 1.0]];
-    assert!(matches!(Grid::new([4; 3], [1e-3; 3], [0.0; 3], shear), Err(DrrError::NotOrthonormal { .. })));
+    assert!(matches!(
+        Grid::new([4; 3], [1e-3; 3], [0.0; 3], shear),
+        Err(DrrError::Grid(GridError::Sheared { .. }))
+    ));
     let error = Grid::axis_aligned([4, 0, 4], [1e-3; 3], [0.0; 3]).unwrap_err().to_string();
-    assert!(error.contains("dims is 0, expected 1 to 65536"), "{error}");
+    assert!(error.contains("[4, 0, 4] voxels; expected 1 to 65536"), "{error}");
     assert!(Grid::axis_aligned([65536, 65536, 2], [1e-3; 3], [0.0; 3]).is_err());
 }
 

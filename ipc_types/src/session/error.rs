@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::ICEORYX2_VERSION;
+use super::id::SessionId;
 use super::places::{Searched, Unfit};
-use crate::identity::Part;
-use crate::shared_memory::Short;
+use crate::messages::Part;
+use crate::shared_memory::{Short, refusal};
 
 /// Why a session could not be made or joined.
 #[derive(Debug, Error)]
@@ -26,6 +27,15 @@ pub enum SessionError {
     NoSession {
         /// Where it was looked for.
         searched: Searched,
+    },
+    /// No session has, or will ever have, such a name.
+    #[error(
+        "`{given}` can be no session: the name of a session, and of its folder, is {} letters and digits, as `trabecula run` prints it",
+        SessionId::LENGTH
+    )]
+    NotASession {
+        /// What was given.
+        given: String,
     },
     /// Somebody else could read or change the sessions in this folder.
     #[error(
@@ -133,6 +143,16 @@ pub enum SessionError {
         /// The system's reason.
         cause: io::Error,
     },
+    /// Shared memory takes no files.
+    #[error("/dev/shm: {action} of service `{service}` failed: {cause}")]
+    NoSharedMemory {
+        /// Service name.
+        service: String,
+        /// What was tried.
+        action: &'static str,
+        /// Why, and what to do.
+        cause: String,
+    },
     /// iceoryx2 refused something else.
     #[error("service `{service}`: {action} failed ({cause})")]
     Transported {
@@ -154,7 +174,10 @@ pub(crate) fn transported<E: core::fmt::Debug>(
     action: &'static str,
 ) -> impl FnOnce(E) -> SessionError {
     let service = service.to_owned();
-    move |cause| SessionError::Transported { service, action, cause: format!("{cause:?}") }
+    move |cause| match refusal() {
+        Some(refused) => SessionError::NoSharedMemory { service, action, cause: refused.to_string() },
+        None => SessionError::Transported { service, action, cause: format!("{cause:?}") },
+    }
 }
 
 pub(crate) fn short_memory(service: &str) -> impl FnOnce(Short) -> SessionError + '_ {

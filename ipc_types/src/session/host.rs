@@ -14,7 +14,7 @@ use super::{
     Announcement, ByteService, EventService, FLAGS_FILE, ICEORYX2_VERSION, Reader, Session, SessionError,
     create_node, file_error, transported,
 };
-use crate::identity::Part;
+use crate::messages::Part;
 use crate::own::Own;
 use crate::scene::{Policy, Wait};
 use crate::services::{self, SAMPLES_HELD, Service};

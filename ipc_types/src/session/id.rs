@@ -3,8 +3,10 @@
 use std::fmt::{self, Display, Formatter};
 use std::path::Path;
 
-use super::SessionError;
+use foreign_text::foreign_path;
+
 use super::places::last_name;
+use super::{ANNOUNCEMENT_FILE, SessionError};
 
 /// Name of a session: [`SessionId::LENGTH`] letters and digits from the system's generator of random numbers.
 ///
@@ -46,6 +48,17 @@ impl SessionId {
     /// The session whose folder this is, by its name.
     pub fn of(folder: &Path) -> Option<SessionId> {
         last_name(folder).and_then(SessionId::parse)
+    }
+
+    /// Whether what somebody gives as a session's name or folder can be one, now or later: nobody is to wait for what cannot.
+    ///
+    /// # Errors
+    /// [`SessionError::NotASession`]: no hub gives such a name, and none of another version has announced itself there.
+    pub fn can_be(folder: &Path) -> Result<(), SessionError> {
+        match SessionId::of(folder).is_some() || folder.join(ANNOUNCEMENT_FILE).exists() {
+            true => Ok(()),
+            false => Err(SessionError::NotASession { given: foreign_path(folder) }),
+        }
     }
 
     /// What the names of its shared memory begin with: they carry the transport's version.

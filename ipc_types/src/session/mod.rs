@@ -25,7 +25,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 use crate::identity::Claims;
 use crate::own::Own;
 use crate::services::CONNECTIONS_BYTES;
-use crate::shared_memory::require_free;
+use crate::shared_memory::{refusal, require_free};
 use crate::wake::WakeFlags;
 
 pub use announcement::Announcement;
@@ -112,6 +112,11 @@ fn transport_config(folder: &Path, id: &SessionId) -> Result<Config, SessionErro
 }
 
 pub(crate) fn create_node(folder: &Path, id: &SessionId) -> Result<Node<ipc::Service>, SessionError> {
+    let action = "creating a node";
+    if let Some(refused) = refusal() {
+        let cause = refused.to_string();
+        return Err(SessionError::NoSharedMemory { service: "session".to_owned(), action, cause });
+    }
     // The node's and the services' own segments come before any port's.
     require_free(CONNECTIONS_BYTES).map_err(short_memory("session"))?;
     // Every failure comes back as an error of ours; the transport's own log would only say it twice.
@@ -120,5 +125,5 @@ pub(crate) fn create_node(folder: &Path, id: &SessionId) -> Result<Node<ipc::Ser
         .config(&transport_config(folder, id)?)
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<ipc::Service>()
-        .map_err(transported("session", "creating a node"))
+        .map_err(transported("session", action))
 }

@@ -1,17 +1,11 @@
 //! Clocks, and sleeping by them.
 
 use std::num::NonZeroU64;
-use std::time::Instant;
 
+use ipc_types::clock::now_ns;
 use ipc_types::scene::Wait;
 use ipc_types::wake::allowed_cores;
 use rustix::time::{ClockId, Timespec, clock_gettime};
-
-/// Monotonic clock in nanoseconds.
-pub(super) fn now_ns() -> u64 {
-    let time = clock_gettime(ClockId::Monotonic);
-    time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
-}
 
 /// Processor time of this thread in nanoseconds; the kernel leaves out what a hypervisor stole, where it is told.
 pub(super) fn thread_cpu_ns() -> u64 {
@@ -79,9 +73,4 @@ fn sleep_until(deadline_ns: u64) {
 pub(super) fn wake_exactly() {
     // Where it refuses, sleeps are that much less exact, which the lateness of ticks shows.
     let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
-}
-
-/// Nanoseconds since an instant.
-pub(super) fn elapsed_ns(since: Instant) -> u64 {
-    since.elapsed().as_nanos() as u64
 }

@@ -6,11 +6,9 @@ use ipc_types::process::{EndRequest, VOLUME_LIMIT, await_volume};
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::Session;
-use nalgebra::{Matrix3, Vector3};
 use zerocopy::FromBytes;
 
 use super::PhysicsError;
-use crate::bone::GridGeometry;
 
 /// The volume in shared memory; it stays there as long as the return value lives.
 pub(super) fn receive_volume(
@@ -36,14 +34,4 @@ pub(super) fn hounsfield_units(volume: &Received<Volume>) -> Result<&[i16], Phys
     }
     <[i16]>::ref_from_bytes(volume.tail())
         .map_err(|cause| PhysicsError::BadVolume { problem: format!("voxels do not lie aligned: {cause}") })
-}
-
-/// The grid that a volume message describes.
-pub fn ct_geometry(volume: &Volume) -> GridGeometry {
-    GridGeometry {
-        dims: volume.dimensions.map(|n| n as usize),
-        spacing_m: volume.spacing_m,
-        direction_world_grid: Matrix3::from_column_slice(&volume.direction),
-        origin_world_m: Vector3::from(volume.origin_m),
-    }
 }

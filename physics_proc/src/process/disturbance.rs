@@ -9,10 +9,11 @@
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 
+use ipc_types::clock::now_ns;
 use ipc_types::messages::TickTiming;
 use nix::sys::resource::{UsageWho, getrusage};
 
-use super::clock::{now_ns, thread_cpu_ns};
+use super::clock::thread_cpu_ns;
 use super::held_back::HeldBack;
 
 /// Cores whose steal is kept apart.

@@ -1,47 +1,31 @@
-//! The physics process: it owns the tick.
+//! The physics process: it drives the [`Hub`] with shared memory and the machine's clock.
 //!
 //! ```text
-//! connect:  publish x_0 until every consumer and every controller has answered
-//! tick k:   obey run control (pause, step, reset, stop)
-//!           real time: sleep to the deadline t_0 + k dt          lockstep: wait for every controller's answer to x_k
-//!           u_k := latch                                          (validated; late commands held, then the safe one)
-//!           publish u_k
-//!           x_{k+1}, h_{k+1} := step(x_k, u_k)
-//!           publish removed voxels, then x_{k+1}; wake the readers that sleep
-//! end:      publish the phase "ended", wait until the consumers have taken the last state
+//! join the session, take the volume, build the simulation
+//! until the hub has ended:  advance it; wait for what it waits for
 //! ```
-//!
-//! While somebody records, every `recording.keyframe_interval_s` a keyframe follows the state.
-//!
-//! A deadline that has passed is not caught up silently: a tick that begins more than one period late counts as
-//! missed, and the schedule is moved by the time lost, so ticks never bunch up.
 
 mod clock;
 mod connection;
 mod disturbance;
+mod environment;
 mod held_back;
-mod keyframes;
-mod late_notes;
-mod lead;
-mod pacing;
-mod ports;
-mod tick;
 
 use std::path::Path;
 
-use ipc_types::identity::Part;
+use hub::{Environment, Hub, HubError, Next, Note, Settings};
+use ipc_types::clock::now_ns;
+use ipc_types::messages::{EVENT_RUN, Part, SEVERITY_INFO};
 use ipc_types::ports::PortError;
-use ipc_types::process::{EndRequest, session_scene};
-use ipc_types::scene::SceneError;
+use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
+use ipc_types::scene::{Mode, Scene, SceneError};
 use ipc_types::session::{Session, SessionError};
+use simulation::{CtView, Simulation, SimulationError, ct_geometry};
 use thiserror::Error;
 
-use crate::bone::GridGeometry;
-use crate::simulation::{CtView, Simulation, SimulationError};
-use ports::Ports;
-use tick::Runner;
+use clock::wake_exactly;
+use environment::SharedMemory;
 
-pub use connection::ct_geometry;
 pub use disturbance::Disturbances;
 
 /// Why the physics process ends early.
@@ -56,14 +40,9 @@ pub enum PhysicsError {
     /// A message cannot be sent or taken.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// The simulation refuses the scene, or a tick.
-    #[error("tick {tick}: {cause}")]
-    Simulation {
-        /// Tick.
-        tick: u64,
-        /// Its reason.
-        cause: SimulationError,
-    },
+    /// The simulation refuses the scene.
+    #[error("tick 0: {0}")]
+    Simulation(#[from] SimulationError),
     /// The volume did not come.
     #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
     NoVolume {
@@ -76,38 +55,9 @@ pub enum PhysicsError {
         /// What is wrong.
         problem: String,
     },
-    /// A part never connected.
-    #[error("{part} did not connect within {limit_s} s{hint}")]
-    NotConnected {
-        /// The part.
-        part: String,
-        /// Seconds waited.
-        limit_s: u64,
-        /// What to do.
-        hint: String,
-    },
-    /// A controller did not answer in lockstep.
-    #[error(
-        "controller `{name}` did not answer tick {tick} within {limit_ms} ms (`run.controller_limit_ms`)"
-    )]
-    ControllerSilent {
-        /// Its name.
-        name: String,
-        /// Tick.
-        tick: u64,
-        /// Limit.
-        limit_ms: f64,
-    },
-    /// A consumer of the lossless streams stopped taking states.
-    #[error("{part} has taken no state for {limit_s} s at tick {tick}")]
-    ConsumerStuck {
-        /// The part.
-        part: &'static str,
-        /// Tick.
-        tick: u64,
-        /// Limit.
-        limit_s: u64,
-    },
+    /// The run ends early; and what to do.
+    #[error("{0}{1}")]
+    Run(HubError<PortError, SimulationError>, String),
     /// Signals cannot be handled.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
@@ -122,16 +72,79 @@ pub fn run(session_folder: &Path) -> Result<(), PhysicsError> {
     let scene = session_scene(session_folder)?;
     let session = Session::join(session_folder)?;
     session.claim(Part::Physics)?;
-    let ports = Ports::open(&session, &scene)?;
-    let volume = connection::receive_volume(&session, &scene, &end)?;
+    let mut memory = SharedMemory::open(&session, &scene, end)?;
+    let volume = connection::receive_volume(&session, &scene, memory.end())?;
     let ct = match &volume {
         Some(volume) => {
-            let geometry: GridGeometry = ct_geometry(volume.message());
+            let geometry = ct_geometry(volume.message());
             Some(CtView { geometry, hu: connection::hounsfield_units(volume)? })
         }
         None => None,
     };
-    let simulation =
-        Simulation::new(&scene, ct).map_err(|cause| PhysicsError::Simulation { tick: 0, cause })?;
-    Runner::new(&scene, simulation, ports, end).run()
+    let simulation = Simulation::new(&scene, ct)?;
+    let settings = Settings::new(&scene, &memory.consumers());
+    let mut hub = Hub::new(&scene, simulation, settings, now_ns());
+    drive(&mut hub, &mut memory, &scene).map_err(|cause| {
+        let hint = hint(&cause, &session, &scene);
+        PhysicsError::Run(cause, hint)
+    })
+}
+
+/// Advances the hub until the run is over.
+fn drive(
+    hub: &mut Hub<Simulation<'_>>,
+    memory: &mut SharedMemory,
+    scene: &Scene,
+) -> Result<(), HubError<PortError, SimulationError>> {
+    loop {
+        match hub.advance(memory)? {
+            Next::Wait(wait) => memory.wait(wait),
+            Next::GetReady => {
+                lock_memory(memory)?;
+                take_priority(memory, scene)?;
+            }
+            Next::Ended => return Ok(()),
+        }
+    }
+}
+
+/// How an external controller that did not connect is to be started.
+fn hint(cause: &HubError<PortError, SimulationError>, session: &Session, scene: &Scene) -> String {
+    let HubError::ControllerNotConnected { name, .. } = cause else { return String::new() };
+    match scene.controller.iter().find(|controller| controller.name == *name) {
+        Some(controller) if controller.external => {
+            format!("; it is external: start it with {}", session.how_to_connect(name))
+        }
+        _ => String::new(),
+    }
+}
+
+/// Keeps all memory of this process resident, where the system permits it.
+fn lock_memory(memory: &mut SharedMemory) -> Result<(), PortError> {
+    let flags = rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE;
+    match rustix::mm::mlockall(flags) {
+        Ok(()) => Ok(()),
+        Err(cause) => inform(memory, &format!("memory is not locked ({cause}): page faults may delay ticks")),
+    }
+}
+
+/// In real time the tick comes first; what the scheduler refuses is said.
+fn take_priority(memory: &mut SharedMemory, scene: &Scene) -> Result<(), PortError> {
+    if scene.run.mode == Mode::Lockstep {
+        return Ok(());
+    }
+    wake_exactly();
+    let policy = scene.run.policy;
+    let (wanted, got) = (Role::Physics.priority(policy), prioritise(Role::Physics, policy));
+    if got == wanted {
+        return Ok(());
+    }
+    inform(
+        memory,
+        &format!("priority: {wanted:?} is not permitted, the physics has {got:?}: see `trabecula doctor`"),
+    )
+}
+
+fn inform(memory: &mut SharedMemory, text: &str) -> Result<(), PortError> {
+    memory.send_event(&Note { tick: 0, severity: SEVERITY_INFO, code: EVENT_RUN, text })
 }

@@ -66,7 +66,9 @@ impl Toy {
     }
 }
 
-impl Simulation for Toy {
+impl Plant for Toy {
+    type Error = String;
+
     fn state(&self) -> &State {
         &self.state
     }
@@ -109,20 +111,25 @@ impl Simulation for Toy {
     fn removed(&self) -> &[u32] {
         &self.removed
     }
-}
-
-const PART: usize = 1000;
-
-impl Resumable for Toy {
-    fn save(&mut self) -> Result<Vec<u8>, String> {
-        Ok(self.state.as_bytes().to_vec())
+    fn predrilled(&self) -> &[u32] {
+        &PREDRILLED
     }
-    fn resume(&mut self, keyframe: &[u8]) -> Result<(), String> {
+    fn refusals(&self) -> &[Refusal] {
+        &[]
+    }
+    fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, String> {
+        let bytes = self.state.as_bytes();
+        buffer[..bytes.len()].copy_from_slice(bytes);
+        Ok(bytes.len())
+    }
+    fn restore_keyframe(&mut self, keyframe: &[u8]) -> Result<(), String> {
         assert!(!keyframe.starts_with(b"panic"), "somebody altered this keyframe");
         self.state = State::read_from_bytes(keyframe).map_err(|_| "no state".to_string())?;
         Ok(())
     }
 }
+
+const PART: usize = 1000;
 
 /// The keyframe messages of a state, after `sequence` earlier ones.
 pub fn keyframe_parts(state: &State, sequence: u64, bytes: &[u8]) -> Vec<Vec<u8>> {

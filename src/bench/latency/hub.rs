@@ -3,7 +3,7 @@
 use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
-use ipc_types::identity::Part;
+use ipc_types::messages::Part;
 use ipc_types::messages::State;
 use ipc_types::process::bind_to_parent;
 use ipc_types::session::{CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, SessionHost, SessionPlan};

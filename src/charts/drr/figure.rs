@@ -1,7 +1,5 @@
 //! `drr.svg`: error against milliseconds, both logarithmic.
 
-use std::path::Path;
-
 use plotters::backend::SVGBackend;
 use plotters::chart::{ChartBuilder, SeriesLabelPosition};
 use plotters::coord::combinators::IntoLogRange;
@@ -15,13 +13,14 @@ use super::Point;
 use crate::failure::Failure;
 
 /// Draws the points of two threads (triangles: peers); the line is the time of reading the finest volume once.
-pub fn write(folder: &Path, points: &[Point], stream_ms: f64) -> Result<(), Failure> {
-    let path = folder.join("drr.svg");
-    draw(&path, points, stream_ms)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be drawn ({cause})", path.display())))
+pub fn draw(points: &[Point], stream_ms: f64) -> Result<String, Failure> {
+    let mut text = String::new();
+    draw_into(&mut text, points, stream_ms)
+        .map_err(|cause| Failure::failed(format!("drr.svg: cannot be drawn ({cause})")))?;
+    Ok(text)
 }
 
-fn draw(path: &Path, points: &[Point], stream_ms: f64) -> Result<(), Box<dyn std::error::Error>> {
+fn draw_into(text: &mut String, points: &[Point], stream_ms: f64) -> Result<(), Box<dyn std::error::Error>> {
     register_font("sans-serif", FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT)
         .map_err(|_| "the built-in font is not one")?;
     let shown: Vec<&Point> = points.iter().filter(|p| p.threads == 2).collect();
@@ -32,7 +31,7 @@ fn draw(path: &Path, points: &[Point], stream_ms: f64) -> Result<(), Box<dyn std
     let (fast, slow) = range(&mut times.filter(|v| *v > 0.0));
     let (good, bad) = range(&mut shown.iter().map(|p| p.exact.rms).filter(|v| *v > 0.0));
     let (left, right, bottom, top) = (fast / 1.5, slow * 1.5, good / 1.5, bad * 1.5);
-    let area = SVGBackend::new(path, (820, 520)).into_drawing_area();
+    let area = SVGBackend::with_string(text, (820, 520)).into_drawing_area();
     area.fill(&WHITE)?;
     let mut chart = ChartBuilder::on(&area)
         .margin(14)

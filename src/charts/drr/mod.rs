@@ -21,7 +21,7 @@ use drr_proc::{
 };
 
 use crate::failure::Failure;
-use crate::output::{refuse_existing, within, write_new};
+use crate::output::{refuse_existing, within};
 
 /// What to measure and where to put it.
 #[derive(Debug, Clone)]
@@ -131,8 +131,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     }
     let files = within(&plan.out, &["drr.csv", "drr.md", "drr.svg"]);
     refuse_existing(&files)?;
-    output_file::create_folder(&plan.out)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be made ({cause})", plan.out.display())))?;
+    output_file::create_folder(&plan.out).map_err(Failure::folder(&plan.out))?;
     let (finest, side) = if plan.quick { (8, 128) } else { (1, 512) };
     let phantom = Phantom::pelvis(7);
     let samples: Vec<Sample> =
@@ -153,10 +152,10 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         None => Vec::new(),
     };
     let spectrum = spectrum::errors().map_err(failed)?;
-    write_new(&files, || {
-        table::write(&plan.out, &points, &stream_ms, &spectrum)?;
-        figure::write(&plan.out, &points, stream_ms[1])
-    })?;
+    let table = table::text(&points, &stream_ms, &spectrum);
+    let contents = [table::csv(&points), table.clone(), figure::draw(&points, stream_ms[1])?];
+    output_file::write_all(&files.iter().zip(contents).collect::<Vec<_>>())?;
+    say!("{}", table.trim_end());
     for note in &notes {
         say!("{note}");
     }

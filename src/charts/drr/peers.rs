@@ -12,7 +12,7 @@ use drr_proc::Material;
 use serde_json::json;
 
 use super::{Errors, Plan, Point, PosedReference, STANDARD, Sample};
-use crate::charts::peers::{run, scripts};
+use crate::charts::peers::{new_input, run, scripts};
 use crate::failure::Failure;
 
 /// Runs every script, and after each the standard projector again, so that both have seen the same machine; one that cannot be
@@ -29,13 +29,13 @@ pub fn measure(
         move |cause: std::io::Error| Failure::failed(format!("{}: {cause}", path.display()))
     };
     let work = std::path::absolute(plan.out.join("peers")).map_err(io(&plan.out))?;
-    std::fs::create_dir_all(&work).map_err(io(&work))?;
-    write_input(&work, sample, poses, plan.rounds)?;
+    let input = new_input(&work)?;
+    write_input(input.path(), sample, poses, plan.rounds)?;
     let mut notes = Vec::new();
     for (name, script) in scripts(folder)? {
-        match run(&script, &name, &work) {
+        match run(&script, &name, &work, input.path()) {
             Err(reason) => notes.push(format!("peer {name}: not measured ({reason})")),
-            Ok(printed) => collect(&name, &printed, &work, sample, poses, points, &mut notes),
+            Ok(printed) => collect(&name, &printed, input.path(), sample, poses, points, &mut notes),
         }
         super::measure(sample, poses, (STANDARD.0, STANDARD.1, 2), plan.rounds, points)
             .map_err(super::failed)?;
@@ -44,11 +44,10 @@ pub fn measure(
 }
 
 fn write_input(work: &Path, sample: &Sample, poses: &[PosedReference], rounds: usize) -> Result<(), Failure> {
-    let failed = |cause: std::io::Error| Failure::failed(format!("{}: {cause}", work.display()));
     let mu_water = Material::Water.mu_per_m(60.0).map_err(|cause| Failure::failed(cause.to_string()))?;
     let mu = |hu: i16| (mu_water * 1e-3 * (1.0 + f64::from(hu) / 1000.0)).max(0.0) as f32;
     let bytes: Vec<u8> = sample.hu.iter().flat_map(|&hu| mu(hu).to_le_bytes()).collect();
-    std::fs::write(work.join("mu.raw"), bytes).map_err(failed)?;
+    output_file::write(&work.join("mu.raw"), bytes)?;
     let mm = |v: [f64; 3]| v.map(|x| x * 1e3);
     let list: Vec<serde_json::Value> = poses
         .iter()
@@ -73,7 +72,7 @@ fn write_input(work: &Path, sample: &Sample, poses: &[PosedReference], rounds: u
         "rounds": rounds,
         "poses": list,
     });
-    std::fs::write(work.join("poses.json"), text.to_string()).map_err(failed)
+    Ok(output_file::write(&work.join("poses.json"), text.to_string())?)
 }
 
 fn collect(

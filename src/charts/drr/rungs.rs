@@ -1,6 +1,6 @@
 //! `drr_proc/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
 //!
-//! The thigh of [`reference`] in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels; for each projector the largest of the
+//! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels; for each projector the largest of the
 //! poses' errors against Siddon's sum in f64, relative and r.m.s., on every eighth pixel in both directions, and the median of the times
 //! of whole frames with two threads.
 
@@ -123,7 +123,7 @@ pub fn write(path: &Path, rounds: usize) -> Result<(), Failure> {
         let frame_ms = problem.frame_ms(projector, rounds).map_err(failed)?;
         text.extend(ladder::line_of(projector, error_rel, frame_ms).map(|line| line + "\n"));
     }
-    output_file::write(path, &text, output_file::Existing::Refuse)?;
+    output_file::write(path, &text)?;
     say!("{}", text.trim_end());
     Ok(())
 }

@@ -1,20 +1,12 @@
 //! The chart's numbers: `drr.csv`, and the table that is printed and written as `drr.md`.
 
 use std::fmt::Write;
-use std::path::Path;
 
 use super::spectrum::SpectrumErrors;
 use super::{Point, STANDARD};
-use crate::failure::Failure;
 
-/// Writes `drr.csv` and `drr.md`, and prints the table, the ratio to the peers, and the spectrum's errors.
-pub fn write(
-    folder: &Path,
-    points: &[Point],
-    stream_ms: &[f64; 2],
-    spectrum: &[SpectrumErrors],
-) -> Result<(), Failure> {
-    save(&folder.join("drr.csv"), &csv(points))?;
+/// The table, the ratio to the peers, and the spectrum's errors.
+pub fn text(points: &[Point], stream_ms: &[f64; 2], spectrum: &[SpectrumErrors]) -> String {
     let mut text = full_resolution(points);
     // Writing to a String cannot fail.
     let _ = writeln!(
@@ -35,15 +27,11 @@ pub fn write(
             100.0 * errors.nitinol_3_mm
         );
     }
-    say!("{}", text.trim_end());
-    save(&folder.join("drr.md"), &text)
+    text
 }
 
-fn save(path: &Path, text: &str) -> Result<(), Failure> {
-    Ok(output_file::write(path, text, output_file::Existing::Replace)?)
-}
-
-fn csv(points: &[Point]) -> String {
+/// Every point in a row.
+pub fn csv(points: &[Point]) -> String {
     let mut csv =
         "method,coarseness,pose,threads,least_ms,median_ms,exact_rms,exact_max,siddon_rms,siddon_max\n"
             .to_owned();

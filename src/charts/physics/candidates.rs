@@ -1,7 +1,7 @@
 //! The settings that a plan chooses from, measured on the chart's problems.
 
 use ipc_types::scene::{ContactVoxels, Integrator as SceneIntegrator};
-use physics_proc::manipulator::{Integrator, ManipulatorError, Rung};
+use simulation::manipulator::{Integrator, ManipulatorError, Rung};
 
 use super::drilled::{Drilling, distance_mm};
 use super::problems::{self, Effort, Measured};
@@ -133,7 +133,7 @@ pub fn on_the_beam(settings: &Settings) -> Result<Row, ManipulatorError> {
 /// Something is refused, or cannot be saved.
 pub fn measure(
     effort: Effort,
-    save: impl Fn(&[Row]) -> Result<(), Failure>,
+    mut save: impl FnMut(&[Row]) -> Result<(), Failure>,
 ) -> Result<(Vec<Row>, f64), Failure> {
     let mut rows = Vec::new();
     for settings in settings(effort) {

@@ -1,21 +1,19 @@
 //! The drilled path of the default scene: its feed and its ramp of the tendon, open loop, by any settings.
 
-use std::path::Path;
 use std::time::Instant;
 
 use controller_proc::built_in;
-use ipc_types::messages::{Command, Volume as VolumeMessage};
+use hub::in_process::{Answer, InProcess};
+use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Feedback, Mode, Scene};
 use nalgebra::Vector3;
-use physics_proc::latch::Latch;
-use physics_proc::process::ct_geometry;
-use physics_proc::simulation::{CtView, Simulation};
+use simulation::{CtView, Simulation, ct_geometry};
 
 use crate::failure::Failure;
 use crate::launcher::volume_source;
 use crate::plan::Settings;
+use crate::scenes::BuiltIn;
 
-const SCENE: &str = include_str!("../../../configs/femur_curved_drilling.toml");
 /// The feed of 28 mm at 1.5 mm/s, before the tool is drawn back.
 const DURATION_S: f64 = 18.6;
 /// The burr is looked at this often.
@@ -37,7 +35,7 @@ impl Drilling {
     /// # Errors
     /// The scene or its phantom cannot be made.
     pub fn new(spacing_mm: f64, share: f64) -> Result<Drilling, Failure> {
-        let mut scene = Scene::parse(SCENE, Path::new("the default scene")).map_err(Failure::bad_input)?;
+        let mut scene = BuiltIn::Femur.scene()?;
         scene.run.mode = Mode::Lockstep;
         scene.run.duration_s = share * DURATION_S;
         scene.drr = None;
@@ -64,26 +62,25 @@ impl Drilling {
         let mut scene = self.scene.clone();
         settings.write_into(&mut scene);
         let ct = CtView { geometry: ct_geometry(&self.volume), hu: &self.hu };
-        let mut simulation = Simulation::new(&scene, Some(ct)).map_err(|cause| failed(cause.to_string()))?;
+        let simulation = Simulation::new(&scene, Some(ct)).map_err(|cause| failed(cause.to_string()))?;
+        let mut run = InProcess::new(&scene, simulation);
         let mut controllers = Vec::new();
         for entry in &scene.controller {
             controllers.extend(built_in(&scene, &entry.name).map_err(|cause| failed(cause.to_string()))?);
         }
-        let mut latch = Latch::new(&scene);
         let every = (1.0 / (SAMPLES_PER_S * scene.dt_s()) + 0.5) as u64;
         let (mut path, mut nanoseconds) = (Vec::new(), Vec::new());
         for tick in 0..scene.tick_count() {
-            for (index, controller) in controllers.iter_mut().enumerate() {
-                let mut command = Command { sequence: tick + 1, state_tick: tick, ..Command::zeroed() };
-                controller.step(simulation.state(), &mut command);
-                latch.offer(index, &command, tick).map_err(|cause| failed(cause.to_string()))?;
-            }
-            let latched = latch.latch(tick, false);
+            let latched = run.latch(|index, state, command| {
+                controllers[index].step(state, command);
+                Answer::Command
+            });
+            let latched = latched.map_err(|cause| failed(cause.to_string()))?;
             let began = Instant::now();
-            simulation.step(&latched).map_err(|cause| failed(cause.to_string()))?;
+            run.step(&latched).map_err(|cause| failed(cause.to_string()))?;
             nanoseconds.push(began.elapsed().as_nanos() as u64);
             if (tick + 1).is_multiple_of(every.max(1)) {
-                path.push(Vector3::from(simulation.state().t_world_burr.position_m));
+                path.push(Vector3::from(run.plant().state().t_world_burr.position_m));
             }
         }
         nanoseconds.sort_unstable();

@@ -8,14 +8,15 @@ mod problems;
 mod voxel_wall;
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
+use output_file::SavedFile;
 use plotters::style::RGBColor;
 
 use crate::charts::method::Method;
 use crate::failure::Failure;
-use crate::output::{NewFiles, refuse_existing, within};
+use crate::output::{refuse_existing, within};
 use crate::plan::Row;
 use crate::report::axis::{Axis, bounds, duration_label};
 use crate::report::panel::{INK, Panel, Rect};
@@ -76,8 +77,7 @@ const FILES: [&str; 4] =
 pub fn run(plan: &Plan) -> Result<(), Failure> {
     let folder = &plan.out;
     refuse_existing(&within(folder, &FILES))?;
-    output_file::create_folder(folder)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
+    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let (all, mut measured) = (Instant::now(), Vec::new());
     for problem in if plan.settings_only { &[][..] } else { &Problem::BEAM[..] } {
         let began = Instant::now();
@@ -91,8 +91,8 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         took("peers", began);
     }
     // The settings are saved as they come: what has been measured is worth having.
-    NewFiles::make(&within(folder, &FILES[..1]))?.keep()?;
-    let save = |rows: &[Row]| write(folder, "physics-plan.csv", &crate::plan::write(rows));
+    let mut settings = SavedFile::create(&folder.join(FILES[0]))?;
+    let save = |rows: &[Row]| Ok(settings.save(crate::plan::write(rows))?);
     let began = Instant::now();
     let (rows, coarse_mm) = candidates::measure(plan.effort, save)?;
     took("settings and drilled path", began);
@@ -110,11 +110,8 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
                 writeln!(text, "{head},{:.3},cost over ours at no larger error,{ratio:.3}", peer.us_per_ms);
         }
     }
-    let made = NewFiles::make(&within(folder, &FILES[1..]))?;
-    write(folder, "accuracy-physics.csv", &text)?;
-    let written = draw(&measured, &peers).and_then(|figure| figure.write(folder, "accuracy-physics"));
-    written.map_err(|cause| Failure::failed(cause.to_string()))?;
-    made.keep()?;
+    let [png, svg] = draw(&measured, &peers)?.files(folder, "accuracy-physics")?;
+    output_file::write_all(&[(folder.join(FILES[1]), text.into_bytes()), png, svg])?;
     took("all", all);
     Ok(())
 }
@@ -133,11 +130,6 @@ fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> 
         points.extend(own);
     }
     Ok(points)
-}
-
-fn write(folder: &Path, name: &str, text: &str) -> Result<(), Failure> {
-    let path = folder.join(name);
-    Ok(output_file::write(&path, text, output_file::Existing::Replace)?)
 }
 
 /// The drilled path with the tool's own flexures; the arc as it is.

@@ -14,9 +14,9 @@ use super::problems::{
     measure as measure_own,
 };
 use crate::charts::method::Method;
-use crate::charts::peers::{run, scripts};
+use crate::charts::peers::{new_input, run, scripts};
 use crate::failure::Failure;
-use physics_proc::manipulator::{Integrator, Rung};
+use simulation::manipulator::{Integrator, Rung};
 
 /// Who has a place in the figure.
 pub const NAMES: [&str; 5] = ["mujoco", "mujoco_cable", "drake", "pybullet", "pyelastica"];
@@ -54,8 +54,7 @@ pub struct Peer {
 pub fn measure(folder: &Path, out: &Path, effort: Effort) -> Result<Vec<Peer>, Failure> {
     let work = std::path::absolute(out.join("peers-physics"));
     let work = work.map_err(|cause| Failure::failed(format!("{}: {cause}", out.display())))?;
-    let failed = |cause: std::io::Error| Failure::failed(format!("{}: {cause}", work.display()));
-    std::fs::create_dir_all(&work).map_err(failed)?;
+    let input = new_input(&work)?;
     let quick = effort == Effort::Quick;
     let beam = json!({
         "length_m": LENGTH_M,
@@ -67,11 +66,11 @@ pub fn measure(folder: &Path, out: &Path, effort: Effort) -> Result<Vec<Peer>, F
         "vibration_links": 26,
         "dt_ms": [0.1, 0.05],
     });
-    std::fs::write(work.join("beam.json"), beam.to_string()).map_err(failed)?;
+    output_file::write(&input.path().join("beam.json"), beam.to_string())?;
     let mut all = Vec::new();
     for (name, script) in scripts(folder)? {
         let (before, mut peers) = (ours(effort)?, Vec::new());
-        match run(&script, &name, &work) {
+        match run(&script, &name, &work, input.path()) {
             Err(reason) => say!("peer {name}: not measured ({reason})"),
             Ok(printed) => printed.lines().for_each(|line| collect(line, &mut peers)),
         }

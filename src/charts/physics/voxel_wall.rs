@@ -2,8 +2,8 @@
 
 use ipc_types::scene::ContactVoxels;
 use nalgebra::Vector3;
-use physics_proc::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, GridGeometry};
-use physics_proc::simulation::contact_kind;
+use simulation::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, GridGeometry};
+use simulation::contact_kind;
 
 /// Proxy spheres of the flexures (Phalen et al. 2023).
 const RADIUS_MM: f64 = 3.0;

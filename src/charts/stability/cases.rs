@@ -1,8 +1,8 @@
 //! The hard cases.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use physics_proc::baselines::Wall;
-use physics_proc::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameters, Wrench};
+use simulation::baselines::Wall;
+use simulation::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameters, Wrench};
 
 use crate::charts::method::{Drive, Method, Tool};
 

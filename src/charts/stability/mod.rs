@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 
 use ipc_types::process::EndRequest;
 use nalgebra::Vector3;
-use physics_proc::manipulator::{Integrator, ManipulatorError, ManipulatorParameters, Rung};
 use rayon::prelude::*;
+use simulation::manipulator::{Integrator, ManipulatorError, ManipulatorParameters, Rung};
 
 use crate::charts::method::Method;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
-use crate::output::{NewFiles, refuse_existing, within};
+use crate::output::{refuse_existing, within};
 use cases::{Case, Ending};
 
 /// All stiffnesses times these.
@@ -74,18 +74,13 @@ pub struct Cell {
 pub fn run(folder: &Path, quick: bool) -> Result<(), Failure> {
     let files = within(folder, &["stability.csv", "stability.png", "stability.svg"]);
     refuse_existing(&files)?;
-    output_file::create_folder(folder)
-        .map_err(|cause| Failure::failed(format!("{}: cannot be made: {cause}", folder.display())))?;
+    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let cells = measure(quick, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
     print_counts(&cells);
-    let made = NewFiles::make(&files)?;
-    let path = folder.join("stability.csv");
-    output_file::write(&path, csv(&cells), output_file::Existing::Replace)?;
-    let written = figure::draw(&cells).and_then(|figure| figure.write(folder, "stability"));
-    written.map_err(|cause| Failure::failed(cause.to_string()))?;
-    made.keep()?;
+    let [png, svg] = figure::draw(&cells)?.files(folder, "stability")?;
+    output_file::write_all(&[(folder.join("stability.csv"), csv(&cells).into_bytes()), png, svg])?;
     if end.is_set() {
         let message = format!("interrupted; {} finished runs are in {}", cells.len(), folder.display());
         return Err(Failure { message, code: EXIT_INTERRUPTED });

@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use recorder_proc::{CatOptions, ReadOptions, cat};
+use recorder_proc::{CatOptions, ReadOptions, cat, log_path};
 
-use super::{Out, concluded, quiet_pipe};
-use crate::commands::replay::log_path;
+use super::{Out, answered, concluded};
 use crate::failure::Failure;
 
 /// Arguments of `log cat`.
@@ -52,7 +51,7 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
     let verdict = match cat(&log, &options, out) {
         Ok(verdict) => verdict,
-        Err(error) => return quiet_pipe(Err(error)),
+        Err(error) => return answered(Err(error)),
     };
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());

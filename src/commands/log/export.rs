@@ -4,15 +4,15 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use output_file::Existing;
-use recorder_proc::columns::{columns, description_of_topic, read_rows};
+use output_file::{OutputError, OutputFile};
+use recorder_proc::columns::{Rows, columns, description_of_topic, read_rows};
 use recorder_proc::export::{Csv, Parquet, ending_of};
-use recorder_proc::{FrameRecord, LogError, NewFile, ReadOptions, Verdict, frames, topics};
+use recorder_proc::fields::Scalar;
+use recorder_proc::{FrameRecord, LogError, ReadOptions, Verdict, frames, log_path, topics};
 
-use super::{Out, concluded, failure};
-use crate::commands::replay::log_path;
+use super::{Out, concluded};
 use crate::failure::Failure;
-use crate::output::{NewFiles, refuse_existing};
+use crate::output::refuse_existing;
 
 /// Arguments of `log export`.
 #[derive(Debug, Args)]
@@ -50,7 +50,7 @@ pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure
         true => pictures(&log, arguments)?,
         false => table(&log, arguments)?,
     };
-    // Whoever closes the pipe has had enough.
+    // What cannot be written is told when the command ends.
     let _ = writeln!(out, "{}: {what}\n{}", arguments.output.display(), verdict.ending.describe());
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());
@@ -65,38 +65,44 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
         return Err(Failure::bad_input(format!("--output is {given}, expected a .csv or .parquet file")));
     }
     refuse_existing(&[&arguments.output])?;
-    let description = description_of_topic(log, &arguments.topic).map_err(failure)?;
-    let columns = columns(description, &arguments.fields).map_err(failure)?;
-    let (file, made) = NewFile::create(&arguments.output).map_err(failure)?;
-    let file = BufWriter::new(file);
+    let description = description_of_topic(log, &arguments.topic)?;
+    let columns = columns(description, &arguments.fields)?;
+    // Its own errors name no file.
+    let failure = |error| match error {
+        LogError::Output { source } => OutputError::write(&arguments.output)(source).into(),
+        other => Failure::from(other),
+    };
+    let file = OutputFile::create(&arguments.output)?;
+    let rows_of = BufWriter::new(file.handle()?);
     let range = (arguments.from, arguments.to);
     // The rows before a damage are a whole table too.
     let (read, finished) = if ending == "csv" {
-        let mut rows = Csv::new(file, &columns).map_err(failure)?;
+        let mut rows = Csv::new(rows_of, &columns).map_err(failure)?;
         (read_rows(log, &arguments.topic, &columns, range, &mut rows), rows.finish())
     } else {
-        let mut rows = Parquet::new(file, &columns).map_err(failure)?;
+        let mut rows = Parquet::new(rows_of, &columns).map_err(failure)?;
         (read_rows(log, &arguments.topic, &columns, range, &mut rows), rows.finish())
     };
-    // What of it can be written is worth having.
-    let kept = made.keep();
-    let read = read.and_then(|end| finished.and(kept).map(|()| end));
+    finished.map_err(failure)?;
+    if !matches!(read, Err(LogError::Output { .. })) {
+        file.keep()?;
+    }
     Ok((format!("{} columns of {}", columns.len() + 2, arguments.topic), read.map_err(failure)?))
 }
 
 fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), Failure> {
-    let mut reader = frames(log, ReadOptions::default()).map_err(failure)?;
+    let mut reader = frames(log, ReadOptions::default())?;
     let folder = &arguments.output;
-    output_file::create_folder(folder)
-        .map_err(|source| failure(LogError::Create { path: folder.clone(), source }))?;
-    let (mut pictures, mut without) = (Vec::new(), 0_u64);
+    refuse_existing(&names(log, arguments))?;
+    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
+    let (mut written, mut without) = (0_u64, 0_u64);
     let mut damage = None;
     while let Some(record) = reader.next() {
         let record = match record {
             Ok(record) => record,
             Err(LogError::Gap { .. }) if reader.go_on() => continue,
             Err(error) => {
-                damage = Some(failure(error));
+                damage = Some(Failure::from(error));
                 break;
             }
         };
@@ -108,17 +114,40 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
             without += 1;
             continue;
         }
-        let path = folder.join(format!("frame_{:06}_tick_{tick:08}.png", record.frame.sequence));
-        // One that is there takes the others of this command away; those before a damage are kept.
-        pictures.push(NewFiles::make(&[&path])?);
-        write_png(&path, &record)?;
+        write_png(&folder.join(name(record.frame.sequence, tick)), &record)?;
+        written += 1;
     }
-    let written = pictures.len();
-    pictures.into_iter().try_for_each(NewFiles::keep)?;
     if let Some(damage) = damage {
         return Err(damage);
     }
     Ok((format!("{written} pictures, {without} frames without one in the log"), reader.verdict()))
+}
+
+fn name(sequence: u64, tick: u64) -> String {
+    format!("frame_{sequence:06}_tick_{tick:08}.png")
+}
+
+/// Where the pictures will lie, so that an export is refused before its first one. The frames' geometry lies in chunks of its own,
+/// so this takes little; what is wrong with the log is told when its images are read.
+fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
+    let mut names = Names { folder: &arguments.output, paths: Vec::new() };
+    let range = (arguments.from, arguments.to);
+    let _ = description_of_topic(log, topics::DRR_FRAME)
+        .and_then(|description| columns(description, &["sequence".to_owned()]))
+        .and_then(|columns| read_rows(log, topics::DRR_FRAME, &columns, range, &mut names));
+    names.paths
+}
+
+struct Names<'a> {
+    folder: &'a Path,
+    paths: Vec<PathBuf>,
+}
+
+impl Rows for Names<'_> {
+    fn row(&mut self, tick: u64, _log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+        self.paths.extend(values.first().map(|sequence| self.folder.join(name(sequence.bits(), tick))));
+        Ok(())
+    }
 }
 
 /// Grey, 16 bits, the values as recorded; PNG keeps the high byte first.
@@ -134,5 +163,5 @@ fn write_png(path: &Path, record: &FrameRecord) -> Result<(), Failure> {
         writer.finish()
     });
     write.map_err(|cause| Failure::failed(format!("{}: {cause}", path.display())))?;
-    Ok(output_file::write(path, bytes, Existing::Replace)?)
+    Ok(output_file::write(path, bytes)?)
 }

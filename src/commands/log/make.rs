@@ -5,10 +5,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use ipc_types::process::EXIT_GAP;
-use recorder_proc::{Packing, cat_files, compress, repair, split};
+use recorder_proc::{Packing, cat_files, compress, log_path, repair, split};
 
-use super::{Out, failure};
-use crate::commands::replay::log_path;
+use super::Out;
 use crate::failure::Failure;
 
 /// Arguments of `log repair`.
@@ -27,8 +26,8 @@ pub struct RepairArguments {
 /// Not a log, no header, or an output that is there already (2); what the disk says (1); something was wrong, which the
 /// report says (3).
 pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
-    let report = repair(&log_path(&arguments.log), &arguments.output).map_err(failure)?;
-    super::quiet_pipe(report.write(out))?;
+    let report = repair(&log_path(&arguments.log), &arguments.output)?;
+    super::answered(report.write(out))?;
     super::concluded(out, if report.was_whole() { 0 } else { EXIT_GAP })
 }
 
@@ -65,9 +64,9 @@ pub struct CompressArguments {
 /// A level that the method has not, not a log, an output that is there already (2); a log that is not whole (1).
 pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let packing = packing(arguments.method, arguments.level)?;
-    let (before, after) = compress(&log_path(&arguments.log), &arguments.output, packing).map_err(failure)?;
+    let (before, after) = compress(&log_path(&arguments.log), &arguments.output, packing)?;
     let share = 100.0 * after as f64 / before.max(1) as f64;
-    // Whoever closes the pipe has had enough.
+    // What cannot be written is told when the command ends.
     let _ = writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages");
     Ok(())
 }
@@ -106,7 +105,7 @@ pub struct CatFilesArguments {
 /// Not a log, an output that is there already (2); a log that is not whole (1).
 pub fn cat_files_log(arguments: &CatFilesArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let inputs: Vec<PathBuf> = arguments.logs.iter().map(|log| log_path(log)).collect();
-    cat_files(&inputs, &arguments.output).map_err(failure)?;
+    cat_files(&inputs, &arguments.output)?;
     let _ = writeln!(out, "{}: {} runs", arguments.output.display(), inputs.len());
     Ok(())
 }
@@ -114,7 +113,7 @@ pub fn cat_files_log(arguments: &CatFilesArguments, out: &mut Out<'_>) -> Result
 /// Arguments of `log split`.
 #[derive(Debug, Args)]
 pub struct SplitArguments {
-    /// A file of several runs.
+    /// A file of several runs, or the folder that holds it as `run.mcap`.
     log: PathBuf,
     /// Folder for run1.mcap, run2.mcap, …
     #[arg(short, long)]
@@ -126,7 +125,7 @@ pub struct SplitArguments {
 /// # Errors
 /// Not a log, an output that is there already (2); a file that is not whole or holds one run (1).
 pub fn split_log(arguments: &SplitArguments, out: &mut Out<'_>) -> Result<(), Failure> {
-    for path in split(&arguments.log, &arguments.output).map_err(failure)? {
+    for path in split(&log_path(&arguments.log), &arguments.output)? {
         let _ = writeln!(out, "{}", path.display());
     }
     Ok(())

@@ -4,15 +4,14 @@ mod cat;
 mod export;
 mod make;
 
-use std::io::{BufWriter, StdoutLock, Write, stdout};
+use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Subcommand;
-use foreign_text::Plain;
-use recorder_proc::{LogError, ReadOptions, Verdict, diff, info};
+use recorder_proc::{LogError, ReadOptions, Verdict, diff, info, log_path};
 
-use super::replay::log_path;
 use crate::failure::Failure;
+use crate::say::{self, Out};
 
 /// What to do with a log.
 #[derive(Debug, Subcommand)]
@@ -49,18 +48,18 @@ pub enum LogCommand {
 /// Not a log, or an output that is there already (2); two logs that differ, a log that is damaged, a full disk (1); the
 /// work is done, but the log has a gap, is cut or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
-    let mut out = BufWriter::new(Plain::new(stdout().lock()));
+    let mut out = say::out();
     let read = ReadOptions::default();
     match command {
         LogCommand::Info { log } => {
-            let summary = info(&log_path(log), read).map_err(failure)?;
-            quiet_pipe(summary.write(&mut out))?;
+            let summary = info(&log_path(log), read)?;
+            answered(summary.write(&mut out))?;
             let mut code = summary.verdict.exit_code();
             // Of a run's folder both lanes are asked for.
             let timing = log.join("timing.mcap");
             if log.is_dir() && timing.exists() {
-                let lane = info(&timing, read).map_err(failure)?;
-                quiet_pipe(lane.write_misses(&mut out))?;
+                let lane = info(&timing, read)?;
+                answered(lane.write_misses(&mut out))?;
                 if !lane.verdict.is_intact() {
                     let _ = writeln!(out, "timing lane {}", lane.verdict);
                 }
@@ -70,8 +69,8 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         }
         LogCommand::Cat(arguments) => cat::run(arguments, &mut out)?,
         LogCommand::Diff { first, second } => {
-            let report = diff(&log_path(first), &log_path(second), read).map_err(failure)?;
-            quiet_pipe(report.write(&mut out))?;
+            let report = diff(&log_path(first), &log_path(second), read)?;
+            answered(report.write(&mut out))?;
             if !report.same_run() {
                 // The report has said where.
                 let _ = out.flush();
@@ -86,7 +85,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         LogCommand::CatFiles(arguments) => make::cat_files_log(arguments, &mut out)?,
         LogCommand::Split(arguments) => make::split_log(arguments, &mut out)?,
     }
-    // A reader that has had enough (`| head`) is no failure.
+    // What cannot be written is told when the command ends.
     let _ = out.flush();
     Ok(())
 }
@@ -108,26 +107,10 @@ fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     }
 }
 
-/// Standard output, buffered, without what a terminal would obey.
-type Out<'a> = BufWriter<Plain<StdoutLock<'a>>>;
-
-/// What the caller can mend by another argument is bad input; damage and a full disk are not.
-fn failure(error: LogError) -> Failure {
-    match error {
-        LogError::Damaged { .. }
-        | LogError::Gap { .. }
-        | LogError::NotWhole { .. }
-        | LogError::NoInitialState { .. }
-        | LogError::Write { .. }
-        | LogError::Encode { .. }
-        | LogError::Read { .. } => Failure::failed(error.to_string()),
-        other => Failure::bad_input(other),
-    }
-}
-
-fn quiet_pipe(result: Result<(), LogError>) -> Result<(), Failure> {
+/// An answer that nobody took, or that could not be written, which is told when the command ends.
+fn answered(result: Result<(), LogError>) -> Result<(), Failure> {
     match result {
-        Err(LogError::Output { source }) if source.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        other => other.map_err(failure),
+        Err(LogError::Output { .. }) => Ok(()),
+        other => Ok(other?),
     }
 }

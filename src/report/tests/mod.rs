@@ -46,6 +46,13 @@ fn check_figures(folder: &Path) {
     }
 }
 
+/// A report that must be complete.
+fn write(folder: &Path, facts: &RunFacts) -> Result<Summary, ReportError> {
+    let report = super::write(folder, facts)?;
+    assert!(report.missing.is_empty(), "{:?}", report.missing);
+    Ok(report.summary)
+}
+
 #[test]
 fn a_run_is_summed_up() {
     let folder = tempfile::tempdir().unwrap();
@@ -94,7 +101,7 @@ fn a_run_is_summed_up() {
     let json = fs::read(folder.path().join("summary.json")).unwrap();
     assert_eq!(serde_json::from_slice::<Summary>(&json).unwrap(), summary, "the file says the same");
     let table = summary.to_string();
-    assert!(table.lines().count() <= 20, "{table}");
+    assert!(table.lines().count() <= 21, "{table}");
     assert!(table.contains("2.000 s simulated in 4.000 s, 0.50 x real time"), "{table}");
 }
 
@@ -146,7 +153,7 @@ fn a_cut_log_gives_what_it_holds() {
         }
         let summary = write(folder.path(), &facts()).unwrap();
         assert_eq!(summary.logs.notes.len(), 2, "{:?}", summary.logs.notes);
-        assert!(summary.to_string().lines().count() <= 20);
+        assert!(summary.to_string().lines().count() <= 21);
         check_figures(folder.path());
         ticks.push(summary.ticks);
     }
@@ -160,6 +167,7 @@ fn a_run_without_ticks_or_logs_is_reported() {
     assert_eq!((summary.ticks, summary.scene, summary.logs.notes.len()), (0, None, 2));
     check_figures(folder.path());
 
+    let folder = tempfile::tempdir().unwrap();
     let header = LogHeader { mode: RunMode::Lockstep, ..synthetic::header() };
     let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &header).unwrap();
     run.state(&synthetic::state(0, 1, &mut Rng::with_seed(1))).unwrap();
@@ -203,8 +211,37 @@ fn numbers_that_are_none_do_not_stop_the_drawing() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_an_error() {
+fn a_folder_that_is_not_there_costs_the_files_and_no_number() {
     let folder = tempfile::tempdir().unwrap();
-    let error = write(&folder.path().join("missing"), &facts()).unwrap_err();
-    assert!(matches!(error, ReportError::Output(_)) && error.to_string().contains("missing"), "{error}");
+    let report = super::write(&folder.path().join("missing"), &facts()).unwrap();
+    assert_eq!((report.summary.ticks, report.missing.len()), (0, 5));
+    let named = |error: &ReportError| {
+        matches!(error, ReportError::Output(_)) && error.to_string().contains("missing")
+    };
+    assert!(report.missing.iter().all(named), "{:?}", report.missing);
+}
+
+/// One picture that could not be written cost table and summary; what had another's name was replaced.
+#[test]
+fn a_picture_that_cannot_be_written_costs_nothing_else_and_replaces_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    synthetic::write_run(folder.path(), 500);
+    let names = ["drr_before.png", "tip_path.svg", "timing.png"];
+    fs::create_dir(folder.path().join(names[0])).unwrap();
+    names[1..].iter().for_each(|name| fs::write(folder.path().join(name), "a user's own").unwrap());
+    let report = super::write(folder.path(), &facts()).unwrap();
+    let missing: Vec<String> = report.missing.iter().map(ToString::to_string).collect();
+    assert_eq!(missing.len(), 3, "{missing:?}");
+    assert!(
+        missing.iter().zip(names).all(|(text, name)| text.contains(&format!("{name}: is there already"))),
+        "{missing:?}"
+    );
+    assert!(folder.path().join(names[0]).is_dir());
+    for name in &names[1..] {
+        assert_eq!(fs::read_to_string(folder.path().join(name)).unwrap(), "a user's own");
+    }
+    for name in ["summary.json", "drr_half.png", "drr_after.png", "tip_path.png", "timing.svg"] {
+        assert!(folder.path().join(name).is_file(), "{name}");
+    }
+    assert_eq!(report.summary.ticks, 500);
 }

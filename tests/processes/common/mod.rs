@@ -5,3 +5,4 @@ pub mod logs;
 pub mod preload;
 pub mod program;
 pub mod scenes;
+pub mod terminal;

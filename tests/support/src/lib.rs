@@ -4,9 +4,11 @@
 //! |---|---|
 //! | [`limited`] | programs that must end: who exceeds the limit is killed with all it started, and the test says what it waited for |
 //! | [`python`] | virtual environments with pinned packages, made once below the target folder |
+//! | [`scenes`] | parts of scenes |
 
 // Only tests call this crate: a test that cannot go on panics.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod limited;
 pub mod python;
+pub mod scenes;

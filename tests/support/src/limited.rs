@@ -133,7 +133,8 @@ fn kill_with_group(child: &mut Child) {
     let _ = child.wait();
 }
 
-fn read_all(mut pipe: impl Read + Send + 'static) -> Receiver<Vec<u8>> {
+/// Reads a pipe to its end in a thread of its own; what it has read comes then.
+pub fn read_all(mut pipe: impl Read + Send + 'static) -> Receiver<Vec<u8>> {
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
         let mut bytes = Vec::new();
@@ -142,6 +143,15 @@ fn read_all(mut pipe: impl Read + Send + 'static) -> Receiver<Vec<u8>> {
         let _ = sender.send(bytes);
     });
     receiver
+}
+
+/// All that [`read_all`] reads of a pipe, as text.
+///
+/// # Panics
+/// The pipe has not ended within the limit.
+pub fn text_within(pipe: &Receiver<Vec<u8>>, limit: Duration, what: &str) -> String {
+    let bytes = pipe.recv_timeout(limit).unwrap_or_else(|_| panic!("{what} did not end within {limit:?}"));
+    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 #[cfg(test)]

@@ -30,7 +30,7 @@ export class Actions {
 
   /** Buttons with `data-action`, and the keys of the whole page. */
   listen() {
-    for (const button of document.querySelectorAll("button[data-action]")) {
+    for (const button of /** @type {NodeListOf<HTMLButtonElement>} */ (document.querySelectorAll("button[data-action]"))) {
       const action = this.byId.get(button.dataset.action);
       button.addEventListener("click", () => this.run(action.id));
       if (action.keys.length > 0) {

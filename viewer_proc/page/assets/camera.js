@@ -23,7 +23,8 @@ export class Camera {
     /** @type {Vector} */
     this.centre = [0, 0, 0];
     this.distance = 0.3;
-    Object.assign(this, VIEWS.front);
+    this.yaw = VIEWS.front.yaw;
+    this.pitch = VIEWS.front.pitch;
     /** True until the user moves the centre: it stays on the burr. */
     this.follows = true;
   }
@@ -31,6 +32,7 @@ export class Camera {
   /** @returns {Vector} Eye in the patient frame: +x left, +y posterior, +z head. */
   get eye() {
     const c = Math.cos(this.pitch);
+    /** @type {Vector} */
     const direction = [Math.sin(this.yaw) * c, -Math.cos(this.yaw) * c, Math.sin(this.pitch)];
     return add(this.centre, scale(direction, this.distance));
   }

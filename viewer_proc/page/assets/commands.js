@@ -2,6 +2,7 @@
 
 import { VIEWS } from "/assets/camera.js";
 
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 const C_ARM_STEP_DEG = 5;
 

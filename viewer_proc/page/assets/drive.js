@@ -20,7 +20,13 @@ export class Drive {
    * @param {(text: string) => void} refused @param {() => void} pause for the gamepad's button
    */
   constructor(send, changed, refused, pause) {
-    Object.assign(this, { send, changed, refused, pause });
+    this.send = send;
+    this.changed = changed;
+    this.refused = refused;
+    this.pause = pause;
+    /** The gamepad's buttons when it was last read. @type {boolean | undefined} */
+    this.padBurr = undefined;
+    this.padPause = false;
     this.on = false;
     this.tendonN = 0;
     this.tendonMostN = 15;

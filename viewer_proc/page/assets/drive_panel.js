@@ -1,5 +1,6 @@
 // The drive's switches and sliders.
 
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 
 /** @param {import("/assets/drive.js").Drive} drive */
@@ -7,7 +8,7 @@ export function connectDrivePanel(drive) {
   element("tendon").addEventListener("input", (event) => drive.set({ tendonN: Number(event.target.value) }));
   element("feed").addEventListener("input", (event) => drive.set({ feedMmPerS: Number(event.target.value) }));
   element("burr").addEventListener("input", (event) => drive.set({ burrRpm: Number(event.target.value) }));
-  for (const button of document.querySelectorAll("button[data-hold]")) {
+  for (const button of /** @type {NodeListOf<HTMLButtonElement>} */ (document.querySelectorAll("button[data-hold]"))) {
     const direction = button.dataset.hold === "insert" ? 1 : -1;
     const hold = (on) => drive.on && drive.set({ feedHeld: on ? direction : 0 });
     const isPress = (event) => event.key === " " || event.key === "Enter";

@@ -14,6 +14,7 @@ export function program(gl, vertexSource, fragmentSource) {
   }
   gl.linkProgram(linked);
   if (!gl.getProgramParameter(linked, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(linked));
+  /** @type {Record<string, WebGLUniformLocation>} */
   const uniforms = {};
   for (let i = 0; i < gl.getProgramParameter(linked, gl.ACTIVE_UNIFORMS); i++) {
     const { name } = gl.getActiveUniform(linked, i);
@@ -37,7 +38,7 @@ export class InstancedShape {
     this.indexCount = shape.indices.length;
     this.vertexArray = gl.createVertexArray();
     gl.bindVertexArray(this.vertexArray);
-    for (const [location, data] of [[0, shape.positions], [1, shape.normals]]) {
+    for (const { location, data } of [{ location: 0, data: shape.positions }, { location: 1, data: shape.normals }]) {
       filled(gl, gl.ARRAY_BUFFER, new Float32Array(data));
       gl.enableVertexAttribArray(location);
       gl.vertexAttribPointer(location, 3, gl.FLOAT, false, 0, 0);

@@ -21,6 +21,7 @@ import { XRay, decodeImage } from "/assets/x_ray.js";
 /** Readouts change this often, so that they can be read. */
 const TEXT_MS = 100;
 
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? undefined;
 
@@ -65,7 +66,7 @@ page.plots = new PlotsPanel(element("plots"), model, () => changed("plots"));
 page.timeLine = new TimeLine((request) => page.call("/playback", request), () => changed("plots"));
 for (const dialog of document.querySelectorAll("dialog")) {
   // A button of a closed dialog has the focus until the next picture, and would take the keys.
-  dialog.addEventListener("close", () => dialog.contains(document.activeElement) && document.activeElement.blur());
+  dialog.addEventListener("close", () => dialog.contains(document.activeElement) && /** @type {HTMLElement} */ (document.activeElement).blur());
 }
 const refused = (text) => notices.add("error", `/drive: ${text}`);
 page.drive = new Drive((request) => connection.call("/drive", request), () => showDriveNow(), refused, () => page.actions.run("pause"));
@@ -75,7 +76,7 @@ try {
   const lost = "The browser has lost its 3D picture: load the page again.";
   element("scene-canvas").addEventListener("webglcontextlost", () => notices.show("webgl", lost));
 } catch (error) {
-  notices.show("webgl", `No 3D view: ${error.message}. The X-ray, plots and controls work without it.`);
+  notices.show("webgl", `No 3D view: ${error instanceof Error ? error.message : error}. The X-ray, plots and controls work without it.`);
 }
 page.theme = new Theme(() => changed());
 page.actions = new Actions(commands(page));
@@ -195,7 +196,7 @@ connection.addEventListener("open", () => {
   notices.show("notice");
   changed();
 });
-connection.addEventListener("close", ({ detail }) => {
+connection.addEventListener("close", (/** @type {CustomEvent} */ { detail }) => {
   if (connected) notices.add("error", `The connection to the viewer closed${detail ? `: ${detail}` : "."}`);
   connected = false;
   if (page.drive.on) page.drive.toggle(0);
@@ -203,7 +204,7 @@ connection.addEventListener("close", ({ detail }) => {
   notices.show("connection", `Not connected to the viewer: ${why}. Trying again…`);
   showTexts();
 });
-connection.addEventListener("status", ({ detail }) => notices.add(detail.level >= 2 ? "error" : detail.level === 1 ? "warning" : "info", detail.message));
+connection.addEventListener("status", (/** @type {CustomEvent} */ { detail }) => notices.add(detail.level >= 2 ? "error" : detail.level === 1 ? "warning" : "info", detail.message));
 
 function draw() {
   scheduled = false;
@@ -215,7 +216,8 @@ function draw() {
   if (dirty.xRay) page.xRay.draw();
   if (dirty.plots) {
     page.plots.draw(colours);
-    drawTimingStrip(element("timing-canvas"), model.timing, ...page.plots.range(), model.periodNs / 1e3, colours);
+    const [from, to] = page.plots.range();
+    drawTimingStrip(element("timing-canvas"), model.timing, from, to, model.periodNs / 1e3, colours);
     if (model.info?.kind === "log") page.timeLine.draw(colours);
   }
   Object.assign(dirty, { scene: false, xRay: false, plots: false });
@@ -252,4 +254,4 @@ connection.open();
 changed();
 
 /** For tests and the browser's console: what is shown, to read. */
-window.trabecula = page;
+Object.assign(window, { trabecula: page });

@@ -123,7 +123,7 @@ export class Model {
     this.trail.add(read.burr.map((f) => f(data)), timeNs);
   }
 
-  /** The cause of the late tick whose timing comes next. @type {import("/assets/connection.js").Handler} */
+  /** The cause of the late tick whose timing comes next. @param {DataView} data */
   takeMiss(data) {
     const { tick, letter } = json(data);
     this.miss = { tick, cause: causeOf(letter) };
@@ -172,12 +172,18 @@ export class Model {
     return { frame: Object.fromEntries(Object.entries(fields).map(([name, f]) => [name, f(data)])), end };
   }
 
-  /** An `Event` as level and text. @type {import("/assets/connection.js").Handler} */
+  /**
+   * An `Event` as level and text.
+   * @param {DataView} data @param {number} _timeNs @param {import("/assets/connection.js").Channel} channel
+   * @returns {{level: "info" | "warning" | "error", text: string}}
+   */
   event(data, _timeNs, channel) {
     const read = this.#read(channel, (layout) => ({
       severity: reader(layout, "severity"), tick: reader(layout, "tick"), end: layout.bytes,
     }));
-    return { level: ["info", "warning", "error"][read.severity(data)] ?? "error", text: `tick ${read.tick(data)}: ${tailText(data, read.end)}` };
+    /** @type {["info", "warning", "error"]} */
+    const levels = ["info", "warning", "error"];
+    return { level: levels[read.severity(data)] ?? "error", text: `tick ${read.tick(data)}: ${tailText(data, read.end)}` };
   }
 
   /** @param {DataView} data */

@@ -14,7 +14,7 @@ export class Notices {
 
   /** @param {"info" | "warning" | "error"} level @param {string} text */
   add(level, text) {
-    const previous = this.list.firstElementChild;
+    const previous = /** @type {HTMLElement | null} */ (this.list.firstElementChild);
     if (previous?.dataset.text === text) {
       const count = Number(previous.dataset.count ?? 1) + 1;
       previous.dataset.count = String(count);

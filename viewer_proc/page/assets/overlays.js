@@ -2,7 +2,7 @@
 
 import { ARROW_M_PER_N, COLOURS } from "/assets/tool_model.js";
 
-/** Directions of the patient frame: letter, colour property, axis. */
+/** Directions of the patient frame: letter, colour property, axis. @type {[string, string, import("/assets/vector.js").Vector][]} */
 const AXES = [["L", "--cause-host", [1, 0, 0]], ["P", "--series-3", [0, 1, 0]], ["H", "--series-1", [0, 0, 1]]];
 
 /** Small axes that turn with the camera; L left, P posterior, H head. @param {HTMLCanvasElement} canvas @param {number[]} view matrix */
@@ -35,6 +35,7 @@ export function showScaleBar(bar, metresPerPixel) {
   bar.firstElementChild.textContent = `${millimetres} mm`;
 }
 
+/** @param {number[]} colour red, green, blue: 0 to 1 */
 const css = ([r, g, b]) => `rgb(${[r, g, b].map((part) => Math.round(part * 255)).join(" ")})`;
 
 /** Shapes of the legend, so that colour is not alone in telling things apart. */
@@ -49,6 +50,7 @@ const SHAPES = {
 
 /** @param {HTMLElement} list @param {{planned: boolean, target: boolean, second: boolean}} has */
 export function fillLegend(list, has) {
+  /** What it shows of, in words, as which shape, and whether. @type {[string, string, string, boolean][]} */
   const entries = [
     ["burr", "burr", "ball", true], ["linkEven", "links", "bars", true], ["drilled", "way of the burr", "line", true],
     ["planned", "planned path", "dashes", has.planned], ["target", "target", "cross", has.target],

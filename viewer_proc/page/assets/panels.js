@@ -2,6 +2,7 @@
 
 import { CAUSES, countCauses } from "/assets/timing_strip.js";
 
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 const PHASE_WORDS = { connecting: "Connecting", running: "Running", paused: "Paused", ended: "Ended", lost: "Not connected" };
 /** Without a state for this long a run that should go on is worth a word. */

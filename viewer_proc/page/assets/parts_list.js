@@ -81,6 +81,7 @@ export class PartsList {
   target(centre, size, colour) {
     this.sphere(centre, size * 0.35, colour);
     for (let axis = 0; axis < 3; axis++) {
+      /** @type {Vector} */
       const bar = [0, 0, 0];
       bar[axis] = size;
       this.cylinder(subtract(centre, bar), add(centre, bar), size * 0.08, colour);

@@ -10,7 +10,10 @@ import { COLOURS, addArm, addBodies, addContacts, addTool, bendingPlane } from "
 
 /** How the bone is shown. */
 export const BONE_MODES = ["section", "glass", "solid", "hidden"];
+/** @typedef {import("/assets/vector.js").Vector} Vector */
+/** @type {Record<"bone" | "inside" | "background", Vector>} */
 const LIGHT_SIDE = { bone: [0.93, 0.88, 0.78], inside: [0.78, 0.62, 0.5], background: [0.925, 0.94, 0.955] };
+/** @type {Record<"bone" | "inside" | "background", Vector>} */
 const DARK_SIDE = { bone: [0.88, 0.83, 0.73], inside: [0.55, 0.4, 0.32], background: [0.07, 0.085, 0.11] };
 
 /** Whether pictures are made by the processor: then edges stay rough, which is several times quicker. */

@@ -1,5 +1,6 @@
 // The tables: connected parts, and the difference of two logs.
 
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 
 function row(cells) {

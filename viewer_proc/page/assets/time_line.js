@@ -14,6 +14,7 @@ const LETTER_PX = 10;
 const DRAGGED_MS = 400;
 const STEPS = 10000;
 
+/** The element of `index.html`, whose kind the page's author knows. @param {string} id @returns {any} */
 const element = (id) => document.getElementById(id);
 const seconds = (ns) => `${(ns / 1e9).toFixed(3)} s`;
 

@@ -70,7 +70,7 @@ export function addArm(list, poses) {
   list.capsule(poses.flange.position, poses.base.position, 0.012, COLOURS.arm);
 }
 
-/** @param {PartsList} list @param {{point: number[], force: number[]}[]} contacts force on the tool in newtons */
+/** @param {PartsList} list @param {{point: import("/assets/vector.js").Vector, force: import("/assets/vector.js").Vector}[]} contacts force on the tool in newtons */
 export function addContacts(list, contacts) {
   for (const { point, force } of contacts) {
     list.arrow(point, scale(force, ARROW_M_PER_N), 0.0003, COLOURS.force);

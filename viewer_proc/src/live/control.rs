@@ -247,7 +247,7 @@ mod tests {
         };
         let host = SessionHost::create(&plan).unwrap();
         host.announce().unwrap();
-        host.session.claim(ipc_types::identity::Part::Physics).unwrap();
+        host.session.claim(ipc_types::messages::Part::Physics).unwrap();
         let mut control = Control::open(&host.session).unwrap();
         let ask = |control: &mut Control, action| {
             let (answer, answered) = oneshot::channel();

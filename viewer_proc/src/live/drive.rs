@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-use ipc_types::command_check::{MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_SPEED_M_PER_S, MAX_TENSION_N};
 use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, Pose, State, TENDON_SERVO_JF};
+use ipc_types::messages::{MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_SPEED_M_PER_S, MAX_TENSION_N};
 use ipc_types::scene::{Drives, Drr, Scene};
 use trabecula_client::{Client, ClientError, Connection};
 
@@ -302,7 +302,7 @@ mod tests {
         assert!((command.arm_depth_m - 1e-3).abs() < 1e-12, "{}", command.arm_depth_m);
         assert_eq!((command.tendon_force_n[0], command.burr_speed_rad_per_s), (5.0, 800.0));
         command.sequence = 1;
-        command.check(&all, 0, 1).unwrap();
+        hub::command_check::check(&command, &all, 0, 1).unwrap();
         let back = held.with(&drive(r#"{"insert_m_per_s": -0.02}"#), &all).unwrap();
         assert_eq!(
             (back.tension_n, back.burr_rad_per_s),

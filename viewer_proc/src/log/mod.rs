@@ -16,7 +16,7 @@ use ipc_types::messages::{Latched, State};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use recorder_proc::fields::Scalar;
-use recorder_proc::{difference, topics};
+use recorder_proc::{difference, log_path, topics};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
@@ -84,9 +84,9 @@ pub fn view(
     ready: impl FnOnce(&Server),
     end: &EndRequest,
 ) -> Result<(), ViewerError> {
-    let path = run_file(&options.log);
+    let path = log_path(&options.log);
     let first = outline(&path)?;
-    let second = options.second.as_deref().map(|path| Second::open(&run_file(path))).transpose()?;
+    let second = options.second.as_deref().map(|path| Second::open(&log_path(path))).transpose()?;
     let scene = Scene::parse(&first.header.scene_toml, &path)?;
     let mut channels = Channels::new(&first.header.controllers);
     if second.is_some() {
@@ -122,11 +122,6 @@ pub fn view(
     over.store(true, Ordering::Relaxed);
     let served = serving.join().unwrap_or(Ok(()));
     shown.and(served)
-}
-
-/// A log's file: a folder holds it as `run.mcap`.
-fn run_file(path: &Path) -> PathBuf {
-    if path.is_dir() { path.join("run.mcap") } else { path.to_owned() }
 }
 
 fn scene_volume(scene: &Scene, log: &Outline, help: &SceneHelp<'_>, board: &Board) -> Option<LogVolume> {

@@ -13,8 +13,9 @@ use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error, Message};
 
-use super::Shared;
+use super::guests::Guest;
 use super::http::{Head, Refusal, answer_head, websocket_answer};
+use super::{MAX_CLIENTS, Shared};
 use crate::assets::asset;
 use crate::board::Client;
 use crate::protocol::{self, ClientText, Level};
@@ -34,34 +35,48 @@ const END_LOOK: Duration = Duration::from_millis(100);
 
 type Socket = WebSocketStream<TcpStream>;
 
-/// Answers a request, and serves the WebSocket if it opens one.
-pub(super) async fn answer(mut stream: TcpStream, head: Result<Option<Head>, Refusal>, shared: &Shared) {
+/// Answers a request, and serves the WebSocket if it opens one. Who may watch is no guest any more.
+pub(super) async fn answer(
+    mut stream: TcpStream,
+    head: Result<Option<Head>, Refusal>,
+    shared: &Shared,
+    guest: Guest,
+) {
     let head = match head {
         Ok(Some(head)) => head,
         Ok(None) => return,
         Err(refusal) => return refuse(&mut stream, &refusal).await,
     };
-    let checked = shared.origins.check(&head, &shared.own_host, shared.any_name);
+    let checked = shared.origins.check(&head, shared.own, shared.any_name);
     if let Err(refusal) = checked {
         return refuse(&mut stream, &refusal).await;
     }
     if head.path.split('?').next() != Some("/ws") {
         return send_file(&mut stream, &head, shared).await;
     }
-    match websocket_answer(&head) {
-        Ok(text) => {
-            if stream.write_all(text.as_bytes()).await.is_ok() {
-                let config = WebSocketConfig::default()
-                    .max_message_size(Some(MAX_CLIENT_MESSAGE))
-                    .max_frame_size(Some(MAX_CLIENT_MESSAGE));
-                let rest = head.rest.clone();
-                let socket = WebSocketStream::from_partially_read(stream, rest, Role::Server, Some(config));
-                let may_watch = shared.watch_by_anyone
-                    || head.query("token").is_some_and(|given| same(given, &shared.token));
-                serve(socket.await, shared, may_watch).await;
-            }
+    let text = match websocket_answer(&head) {
+        Ok(text) => text,
+        Err(refusal) => return refuse(&mut stream, &refusal).await,
+    };
+    let may_watch =
+        shared.watch_by_anyone || head.query("token").is_some_and(|given| same(given, &shared.token));
+    let _place = match may_watch.then(|| Arc::clone(&shared.room).try_acquire_owned()) {
+        Some(Err(_)) => {
+            let text = format!("{MAX_CLIENTS} clients watch already, no more are served");
+            return refuse(&mut stream, &Refusal::new("503 Service Unavailable", text)).await;
         }
-        Err(refusal) => refuse(&mut stream, &refusal).await,
+        Some(Ok(place)) => {
+            drop(guest);
+            Some(place)
+        }
+        None => None,
+    };
+    if stream.write_all(text.as_bytes()).await.is_ok() {
+        let config = WebSocketConfig::default()
+            .max_message_size(Some(MAX_CLIENT_MESSAGE))
+            .max_frame_size(Some(MAX_CLIENT_MESSAGE));
+        let socket = WebSocketStream::from_partially_read(stream, head.rest, Role::Server, Some(config));
+        serve(socket.await, shared, may_watch).await;
     }
 }
 

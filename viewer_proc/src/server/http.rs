@@ -1,5 +1,7 @@
 //! The few words of HTTP that a page and a WebSocket's opening need.
 
+use std::net::SocketAddr;
+
 use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
@@ -43,6 +45,20 @@ impl Head {
     /// A header's value; its name in lower case.
     pub fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
+    }
+
+    /// The value of a header that stands there once, as those do that decide who is served; none if it is absent.
+    ///
+    /// # Errors
+    /// It stands there several times: another reader may take another of them.
+    fn only(&self, name: &str) -> Result<Option<&str>, Refusal> {
+        let mut all = self.headers.iter().filter(|(known, _)| known == name);
+        match (all.next(), all.next()) {
+            (first, None) => Ok(first.map(|(_, value)| value.as_str())),
+            (_, Some(_)) => {
+                Err(Refusal::new("400 Bad Request", format!("several headers `{name}`, expected one")))
+            }
+        }
     }
 
     /// A value of the path's query, as it stands there: a token needs no percent signs.
@@ -108,19 +124,21 @@ pub struct Origins {
 }
 
 impl Origins {
-    /// Refuses a page from elsewhere: a browser always says where a page is from. The host is checked too, so that a
-    /// name that someone points to this machine (DNS rebinding) is not taken for ours.
-    pub fn check(&self, head: &Head, own_host: &str, any_name: bool) -> Result<(), Refusal> {
-        let host = head.header("host").unwrap_or("");
-        let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
-        let is_ours = host == own_host
-            || (any_name && is_address(name))
-            || matches!(name, "localhost" | "127.0.0.1" | "[::1]");
-        if !is_ours {
-            let text = format!("the host `{host}` is not this server, which is {own_host}");
+    /// Refuses a page from elsewhere: a browser always says where a page is from. The host is checked too, to its last character, so
+    /// that a name that someone points to this machine (DNS rebinding) is not taken for ours. `any_name`: whether any address of this
+    /// machine is ours, since the server listens beyond loopback.
+    ///
+    /// # Errors
+    /// Another host or another origin; none or several of a header.
+    pub fn check(&self, head: &Head, own: SocketAddr, any_name: bool) -> Result<(), Refusal> {
+        let Some(host) = head.only("host")? else {
+            return Err(Refusal::new("400 Bad Request", "no header `host`, expected one"));
+        };
+        if !is_ours(host, own, any_name) {
+            let text = format!("the host `{host}` is not this server, which is {own}");
             return Err(Refusal::new("403 Forbidden", text));
         }
-        let Some(origin) = head.header("origin") else { return Ok(()) };
+        let Some(origin) = head.only("origin")? else { return Ok(()) };
         if origin == format!("http://{host}") || self.allowed.iter().any(|allowed| allowed == origin) {
             return Ok(());
         }
@@ -129,8 +147,19 @@ impl Origins {
     }
 }
 
-fn is_address(name: &str) -> bool {
-    name.trim_matches(['[', ']']).parse::<std::net::IpAddr>().is_ok()
+/// Whether a request's host is this server: an address, or the name of loopback, with its port, which a browser leaves out if it is 80.
+fn is_ours(host: &str, own: SocketAddr, any_name: bool) -> bool {
+    let name = match host.strip_suffix(&format!(":{}", own.port())) {
+        Some(name) => name,
+        None if own.port() == 80 => host,
+        None => return false,
+    };
+    let whole = format!("{name}:{}", own.port());
+    let is_address = |it: SocketAddr| {
+        // Written as we write it: no zone, no other spelling of a number.
+        it.to_string() == whole && (it == own || any_name || it.ip().is_loopback())
+    };
+    name == "localhost" || whole.parse().is_ok_and(is_address)
 }
 
 /// Answers the opening of a WebSocket.
@@ -138,10 +167,10 @@ fn is_address(name: &str) -> bool {
 /// # Errors
 /// It is none, or of no subprotocol that we speak.
 pub fn websocket_answer(head: &Head) -> Result<String, Refusal> {
-    let key = head.header("sec-websocket-key").filter(|key| key.len() == 24);
+    let key = head.only("sec-websocket-key")?.filter(|key| key.len() == 24);
     let opens = head.has_token("connection", "upgrade")
         && head.has_token("upgrade", "websocket")
-        && head.header("sec-websocket-version") == Some("13");
+        && head.only("sec-websocket-version")? == Some("13");
     let Some(key) = key.filter(|_| opens) else {
         let text = "this address is a WebSocket (version 13)";
         return Err(Refusal::new("426 Upgrade Required", text));
@@ -176,22 +205,86 @@ mod tests {
         parse(format!("GET /ws HTTP/1.1\r\nHost: {host}\r\n{origin}\r\n").as_bytes()).unwrap().unwrap()
     }
 
+    const OWN: &str = "127.0.0.1:8765";
+
+    fn check(head: &Head, any_name: bool) -> Result<(), Refusal> {
+        let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
+        origins.check(head, OWN.parse().unwrap(), any_name)
+    }
+
     #[test]
     fn other_origins_and_other_names_are_refused() {
-        let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
-        let own = "127.0.0.1:8765";
-        let check = |host, origin| origins.check(&head(host, origin), own, false).is_ok();
-        assert!(check(own, None) && check("localhost:8765", None));
-        assert!(check(own, Some("http://127.0.0.1:8765")) && check(own, Some("http://studio.example")));
+        let check = |host, origin| check(&head(host, origin), false).is_ok();
+        assert!(check(OWN, None) && check("localhost:8765", None));
+        assert!(check(OWN, Some("http://127.0.0.1:8765")) && check(OWN, Some("http://studio.example")));
         for origin in ["http://evil.example", "null", "https://127.0.0.1:8765", "http://127.0.0.1:80", ""] {
-            assert!(!check(own, Some(origin)), "{origin}");
+            assert!(!check(OWN, Some(origin)), "{origin}");
         }
         assert!(
             !check("evil.example:8765", Some("http://evil.example:8765")),
             "a name bound to this machine"
         );
-        assert!(origins.check(&head("10.0.0.7:1", None), own, false).is_err());
-        assert!(origins.check(&head("10.0.0.7:1", None), own, true).is_ok());
+    }
+
+    /// What stood before the last colon was compared, whatever stood behind it.
+    #[test]
+    fn a_host_that_only_begins_like_ours_is_refused() {
+        for host in [
+            "127.0.0.1:8765.evil.example",
+            "127.0.0.1:evil.example",
+            "localhost:8765.evil.example",
+            "localhost:evil.example:8765",
+            "evil.example@127.0.0.1:8765",
+            "127.0.0.1:8765@evil.example",
+            "127.0.0.1:8765:8765",
+            "[::1]evil.example:8765",
+            "127.0.0.1:08765",
+            "127.0.0.01:8765",
+            "127.0.0.1:",
+            "127.0.0.1",
+            "127.0.0.1:8766",
+            "localhost.:8765",
+            "localhost.evil.example:8765",
+            "127.0.0.1:8765, evil.example",
+            "",
+        ] {
+            let origin = format!("http://{host}");
+            for any_name in [false, true] {
+                assert!(check(&head(host, None), any_name).is_err(), "{host}");
+                assert!(check(&head(host, Some(&origin)), any_name).is_err(), "{host}");
+            }
+        }
+        assert!(check(&head("10.0.0.7:8765", None), false).is_err());
+        assert!(check(&head("10.0.0.7:8765", None), true).is_ok());
+        assert!(check(&head("[::1]:8765", None), false).is_ok());
+        // A browser leaves a port of 80 out.
+        let origins = Origins::default();
+        for (host, ours) in [("127.0.0.1", true), ("127.0.0.1:80", true), ("evil.example", false)] {
+            let at_80 = origins.check(&head(host, None), "127.0.0.1:80".parse().unwrap(), false);
+            assert_eq!(at_80.is_ok(), ours, "{host}");
+        }
+    }
+
+    /// The first of two was looked at; a proxy may take the last.
+    #[test]
+    fn headers_that_decide_stand_there_once() {
+        let head =
+            |lines: &str| parse(format!("GET /ws HTTP/1.1\r\n{lines}\r\n").as_bytes()).unwrap().unwrap();
+        let own = format!("Host: {OWN}\r\n");
+        let origin = format!("Origin: http://{OWN}\r\n");
+        assert!(check(&head(&format!("{own}{origin}")), false).is_ok());
+        for lines in [
+            String::new(),
+            format!("{own}Host: evil.example\r\n"),
+            format!("Host: evil.example\r\n{own}"),
+            format!("{own}{own}"),
+            format!("{own}{origin}Origin: http://evil.example\r\n"),
+        ] {
+            let refused = check(&head(&lines), false).unwrap_err();
+            assert_eq!(refused.status, "400 Bad Request", "{lines}");
+        }
+        let key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
+        assert!(websocket_answer(&head(&format!("{own}{key}{key}"))).is_err());
     }
 
     #[test]

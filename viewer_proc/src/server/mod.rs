@@ -1,6 +1,7 @@
 //! The server: the page by HTTP, and a WebSocket for each client. One thread, asynchronous.
 
 mod connection;
+mod guests;
 pub mod http;
 
 use std::net::{IpAddr, SocketAddr};
@@ -15,10 +16,11 @@ use tokio::sync::Semaphore;
 use crate::board::Board;
 use crate::error::ViewerError;
 use crate::services::Call;
+use guests::{Guest, Guests};
 use http::Origins;
 
-/// Most connections at a time; more are turned away.
-pub const MAX_CONNECTIONS: usize = 32;
+/// Most clients of the WebSocket at a time; more are turned away.
+pub const MAX_CLIENTS: usize = 32;
 /// Longest time from a connection to its request.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);
 const END_LOOK: Duration = Duration::from_millis(50);
@@ -47,7 +49,9 @@ pub(crate) struct Shared {
     pub watch_by_anyone: bool,
     pub name: String,
     pub origins: Origins,
-    pub own_host: String,
+    pub own: SocketAddr,
+    /// Room for clients.
+    pub room: Arc<Semaphore>,
     pub any_name: bool,
     pub page_folder: Option<PathBuf>,
     pub end: Arc<AtomicBool>,
@@ -85,7 +89,8 @@ impl Server {
             watch_by_anyone: options.watch_by_anyone,
             name: name.to_owned(),
             origins: Origins { allowed: options.allow_origin.clone() },
-            own_host: address.to_string(),
+            own: address,
+            room: Arc::new(Semaphore::new(MAX_CLIENTS)),
             any_name: !options.bind.is_loopback(),
             page_folder: options.page_folder.clone(),
             end,
@@ -120,35 +125,31 @@ impl Server {
         let local = tokio::task::LocalSet::new();
         local.block_on(&runtime, async {
             let listener = TcpListener::from_std(self.listener).map_err(ViewerError::Runtime)?;
-            let room = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+            let guests = Guests::default();
             while !self.shared.end.load(Ordering::Relaxed) {
                 // A failed accept concerns one client only; so does a limit of open files.
-                let Ok(Ok((stream, _))) = tokio::time::timeout(END_LOOK, listener.accept()).await else {
+                let Ok(Ok((stream, peer))) = tokio::time::timeout(END_LOOK, listener.accept()).await else {
                     continue;
                 };
-                let Ok(place) = Arc::clone(&room).try_acquire_owned() else {
-                    drop(stream);
-                    continue;
-                };
-                let shared = Arc::clone(&self.shared);
-                tokio::task::spawn_local(async move {
-                    serve_connection(stream, &shared).await;
-                    drop(place);
-                });
+                let guest = guests.admit(peer.ip());
+                let (number, shared) = (guest.number(), Arc::clone(&self.shared));
+                let task =
+                    tokio::task::spawn_local(async move { serve_connection(stream, &shared, guest).await });
+                guests.is_served_by(number, task.abort_handle());
             }
-            // The connections see the end by themselves.
-            let _ =
-                tokio::time::timeout(Duration::from_secs(1), room.acquire_many(MAX_CONNECTIONS as u32)).await;
+            // The clients see the end by themselves.
+            let all_have_left = self.shared.room.acquire_many(MAX_CLIENTS as u32);
+            let _ = tokio::time::timeout(Duration::from_secs(1), all_have_left).await;
             Ok(())
         })
     }
 }
 
-async fn serve_connection(mut stream: TcpStream, shared: &Shared) {
+async fn serve_connection(mut stream: TcpStream, shared: &Shared, guest: Guest) {
     // Messages leave at once.
     let _ = stream.set_nodelay(true);
     let Ok(head) = tokio::time::timeout(HEAD_LIMIT, http::read_head(&mut stream)).await else { return };
-    connection::answer(stream, head, shared).await;
+    connection::answer(stream, head, shared, guest).await;
 }
 
 /// 128 bits from the kernel, in hexadecimal.

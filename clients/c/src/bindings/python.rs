@@ -14,6 +14,7 @@ const TOP: &str = "\
 from __future__ import annotations
 
 import ctypes
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -88,7 +89,8 @@ fn class(message: &Description, text: &mut String) {
     let name = message.short_name();
     text.push_str(&format!("\n\nclass {name}(View):\n"));
     docstring(message.doc, text);
-    text.push_str("    __slots__ = ()\n\n");
+    // A type checker takes a field, which is a descriptor, for an attribute without a slot.
+    text.push_str("    if not TYPE_CHECKING:\n        __slots__ = ()\n\n");
     text.push_str("    dtype = np.dtype(\n        {\n");
     let list = |text: &mut String, key: &str, item: &dyn Fn(&Field) -> String| {
         let items: Vec<String> = message.fields.iter().map(item).collect();

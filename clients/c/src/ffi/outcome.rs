@@ -99,7 +99,9 @@ fn client_status(cause: &ClientError) -> i32 {
         ClientError::Session(SessionError::ControllerTaken { .. }) => ERROR_TAKEN,
         ClientError::FrameRefused { .. } | ClientError::ControlRefused { .. } => ERROR_REFUSED,
         ClientError::Observer | ClientError::NoDrr | ClientError::NoVolume => ERROR_ABSENT,
-        ClientError::Misuse(_) | ClientError::BadArgument { .. } => ERROR_ARGUMENT,
+        ClientError::Misuse(_)
+        | ClientError::BadArgument { .. }
+        | ClientError::Session(SessionError::NotASession { .. }) => ERROR_ARGUMENT,
         ClientError::HubGone { .. } => ERROR_HUB_GONE,
         ClientError::Forked => ERROR_FORKED,
         ClientError::Session(_) | ClientError::Scene(_) | ClientError::Port(_) => ERROR_TRANSPORT,

@@ -1,0 +1,109 @@
+//! Builds each deliberately broken version of the hub and lets the schedules find it.
+//!
+//! `cargo run --release -p hub_simulator --example hub_mutants [-- PART OF A NAME]`: ends with 1 if one survives ten thousand seeds.
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+use hub_simulator::mutants::{MUTANTS, Mutant};
+use test_support::limited::Limited;
+
+/// Seeds within which each is to be found.
+const SEEDS: u64 = 10_000;
+/// What the copy consists of.
+const CRATES: [&str; 7] =
+    ["voxel_grid", "messages", "scene", "foreign_text", "hub", "hub/simulator", "tests/support"];
+
+fn main() -> ExitCode {
+    let wanted = std::env::args().nth(1).unwrap_or_default();
+    match try_all(&wanted) {
+        Ok(0) => ExitCode::SUCCESS,
+        Ok(survivors) => {
+            println!("{survivors} survived");
+            ExitCode::FAILURE
+        }
+        Err(cause) => {
+            eprintln!("hub_mutants: {cause}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Tries the mutants whose name has a text; returns how many survived.
+fn try_all(wanted: &str) -> Result<usize, Box<dyn Error>> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize()?;
+    let place = root.join("target/hub_mutants");
+    copy_workspace(&root, &place)?;
+    let mut survivors = 0;
+    for mutant in MUTANTS.iter().filter(|mutant| mutant.name.contains(wanted)) {
+        let found = try_one(mutant, &root, &place)?;
+        survivors += usize::from(found.is_none());
+        println!("{}: {}", mutant.name, found.unwrap_or_else(|| format!("SURVIVED {SEEDS} seeds")));
+    }
+    Ok(survivors)
+}
+
+/// A copy of what the simulator needs, as a workspace of its own.
+fn copy_workspace(root: &Path, place: &Path) -> Result<(), Box<dyn Error>> {
+    for folder in CRATES {
+        let target = place.join(folder);
+        std::fs::create_dir_all(&target)?;
+        std::fs::copy(root.join(folder).join("Cargo.toml"), target.join("Cargo.toml"))?;
+        // What an earlier copy has and the source has not any more.
+        if target.join("src").exists() {
+            std::fs::remove_dir_all(target.join("src"))?;
+        }
+        copy_folder(&root.join(folder).join("src"), &target.join("src"))?;
+    }
+    let manifest = std::fs::read_to_string(root.join("Cargo.toml"))?;
+    let (head, _) = manifest.split_once("\n[package]\n").ok_or("Cargo.toml has no [package]")?;
+    let (_, rest) = head.split_once("resolver").ok_or("Cargo.toml has no resolver")?;
+    let members = CRATES.map(|folder| format!("\"{folder}\"")).join(", ");
+    std::fs::write(place.join("Cargo.toml"), format!("[workspace]\nmembers = [{members}]\nresolver{rest}"))?;
+    std::fs::copy(root.join("Cargo.lock"), place.join("Cargo.lock"))?;
+    Ok(())
+}
+
+fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
+    std::fs::create_dir_all(to)?;
+    for entry in std::fs::read_dir(from)? {
+        let path: PathBuf = entry?.path();
+        let Some(name) = path.file_name() else { continue };
+        match path.is_dir() {
+            true => copy_folder(&path, &to.join(name))?,
+            false => std::fs::write(to.join(name), std::fs::read(&path)?)?,
+        }
+    }
+    Ok(())
+}
+
+/// Builds one and plays; returns how it was found.
+fn try_one(mutant: &Mutant, root: &Path, place: &Path) -> Result<Option<String>, Box<dyn Error>> {
+    let (source, target) = (root.join("hub/src").join(mutant.file), place.join("hub/src").join(mutant.file));
+    let right = std::fs::read_to_string(source)?;
+    if right.matches(mutant.right).count() != 1 {
+        return Err(
+            format!("{}: the text of `{}` does not stand there once", mutant.file, mutant.name).into()
+        );
+    }
+    std::fs::write(&target, right.replace(mutant.right, mutant.wrong))?;
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
+    let built = Command::new(cargo)
+        .args(["build", "--release", "--offline", "--quiet", "-p", "hub_simulator", "--bin", "hub_simulator"])
+        .env("RUSTFLAGS", "-Awarnings")
+        .env("CARGO_TARGET_DIR", place.join("target"))
+        .current_dir(place)
+        .limited_output()?;
+    if !built.status.success() {
+        let cause = String::from_utf8_lossy(&built.stderr).into_owned();
+        return Err(format!("`{}` does not compile:\n{cause}", mutant.name).into());
+    }
+    // A hub that never comes back is found, too: by the limit, with a panic that says so.
+    let played = Command::new(place.join("target/release/hub_simulator"))
+        .args(["--count", &SEEDS.to_string()])
+        .limited_output()?;
+    std::fs::write(target, right)?;
+    let text = String::from_utf8_lossy(&played.stdout);
+    Ok((!played.status.success()).then(|| text.lines().next().unwrap_or_default().to_owned()))
+}

@@ -1,0 +1,185 @@
+//! Who talks to the hub: controllers and consumers, each with its queue.
+
+use std::collections::VecDeque;
+
+use hub::Incoming;
+use hub::rate_limit::Connection;
+use messages::services::COMMAND;
+use messages::{ARM_HOLD, BURR_SPEED, Command, Part, TENDON_SERVO_JF};
+use scene::Drives;
+
+use crate::plan::{Bad, ControllerPlan};
+
+/// States that a controller's queue holds.
+const STATE_QUEUE: usize = 16;
+
+/// An alarm that is set anew before it goes off: of several, the last one counts.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Alarm(pub u64);
+
+/// A controller's process.
+#[derive(Debug)]
+pub struct Controller {
+    pub plan: ControllerPlan,
+    pub drives: Vec<Drives>,
+    pub alive: bool,
+    pub asleep: bool,
+    pub stalled_until_ns: u64,
+    pub alarm: Alarm,
+    /// It has connected and is to be given the newest state.
+    pub wants_history: bool,
+    /// Its states, oldest first.
+    pub states: VecDeque<u64>,
+    /// Its commands on their way to the hub, and whether each is well formed.
+    pub commands: VecDeque<(Incoming<Command>, bool)>,
+    connection: Connection,
+    sequence: u64,
+    last_answered: u64,
+}
+
+impl Controller {
+    /// Not connected yet.
+    pub fn new(plan: &ControllerPlan, index: usize, drives: &[Drives]) -> Controller {
+        Controller {
+            plan: plan.clone(),
+            drives: drives.to_vec(),
+            alive: false,
+            asleep: false,
+            stalled_until_ns: 0,
+            alarm: Alarm::default(),
+            wants_history: false,
+            states: VecDeque::new(),
+            commands: VecDeque::new(),
+            connection: Connection(1000 * (index as u128 + 1)),
+            sequence: 0,
+            last_answered: 0,
+        }
+    }
+
+    /// It connects, or connects anew.
+    pub fn join(&mut self) {
+        self.connection.0 += 1;
+        (self.alive, self.asleep, self.wants_history) = (true, false, true);
+        (self.sequence, self.last_answered) = (0, 0);
+        self.states.clear();
+    }
+
+    /// A state comes into its queue, which drops its oldest when it is full.
+    pub fn see(&mut self, tick: u64) {
+        if !self.alive {
+            return;
+        }
+        self.wants_history = false;
+        if self.states.len() == STATE_QUEUE {
+            self.states.pop_front();
+        }
+        self.states.push_back(tick);
+    }
+
+    /// Takes the state that it answers next.
+    pub fn take_state(&mut self) -> Option<u64> {
+        if self.plan.newest_only {
+            let newest = self.states.pop_back();
+            self.states.clear();
+            return newest;
+        }
+        self.states.pop_front()
+    }
+
+    /// Sends an answer to a state.
+    pub fn answer(&mut self, state_tick: u64) {
+        self.sequence += 1;
+        self.last_answered = self.last_answered.max(state_tick);
+        let command = self.command(state_tick);
+        self.push(Incoming::Message(command, self.connection), true);
+    }
+
+    fn command(&self, state_tick: u64) -> Command {
+        let mut command = Command { sequence: self.sequence, state_tick, ..Command::zeroed() };
+        if self.drives.contains(&Drives::Tendon) {
+            command.tendon_mode = TENDON_SERVO_JF;
+            command.tendon_force_n[0] = (self.sequence % 50) as f64;
+        }
+        if self.drives.contains(&Drives::Arm) {
+            command.arm_mode = ARM_HOLD;
+        }
+        if self.drives.contains(&Drives::Burr) {
+            command.burr_mode = BURR_SPEED;
+            command.burr_speed_rad_per_s = (self.sequence % 900) as f64;
+        }
+        command
+    }
+
+    /// Sends something that must be refused.
+    pub fn misbehave(&mut self, bad: Bad) {
+        let mut command = self.command(self.last_answered);
+        command.sequence += 1;
+        let mut well_formed = true;
+        match bad {
+            Bad::NotANumber => (command.burr_speed_rad_per_s, well_formed) = (f64::NAN, false),
+            Bad::OthersPart => {
+                well_formed = false;
+                if self.drives.contains(&Drives::Arm) {
+                    command.reserved = 1;
+                } else {
+                    command.arm_mode = ARM_HOLD;
+                }
+            }
+            Bad::Future => command.state_tick = u64::MAX,
+            Bad::OldSequence => command.sequence = self.sequence,
+            Bad::OldState if self.last_answered > 0 => command.state_tick = self.last_answered - 1,
+            Bad::OldState => command.state_tick = u64::MAX,
+            Bad::Malformed => {
+                return self.push(Incoming::Malformed("a message of 3 bytes".to_owned()), false);
+            }
+        }
+        self.sequence = command.sequence;
+        self.push(Incoming::Message(command, self.connection), well_formed);
+    }
+
+    /// Into the hub's queue, which drops its oldest when it is full.
+    fn push(&mut self, incoming: Incoming<Command>, well_formed: bool) {
+        if self.commands.len() == COMMAND.queue_length {
+            self.commands.pop_front();
+        }
+        self.commands.push_back((incoming, well_formed));
+    }
+}
+
+/// A consumer's process.
+#[derive(Debug)]
+pub struct Consumer {
+    pub part: Part,
+    pub look_ns: u64,
+    pub alive: bool,
+    pub asleep: bool,
+    pub stalled_until_ns: u64,
+    pub alarm: Alarm,
+    /// States that it has not taken.
+    pub waiting: u64,
+    taken: Option<u64>,
+}
+
+impl Consumer {
+    /// Not connected yet.
+    pub fn new(part: Part, look_ns: u64) -> Consumer {
+        Consumer {
+            part,
+            look_ns,
+            alive: true,
+            asleep: false,
+            stalled_until_ns: 0,
+            alarm: Alarm::default(),
+            waiting: 0,
+            taken: None,
+        }
+    }
+
+    /// Takes what waits, up to the state of this tick; returns the tick to report if that is news.
+    pub fn take(&mut self, newest_tick: u64) -> Option<u64> {
+        let news = self.waiting > 0 || self.taken.is_none();
+        self.waiting = 0;
+        self.taken = Some(newest_tick);
+        news.then_some(newest_tick)
+    }
+}

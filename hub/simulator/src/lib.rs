@@ -1,0 +1,221 @@
+//! The hub under seeded schedules.
+//!
+//! [`Plan::of`] decides everything from a seed: the scene, how quick everybody is, and what goes wrong when. [`run`] plays the plan
+//! against a [`hub::Hub`] with a clock and queues in memory, and holds every step against an [`oracle`] that knows nothing of
+//! the hub but what passes between it and its surroundings. [`shrink`] takes from a plan that fails what it fails without.
+//!
+//! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the latch's rules; that nothing is made
+//! while the run rests, is stopped or is to end; that no consumer is left too far behind; deadlines and misses; every request
+//! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings.
+//!
+//! ```
+//! let plan = hub_simulator::Plan::of(7);
+//! assert!(hub_simulator::run(&plan).is_ok());
+//! ```
+
+mod actors;
+pub mod mutants;
+pub mod oracle;
+mod plan;
+mod plant;
+mod world;
+
+use std::path::Path;
+use std::sync::OnceLock;
+
+use hub::{Hub, Next, Settings};
+use messages::Part;
+use scene::{Drives, Scene};
+
+pub use plan::{Bad, ControllerPlan, Fault, FaultKind, Plan};
+use plant::{ChainPlant, Handle};
+use world::World;
+
+/// Advances of one run; more of them are a hub that does not come to an end.
+const MOST_ADVANCES: u64 = 400_000;
+
+/// What a schedule came to.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Played {
+    /// Ticks made.
+    pub ticks: u64,
+    /// Times that the hub was advanced.
+    pub advances: u64,
+    /// Whether the run came to its end, and not to an error that had a reason.
+    pub ended: bool,
+}
+
+/// Plays a schedule.
+///
+/// # Errors
+/// What did not hold.
+pub fn run(plan: &Plan) -> Result<Played, String> {
+    let (scene, drives) = scene(plan);
+    let handle = Handle::default();
+    handle.now_ns.set(1_000_000_000);
+    let mut consumers = Vec::new();
+    consumers.extend(plan.drr_ns.map(|_| Part::Drr));
+    consumers.extend(plan.recorder_ns.map(|_| Part::Recorder));
+    let settings = Settings {
+        lead_ticks: plan.lead_ticks,
+        recorder_lead_ticks: (plan.waits_for_recorder && plan.recorder_ns.is_some())
+            .then_some(plan.lead_ticks),
+        keyframe_period_ticks: plan.keyframe_period_ticks.filter(|_| plan.recorder_ns.is_some()),
+        ..Settings::new(&scene, &consumers)
+    };
+    let mut world = World::new(plan, &drives, handle.clone());
+    let mut hub = Hub::new(&scene, ChainPlant::new(handle.clone()), settings, handle.now_ns.get());
+    let mut played = Played::default();
+    loop {
+        played.advances += 1;
+        let next = hub.advance(&mut world);
+        match &next {
+            Ok(Next::Wait(wait)) => world.wait(*wait),
+            Ok(Next::GetReady) => {}
+            Ok(Next::Ended) => world.oracle.ended(handle.now_ns.get()),
+            Err(cause) => world.oracle.failed(cause, handle.now_ns.get()),
+        }
+        if played.advances > MOST_ADVANCES {
+            world.oracle.fail("the run does not end".to_owned());
+        }
+        if let Some(failure) = world.oracle.failure.take() {
+            return Err(failure);
+        }
+        if !matches!(next, Ok(Next::Wait(_) | Next::GetReady)) {
+            return Ok(Played { ticks: hub.tick(), ended: next.is_ok(), ..played });
+        }
+    }
+}
+
+/// The plan's scene, and what each of its controllers drives.
+fn scene(plan: &Plan) -> (Scene, Vec<Vec<Drives>>) {
+    static BASE: OnceLock<Result<Scene, String>> = OnceLock::new();
+    const TEXT: &str = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
+         direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"c0\"\n\
+         drives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\nconnect_limit_s = 1.0\n";
+    let base =
+        BASE.get_or_init(|| Scene::parse(TEXT, Path::new("schedule")).map_err(|cause| cause.to_string()));
+    let mut scene = match base {
+        Ok(scene) => scene.clone(),
+        Err(cause) => unreachable!("the simulator's scene: {cause}"),
+    };
+    let drives: Vec<Vec<Drives>> = match plan.controllers.len() {
+        1 => vec![vec![Drives::Tendon, Drives::Arm, Drives::Burr]],
+        2 => vec![vec![Drives::Tendon, Drives::Burr], vec![Drives::Arm]],
+        _ => vec![vec![Drives::Tendon], vec![Drives::Arm], vec![Drives::Burr]],
+    };
+    scene.run.mode = plan.mode;
+    scene.run.hold_ticks = plan.hold_ticks;
+    scene.run.controller_limit_ms = plan.controller_limit_ms as f64;
+    scene.run.duration_s = plan.tick_count as f64 * scene.dt_s();
+    let like = scene.controller[0].clone();
+    let controllers = plan.controllers.iter().zip(&drives).enumerate();
+    scene.controller = controllers
+        .map(|(index, (plan, drives))| scene::Controller {
+            name: format!("c{index}"),
+            drives: drives.clone(),
+            optional: plan.optional,
+            ..like.clone()
+        })
+        .collect();
+    (scene, drives)
+}
+
+/// The least of a failing plan that still fails, by taking away faults, controllers' delays and ticks; and how it fails.
+pub fn shrink(plan: &Plan) -> (Plan, String) {
+    let mut least = plan.clone();
+    let mut failure = run(&least).err().unwrap_or_default();
+    let mut try_it = |candidate: Plan, least: &mut Plan| {
+        let outcome = run(&candidate);
+        if let Err(cause) = outcome {
+            (*least, failure) = (candidate, cause);
+            return true;
+        }
+        false
+    };
+    let mut again = true;
+    while again {
+        again = false;
+        for index in (0..least.faults.len()).rev() {
+            let mut candidate = least.clone();
+            candidate.faults.remove(index);
+            again |= try_it(candidate, &mut least);
+        }
+        while least.tick_count > 1 {
+            let mut candidate = least.clone();
+            candidate.tick_count -= least.tick_count.div_ceil(4);
+            if !try_it(candidate, &mut least) {
+                break;
+            }
+            again = true;
+        }
+        let without: [fn(&mut Plan); 4] = [
+            |plan| plan.drr_ns = None,
+            |plan| plan.recorder_ns = None,
+            |plan| plan.keyframe_period_ticks = None,
+            |plan| plan.controllers.iter_mut().for_each(|c| c.answer_ns = 50_000),
+        ];
+        for change in without {
+            let mut candidate = least.clone();
+            change(&mut candidate);
+            if format!("{candidate:?}") != format!("{least:?}") {
+                again |= try_it(candidate, &mut least);
+            }
+        }
+    }
+    (least, failure)
+}
+
+/// What many schedules came to.
+#[derive(Debug, Clone, Default)]
+pub struct Summary {
+    /// Schedules played.
+    pub schedules: u64,
+    /// Ticks made in them.
+    pub ticks: u64,
+    /// Those that came to their end.
+    pub ended: u64,
+    /// The first seed that fails, and how.
+    pub failure: Option<(u64, String)>,
+}
+
+/// Plays the schedules of `count` seeds from `first` on, on `threads` threads, up to the first failure of each thread.
+pub fn play(first: u64, count: u64, threads: u64) -> Summary {
+    let threads = threads.max(1);
+    let worker = |offset: u64| {
+        let mut summary = Summary::default();
+        for seed in (first + offset..first + count).step_by(threads as usize) {
+            summary.schedules += 1;
+            match run(&Plan::of(seed)) {
+                Ok(played) => {
+                    summary.ticks += played.ticks;
+                    summary.ended += u64::from(played.ended);
+                }
+                Err(cause) => {
+                    summary.failure = Some((seed, cause));
+                    break;
+                }
+            }
+        }
+        summary
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|offset| scope.spawn(move || worker(offset))).collect();
+        let mut sum = Summary::default();
+        for worker in workers {
+            let one = worker.join().unwrap_or_else(|_| Summary {
+                failure: Some((first, "a worker panicked; its message is above".to_owned())),
+                ..Summary::default()
+            });
+            sum.schedules += one.schedules;
+            sum.ticks += one.ticks;
+            sum.ended += one.ended;
+            let earlier =
+                |(seed, _): &(u64, String)| sum.failure.as_ref().is_none_or(|(other, _)| seed < other);
+            if one.failure.as_ref().is_some_and(earlier) {
+                sum.failure = one.failure;
+            }
+        }
+        sum
+    })
+}

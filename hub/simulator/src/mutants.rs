@@ -1,0 +1,127 @@
+//! Deliberately broken versions of the hub: each must be found by the schedules of ten thousand seeds.
+
+/// One change of the hub's source that makes it wrong.
+#[derive(Debug, Clone, Copy)]
+pub struct Mutant {
+    /// What is wrong then.
+    pub name: &'static str,
+    /// File below `hub/src`.
+    pub file: &'static str,
+    /// Text that stands there once.
+    pub right: &'static str,
+    /// What stands there instead.
+    pub wrong: &'static str,
+}
+
+const fn mutant(name: &'static str, file: &'static str, right: &'static str, wrong: &'static str) -> Mutant {
+    Mutant { name, file, right, wrong }
+}
+
+/// All of them.
+pub const MUTANTS: &[Mutant] = &[
+    mutant(
+        "the lead is off by one",
+        "machine/mod.rs",
+        "self.tick.saturating_sub(self.settings.lead_ticks)",
+        "self.tick.saturating_sub(self.settings.lead_ticks + 1)",
+    ),
+    mutant("a state wakes nobody", "machine/ticking.rs", "        env.wake_controllers();\n", ""),
+    mutant(
+        "a late command is held for ever",
+        "latch.rs",
+        "hold_ticks.is_some_and(|limit| age_ticks > limit)",
+        "hold_ticks.is_some_and(|_| false)",
+    ),
+    mutant(
+        "a late command is replaced a tick too soon",
+        "latch.rs",
+        "hold_ticks.is_some_and(|limit| age_ticks > limit)",
+        "hold_ticks.is_some_and(|limit| age_ticks >= limit)",
+    ),
+    mutant(
+        "a controller that has come back counts on",
+        "machine/commands.rs",
+        "            self.latch.connect(index);\n",
+        "",
+    ),
+    mutant(
+        "a pause keeps the steps that were asked for",
+        "machine/control.rs",
+        "CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0)",
+        "CONTROL_PAUSE => self.paused = true",
+    ),
+    mutant(
+        "a reset is made at every tick from then on",
+        "machine/ticking.rs",
+        "std::mem::take(&mut self.reset_asked)",
+        "self.reset_asked",
+    ),
+    mutant(
+        "lost time is made up for in a bunch of ticks",
+        "pacing.rs",
+        "            self.missed += 1;\n            self.next_ns = now_ns;\n",
+        "            self.missed += 1;\n",
+    ),
+    mutant(
+        "the end waits for nobody",
+        "machine/waiting.rs",
+        "self.consumers.behind(self.tick, Whom::Everybody)",
+        "self.consumers.behind(0, Whom::Everybody)",
+    ),
+    mutant(
+        "lockstep takes an old answer",
+        "latch.rs",
+        "command.state_tick == tick)",
+        "command.state_tick + 1 >= tick)",
+    ),
+    mutant(
+        "a stop during the wait for an answer is not heard",
+        "machine/waiting.rs",
+        "if self.ends(env) || self.rests() {\n                return Ok((Stage::TickDue, None));",
+        "if self.rests() {\n                return Ok((Stage::TickDue, None));",
+    ),
+    mutant(
+        "time in which the process was stopped counts as waiting",
+        "patience.rs",
+        "passed_ns.min(LONGEST_LOOK_NS).min(self.limit_ns / 2)",
+        "passed_ns",
+    ),
+    mutant(
+        "a keyframe's parts are not numbered on",
+        "run_lane.rs",
+        "            self.keyframe_parts += 1;\n",
+        "            self.keyframe_parts = 1;\n",
+    ),
+    mutant(
+        "voxels of a reset are forgotten",
+        "run_lane.rs",
+        "if reset || !removed.is_empty()",
+        "if !removed.is_empty()",
+    ),
+    mutant(
+        "warnings are not limited",
+        "rate_limit.rs",
+        "let allowed = self.sent < WARNINGS;",
+        "let allowed = true;",
+    ),
+    mutant(
+        "refused commands are latched all the same",
+        "latch.rs",
+        "        check(command, &slot.drives, slot.last_sequence, tick)?;\n",
+        "",
+    ),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_mutant_still_fits_the_source() {
+        let hub = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../src");
+        for mutant in MUTANTS {
+            let text = std::fs::read_to_string(hub.join(mutant.file)).unwrap();
+            assert_eq!(text.matches(mutant.right).count(), 1, "{}: {}", mutant.file, mutant.name);
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! What of u_k is a controller's: a latch kept beside the hub's.
+
+use hub::Incoming;
+use hub::rate_limit::Connection;
+use messages::{ARM_HOLD, BURR_SPEED, Command, Latched, SOURCE_FRESH, SOURCE_HELD, SOURCE_NONE, SOURCE_SAFE};
+use scene::{Drives, Mode};
+
+use super::Oracle;
+use crate::plan::MS;
+
+/// What is known of a controller.
+#[derive(Debug, Default)]
+pub(super) struct Slot {
+    connection: Option<Connection>,
+    pub(super) newest: Option<Command>,
+    fresh: bool,
+    released: bool,
+    last_sequence: u64,
+    last_state_tick: u64,
+}
+
+impl Oracle {
+    /// The hub takes a command.
+    pub fn command(&mut self, index: usize, incoming: &Incoming<Command>, well_formed: bool) {
+        let Incoming::Message(command, connection) = incoming else {
+            self.refused += 1;
+            return;
+        };
+        let slot = &mut self.controllers[index];
+        if slot.connection != Some(*connection) {
+            slot.connection = Some(*connection);
+            (slot.last_sequence, slot.last_state_tick) = (0, 0);
+        }
+        let in_order = command.sequence > slot.last_sequence
+            && command.state_tick >= slot.last_state_tick
+            && command.state_tick <= self.tick;
+        if !(well_formed && in_order) {
+            self.refused += 1;
+            return;
+        }
+        (slot.last_sequence, slot.last_state_tick) = (command.sequence, command.state_tick);
+        (slot.newest, slot.fresh, slot.released) = (Some(*command), true, false);
+    }
+
+    /// What of u_k is a controller's.
+    pub(super) fn check_latched(&mut self, index: usize, latched: &Latched, now_ns: u64) {
+        let (tick, entry) = (latched.tick, latched.commands[index]);
+        let (lockstep, optional) = (self.plan.mode == Mode::Lockstep, self.plan.controllers[index].optional);
+        let waited = self.has_waited(self.plan.controller_limit_ms * MS, now_ns);
+        let may_release = lockstep && optional && waited;
+        let slot = &mut self.controllers[index];
+        if entry.source == SOURCE_SAFE && may_release {
+            slot.released = true;
+        }
+        let (fresh, released) = (std::mem::take(&mut slot.fresh), slot.released);
+        let Some(command) = slot.newest else {
+            expect!(self, entry.source == SOURCE_NONE && (optional || !lockstep), {
+                format!("tick {tick}, controller {index}: {entry:?} though it never commanded")
+            });
+            return;
+        };
+        let age = tick - command.state_tick;
+        let late = released || (!lockstep && age > self.plan.hold_ticks);
+        let source = match (late, fresh) {
+            (true, _) => SOURCE_SAFE,
+            (false, true) => SOURCE_FRESH,
+            (false, false) => SOURCE_HELD,
+        };
+        if lockstep && !released {
+            expect!(self, fresh && age == 0, {
+                format!("tick {tick}, controller {index}: lockstep made it without an answer to x_{tick}")
+            });
+        }
+        let expected = if late { safe(&command, &self.drives[index]) } else { command };
+        let right = entry.source == source && entry.age_ticks == age && entry.command == expected;
+        expect!(self, right, {
+            format!(
+                "tick {tick}, controller {index}: source {}, age {}, sequence {}; expected {source}, {age}, {}",
+                entry.source, entry.age_ticks, entry.command.sequence, expected.sequence
+            )
+        });
+    }
+
+    pub(super) fn slot_of(&self, name: &str) -> Option<(&Slot, bool)> {
+        let index: usize = name.strip_prefix('c')?.parse().ok()?;
+        Some((self.controllers.get(index)?, self.plan.controllers.get(index)?.optional))
+    }
+}
+
+/// Burr off, arm stopped, tension as it is; of these, what the controller drives.
+fn safe(last: &Command, drives: &[Drives]) -> Command {
+    let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
+    if drives.contains(&Drives::Burr) {
+        safe.burr_mode = BURR_SPEED;
+    }
+    if drives.contains(&Drives::Arm) {
+        safe.arm_mode = ARM_HOLD;
+    }
+    safe
+}

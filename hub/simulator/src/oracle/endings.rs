@@ -1,0 +1,64 @@
+//! Every ending has a reason.
+
+use hub::HubError;
+use messages::Part;
+use scene::Mode;
+
+use super::Oracle;
+use crate::plan::MS;
+
+/// From the request to end to the end, in time that the hub was not stopped: consumers may take half a second.
+const END_LIMIT_NS: u64 = 700 * MS;
+
+impl Oracle {
+    /// The hub says that the run is over.
+    pub fn ended(&mut self, now_ns: u64) {
+        expect!(self, self.ended, "over without the phase `ended`".to_owned());
+        let reason = self.tick == self.plan.tick_count || self.stopped || self.end_ns.is_some();
+        expect!(self, reason, format!("over at tick {} without a reason", self.tick));
+        if let Some(end_ns) = self.end_ns {
+            let after_ns = now_ns.saturating_sub(end_ns + self.stopped_ns);
+            expect!(self, after_ns < END_LIMIT_NS, format!("over {after_ns} ns after it was to end"));
+            return;
+        }
+        for (part, here) in
+            [(Part::Drr, self.plan.drr_ns.is_some()), (Part::Recorder, self.plan.recorder_ns.is_some())]
+        {
+            let taken = self.taken(part);
+            expect!(self, !here || taken == Some(self.tick), {
+                format!("over at tick {}, of which {part} has taken {taken:?}", self.tick)
+            });
+        }
+    }
+
+    /// The run ends early.
+    pub fn failed(&mut self, cause: &HubError<String, String>, now_ns: u64) {
+        let lockstep = self.plan.mode == Mode::Lockstep;
+        let justified = match cause {
+            HubError::Environment(_) | HubError::Plant { .. } => false,
+            HubError::NotConnected { part, .. } => {
+                self.taken(*part).is_none() && now_ns - self.began_ns >= 60_000 * MS
+            }
+            HubError::ControllerNotConnected { name, .. } => {
+                self.slot_of(name).is_some_and(|(slot, optional)| slot.newest.is_none() && !optional)
+                    && !self.stopped
+                    && self.has_waited(1000 * MS, now_ns)
+            }
+            HubError::ControllerSilent { name, tick, .. } => {
+                let silent = self.slot_of(name).is_some_and(|(slot, optional)| {
+                    !optional && slot.newest.is_none_or(|command| command.state_tick != *tick)
+                });
+                lockstep
+                    && silent
+                    && *tick == self.tick
+                    && !self.stopped
+                    && self.has_waited(self.plan.controller_limit_ms * MS, now_ns)
+            }
+            HubError::ConsumerStuck { part, .. } => {
+                self.taken(*part).is_none_or(|taken| taken < self.tick)
+                    && self.has_waited(120_000 * MS, now_ns)
+            }
+        };
+        expect!(self, justified, format!("ended early without a reason: {cause}"));
+    }
+}

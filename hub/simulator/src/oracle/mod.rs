@@ -1,0 +1,376 @@
+//! What must hold whatever happens: an account of the run that is kept beside the hub, from what passes between it and its
+//! surroundings alone.
+
+use hub::rate_limit::Connection;
+use hub::{Incoming, Note, Report, Start};
+use messages::{
+    CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
+    EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Keyframe, Latched, PHASE_ENDED,
+    PHASE_PAUSED, Part, Plant, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+};
+use scene::{Drives, Mode};
+
+use crate::plan::{MS, Plan};
+use crate::plant::{ChainPlant, Handle};
+use controllers::Slot;
+
+/// Requests of one connection that are answered within [`RATION_NS`]; more may be passed over.
+const RATION: usize = 64;
+const RATION_NS: u64 = 11 * MS;
+/// Warnings of one kind in any tenth of a second: twice the limit, since two of its periods may touch.
+const WARNINGS: usize = 34;
+const PERIOD_NS: u64 = MS;
+
+/// Notes what does not hold; the text is made only then.
+macro_rules! expect {
+    ($oracle:ident, $holds:expr, $what:expr) => {
+        if !$holds {
+            let what: String = $what;
+            $oracle.fail(what);
+        }
+    };
+}
+
+// Behind the macro, which they use.
+mod controllers;
+mod endings;
+
+/// The account.
+#[derive(Debug)]
+pub struct Oracle {
+    plan: Plan,
+    drives: Vec<Vec<Drives>>,
+    /// The first thing that did not hold.
+    pub failure: Option<String>,
+    /// Steps with what is published: what a replay of the log would do.
+    shadow: ChainPlant,
+    /// Of the newest state.
+    pub tick: u64,
+    shown: bool,
+    /// u_k is out and x_{k+1} is not.
+    latched: Option<bool>,
+    removed_messages: u64,
+    removed_in_tick: bool,
+    keyframe_parts: u64,
+    keyframe_of_tick: bool,
+    controllers: Vec<Slot>,
+    taken: Vec<(Part, u64)>,
+    /// Paused, with the steps that are left.
+    pub paused: bool,
+    steps_left: u64,
+    reset_asked: bool,
+    stopped: bool,
+    /// Taken and not answered yet, with the time when it was taken.
+    request: Option<(RunControl, Connection, u64)>,
+    answered: Vec<(Connection, u64)>,
+    refused: u64,
+    plant_refused: bool,
+    missed: u64,
+    deadline_ns: Option<u64>,
+    state_ns: u64,
+    began_ns: u64,
+    end_ns: Option<u64>,
+    ticks_after_end: u64,
+    /// How long the hub was stopped since the request to end.
+    stopped_ns: u64,
+    /// Stops since the newest state, and how long they were together.
+    stops: (u64, u64),
+    ended: bool,
+    warnings_ns: Vec<u64>,
+}
+
+impl Oracle {
+    /// Of a plan whose controllers drive these parts.
+    pub fn new(plan: &Plan, drives: &[Vec<Drives>], now_ns: u64) -> Oracle {
+        Oracle {
+            plan: plan.clone(),
+            drives: drives.to_vec(),
+            failure: None,
+            shadow: ChainPlant::new(Handle::default()),
+            tick: 0,
+            shown: false,
+            latched: None,
+            removed_messages: 0,
+            removed_in_tick: false,
+            keyframe_parts: 0,
+            keyframe_of_tick: false,
+            controllers: drives.iter().map(|_| Slot::default()).collect(),
+            taken: Vec::new(),
+            paused: false,
+            steps_left: 0,
+            reset_asked: false,
+            stopped: false,
+            request: None,
+            answered: Vec::new(),
+            refused: 0,
+            plant_refused: false,
+            missed: 0,
+            deadline_ns: None,
+            state_ns: now_ns,
+            began_ns: now_ns,
+            end_ns: None,
+            ticks_after_end: 0,
+            stopped_ns: 0,
+            stops: (0, 0),
+            ended: false,
+            warnings_ns: Vec::new(),
+        }
+    }
+
+    /// Notes that something does not hold; the first one counts.
+    pub fn fail(&mut self, what: String) {
+        self.failure.get_or_insert(what);
+    }
+
+    /// The hub takes a request to run control.
+    pub fn request(&mut self, incoming: &Incoming<RunControl>, now_ns: u64) {
+        self.passed_over();
+        if let Incoming::Message(request, connection) = incoming {
+            self.request = Some((*request, *connection, now_ns));
+        }
+    }
+
+    /// A request that was not answered before anything else happened was beyond the share of its sender.
+    pub fn passed_over(&mut self) {
+        let Some((request, connection, asked_ns)) = self.request.take() else { return };
+        let recent =
+            |(other, at_ns): &&(Connection, u64)| *other == connection && at_ns + RATION_NS > asked_ns;
+        let answered = self.answered.iter().filter(recent).count();
+        expect!(self, answered >= RATION, {
+            format!(
+                "request {} was not answered, though its sender had only {answered} answers",
+                request.request_id
+            )
+        });
+    }
+
+    /// The hub answers a request.
+    pub fn reply(&mut self, reply: &RunControlReply, now_ns: u64) {
+        let Some((request, connection, _)) = self.request.take() else {
+            return self.fail(format!("reply to {}, which nobody asked", reply.request_id));
+        };
+        self.answered.push((connection, now_ns));
+        let mut status = CONTROL_DONE;
+        match request.action {
+            CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0),
+            CONTROL_RESUME => (self.paused, self.steps_left) = (false, 0),
+            CONTROL_STEP if self.paused => self.steps_left += request.ticks,
+            CONTROL_RESET => self.reset_asked = true,
+            CONTROL_STOP => self.stopped = true,
+            _ => status = CONTROL_REFUSED,
+        }
+        let expected = RunControlReply {
+            request_id: request.request_id,
+            tick: self.tick,
+            action: request.action,
+            status,
+        };
+        expect!(self, *reply == expected, format!("{reply:?}, expected {expected:?}"));
+    }
+
+    /// The hub takes a report.
+    pub fn report(&mut self, report: Report) {
+        match self.taken.iter_mut().find(|(part, _)| *part == report.part) {
+            Some((_, tick)) => *tick = report.tick,
+            None => self.taken.push((report.part, report.tick)),
+        }
+    }
+
+    fn taken(&self, part: Part) -> Option<u64> {
+        self.taken.iter().find(|(other, _)| *other == part).map(|(_, tick)| *tick)
+    }
+
+    /// The process is asked to end.
+    pub fn end_requested(&mut self, now_ns: u64) {
+        self.end_ns.get_or_insert(now_ns);
+    }
+
+    /// The hub's process is stopped for a while.
+    pub fn stopped(&mut self, for_ns: u64) {
+        if for_ns == 0 {
+            return;
+        }
+        if self.end_ns.is_some() {
+            self.stopped_ns += for_ns;
+        }
+        self.stops.0 += 1;
+        self.stops.1 += for_ns;
+    }
+
+    /// Whether the hub has waited for this long since the newest state. Of each stop it may count half of the limit, and no more.
+    fn has_waited(&self, limit_ns: u64, now_ns: u64) -> bool {
+        let (count, stopped_ns) = self.stops;
+        (now_ns - self.state_ns).saturating_sub(stopped_ns) + count * limit_ns / 2 >= limit_ns
+    }
+
+    /// The hub publishes u_k.
+    pub fn latch(&mut self, latched: &Latched, plant_refuses: bool, now_ns: u64) {
+        self.passed_over();
+        expect!(self, self.shown && self.latched.is_none() && !self.ended, "u_k out of its place".to_owned());
+        let tick = latched.tick;
+        expect!(self, tick == self.tick, format!("u_{tick} behind x_{}", self.tick));
+        expect!(self, tick < self.plan.tick_count, format!("tick {tick} beyond the run's end"));
+        expect!(self, !self.stopped, format!("tick {tick} of a run that was stopped"));
+        let rests = self.paused && self.steps_left == 0;
+        expect!(self, !rests, format!("tick {tick} of a run that rests"));
+        self.steps_left = self.steps_left.saturating_sub(1);
+        if self.paused {
+            // It may rest behind this tick, and rest ends with a new schedule.
+            self.deadline_ns = None;
+        }
+        if self.end_ns.is_some() {
+            self.ticks_after_end += 1;
+            expect!(self, self.ticks_after_end <= 1, format!("tick {tick} after the request to end"));
+        }
+        let reset = std::mem::take(&mut self.reset_asked);
+        expect!(self, latched.reset == u32::from(reset), format!("tick {tick}: reset is {}", latched.reset));
+        self.check_lead(tick);
+        for index in 0..self.controllers.len() {
+            self.check_latched(index, latched, now_ns);
+        }
+        self.plant_refused = plant_refuses;
+        (self.latched, self.removed_in_tick, self.keyframe_of_tick) = (Some(reset), false, false);
+        if let Err(cause) = self.shadow.step(latched) {
+            self.fail(format!("a replay fails: {cause}"));
+        }
+    }
+
+    /// No consumer is left further behind than its queue holds.
+    fn check_lead(&mut self, tick: u64) {
+        let (lead, parts): (u64, &[Part]) = match self.plan.mode {
+            Mode::Lockstep => (self.plan.lead_ticks, &[Part::Drr, Part::Recorder]),
+            Mode::Realtime if self.plan.waits_for_recorder => (self.plan.lead_ticks, &[Part::Recorder]),
+            Mode::Realtime => return,
+        };
+        for part in parts {
+            let here = match part {
+                Part::Recorder => self.plan.recorder_ns.is_some(),
+                _ => self.plan.drr_ns.is_some(),
+            };
+            let taken = self.taken(*part);
+            expect!(self, !here || taken.is_some_and(|taken| taken + lead >= tick), {
+                format!("tick {tick}: {part} has taken {taken:?}, and the hub may lead by {lead}")
+            });
+        }
+    }
+
+    /// The hub publishes removed voxels.
+    pub fn removed(&mut self, removed: &Removed, voxels: &[u32]) {
+        self.removed_messages += 1;
+        let (sequence, expected) = (removed.sequence, self.removed_messages);
+        expect!(self, sequence == expected, format!("removed message {sequence}, expected {expected}"));
+        if !self.shown {
+            expect!(self, removed.tick == 0, "holes of the start after it".to_owned());
+            return;
+        }
+        let Some(reset) = self.latched else {
+            return self.fail(format!("voxels of tick {} behind its state", removed.tick));
+        };
+        self.removed_in_tick = true;
+        let right = removed.tick == self.tick + 1
+            && removed.restore_first == u32::from(reset)
+            && removed.removed_total == self.shadow.state().removed_total
+            && voxels == self.shadow.removed();
+        expect!(self, right, format!("{removed:?} is not what the tick removed"));
+    }
+
+    /// The hub publishes x_k.
+    pub fn state(&mut self, state: &State, now_ns: u64) {
+        if !self.shown {
+            let predrilled = self.shadow.predrilled().len();
+            let messages = predrilled.div_ceil(messages::services::MAX_REMOVED_PER_TICK) as u64;
+            let consumers = self.plan.drr_ns.iter().chain(&self.plan.recorder_ns).count();
+            let (holes, here) = (self.removed_messages, self.taken.len());
+            expect!(self, holes == messages, format!("{holes} messages of holes, expected {messages}"));
+            expect!(self, here == consumers, "x_0 before every consumer was there".to_owned());
+            self.shown = true;
+        } else {
+            let Some(reset) = self.latched.take() else {
+                return self.fail(format!("x_{} without u", state.tick));
+            };
+            let due = reset || !self.shadow.removed().is_empty();
+            let (tick, sent) = (state.tick, self.removed_in_tick);
+            expect!(self, sent == due, format!("tick {tick}: voxels published: {sent}, expected {due}"));
+            self.tick += 1;
+        }
+        let expected = self.shadow.state();
+        let right = state.tick == self.tick && state.hash == expected.hash && state.tick == expected.tick;
+        expect!(self, right, format!("x_{} is not what a replay of the log comes to", state.tick));
+        (self.state_ns, self.stops) = (now_ns, (0, 0));
+    }
+
+    fn keyframe_is_due(&self) -> bool {
+        self.plan.recorder_ns.is_some()
+            && self.plan.keyframe_period_ticks.is_some_and(|period| self.tick.is_multiple_of(period))
+    }
+
+    /// The hub publishes a part of a keyframe.
+    pub fn keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) {
+        self.keyframe_parts += 1;
+        let due = self.keyframe_is_due();
+        let (sequence, expected) = (keyframe.sequence, self.keyframe_parts);
+        let placed = self.latched.is_none() && keyframe.tick == self.tick && due && !self.keyframe_of_tick;
+        expect!(self, placed && sequence == expected, format!("{keyframe:?} out of its place"));
+        self.keyframe_of_tick = true;
+        let mut copy = ChainPlant::new(Handle::default());
+        let restored = copy.restore_keyframe(part).is_ok() && copy.state().hash == self.shadow.state().hash;
+        expect!(self, restored, format!("the keyframe of tick {} does not restore it", keyframe.tick));
+    }
+
+    /// A tick begins in real time.
+    pub fn tick_begins(&mut self, start_ns: u64, start: Start) {
+        let lateness_ns = start.lateness_ns;
+        expect!(self, lateness_ns >= 0, format!("tick {} begins {} ns early", self.tick, -lateness_ns));
+        let deadline_ns = self.deadline_ns.unwrap_or(start_ns - lateness_ns.max(0) as u64);
+        expect!(self, start_ns as i64 - lateness_ns == deadline_ns as i64, {
+            format!(
+                "tick {}: late by {lateness_ns} ns at {start_ns}, its deadline was {deadline_ns}",
+                self.tick
+            )
+        });
+        let missed = lateness_ns > PERIOD_NS as i64;
+        expect!(self, missed == start.missed, format!("tick {}: missed is {}", self.tick, start.missed));
+        self.missed += u64::from(missed);
+        self.deadline_ns = Some(if missed { start_ns } else { deadline_ns } + PERIOD_NS);
+    }
+
+    /// The hub publishes a tick's timing.
+    pub fn timing(&mut self, timing: &TickTiming) {
+        let due = self.keyframe_is_due();
+        let sent = self.keyframe_of_tick;
+        expect!(self, sent == due, format!("tick {}: keyframe sent: {sent}, expected {due}", self.tick));
+        let expected = self.tick.checked_sub(1);
+        expect!(
+            self,
+            Some(timing.tick) == expected,
+            format!("timing of {}, expected {expected:?}", timing.tick)
+        );
+        self.refused += u64::from(std::mem::take(&mut self.plant_refused));
+    }
+
+    /// The hub says where the run stands.
+    pub fn status(&mut self, status: &RunStatus) {
+        let counts = [status.tick, status.missed_ticks, status.refused_commands, status.removed_messages];
+        let expected = [self.tick, self.missed, self.refused, self.removed_messages];
+        expect!(self, counts == expected, {
+            format!("status: ticks, missed, refused, removed messages {counts:?}, expected {expected:?}")
+        });
+        expect!(self, !self.ended, "a status behind the last one".to_owned());
+        self.ended = status.phase == PHASE_ENDED;
+        if status.phase == PHASE_PAUSED {
+            // Rest ends with a new schedule.
+            self.deadline_ns = None;
+        }
+    }
+
+    /// The hub sends an event.
+    pub fn event(&mut self, note: &Note<'_>, now_ns: u64) {
+        if ![EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED].contains(&note.code) {
+            return;
+        }
+        self.warnings_ns.retain(|at_ns| at_ns + 100 * MS > now_ns);
+        self.warnings_ns.push(now_ns);
+        let (count, most) = (self.warnings_ns.len(), WARNINGS * (self.controllers.len() + 1));
+        expect!(self, count <= most, format!("{count} warnings in a tenth of a second, at most {most}"));
+    }
+}

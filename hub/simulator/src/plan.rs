@@ -1,0 +1,240 @@
+//! What a seed decides: the scene, how quick everybody is, and what goes wrong when.
+
+use fastrand::Rng;
+use scene::Mode;
+
+/// Microseconds in nanoseconds.
+pub const US: u64 = 1_000;
+/// Milliseconds in nanoseconds.
+pub const MS: u64 = 1_000_000;
+
+/// One schedule.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// Where it comes from; also seeds the small random choices while it runs.
+    pub seed: u64,
+    /// Lockstep or real time.
+    pub mode: Mode,
+    /// Ticks of the run.
+    pub tick_count: u64,
+    /// `run.hold_ticks`.
+    pub hold_ticks: u64,
+    /// `run.controller_limit_ms`.
+    pub controller_limit_ms: u64,
+    /// How far in front of its consumers the hub may run.
+    pub lead_ticks: u64,
+    /// Whether it waits for the recorder in real time.
+    pub waits_for_recorder: bool,
+    /// Ticks between two keyframes.
+    pub keyframe_period_ticks: Option<u64>,
+    /// The controllers of the scene.
+    pub controllers: Vec<ControllerPlan>,
+    /// Time that the DRR process needs for a look at its queue; none: there is no such process.
+    pub drr_ns: Option<u64>,
+    /// The same of the recorder.
+    pub recorder_ns: Option<u64>,
+    /// What goes wrong.
+    pub faults: Vec<Fault>,
+}
+
+/// A controller.
+#[derive(Debug, Clone)]
+pub struct ControllerPlan {
+    /// Whether the run goes on without it.
+    pub optional: bool,
+    /// When it connects.
+    pub joins_ns: u64,
+    /// From taking a state to sending the answer, at most.
+    pub answer_ns: u64,
+    /// It answers the newest state only, and not each.
+    pub newest_only: bool,
+}
+
+/// Something that goes wrong, or is asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fault {
+    /// When, after the beginning.
+    pub at_ns: u64,
+    /// What.
+    pub kind: FaultKind,
+}
+
+/// What can go wrong.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FaultKind {
+    /// A controller is killed, and started again after a time, or never.
+    ControllerDies {
+        /// Which.
+        index: usize,
+        /// When it is back.
+        back_after_ns: Option<u64>,
+    },
+    /// A controller stands still.
+    ControllerStalls {
+        /// Which.
+        index: usize,
+        /// How long.
+        for_ns: u64,
+    },
+    /// A controller sends something that must be refused.
+    BadCommand {
+        /// Which.
+        index: usize,
+        /// What.
+        bad: Bad,
+    },
+    /// A controller sends so many more commands at once.
+    CommandFlood {
+        /// Which.
+        index: usize,
+        /// How many.
+        count: u64,
+    },
+    /// A consumer stands still.
+    ConsumerStalls {
+        /// The recorder, or the DRR process.
+        recorder: bool,
+        /// How long.
+        for_ns: u64,
+    },
+    /// A consumer is killed; the launcher notices after a time and asks the run to end.
+    ConsumerDies {
+        /// The recorder, or the DRR process.
+        recorder: bool,
+        /// When the launcher has noticed.
+        noticed_after_ns: u64,
+    },
+    /// A client asks run control for something.
+    Control {
+        /// One of the `CONTROL_` constants, or nonsense.
+        action: u32,
+        /// Ticks of a step.
+        ticks: u64,
+        /// How many times.
+        count: u64,
+    },
+    /// A client sends run control bytes that are not a request.
+    MalformedControl {
+        /// How many times.
+        count: u64,
+    },
+    /// A program that is not a consumer reports progress.
+    ForeignReport,
+    /// The machine stops the hub's process (SIGSTOP, a frozen container, a suspended laptop).
+    HubStops {
+        /// How long.
+        for_ns: u64,
+    },
+    /// A tick takes longer than others.
+    SlowTick {
+        /// How long.
+        for_ns: u64,
+    },
+    /// The plant refuses part of the next tick's commands.
+    PlantRefuses,
+    /// SIGTERM.
+    EndRequest,
+}
+
+/// Commands that must be refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bad {
+    /// A number that is not one.
+    NotANumber,
+    /// A part of the tool that the controller does not drive.
+    OthersPart,
+    /// A state that there has not been.
+    Future,
+    /// A sequence number that does not rise.
+    OldSequence,
+    /// An answer to a state before the one that it answered last.
+    OldState,
+    /// Bytes of a wrong length.
+    Malformed,
+}
+
+const BAD: [Bad; 6] =
+    [Bad::NotANumber, Bad::OthersPart, Bad::Future, Bad::OldSequence, Bad::OldState, Bad::Malformed];
+
+impl Plan {
+    /// The schedule of a seed.
+    pub fn of(seed: u64) -> Plan {
+        let mut random = Rng::with_seed(seed);
+        let mode = if random.bool() { Mode::Lockstep } else { Mode::Realtime };
+        let controllers: Vec<ControllerPlan> =
+            (0..random.usize(1..=3)).map(|_| controller(&mut random)).collect();
+        let consumer = |random: &mut Rng| (random.u8(..4) > 0).then(|| random.u64(50 * US..3 * MS));
+        let mut plan = Plan {
+            seed,
+            mode,
+            tick_count: random.u64(5..60),
+            hold_ticks: random.u64(1..6),
+            controller_limit_ms: random.u64(4..30),
+            lead_ticks: random.u64(1..6),
+            waits_for_recorder: random.bool(),
+            keyframe_period_ticks: random.bool().then(|| random.u64(1..20)),
+            controllers,
+            drr_ns: consumer(&mut random),
+            recorder_ns: consumer(&mut random),
+            faults: Vec::new(),
+        };
+        let count = [0, 1, 2, 4, 8][random.usize(..5)];
+        plan.faults = (0..count).map(|_| fault(&plan, &mut random)).collect();
+        plan
+    }
+
+    /// How long the run takes if nothing goes wrong, roughly.
+    pub fn nominal_ns(&self) -> u64 {
+        match self.mode {
+            Mode::Realtime => self.tick_count * MS,
+            Mode::Lockstep => self.tick_count * 200 * US,
+        }
+    }
+
+    /// Whether the plan has a fault of a kind.
+    pub fn has(&self, kind: impl Fn(&FaultKind) -> bool) -> bool {
+        self.faults.iter().any(|fault| kind(&fault.kind))
+    }
+}
+
+fn controller(random: &mut Rng) -> ControllerPlan {
+    ControllerPlan {
+        optional: random.u8(..3) == 0,
+        joins_ns: random.u64(..5 * MS),
+        // Most are quick, some as slow as several ticks.
+        answer_ns: [50 * US, 300 * US, 900 * US, 4 * MS][random.usize(..4)],
+        newest_only: random.bool(),
+    }
+}
+
+fn fault(plan: &Plan, random: &mut Rng) -> Fault {
+    let index = random.usize(..plan.controllers.len());
+    let recorder = random.bool();
+    let a_while = |random: &mut Rng| {
+        [random.u64(..2 * MS), random.u64(..20 * MS), random.u64(..300 * MS)][random.usize(..3)]
+    };
+    let kind = match random.u8(..40) {
+        0..=5 => {
+            let back_after_ns = (random.u8(..4) > 0).then(|| a_while(random));
+            FaultKind::ControllerDies { index, back_after_ns }
+        }
+        6..=9 => FaultKind::ControllerStalls { index, for_ns: a_while(random) },
+        10..=14 => FaultKind::BadCommand { index, bad: BAD[random.usize(..BAD.len())] },
+        15..=16 => FaultKind::CommandFlood { index, count: random.u64(1..200) },
+        17..=20 => FaultKind::ConsumerStalls { recorder, for_ns: a_while(random) },
+        21 => FaultKind::ConsumerDies { recorder, noticed_after_ns: random.u64(..300 * MS) },
+        22..=30 => {
+            // Pauses must end, or every paused run would only wait for its end.
+            let action = [1, 1, 2, 2, 3, 3, 4, 4, 5, 9][random.usize(..10)];
+            let count = [1, 1, 1, 2, 100, 300][random.usize(..6)];
+            FaultKind::Control { action, ticks: random.u64(..4), count }
+        }
+        31 => FaultKind::MalformedControl { count: random.u64(1..200) },
+        32 => FaultKind::ForeignReport,
+        33..=34 => FaultKind::HubStops { for_ns: [a_while(random), 30_000 * MS][random.usize(..2)] },
+        35..=36 => FaultKind::SlowTick { for_ns: random.u64(..5 * MS) },
+        37..=38 => FaultKind::PlantRefuses,
+        _ => FaultKind::EndRequest,
+    };
+    Fault { at_ns: random.u64(..plan.nominal_ns() + 3 * MS), kind }
+}

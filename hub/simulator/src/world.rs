@@ -1,0 +1,480 @@
+//! The hub's surroundings in memory: a clock that events turn, queues, and everybody at the other end of them.
+
+use std::cell::Cell;
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, VecDeque};
+use std::rc::Rc;
+
+use fastrand::Rng;
+use hub::rate_limit::Connection;
+use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
+use messages::{
+    CONTROL_RESUME, Command, Keyframe, Latched, Part, Removed, RunControl, RunControlReply, RunStatus, State,
+    TickTiming,
+};
+use scene::Drives;
+
+use crate::actors::{Alarm, Consumer, Controller};
+use crate::oracle::Oracle;
+use crate::plan::{FaultKind, MS, Plan, US};
+use crate::plant::Handle;
+
+/// Longest sleep of a reader before it looks again by itself.
+const LONGEST_SLEEP_NS: u64 = 10 * MS;
+/// Longest queue of run control and of progress.
+const QUEUE: usize = 256;
+/// How often in a row the hub may wait for something that is already there, or for a time that has passed.
+const IDLE_WAITS: u32 = 8;
+
+/// What happens at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Event {
+    ControllerJoins(usize),
+    ControllerLooks(usize, u64),
+    ControllerAnswers(usize, u64, u64),
+    ConsumerLooks(usize, u64),
+    Fault(usize),
+    LauncherNotices,
+    UserResumes,
+}
+
+/// Everything but the hub.
+#[derive(Debug)]
+pub struct World {
+    plan: Plan,
+    now_ns: Rc<Cell<u64>>,
+    plant: Handle,
+    random: Rng,
+    events: BinaryHeap<Reverse<(u64, u64, Event)>>,
+    order: u64,
+    controllers: Vec<Controller>,
+    consumers: Vec<Consumer>,
+    control: VecDeque<Incoming<RunControl>>,
+    requests: u64,
+    reports: VecDeque<Report>,
+    foreign: u64,
+    end_requested: bool,
+    newest_tick: Option<u64>,
+    stopped_ns: u64,
+    idle_waits: u32,
+    /// What must hold.
+    pub oracle: Oracle,
+}
+
+impl World {
+    /// Of a plan whose controllers drive these parts.
+    pub fn new(plan: &Plan, drives: &[Vec<Drives>], plant: Handle) -> World {
+        let now_ns = Rc::clone(&plant.now_ns);
+        let controllers = plan.controllers.iter().zip(drives).enumerate();
+        let consumers = [(Part::Drr, plan.drr_ns), (Part::Recorder, plan.recorder_ns)];
+        let mut world = World {
+            oracle: Oracle::new(plan, drives, now_ns.get()),
+            now_ns,
+            plant,
+            random: Rng::with_seed(plan.seed ^ 0x9e37_79b9_7f4a_7c15),
+            events: BinaryHeap::new(),
+            order: 0,
+            controllers: controllers
+                .map(|(index, (plan, drives))| Controller::new(plan, index, drives))
+                .collect(),
+            consumers: consumers
+                .iter()
+                .filter_map(|(part, look_ns)| Some(Consumer::new(*part, (*look_ns)?)))
+                .collect(),
+            control: VecDeque::new(),
+            requests: 0,
+            reports: VecDeque::new(),
+            foreign: 0,
+            end_requested: false,
+            newest_tick: None,
+            stopped_ns: 0,
+            idle_waits: 0,
+            plan: plan.clone(),
+        };
+        for index in 0..world.controllers.len() {
+            let joins_ns = world.controllers[index].plan.joins_ns;
+            world.after(joins_ns, Event::ControllerJoins(index));
+        }
+        for index in 0..world.consumers.len() {
+            let look_ns = world.consumers[index].look_ns;
+            world.after(look_ns, Event::ConsumerLooks(index, 0));
+        }
+        for index in 0..world.plan.faults.len() {
+            world.after(world.plan.faults[index].at_ns, Event::Fault(index));
+        }
+        let last_ns = world.plan.faults.iter().map(|fault| fault.at_ns).max().unwrap_or(0);
+        if world.plan.has(|kind| matches!(kind, FaultKind::Control { .. })) {
+            world.after(last_ns + 50 * MS, Event::UserResumes);
+        }
+        world
+    }
+
+    fn after(&mut self, delay_ns: u64, event: Event) {
+        self.order += 1;
+        self.events.push(Reverse((self.now_ns.get() + delay_ns, self.order, event)));
+    }
+
+    /// Lets everything happen that is due.
+    fn catch_up(&mut self) {
+        while let Some(Reverse((at_ns, _, event))) = self.events.peek().copied() {
+            if at_ns > self.now_ns.get() {
+                return;
+            }
+            self.events.pop();
+            self.happen(event);
+        }
+    }
+
+    /// A moment passes in the hub, while the others go on.
+    fn moment(&mut self) {
+        self.now_ns.set(self.now_ns.get() + self.random.u64(100..US));
+        self.catch_up();
+    }
+
+    fn happen(&mut self, event: Event) {
+        match event {
+            Event::ControllerJoins(index) => {
+                self.controllers[index].join();
+                self.look_soon(index, 0);
+            }
+            Event::ControllerLooks(index, alarm) => self.controller_looks(index, Alarm(alarm)),
+            Event::ControllerAnswers(index, alarm, tick) => {
+                if self.controllers[index].alive && self.controllers[index].alarm == Alarm(alarm) {
+                    self.controllers[index].answer(tick);
+                    self.look_soon(index, 0);
+                }
+            }
+            Event::ConsumerLooks(index, alarm) => self.consumer_looks(index, Alarm(alarm)),
+            Event::Fault(index) => self.fault(index),
+            Event::LauncherNotices => self.request_end(),
+            Event::UserResumes => {
+                if self.oracle.paused {
+                    self.request(CONTROL_RESUME, 0);
+                }
+                self.after(50 * MS, Event::UserResumes);
+            }
+        }
+    }
+
+    fn look_soon(&mut self, index: usize, delay_ns: u64) {
+        let controller = &mut self.controllers[index];
+        controller.alarm.0 += 1;
+        let alarm = controller.alarm.0;
+        self.after(delay_ns, Event::ControllerLooks(index, alarm));
+    }
+
+    fn controller_looks(&mut self, index: usize, alarm: Alarm) {
+        let now_ns = self.now_ns.get();
+        let controller = &mut self.controllers[index];
+        if !controller.alive || controller.alarm != alarm {
+            return;
+        }
+        controller.asleep = false;
+        if controller.stalled_until_ns > now_ns {
+            let delay_ns = controller.stalled_until_ns - now_ns;
+            return self.look_soon(index, delay_ns);
+        }
+        match controller.take_state() {
+            None => {
+                controller.asleep = true;
+                self.look_soon(index, LONGEST_SLEEP_NS);
+            }
+            Some(tick) => {
+                let longest_ns = controller.plan.answer_ns;
+                controller.alarm.0 += 1;
+                let alarm = controller.alarm.0;
+                let answer_ns = self.random.u64(longest_ns / 4..=longest_ns);
+                self.after(answer_ns, Event::ControllerAnswers(index, alarm, tick));
+            }
+        }
+    }
+
+    fn consumer_looks(&mut self, index: usize, alarm: Alarm) {
+        let (now_ns, newest_tick) = (self.now_ns.get(), self.newest_tick.unwrap_or(0));
+        let consumer = &mut self.consumers[index];
+        if !consumer.alive || consumer.alarm != alarm {
+            return;
+        }
+        let mut delay_ns = consumer.look_ns;
+        if consumer.stalled_until_ns > now_ns {
+            delay_ns = consumer.stalled_until_ns - now_ns;
+            consumer.asleep = false;
+        } else {
+            consumer.asleep = true;
+            if let Some(tick) = consumer.take(newest_tick) {
+                if self.reports.len() == QUEUE {
+                    self.reports.pop_front();
+                }
+                self.reports.push_back(Report { part: consumer.part, tick });
+            }
+        }
+        consumer.alarm.0 += 1;
+        let alarm = consumer.alarm.0;
+        self.after(delay_ns, Event::ConsumerLooks(index, alarm));
+    }
+
+    fn fault(&mut self, index: usize) {
+        let now_ns = self.now_ns.get();
+        match self.plan.faults[index].kind.clone() {
+            FaultKind::ControllerDies { index, back_after_ns } => {
+                let controller = &mut self.controllers[index];
+                (controller.alive, controller.asleep) = (false, false);
+                controller.alarm.0 += 1;
+                controller.states.clear();
+                if let Some(back_after_ns) = back_after_ns {
+                    self.after(back_after_ns, Event::ControllerJoins(index));
+                }
+            }
+            FaultKind::ControllerStalls { index, for_ns } => {
+                self.controllers[index].stalled_until_ns = now_ns + for_ns;
+                self.controllers[index].asleep = false;
+            }
+            FaultKind::BadCommand { index, bad } => {
+                if self.controllers[index].alive {
+                    self.controllers[index].misbehave(bad);
+                }
+            }
+            FaultKind::CommandFlood { index, count } => {
+                let tick = self.newest_tick.unwrap_or(0);
+                if self.controllers[index].alive {
+                    (0..count).for_each(|_| self.controllers[index].answer(tick));
+                }
+            }
+            FaultKind::ConsumerStalls { recorder, for_ns } => {
+                for consumer in self.consumers.iter_mut().filter(|c| (c.part == Part::Recorder) == recorder) {
+                    (consumer.stalled_until_ns, consumer.asleep) = (now_ns + for_ns, false);
+                }
+            }
+            FaultKind::ConsumerDies { recorder, noticed_after_ns } => {
+                let mut died = false;
+                for consumer in self.consumers.iter_mut().filter(|c| (c.part == Part::Recorder) == recorder) {
+                    (consumer.alive, consumer.asleep, died) = (false, false, true);
+                }
+                if died {
+                    self.after(noticed_after_ns, Event::LauncherNotices);
+                }
+            }
+            FaultKind::Control { action, ticks, count } => {
+                (0..count).for_each(|_| self.request(action, ticks))
+            }
+            FaultKind::MalformedControl { count } => {
+                (0..count).for_each(|_| self.push_control(Incoming::Malformed("3 bytes".to_owned())));
+            }
+            FaultKind::ForeignReport => self.foreign += 1,
+            FaultKind::HubStops { for_ns } => self.stopped_ns += for_ns,
+            FaultKind::SlowTick { for_ns } => self.plant.slow_ns.set(for_ns),
+            FaultKind::PlantRefuses => self.plant.refuses.set(true),
+            FaultKind::EndRequest => self.request_end(),
+        }
+    }
+
+    fn request_end(&mut self) {
+        self.end_requested = true;
+        self.oracle.end_requested(self.now_ns.get());
+    }
+
+    fn request(&mut self, action: u32, ticks: u64) {
+        self.requests += 1;
+        let request = RunControl { request_id: self.requests, ticks, action, reserved: 0 };
+        self.push_control(Incoming::Message(request, Connection(7)));
+    }
+
+    fn push_control(&mut self, incoming: Incoming<RunControl>) {
+        if self.control.len() == QUEUE {
+            self.control.pop_front();
+        }
+        self.control.push_back(incoming);
+    }
+
+    /// Lets happen what happens while the hub waits.
+    pub fn wait(&mut self, wait: Wait) {
+        self.check_sleepers(wait);
+        let began_ns = self.now_ns.get();
+        // A signal may end any wait early.
+        let interrupted_ns =
+            if self.random.u8(..32) == 0 { began_ns + self.random.u64(..5 * MS) } else { u64::MAX };
+        let until_ns = wait.until_ns.min(interrupted_ns);
+        while !self.is_ready(wait.on) && self.now_ns.get() < until_ns {
+            match self.events.peek().copied() {
+                Some(Reverse((at_ns, _, event))) if at_ns <= until_ns => {
+                    self.events.pop();
+                    self.now_ns.set(self.now_ns.get().max(at_ns));
+                    self.happen(event);
+                }
+                _ => self.now_ns.set(until_ns),
+            }
+        }
+        self.idle_waits = if self.now_ns.get() == began_ns { self.idle_waits + 1 } else { 0 };
+        if self.idle_waits > IDLE_WAITS {
+            self.oracle.fail(format!("the hub spins: {wait:?} at {began_ns}"));
+        }
+        let oversleep_ns =
+            [self.random.u64(..2 * US), self.random.u64(..60 * US)][usize::from(self.random.u8(..8) == 0)];
+        let stopped_ns = std::mem::take(&mut self.stopped_ns);
+        self.oracle.stopped(stopped_ns);
+        self.now_ns.set(self.now_ns.get() + oversleep_ns + stopped_ns);
+        self.catch_up();
+    }
+
+    /// Whoever sleeps has nothing to do, or has been woken.
+    fn check_sleepers(&mut self, wait: Wait) {
+        if let Some(index) = self.controllers.iter().position(|c| c.asleep && !c.states.is_empty()) {
+            self.oracle.fail(format!("controller {index} sleeps beside a state: nobody has woken it"));
+        }
+        let waits = wait.on == Awaited::Report;
+        if waits && self.consumers.iter().any(|consumer| consumer.asleep && consumer.waiting > 0) {
+            self.oracle.fail("the hub waits for a consumer that nobody has woken".to_owned());
+        }
+        if wait.until_ns > self.now_ns.get() + 250 * MS {
+            self.oracle.fail(format!("{wait:?} looks at nothing for too long"));
+        }
+    }
+
+    fn is_ready(&self, on: Awaited) -> bool {
+        match on {
+            Awaited::Nothing | Awaited::Deadline => false,
+            Awaited::Control => !self.control.is_empty(),
+            Awaited::Report => !self.reports.is_empty(),
+            Awaited::Command(index) => !self.controllers[index].commands.is_empty(),
+        }
+    }
+}
+
+impl Outputs for World {
+    type Error = String;
+
+    fn send_latched(&mut self, latched: &Latched) -> Result<(), String> {
+        self.oracle.latch(latched, self.plant.refuses.get(), self.now_ns.get());
+        Ok(())
+    }
+
+    fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), String> {
+        self.oracle.removed(removed, voxels);
+        Ok(())
+    }
+
+    fn send_state(&mut self, state: &State) -> Result<(), String> {
+        self.newest_tick = Some(state.tick);
+        self.controllers.iter_mut().for_each(|controller| controller.see(state.tick));
+        self.consumers.iter_mut().for_each(|consumer| consumer.waiting += 1);
+        self.oracle.state(state, self.now_ns.get());
+        Ok(())
+    }
+
+    fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), String> {
+        self.oracle.keyframe(keyframe, part);
+        Ok(())
+    }
+}
+
+impl Environment for World {
+    fn now_ns(&self) -> u64 {
+        // Each look takes a moment.
+        self.now_ns.set(self.now_ns.get() + 50);
+        self.now_ns.get()
+    }
+
+    fn end_requested(&self) -> bool {
+        self.end_requested
+    }
+
+    fn receive_command(&mut self, controller: usize) -> Result<Option<Incoming<Command>>, String> {
+        self.moment();
+        let Some((incoming, well_formed)) = self.controllers[controller].commands.pop_front() else {
+            return Ok(None);
+        };
+        self.oracle.command(controller, &incoming, well_formed);
+        Ok(Some(incoming))
+    }
+
+    fn has_command(&self, controller: usize) -> bool {
+        !self.controllers[controller].commands.is_empty()
+    }
+
+    fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, String> {
+        self.moment();
+        self.oracle.passed_over();
+        let incoming = self.control.pop_front();
+        if let Some(incoming) = &incoming {
+            self.oracle.request(incoming, self.now_ns.get());
+        }
+        Ok(incoming)
+    }
+
+    fn receive_report(&mut self) -> Result<Option<Report>, String> {
+        self.moment();
+        let report = self.reports.pop_front();
+        if let Some(report) = report {
+            self.oracle.report(report);
+        }
+        Ok(report)
+    }
+
+    fn foreign_reports(&self) -> u64 {
+        self.foreign
+    }
+
+    fn send_status(&mut self, status: &RunStatus) -> Result<(), String> {
+        self.oracle.status(status);
+        Ok(())
+    }
+
+    fn send_timing(&mut self, timing: &TickTiming) -> Result<(), String> {
+        self.oracle.timing(timing);
+        Ok(())
+    }
+
+    fn send_control_reply(&mut self, reply: &RunControlReply) -> Result<(), String> {
+        self.oracle.reply(reply, self.now_ns.get());
+        Ok(())
+    }
+
+    fn send_event(&mut self, note: &Note<'_>) -> Result<(), String> {
+        self.oracle.event(note, self.now_ns.get());
+        Ok(())
+    }
+
+    fn wake_controllers(&mut self) {
+        for index in 0..self.controllers.len() {
+            if self.controllers[index].asleep {
+                self.controllers[index].asleep = false;
+                let delay_ns = self.random.u64(..40 * US);
+                self.look_soon(index, delay_ns);
+            }
+        }
+    }
+
+    fn wake_consumers(&mut self) {
+        for index in 0..self.consumers.len() {
+            if self.consumers[index].asleep {
+                self.consumers[index].asleep = false;
+                self.consumers[index].alarm.0 += 1;
+                let (alarm, delay_ns) = (self.consumers[index].alarm.0, self.random.u64(..40 * US));
+                self.after(delay_ns, Event::ConsumerLooks(index, alarm));
+            }
+        }
+    }
+
+    fn deliver_state_history(&mut self) -> Result<(), String> {
+        let Some(tick) = self.newest_tick else { return Ok(()) };
+        for index in 0..self.controllers.len() {
+            if self.controllers[index].alive && self.controllers[index].wants_history {
+                self.controllers[index].see(tick);
+                // Its first look at its queue comes when it is there.
+                self.controllers[index].asleep = false;
+                self.look_soon(index, 0);
+            }
+        }
+        Ok(())
+    }
+
+    fn deliver_status_history(&mut self) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn tick_begins(&mut self, start: Option<(u64, Start)>, _timing: &mut TickTiming) {
+        if let Some((start_ns, start)) = start {
+            self.oracle.tick_begins(start_ns, start);
+        }
+    }
+}

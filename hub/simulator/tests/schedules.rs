@@ -1,0 +1,28 @@
+//! A hundred thousand schedules; more of them: `cargo run --release -p hub_simulator -- --count 10000000`.
+
+use std::time::Instant;
+
+use hub_simulator::{Plan, play, run, shrink};
+
+#[test]
+fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
+    let began = Instant::now();
+    let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let summary = play(0, 100_000, threads);
+    println!("{summary:?} in {:.1} s on {threads} threads", began.elapsed().as_secs_f64());
+    if let Some((seed, cause)) = summary.failure {
+        let (least, least_cause) = shrink(&Plan::of(seed));
+        panic!("seed {seed}: {cause}\nshrunk: {least_cause}\n{least:#?}");
+    }
+    // Schedules that fail at once would find nothing.
+    assert!(summary.ended * 10 > summary.schedules * 9, "{summary:?}");
+    assert!(summary.ticks > 20 * summary.schedules, "{summary:?}");
+}
+
+#[test]
+fn a_seed_says_everything() {
+    for seed in 0..300 {
+        let plan = Plan::of(seed);
+        assert_eq!(run(&plan), run(&plan), "seed {seed}");
+    }
+}

@@ -1,0 +1,203 @@
+//! What a command must be before it may reach the model.
+
+use thiserror::Error;
+
+use messages::{
+    ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JP, ARM_SERVO_JV,
+    BURR_NONE, BURR_SPEED, Command, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_DISPLACEMENT_M,
+    MAX_POSITION_M, MAX_SPEED_M_PER_S, MAX_TENSION_N, TENDON_MOVE_JP, TENDON_NONE, TENDON_SERVO_JF,
+    TENDON_SERVO_JP,
+};
+use scene::Drives;
+
+const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
+const MAX_JOINT_RATE_RAD_PER_S: f64 = core::f64::consts::TAU;
+/// Quaternions are stored rounded; this is far above rounding and far below any wrong use.
+const QUATERNION_TOLERANCE: f64 = 1e-6;
+
+/// Why a command is refused. It then changes nothing.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum CommandRefusal {
+    /// A number is not finite or outside its range.
+    #[error("`{field}` is {value}, allowed is {lowest} to {highest}")]
+    OutOfRange {
+        /// Field with its index.
+        field: String,
+        /// Value given.
+        value: f64,
+        /// Lowest allowed.
+        lowest: f64,
+        /// Highest allowed.
+        highest: f64,
+    },
+    /// A mode is not one.
+    #[error("`{field}` is {value}, expected {expected}")]
+    UnknownMode {
+        /// Field.
+        field: &'static str,
+        /// Value given.
+        value: u32,
+        /// The modes there are.
+        expected: &'static str,
+    },
+    /// The orientation is not a unit quaternion.
+    #[error("`t_world_base.orientation_xyzw` has length {length}, expected 1")]
+    NotAUnitQuaternion {
+        /// Its length.
+        length: f64,
+    },
+    /// The axis of an insertion is not a unit vector.
+    #[error("`arm_axis` has length {length}, expected 1")]
+    NotAUnitVector {
+        /// Its length.
+        length: f64,
+    },
+    /// The scene gives this part to another controller, or to none.
+    #[error(
+        "`{field}` drives the {part}, which the scene does not give to this controller; add it to its `drives`"
+    )]
+    NotItsPart {
+        /// Field.
+        field: &'static str,
+        /// Part of the tool.
+        part: &'static str,
+    },
+    /// The sequence number does not rise.
+    #[error("`sequence` is {sequence}, expected more than {last}")]
+    OldSequence {
+        /// Number given.
+        sequence: u64,
+        /// Newest accepted.
+        last: u64,
+    },
+    /// The command answers an older state than one before it did.
+    #[error("`state_tick` is {state_tick}, but an earlier command of this connection answered {last}")]
+    PastState {
+        /// Tick given.
+        state_tick: u64,
+        /// Tick of the newest accepted command.
+        last: u64,
+    },
+    /// The command answers a state that there has not been.
+    #[error("`state_tick` is {state_tick}, but the newest state is {newest}")]
+    FutureState {
+        /// Tick given.
+        state_tick: u64,
+        /// Newest tick.
+        newest: u64,
+    },
+}
+
+fn range(field: impl Fn() -> String, value: f64, lowest: f64, highest: f64) -> Result<(), CommandRefusal> {
+    // A NaN is in no range.
+    if value >= lowest && value <= highest {
+        return Ok(());
+    }
+    Err(CommandRefusal::OutOfRange { field: field(), value, lowest, highest })
+}
+
+fn ranges(name: &str, values: &[f64], lowest: f64, highest: f64) -> Result<(), CommandRefusal> {
+    values
+        .iter()
+        .enumerate()
+        .try_for_each(|(i, value)| range(|| format!("{name}[{i}]"), *value, lowest, highest))
+}
+
+/// Checks ranges, modes, order and authority. `last_sequence` is the number of the newest accepted command (0 before the
+/// first), `newest_tick` that of the newest state.
+///
+/// # Errors
+/// The first [`CommandRefusal`] that is found.
+pub fn check(
+    command: &Command,
+    drives: &[Drives],
+    last_sequence: u64,
+    newest_tick: u64,
+) -> Result<(), CommandRefusal> {
+    if command.sequence <= last_sequence {
+        return Err(CommandRefusal::OldSequence { sequence: command.sequence, last: last_sequence });
+    }
+    if command.state_tick > newest_tick {
+        return Err(CommandRefusal::FutureState { state_tick: command.state_tick, newest: newest_tick });
+    }
+    check_modes(command)?;
+    check_authority(command, drives)?;
+    check_values(command)
+}
+
+fn check_modes(command: &Command) -> Result<(), CommandRefusal> {
+    let mode = |field, value: u32, highest: u32, expected| {
+        if value <= highest { Ok(()) } else { Err(CommandRefusal::UnknownMode { field, value, expected }) }
+    };
+    mode("tendon_mode", command.tendon_mode, TENDON_MOVE_JP, "0 none, 1 servo_jf, 2 servo_jp or 3 move_jp")?;
+    mode(
+        "arm_mode",
+        command.arm_mode,
+        ARM_RCM,
+        "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert or 8 rcm",
+    )?;
+    mode("burr_mode", command.burr_mode, BURR_SPEED, "0 none or 1 speed")?;
+    mode("reserved", command.reserved, 0, "0")
+}
+
+fn check_authority(command: &Command, drives: &[Drives]) -> Result<(), CommandRefusal> {
+    let authority = |drives_it: bool, part: Drives, field, name| {
+        let allowed = !drives_it || drives.contains(&part);
+        if allowed { Ok(()) } else { Err(CommandRefusal::NotItsPart { field, part: name }) }
+    };
+    authority(command.tendon_mode != TENDON_NONE, Drives::Tendon, "tendon_mode", "tendons")?;
+    authority(command.arm_mode != ARM_NONE, Drives::Arm, "arm_mode", "arm")?;
+    authority(command.burr_mode != BURR_NONE, Drives::Burr, "burr_mode", "burr")
+}
+
+fn check_values(command: &Command) -> Result<(), CommandRefusal> {
+    match command.tendon_mode {
+        TENDON_SERVO_JF => ranges("tendon_force_n", &command.tendon_force_n, 0.0, MAX_TENSION_N)?,
+        TENDON_SERVO_JP | TENDON_MOVE_JP => {
+            let limit = MAX_DISPLACEMENT_M;
+            ranges("tendon_displacement_m", &command.tendon_displacement_m, -limit, limit)?;
+        }
+        _ => {}
+    }
+    match command.arm_mode {
+        ARM_SERVO_JP | ARM_MOVE_JP => {
+            ranges("arm_joint_position_rad", &command.arm_joint_position_rad, -MAX_JOINT_RAD, MAX_JOINT_RAD)?;
+        }
+        ARM_SERVO_JV => {
+            let limit = MAX_JOINT_RATE_RAD_PER_S;
+            ranges("arm_joint_velocity_rad_per_s", &command.arm_joint_velocity_rad_per_s, -limit, limit)?;
+        }
+        ARM_SERVO_CP | ARM_MOVE_CP => check_pose(command)?,
+        ARM_INSERT => check_insertion(command)?,
+        ARM_RCM => {
+            check_pose(command)?;
+            ranges("arm_pivot_m", &command.arm_pivot_m, -MAX_POSITION_M, MAX_POSITION_M)?;
+        }
+        _ => {}
+    }
+    range(|| "arm_speed_m_per_s".to_owned(), command.arm_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
+    let field = || "burr_speed_rad_per_s".to_owned();
+    range(field, command.burr_speed_rad_per_s, 0.0, MAX_BURR_SPEED_RAD_PER_S)
+}
+
+fn check_insertion(command: &Command) -> Result<(), CommandRefusal> {
+    ranges("arm_axis", &command.arm_axis, -1.1, 1.1)?;
+    let length = command.arm_axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+        return Err(CommandRefusal::NotAUnitVector { length });
+    }
+    range(|| "arm_depth_m".to_owned(), command.arm_depth_m, -MAX_DEPTH_M, MAX_DEPTH_M)?;
+    // A feed of 0 would never arrive: the smallest positive number is the least.
+    range(|| "arm_speed_m_per_s".to_owned(), command.arm_speed_m_per_s, f64::MIN_POSITIVE, MAX_SPEED_M_PER_S)
+}
+
+fn check_pose(command: &Command) -> Result<(), CommandRefusal> {
+    let pose = &command.t_world_base;
+    ranges("t_world_base.position_m", &pose.position_m, -MAX_POSITION_M, MAX_POSITION_M)?;
+    ranges("t_world_base.orientation_xyzw", &pose.orientation_xyzw, -1.1, 1.1)?;
+    let length = pose.orientation_xyzw.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+        return Err(CommandRefusal::NotAUnitQuaternion { length });
+    }
+    Ok(())
+}

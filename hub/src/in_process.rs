@@ -1,0 +1,137 @@
+//! Lockstep without processes: controllers in the same thread answer each state, and the plant steps.
+
+use messages::{Command, Latched, Plant, State};
+use scene::{Mode, Scene};
+use thiserror::Error;
+
+use crate::command_check::CommandRefusal;
+use crate::latch::Latch;
+
+/// What a controller does with a state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    /// It sends the command that it has filled in.
+    Command,
+    /// It sends nothing; its last command holds.
+    Nothing,
+}
+
+/// Why a tick cannot be made.
+#[derive(Debug, Error)]
+pub enum InProcessError<P> {
+    /// A command is invalid.
+    #[error("controller {controller}: command of tick {tick}: {cause}")]
+    Refused {
+        /// Index of the controller in the scene.
+        controller: usize,
+        /// Tick.
+        tick: u64,
+        /// Why.
+        cause: CommandRefusal,
+    },
+    /// The plant refuses the tick.
+    #[error("tick {tick}: {cause}")]
+    Plant {
+        /// Tick.
+        tick: u64,
+        /// Its reason.
+        cause: P,
+    },
+}
+
+/// A run in this thread.
+///
+/// ```
+/// # use std::path::Path;
+/// use hub::in_process::{Answer, InProcess};
+/// # struct Still(messages::State);
+/// # impl messages::Plant for Still {
+/// #     type Error = String;
+/// #     fn state(&self) -> &messages::State { &self.0 }
+/// #     fn step(&mut self, _: &messages::Latched) -> Result<(), String> { self.0.tick += 1; Ok(()) }
+/// #     fn removed(&self) -> &[u32] { &[] }
+/// #     fn predrilled(&self) -> &[u32] { &[] }
+/// #     fn refusals(&self) -> &[messages::Refusal] { &[] }
+/// #     fn write_keyframe(&self, _: &mut [u8]) -> Result<usize, String> { Ok(0) }
+/// #     fn restore_keyframe(&mut self, _: &[u8]) -> Result<(), String> { Ok(()) }
+/// # }
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// # let text = "name = \"a\"\n[run]\nmode = \"lockstep\"\nduration_s = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
+/// #     direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"c\"\ndrives = [\"tendon\"]\n\
+/// #     external = true\n";
+/// # let scene = scene::Scene::parse(text, Path::new("scene.toml"))?;
+/// # let plant = Still(messages::State::zeroed());
+/// let mut run = InProcess::new(&scene, plant);
+/// for _ in 0..10 {
+///     run.tick(|_controller, state, command| {
+///         command.tendon_mode = messages::TENDON_SERVO_JF;
+///         command.tendon_force_n[0] = 0.1 * state.tick as f64;
+///         Answer::Command
+///     })?;
+/// }
+/// # assert_eq!(messages::Plant::state(run.plant()).tick, 10);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct InProcess<P> {
+    plant: P,
+    latch: Latch,
+    controllers: usize,
+}
+
+impl<P: Plant> InProcess<P> {
+    /// A run of the scene's controllers with this plant; it is lockstep, whatever mode the scene says.
+    pub fn new(scene: &Scene, plant: P) -> InProcess<P> {
+        let controllers = scene.controller.len();
+        let mut scene = scene.clone();
+        scene.run.mode = Mode::Lockstep;
+        InProcess { plant, latch: Latch::new(&scene), controllers }
+    }
+
+    /// What is controlled.
+    pub fn plant(&self) -> &P {
+        &self.plant
+    }
+
+    /// u_k, from what `answer` makes of x_k for each controller of the scene. It is given the controller's index, x_k, and a command
+    /// with `sequence` and `state_tick` filled in and every mode at "none".
+    ///
+    /// # Errors
+    /// [`InProcessError::Refused`].
+    pub fn latch(
+        &mut self,
+        mut answer: impl FnMut(usize, &State, &mut Command) -> Answer,
+    ) -> Result<Latched, InProcessError<P::Error>> {
+        let state = self.plant.state();
+        let tick = state.tick;
+        for controller in 0..self.controllers {
+            let mut command = Command { sequence: tick + 1, state_tick: tick, ..Command::zeroed() };
+            if answer(controller, state, &mut command) == Answer::Command {
+                let offered = self.latch.offer(controller, &command, tick);
+                offered.map_err(|cause| InProcessError::Refused { controller, tick, cause })?;
+            }
+        }
+        Ok(self.latch.latch(tick, false))
+    }
+
+    /// x_{k+1} from u_k.
+    ///
+    /// # Errors
+    /// [`InProcessError::Plant`].
+    pub fn step(&mut self, latched: &Latched) -> Result<(), InProcessError<P::Error>> {
+        self.plant.step(latched).map_err(|cause| InProcessError::Plant { tick: latched.tick, cause })
+    }
+
+    /// Both.
+    ///
+    /// # Errors
+    /// Any [`InProcessError`].
+    pub fn tick(
+        &mut self,
+        answer: impl FnMut(usize, &State, &mut Command) -> Answer,
+    ) -> Result<(), InProcessError<P::Error>> {
+        let latched = self.latch(answer)?;
+        self.step(&latched)
+    }
+}

@@ -1,0 +1,48 @@
+//! How far the physics may run in front of the recorder.
+
+use messages::services::{FRAME, KEYFRAME, KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, RECORDER_QUEUE_TICKS};
+use scene::{OnFull, Scene};
+
+/// Ticks in real time so that none of its queues overflows; none if it need not care.
+/// A quarter of the queues of what comes once a tick, and no more than half of what those of frames and keyframes hold.
+pub fn recorder_lead_ticks(scene: &Scene) -> Option<u64> {
+    if scene.recording.on_full == OnFull::Gap {
+        return None;
+    }
+    let frame_ticks = scene.drr.as_ref().map(|drr| 1.0 / (drr.rate_hz * scene.dt_s()));
+    let frames = frame_ticks.map(|ticks| (FRAME.lossless_length as f64 / 2.0 * ticks) as u64);
+    let longest_parts = MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES;
+    let keyframes = (KEYFRAME.lossless_length / longest_parts / 2) as u64;
+    let keyframes = scene.keyframe_period_ticks().map(|period_ticks| period_ticks * keyframes);
+    let least = [frames, keyframes].into_iter().flatten().fold(RECORDER_QUEUE_TICKS / 4, u64::min);
+    Some(least.max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn scene(more: &str) -> Scene {
+        let text = format!(
+            "name = \"a\"\n[run]\nmode = \"realtime\"\nduration_s = 1.0\n[tool]\nburr_start_mm = [0.0, 0.0, 0.0]\n\
+             direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n[[controller]]\nname = \"b\"\n\
+             drives = [\"tendon\", \"arm\", \"burr\"]\nhold = {{ tension_n = 1.0 }}\n{more}"
+        );
+        Scene::parse(&text, Path::new("test")).unwrap()
+    }
+
+    #[test]
+    fn a_physics_that_waits_for_the_recorder_stays_within_its_queues() {
+        assert_eq!(recorder_lead_ticks(&scene("")), None, "in real time the tick comes first");
+        let wait =
+            |more: &str| recorder_lead_ticks(&scene(&format!("[recording]\non_full = \"wait\"\n{more}")));
+        assert_eq!(wait(""), Some(RECORDER_QUEUE_TICKS / 4));
+        // Eight of the longest keyframes fit into their queue.
+        assert_eq!(wait("keyframe_interval_s = 0.01"), Some(40));
+        let frames = "[volume]\nphantom = \"block\"\n[drr]\nrate_hz = 100.0\nisocentre_mm = [0.0, 0.0, 0.0]\ncolumns = 16\n\
+                      rows = 16\npixel_pitch_mm = 1.0\n";
+        assert_eq!(wait(frames), Some(320));
+    }
+}

@@ -1,0 +1,92 @@
+//! The tick as a state machine without I/O: latching, run control, pacing, what is published when.
+//!
+//! [`Hub`] owns the tick. It waits for nothing, reads no clock and knows no transport: [`Hub::advance`] does what can be done now
+//! through an [`Environment`] and returns what is to be waited for. The physics process drives it with shared memory and the machine's
+//! clock; the tests here drive it with queues in memory and a clock that they turn.
+//!
+//! **Boundary:** it decides, and nothing else: what lies in shared memory, sleeps, is drawn or written is the environment's affair; what a
+//! step computes is the [`Plant`](messages::Plant)'s. Times come in as nanoseconds of whatever clock the environment has.
+//!
+//! **Invariants**, held against every schedule of `hub_simulator`: u_k is out before its effect, x_{k+1} after it, each once and in
+//! order; a refused command changes nothing; no tick is made while the run rests or ends; no consumer is left too far behind; every
+//! ending has a reason; no wait is without a limit.
+//!
+//! ```text
+//! connect:  publish x_0 until every consumer and every controller has answered
+//! tick k:   obey run control (pause, step, reset, stop)
+//!           real time: wait for the deadline t_0 + k dt          lockstep: wait for every controller's answer to x_k
+//!           u_k := latch                                          (validated; late commands held, then the safe one)
+//!           publish u_k
+//!           x_{k+1}, h_{k+1} := step(x_k, u_k)
+//!           publish removed voxels, then x_{k+1}; wake the readers that sleep
+//! end:      publish the phase "ended", wait until the consumers have taken the last state
+//! ```
+//!
+//! While somebody records, every `recording.keyframe_interval_s` a keyframe follows the state.
+//!
+//! A deadline that has passed is not caught up silently: a tick that begins more than one period late counts as
+//! missed, and the schedule is moved by the time lost, so ticks never bunch up.
+//!
+//! The latch alone, in real time: a command is fresh in the tick that takes it, then held, then, too old, the safe one replaces it.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use hub::latch::Latch;
+//! use messages::{Command, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TENDON_SERVO_JF};
+//! use scene::Scene;
+//!
+//! let text = r#"
+//! name = "late"
+//! [run]
+//! mode = "realtime"
+//! duration_s = 1.0
+//! hold_ticks = 2
+//! [tool]
+//! burr_start_mm = [0.0, 0.0, 0.0]
+//! direction = [1.0, 0.0, 0.0]
+//! bend_toward = [0.0, 0.0, 1.0]
+//! [[controller]]
+//! name = "me"
+//! drives = ["tendon"]
+//! [controller.hold]
+//! tension_n = 5.0
+//! "#;
+//! let mut latch = Latch::new(&Scene::parse(text, Path::new("late.toml")).unwrap());
+//! let mut command = Command { sequence: 1, tendon_mode: TENDON_SERVO_JF, ..Command::zeroed() };
+//! command.tendon_force_n[0] = 5.0;
+//! latch.offer(0, &command, 0).unwrap();
+//! let sources: Vec<u32> = (0..4)
+//!     .map(|tick| {
+//!         latch.latch(tick, false);
+//!         latch.source(0)
+//!     })
+//!     .collect();
+//! assert_eq!(sources, [SOURCE_FRESH, SOURCE_HELD, SOURCE_HELD, SOURCE_SAFE]);
+//! // The same number again is refused.
+//! assert!(latch.offer(0, &command, 4).is_err());
+//! ```
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`run_lane`] | one tick: what is stepped, and what is published of it in which order; also for replays |
+//! | [`in_process`] | the same tick with controllers in the same thread: benches, calibration, tests |
+//! | [`latch`], [`command_check`] | u_k from the commands that have come |
+//! | [`rate_limit`], [`patience`] | limits per sender; limits of waiting |
+
+pub mod command_check;
+mod consumers;
+mod environment;
+pub mod in_process;
+pub mod latch;
+mod late_notes;
+mod lead;
+mod machine;
+mod pacing;
+pub mod patience;
+pub mod rate_limit;
+pub mod run_lane;
+
+pub use environment::{Environment, Incoming, Note, Outputs, Report};
+pub use machine::{Awaited, Hub, HubError, Next, Settings, Wait};
+pub use pacing::Start;

@@ -1,0 +1,114 @@
+//! Taking the controllers' commands.
+
+use messages::services::COMMAND;
+use messages::{EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, Plant, SEVERITY_WARNING};
+
+use super::{Hub, MS, Outcome};
+use crate::environment::{Environment, Incoming, Note};
+use crate::rate_limit::{Connection, WarningLimit};
+
+/// A controller's side.
+#[derive(Debug, Clone)]
+pub(super) struct Controller {
+    pub(super) name: String,
+    /// Whether the run may begin without it.
+    pub(super) optional: bool,
+    /// How long the start waits for it.
+    pub(super) connect_limit_ns: u64,
+    /// From the newest state's publication to the command that answers it; 0 before.
+    pub(super) round_trip_ns: u64,
+    /// Number of the newest command that was taken off the queue.
+    seen_sequence: u64,
+    /// Commands that never came and of which nothing has been said.
+    lost: u64,
+    pub(super) warnings: WarningLimit,
+    /// The connection that the newest command came over.
+    connection: Option<Connection>,
+}
+
+impl Controller {
+    pub(super) fn new(controller: &scene::Controller) -> Controller {
+        Controller {
+            name: controller.name.clone(),
+            optional: controller.optional,
+            connect_limit_ns: (controller.connect_limit_s * 1e3) as u64 * MS,
+            round_trip_ns: 0,
+            seen_sequence: 0,
+            lost: 0,
+            warnings: WarningLimit::default(),
+            connection: None,
+        }
+    }
+}
+
+impl<P: Plant> Hub<P> {
+    /// Takes the commands that have arrived; what is invalid is refused, said, and changes nothing. A controller that
+    /// floods is read no longer than its queue is, so that it cannot hold up the tick, and its refusals are said together.
+    pub(super) fn collect_commands<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        for index in 0..self.controllers.len() {
+            for _ in 0..COMMAND.queue_length {
+                let Some(incoming) = env.receive_command(index)? else { break };
+                let Some(reason) = self.offer(env, index, incoming) else { continue };
+                self.refused_commands += 1;
+                if self.controllers[index].warnings.allows(env.now_ns()) {
+                    self.warn(env, index, EVENT_COMMAND_REFUSED, &format!("{reason}; refused"))?;
+                }
+            }
+            if let Some(more) = self.controllers[index].warnings.take_suppressed(env.now_ns()) {
+                self.warn(env, index, EVENT_COMMAND_REFUSED, &format!("{more} more commands refused"))?;
+            }
+            let controller = &mut self.controllers[index];
+            if controller.lost > 0 && controller.warnings.allows(env.now_ns()) {
+                let lost = std::mem::take(&mut controller.lost);
+                let length = COMMAND.queue_length;
+                let text =
+                    format!("{lost} commands never came: a queue holds {length}, or numbers were left out");
+                self.warn(env, index, EVENT_MESSAGES_LOST, &text)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Offers a command to the latch; returns why it was refused.
+    fn offer<E: Environment>(
+        &mut self,
+        env: &E,
+        index: usize,
+        incoming: Incoming<messages::Command>,
+    ) -> Option<String> {
+        let (command, connection) = match incoming {
+            Incoming::Message(command, connection) => (command, connection),
+            Incoming::Malformed(reason) => return Some(reason),
+        };
+        let controller = &mut self.controllers[index];
+        if controller.connection != Some(connection) {
+            (controller.connection, controller.seen_sequence) = (Some(connection), 0);
+            self.latch.connect(index);
+        }
+        if command.state_tick == self.tick && controller.round_trip_ns == 0 {
+            controller.round_trip_ns = env.now_ns().saturating_sub(self.published_ns).max(1);
+        }
+        let lost = overwritten(&mut controller.seen_sequence, command.sequence);
+        controller.lost = controller.lost.saturating_add(lost);
+        let outcome = self.latch.offer(index, &command, self.tick);
+        outcome.err().map(|cause| format!("command {}: {cause}", command.sequence))
+    }
+
+    pub(super) fn warn<E: Environment>(
+        &self,
+        env: &mut E,
+        controller: usize,
+        code: u32,
+        text: &str,
+    ) -> Outcome<(), P, E> {
+        let text = format!("controller `{}`: {text}", self.controllers[controller].name);
+        Ok(env.send_event(&Note { tick: self.tick, severity: SEVERITY_WARNING, code, text: &text })?)
+    }
+}
+
+/// Commands between the newest one seen and this one: a client numbers its commands without a gap, so these were overwritten.
+fn overwritten(seen: &mut u64, sequence: u64) -> u64 {
+    let gap = sequence.saturating_sub(seen.saturating_add(1));
+    *seen = sequence.max(*seen);
+    gap
+}

@@ -1,0 +1,79 @@
+//! The start: everybody's connection.
+
+use messages::{PHASE_CONNECTING, Plant};
+
+use super::control::When;
+use super::{
+    Awaited, CONNECT_LIMIT_NS, CONNECT_LOOK_NS, Hub, HubError, NS_PER_S, Next, Outcome, Stage, Step,
+    lane_failed, wait,
+};
+use crate::environment::Environment;
+use crate::patience::Patience;
+
+impl<P: Plant> Hub<P> {
+    /// Publishes the initial state until everybody has answered it, or the run is to end.
+    pub(super) fn connect<E: Environment>(
+        &mut self,
+        env: &mut E,
+        mut consumers: Patience,
+        mut controllers: Vec<Patience>,
+    ) -> Outcome<Step, P, E> {
+        self.consumers.update(env)?;
+        let missing = self.consumers.missing();
+        if missing.is_none() && !self.shown {
+            // Only now, so that no consumer misses the first messages.
+            self.lane.begin(&self.plant, env).map_err(lane_failed(0))?;
+            self.state_is_out(env);
+            self.shown = true;
+            let limit =
+                |controller: &super::Controller| Patience::new(controller.connect_limit_ns, env.now_ns());
+            controllers.extend(self.controllers.iter().map(limit));
+        }
+        self.collect_commands(env)?;
+        if self.ends(env) {
+            return Ok((Stage::TickDue, None));
+        }
+        let now_ns = env.now_ns();
+        match missing {
+            Some(part) if consumers.is_over(now_ns) => {
+                return Err(HubError::NotConnected { part, limit_s: CONNECT_LIMIT_NS / NS_PER_S });
+            }
+            Some(_) => {}
+            None => {
+                let over: Vec<bool> =
+                    controllers.iter_mut().map(|patience| patience.is_over(now_ns)).collect();
+                match self.awaited_controller() {
+                    None => return self.connected(env),
+                    Some(index) if over[index] => {
+                        let controller = &self.controllers[index];
+                        let limit_s = controller.connect_limit_ns / NS_PER_S;
+                        return Err(HubError::ControllerNotConnected {
+                            name: controller.name.clone(),
+                            limit_s,
+                        });
+                    }
+                    Some(_) => {}
+                }
+            }
+        }
+        self.obey(env)?;
+        self.send_status(env, PHASE_CONNECTING, When::IfDue)?;
+        env.deliver_state_history()?;
+        let until_ns = env.now_ns() + CONNECT_LOOK_NS;
+        Ok((Stage::Connecting { consumers, controllers }, wait(Awaited::Nothing, until_ns)))
+    }
+
+    fn connected<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
+        self.inform(env, "every part has connected")?;
+        self.connected = true;
+        self.send_status(env, self.phase(), When::Now)?;
+        Ok((Stage::Ready, Some(Next::GetReady)))
+    }
+
+    /// A controller that the run does not begin without and that has not commanded yet.
+    fn awaited_controller(&self) -> Option<usize> {
+        let mut all = self.controllers.iter().enumerate();
+        all.find(|(index, controller)| !controller.optional && !self.latch.has_command(*index))
+            .map(|(index, _)| index)
+    }
+}

@@ -1,0 +1,148 @@
+//! Run control, and saying where the run stands.
+
+use messages::{
+    CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
+    EVENT_REQUEST_REFUSED, EVENT_RUN, PHASE_CONNECTING, PHASE_PAUSED, PHASE_RUNNING, Plant, RunControl,
+    RunControlReply, RunStatus, SEVERITY_INFO, SEVERITY_WARNING,
+};
+use scene::Mode;
+
+use super::{Awaited, Hub, Outcome, REST_LOOK_NS, STATUS_PERIOD_NS, Stage, Step, wait};
+use crate::environment::{Environment, Incoming, Note};
+use crate::rate_limit::{Connection, LOOKED_AT};
+
+/// Messages of a wrong length that one look takes off the queue of run control.
+const MALFORMED_AT_ONCE: usize = 64;
+
+impl<P: Plant> Hub<P> {
+    /// Does what run control asks for; each program has its share, so that a flood cannot stall the tick.
+    pub(super) fn obey<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        let mut asked = false;
+        for _ in 0..LOOKED_AT {
+            let Some((request, connection)) = self.next_request(env)? else { break };
+            if !self.control_limit.allows(connection, env.now_ns()) {
+                self.refuse_control(env, "a program sends more than can be answered")?;
+                continue;
+            }
+            asked = true;
+            let status = if self.obey_one(&request) { CONTROL_DONE } else { CONTROL_REFUSED };
+            env.send_control_reply(&RunControlReply {
+                request_id: request.request_id,
+                tick: self.tick,
+                action: request.action,
+                status,
+            })?;
+        }
+        if let Some(more) = self.control_warnings.take_suppressed(env.now_ns()) {
+            self.warn_of_control(env, &format!("{more} more requests"))?;
+        }
+        if asked { self.send_status(env, self.phase(), When::Now) } else { Ok(()) }
+    }
+
+    /// The next request to run control; a message of a wrong length is none.
+    fn next_request<E: Environment>(
+        &mut self,
+        env: &mut E,
+    ) -> Outcome<Option<(RunControl, Connection)>, P, E> {
+        for _ in 0..MALFORMED_AT_ONCE {
+            match env.receive_control()? {
+                None => return Ok(None),
+                Some(Incoming::Message(request, connection)) => return Ok(Some((request, connection))),
+                Some(Incoming::Malformed(reason)) => self.refuse_control(env, &reason)?,
+            }
+        }
+        Ok(None)
+    }
+
+    fn refuse_control<E: Environment>(&mut self, env: &mut E, reason: &str) -> Outcome<(), P, E> {
+        if !self.control_warnings.allows(env.now_ns()) {
+            return Ok(());
+        }
+        self.warn_of_control(env, reason)
+    }
+
+    fn warn_of_control<E: Environment>(&self, env: &mut E, reason: &str) -> Outcome<(), P, E> {
+        let text = format!("run control: {reason}; refused");
+        Ok(env.send_event(&Note {
+            tick: self.tick,
+            severity: SEVERITY_WARNING,
+            code: EVENT_REQUEST_REFUSED,
+            text: &text,
+        })?)
+    }
+
+    fn obey_one(&mut self, request: &RunControl) -> bool {
+        match request.action {
+            // Steps that are not made yet are given up: what was asked for last counts.
+            CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0),
+            CONTROL_RESUME => (self.paused, self.steps_left) = (false, 0),
+            CONTROL_STEP if self.paused => self.steps_left = self.steps_left.saturating_add(request.ticks),
+            CONTROL_RESET => self.reset_asked = true,
+            CONTROL_STOP => self.stopped = true,
+            _ => return false,
+        }
+        true
+    }
+
+    /// Paused: looks again after a while.
+    pub(super) fn rest<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
+        self.send_status(env, PHASE_PAUSED, When::IfDue)?;
+        env.deliver_state_history()?;
+        self.collect_commands(env)?;
+        Ok((Stage::Rested, wait(Awaited::Control, env.now_ns() + REST_LOOK_NS)))
+    }
+
+    pub(super) fn phase(&self) -> u32 {
+        match (self.connected, self.paused) {
+            (false, _) => PHASE_CONNECTING,
+            (true, true) => PHASE_PAUSED,
+            (true, false) => PHASE_RUNNING,
+        }
+    }
+
+    /// Says where the run stands.
+    pub(super) fn send_status<E: Environment>(
+        &mut self,
+        env: &mut E,
+        phase: u32,
+        when: When,
+    ) -> Outcome<(), P, E> {
+        let now_ns = env.now_ns();
+        let recent = |sent_ns: u64| now_ns.saturating_sub(sent_ns) < STATUS_PERIOD_NS;
+        if when == When::IfDue && self.status_sent_ns.is_some_and(recent) {
+            return Ok(());
+        }
+        self.status_sent_ns = Some(now_ns);
+        env.status_is_due();
+        let foreign = self.consumers.new_foreign_reports(env);
+        if foreign > 0 && self.control_warnings.allows(now_ns) {
+            let text = format!(
+                "progress: {foreign} messages of a program that is neither the DRR process nor the recorder; passed over"
+            );
+            let (severity, code) = (SEVERITY_WARNING, EVENT_REQUEST_REFUSED);
+            env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
+        }
+        Ok(env.send_status(&RunStatus {
+            tick: self.tick,
+            tick_count: self.settings.tick_count,
+            missed_ticks: self.schedule.missed(),
+            refused_commands: self.refused_commands,
+            removed_messages: self.lane.removed_messages(),
+            phase,
+            mode: u32::from(self.settings.mode == Mode::Realtime),
+        })?)
+    }
+
+    pub(super) fn inform<E: Environment>(&self, env: &mut E, text: &str) -> Outcome<(), P, E> {
+        Ok(env.send_event(&Note { tick: self.tick, severity: SEVERITY_INFO, code: EVENT_RUN, text })?)
+    }
+}
+
+/// When a status is sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum When {
+    /// At once: something has changed.
+    Now,
+    /// If the last one was long enough ago.
+    IfDue,
+}

@@ -1,0 +1,115 @@
+//! Making a tick.
+
+use messages::{
+    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_RUN, EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS,
+    PHASE_RUNNING, Plant, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE,
+    TickTiming,
+};
+use scene::Mode;
+
+use super::control::When;
+use super::{Hub, HubError, Outcome, Stage, Step, lane_failed};
+use crate::environment::{Environment, Note};
+use crate::pacing::Start;
+use crate::run_lane::LaneError;
+
+impl<P: Plant> Hub<P> {
+    pub(super) fn make_tick<E: Environment>(&mut self, env: &mut E, start: Start) -> Outcome<Step, P, E> {
+        let start_ns = env.now_ns();
+        let reset = std::mem::take(&mut self.reset_asked);
+        let latched = self.latch.latch(self.tick, reset);
+        let marks = self.lane.tick(&mut self.plant, &latched, env, |env| env.now_ns());
+        let marks = marks.map_err(lane_failed(self.tick))?;
+        self.tick += 1;
+        self.state_is_out(env);
+        self.publish_keyframe(env)?;
+        let mut timing = TickTiming {
+            tick: latched.tick,
+            start_ns,
+            wake_lateness_ns: start.lateness_ns,
+            latch_ns: marks.latched_ns - start_ns,
+            step_ns: marks.stepped_ns - marks.latched_ns,
+            publish_ns: env.now_ns() - marks.stepped_ns,
+            missed: u32::from(start.missed),
+            late_controllers: late_controllers(&latched),
+            ..self.timing
+        };
+        for (slot, controller) in timing.round_trip_ns.iter_mut().zip(&mut self.controllers) {
+            *slot = std::mem::take(&mut controller.round_trip_ns);
+        }
+        env.send_timing(&timing)?;
+        self.report_sources(env, &latched)?;
+        self.report_refusals(env)?;
+        self.steps_left = self.steps_left.saturating_sub(1);
+        self.send_status(env, PHASE_RUNNING, When::IfDue)?;
+        Ok((Stage::TickDue, None))
+    }
+
+    /// A state has been published: round trips begin, and the controllers that sleep are woken.
+    pub(super) fn state_is_out<E: Environment>(&mut self, env: &mut E) {
+        self.published_ns = env.now_ns();
+        env.wake_controllers();
+    }
+
+    /// A state that does not fit into a keyframe has none, which is said once.
+    fn publish_keyframe<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        match self.lane.keyframe_if_due(&self.plant, env) {
+            Ok(()) => Ok(()),
+            Err(LaneError::Output(cause)) => Err(HubError::Environment(cause)),
+            Err(LaneError::Plant(_)) if self.keyframe_refused => Ok(()),
+            Err(LaneError::Plant(cause)) => {
+                self.keyframe_refused = true;
+                let text = format!("no keyframe from tick {} on: {cause}", self.tick);
+                let (severity, code) = (SEVERITY_WARNING, EVENT_RUN);
+                Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
+            }
+        }
+    }
+
+    /// Says when a controller's command begins to be held, or is replaced by the safe one; see
+    /// [`LateNotes`](crate::late_notes::LateNotes).
+    fn report_sources<E: Environment>(&mut self, env: &mut E, latched: &Latched) -> Outcome<(), P, E> {
+        for (index, controller) in self.controllers.iter().enumerate() {
+            let (source, before) = (latched.commands[index].source, self.sources[index]);
+            self.sources[index] = source;
+            let [held, safe] = &mut self.late_notes[index];
+            let (notes, severity, code, what) =
+                if source == SOURCE_SAFE && before != SOURCE_SAFE && self.settings.mode == Mode::Realtime {
+                    let what = "late for longer than `run.hold_ticks`: burr off, arm stopped";
+                    (safe, SEVERITY_WARNING, EVENT_SAFE_COMMAND, what)
+                } else if source == SOURCE_HELD && before == SOURCE_FRESH {
+                    (held, SEVERITY_INFO, EVENT_COMMAND_HELD, "late: its last command is held")
+                } else {
+                    continue;
+                };
+            if let Some(more) = notes.add(latched.tick, self.settings.period_ns) {
+                let text = format!("controller `{}` is {what}{more}", controller.name);
+                env.send_event(&Note { tick: latched.tick, severity, code, text: &text })?;
+            }
+        }
+        Ok(())
+    }
+
+    fn report_refusals<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
+        for refusal in self.plant.refusals() {
+            self.refused_commands += u64::from(!refusal.stopped_later);
+            let controller = &mut self.controllers[refusal.controller_index as usize];
+            // A goal that cannot be reached may come at every tick.
+            if !controller.warnings.allows(env.now_ns()) {
+                continue;
+            }
+            let (name, end) = (&controller.name, if refusal.stopped_later { "" } else { "; refused" });
+            let text = format!("controller `{name}`: command {}: {}{end}", refusal.sequence, refusal.reason);
+            let (severity, code) = (SEVERITY_WARNING, EVENT_COMMAND_REFUSED);
+            env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
+        }
+        Ok(())
+    }
+}
+
+/// Bit i: controller i's command is not of this tick.
+fn late_controllers(latched: &Latched) -> u32 {
+    let count = (latched.controller_count as usize).min(MAX_CONTROLLERS);
+    let late = latched.commands[..count].iter().enumerate();
+    late.filter(|(_, command)| command.source != SOURCE_FRESH).fold(0, |bits, (index, _)| bits | 1 << index)
+}

@@ -1,0 +1,174 @@
+//! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, of which time spent
+//! stopped takes no part, and looks at the request to end.
+
+use messages::{EVENT_SAFE_COMMAND, PHASE_ENDED, Plant};
+use scene::Mode;
+
+use super::control::When;
+use super::{
+    ABANDONED_LIMIT_NS, Awaited, CONNECT_LOOK_NS, CONSUMER_LIMIT_NS, Hub, HubError, NS_PER_S, Next, Outcome,
+    REPORT_LOOK_NS, Stage, Step, wait,
+};
+use crate::consumers::Whom;
+use crate::environment::Environment;
+use crate::patience::Patience;
+
+impl<P: Plant> Hub<P> {
+    /// Real time.
+    pub(super) fn await_deadline<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
+        if self.ends(env) {
+            return Ok((Stage::TickDue, None));
+        }
+        let (woken_ns, deadline_ns) = (env.now_ns(), self.schedule.deadline_ns());
+        if woken_ns < deadline_ns {
+            return Ok((Stage::AwaitDeadline, wait(Awaited::Deadline, deadline_ns)));
+        }
+        self.collect_commands(env)?;
+        let start_ns = env.now_ns();
+        let start = self.schedule.begin(start_ns);
+        self.timing.collect_ns = start_ns - woken_ns;
+        env.tick_begins(Some((start_ns, start)), &mut self.timing);
+        self.make_tick(env, start)
+    }
+
+    /// No consumer is left further behind than its queues hold: in lockstep none; in real time with `recording.on_full = "wait"` the
+    /// recorder.
+    pub(super) fn await_consumers<E: Environment>(
+        &mut self,
+        env: &mut E,
+        tick: u64,
+        whom: Whom,
+        mut patience: Patience,
+        began_ns: u64,
+    ) -> Outcome<Step, P, E> {
+        let Some(part) = self.consumers.still_behind(env, tick, whom)? else {
+            return Ok((self.consumers_are_there(env.now_ns(), began_ns), None));
+        };
+        self.obey(env)?;
+        if self.ends(env) || self.rests() {
+            return Ok((Stage::TickDue, None));
+        }
+        if patience.is_over(env.now_ns()) {
+            let limit_s = patience.limit_ns() / NS_PER_S;
+            return Err(HubError::ConsumerStuck { part, tick: self.tick, limit_s });
+        }
+        self.send_status(env, self.phase(), When::IfDue)?;
+        env.wake_consumers();
+        let until_ns = env.now_ns() + REPORT_LOOK_NS;
+        let stage = Stage::ConsumersBehind { tick, whom, patience, began_ns };
+        Ok((stage, wait(Awaited::Report, until_ns)))
+    }
+
+    /// What is waited for next when no consumer is behind.
+    fn consumers_are_there(&mut self, now_ns: u64, began_ns: u64) -> Stage {
+        match self.settings.mode {
+            Mode::Realtime => {
+                self.timing.recorder_wait_ns = now_ns.saturating_sub(began_ns);
+                Stage::AwaitDeadline
+            }
+            Mode::Lockstep => {
+                let patience = Patience::new(self.settings.controller_limit_ns, now_ns);
+                Stage::AwaitAnswers { patience, silent: None }
+            }
+        }
+    }
+
+    /// Lockstep: every controller answers x_k.
+    pub(super) fn await_answers<E: Environment>(
+        &mut self,
+        env: &mut E,
+        mut patience: Patience,
+        silent: Option<usize>,
+    ) -> Outcome<Step, P, E> {
+        if let Some(silent) = silent {
+            let came = env.has_command(silent);
+            self.obey(env)?;
+            if self.ends(env) || self.rests() {
+                return Ok((Stage::TickDue, None));
+            }
+            self.send_status(env, self.phase(), When::IfDue)?;
+            if !came {
+                // A controller that has come back needs the state that it is to answer.
+                env.deliver_state_history()?;
+            }
+        }
+        loop {
+            self.collect_commands(env)?;
+            let Some(silent) = (0..self.controllers.len()).find(|index| !self.is_settled(*index)) else {
+                if self.ends(env) {
+                    return Ok((Stage::TickDue, None));
+                }
+                env.tick_begins(None, &mut self.timing);
+                return self.make_tick(env, crate::Start { lateness_ns: 0, missed: false });
+            };
+            // At every turn, also when messages come that are no answer.
+            if patience.is_over(env.now_ns()) {
+                self.give_up(env, silent)?;
+                continue;
+            }
+            let until_ns = patience.next_look_ns(env.now_ns());
+            let stage = Stage::AwaitAnswers { patience, silent: Some(silent) };
+            return Ok((stage, wait(Awaited::Command(silent), until_ns)));
+        }
+    }
+
+    /// Whether lockstep need not wait for a controller: it has answered, or may stay away and is not here.
+    fn is_settled(&self, index: usize) -> bool {
+        let away = !self.latch.has_command(index) || self.latch.is_released(index);
+        (away && self.controllers[index].optional) || self.latch.has_answer(index, self.tick)
+    }
+
+    /// A controller has not answered within its limit in lockstep: without an optional one the run goes on.
+    fn give_up<E: Environment>(&mut self, env: &mut E, silent: usize) -> Outcome<(), P, E> {
+        let limit_ms = self.settings.controller_limit_ns as f64 * 1e-6;
+        let controller = &self.controllers[silent];
+        if !controller.optional {
+            let name = controller.name.clone();
+            return Err(HubError::ControllerSilent { name, tick: self.tick, limit_ms });
+        }
+        self.latch.release(silent);
+        let text = format!(
+            "no answer to tick {} within {limit_ms} ms (`run.controller_limit_ms`); it is optional: burr off, arm stopped, \
+             and the run goes on without it until it commands again",
+            self.tick
+        );
+        self.warn(env, silent, EVENT_SAFE_COMMAND, &text)
+    }
+
+    /// Says that the run is over.
+    pub(super) fn finish<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
+        let text = format!("the run ended at tick {} of {}", self.tick, self.settings.tick_count);
+        self.inform(env, &text)?;
+        self.send_status(env, PHASE_ENDED, When::Now)?;
+        env.wake_controllers();
+        let now_ns = env.now_ns();
+        let patience = Patience::new(CONSUMER_LIMIT_NS, now_ns);
+        Ok((Stage::Ending { patience, abandoned: Patience::new(ABANDONED_LIMIT_NS, now_ns) }, None))
+    }
+
+    /// Stays until the consumers have everything.
+    pub(super) fn await_last<E: Environment>(
+        &mut self,
+        env: &mut E,
+        mut patience: Patience,
+        mut abandoned: Patience,
+    ) -> Outcome<Step, P, E> {
+        self.consumers.update(env)?;
+        let Some(part) = self.consumers.behind(self.tick, Whom::Everybody) else {
+            return Ok((Stage::Over, Some(Next::Ended)));
+        };
+        let now_ns = env.now_ns();
+        // Asked to end by a signal, somebody is in a hurry, or dead: nobody may be there to take the last state.
+        if env.end_requested() && (!self.shown || abandoned.is_over(now_ns)) {
+            return Ok((Stage::Over, Some(Next::Ended)));
+        }
+        if patience.is_over(now_ns) {
+            let limit_s = patience.limit_ns() / NS_PER_S;
+            return Err(HubError::ConsumerStuck { part, tick: self.tick, limit_s });
+        }
+        env.wake_consumers();
+        env.deliver_status_history()?;
+        let until_ns = now_ns + CONNECT_LOOK_NS;
+        Ok((Stage::Ending { patience, abandoned }, wait(Awaited::Nothing, until_ns)))
+    }
+}

@@ -1,0 +1,103 @@
+//! Rate limits per sender and for warnings, so that a client that floods can neither stall the tick nor fill the log.
+
+const MS: u64 = 1_000_000;
+
+/// Messages that a queue which every client may write is looked through for at a time. Taking one and passing it over is
+/// faster than sending it, so even a queue that is filled all the time runs empty now and then.
+pub const LOOKED_AT: usize = 256;
+
+/// Messages of one connection that count within [`PERIOD_NS`]: more than a program can send that waits for its answers.
+const EACH: usize = 64;
+const PERIOD_NS: u64 = 10 * MS;
+/// Warnings that are sent one by one within [`WARNING_PERIOD_NS`].
+const WARNINGS: usize = 16;
+const WARNING_PERIOD_NS: u64 = 100 * MS;
+
+/// One connection of a program that sends: another number each time that it connects.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Connection(pub u128);
+
+/// How many messages of each connection count.
+#[derive(Debug, Clone, Default)]
+pub struct RateLimit {
+    began_ns: u64,
+    taken: Vec<(Connection, usize)>,
+}
+
+impl RateLimit {
+    /// Whether one more message of this connection is within its share.
+    pub fn allows(&mut self, connection: Connection, now_ns: u64) -> bool {
+        if now_ns.saturating_sub(self.began_ns) >= PERIOD_NS {
+            self.began_ns = now_ns;
+            self.taken.clear();
+        }
+        match self.taken.iter_mut().find(|(other, _)| *other == connection) {
+            Some((_, count)) => {
+                *count += 1;
+                *count <= EACH
+            }
+            None => {
+                self.taken.push((connection, 1));
+                true
+            }
+        }
+    }
+}
+
+/// How many warnings are sent one by one; further ones are counted, and their number is sent.
+#[derive(Debug, Clone, Default)]
+pub struct WarningLimit {
+    began_ns: u64,
+    sent: usize,
+    suppressed: u64,
+}
+
+impl WarningLimit {
+    /// Whether one more warning is sent; if not, it counts.
+    pub fn allows(&mut self, now_ns: u64) -> bool {
+        if self.suppressed == 0 && now_ns.saturating_sub(self.began_ns) >= WARNING_PERIOD_NS {
+            *self = WarningLimit { began_ns: now_ns, ..WarningLimit::default() };
+        }
+        let allowed = self.sent < WARNINGS;
+        self.sent += usize::from(allowed);
+        self.suppressed += u64::from(!allowed);
+        allowed
+    }
+
+    /// How many warnings were not sent, when it is time to say so.
+    pub fn take_suppressed(&mut self, now_ns: u64) -> Option<u64> {
+        let suppressed = self.suppressed;
+        if suppressed == 0 || now_ns.saturating_sub(self.began_ns) < WARNING_PERIOD_NS {
+            return None;
+        }
+        *self = WarningLimit { began_ns: now_ns, ..WarningLimit::default() };
+        Some(suppressed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// In lockstep a flood is looked at many thousand times a second: a bound on each look bounded nothing.
+    #[test]
+    fn warnings_beyond_the_first_are_counted_and_said_once() {
+        let mut limit = WarningLimit::default();
+        let start_ns = 5 * WARNING_PERIOD_NS;
+        assert_eq!((0..1000).filter(|_| limit.allows(start_ns)).count(), WARNINGS);
+        let later_ns = start_ns + WARNING_PERIOD_NS;
+        assert!(!limit.allows(later_ns), "not before those that wait have been said");
+        assert_eq!(limit.take_suppressed(later_ns), Some(1001 - WARNINGS as u64));
+        assert_eq!(limit.take_suppressed(later_ns), None);
+        assert!(limit.allows(later_ns));
+    }
+
+    #[test]
+    fn a_connection_that_floods_takes_nothing_from_the_others() {
+        let mut limit = RateLimit::default();
+        let granted = (0..1000).filter(|_| limit.allows(Connection(1), PERIOD_NS)).count();
+        assert_eq!(granted, EACH);
+        assert!(limit.allows(Connection(2), PERIOD_NS));
+        assert!(limit.allows(Connection(1), 2 * PERIOD_NS), "a new period");
+    }
+}

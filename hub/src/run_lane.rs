@@ -1,0 +1,157 @@
+//! One tick of the run lane: what is stepped, and what is published of it in which order.
+//!
+//! ```text
+//! publish u_k
+//! x_{k+1} := step(x_k, u_k)
+//! publish the voxels that it removed, then x_{k+1}
+//! if due, publish the keyframe of x_{k+1}
+//! ```
+//!
+//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so that a log and its replay agree to the byte.
+
+use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_TICK};
+use messages::{Keyframe, Latched, Plant, Removed};
+use thiserror::Error;
+
+use crate::environment::Outputs;
+
+/// Why a tick of the run lane cannot be made.
+#[derive(Debug, Error)]
+pub enum LaneError<O, P> {
+    /// The plant refuses it.
+    #[error("{0}")]
+    Plant(P),
+    /// A message cannot be sent.
+    #[error("{0}")]
+    Output(O),
+}
+
+/// Errors of a lane with these outputs and this plant.
+type Outcome<O, P> = Result<(), LaneError<<O as Outputs>::Error, <P as Plant>::Error>>;
+
+/// When the parts of a tick ended, on the outputs' clock.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TickMarks {
+    /// u_k was out.
+    pub latched_ns: u64,
+    /// The plant had stepped.
+    pub stepped_ns: u64,
+    /// Everything was out.
+    pub published_ns: u64,
+}
+
+/// The run lane of one run: its sequence numbers, and when keyframes are due.
+#[derive(Debug)]
+pub struct RunLane {
+    removed_messages: u64,
+    keyframe_parts: u64,
+    keyframe_period_ticks: Option<u64>,
+    /// Empty without keyframes.
+    buffer: Vec<u8>,
+}
+
+impl RunLane {
+    /// A lane with a keyframe every so many ticks, or with none.
+    pub fn new(keyframe_period_ticks: Option<u64>) -> RunLane {
+        let buffer = vec![0; if keyframe_period_ticks.is_some() { MAX_KEYFRAME_BYTES } else { 0 }];
+        RunLane { removed_messages: 0, keyframe_parts: 0, keyframe_period_ticks, buffer }
+    }
+
+    /// A lane of which somebody else decides when a keyframe is due: a replay, where the log does.
+    pub fn with_keyframes_on_demand() -> RunLane {
+        RunLane { buffer: vec![0; MAX_KEYFRAME_BYTES], ..RunLane::new(None) }
+    }
+
+    /// `Removed` messages so far.
+    pub fn removed_messages(&self) -> u64 {
+        self.removed_messages
+    }
+
+    /// Publishes x_0, with the holes that are there before the run, in as many messages of tick 0 as they need.
+    ///
+    /// # Errors
+    /// [`LaneError::Output`].
+    pub fn begin<P: Plant, O: Outputs>(&mut self, plant: &P, out: &mut O) -> Outcome<O, P> {
+        for voxels in plant.predrilled().chunks(MAX_REMOVED_PER_TICK) {
+            self.send_removed(0, voxels, 0, false, out).map_err(LaneError::Output)?;
+        }
+        out.send_state(plant.state()).map_err(LaneError::Output)
+    }
+
+    /// Makes a tick and publishes it, but for its keyframe. `now_ns` reads the clock of whoever wants to know how long it took.
+    ///
+    /// # Errors
+    /// Any [`LaneError`]; the tick is then lost, and the plant not to be used any more.
+    pub fn tick<P: Plant, O: Outputs>(
+        &mut self,
+        plant: &mut P,
+        latched: &Latched,
+        out: &mut O,
+        now_ns: impl Fn(&O) -> u64,
+    ) -> Result<TickMarks, LaneError<O::Error, P::Error>> {
+        out.send_latched(latched).map_err(LaneError::Output)?;
+        let latched_ns = now_ns(out);
+        plant.step(latched).map_err(LaneError::Plant)?;
+        let stepped_ns = now_ns(out);
+        let (state, removed, reset) = (plant.state(), plant.removed(), latched.reset != 0);
+        if reset || !removed.is_empty() {
+            let (tick, total) = (state.tick, state.removed_total);
+            self.send_removed(tick, removed, total, reset, out).map_err(LaneError::Output)?;
+        }
+        out.send_state(state).map_err(LaneError::Output)?;
+        Ok(TickMarks { latched_ns, stepped_ns, published_ns: now_ns(out) })
+    }
+
+    /// Publishes the present state's keyframe if one is due.
+    ///
+    /// # Errors
+    /// [`LaneError::Plant`]: the state does not fit into a keyframe, which changes nothing.
+    pub fn keyframe_if_due<P: Plant, O: Outputs>(&mut self, plant: &P, out: &mut O) -> Outcome<O, P> {
+        match self.keyframe_period_ticks {
+            Some(period) if plant.state().tick.is_multiple_of(period) => self.keyframe(plant, out),
+            _ => Ok(()),
+        }
+    }
+
+    /// Publishes the present state's keyframe.
+    ///
+    /// # Errors
+    /// As [`RunLane::keyframe_if_due`].
+    pub fn keyframe<P: Plant, O: Outputs>(&mut self, plant: &P, out: &mut O) -> Outcome<O, P> {
+        let length = plant.write_keyframe(&mut self.buffer).map_err(LaneError::Plant)?;
+        let state = plant.state();
+        for (index, part) in self.buffer[..length].chunks(KEYFRAME_PART_BYTES).enumerate() {
+            self.keyframe_parts += 1;
+            let head = Keyframe {
+                tick: state.tick,
+                hash: state.hash,
+                sequence: self.keyframe_parts,
+                total_bytes: length as u32,
+                offset_bytes: (index * KEYFRAME_PART_BYTES) as u32,
+                reserved: 0,
+                data_length: part.len() as u32,
+            };
+            out.send_keyframe(&head, part).map_err(LaneError::Output)?;
+        }
+        Ok(())
+    }
+
+    fn send_removed<O: Outputs>(
+        &mut self,
+        tick: u64,
+        voxels: &[u32],
+        removed_total: u64,
+        restore_first: bool,
+        out: &mut O,
+    ) -> Result<(), O::Error> {
+        self.removed_messages += 1;
+        let head = Removed {
+            tick,
+            sequence: self.removed_messages,
+            removed_total,
+            restore_first: u32::from(restore_first),
+            voxel_index_length: voxels.len() as u32,
+        };
+        out.send_removed(&head, voxels)
+    }
+}

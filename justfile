@@ -1,0 +1,39 @@
+# What one types while working here. `just` lists it; https://just.systems
+
+_list:
+    @just --list
+
+# the fast set: everything without processes, downloads and browsers
+test *arguments:
+    cargo nextest run --release --workspace --profile fast {{arguments}}
+
+# every test, those in documentation too: what README.md and .ci/run call
+test-all:
+    cargo test --workspace --release
+
+# what .ci/run checks without running tests: format, lints, licences, documents, types (or: just check clippy docs)
+check *steps="format clippy minimum deny docs page python fuzz readme":
+    .ci/run {{steps}}
+
+# every crate's pages, in target/doc
+docs:
+    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --release
+
+# the generated references, C header and Python module, from their sources
+generate:
+    cargo run --release -- docs scene > target/scene.md && mv target/scene.md docs/scene.md
+    cargo run --release -- docs messages > target/messages.md && mv target/messages.md docs/messages.md
+    cargo run --release -p trabecula_client --bin trabecula_client_bindings -- c > target/trabecula.h && mv target/trabecula.h clients/c/include/trabecula.h
+    cargo run --release -p trabecula_client --bin trabecula_client_bindings -- python > target/_generated.py && mv target/_generated.py clients/python/trabecula/_generated.py
+
+# every fuzz target for a time, or those named: just fuzz 60 nifti dicom
+fuzz seconds="600" *targets:
+    fuzz/run -s {{seconds}} {{targets}}
+
+# the hub under seeded schedules: just schedules 10000000
+schedules count="1000000":
+    cargo run --release -p hub_simulator --bin hub_simulator -- --count {{count}}
+
+# broken versions of the hub, each of which the schedules must find
+mutants *name:
+    cargo run --release -p hub_simulator --example hub_mutants -- {{name}}

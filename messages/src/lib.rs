@@ -1,0 +1,92 @@
+//! The messages: every exchange between the hub's processes, and which service carries it.
+//!
+//! SI units and `f64`; the unit ends the field's name. The world is the patient frame (LPS, metres); `t_parent_child`
+//! is the pose of the child frame in the parent frame. Codes of `uint32` fields are constants beside their message.
+//!
+//! One declaration with [`message!`] gives the struct, its `ros2msg` schema, its table of fields and its layout hash, from which the
+//! message reference, the C header and the Python declarations are generated, too.
+//!
+//! **Boundary:** bytes and names. How a message travels is the transport's affair (`ipc_types`), what it does the hub's and the plant's.
+//!
+//! **Invariants:** a message has a fixed size, is little-endian and has no padding (the compiler proves it), so its bytes behind
+//! [`CDR_LITTLE_ENDIAN`](layout::CDR_LITTLE_ENDIAN) are a CDR message of its schema and no byte is undefined. Field names are legal in ROS.
+//! A changed layout has another hash, and who brings it is refused.
+//!
+//! ```
+//! use messages::layout::Message;
+//! use messages::{Command, TENDON_SERVO_JF};
+//! use zerocopy::{FromBytes, IntoBytes};
+//!
+//! let mut command = Command::zeroed();
+//! command.tendon_mode = TENDON_SERVO_JF;
+//! command.tendon_force_n[0] = 5.0;
+//! let bytes = command.as_bytes();
+//! assert_eq!(Command::read_from_bytes(bytes).unwrap().tendon_force_n[0], 5.0);
+//! assert!(Command::DESCRIPTION.check_length(&bytes[1..]).is_err());
+//! assert!(Command::DESCRIPTION.schema().contains("float64[4] tendon_force_n"));
+//! ```
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`layout`] | declarations, schemas, layout hashes |
+//! | [`services`] | names, writers, queues and lanes |
+//! | [`part`], [`plant`] | the parts of a session; what a tick steps |
+
+mod command;
+mod geometry;
+mod hub;
+mod image;
+mod keyframe;
+pub mod layout;
+pub mod part;
+pub mod plant;
+pub mod services;
+mod state;
+mod timing;
+mod volume;
+
+pub use command::*;
+pub use geometry::*;
+pub use hub::*;
+pub use image::*;
+pub use keyframe::*;
+pub use part::Part;
+pub use plant::{Plant, Refusal};
+pub use state::*;
+pub use timing::*;
+pub use volume::*;
+
+use crate::layout::{Description, Message};
+
+/// Most flexures (and so links) that a `State` carries.
+pub const MAX_JOINTS: usize = 32;
+/// Most contacts that a `State` lists; `contact_total` counts all of them.
+pub const MAX_CONTACTS: usize = 40;
+/// Most rigid bodies of a scene.
+pub const MAX_BODIES: usize = 4;
+/// Most tendons of a manipulator.
+pub const MAX_TENDONS: usize = 4;
+/// Joints of the arm.
+pub const ARM_JOINTS: usize = 6;
+/// Most controllers of one session.
+pub const MAX_CONTROLLERS: usize = 4;
+
+/// Every message that travels on a service, in the order of the message reference.
+pub const ALL: &[&Description] = &[
+    State::DESCRIPTION,
+    Command::DESCRIPTION,
+    Latched::DESCRIPTION,
+    Removed::DESCRIPTION,
+    Keyframe::DESCRIPTION,
+    Volume::DESCRIPTION,
+    Frame::DESCRIPTION,
+    DrrRequest::DESCRIPTION,
+    DrrReply::DESCRIPTION,
+    RunControl::DESCRIPTION,
+    RunControlReply::DESCRIPTION,
+    RunStatus::DESCRIPTION,
+    Event::DESCRIPTION,
+    Progress::DESCRIPTION,
+    TickTiming::DESCRIPTION,
+    FrameTiming::DESCRIPTION,
+];

@@ -1,0 +1,32 @@
+//! The parts of a session.
+
+use std::fmt::{self, Display, Formatter};
+
+/// What a session consists of beside its controllers and clients. One program is each of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// The launcher, or whoever has made the session.
+    Host,
+    /// The physics process.
+    Physics,
+    /// The DRR process.
+    Drr,
+    /// The recorder process.
+    Recorder,
+}
+
+impl Part {
+    /// All of them.
+    pub const ALL: [Part; 4] = [Part::Host, Part::Physics, Part::Drr, Part::Recorder];
+}
+
+impl Display for Part {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Part::Host => "the host",
+            Part::Physics => "the physics",
+            Part::Drr => "the DRR process",
+            Part::Recorder => "the recorder process",
+        })
+    }
+}

@@ -1,0 +1,213 @@
+//! The services of a session: name, message, lane, and the limits of each queue.
+//!
+//! All services are publish-subscribe over byte slices; the layout hash of the message travels as an attribute. Every
+//! queue is bounded and overwrites its oldest entry, so nothing ever blocks the physics; each message carries a
+//! sequence number or tick, so a loss is seen by whoever suffered it.
+
+use crate::layout::{Description, Message};
+use crate::part::Part;
+use crate::{
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched, Progress,
+    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming, Volume,
+};
+
+/// Which log a service is recorded to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lane {
+    /// `run.mcap`: a function of the scene and the latched commands alone.
+    Run,
+    /// `timing.mcap`: wall-clock facts and everything that depends on them.
+    Timing,
+    /// Not recorded as messages (the volume: its hash is in the log's metadata).
+    None,
+}
+
+/// One service and its limits.
+#[derive(Debug, Clone, Copy)]
+pub struct Service {
+    /// Name within the session; a command service adds `/<controller>`.
+    pub name: &'static str,
+    /// Its message.
+    pub description: &'static Description,
+    /// Where it is recorded.
+    pub lane: Lane,
+    /// Parts of the hub that alone write it; none: every client may.
+    pub writers: &'static [Part],
+    /// Entries that a slow subscriber may lag behind before its oldest are overwritten.
+    pub queue_length: usize,
+    /// The same for whoever must not lose any: the recorder, and the DRR for removed voxels.
+    pub lossless_length: usize,
+    /// Newest messages that a late joiner receives.
+    pub history: usize,
+    /// Most publishers at a time.
+    pub max_publishers: usize,
+    /// Most subscribers at a time.
+    pub max_subscribers: usize,
+    /// Most bytes of one message, where that does not depend on the scene; longer ones are split or refused by the
+    /// sender.
+    pub max_bytes: usize,
+}
+
+/// Voxels that one tick may remove: the physics carries the rest over to the next tick.
+pub const MAX_REMOVED_PER_TICK: usize = 4096;
+/// Longest keyframe; a state that needs more has none.
+pub const MAX_KEYFRAME_BYTES: usize = 1 << 20;
+/// Most bytes of it in one message.
+pub const KEYFRAME_PART_BYTES: usize = 16 << 10;
+/// Bytes of an event's text with its NUL.
+pub const MAX_EVENT_TEXT: usize = 1024;
+
+/// A whole session has nine subscribers of the run's status: four controllers, DRR, recorder, launcher and the viewer's two. The
+/// others are for clients that only watch. Each costs two samples of every publisher.
+const MAX_SUBSCRIBERS: usize = 16;
+
+const fn fixed<M: Message>(
+    name: &'static str,
+    lane: Lane,
+    writers: &'static [Part],
+    queue_length: usize,
+) -> Service {
+    Service {
+        name,
+        description: M::DESCRIPTION,
+        lane,
+        writers,
+        queue_length,
+        lossless_length: 8 * queue_length,
+        history: 1,
+        max_publishers: 1,
+        max_subscribers: MAX_SUBSCRIBERS,
+        max_bytes: M::DESCRIPTION.size,
+    }
+}
+
+const ANYBODY: &[Part] = &[];
+const PHYSICS_ONLY: &[Part] = &[Part::Physics];
+const DRR_ONLY: &[Part] = &[Part::Drr];
+
+/// `State`, once a tick. A queue holds half a second of them at 1 kHz, the recorder's [`RECORDER_QUEUE_TICKS`].
+pub const STATE: Service = fixed::<State>("state", Lane::Run, PHYSICS_ONLY, 512);
+/// Ticks for which the recorder may stand still and still lose nothing: 4.096 s at 1 kHz. The queues of everything that comes once a
+/// tick are as long.
+pub const RECORDER_QUEUE_TICKS: u64 = STATE.lossless_length as u64;
+/// `Latched`, once a tick, before the state that it leads to.
+pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, PHYSICS_ONLY, 512);
+/// `Removed`, for ticks that removed voxels.
+pub const REMOVED: Service = Service {
+    history: 0,
+    max_bytes: Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4,
+    ..fixed::<Removed>("removed", Lane::Run, PHYSICS_ONLY, 512)
+};
+/// `Keyframe`, in parts, every `recording.keyframe_interval_s`. The queue holds the longest one.
+pub const KEYFRAME: Service = Service {
+    history: 0,
+    max_subscribers: 2,
+    max_bytes: Keyframe::DESCRIPTION.size + KEYFRAME_PART_BYTES,
+    ..fixed::<Keyframe>("keyframe", Lane::Run, PHYSICS_ONLY, MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES)
+};
+/// `Command`, one service a controller: the writer is known by the service. A recorder may be as far behind its answers
+/// as it is behind the states.
+pub const COMMAND: Service =
+    Service { history: 0, ..fixed::<Command>("command", Lane::Timing, ANYBODY, 512) };
+/// `Volume`, once; `max_bytes` is that of the scene's volume.
+pub const VOLUME: Service =
+    Service { lossless_length: 1, max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, &[Part::Host], 1) };
+/// `Frame` with its image; `max_bytes` is that of the scene's detector.
+pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, DRR_ONLY, 8) };
+/// `DrrRequest`.
+pub const DRR_REQUEST: Service = Service {
+    history: 0,
+    max_publishers: 8,
+    ..fixed::<DrrRequest>("drr_request", Lane::Timing, ANYBODY, 64)
+};
+/// `DrrReply`.
+pub const DRR_REPLY: Service =
+    Service { history: 0, ..fixed::<DrrReply>("drr_reply", Lane::Run, DRR_ONLY, 64) };
+/// `RunControl`.
+pub const RUN_CONTROL: Service = Service {
+    history: 0,
+    max_publishers: 8,
+    ..fixed::<RunControl>("run_control", Lane::Timing, ANYBODY, 16)
+};
+/// `RunControlReply`.
+pub const RUN_CONTROL_REPLY: Service =
+    Service { history: 0, ..fixed::<RunControlReply>("run_control_reply", Lane::Timing, PHYSICS_ONLY, 16) };
+/// `RunStatus`.
+pub const RUN_STATUS: Service = fixed::<RunStatus>("run_status", Lane::Timing, PHYSICS_ONLY, 16);
+/// `Event`.
+pub const EVENT: Service = Service {
+    history: 0,
+    max_publishers: 16,
+    max_bytes: Event::DESCRIPTION.size + MAX_EVENT_TEXT,
+    ..fixed::<Event>("event", Lane::Timing, ANYBODY, 256)
+};
+/// `Progress` of the consumers of lossless streams.
+pub const PROGRESS: Service = Service {
+    max_publishers: 4,
+    ..fixed::<Progress>("progress", Lane::None, &[Part::Drr, Part::Recorder], 16)
+};
+/// `TickTiming`.
+pub const TICK_TIMING: Service =
+    Service { history: 0, ..fixed::<TickTiming>("tick_timing", Lane::Timing, PHYSICS_ONLY, 512) };
+/// `FrameTiming`.
+pub const FRAME_TIMING: Service =
+    Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, DRR_ONLY, 64) };
+
+impl Service {
+    /// Samples that a publisher has, loans of its own included. A queue holds the newest messages, so what lies in all
+    /// queues together is what lies in the longest; besides, every subscriber may hold two. The volume is published
+    /// once: one copy of a CT in memory, not one for each who may read it.
+    pub fn samples(&self) -> usize {
+        if self.name == VOLUME.name {
+            return 1;
+        }
+        self.lossless_length.max(self.history) + SAMPLES_HELD * (self.max_subscribers + 1)
+    }
+
+    /// Bytes of shared memory that a publisher reserves, at most.
+    pub fn reserved_bytes(&self) -> u64 {
+        let sample = self.max_bytes + SAMPLE_HEADER;
+        SEGMENT_HEADER + (self.samples() * (sample + SAMPLE_INDEX)) as u64
+    }
+}
+
+/// What a sample needs beside its payload, at most.
+const SAMPLE_HEADER: usize = 64;
+/// What the segment's allocator needs for each sample, at most.
+const SAMPLE_INDEX: usize = 8;
+/// What a segment needs beside its samples, at most.
+const SEGMENT_HEADER: u64 = 4096;
+/// What a port needs beside its samples: its connections, and what the others make at the same time.
+pub const CONNECTIONS_BYTES: u64 = 2 << 20;
+
+/// Samples that a subscriber may hold at a time.
+pub const SAMPLES_HELD: usize = 2;
+
+/// Every service but the commands, of which there is one a controller.
+pub const ALL: &[Service] = &[
+    STATE,
+    LATCHED,
+    REMOVED,
+    KEYFRAME,
+    VOLUME,
+    FRAME,
+    DRR_REQUEST,
+    DRR_REPLY,
+    RUN_CONTROL,
+    RUN_CONTROL_REPLY,
+    RUN_STATUS,
+    EVENT,
+    PROGRESS,
+    TICK_TIMING,
+    FRAME_TIMING,
+];
+
+/// Name of a controller's command service.
+pub fn command_name(controller: &str) -> String {
+    format!("{}/{controller}", COMMAND.name)
+}
+
+/// Bytes of a frame message: [`Frame`], [`ImagePrefix`], pixels.
+pub fn frame_bytes(columns: u32, rows: u32) -> usize {
+    Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size + columns as usize * rows as usize * 2
+}

@@ -1,0 +1,89 @@
+//! Files on their way: without a name where the file system has such files.
+
+use std::fs::{File, Permissions};
+use std::io;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{AtFlags, CWD, Mode, OFlags, linkat, openat};
+use tempfile::TempPath;
+
+use crate::{DRAFT_PREFIX, folder_of};
+
+/// As any program's files: what the umask leaves of it.
+const MODE: u32 = 0o666;
+
+/// A file that goes with its process unless it is given a name.
+#[derive(Debug)]
+pub struct Draft {
+    file: File,
+    /// A name that says what it is, which is removed with this.
+    named: Option<TempPath>,
+}
+
+impl Draft {
+    /// Begins a file in a folder.
+    pub fn begin(folder: &Path) -> io::Result<Draft> {
+        let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
+        match openat(CWD, folder, flags, Mode::from_raw_mode(MODE)) {
+            Ok(file) => Ok(Draft { file: file.into(), named: None }),
+            // Whatever the reason: this one says what is wrong with the folder.
+            Err(_) => Draft::begin_named(folder),
+        }
+    }
+
+    /// The same where every file has a name.
+    pub fn begin_named(folder: &Path) -> io::Result<Draft> {
+        let mut builder = tempfile::Builder::new();
+        let builder = builder.prefix(DRAFT_PREFIX).permissions(Permissions::from_mode(MODE));
+        let (file, named) = builder.tempfile_in(folder).map_err(plain)?.into_parts();
+        Ok(Draft { file, named: Some(named) })
+    }
+
+    /// What is written to.
+    pub fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Where this process can read it.
+    pub fn path(&self) -> PathBuf {
+        match &self.named {
+            Some(path) => path.to_path_buf(),
+            None => format!("/proc/self/fd/{}", self.file.as_raw_fd()).into(),
+        }
+    }
+
+    /// Gives it a name that nothing has.
+    pub fn name(self, path: &Path) -> io::Result<()> {
+        match self.named {
+            Some(named) => named.persist_noclobber(path).map_err(|failed| plain(failed.error)),
+            None => self.link(path),
+        }
+    }
+
+    /// Gives it a draft's name in the folder of a path.
+    pub fn into_named(mut self, path: &Path) -> io::Result<TempPath> {
+        match self.named.take() {
+            Some(named) => Ok(named),
+            None => {
+                let mut builder = tempfile::Builder::new();
+                let made = builder.prefix(DRAFT_PREFIX).make_in(folder_of(path), |name| self.link(name));
+                Ok(made.map_err(plain)?.into_temp_path())
+            }
+        }
+    }
+
+    fn link(&self, path: &Path) -> io::Result<()> {
+        Ok(linkat(CWD, self.path(), CWD, path, AtFlags::SYMLINK_FOLLOW)?)
+    }
+}
+
+/// The system's reason without the name of the draft, which means nothing to whoever reads it.
+pub fn plain(cause: io::Error) -> io::Error {
+    match cause.get_ref().and_then(|inner| inner.source()).and_then(|inner| inner.downcast_ref::<io::Error>())
+    {
+        Some(source) => source.raw_os_error().map_or(source.kind().into(), io::Error::from_raw_os_error),
+        None => cause.kind().into(),
+    }
+}

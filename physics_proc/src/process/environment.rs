@@ -1,0 +1,234 @@
+//! The hub's surroundings in a running session: ports in shared memory, the machine's clock, the kernel's counters.
+
+use std::time::{Duration, Instant};
+
+use hub::rate_limit::Connection;
+use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
+use ipc_types::clock::now_ns;
+use ipc_types::messages::{
+    Command, Keyframe, Latched, Part, Progress, Removed, RunControl, RunControlReply, RunStatus,
+    SENDER_PHYSICS, State, TickTiming,
+};
+use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
+use ipc_types::process::{EndRequest, EventSender};
+use ipc_types::scene::Scene;
+use ipc_types::services;
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::{Waiter, Waker};
+use zerocopy::IntoBytes;
+
+use super::clock::Sleeper;
+use super::disturbance::Disturbances;
+
+/// Every port of the physics process.
+pub(super) struct SharedMemory {
+    state: Publisher<State>,
+    latched: Publisher<Latched>,
+    removed: Publisher<Removed>,
+    /// None without a recorder.
+    keyframe: Option<Publisher<Keyframe>>,
+    status: Publisher<RunStatus>,
+    timing: Publisher<TickTiming>,
+    control: Subscriber<RunControl>,
+    control_reply: Publisher<RunControlReply>,
+    progress: Subscriber<Progress>,
+    events: EventSender,
+    commands: Vec<Subscriber<Command>>,
+    controller_wakers: Vec<Waker>,
+    consumers: Vec<(Part, Waker)>,
+    waiter: Waiter,
+    sleeper: Sleeper,
+    disturbances: Disturbances,
+    end: EndRequest,
+}
+
+impl SharedMemory {
+    /// Opens the ports; the thread that opens them is the one that keeps the tick.
+    pub(super) fn open(
+        session: &Session,
+        scene: &Scene,
+        end: EndRequest,
+    ) -> Result<SharedMemory, SessionError> {
+        let names = || scene.controller.iter().map(|controller| controller.name.as_str());
+        let announcement = session.announcement();
+        let mut consumers = Vec::new();
+        if announcement.frame_bytes > 0 {
+            consumers.push((Part::Drr, session.waker(Reader::Drr)?));
+        }
+        if announcement.recorder {
+            consumers.push((Part::Recorder, session.waker(Reader::Recorder)?));
+        }
+        let recorded = announcement.recorder && scene.keyframe_period_ticks().is_some();
+        Ok(SharedMemory {
+            state: session.publisher(&services::STATE)?,
+            latched: session.publisher(&services::LATCHED)?,
+            removed: session.publisher(&services::REMOVED)?,
+            keyframe: recorded.then(|| session.publisher(&services::KEYFRAME)).transpose()?,
+            status: session.publisher(&services::RUN_STATUS)?,
+            timing: session.publisher(&services::TICK_TIMING)?,
+            control: session.subscriber(&services::RUN_CONTROL)?,
+            control_reply: session.publisher(&services::RUN_CONTROL_REPLY)?,
+            progress: session.subscriber(&services::PROGRESS)?,
+            events: EventSender::new(session, SENDER_PHYSICS)?,
+            commands: names().map(|name| session.command_subscriber(name)).collect::<Result<_, _>>()?,
+            controller_wakers: (0..names().count())
+                .map(|index| session.waker(Reader::Controller(index)))
+                .collect::<Result<_, _>>()?,
+            consumers,
+            waiter: session.waiter(Reader::Physics)?,
+            sleeper: Sleeper::new(scene.run.wait),
+            disturbances: Disturbances::new(),
+            end,
+        })
+    }
+
+    /// The parts that take every state.
+    pub(super) fn consumers(&self) -> Vec<Part> {
+        self.consumers.iter().map(|(part, _)| *part).collect()
+    }
+
+    /// The request to end.
+    pub(super) fn end(&self) -> &EndRequest {
+        &self.end
+    }
+
+    /// Waits for what the hub waits for.
+    pub(super) fn wait(&mut self, wait: Wait) {
+        let left = Duration::from_nanos(wait.until_ns.saturating_sub(now_ns()));
+        let until = Instant::now() + left;
+        match wait.on {
+            Awaited::Deadline => self.sleeper.wait_until(wait.until_ns),
+            Awaited::Nothing => std::thread::sleep(left),
+            Awaited::Control => {
+                self.waiter.wait_until(until, || self.control.has_message());
+            }
+            Awaited::Report => {
+                self.waiter.wait_until(until, || self.progress.has_message());
+            }
+            Awaited::Command(index) => {
+                self.waiter.wait_until(until, || self.commands[index].has_message());
+            }
+        }
+    }
+}
+
+/// A copy of a message, and who sent it.
+fn copied<M: ipc_types::layout::Message>(received: &Received<M>) -> Incoming<M> {
+    Incoming::Message(*received.message(), Connection(received.sender().number()))
+}
+
+impl Outputs for SharedMemory {
+    type Error = PortError;
+
+    fn send_latched(&mut self, latched: &Latched) -> Result<(), PortError> {
+        self.latched.send(latched)
+    }
+
+    fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), PortError> {
+        self.removed.send_with_tail(removed, voxels.as_bytes())
+    }
+
+    fn send_state(&mut self, state: &State) -> Result<(), PortError> {
+        self.state.send(state)
+    }
+
+    fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), PortError> {
+        self.keyframe.as_ref().map_or(Ok(()), |publisher| publisher.send_with_tail(keyframe, part))
+    }
+}
+
+impl Environment for SharedMemory {
+    fn now_ns(&self) -> u64 {
+        now_ns()
+    }
+
+    fn end_requested(&self) -> bool {
+        self.end.is_set()
+    }
+
+    fn receive_command(&mut self, controller: usize) -> Result<Option<Incoming<Command>>, PortError> {
+        match self.commands[controller].receive() {
+            Ok(received) => Ok(received.map(|received| copied(&received))),
+            Err(PortError::Length { service, bytes, expected }) => {
+                let reason = format!("a message of {bytes} bytes on `{service}`, expected {expected}");
+                Ok(Some(Incoming::Malformed(reason)))
+            }
+            Err(other) => Err(other),
+        }
+    }
+
+    fn has_command(&self, controller: usize) -> bool {
+        self.commands[controller].has_message()
+    }
+
+    fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, PortError> {
+        match self.control.receive() {
+            Ok(received) => Ok(received.map(|received| copied(&received))),
+            Err(malformed @ PortError::Length { .. }) => Ok(Some(Incoming::Malformed(malformed.to_string()))),
+            Err(other) => Err(other),
+        }
+    }
+
+    fn receive_report(&mut self) -> Result<Option<Report>, PortError> {
+        while let Some(received) = self.progress.receive_valid(|_| {})? {
+            // Whose it is says the transport, not the report: nobody speaks for another.
+            if let Some(part) = received.part() {
+                return Ok(Some(Report { part, tick: received.message().tick }));
+            }
+        }
+        Ok(None)
+    }
+
+    fn foreign_reports(&self) -> u64 {
+        self.progress.strangers()
+    }
+
+    fn send_status(&mut self, status: &RunStatus) -> Result<(), PortError> {
+        self.status.send(status)
+    }
+
+    fn send_timing(&mut self, timing: &TickTiming) -> Result<(), PortError> {
+        self.timing.send(timing)
+    }
+
+    fn send_control_reply(&mut self, reply: &RunControlReply) -> Result<(), PortError> {
+        self.control_reply.send(reply)
+    }
+
+    fn send_event(&mut self, note: &Note<'_>) -> Result<(), PortError> {
+        self.events.send(note.tick, note.severity, note.code, note.text)
+    }
+
+    fn wake_controllers(&mut self) {
+        self.controller_wakers.iter().for_each(Waker::wake);
+    }
+
+    fn wake_consumers(&mut self) {
+        self.consumers.iter().for_each(|(_, waker)| waker.wake());
+    }
+
+    fn deliver_state_history(&mut self) -> Result<(), PortError> {
+        self.state.deliver_history()
+    }
+
+    fn deliver_status_history(&mut self) -> Result<(), PortError> {
+        self.status.deliver_history()
+    }
+
+    fn work_ends(&mut self) {
+        self.disturbances.work_ends();
+    }
+
+    fn tick_begins(&mut self, start: Option<(u64, Start)>, timing: &mut TickTiming) {
+        match start {
+            Some((start_ns, start)) => {
+                self.disturbances.tick_begins(start_ns, start.lateness_ns, start.missed, timing);
+            }
+            None => self.disturbances.count(timing),
+        }
+    }
+
+    fn status_is_due(&mut self) {
+        self.disturbances.note_steal();
+    }
+}

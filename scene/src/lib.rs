@@ -1,0 +1,116 @@
+//! Scenes: one TOML file says everything that a run needs.
+//!
+//! Keys carry their unit (`_mm`, `_deg`, `_rpm`); what a scene does not name is not simulated: no `[volume]`, no bone;
+//! no `[drr]`, no X-ray process. Reading checks every key and every range and names file, key, value and allowed range.
+//!
+//! **Boundary:** a text comes in, a [`Scene`] or a [`SceneError`] goes out. Files are opened elsewhere (`ipc_types::scene_file`).
+//!
+//! **Invariants:** a [`Scene`] that [`Scene::parse`] returned is within every range and agrees with itself, so nobody behind it checks again;
+//! an unknown key is an error. [`reference`](mod@reference) is made of the declarations, so it lists every key.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use scene::Scene;
+//!
+//! let text = r#"
+//! name = "straight"
+//! [run]
+//! mode = "lockstep"
+//! duration_s = 2.0
+//! [tool]
+//! burr_start_mm = [0.0, 0.0, 0.0]
+//! direction = [1.0, 0.0, 0.0]
+//! bend_toward = [0.0, 0.0, 1.0]
+//! "#;
+//! let scene = Scene::parse(text, Path::new("straight.toml")).unwrap();
+//! assert_eq!(scene.tick_count(), 2000);
+//! assert!(scene.volume.is_none());
+//!
+//! let error = Scene::parse(&text.replace("2.0", "-2.0"), Path::new("straight.toml")).unwrap_err();
+//! assert!(error.to_string().contains("run.duration_s"), "{error}");
+//! ```
+
+mod check;
+mod drr;
+mod model;
+pub mod reference;
+mod tolerance;
+
+pub use check::SceneError;
+pub use drr::*;
+pub use model::*;
+pub use tolerance::Tolerance;
+
+use std::path::Path;
+
+/// Longest run. MCAP numbers a channel's messages with 32 bits: at the shortest time step, 0.1 ms, a day needs a fifth of
+/// them. All other counts of ticks, frames and bytes have 64 bits.
+pub const LONGEST_RUN_S: f64 = 86_400.0;
+
+impl Scene {
+    /// Reads and checks a scene's text; `path` names it in errors, and relative paths in it start there.
+    ///
+    /// # Errors
+    /// [`SceneError`]: a key is unknown or missing, or a value is out of its range.
+    pub fn parse(text: &str, path: &Path) -> Result<Scene, SceneError> {
+        let mut scene: Scene = toml::from_str(text).map_err(|cause| SceneError::Malformed {
+            file: path.to_owned(),
+            line: cause.span().map_or(0, |span| text[..span.start.min(text.len())].matches('\n').count() + 1),
+            cause: cause.message().to_owned(),
+        })?;
+        scene.resolve_paths(path.parent().unwrap_or(Path::new(".")));
+        check::check(&scene, path)?;
+        Ok(scene)
+    }
+
+    fn resolve_paths(&mut self, folder: &Path) {
+        for controller in &mut self.controller {
+            if let Some(drilling) = &mut controller.curved_drilling
+                && let Some(path) = &mut drilling.calibration
+            {
+                let joined = folder.join(&*path);
+                *path = std::path::absolute(&joined).unwrap_or(joined);
+            }
+        }
+        if let Some(volume) = &mut self.volume
+            && let Some(path) = &mut volume.path
+        {
+            // Absolute, because the text is copied into the session and into the log, which lie elsewhere.
+            let joined = folder.join(&*path);
+            *path = std::path::absolute(&joined).unwrap_or(joined);
+        }
+    }
+
+    /// Time step in seconds.
+    pub fn dt_s(&self) -> f64 {
+        self.run.dt_ms * 1e-3
+    }
+
+    /// Time step in nanoseconds.
+    pub fn dt_ns(&self) -> u64 {
+        (self.run.dt_ms * 1e6 + 0.5) as u64
+    }
+
+    /// Number of ticks of the whole run.
+    pub fn tick_count(&self) -> u64 {
+        (self.run.duration_s / self.dt_s() + 0.5) as u64
+    }
+
+    /// The controllers' names in order.
+    pub fn controller_names(&self) -> Vec<String> {
+        self.controller.iter().map(|controller| controller.name.clone()).collect()
+    }
+
+    /// Ticks between two scheduled frames; `None` without DRR or with frames only on request.
+    pub fn frame_period_ticks(&self) -> Option<u64> {
+        let rate_hz = self.drr.as_ref()?.rate_hz;
+        (rate_hz > 0.0).then(|| ((1.0 / (rate_hz * self.dt_s())) + 0.5).max(1.0) as u64)
+    }
+
+    /// Ticks between two keyframes; `None` without.
+    pub fn keyframe_period_ticks(&self) -> Option<u64> {
+        let interval_s = self.recording.keyframe_interval_s;
+        (interval_s > 0.0).then(|| (interval_s / self.dt_s() + 0.5).max(1.0) as u64)
+    }
+}

@@ -1,0 +1,88 @@
+//! Where the voxels of a CT lie: dimensions, spacing, direction and origin, in the patient frame.
+
+use nalgebra::{Matrix3, Vector3};
+use voxel_grid::VoxelGrid;
+
+use super::BoneError;
+
+/// A uniform voxel grid in the world (patient frame, LPS, metres). Voxel (i, j, k) is the box of size `spacing_m` about
+/// its centre `origin + direction * (i dx, j dy, k dz)`; x runs fastest in memory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GridGeometry {
+    /// Number of voxels along x, y, z.
+    pub dims: [usize; 3],
+    /// Voxel size along x, y, z in metres.
+    pub spacing_m: [f64; 3],
+    /// Direction cosines: column a is the world direction of grid axis a. Orthonormal; a mirrored grid is allowed.
+    pub direction_world_grid: Matrix3<f64>,
+    /// World position of the centre of voxel (0, 0, 0) in metres.
+    pub origin_world_m: Vector3<f64>,
+}
+
+impl GridGeometry {
+    /// An unrotated grid.
+    pub fn axis_aligned(dims: [usize; 3], spacing_m: [f64; 3], origin_world_m: Vector3<f64>) -> Self {
+        Self { dims, spacing_m, direction_world_grid: Matrix3::identity(), origin_world_m }
+    }
+
+    /// Number of voxels.
+    pub fn voxel_count(&self) -> usize {
+        self.dims[0] * self.dims[1] * self.dims[2]
+    }
+
+    /// Volume of one voxel in cubic metres.
+    pub fn voxel_volume_m3(&self) -> f64 {
+        self.spacing_m[0] * self.spacing_m[1] * self.spacing_m[2]
+    }
+
+    /// Smallest voxel edge in metres.
+    pub(super) fn smallest_spacing_m(&self) -> f64 {
+        self.spacing_m.iter().fold(f64::INFINITY, |low, h| low.min(*h))
+    }
+
+    /// Linear index of a voxel, x fastest.
+    pub fn linear_index(&self, i: usize, j: usize, k: usize) -> usize {
+        (k * self.dims[1] + j) * self.dims[0] + i
+    }
+
+    /// World position of a voxel's centre in metres.
+    pub fn voxel_centre_world_m(&self, i: usize, j: usize, k: usize) -> Vector3<f64> {
+        let [dx, dy, dz] = self.spacing_m;
+        self.point_to_world(&Vector3::new(i as f64 * dx, j as f64 * dy, k as f64 * dz))
+    }
+
+    /// A world point in the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid, metres.
+    pub fn point_to_grid(&self, point_world_m: &Vector3<f64>) -> Vector3<f64> {
+        self.direction_world_grid.tr_mul(&(point_world_m - self.origin_world_m))
+    }
+
+    /// The inverse of [`Self::point_to_grid`].
+    pub fn point_to_world(&self, point_grid_m: &Vector3<f64>) -> Vector3<f64> {
+        self.origin_world_m + self.direction_world_grid * point_grid_m
+    }
+
+    /// The grid as [`VoxelGrid`] takes it: checked, its axes perpendicular.
+    pub(super) fn validated(self) -> Result<Self, BoneError> {
+        let axes = [0, 1, 2].map(|axis| self.direction_world_grid.column(axis).into_owned().into());
+        let grid = VoxelGrid::new(self.dims, self.spacing_m, self.origin_world_m.into(), axes)?;
+        Ok(GridGeometry::from(&grid))
+    }
+}
+
+impl From<&VoxelGrid> for GridGeometry {
+    fn from(grid: &VoxelGrid) -> Self {
+        Self {
+            dims: grid.dims(),
+            spacing_m: grid.spacing_m(),
+            direction_world_grid: Matrix3::from_columns(&grid.axes().map(Vector3::from)),
+            origin_world_m: Vector3::from(grid.origin_m()),
+        }
+    }
+}
+
+/// Largest integer not above `x`, saturating; `f64::floor` is a library call without SSE4.1.
+#[inline]
+pub(super) fn floor_to_i64(x: f64) -> i64 {
+    let truncated = x as i64;
+    if (truncated as f64) > x { truncated - 1 } else { truncated }
+}

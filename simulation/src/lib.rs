@@ -1,0 +1,68 @@
+//! The manipulator, its contact with bone, drilling and the arm: a pure library that steps.
+//!
+//! [`Simulation`] is x_{k+1} = step(x_k, u_k). The physics process gives it the commands that the hub has latched and publishes what
+//! comes out; a replay gives it those of a log.
+//!
+//! **Boundary:** no clock, no randomness, no file, no process. A CT is lent to it, wherever it lies.
+//!
+//! **Invariants:** the same scene, CT and commands give the same bits, with and without vector instructions, and after a keyframe or a
+//! reset as without. A step allocates nothing, but for Ruckig while the arm moves and Rapier where there are free bodies. What is refused
+//! changes nothing.
+//!
+//! ```
+//! use std::path::Path;
+//!
+//! use messages::{Latched, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
+//! use scene::Scene;
+//! use simulation::Simulation;
+//!
+//! let text = r#"
+//! name = "bend"
+//! [run]
+//! mode = "lockstep"
+//! duration_s = 1.0
+//! [tool]
+//! burr_start_mm = [0.0, 0.0, 0.0]
+//! direction = [1.0, 0.0, 0.0]
+//! bend_toward = [0.0, 0.0, 1.0]
+//! [[controller]]
+//! name = "me"
+//! drives = ["tendon"]
+//! [controller.hold]
+//! tension_n = 5.0
+//! "#;
+//! let scene = Scene::parse(text, Path::new("bend.toml")).unwrap();
+//! let mut simulation = Simulation::new(&scene, None).unwrap();
+//! // u_k: what the hub would have latched.
+//! let mut latched = Latched { controller_count: 1, ..Latched::zeroed() };
+//! latched.commands[0].command.tendon_mode = TENDON_SERVO_JF;
+//! latched.commands[0].command.tendon_force_n[0] = 5.0;
+//! for tick in 0..300 {
+//!     latched.tick = tick;
+//!     latched.commands[0].source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
+//!     simulation.step(&latched).unwrap();
+//! }
+//! assert_eq!(simulation.state().tick, 300);
+//! assert!(simulation.state().bend_rad > 0.3);
+//! ```
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`manipulator`] | four rungs of one ladder, tendons, contact impulses |
+//! | [`bone`] | the voxel field: contact planes, drilling |
+//! | [`arm`] | UR5 kinematics, jerk-limited motion, elastic joints |
+//! | [`rigid`] | free and fixed bodies in Rapier |
+//! | [`baselines`] | methods of others, for charts only |
+
+pub mod arm;
+pub mod baselines;
+pub mod bone;
+pub mod contact_plane;
+pub mod manipulator;
+pub mod rigid;
+mod world;
+
+pub use world::{
+    CtView, KeyframeError, Simulation, SimulationError, SimulationSnapshot, contact_kind, ct_geometry,
+    manipulator_parameters, rung,
+};

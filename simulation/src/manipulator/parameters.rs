@@ -1,0 +1,435 @@
+//! Dimensions, stiffnesses, masses and solver settings of a manipulator, and the checks on them.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::error::{ManipulatorError, check, check_all};
+use super::{MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
+
+/// How a step is integrated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Integrator {
+    /// First order, damps what the step does not resolve, never blew up in the stress matrix.
+    LinearlyImplicitEuler,
+    /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2) in free
+    /// motion; a step with a contact or joint-stop candidate, in which a tendon with friction turns, begins or ceases to
+    /// slide, or whose embedded error estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`], is taken by linearly
+    /// implicit Euler.
+    Hybrid,
+}
+
+/// What all tendons have in common, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends toward
+/// +x (positive joint angles), tendon 1 on the -x side.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TendonParameters {
+    /// Distance of the pair's channels from the tool axis, m.
+    pub offset_m: f64,
+    /// Free length of the tendon across one flexure, hole to hole, at zero bend, m. The chord between the holes is
+    /// `gap cos(q/2) -+ 2 offset sin(q/2)`.
+    pub gap_m: f64,
+    /// Axial stiffness of the whole tendon from actuator to anchor, N/m.
+    pub stiffness_n_per_m: f64,
+    /// Capstan friction coefficient between tendon and channel; 0 is frictionless.
+    pub friction_coefficient: f64,
+    /// Sliding distance over which friction goes from none to full (Dahl pre-sliding), m. Capstan friction changes
+    /// its sign over twice this distance.
+    pub presliding_m: f64,
+}
+
+/// Contact model and its solver.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactParameters {
+    /// Coulomb coefficient of the shaft and segment spheres.
+    pub friction_coefficient: f64,
+    /// Coulomb coefficient of the burr. A turning burr slides around its own axis, so that dry friction has nothing
+    /// left for the directions of feed: 0 unless a scene says otherwise.
+    pub burr_friction_coefficient: f64,
+    /// Stiffness of one contact, N/m: the overlap at rest is force / stiffness.
+    pub stiffness_n_per_m: f64,
+    /// Largest speed at which an overlap that the contact force does not explain is pushed out, m/s.
+    pub push_out_speed_m_per_s: f64,
+    /// Bound on the sweeps of the impulse solver.
+    pub max_iterations: usize,
+    /// A sweep in which no row changed its velocity by more than this ends the solver, m/s.
+    pub tolerance_m_per_s: f64,
+}
+
+/// Everything that defines a continuum manipulator, for every rung. SI units.
+///
+/// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0, and in the
+/// planar rungs every flexure turns about +y. The origin is the flange.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ManipulatorParameters {
+    /// z of each flexure centre on the straight tool, in the base frame, strictly increasing, m.
+    pub joint_positions_m: Vec<f64>,
+    /// Bending stiffness of each flexure, N m/rad.
+    pub joint_stiffness_nm_per_rad: Vec<f64>,
+    /// Stiffness of each flexure across the bending plane over that in it. The spatial rungs use it.
+    pub lateral_stiffness_ratio: f64,
+    /// Torsional over bending stiffness of each flexure: 1 / (1 + nu) for a round section. The spatial rungs use it.
+    pub torsion_stiffness_ratio: f64,
+    /// Poisson's ratio nu, for the shear stiffness of the rung with six freedoms a flexure.
+    pub poisson_ratio: f64,
+    /// Stop of each flexure, symmetric, rad.
+    pub joint_limit_rad: f64,
+    /// Stiffness of the stop, N m/rad.
+    pub joint_stop_stiffness_nm_per_rad: f64,
+    /// From the last flexure centre to the burr centre, m. The tip frame sits at the burr centre.
+    pub tip_offset_m: f64,
+    /// Mass per length of the flexible tube, kg/m.
+    pub linear_density_kg_per_m: f64,
+    /// Outer and inner radius of the tube, m. They enter the rotary inertia and, in the rung with six freedoms a flexure, the stiffness
+    /// along and across the tube.
+    pub tube_radii_m: [f64; 2],
+    /// Mass of the burr, a solid sphere, kg.
+    pub burr_mass_kg: f64,
+    /// Mass of the rigid shaft before the first flexure, kg.
+    pub shaft_mass_kg: f64,
+    /// z of the shaft's centre of mass in the base frame, m.
+    pub shaft_centre_m: f64,
+    /// Damping ratio of the first bending mode; each flexure has the Kelvin-Voigt damping (2 ratio / omega_1) k.
+    pub damping_ratio: f64,
+    /// Stiffness of the tool mount along base x, y and z, N/m.
+    pub mount_stiffness_n_per_m: [f64; 3],
+    /// Damping ratio of the whole tool's mass on the mount, 1 = critical.
+    pub mount_damping_ratio: f64,
+    /// Gravity in world axes, m/s^2.
+    pub gravity_m_per_s2: Vector3<f64>,
+    /// How many proxy spheres the shaft carries.
+    pub shaft_sphere_count: usize,
+    /// z of the first and of the last shaft sphere, in the base frame, m.
+    pub shaft_sphere_span_m: [f64; 2],
+    /// Radius of the shaft spheres, m.
+    pub shaft_sphere_radius_m: f64,
+    /// Radius of the segment spheres, one in the middle of each segment, m.
+    pub segment_sphere_radius_m: f64,
+    /// Radius of the burr, m.
+    pub burr_radius_m: f64,
+    /// The tendons.
+    pub tendon: TendonParameters,
+    /// Channel of each tendon, (x, y) from the tool axis in the base frame, m; none: the antagonist pair. Only the spatial
+    /// rungs bend along y.
+    pub tendon_channels_m: Vec<[f64; 2]>,
+    /// The contact model.
+    pub contact: ContactParameters,
+    /// How a step is integrated.
+    pub integrator: Integrator,
+    /// Error per joint and step above which [`Integrator::Hybrid`] repeats the step with linearly implicit Euler, rad.
+    pub hybrid_tolerance_rad: f64,
+}
+
+/// Flexure centres of the BIGSS/JHU manipulator from its base, mm ("From the CAD", `create_snake_yaml.py`,
+/// htp2/continuum-manip-volumetric-drilling-plugin).
+const JHU_JOINTS_MM: [f64; 27] = [
+    36.02972, 37.35460, 38.66981, 39.97534, 41.27119, 42.55736, 43.83386, 45.10068, 46.35782, 47.60529,
+    48.84308, 50.07119, 51.28962, 52.49838, 53.69746, 54.88686, 56.06659, 57.23664, 58.39701, 59.54771,
+    60.68872, 61.82167, 62.95139, 64.08112, 65.21084, 66.34056, 67.47028,
+];
+
+/// Finite-element flexure stiffnesses of the same tool, N m/degree, base to tip (`replace_cm_joint_properties.py`).
+const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
+    0.013685109,
+    0.013281173,
+    0.012877237,
+    0.0124733,
+    0.012069364,
+    0.011665428,
+    0.011261491,
+    0.010857555,
+    0.010453619,
+    0.010049683,
+    0.009645746,
+    0.00924181,
+    0.008837874,
+    0.008433938,
+    0.008030001,
+    0.007626065,
+    0.007222129,
+    0.006818192,
+    0.006414256,
+    0.00601032,
+    0.005606384,
+    0.005336815,
+    0.005336815,
+    0.005336815,
+    0.005336815,
+    0.005336815,
+    0.005336815,
+];
+
+impl ManipulatorParameters {
+    /// The 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm, burr 6.5 mm.
+    ///
+    /// Geometry and stiffness are the tables above; masses are those of a solid nitinol tube (6450 kg/m^3, 0.101
+    /// kg/m). `tendon.gap_m` is 0, as in the published prediction (8.65 degrees per newton): the notch width is not
+    /// published, and a gap of a whole pitch bends about 1 % more. Lateral and torsional stiffness are not published
+    /// either: the ratios are those of a round nitinol tube (nu = 0.33). Tendon stiffness (a 0.35 mm steel cable of 0.3 m),
+    /// damping ratio, stop stiffness and friction are assumptions; override them where you know better.
+    pub fn jhu_27() -> Self {
+        let joints: Vec<f64> = JHU_JOINTS_MM.iter().map(|z| z * 1e-3).collect();
+        let stiffness =
+            JHU_STIFFNESS_NM_PER_DEG.iter().map(|k| k * (180.0 / core::f64::consts::PI)).collect();
+        let density = 0.101;
+        let shaft_length = joints[0];
+        Self {
+            joint_positions_m: joints,
+            joint_stiffness_nm_per_rad: stiffness,
+            lateral_stiffness_ratio: 1.0,
+            torsion_stiffness_ratio: 1.0 / (1.0 + 0.33),
+            poisson_ratio: 0.33,
+            joint_limit_rad: 5.0 * core::f64::consts::PI / 180.0,
+            joint_stop_stiffness_nm_per_rad: 100.0,
+            tip_offset_m: 4.0e-3,
+            linear_density_kg_per_m: density,
+            tube_radii_m: [3.0e-3, 2.0e-3],
+            burr_mass_kg: 1.0e-3,
+            shaft_mass_kg: density * shaft_length,
+            shaft_centre_m: 0.5 * shaft_length,
+            damping_ratio: 0.05,
+            mount_stiffness_n_per_m: [2.0e5; 3],
+            mount_damping_ratio: 1.0,
+            gravity_m_per_s2: Vector3::zeros(),
+            shaft_sphere_count: 6,
+            shaft_sphere_span_m: [0.0, 35.0e-3],
+            shaft_sphere_radius_m: 3.0e-3,
+            segment_sphere_radius_m: 3.0e-3,
+            burr_radius_m: 3.25e-3,
+            tendon: TendonParameters {
+                offset_m: 2.5e-3,
+                gap_m: 0.0,
+                stiffness_n_per_m: 3.0e4,
+                friction_coefficient: 0.0,
+                presliding_m: 20.0e-6,
+            },
+            tendon_channels_m: Vec::new(),
+            contact: ContactParameters {
+                friction_coefficient: 0.2,
+                burr_friction_coefficient: 0.0,
+                stiffness_n_per_m: 1.0e6,
+                push_out_speed_m_per_s: 0.05,
+                max_iterations: 40,
+                tolerance_m_per_s: 1.0e-6,
+            },
+            integrator: Integrator::LinearlyImplicitEuler,
+            hybrid_tolerance_rad: 0.005,
+        }
+    }
+
+    /// A uniform beam of `length_m` and rigidity `rigidity_nm2` (EI) as `joints` equal links, flexures at their
+    /// centres, so half a link stands before the first flexure and after the last. No shaft, no burr mass, stops out
+    /// of reach; everything else as in [`Self::jhu_27`].
+    pub fn uniform_beam(joints: usize, length_m: f64, rigidity_nm2: f64) -> Self {
+        let pitch = length_m / joints as f64;
+        Self {
+            joint_positions_m: (0..joints).map(|i| (i as f64 + 0.5) * pitch).collect(),
+            joint_stiffness_nm_per_rad: vec![rigidity_nm2 / pitch; joints],
+            joint_limit_rad: 3.0,
+            tip_offset_m: 0.5 * pitch,
+            burr_mass_kg: 0.0,
+            shaft_mass_kg: 0.0,
+            shaft_centre_m: 0.0,
+            shaft_sphere_count: 0,
+            ..Self::jhu_27()
+        }
+    }
+
+    /// The same tool as `links` equal links over its flexible length, 1 to 64.
+    ///
+    /// The flexible length goes from half a pitch before the first flexure to half a pitch behind the last. Each
+    /// flexure's compliance is spread evenly over its own cell between the middles to its neighbours; a new flexure has
+    /// the compliance of its link, and stands at that compliance's centroid, so that a small end load moves the tip as
+    /// it did.
+    ///
+    /// # Errors
+    /// A number of links that is not accepted, or parameters that are refused.
+    pub fn with_links(&self, links: usize) -> Result<Self, ManipulatorError> {
+        self.validate()?;
+        if !(1..=MAX_LINKS).contains(&links) {
+            return Err(ManipulatorError::Length { field: "links", given: links, expected: "1 to 64" });
+        }
+        let z = &self.joint_positions_m;
+        let n = z.len();
+        let burr = z[n - 1] + self.tip_offset_m;
+        let edges = self.cell_edges_m();
+        let (start, end) = (edges[0], edges[n]);
+        let (mut positions, mut stiffness) = (Vec::new(), Vec::new());
+        for i in 0..links {
+            let share = |k: usize| start + (end - start) * k as f64 / links as f64;
+            let (from, to) = (share(i), share(i + 1));
+            let (mut compliance, mut moment) = (0.0, 0.0);
+            for j in 0..n {
+                let (a, b) = (from.max(edges[j]), to.min(edges[j + 1]));
+                if b > a {
+                    let c = (b - a) / (edges[j + 1] - edges[j]) / self.joint_stiffness_nm_per_rad[j];
+                    compliance += c;
+                    moment += c * 0.5 * (a + b);
+                }
+            }
+            positions.push(moment / compliance);
+            stiffness.push(1.0 / compliance);
+        }
+        let tip_offset_m = burr - positions[links - 1];
+        // A stop and the tendon's gap belong to a length of tube.
+        let pitch_ratio = n as f64 / links as f64;
+        let mut tendon = self.tendon;
+        tendon.gap_m *= pitch_ratio;
+        Ok(Self {
+            joint_positions_m: positions,
+            joint_stiffness_nm_per_rad: stiffness,
+            joint_limit_rad: (self.joint_limit_rad * pitch_ratio).min(3.1),
+            joint_stop_stiffness_nm_per_rad: self.joint_stop_stiffness_nm_per_rad / pitch_ratio,
+            tip_offset_m,
+            tendon,
+            ..self.clone()
+        })
+    }
+
+    /// Number of tendons.
+    pub fn tendon_count(&self) -> usize {
+        if self.tendon_channels_m.is_empty() { 2 } else { self.tendon_channels_m.len() }
+    }
+
+    /// Ends of the cells of tube that the flexures stand for, one more than flexures, m.
+    pub(super) fn cell_edges_m(&self) -> Vec<f64> {
+        let z = &self.joint_positions_m;
+        let n = z.len();
+        let burr = z[n - 1] + self.tip_offset_m;
+        let first = if n > 1 { z[1] - z[0] } else { 2.0 * self.tip_offset_m.min(z[0]) };
+        let last = if n > 1 { z[n - 1] - z[n - 2] } else { first };
+        let mut edges = vec![(z[0] - 0.5 * first).max(0.0)];
+        edges.extend(z.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])));
+        edges.push((z[n - 1] + 0.5 * last).min(burr));
+        edges
+    }
+
+    /// Checks every field; the error names the first that is wrong, its value and what is allowed.
+    pub fn validate(&self) -> Result<(), ManipulatorError> {
+        self.validate_chain()?;
+        self.validate_body()?;
+        self.validate_tendon()?;
+        self.validate_contact()
+    }
+
+    fn validate_chain(&self) -> Result<(), ManipulatorError> {
+        let n = self.joint_positions_m.len();
+        if !(1..=MAX_LINKS).contains(&n) {
+            return Err(ManipulatorError::Length {
+                field: "joint_positions_m",
+                given: n,
+                expected: "1 to 64 entries (1 to 32 for the planar rung)",
+            });
+        }
+        if self.joint_stiffness_nm_per_rad.len() != n {
+            return Err(ManipulatorError::Length {
+                field: "joint_stiffness_nm_per_rad",
+                given: self.joint_stiffness_nm_per_rad.len(),
+                expected: "as many entries as joint_positions_m",
+            });
+        }
+        check_all("joint_positions_m", &self.joint_positions_m, "0 to 10 m", |z| (0.0..=10.0).contains(&z))?;
+        for i in 1..n {
+            let value = self.joint_positions_m[i];
+            if value - self.joint_positions_m[i - 1] < 1e-6 {
+                return Err(ManipulatorError::EntryOutOfRange {
+                    field: "joint_positions_m",
+                    index: i,
+                    value,
+                    allowed: "at least 1e-6 m past the entry before it",
+                });
+            }
+        }
+        let stiffness = &self.joint_stiffness_nm_per_rad;
+        check_all("joint_stiffness_nm_per_rad", stiffness, "1e-6 to 1e6 N m/rad", |k| {
+            (1e-6..=1e6).contains(&k)
+        })?;
+        check("joint_limit_rad", self.joint_limit_rad, "above 0 and at most 3.1 rad", |x| {
+            x > 0.0 && x <= 3.1
+        })?;
+        let stop = self.joint_stop_stiffness_nm_per_rad;
+        check("joint_stop_stiffness_nm_per_rad", stop, "1e-3 to 1e9 N m/rad", |x| (1e-3..=1e9).contains(&x))?;
+        let ratio = |x: f64| (1e-3..=1e3).contains(&x);
+        check("lateral_stiffness_ratio", self.lateral_stiffness_ratio, "0.001 to 1000", ratio)?;
+        check("torsion_stiffness_ratio", self.torsion_stiffness_ratio, "0.001 to 1000", ratio)?;
+        check("poisson_ratio", self.poisson_ratio, "0 to 0.5", |x| (0.0..=0.5).contains(&x))?;
+        check("tip_offset_m", self.tip_offset_m, "1e-6 to 1 m", |x| (1e-6..=1.0).contains(&x))?;
+        check("damping_ratio", self.damping_ratio, "0 to 10", |x| (0.0..=10.0).contains(&x))
+    }
+
+    fn validate_body(&self) -> Result<(), ManipulatorError> {
+        let length = |x: f64| (1e-6..=1.0).contains(&x);
+        check("linear_density_kg_per_m", self.linear_density_kg_per_m, "1e-9 to 1e6 kg/m", |x| {
+            (1e-9..=1e6).contains(&x)
+        })?;
+        check("tube_radii_m[0]", self.tube_radii_m[0], "1e-6 to 1 m", length)?;
+        let outer = self.tube_radii_m[0];
+        check("tube_radii_m[1]", self.tube_radii_m[1], "0 to the outer radius", |x| {
+            (0.0..=outer).contains(&x)
+        })?;
+        for (field, value) in [("burr_mass_kg", self.burr_mass_kg), ("shaft_mass_kg", self.shaft_mass_kg)] {
+            check(field, value, "0 to 1000 kg", |x| (0.0..=1000.0).contains(&x))?;
+        }
+        check("shaft_centre_m", self.shaft_centre_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
+        check_all("mount_stiffness_n_per_m", &self.mount_stiffness_n_per_m, "1 to 1e12 N/m", |k| {
+            (1.0..=1e12).contains(&k)
+        })?;
+        check("mount_damping_ratio", self.mount_damping_ratio, "0 to 100", |x| (0.0..=100.0).contains(&x))?;
+        check_all("gravity_m_per_s2", self.gravity_m_per_s2.as_slice(), "-1000 to 1000", |x| {
+            x.abs() <= 1000.0
+        })?;
+        if self.shaft_sphere_count > MAX_SHAFT_SPHERES {
+            return Err(ManipulatorError::Length {
+                field: "shaft_sphere_count",
+                given: self.shaft_sphere_count,
+                expected: "at most 8",
+            });
+        }
+        check_all("shaft_sphere_span_m", &self.shaft_sphere_span_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
+        check("shaft_sphere_radius_m", self.shaft_sphere_radius_m, "1e-6 to 1 m", length)?;
+        check("segment_sphere_radius_m", self.segment_sphere_radius_m, "1e-6 to 1 m", length)?;
+        check("burr_radius_m", self.burr_radius_m, "1e-6 to 1 m", length)
+    }
+
+    fn validate_tendon(&self) -> Result<(), ManipulatorError> {
+        let tendon = &self.tendon;
+        check("tendon.offset_m", tendon.offset_m, "0 to 1 m", |x| (0.0..=1.0).contains(&x))?;
+        check("tendon.gap_m", tendon.gap_m, "0 to 1 m", |x| (0.0..=1.0).contains(&x))?;
+        check("tendon.stiffness_n_per_m", tendon.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
+            (1.0..=1e12).contains(&x)
+        })?;
+        let given = self.tendon_channels_m.len();
+        if given > MAX_TENDONS {
+            return Err(ManipulatorError::Length {
+                field: "tendon_channels_m",
+                given,
+                expected: "at most 4 entries",
+            });
+        }
+        for channel in &self.tendon_channels_m {
+            check_all("tendon_channels_m", channel, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+        }
+        let friction = tendon.friction_coefficient;
+        check("tendon.friction_coefficient", friction, "0 to 5", |x| (0.0..=5.0).contains(&x))?;
+        check("tendon.presliding_m", tendon.presliding_m, "1e-9 to 1 m", |x| (1e-9..=1.0).contains(&x))
+    }
+
+    fn validate_contact(&self) -> Result<(), ManipulatorError> {
+        let contact = &self.contact;
+        let friction = |x: f64| (0.0..=10.0).contains(&x);
+        check("contact.friction_coefficient", contact.friction_coefficient, "0 to 10", friction)?;
+        check("contact.burr_friction_coefficient", contact.burr_friction_coefficient, "0 to 10", friction)?;
+        check("contact.stiffness_n_per_m", contact.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
+            (1.0..=1e12).contains(&x)
+        })?;
+        check("contact.push_out_speed_m_per_s", contact.push_out_speed_m_per_s, "0 to 1000 m/s", |x| {
+            (0.0..=1000.0).contains(&x)
+        })?;
+        let iterations = contact.max_iterations as f64;
+        check("contact.max_iterations", iterations, "1 to 10000", |x| (1.0..=10000.0).contains(&x))?;
+        check("contact.tolerance_m_per_s", contact.tolerance_m_per_s, "0 to 1 m/s", |x| {
+            (0.0..=1.0).contains(&x)
+        })?;
+        check("hybrid_tolerance_rad", self.hybrid_tolerance_rad, "above 0 and at most 1 rad", |x| {
+            x > 0.0 && x <= 1.0
+        })
+    }
+}

@@ -1,0 +1,135 @@
+//! The whole simulation as bytes: what a log's keyframe holds.
+//!
+//! Everything that a tick changes and that a later tick depends on: the state message with its hash, the arm's motion (its
+//! segment and age, from which Ruckig plans the same trajectory again), joint angles, tendons, the contact solver's warm
+//! start, the strength of every touched voxel, the rigid bodies' world with its contacts. A new process that builds the
+//! same scene and reads these bytes makes the same ticks, bit for bit.
+//!
+//! The bytes are a function of the scene and of u_0 … u_k, so replay compares them too.
+
+use messages::State;
+use serde::{Serialize, Serializer};
+use thiserror::Error;
+use zerocopy::{FromBytes, IntoBytes};
+
+use super::{Simulation, SimulationError, SimulationSnapshot, TendonDriveState};
+use crate::arm::{ArmSnapshot, Compliance, ComplianceState};
+use crate::bone::BoneSnapshot;
+use crate::manipulator::AnyManipulatorState;
+use crate::rigid::{RigidScene, RigidSnapshot};
+
+/// Why a keyframe cannot be written or read.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum KeyframeError {
+    /// The buffer is too short: very much has been drilled.
+    #[error("it needs more than the {given} bytes given; there is none at this tick")]
+    TooLong {
+        /// Bytes given.
+        given: usize,
+    },
+    /// Not the bytes of a keyframe.
+    #[error("its bytes cannot be read ({cause}); use the build that wrote them")]
+    Unreadable {
+        /// Where reading stopped.
+        cause: String,
+    },
+    /// Another scene's.
+    #[error("{what} are not those of this scene; use the scene that it was made with")]
+    OtherScene {
+        /// What does not fit.
+        what: &'static str,
+    },
+}
+
+/// Bytes in one piece.
+struct Bytes<'a>(&'a [u8]);
+
+impl Serialize for Bytes<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(self.0)
+    }
+}
+
+impl Simulation<'_> {
+    /// Writes the present state into `buffer` and returns the bytes used. Allocates nothing; takes time in proportion to
+    /// the blocks of voxels that drilling has touched.
+    ///
+    /// # Errors
+    /// [`KeyframeError::TooLong`].
+    pub fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, KeyframeError> {
+        let given = buffer.len();
+        let whole = (
+            Bytes(self.state.as_bytes()),
+            (self.arm.snapshot(), self.compliance.as_ref().map(Compliance::state)),
+            self.manipulator.state(),
+            self.bone.as_ref().map(|bone| bone.field.serialised()),
+            self.rigid.as_ref().map(RigidScene::serialised),
+            self.tendon.snapshot(),
+            (self.burr_speed_rad_per_s, self.cutting_energy_j),
+        );
+        let written = postcard::to_slice(&whole, buffer).map_err(|_| KeyframeError::TooLong { given })?;
+        Ok(written.len())
+    }
+
+    /// Continues from the bytes that [`Simulation::write_keyframe`] left in a simulation of the same scene and volume,
+    /// in this process or another one. After an error the simulation is not to be used.
+    ///
+    /// # Errors
+    /// Bytes that are none, or another scene's.
+    pub fn restore_keyframe(&mut self, bytes: &[u8]) -> Result<(), SimulationError> {
+        type Whole<'b> = (
+            &'b [u8],
+            (ArmSnapshot, Option<ComplianceState>),
+            AnyManipulatorState,
+            Option<BoneSnapshot>,
+            Option<RigidSnapshot>,
+            TendonDriveState,
+            (f64, f64),
+        );
+        let unreadable = |cause: String| KeyframeError::Unreadable { cause };
+        let (whole, rest): (Whole<'_>, _) =
+            postcard::take_from_bytes(bytes).map_err(|cause| unreadable(cause.to_string()))?;
+        let (
+            state,
+            (arm, compliance),
+            manipulator,
+            bone,
+            rigid,
+            tendon,
+            (burr_speed_rad_per_s, cutting_energy_j),
+        ) = whole;
+        let state = State::read_from_bytes(state).map_err(|_| unreadable("its state".to_owned()))?;
+        if !rest.is_empty() {
+            return Err(unreadable(format!("{} bytes too many", rest.len())).into());
+        }
+        let other = |what| Err(KeyframeError::OtherScene { what }.into());
+        if bone.is_some() != self.bone.is_some() {
+            return other("volume and strength field");
+        }
+        if compliance.is_some() != self.compliance.is_some() {
+            return other("the arm's joints, rigid or elastic,");
+        }
+        if !self.manipulator.fits(&manipulator) {
+            return other("the manipulator's model and links");
+        }
+        let bodies_fit = match (&self.rigid, &rigid) {
+            (None, None) => true,
+            (Some(scene), Some(saved)) => scene.fits(saved),
+            _ => false,
+        };
+        if !bodies_fit {
+            return other("the rigid bodies");
+        }
+        self.restore(&SimulationSnapshot {
+            arm,
+            compliance,
+            manipulator,
+            bone,
+            rigid,
+            tendon,
+            burr_speed_rad_per_s,
+            cutting_energy_j,
+            state,
+        })
+    }
+}

@@ -1,0 +1,149 @@
+//! The state as a message.
+
+use messages::{
+    ARM_DONE, ARM_FAULT, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_MOVING, ARM_RCM, ARM_SERVO_CP,
+    ARM_SERVO_JP, ARM_SERVO_JV, AppliedCommand, Contact, Latched, PART_BURR, PART_SEGMENT, PART_SHAFT, Pose,
+    Wrench,
+};
+use nalgebra::{Isometry3, Vector3};
+
+use super::{Simulation, numbers};
+use crate::arm::ArmMode;
+use crate::manipulator::{ManipulatorModel, SphereKind};
+
+impl Simulation<'_> {
+    /// Writes the world into the message; the hash follows.
+    pub(super) fn update_state(&mut self, latched: &Latched, removed: usize) {
+        self.write_tool();
+        self.write_contacts();
+        self.write_arm();
+        self.write_bodies();
+        let state = &mut self.state;
+        if self.initial.is_some() {
+            state.tick = latched.tick + 1;
+        }
+        state.sim_time_s = state.tick as f64 * self.dt_s;
+        state.removed_in_tick = removed as u32;
+        state.removed_total = self.bone.as_ref().map_or(0, |bone| bone.field.removed_total());
+        state.burr_speed_rad_per_s = self.burr_speed_rad_per_s;
+        state.cutting_energy_j = self.cutting_energy_j;
+        state.controller_count = latched.controller_count;
+        for (applied, entry) in state.applied.iter_mut().zip(&latched.commands) {
+            *applied = AppliedCommand {
+                sequence: entry.command.sequence,
+                age_ticks: entry.age_ticks,
+                source: entry.source,
+                controller_index: entry.controller_index,
+            };
+        }
+    }
+
+    fn write_tool(&mut self) {
+        let (state, tool) = (&mut self.state, &self.manipulator);
+        let joints = tool.joint_count();
+        state.joint_count = joints as u32;
+        state.tendon_count = tool.tendon_count() as u32;
+        state.joint_position_rad[..joints].copy_from_slice(tool.joint_positions_rad());
+        state.joint_velocity_rad_per_s[..joints].copy_from_slice(tool.joint_velocities_rad_per_s());
+        state.bend_rad = tool.bend_rad();
+        state.tendon_tension_n = tool.tendon_tensions_n();
+        state.tendon_displacement_m = tool.tendon_displacements_m();
+        state.t_world_base = pose(&tool.t_world_link(0));
+        let burr = tool.t_world_tip();
+        state.t_world_burr = pose(&burr);
+        let front = burr * Isometry3::translation(0.0, 0.0, tool.parameters().burr_radius_m);
+        state.t_world_tip = pose(&front);
+        for (slot, link) in state.t_world_link.iter_mut().zip(1..=joints) {
+            *slot = pose(&tool.t_world_link(link));
+        }
+        let wrench = tool.flange_wrench();
+        state.flange_wrench =
+            Wrench { force_n: numbers(&wrench.force_n), torque_nm: numbers(&wrench.torque_nm) };
+        state.burr_force_n = tool.last_report().burr_normal_force_n.norm();
+    }
+
+    /// Lists the contacts that carry force; the others are only counted.
+    fn write_contacts(&mut self) {
+        let state = &mut self.state;
+        let results = self.manipulator.contact_results();
+        let spheres = self.manipulator.proxy_spheres();
+        let mut listed = 0;
+        for result in results.iter().filter(|result| result.normal_force_n > 0.0) {
+            let Some(slot) = state.contacts.get_mut(listed) else { break };
+            let plane = self.planes.get(result.contact_index);
+            *slot = Contact {
+                sphere_index: result.sphere_index as u32,
+                part: spheres.get(result.sphere_index).map_or(PART_BURR, |sphere| part(sphere.kind)),
+                point_m: plane.map_or([0.0; 3], |plane| numbers(&plane.point_m)),
+                normal: numbers(&result.normal),
+                gap_m: plane.map_or(0.0, |plane| plane.gap_m),
+                normal_force_n: result.normal_force_n,
+                friction_force_n: numbers(&result.friction_force_n),
+            };
+            listed += 1;
+        }
+        state.contacts[listed..].fill(Contact::zeroed());
+        state.contact_count = listed as u32;
+        state.contact_total = results.len() as u32;
+    }
+
+    fn write_bodies(&mut self) {
+        let Some(rigid) = &self.rigid else { return };
+        self.state.body_count = rigid.body_count() as u32;
+        for (slot, transform) in self.state.t_world_body.iter_mut().zip(rigid.poses()) {
+            *slot = pose(transform);
+        }
+    }
+
+    fn write_arm(&mut self) {
+        let arm = self.arm.state();
+        self.state.arm_joint_position_rad = arm.q_rad;
+        self.state.arm_joint_velocity_rad_per_s = arm.qd_rad_s;
+        self.state.arm_mode = mode_number(arm.mode);
+        self.state.arm_status = match (arm.fault, arm.done) {
+            (Some(_), _) => ARM_FAULT,
+            (None, true) => ARM_DONE,
+            (None, false) => ARM_MOVING,
+        };
+        self.state.arm_manipulability_m3 = self.arm.parameters().geometry.manipulability_m3(&arm.q_rad);
+        self.state.t_world_flange = pose(&self.arm.t_world_flange());
+        if let Some(compliance) = &self.compliance {
+            let (deflected, elastic) = (compliance.base(&self.arm), compliance.state());
+            for i in 0..6 {
+                self.state.arm_joint_position_rad[i] += elastic.deflection_rad[i];
+                self.state.arm_joint_velocity_rad_per_s[i] += elastic.rate_rad_s[i];
+            }
+            self.state.arm_joint_deflection_rad = elastic.deflection_rad;
+            let tool = self.arm.parameters().geometry.t_flange_tool.unwrap_or_else(Isometry3::identity);
+            self.state.t_world_flange = pose(&(deflected.t_world_tool * tool.inverse()));
+        }
+    }
+}
+
+/// The command's `arm_mode` of what the arm follows.
+fn mode_number(mode: ArmMode) -> u32 {
+    match mode {
+        ArmMode::Hold => ARM_HOLD,
+        ArmMode::ServoJp => ARM_SERVO_JP,
+        ArmMode::ServoJv => ARM_SERVO_JV,
+        ArmMode::MoveJp => ARM_MOVE_JP,
+        ArmMode::ServoCp => ARM_SERVO_CP,
+        ArmMode::MoveCp => ARM_MOVE_CP,
+        ArmMode::Insert => ARM_INSERT,
+        ArmMode::Rcm => ARM_RCM,
+    }
+}
+
+fn part(kind: SphereKind) -> u32 {
+    match kind {
+        SphereKind::Shaft => PART_SHAFT,
+        SphereKind::Segment(_) => PART_SEGMENT,
+        SphereKind::Burr => PART_BURR,
+    }
+}
+
+fn pose(transform: &Isometry3<f64>) -> Pose {
+    let rotation = transform.rotation.coords;
+    let position: &Vector3<f64> = &transform.translation.vector;
+    Pose { position_m: numbers(position), orientation_xyzw: [rotation.x, rotation.y, rotation.z, rotation.w] }
+}

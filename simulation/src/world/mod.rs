@@ -1,0 +1,354 @@
+//! The whole simulated world: arm, manipulator, bone, burr.
+//!
+//! One tick:
+//!
+//! 1. apply the latched commands: arm goal, tendon target, burr speed;
+//! 2. the arm moves along its jerk-limited path; its flange is the manipulator's base;
+//! 3. the proxy spheres of the manipulator ask the bone and the rigid bodies for contact planes;
+//! 4. the manipulator steps with these planes and the tendon's tension, impulses inside its implicit solve; free bodies
+//!    step with it;
+//! 5. the burr, pressed with the normal force of that solve, takes bone away;
+//! 6. the chained hash takes in commands, state and removed voxels.
+
+mod apply;
+mod keyframe;
+mod message;
+mod setup;
+mod tendon_drive;
+
+use messages::{Latched, Plant, Refusal, State};
+use nalgebra::Vector3;
+use scene::Scene;
+use thiserror::Error;
+use xxhash_rust::xxh3::Xxh3;
+use zerocopy::IntoBytes;
+
+use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
+use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry};
+use crate::contact_plane::ContactPlane;
+use crate::manipulator::{
+    AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, SphereKind,
+    StepInput, StepReport, Wrench,
+};
+use crate::rigid::{RigidError, RigidScene, RigidSnapshot, ToolDrive};
+use tendon_drive::{TendonDrive, TendonDriveState};
+
+pub use keyframe::KeyframeError;
+pub use setup::{contact_kind, ct_geometry, manipulator_parameters, rung};
+
+/// Gap within which a contact plane takes part in a tick, beyond what the sphere can travel in it.
+const CONTACT_MARGIN_M: f64 = 1.0e-4;
+
+/// The CT as a simulation sees it: geometry and Hounsfield units, x fastest, not copied.
+#[derive(Debug, Clone, Copy)]
+pub struct CtView<'v> {
+    /// Grid.
+    pub geometry: GridGeometry,
+    /// Hounsfield units.
+    pub hu: &'v [i16],
+}
+
+/// Why a simulation cannot be built, or a tick cannot be made.
+#[derive(Debug, Error)]
+pub enum SimulationError {
+    /// The scene has a volume that the simulation was not given.
+    #[error("the scene has a `[volume]`, but no volume was given")]
+    VolumeMissing,
+    /// The manipulator's parameters.
+    #[error("manipulator: {0}")]
+    Manipulator(#[from] ManipulatorError),
+    /// The bone's.
+    #[error("bone: {0}")]
+    Bone(#[from] BoneError),
+    /// The arm's.
+    #[error("arm: {0}")]
+    Arm(#[from] ArmError),
+    /// The rigid bodies'.
+    #[error("rigid bodies: {0}")]
+    Rigid(#[from] RigidError),
+    /// Bytes that are no keyframe of this scene.
+    #[error("keyframe: {0}")]
+    Keyframe(#[from] KeyframeError),
+}
+
+/// Everything that a tick changes, bit for bit: see [`Simulation::snapshot`].
+#[derive(Debug, Clone)]
+pub struct SimulationSnapshot {
+    arm: ArmSnapshot,
+    compliance: Option<ComplianceState>,
+    manipulator: AnyManipulatorState,
+    bone: Option<BoneSnapshot>,
+    rigid: Option<RigidSnapshot>,
+    tendon: TendonDriveState,
+    burr_speed_rad_per_s: f64,
+    cutting_energy_j: f64,
+    state: State,
+}
+
+/// The simulated world.
+pub struct Simulation<'v> {
+    dt_s: f64,
+    arm: Arm,
+    compliance: Option<Compliance>,
+    manipulator: AnyManipulator,
+    bone: Option<Bone<'v>>,
+    rigid: Option<RigidScene>,
+    planes: Vec<ContactPlane>,
+    tendon: TendonDrive,
+    burr_speed_rad_per_s: f64,
+    cutting_energy_j: f64,
+    state: State,
+    predrilled: Vec<u32>,
+    refusals: Vec<Refusal>,
+    /// Controller and sequence number of the last arm command.
+    arm_driver: (u32, u64),
+    /// The arm's fault that has been reported.
+    arm_fault: Option<ArmError>,
+    initial: Option<Box<SimulationSnapshot>>,
+}
+
+struct Bone<'v> {
+    hu: &'v [i16],
+    field: BoneField,
+    contacts: ContactBuffer,
+}
+
+impl<'v> Simulation<'v> {
+    /// The world of a scene at tick 0.
+    ///
+    /// # Errors
+    /// Parameters that its parts refuse, by name.
+    pub fn new(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
+        let mut simulation = setup::build(scene, ct)?;
+        simulation.update_state(&Latched::zeroed(), 0);
+        simulation.initial = Some(Box::new(simulation.snapshot()));
+        Ok(simulation)
+    }
+
+    /// Goes on without vector instructions: slower, and the same bits.
+    pub fn use_plain_instructions(&mut self) {
+        self.manipulator.use_plain_instructions();
+        if let Some(bone) = &mut self.bone {
+            bone.field.use_plain_instructions();
+        }
+    }
+
+    /// The state after the last tick.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Voxels that the last tick drilled, by linear index.
+    pub fn removed(&self) -> &[u32] {
+        self.bone.as_ref().map_or(&[], |bone| bone.field.removed_this_tick())
+    }
+
+    /// Voxels that the scene predrills, by linear index, ascending: gone from tick 0 on.
+    pub fn predrilled(&self) -> &[u32] {
+        &self.predrilled
+    }
+
+    /// Voxels of bone that are gone in the present state, by linear index, ascending. Looks at every voxel; not for the loop.
+    pub fn gone(&self) -> Vec<u32> {
+        let Some(bone) = &self.bone else { return Vec::new() };
+        let threshold_hu = bone.field.parameters().threshold_hu;
+        let was_solid = bone.hu.iter().enumerate().filter(|(_, hu)| **hu >= threshold_hu);
+        was_solid
+            .filter(|(index, _)| !bone.field.is_solid_index(*index))
+            .map(|(index, _)| index as u32)
+            .collect()
+    }
+
+    /// What the last tick refused of its commands, and why.
+    pub fn refusals(&self) -> &[Refusal] {
+        &self.refusals
+    }
+
+    /// Makes tick k, whose u_k is `latched`.
+    ///
+    /// # Errors
+    /// A part refuses its input; a state that a valid scene and valid commands do not reach.
+    pub fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
+        if latched.reset != 0 {
+            self.reset()?;
+        }
+        self.apply(latched);
+        let base = self.move_arm()?;
+        self.report_arm_fault();
+        self.find_contacts();
+        let tendon = self.tendon.step(self.dt_s);
+        let tip_wrench = Wrench::zero();
+        let report = match &mut self.rigid {
+            Some(rigid) => {
+                let drive = ToolDrive { base, tendon, tip_wrench };
+                rigid.step(&mut self.manipulator, &drive, &mut self.planes)?
+            }
+            None => {
+                let input = StepInput { base, tendon, tip_wrench, contacts: &self.planes };
+                self.manipulator.step(self.dt_s, &input)?
+            }
+        };
+        let removed = self.grind(self.burr_force_on_bone_n(&report))?;
+        self.update_state(latched, removed);
+        self.update_hash(latched);
+        Ok(())
+    }
+
+    /// Moves the arm; where that carries the tool's base, the deflection of elastic joints included.
+    fn move_arm(&mut self) -> Result<BaseMotion, SimulationError> {
+        let arm = self.arm.step();
+        let rigid = BaseMotion {
+            t_world_base: arm.t_world_tool,
+            linear_velocity_m_per_s: arm.linear_velocity_m_s,
+            angular_velocity_rad_per_s: arm.angular_velocity_rad_s,
+        };
+        let Some(compliance) = &mut self.compliance else { return Ok(rigid) };
+        let wrench = self.manipulator.flange_wrench();
+        let deflected = compliance.step(&self.arm, &wrench.force_n, &wrench.torque_nm)?;
+        Ok(BaseMotion {
+            t_world_base: deflected.t_world_tool,
+            linear_velocity_m_per_s: deflected.linear_velocity_m_s,
+            angular_velocity_rad_per_s: deflected.angular_velocity_rad_s,
+        })
+    }
+
+    fn find_contacts(&mut self) {
+        self.planes.clear();
+        if let Some(bone) = &mut self.bone {
+            bone.contacts.clear();
+            for (index, sphere) in self.manipulator.proxy_spheres().iter().enumerate() {
+                let margin_m = CONTACT_MARGIN_M + sphere.velocity_m_per_s.norm() * self.dt_s;
+                let (centre, radius_m) = (&sphere.centre_m, sphere.radius_m);
+                bone.field.contact_planes_tracked(index, centre, radius_m, margin_m, &mut bone.contacts);
+            }
+            self.planes.extend_from_slice(bone.contacts.planes());
+        }
+        if let Some(rigid) = &mut self.rigid {
+            rigid.find_contacts(self.manipulator.proxy_spheres(), CONTACT_MARGIN_M, &mut self.planes);
+        }
+    }
+
+    /// Normal force of the burr on the bone alone, N.
+    fn burr_force_on_bone_n(&self, report: &StepReport) -> f64 {
+        let Some(rigid) = &self.rigid else { return report.burr_normal_force_n.norm() };
+        let spheres = self.manipulator.proxy_spheres();
+        let mut force_n = Vector3::zeros();
+        for result in self.manipulator.contact_results() {
+            let burr = spheres.get(result.sphere_index).is_some_and(|sphere| sphere.kind == SphereKind::Burr);
+            if burr && rigid.body_of_plane(result.contact_index).is_none() {
+                force_n += result.normal * result.normal_force_n;
+            }
+        }
+        force_n.norm()
+    }
+
+    fn grind(&mut self, normal_force_n: f64) -> Result<usize, SimulationError> {
+        let Some(bone) = &mut self.bone else { return Ok(0) };
+        let burr = BurrState {
+            centre_m: self.manipulator.t_world_tip().translation.vector,
+            radius_m: self.manipulator.parameters().burr_radius_m,
+            speed_rad_s: self.burr_speed_rad_per_s,
+            normal_force_n,
+        };
+        let report = bone.field.grind(bone.hu, &burr, self.dt_s)?;
+        self.cutting_energy_j += report.energy_used_j;
+        Ok(report.removed_count)
+    }
+
+    fn update_hash(&mut self, latched: &Latched) {
+        let mut hasher = Xxh3::new();
+        hasher.update(self.state.hash.as_bytes());
+        self.state.hash = [0; 2];
+        hasher.update(latched.as_bytes());
+        hasher.update(self.state.as_bytes());
+        hasher.update(self.removed().as_bytes());
+        let hash = hasher.digest128();
+        self.state.hash = [hash as u64, (hash >> 64) as u64];
+    }
+
+    /// Everything that a tick changes. Allocates; not for the loop.
+    pub fn snapshot(&self) -> SimulationSnapshot {
+        SimulationSnapshot {
+            arm: self.arm.snapshot(),
+            compliance: self.compliance.as_ref().map(|compliance| *compliance.state()),
+            manipulator: self.manipulator.snapshot(),
+            bone: self.bone.as_ref().map(|bone| bone.field.snapshot()),
+            rigid: self.rigid.as_ref().map(RigidScene::snapshot),
+            tendon: self.tendon.snapshot(),
+            burr_speed_rad_per_s: self.burr_speed_rad_per_s,
+            cutting_energy_j: self.cutting_energy_j,
+            state: self.state,
+        }
+    }
+
+    /// Goes to a snapshot of a simulation of the same scene and volume; continues bit for bit.
+    ///
+    /// # Errors
+    /// The snapshot is of another scene.
+    pub fn restore(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
+        self.arm.restore(&snapshot.arm)?;
+        if let (Some(compliance), Some(saved)) = (&mut self.compliance, &snapshot.compliance) {
+            compliance.restore(saved);
+        }
+        self.manipulator.restore(&snapshot.manipulator);
+        if let (Some(bone), Some(saved)) = (&mut self.bone, &snapshot.bone) {
+            bone.field.restore(saved)?;
+        }
+        if let (Some(rigid), Some(saved)) = (&mut self.rigid, &snapshot.rigid) {
+            rigid.restore(saved);
+        }
+        self.tendon.restore(&snapshot.tendon);
+        self.burr_speed_rad_per_s = snapshot.burr_speed_rad_per_s;
+        self.cutting_energy_j = snapshot.cutting_energy_j;
+        self.state = snapshot.state;
+        Ok(())
+    }
+
+    /// Back to the initial state; tick count and hash go on.
+    fn reset(&mut self) -> Result<(), SimulationError> {
+        let Some(initial) = self.initial.take() else { return Ok(()) };
+        let (tick, hash) = (self.state.tick, self.state.hash);
+        let restored = self.restore(&initial);
+        self.initial = Some(initial);
+        self.state.tick = tick;
+        self.state.hash = hash;
+        restored
+    }
+}
+
+impl Plant for Simulation<'_> {
+    type Error = SimulationError;
+
+    fn state(&self) -> &State {
+        self.state()
+    }
+
+    fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
+        self.step(latched)
+    }
+
+    fn removed(&self) -> &[u32] {
+        self.removed()
+    }
+
+    fn predrilled(&self) -> &[u32] {
+        self.predrilled()
+    }
+
+    fn refusals(&self) -> &[Refusal] {
+        self.refusals()
+    }
+
+    fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, SimulationError> {
+        Ok(self.write_keyframe(buffer)?)
+    }
+
+    fn restore_keyframe(&mut self, keyframe: &[u8]) -> Result<(), SimulationError> {
+        self.restore_keyframe(keyframe)
+    }
+}
+
+/// A vector's three numbers.
+fn numbers(vector: &Vector3<f64>) -> [f64; 3] {
+    [vector.x, vector.y, vector.z]
+}

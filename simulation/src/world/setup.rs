@@ -1,0 +1,270 @@
+//! From a scene's units and keys to the parameters of the parts.
+
+use messages::{State, Volume};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use scene::{
+    Body, BodyMotion as SceneMotion, ContactVoxels as SceneContactVoxels, Integrator as SceneIntegrator,
+    ManipulatorRung, Removal as SceneRemoval, Scene, Tool,
+};
+
+use super::tendon_drive::TendonDrive;
+use super::{Bone, CtView, Simulation, SimulationError};
+use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
+use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry, Removal};
+use crate::manipulator::{
+    AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
+    ManipulatorParameters, Rung,
+};
+use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
+
+const RAD_PER_DEG: f64 = core::f64::consts::PI / 180.0;
+
+pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
+    let parameters = manipulator_parameters(scene)?;
+    let t_world_base = tool_base(&scene.tool, &parameters);
+    let arm = arm(scene, &t_world_base)?;
+    // The arm's own forward kinematics, so that tick 1 does not begin with a jump of one rounding.
+    let base = BaseMotion::at_rest(arm.state().t_world_tool);
+    let max_burr_radius_m = parameters.burr_radius_m;
+    let compliance = compliance(scene, &parameters)?;
+    let manipulator =
+        AnyManipulator::new(rung(scene.manipulator.model.unwrap_or_default()), parameters, &base)?;
+    let (bone, predrilled) = match (&scene.volume, ct) {
+        (None, _) => (None, Vec::new()),
+        (Some(_), None) => return Err(SimulationError::VolumeMissing),
+        (Some(_), Some(ct)) => {
+            let (bone, predrilled) = bone(scene, ct, max_burr_radius_m)?;
+            (Some(bone), predrilled)
+        }
+    };
+    let sphere_count = manipulator.proxy_spheres().len();
+    let rigid = if scene.body.is_empty() {
+        None
+    } else {
+        let bodies: Vec<BodyParameters> = scene.body.iter().map(body).collect();
+        let gravity_m_per_s2 = Vector3::from(scene.gravity_m_per_s2);
+        Some(RigidScene::new(&bodies, &gravity_m_per_s2, scene.dt_s(), sphere_count)?)
+    };
+    Ok(Simulation {
+        dt_s: scene.dt_s(),
+        arm,
+        compliance,
+        manipulator,
+        bone,
+        rigid,
+        planes: Vec::with_capacity(MAX_CONTACTS + sphere_count * scene.body.len()),
+        tendon: TendonDrive::new(),
+        burr_speed_rad_per_s: 0.0,
+        cutting_energy_j: 0.0,
+        state: State::zeroed(),
+        predrilled,
+        refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 1),
+        arm_driver: (0, 0),
+        arm_fault: None,
+        initial: None,
+    })
+}
+
+/// A scene's name of a rung of the manipulator ladder.
+pub fn rung(name: ManipulatorRung) -> Rung {
+    match name {
+        ManipulatorRung::ConstantCurvature => Rung::ConstantCurvature,
+        ManipulatorRung::Planar => Rung::Planar,
+        ManipulatorRung::Spatial => Rung::Spatial,
+        ManipulatorRung::Full => Rung::Full,
+    }
+}
+
+/// The standard manipulator with the scene's overrides.
+///
+/// # Errors
+/// A number of links that the manipulator does not accept.
+pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, ManipulatorError> {
+    let mut parameters = ManipulatorParameters::jhu_27();
+    let overrides = &scene.manipulator;
+    if let Some(links) = overrides.links {
+        parameters = parameters.with_links(links)?;
+    }
+    if let Some(ratio) = overrides.lateral_stiffness_ratio {
+        parameters.lateral_stiffness_ratio = ratio;
+    }
+    if let Some(ratio) = overrides.torsion_stiffness_ratio {
+        parameters.torsion_stiffness_ratio = ratio;
+    }
+    if let Some(friction) = overrides.tendon_friction {
+        parameters.tendon.friction_coefficient = friction;
+    }
+    parameters.tendon_channels_m =
+        scene.tendon.iter().map(|channel| [channel.toward_mm * 1e-3, channel.across_mm * 1e-3]).collect();
+    if let Some(ratio) = overrides.damping_ratio {
+        parameters.damping_ratio = ratio;
+    }
+    if let Some(scale) = overrides.stiffness_scale {
+        parameters.joint_stiffness_nm_per_rad.iter_mut().for_each(|k| *k *= scale);
+    }
+    if let Some(scale) = overrides.mass_scale {
+        parameters.linear_density_kg_per_m *= scale;
+        parameters.burr_mass_kg *= scale;
+        parameters.shaft_mass_kg *= scale;
+    }
+    if let Some(stiffness) = overrides.mount_stiffness_n_per_m {
+        parameters.mount_stiffness_n_per_m = [stiffness; 3];
+    }
+    if let Some(diameter_mm) = overrides.burr_diameter_mm {
+        parameters.burr_radius_m = diameter_mm * 0.5e-3;
+    }
+    parameters.gravity_m_per_s2 = Vector3::from(scene.gravity_m_per_s2);
+    parameters.integrator = match overrides.integrator.unwrap_or_default() {
+        SceneIntegrator::LinearlyImplicitEuler => Integrator::LinearlyImplicitEuler,
+        SceneIntegrator::Hybrid => Integrator::Hybrid,
+    };
+    if let Some(friction) = scene.contact.friction {
+        parameters.contact.friction_coefficient = friction;
+    }
+    if let Some(stiffness) = scene.contact.stiffness_n_per_m {
+        parameters.contact.stiffness_n_per_m = stiffness;
+    }
+    Ok(parameters)
+}
+
+/// Base of the straight tool whose burr stands at the scene's start.
+fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> {
+    let along = Vector3::from(tool.direction).normalize();
+    let toward = Vector3::from(tool.bend_toward);
+    let bend = (toward - along * toward.dot(&along)).normalize();
+    let across = along.cross(&bend);
+    let turn = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[bend, across, along]));
+    let reach_m = parameters.joint_positions_m.last().copied().unwrap_or(0.0) + parameters.tip_offset_m;
+    let origin = Vector3::from(tool.burr_start_mm) * 1e-3 - along * reach_m;
+    Isometry3::from_parts(Translation3::from(origin), UnitQuaternion::from_rotation_matrix(&turn))
+}
+
+/// A body in SI units.
+fn body(body: &Body) -> BodyParameters {
+    let shape = if let Some(cuboid) = &body.cuboid {
+        BodyShape::Box { half_extents_m: Vector3::from(cuboid.half_extents_mm) * 1e-3 }
+    } else if let Some(capsule) = &body.capsule {
+        BodyShape::Capsule {
+            half_height_m: capsule.half_height_mm * 1e-3,
+            radius_m: capsule.radius_mm * 1e-3,
+        }
+    } else {
+        // A scene's body has one shape; a radius of 0 is refused.
+        BodyShape::Ball { radius_m: body.ball.as_ref().map_or(0.0, |ball| ball.radius_mm * 1e-3) }
+    };
+    let turn_rad = Vector3::from(body.rotation_vector_deg) * RAD_PER_DEG;
+    let t_world_body = Isometry3::from_parts(
+        Translation3::from(Vector3::from(body.position_mm) * 1e-3),
+        UnitQuaternion::from_scaled_axis(turn_rad),
+    );
+    let motion = match body.motion {
+        SceneMotion::Fixed => BodyMotion::Fixed,
+        SceneMotion::Free => BodyMotion::Free,
+    };
+    let (density_kg_per_m3, friction) = (body.density_kg_per_m3, body.friction);
+    BodyParameters { name: body.name.clone(), shape, t_world_body, motion, density_kg_per_m3, friction }
+}
+
+fn arm(scene: &Scene, t_world_tool: &Isometry3<f64>) -> Result<Arm, SimulationError> {
+    let given = &scene.arm;
+    let mut parameters = ArmParameters::ur5(scene.dt_s());
+    if given.tool_position_mm != [0.0; 3] || given.tool_rotation_vector_deg != [0.0; 3] {
+        parameters.geometry.t_flange_tool = Some(Isometry3::new(
+            Vector3::from(given.tool_position_mm) * 1e-3,
+            Vector3::from(given.tool_rotation_vector_deg) * RAD_PER_DEG,
+        ));
+    }
+    let joints = given.initial_joints_deg.map_or(COMFORTABLE_Q_RAD, |q| q.map(|angle| angle * RAD_PER_DEG));
+    parameters.t_world_arm_base = place_base_for(&parameters.geometry, t_world_tool, &joints);
+    let path = &mut parameters.cartesian_limits;
+    path.speed_m_s = given.max_speed_mm_per_s * 1e-3;
+    path.acceleration_m_s2 = given.max_acceleration_mm_per_s2 * 1e-3;
+    path.jerk_m_s3 = given.max_jerk_mm_per_s3 * 1e-3;
+    let set = |limit: &mut f64, deg: Option<f64>| *limit = deg.map_or(*limit, |deg| deg * RAD_PER_DEG);
+    set(&mut path.angular_speed_rad_s, given.max_turn_deg_per_s);
+    set(&mut path.angular_acceleration_rad_s2, given.max_turn_deg_per_s2);
+    set(&mut path.angular_jerk_rad_s3, given.max_turn_deg_per_s3);
+    let limits = &mut parameters.joint_limits;
+    for i in 0..6 {
+        set(&mut limits.velocity_rad_s[i], given.max_joint_speed_deg_per_s);
+        set(&mut limits.acceleration_rad_s2[i], given.max_joint_acceleration_deg_per_s2);
+        set(&mut limits.jerk_rad_s3[i], given.max_joint_jerk_deg_per_s3);
+        set(&mut limits.lower_rad[i], given.lower_joints_deg.map(|q| q[i]));
+        set(&mut limits.upper_rad[i], given.upper_joints_deg.map(|q| q[i]));
+    }
+    Ok(Arm::new(parameters, &joints)?)
+}
+
+/// Contacts that may answer a displacement of the tool's base at once: two on either side of a tunnel.
+const CONTACTS_AT_ONCE: f64 = 4.0;
+
+fn compliance(scene: &Scene, tool: &ManipulatorParameters) -> Result<Option<Compliance>, SimulationError> {
+    let Some(given) = &scene.arm.compliance else { return Ok(None) };
+    let mount = tool.mount_stiffness_n_per_m.into_iter().fold(0.0, f64::max);
+    let first_m = tool.joint_positions_m.first().copied().unwrap_or(0.0);
+    let last_m = tool.joint_positions_m.last().copied().unwrap_or(0.0);
+    let mass_kg = tool.shaft_mass_kg + tool.burr_mass_kg + tool.linear_density_kg_per_m * (last_m - first_m);
+    let parameters = ComplianceParameters {
+        stiffness_nm_per_rad: given.joint_stiffness_nm_per_rad,
+        damping_nms_per_rad: given.joint_damping_nms_per_rad,
+        tool_stiffness_n_per_m: mount + CONTACTS_AT_ONCE * tool.contact.stiffness_n_per_m,
+        tool_damping_n_s_per_m: 2.0 * tool.mount_damping_ratio * libm::sqrt(mount * mass_kg),
+        tool_length_m: last_m + tool.tip_offset_m,
+    };
+    Ok(Some(Compliance::new(parameters)?))
+}
+
+fn bone<'v>(
+    scene: &Scene,
+    ct: CtView<'v>,
+    max_burr_radius_m: f64,
+) -> Result<(Bone<'v>, Vec<u32>), SimulationError> {
+    let mut parameters = BoneParameters { max_burr_radius_m, ..BoneParameters::default() };
+    if let Some(volume) = &scene.volume {
+        parameters.threshold_hu = volume.bone_threshold_hu;
+    }
+    let drilling = &scene.drilling;
+    if let Some(energy) = drilling.specific_energy_j_per_mm3 {
+        parameters.material.specific_energy_ref_j_m3 = energy * 1e9;
+    }
+    if let Some(exponent) = drilling.density_exponent {
+        parameters.material.exponent = exponent;
+    }
+    if let Some(coefficient) = drilling.cutting_coefficient {
+        parameters.cutting.cutting_friction = coefficient;
+    }
+    parameters.contact = contact_kind(scene.contact.voxels);
+    parameters.removal = match drilling.removal {
+        Some(SceneRemoval::Naive) => Removal::Naive,
+        Some(SceneRemoval::Capped) => Removal::Capped,
+        Some(SceneRemoval::Decrement) => Removal::Decrement,
+        Some(SceneRemoval::Energy) | None => Removal::Energy,
+    };
+    parameters.removed_per_tick = messages::services::MAX_REMOVED_PER_TICK;
+    let mut field = BoneField::new(ct.geometry, ct.hu, parameters)?;
+    let mut predrilled = Vec::new();
+    for hole in &scene.predrill {
+        let [from, to] = [hole.from_mm, hole.to_mm].map(|end| Vector3::from(end) * 1e-3);
+        predrilled.extend(field.predrill_capsule(&from, &to, hole.diameter_mm * 0.5e-3));
+    }
+    predrilled.sort_unstable();
+    Ok((Bone { hu: ct.hu, field, contacts: ContactBuffer::with_capacity(MAX_CONTACTS) }, predrilled))
+}
+
+/// What a scene's `contact.voxels` means.
+pub fn contact_kind(voxels: Option<SceneContactVoxels>) -> ContactKind {
+    match voxels.unwrap_or_default() {
+        SceneContactVoxels::Balls => ContactKind::VoxelBalls,
+        SceneContactVoxels::Planes => ContactKind::Planes,
+    }
+}
+
+/// The grid that a volume message describes.
+pub fn ct_geometry(volume: &Volume) -> GridGeometry {
+    GridGeometry {
+        dims: volume.dimensions.map(|n| n as usize),
+        spacing_m: volume.spacing_m,
+        direction_world_grid: Matrix3::from_column_slice(&volume.direction),
+        origin_world_m: Vector3::from(volume.origin_m),
+    }
+}

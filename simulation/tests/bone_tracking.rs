@@ -1,0 +1,174 @@
+//! What contact queries and drilling remember changes no bit, whatever moves and whatever is drilled.
+
+use nalgebra::{Rotation3, Vector3};
+use proptest::prelude::*;
+use simulation::bone::{
+    BoneField, BoneParameters, BurrState, ContactBuffer, ContactKind, GridGeometry, Removal,
+};
+
+const DIMS: [usize; 3] = [26, 24, 22];
+const MARGIN_M: f64 = 0.2e-3;
+
+/// What happens in a tick.
+#[derive(Debug, Clone, Copy)]
+enum Event {
+    /// The spheres move by this, m.
+    Move([f64; 3]),
+    /// A burr cuts for a tick where sphere 0 is.
+    Drill {
+        force_n: f64,
+    },
+    Save,
+    Restore,
+    Reset,
+    Predrill,
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    // From the motion of a fed tool to jumps over voxels.
+    let size = prop_oneof![Just(2.0e-6), Just(2.0e-5), Just(2.0e-4), Just(2.0e-3)];
+    let step =
+        (size, prop::array::uniform3(-1.0..1.0f64)).prop_map(|(size, d)| Event::Move(d.map(|x| x * size)));
+    prop_oneof![
+        20 => step,
+        10 => (0.1..40.0f64).prop_map(|force_n| Event::Drill { force_n }),
+        1 => Just(Event::Save),
+        1 => Just(Event::Restore),
+        1 => Just(Event::Reset),
+        1 => Just(Event::Predrill),
+    ]
+}
+
+fn bits(buffer: &ContactBuffer) -> Vec<[u64; 8]> {
+    let numbers = |plane: &simulation::contact_plane::ContactPlane| {
+        let (p, n) = (plane.point_m, plane.normal);
+        [plane.sphere_index as f64, p.x, p.y, p.z, n.x, n.y, n.z, plane.gap_m].map(f64::to_bits)
+    };
+    buffer.planes().iter().map(numbers).collect()
+}
+
+/// Solid bone, or scattered voxels (more than a track holds), in a rotated anisotropic grid.
+fn scattered(spacing_m: [f64; 3], scatter: u64) -> (GridGeometry, Vec<i16>) {
+    let direction_world_grid = Rotation3::from_euler_angles(0.3, -0.7, 1.1).into_inner();
+    let origin_world_m = Vector3::new(0.1, -0.2, 0.3);
+    let geometry = GridGeometry { dims: DIMS, spacing_m, direction_world_grid, origin_world_m };
+    let solid = |n: u64| scatter == 0 || n.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 60 < scatter;
+    let hu = (0..geometry.voxel_count() as u64).map(|n| if solid(n) { 400 } else { -1000 }).collect();
+    (geometry, hu)
+}
+
+/// What happens; the voxels' size, the burr's radius, how scattered the bone is (0: solid), where in the grid it begins.
+fn drilled() -> impl Strategy<Value = (Vec<Event>, [f64; 3], f64, u64, [f64; 3])> {
+    (
+        prop::collection::vec(event(), 1..60),
+        prop::array::uniform3(0.35e-3..0.9e-3f64),
+        1.0e-3..3.9e-3f64,
+        prop_oneof![3 => Just(0u64), 1 => 2u64..6],
+        prop::array::uniform3(0.2..0.8f64),
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(150))]
+
+    /// Solid bone with a hole, or scattered voxels (more than a track holds), in a rotated anisotropic grid with wide and
+    /// narrow tents; three spheres of one size near the hole's end.
+    #[test]
+    fn tracked_planes_are_the_fresh_ones_bit_for_bit(
+        (events, spacing, radius_m, scatter, place) in drilled(),
+        contact in prop_oneof![3 => Just(ContactKind::Planes), 1 => Just(ContactKind::VoxelBalls)],
+    ) {
+        let (geometry, hu) = scattered(spacing, scatter);
+        let parameters = BoneParameters { contact, ..BoneParameters::default() };
+        let mut field = BoneField::new(geometry, &hu, parameters).unwrap();
+        let local = |t: [f64; 3]| {
+            geometry.point_to_world(&Vector3::from_fn(|a, _| t[a] * DIMS[a] as f64 * spacing[a]))
+        };
+        let entry = local([-0.1, place[1], place[2]]);
+        let mut centre = local(place);
+        field.predrill_capsule(&entry, &centre, radius_m + 0.1e-3);
+        let along = (entry - centre).normalize();
+        let mut saved = field.snapshot();
+        let (mut tracked, mut fresh) = (ContactBuffer::with_capacity(32), ContactBuffer::with_capacity(32));
+        for event in events {
+            match event {
+                Event::Move(step) => centre += Vector3::from(step),
+                Event::Drill { force_n } => {
+                    let burr = BurrState { centre_m: centre, radius_m, speed_rad_s: 800.0, normal_force_n: force_n };
+                    // A tenth of a second in one tick: voxels go within a few events.
+                    field.grind(&hu, &burr, 0.1).unwrap();
+                }
+                Event::Save => saved = field.snapshot(),
+                Event::Restore => {
+                    // Refused after another pilot hole; nothing has changed then.
+                    let _ = field.restore(&saved);
+                }
+                Event::Reset => field.reset(),
+                Event::Predrill => {
+                    field.predrill_capsule(&centre, &(centre + along * 1e-3), 0.8e-3);
+                }
+            }
+            tracked.clear();
+            fresh.clear();
+            for sphere in 0..3 {
+                let centre = centre + along * (1.3e-3 * sphere as f64);
+                let margin_m = MARGIN_M + 1.0e-6 * sphere as f64;
+                field.contact_planes_tracked(sphere, &centre, radius_m, margin_m, &mut tracked);
+                field.contact_planes(sphere, &centre, radius_m, margin_m, &mut fresh);
+            }
+            prop_assert_eq!(bits(&tracked), bits(&fresh));
+        }
+    }
+
+    /// Two fields drilled alike; one of them is saved and restored before every tick, after which it remembers nothing.
+    #[test]
+    fn a_burr_that_was_searched_before_cuts_what_a_fresh_one_cuts_bit_for_bit(
+        (events, spacing, radius_m, scatter, place) in drilled(),
+        rule in prop_oneof![4 => Just(Removal::Energy), 1 => Just(Removal::Capped), 1 => Just(Removal::Decrement)],
+    ) {
+        let (geometry, hu) = scattered(spacing, scatter);
+        // Few blocks, so that the pool runs out now and then.
+        let parameters = BoneParameters { removal: rule, pool_blocks: 12, ..BoneParameters::default() };
+        let mut fields = [0, 1].map(|_| BoneField::new(geometry, &hu, parameters).unwrap());
+        let mut centre = geometry.point_to_world(
+            &Vector3::from_fn(|a, _| place[a] * DIMS[a] as f64 * spacing[a]),
+        );
+        let mut saved = fields[0].snapshot();
+        let mut speed_rad_s = 800.0;
+        for event in events {
+            let force_n = match event {
+                Event::Drill { force_n } => force_n,
+                Event::Move(step) => {
+                    centre += Vector3::from(step);
+                    1.0
+                }
+                Event::Save => {
+                    saved = fields[0].snapshot();
+                    continue;
+                }
+                Event::Restore => {
+                    let restored = fields.each_mut().map(|field| field.restore(&saved).is_ok());
+                    prop_assert_eq!(restored[0], restored[1]);
+                    continue;
+                }
+                Event::Reset => {
+                    fields.iter_mut().for_each(BoneField::reset);
+                    continue;
+                }
+                Event::Predrill => {
+                    let holes = fields.each_mut().map(|field| field.predrill_capsule(&centre, &centre, 0.8e-3));
+                    prop_assert_eq!(&holes[0], &holes[1]);
+                    speed_rad_s = -speed_rad_s;
+                    continue;
+                }
+            };
+            let burr = BurrState { centre_m: centre, radius_m, speed_rad_s, normal_force_n: force_n };
+            let fresh = fields[1].snapshot();
+            fields[1].restore(&fresh).unwrap();
+            let reports = fields.each_mut().map(|field| field.grind(&hu, &burr, 0.02).unwrap());
+            prop_assert_eq!(reports[0], reports[1]);
+            prop_assert_eq!(fields[0].removed_this_tick(), fields[1].removed_this_tick());
+            prop_assert!(fields[0].snapshot() == fields[1].snapshot());
+        }
+    }
+}

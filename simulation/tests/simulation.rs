@@ -1,0 +1,108 @@
+//! The whole tick: arm, manipulator, bone, burr.
+
+mod common;
+
+use messages::{
+    ARM_MOVE_CP, BURR_SPEED, Command, Latched, LatchedCommand, SOURCE_FRESH, SOURCE_HELD, State,
+    TENDON_SERVO_JF,
+};
+use nalgebra::Vector3;
+use simulation::{CtView, Simulation};
+use zerocopy::IntoBytes;
+
+use common::{TUNNEL, bone, scene};
+
+/// Feeds 1.5 mm/s along +z from the start with the burr on and 3 N on tendon 0.
+fn latched(tick: u64, start: &State) -> Latched {
+    let mut goal = start.t_world_flange;
+    goal.position_m[2] += 0.02;
+    let command = Command {
+        sequence: 1,
+        tendon_mode: TENDON_SERVO_JF,
+        tendon_force_n: [3.0, 0.0, 0.0, 0.0],
+        arm_mode: ARM_MOVE_CP,
+        t_world_base: goal,
+        arm_speed_m_per_s: 1.5e-3,
+        burr_mode: BURR_SPEED,
+        burr_speed_rad_per_s: 800.0,
+        ..Command::zeroed()
+    };
+    let source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
+    let mut latched = Latched { tick, controller_count: 1, ..Latched::zeroed() };
+    latched.commands[0] = LatchedCommand { source, controller_index: 0, age_ticks: tick, command };
+    latched
+}
+
+/// Bug: planes beyond 96 were dropped, and with them those of the burr, which stands last; it then cut nothing, and the
+/// arm pressed with hundreds of newtons.
+#[test]
+fn the_burr_cuts_in_a_tunnel_in_which_every_sphere_has_several_planes() {
+    let scene = scene(TUNNEL);
+    let (geometry, hu) = bone();
+    let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
+    let start = *simulation.state();
+    let (mut most, mut force_n) = (0, 0.0_f64);
+    for tick in 0..3000 {
+        simulation.step(&latched(tick, &start)).unwrap();
+        let state = simulation.state();
+        most = most.max(state.contact_total);
+        let push = Vector3::from(state.flange_wrench.force_n).norm();
+        force_n = force_n.max(push);
+    }
+    let state = simulation.state();
+    println!("{most} planes at once, {} voxels drilled, {force_n:.2} N at most", state.removed_total);
+    assert!(most > 96, "the tunnel must be tight for this test: {most} planes");
+    assert!(state.removed_total > 500, "{} voxels", state.removed_total);
+    // 3 N of tension and a few newtons of thrust, friction and staircase; not hundreds.
+    assert!(force_n < 60.0, "{force_n} N");
+}
+
+#[test]
+fn a_snapshot_continues_bit_for_bit_and_a_reset_returns_to_the_initial_state() {
+    let scene = scene(TUNNEL);
+    let (geometry, hu) = bone();
+    let ct = Some(CtView { geometry, hu: &hu });
+    let mut simulation = Simulation::new(&scene, ct).unwrap();
+    let start = *simulation.state();
+    (0..700).for_each(|tick| simulation.step(&latched(tick, &start)).unwrap());
+    let snapshot = simulation.snapshot();
+    let mut other = Simulation::new(&scene, ct).unwrap();
+    other.restore(&snapshot).unwrap();
+    for tick in 700..1200 {
+        simulation.step(&latched(tick, &start)).unwrap();
+        other.step(&latched(tick, &start)).unwrap();
+        assert_eq!(simulation.state().as_bytes(), other.state().as_bytes(), "tick {tick}");
+        assert_eq!(simulation.removed(), other.removed(), "tick {tick}");
+    }
+    // A tick with reset and without commands: the initial state one tick later.
+    let nothing = Latched { tick: 1200, reset: 1, ..Latched::zeroed() };
+    simulation.step(&nothing).unwrap();
+    let mut fresh = Simulation::new(&scene, ct).unwrap();
+    fresh.step(&Latched { tick: 0, ..Latched::zeroed() }).unwrap();
+    let mut after = *simulation.state();
+    (after.tick, after.sim_time_s, after.hash) = (1, fresh.state().sim_time_s, fresh.state().hash);
+    assert_eq!(after.as_bytes(), fresh.state().as_bytes());
+}
+
+/// A goal out of reach is refused for the arm alone: tendon and burr do what the same command says.
+#[test]
+fn each_part_of_a_command_acts_or_is_refused_on_its_own() {
+    let scene = scene(TUNNEL);
+    let (geometry, hu) = bone();
+    let mut simulation = Simulation::new(&scene, Some(CtView { geometry, hu: &hu })).unwrap();
+    let start = *simulation.state();
+    let mut first = latched(0, &start);
+    first.commands[0].command.t_world_base.position_m[0] += 5.0;
+    simulation.step(&first).unwrap();
+    let refusals = simulation.refusals();
+    assert!(refusals.len() == 1 && refusals[0].reason.starts_with("arm: "), "{refusals:?}");
+    for tick in 1..200 {
+        let mut held = first;
+        (held.tick, held.commands[0].source) = (tick, SOURCE_HELD);
+        simulation.step(&held).unwrap();
+    }
+    let state = simulation.state();
+    assert_eq!(state.arm_joint_position_rad, start.arm_joint_position_rad, "the arm stands");
+    assert_eq!(state.burr_speed_rad_per_s, 800.0);
+    assert!(state.tendon_tension_n[0] > 2.0, "{} N", state.tendon_tension_n[0]);
+}

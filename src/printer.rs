@@ -1,0 +1,319 @@
+//! What a launcher says, written by a thread of its own: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads holds up
+//! neither the answer to a signal nor the run. Before [`start`], and in every other command, it is written at once.
+//!
+//! What does not fit into the queue is left out and counted. What the command was asked for, its standard output, is never left out: it
+//! is waited for at the end ([`finish`]), for a while, unless a signal says that nobody wants to wait.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{Error, ErrorKind, Write, stderr};
+use std::os::unix::fs::MetadataExt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use rustix::io::Errno;
+
+use crate::say;
+
+/// Most bytes that may wait before a line of a controller's, or of the progress display, is left out.
+const ECHO_BYTES: usize = 64 << 10;
+/// The same for the launcher's own words, which are few.
+const WORD_BYTES: usize = 2 * ECHO_BYTES;
+/// How long the end of the command waits for somebody to read what it was asked for.
+const ANSWER_LIMIT: Duration = Duration::from_secs(60);
+/// The same if only other things wait.
+const WORD_LIMIT: Duration = Duration::from_secs(5);
+/// The same after a signal.
+const HURRIED_LIMIT: Duration = Duration::from_millis(500);
+/// Between two tries at a stream that somebody has set to refuse instead of to wait.
+const RETRY: Duration = Duration::from_millis(10);
+
+/// Of standard output and standard error; one printer twice if both lead to the same place, where their order is to stay.
+static PRINTERS: OnceLock<[Arc<Printer>; 2]> = OnceLock::new();
+static HURRIED: AtomicBool = AtomicBool::new(false);
+
+/// What a text is worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Worth {
+    Echo,
+    Word,
+    Answer,
+}
+
+impl Worth {
+    /// Most bytes that may wait with it.
+    fn room(self) -> usize {
+        match self {
+            Worth::Echo => ECHO_BYTES,
+            Worth::Word => WORD_BYTES,
+            // A line every two seconds, and a table.
+            Worth::Answer => usize::MAX,
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Piece {
+    to: Arc<File>,
+    worth: Worth,
+    bytes: Vec<u8>,
+}
+
+#[derive(Debug, Default)]
+struct Queue {
+    /// The first one is being written.
+    waiting: VecDeque<Arc<Piece>>,
+    /// Of all that wait.
+    bytes: usize,
+    /// Lines that did not fit and have not been told of.
+    left_out: usize,
+    /// Why an answer could not be written.
+    failed: Option<String>,
+}
+
+impl Queue {
+    fn push(&mut self, to: &Arc<File>, worth: Worth, bytes: Vec<u8>) {
+        self.bytes += bytes.len();
+        self.waiting.push_back(Arc::new(Piece { to: Arc::clone(to), worth, bytes }));
+    }
+
+    fn tell_left_out(&mut self, to: &Arc<File>) {
+        if self.left_out > 0 {
+            let text = format!("trabecula: {} lines not shown: they were not read\n", self.left_out);
+            self.left_out = 0;
+            self.push(to, Worth::Word, text.into_bytes());
+        }
+    }
+}
+
+/// A queue and the thread that writes what is in it.
+#[derive(Debug)]
+struct Printer {
+    queue: Mutex<Queue>,
+    changed: Condvar,
+}
+
+impl Printer {
+    fn start() -> std::io::Result<Arc<Printer>> {
+        let printer = Arc::new(Printer { queue: Mutex::default(), changed: Condvar::new() });
+        let of_thread = Arc::clone(&printer);
+        std::thread::Builder::new().name("printer".to_owned()).spawn(move || of_thread.print())?;
+        Ok(printer)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn print(&self) {
+        let mut queue = self.lock();
+        loop {
+            let Some(piece) = queue.waiting.front().cloned() else {
+                queue = self.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
+                continue;
+            };
+            drop(queue);
+            let written = write_all(&piece.to, &piece.bytes);
+            queue = self.lock();
+            if let Err(cause) = written
+                && piece.worth == Worth::Answer
+                && !is_gone(&cause)
+            {
+                queue.failed.get_or_insert(cause.to_string());
+            }
+            queue.waiting.pop_front();
+            queue.bytes -= piece.bytes.len();
+            self.changed.notify_all();
+        }
+    }
+
+    fn push(&self, to: &Arc<File>, worth: Worth, bytes: &[u8]) {
+        let mut queue = self.lock();
+        if queue.bytes.saturating_add(bytes.len()) > worth.room() {
+            queue.left_out += bytes.iter().filter(|byte| **byte == b'\n').count();
+            return;
+        }
+        queue.tell_left_out(to);
+        queue.push(to, worth, bytes.to_vec());
+        self.changed.notify_all();
+    }
+
+    /// Waits until everything is written, as long as that is worth it.
+    fn finish(&self, to: &Arc<File>, began: Instant, is_hurried: &dyn Fn() -> bool) -> Result<(), String> {
+        let mut queue = self.lock();
+        queue.tell_left_out(to);
+        self.changed.notify_all();
+        while !queue.waiting.is_empty() {
+            let answers = queue.waiting.iter().filter(|piece| piece.worth == Worth::Answer).count();
+            let limit = match (is_hurried(), answers) {
+                (true, _) => HURRIED_LIMIT,
+                (false, 0) => WORD_LIMIT,
+                (false, _) => ANSWER_LIMIT,
+            };
+            if began.elapsed() >= limit {
+                return if answers > 0 { Err("nobody has read it".to_owned()) } else { Ok(()) };
+            }
+            let waited = self.changed.wait_timeout(queue, HURRIED_LIMIT / 10);
+            queue = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        queue.failed.take().map_or(Ok(()), Err)
+    }
+}
+
+/// Whether nobody is there to read: a pipe that was closed, a terminal that has gone. That is no failure.
+fn is_gone(cause: &Error) -> bool {
+    cause.kind() == ErrorKind::BrokenPipe || cause.raw_os_error() == Some(Errno::IO.raw_os_error())
+}
+
+/// Writes everything, also to a stream that refuses instead of waiting: a terminal's other programs may have set that.
+fn write_all(mut to: &File, mut bytes: &[u8]) -> std::io::Result<()> {
+    while !bytes.is_empty() {
+        match to.write(bytes) {
+            Ok(0) => return Err(Error::from(ErrorKind::WriteZero)),
+            Ok(count) => bytes = &bytes[count..],
+            Err(cause) if cause.kind() == ErrorKind::WouldBlock => std::thread::sleep(RETRY),
+            Err(cause) if cause.kind() == ErrorKind::Interrupted => {}
+            Err(cause) => return Err(cause),
+        }
+    }
+    Ok(())
+}
+
+/// The two streams past the locks of the standard library, which a writer that waits would hold.
+static STREAMS: OnceLock<[Arc<File>; 2]> = OnceLock::new();
+
+/// From now on a thread of its own writes what this process says.
+///
+/// # Errors
+/// The system refuses the thread or another handle of the streams.
+pub fn start() -> std::io::Result<()> {
+    let out = File::from(rustix::stdio::stdout().try_clone_to_owned()?);
+    let err = File::from(rustix::stdio::stderr().try_clone_to_owned()?);
+    let place = |file: &File| file.metadata().map(|it| (it.dev(), it.ino(), it.rdev()));
+    let first = Printer::start()?;
+    let second = if place(&out)? == place(&err)? { Arc::clone(&first) } else { Printer::start()? };
+    let _ = STREAMS.set([Arc::new(out), Arc::new(err)]);
+    let _ = PRINTERS.set([first, second]);
+    Ok(())
+}
+
+/// A signal has come: from now on the end waits for nobody who does not read.
+pub fn hurry() {
+    HURRIED.store(true, Ordering::Relaxed);
+}
+
+/// Waits, within limits, until what this command was asked for has been written. Returns why that could not be.
+pub fn finish_answers() -> Option<String> {
+    finish(0).err()
+}
+
+/// The same of what else was said; what nobody takes is given up.
+pub fn finish_words() {
+    let _ = finish(1);
+}
+
+fn finish(stream: usize) -> Result<(), String> {
+    let (Some(printers), Some([_, words])) = (PRINTERS.get(), STREAMS.get()) else { return Ok(()) };
+    printers[stream].finish(words, Instant::now(), &|| HURRIED.load(Ordering::Relaxed))
+}
+
+/// Ends the process after a signal, with what can be said within a moment.
+pub fn leave(code: u8) -> ! {
+    hurry();
+    finish_answers();
+    finish_words();
+    std::process::exit(code.into());
+}
+
+/// Whether something said before still waits for the terminal: a table that would be old when it comes is not drawn.
+pub fn is_behind() -> bool {
+    PRINTERS.get().is_some_and(|printers| !printers[1].lock().waiting.is_empty())
+}
+
+fn put(stream: usize, worth: Worth, bytes: &[u8]) -> std::io::Result<usize> {
+    match (PRINTERS.get(), STREAMS.get()) {
+        (Some(printers), Some(streams)) => printers[stream].push(&streams[stream], worth, bytes),
+        _ if stream == 0 => say::standard_output().write_all(bytes)?,
+        _ => stderr().write_all(bytes)?,
+    }
+    Ok(bytes.len())
+}
+
+/// Standard output: what the command was asked for.
+#[derive(Debug)]
+pub struct Answers;
+
+/// Standard error: the command's own words.
+#[derive(Debug)]
+pub struct Words;
+
+/// Standard error: words of other programs, and the progress display.
+#[derive(Debug)]
+pub struct Echo;
+
+macro_rules! stream {
+    ($name:ident, $stream:expr, $worth:expr) => {
+        impl Write for $name {
+            fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+                put($stream, $worth, bytes)
+            }
+
+            fn flush(&mut self) -> std::io::Result<()> {
+                Ok(())
+            }
+        }
+    };
+}
+
+stream!(Answers, 0, Worth::Answer);
+stream!(Words, 1, Worth::Word);
+stream!(Echo, 1, Worth::Echo);
+
+#[cfg(test)]
+mod tests {
+    use test_support::limited::{read_all, text_within};
+
+    use super::*;
+
+    #[test]
+    fn what_nobody_reads_is_left_out_and_counted_but_no_answer() {
+        let (reader, writer) = std::io::pipe().unwrap();
+        let to = Arc::new(File::from(std::os::fd::OwnedFd::from(writer)));
+        let printer = Printer::start().unwrap();
+        let line = [b"x".repeat(99), b"\n".to_vec()].concat();
+        // More than a pipe and the queue hold; what the printer has taken meanwhile decides how much exactly.
+        let lines = 5000;
+        (0..lines).for_each(|_| printer.push(&to, Worth::Echo, &line));
+        printer.push(&to, Worth::Word, b"a word\n");
+        printer.push(&to, Worth::Answer, b"the answer\n");
+        // Nobody reads.
+        let finish = |hurried: bool| printer.finish(&to, Instant::now(), &|| hurried);
+        assert!(finish(true).is_err());
+        let reading = read_all(reader);
+        assert_eq!(finish(false), Ok(()));
+        drop(to);
+        // The printer's own handle goes with its last piece; the thread waits for more.
+        let text = text_within(&reading, ANSWER_LIMIT, "the pipe");
+        let shown = text.lines().filter(|line| line.starts_with('x')).count();
+        let told = text.lines().find(|line| line.contains("lines not shown")).unwrap();
+        assert_eq!(told, format!("trabecula: {} lines not shown: they were not read", lines - shown));
+        assert!(text.ends_with("a word\nthe answer\n"), "{}", &text[text.len() - 200..]);
+    }
+
+    #[test]
+    fn a_stream_that_cannot_be_written_fails_the_answer_and_a_closed_pipe_does_not() {
+        let full = Arc::new(File::options().write(true).open("/dev/full").unwrap());
+        let printer = Printer::start().unwrap();
+        let finish = |to: &Arc<File>| printer.finish(to, Instant::now(), &|| false);
+        printer.push(&full, Worth::Word, b"a word\n");
+        assert_eq!(finish(&full), Ok(()));
+        printer.push(&full, Worth::Answer, b"the answer\n");
+        assert!(finish(&full).unwrap_err().contains("No space left"));
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let closed = Arc::new(File::from(std::os::fd::OwnedFd::from(writer)));
+        printer.push(&closed, Worth::Answer, b"the answer\n");
+        assert_eq!(finish(&closed), Ok(()));
+    }
+}

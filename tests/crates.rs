@@ -1,0 +1,254 @@
+//! The cores compute and do nothing else: no core depends on a crate that waits, sends or opens, and none reads a clock.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail the test")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::Value;
+use test_support::limited::Limited;
+
+/// Each core and its folder.
+const CORES: [(&str, &str); 7] = [
+    ("foreign_text", "foreign_text"),
+    ("messages", "messages"),
+    ("voxel_grid", "voxel_grid"),
+    ("scene", "scene"),
+    ("simulation", "simulation"),
+    ("hub", "hub"),
+    ("hub_simulator", "hub/simulator"),
+];
+
+/// Crates that no core reaches, and why. Only normal dependencies count: tests and build scripts may use them.
+const KEPT_OUT: [(&str, &str); 17] = [
+    ("iceoryx2", "shared memory: a core that sends can be driven by nothing but the real transport"),
+    ("ipc_types", "sessions, ports and the monotonic clock: the transport itself"),
+    ("memmap2", "maps files and shared memory"),
+    ("rustix", "system calls: files, processes, clocks, priorities"),
+    ("nix", "system calls: limits and priorities of processes"),
+    ("signal-hook", "who handles signals owns the process"),
+    ("tokio", "an async runtime: sockets, timers, threads of its own"),
+    ("mio", "sockets and readiness: what async runtimes stand on"),
+    ("tempfile", "files"),
+    ("output_file", "files that commands leave behind"),
+    ("getrandom", "randomness that no seed repeats"),
+    ("rayon", "threads: an order of sums that the scheduler chooses"),
+    ("jiff", "dates and the wall clock"),
+    ("chrono", "dates and the wall clock"),
+    ("instant", "a clock under another name"),
+    ("web-time", "a clock under another name; Rapier's profiler would bring it in"),
+    ("quanta", "a clock under another name"),
+];
+
+/// What no core's source says, and why.
+const UNSAID: [(&str, &str); 20] = [
+    ("Instant", "the monotonic clock"),
+    ("SystemTime", "the wall clock"),
+    ("UNIX_EPOCH", "the wall clock"),
+    ("std::time", "clocks; time comes in as a number"),
+    ("std::fs", "files"),
+    ("File", "files"),
+    ("std::net", "sockets"),
+    ("std::os", "what only one operating system has"),
+    ("std::process", "processes; only programs end"),
+    ("std::env", "the environment: the same input gives the same result"),
+    ("std::path::absolute", "reads the current folder"),
+    ("thread::sleep", "waits; a core returns what is to be waited for"),
+    ("thread::spawn", "a thread that outlives the call"),
+    ("stdin", "the terminal"),
+    ("stdout", "the terminal"),
+    ("stderr", "the terminal"),
+    ("println!", "the terminal"),
+    ("print!", "the terminal"),
+    ("eprintln!", "the terminal"),
+    ("std::{", "an import that this test does not look into: write one line for each"),
+];
+
+/// What is said all the same: file, what, and why that is right. A line that is no longer needed fails the test.
+const SAID_ALL_THE_SAME: [(&str, &str, &str); 1] = [(
+    "scene/src/lib.rs",
+    "std::path::absolute",
+    "a scene's text is copied to other folders, so its relative paths are made absolute when it is read",
+)];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The normal dependencies of every package of the lock file, by their ids, and the packages' names.
+struct Graph {
+    names: BTreeMap<String, String>,
+    normal: BTreeMap<String, Vec<String>>,
+}
+
+impl Graph {
+    fn read() -> Graph {
+        let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
+        let arguments = ["metadata", "--offline", "--locked", "--format-version", "1"];
+        let output = Command::new(cargo).args(arguments).current_dir(root()).limited_output().unwrap();
+        assert!(output.status.success(), "cargo metadata: {}", String::from_utf8_lossy(&output.stderr));
+        Graph::of(&serde_json::from_slice(&output.stdout).unwrap())
+    }
+
+    fn of(metadata: &Value) -> Graph {
+        let text = |value: &Value| value.as_str().unwrap().to_owned();
+        let list = |value: &Value| value.as_array().unwrap().clone();
+        let names = list(&metadata["packages"]).iter().map(|p| (text(&p["id"]), text(&p["name"]))).collect();
+        let is_normal = |dep: &Value| list(&dep["dep_kinds"]).iter().any(|kind| kind["kind"].is_null());
+        let normal_of = |node: &Value| {
+            list(&node["deps"]).iter().filter(|dep| is_normal(dep)).map(|dep| text(&dep["pkg"])).collect()
+        };
+        let nodes = list(&metadata["resolve"]["nodes"]);
+        Graph { names, normal: nodes.iter().map(|node| (text(&node["id"]), normal_of(node))).collect() }
+    }
+
+    /// The shortest way from one crate to another, by names.
+    fn way(&self, from: &str, to: &str) -> Option<Vec<String>> {
+        let (start, _) = self.names.iter().find(|(_, name)| *name == from)?;
+        let mut seen = BTreeSet::from([start.clone()]);
+        let mut ways = vec![vec![start.clone()]];
+        while !ways.is_empty() {
+            let mut longer = Vec::new();
+            for way in ways {
+                let last = way.last()?;
+                if self.names[last] == to {
+                    return Some(way.iter().map(|id| self.names[id].clone()).collect());
+                }
+                for next in self.normal[last].iter().filter(|next| seen.insert((*next).clone())) {
+                    longer.push(way.iter().chain([next]).cloned().collect());
+                }
+            }
+            ways = longer;
+        }
+        None
+    }
+}
+
+#[test]
+fn no_core_depends_on_iceoryx2_or_on_another_crate_that_does_more_than_compute() {
+    let graph = Graph::read();
+    // The way to it is found where there is one.
+    assert!(
+        graph.way("physics_proc", "iceoryx2").is_some_and(|way| way.len() == 3),
+        "physics, transport, iceoryx2"
+    );
+    let mut found = Vec::new();
+    for (core, _) in CORES {
+        assert!(graph.names.values().any(|name| name == core), "no crate {core}");
+        for (crate_, reason) in KEPT_OUT {
+            if let Some(way) = graph.way(core, crate_) {
+                found.push(format!("{} ({reason})", way.join(" -> ")));
+            }
+        }
+    }
+    assert!(found.is_empty(), "a core reaches what it must not:\n{}", found.join("\n"));
+}
+
+#[test]
+fn dependencies_of_tests_and_build_scripts_do_not_count() {
+    let kinds = |kind: &str| format!(r#"{{"pkg": "b", "dep_kinds": [{{"kind": {kind}}}]}}"#);
+    let graph = |kind: &str| {
+        let nodes = format!(r#"[{{"id": "a", "deps": [{}]}}, {{"id": "b", "deps": []}}]"#, kinds(kind));
+        let packages = r#"[{"id": "a", "name": "hub"}, {"id": "b", "name": "tokio"}]"#;
+        let text = format!(r#"{{"packages": {packages}, "resolve": {{"nodes": {nodes}}}}}"#);
+        Graph::of(&serde_json::from_str(&text).unwrap())
+    };
+    assert_eq!(graph("null").way("hub", "tokio"), Some(vec!["hub".to_owned(), "tokio".to_owned()]));
+    assert_eq!(graph(r#""dev""#).way("hub", "tokio"), None);
+    assert_eq!(graph(r#""build""#).way("hub", "tokio"), None);
+}
+
+/// The lines of a source that are compiled into the crate, with their numbers: no comments, and nothing behind `#[cfg(test)]`.
+fn code_of(source: &str) -> Vec<(usize, &str)> {
+    let mut in_tests = false;
+    let mut code = Vec::new();
+    for (index, line) in source.lines().enumerate() {
+        in_tests |= line == "#[cfg(test)]";
+        if !in_tests {
+            let end = line.find("//").unwrap_or(line.len());
+            code.push((index + 1, &line[..end]));
+        }
+        // As rustfmt lays it out, an item ends with a brace or a semicolon in a line that is not indented.
+        in_tests &= !(line == "}" || (!line.starts_with([' ', '#']) && line.ends_with(';')));
+    }
+    code
+}
+
+/// Whether a line says it: as whole words, whatever stands around.
+fn says(line: &str, what: &str) -> bool {
+    let is_word = |c: char| c.is_alphanumeric() || c == '_';
+    line.match_indices(what).any(|(at, _)| {
+        let before = line[..at].chars().next_back().is_some_and(is_word);
+        let after = what.ends_with(is_word) && line[at + what.len()..].chars().next().is_some_and(is_word);
+        !before && !after
+    })
+}
+
+/// The Rust files below a folder that are a library's: programs (`main.rs`, `bin/`) are shells.
+fn library_sources(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap_or_default();
+        if path.is_dir() && name != "bin" {
+            found.extend(library_sources(&path));
+        } else if path.extension().is_some_and(|extension| extension == "rs") && name != "main.rs" {
+            found.push(path);
+        }
+    }
+    found
+}
+
+#[test]
+fn no_core_reads_a_clock_a_file_a_socket_or_the_environment() {
+    let mut needed = BTreeSet::new();
+    let mut found = Vec::new();
+    for (_, folder) in CORES {
+        let sources = library_sources(&root().join(folder).join("src"));
+        assert!(!sources.is_empty(), "{folder} has no source");
+        for path in sources {
+            let file = path.strip_prefix(root()).unwrap().to_str().unwrap().to_owned();
+            let source = std::fs::read_to_string(&path).unwrap();
+            for (number, line) in code_of(&source) {
+                for (what, reason) in UNSAID.iter().filter(|(what, _)| says(line, what)) {
+                    let all_the_same =
+                        SAID_ALL_THE_SAME.iter().position(|(at, said, _)| (*at, said) == (&*file, what));
+                    match all_the_same {
+                        Some(index) => _ = needed.insert(index),
+                        None => found.push(format!("{file}:{number}: {what} ({reason}): {}", line.trim())),
+                    }
+                }
+            }
+        }
+    }
+    assert!(found.is_empty(), "a core does more than compute:\n{}", found.join("\n"));
+    assert_eq!(needed.len(), SAID_ALL_THE_SAME.len(), "an exception that nothing needs any more");
+}
+
+#[test]
+fn tests_and_comments_of_a_core_may_name_a_clock_and_its_code_may_not() {
+    let source = "\
+use std::time::Instant;
+/// No Instant is read.
+fn f() {} // nor std::fs
+#[cfg(test)]
+use std::fs;
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    fn now() -> Instant {
+        Instant::now();
+    }
+}
+fn g() { thread::sleep(x) }
+";
+    let said: Vec<(usize, &str)> = code_of(source)
+        .into_iter()
+        .flat_map(|(number, line)| {
+            UNSAID.iter().filter(move |(what, _)| says(line, what)).map(move |(what, _)| (number, *what))
+        })
+        .collect();
+    assert_eq!(said, [(1, "Instant"), (1, "std::time"), (13, "thread::sleep")]);
+    assert!(!says("Instantaneous", "Instant") && !says("my_File", "File") && !says("eprintln!(", "println!"));
+}

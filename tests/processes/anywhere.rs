@@ -1,0 +1,96 @@
+//! Commands without a scene, in a folder where nothing is: the scene is inside the program.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use test_support::limited::Limited;
+
+use crate::common::program::{Done, Place};
+
+/// Runs the program in a folder.
+fn trabecula_in(folder: &Path, words: &[&str]) -> Done {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    let output = command.current_dir(folder).args(words).limited_output().unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    Done { code: output.status.code(), out: text(&output.stdout), err: text(&output.stderr) }
+}
+
+fn succeed_in(folder: &Path, words: &[&str]) -> Done {
+    let done = trabecula_in(folder, words);
+    assert_eq!(done.code, Some(0), "{words:?}: {}{}", done.out, done.err);
+    done
+}
+
+/// The one run below `out`, and the hash of its last state.
+fn only_run(folder: &Path) -> (String, String) {
+    let mut runs = fs::read_dir(folder.join("out")).unwrap();
+    let run = runs.next().unwrap().unwrap().path();
+    assert!(runs.next().is_none(), "one run");
+    let summary: serde_json::Value =
+        serde_json::from_slice(&fs::read(run.join("summary.json")).unwrap()).unwrap();
+    let hash = summary["final_hash"].as_str().unwrap().to_owned();
+    (run.to_str().unwrap().to_owned(), hash)
+}
+
+/// Of a run's log: the scene that its header holds.
+fn scene_in(run: &str) -> String {
+    let log = Path::new(run).join("run.mcap");
+    recorder_proc::LogReader::open(&log).unwrap().header().scene_toml.clone()
+}
+
+/// `run` looked for `configs/femur_curved_drilling.toml` in the folder it was called in, and ended with exit code 2. What
+/// `scene init` writes is the same scene: the same text in the log, the same hash of the last state, from another folder.
+#[test]
+fn the_default_scene_runs_and_replays_in_any_folder_and_is_the_one_that_init_writes() {
+    let (empty, other) = (Place::new(), Place::new());
+    let few = ["--mode", "lockstep", "--duration-s", "0.02", "--quiet"];
+    succeed_in(&empty.path(""), &[&["run"][..], &few].concat());
+    assert_eq!(empty.entries(), ["out"]);
+    let (run, hash) = only_run(&empty.path(""));
+    // From another folder than that of the run.
+    let done = succeed_in(&other.path(""), &["replay", &run, "--verify"]);
+    assert!(done.out.contains("20"), "{}", done.out);
+
+    succeed_in(&other.path(""), &["scene", "init"]);
+    assert_eq!(other.entries(), ["femur_curved_drilling.toml"]);
+    succeed_in(&other.path(""), &[&["run", "femur_curved_drilling.toml"][..], &few].concat());
+    let (copy, hash_of_copy) = only_run(&other.path(""));
+    assert_eq!((hash_of_copy, scene_in(&copy)), (hash, scene_in(&run)));
+}
+
+/// Each of them looked for its scene below `configs/`.
+#[test]
+fn commands_without_a_scene_work_in_an_empty_folder() {
+    let place = Place::new();
+    let folder = place.path("");
+    for words in [
+        &["bench", "overhead", "--ticks", "100", "--rounds", "1"][..],
+        &["bench", "step", "--ticks", "20", "--in-process"],
+        &["stress", "--seconds", "0.1", "--cores", "1", "--load", "none", "--output", "stress"],
+        &["calibrate", "--output", "calibration"],
+    ] {
+        succeed_in(&folder, words);
+    }
+    assert!(place.path("calibration/calibration.csv").is_file());
+}
+
+#[test]
+fn init_writes_the_scene_that_is_named_and_refuses_where_it_stands() {
+    let place = Place::new();
+    let folder = place.path("");
+    let done = succeed_in(&folder, &["scene", "init", "new/scenes", "--scene", "tension_sweep"]);
+    assert!(done.out.contains("new/scenes/tension_sweep.toml"), "{}", done.out);
+    let file = place.path("new/scenes/tension_sweep.toml");
+    assert_eq!(fs::read(&file).unwrap(), fs::read("configs/tension_sweep.toml").unwrap());
+    succeed_in(&folder, &["scene", "check", "new/scenes/tension_sweep.toml"]);
+
+    fs::write(&file, "mine").unwrap();
+    let done = trabecula_in(&folder, &["scene", "init", "new/scenes", "--scene", "tension_sweep"]);
+    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert_eq!(fs::read(&file).unwrap(), b"mine");
+    // A file where the folder would be.
+    let done = trabecula_in(&folder, &["scene", "init", "new/scenes/tension_sweep.toml"]);
+    assert!(done.code == Some(2), "{}", done.err);
+    assert_eq!(fs::read_dir(place.path("new/scenes")).unwrap().count(), 1);
+}

@@ -1,0 +1,183 @@
+//! Runs whose output nobody reads: a terminal that is stopped (Ctrl-S), a pipe that is full.
+
+use std::fs::File;
+use std::io::{PipeReader, Write, pipe};
+use std::os::fd::OwnedFd;
+use std::path::Path;
+use std::process::{Command, ExitStatus, Stdio};
+use std::time::Duration;
+
+use recorder_proc::EndReason;
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::process::Signal;
+use test_support::limited::{end_within, read_all, text_within};
+
+use crate::common::client::Client;
+use crate::common::logs::{assert_replays, read};
+use crate::common::program::{
+    Guarded, LIMIT, Place, assert_nothing_left, only_entry, parts_of, session_folder, signal, wait_for,
+};
+use crate::common::scenes;
+use crate::common::terminal::Terminal;
+
+/// Two signals within 0.3 s count as one.
+const ANOTHER: Duration = Duration::from_millis(500);
+
+/// A launcher, ended when the test is over, however that ends.
+struct Launched(Guarded);
+
+impl Launched {
+    fn new(scene: &Path, output: &Path, more: &[&str], out: Stdio, err: Stdio) -> Launched {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+        command.arg("run").arg(scene).arg("--output").arg(output).args(more);
+        Launched(Guarded(command.stdin(Stdio::null()).stdout(out).stderr(err).spawn().unwrap()))
+    }
+
+    fn at_tick(&self, tick: u64) {
+        let pid = self.0.0.id();
+        let session = wait_for("the session", || Some(session_folder(pid)).filter(|folder| folder.exists()));
+        Client::join(&session).wait_for_state(|state| state.tick >= tick);
+    }
+
+    fn end(&mut self) -> ExitStatus {
+        let status = end_within(&mut self.0.0, LIMIT, "a run whose output nobody reads");
+        assert_nothing_left(self.0.0.id());
+        status
+    }
+}
+
+/// A pipe that takes nothing more until it is read.
+fn full_pipe() -> (PipeReader, Stdio) {
+    let (reader, mut writer) = pipe().unwrap();
+    let flags = fcntl_getfl(&writer).unwrap();
+    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
+    while writer.write(b"\n").is_ok() {}
+    fcntl_setfl(&writer, flags).unwrap();
+    (reader, Stdio::from(OwnedFd::from(writer)))
+}
+
+/// Starts a run with a terminal of its own, stops that at a line from standard input, and then says how the run ended.
+const STOPPED_TERMINAL: &str = "
+import os, pty, select, sys
+pid, terminal = pty.fork()
+if pid == 0:
+    os.execv(sys.argv[1], sys.argv[1:])
+print(pid, flush=True)
+while sys.stdin not in (ready := select.select([terminal, sys.stdin], [], [])[0]):
+    os.read(terminal, 65536)
+sys.stdin.readline()
+os.write(terminal, b'\\x13')
+print('stopped', flush=True)
+_, status = os.waitpid(pid, 0)
+print(os.waitstatus_to_exitcode(status), flush=True)
+";
+
+/// The launcher stood in a write to the terminal and heard no signal, until somebody typed Ctrl-Q.
+#[test]
+fn a_signal_beside_a_stopped_terminal_is_obeyed() {
+    let place = Place::new();
+    let (scene, output) = (place.scene(&scenes::drill("realtime", 600.0)), place.path("out"));
+    let mut terminal = Terminal::new(STOPPED_TERMINAL, &scene, &output);
+    let (launcher, session) = (terminal.launcher, terminal.session.clone());
+    let client = Client::join(&session);
+    client.wait_for_state(|state| state.tick >= 100);
+    terminal.tell("stop");
+    assert_eq!(terminal.next_line(), "stopped");
+    // Some tables later it stands in the write. The run goes on.
+    let stopped_at = client.wait_for_state(|_| true).tick;
+    client.wait_for_state(|state| state.tick >= stopped_at + 1000);
+    drop(client);
+    signal(launcher, Signal::TERM);
+    wait_for("the end beside a stopped terminal", || parts_of(&session).is_empty().then_some(()));
+    assert_eq!(terminal.next_line(), "130");
+    assert_nothing_left(launcher);
+    let folder = only_entry(&output);
+    assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Interrupted);
+    assert_replays(&folder);
+}
+
+#[test]
+fn a_signal_beside_full_pipes_is_obeyed() {
+    for json in [false, true] {
+        let place = Place::new();
+        let (scene, output) = (place.scene(&scenes::hold("realtime", 600.0)), place.path("out"));
+        let ((_out, stdout), (_err, stderr)) = (full_pipe(), full_pipe());
+        let more: &[&str] = if json { &["--json"] } else { &[] };
+        let mut run = Launched::new(&scene, &output, more, stdout, stderr);
+        // Behind the first lines of progress.
+        run.at_tick(2500);
+        signal(run.0.0.id(), Signal::TERM);
+        assert_eq!(run.end().code(), Some(130));
+        let folder = only_entry(&output);
+        assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Interrupted);
+        assert_replays(&folder);
+    }
+}
+
+#[test]
+fn a_second_signal_ends_everything_at_once_where_nothing_can_be_written() {
+    let place = Place::new();
+    let (scene, output) = (place.scene(&scenes::drill("realtime", 600.0)), place.path("out"));
+    let ((_out, stdout), (_err, stderr)) = (full_pipe(), full_pipe());
+    let mut run = Launched::new(&scene, &output, &[], stdout, stderr);
+    run.at_tick(100);
+    let pid = run.0.0.id();
+    let recorder = parts_of(&session_folder(pid)).into_iter().find(|(part, _)| part == "recorder").unwrap().1;
+    // The log cannot be finished; the launcher would wait for more than two minutes.
+    signal(recorder, Signal::STOP);
+    signal(pid, Signal::INT);
+    std::thread::sleep(ANOTHER);
+    signal(pid, Signal::INT);
+    assert_eq!(run.end().code(), Some(130));
+    assert_replays(&only_entry(&output));
+}
+
+/// A program that wrote more than a pipe holds stood still, and with it every run that waited for its commands.
+#[test]
+fn a_controllers_words_that_nobody_reads_hold_up_nobody_and_are_counted() {
+    let place = Place::new();
+    let done = place.path("done");
+    let words = format!("yes | head -c 1000000 >&2; touch {}; exec sleep 1000", done.display());
+    let talker = format!(
+        "[[controller]]\nname = \"talker\"\ndrives = []\noptional = true\ncommand = [\"sh\", \"-c\", {words:?}]\n"
+    );
+    let scene = scenes::hold("realtime", 600.0) + &talker;
+    let (scene, output) = (place.scene(&scene), place.path("out"));
+    let ((_out, stdout), (err, stderr)) = (full_pipe(), full_pipe());
+    let mut run = Launched::new(&scene, &output, &["--quiet"], stdout, stderr);
+    run.at_tick(100);
+    wait_for("the end of the program's words", || done.exists().then_some(()));
+    let reading = read_all(err);
+    signal(run.0.0.id(), Signal::TERM);
+    assert_eq!(run.end().code(), Some(130));
+    let text = text_within(&reading, LIMIT, "the pipe");
+    let left_out = text.lines().find_map(|line| line.strip_suffix(" lines not shown: they were not read"));
+    let left_out: usize = left_out.unwrap().strip_prefix("trabecula: ").unwrap().parse().unwrap();
+    let shown = text.lines().filter(|line| *line == "[talker] y").count();
+    assert_eq!(left_out + shown, 500_000, "{shown} shown");
+    assert!(text.contains("trabecula: SIGTERM: the run ends"));
+}
+
+/// What a script asked for waits for the script.
+#[test]
+fn json_is_whole_however_late_it_is_read() {
+    let place = Place::new();
+    let (scene, output) = (place.scene(&scenes::hold("realtime", 2.5)), place.path("out"));
+    let (out, stdout) = full_pipe();
+    let err = File::create(place.path("err")).unwrap();
+    let mut run = Launched::new(&scene, &output, &["--json"], stdout, err.into());
+    wait_for("the report", || {
+        let folder = std::fs::read_dir(&output).ok()?.next()?.unwrap().path();
+        folder.join("summary.json").exists().then_some(())
+    });
+    let reading = read_all(out);
+    assert_eq!(run.end().code(), Some(0));
+    let text = text_within(&reading, LIMIT, "the pipe");
+    let lines: Vec<serde_json::Value> = text
+        .lines()
+        .filter(|line| !line.is_empty())
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    assert!(lines.iter().any(|line| line["phase"] == "running"), "{text}");
+    assert_eq!(lines.last().unwrap()["phase"], "ended", "{text}");
+}

@@ -1,0 +1,241 @@
+//! Files that commands leave behind: whole under their names, or not there, when the command is killed, when the disk is full, and
+//! when another program takes the name meanwhile.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use output_file::DRAFT_PREFIX;
+use rustix::process::Signal;
+use test_support::limited::{Limited, end_within, limited_output_of};
+
+use crate::common::program::{LIMIT, Place, signal, trabecula, wait_for};
+use crate::common::scenes;
+
+/// What was in a file before a command, or comes meanwhile.
+const MINE: &[u8] = b"a user's own work";
+
+/// A log with a volume and frames, a file of two runs, a volume and a sweep, in a folder of their own.
+struct Inputs(Place);
+
+impl Inputs {
+    fn new(duration_s: f64) -> Inputs {
+        let place = Place::new();
+        let sweep = "tension_sweep = { most_n = 2.0, step_n = 1.0, settle_s = 0.05 }";
+        let scene = scenes::hold("lockstep", 60.0).replace("hold = { tension_n = 2.0 }", sweep);
+        fs::write(place.path("sweep.toml"), scene).unwrap();
+        let folder = place.complete(&scenes::drill("lockstep", duration_s)).folder;
+        fs::rename(folder, place.path("log")).unwrap();
+        let (log, ball, two) = (place.path("log"), place.path("ball.nrrd"), place.path("two.mcap"));
+        assert_eq!(trabecula(&[&"phantom", &"sphere", &ball, &"--spacing-mm", &"2"]).code, Some(0));
+        assert_eq!(trabecula(&[&"log", &"cat-files", &log, &log, &"-o", &two]).code, Some(0));
+        Inputs(place)
+    }
+
+    /// A command's words: `@` stands for the inputs, `#` for the outputs.
+    fn command(&self, words: &str, outputs: &Path) -> Vec<String> {
+        let inputs = self.0.path("");
+        let place = |word: &str| {
+            word.replace('@', inputs.to_str().unwrap()).replace('#', &format!("{}/", outputs.display()))
+        };
+        words.split(' ').map(place).collect()
+    }
+}
+
+/// Commands that leave files behind, and a name that stands in what they say of one that cannot be written.
+const COMMANDS: [(&str, &str); 18] = [
+    ("log export @log -o #t.csv", "t.csv"),
+    ("log export @log -o #t.parquet", "t.parquet"),
+    ("log export @log --frames -o #pictures", "frame_000001"),
+    ("log compress @log -o #c.mcap", "c.mcap"),
+    ("log repair @log -o #r.mcap", "r.mcap"),
+    ("log cat-files @log @log -o #both.mcap", "both.mcap"),
+    ("log split @two.mcap -o #runs", "runs/run1.mcap"),
+    ("replay @log --record #again", "again/run.mcap"),
+    ("plot @log t_world_tip.position_m --output #f", "f.png"),
+    ("drr @ball.nrrd -o #x.png", "x.png"),
+    ("drr @ball.nrrd -o #x.nrrd", "x.nrrd"),
+    ("drr @ball.nrrd -o #x.dcm", "x.dcm"),
+    ("drr @ball.nrrd -o #x.png --sweep 90 --frames 6 --animate --columns 256 --rows 256", "x.png"),
+    ("drr @ball.nrrd -o #s.png --sweep 90 --frames 3", "s_0000.png"),
+    ("phantom sphere #p.nrrd --spacing-mm 2", "p.nrrd"),
+    ("volume drilled @log #d.nrrd", "d.nrrd"),
+    ("calibrate @sweep.toml -o #cal", "calibration.csv"),
+    ("chart drr --quick --rounds 1 --out #chart", "drr.csv"),
+];
+
+/// Names and contents of all files below a folder.
+fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let (mut found, mut folders) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(below) = folders.pop() {
+        for path in fs::read_dir(below).unwrap().flatten().map(|entry| entry.path()) {
+            match path.is_dir() {
+                true => folders.push(path),
+                false => {
+                    found.push((path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap()))
+                }
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+fn is_draft(path: &Path) -> bool {
+    path.file_name().unwrap().to_str().unwrap().starts_with(DRAFT_PREFIX)
+}
+
+fn start(words: &[String]) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    let command = command.args(words).stdin(Stdio::null()).stdout(Stdio::null());
+    command.stderr(Stdio::piped()).spawn().unwrap()
+}
+
+/// `log export`, `log compress`, `replay --record`, `drr --animate` and `plot` left a part of a file under its name, or an empty one.
+#[test]
+fn a_killed_command_leaves_no_half_file_under_its_name() {
+    const KILLS: u64 = 8;
+    let inputs = Inputs::new(2.0);
+    let mut random = fastrand::Rng::with_seed(17);
+    let (mut killed, mut drafts) = (0, 0);
+    // Those of a tenth of a second or more: the others are over before anybody could kill them, and take the same way.
+    for number in [0, 1, 2, 3, 4, 6, 7, 8, 12, 15] {
+        let (words, _) = COMMANDS[number];
+        let whole = Place::new();
+        let began = std::time::Instant::now();
+        let mut child = start(&inputs.command(words, &whole.path("")));
+        assert!(end_within(&mut child, LIMIT, words).success(), "{words}");
+        let took = began.elapsed();
+        let whole = files(&whole.path(""));
+        assert!(!whole.is_empty() && whole.iter().all(|(_, bytes)| !bytes.is_empty()), "{words}");
+        for kill in 0..KILLS {
+            let place = Place::new();
+            let mut child = start(&inputs.command(words, &place.path("")));
+            // The later moments, in which files are written, more often.
+            let share = (kill as f64 + random.f64()) / KILLS as f64;
+            std::thread::sleep(took.mul_f64(0.2 + 0.8 * share));
+            let _ = child.kill();
+            killed += usize::from(!end_within(&mut child, LIMIT, words).success());
+            for (path, bytes) in files(&place.path("")) {
+                if is_draft(&path) {
+                    drafts += 1;
+                    continue;
+                }
+                let known = whole.iter().find(|(name, _)| *name == path);
+                let (_, expected) = known.unwrap_or_else(|| panic!("{words}: {} is left", path.display()));
+                let (left, all) = (bytes.len(), expected.len());
+                assert!(bytes == *expected, "{words}: {} of {left} bytes, not {all}", path.display());
+            }
+        }
+    }
+    println!(
+        "{killed} commands were killed before their end; {drafts} left a draft, on a file system where drafts need names"
+    );
+    assert!(killed > 0);
+}
+
+/// Outputs on a disk that has nothing left, or in a process that may write no more than half a kilobyte into a file.
+fn assert_told(inputs: &Inputs, outputs: &Path, mut command: impl FnMut() -> Command, cause: &str) {
+    let before = files(outputs);
+    for (words, name) in COMMANDS {
+        let output = command().args(inputs.command(words, outputs)).limited_output().unwrap();
+        let err = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{words}: {:?} {err}", output.status);
+        assert!(err.contains(name) && err.contains(cause) && !err.contains(DRAFT_PREFIX), "{words}: {err}");
+        let left: Vec<PathBuf> = files(outputs).into_iter().map(|(path, _)| path).collect();
+        assert_eq!(left.len(), before.len(), "{words} leaves {left:?}");
+    }
+}
+
+/// `log export` and `phantom` ended with 2 and named no file; whatever reached the limit of a file's size was ended by the system without
+/// a word.
+#[test]
+fn a_file_that_cannot_grow_is_told_by_name_with_1_and_is_not_left() {
+    let (inputs, place) = (Inputs::new(0.3), Place::new());
+    let limited = || {
+        let mut command = Command::new("sh");
+        command.args(["-c", "ulimit -c 0; ulimit -f 1; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_trabecula")]);
+        command
+    };
+    assert_told(&inputs, &place.path(""), limited, "File too large");
+}
+
+#[test]
+fn a_full_disk_is_told_by_name_with_1_and_nothing_is_left() {
+    let (inputs, place) = (Inputs::new(0.3), Place::new());
+    let disk = place.path("disk");
+    fs::create_dir(&disk).unwrap();
+    let mounted =
+        Command::new("mount").args(["-t", "tmpfs", "-o", "size=64k", "none"]).arg(&disk).limited_output();
+    if !mounted.as_ref().is_ok_and(|output| output.status.success()) {
+        eprintln!("SKIPPED: no file system of a few kB can be mounted here ({mounted:?})");
+        return;
+    }
+    struct Mounted<'a>(&'a Path);
+    impl Drop for Mounted<'_> {
+        fn drop(&mut self) {
+            let _ = Command::new("umount").arg("-l").arg(self.0).limited_output();
+        }
+    }
+    let _mounted = Mounted(&disk);
+    let outputs = disk.join("outputs");
+    fs::create_dir(&outputs).unwrap();
+    let mut bytes = vec![0; 128 << 10];
+    while !bytes.is_empty() {
+        let filled = fs::write(disk.join(format!("filler{}", bytes.len())), &bytes).is_ok();
+        bytes.truncate(if filled { bytes.len() } else { bytes.len() / 2 });
+        if filled && bytes.len() < 4096 {
+            break;
+        }
+    }
+    let whole = || Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    assert_told(&inputs, &outputs, whole, "No space left");
+}
+
+/// An empty file held the name; whoever put his own in its place lost it.
+#[test]
+fn what_another_program_puts_there_meanwhile_stays() {
+    let inputs = Inputs::new(4.0);
+    let rows = [
+        ("log export @log -o #t.csv", "t.csv"),
+        ("log compress @log -o #c.mcap", "c.mcap"),
+        ("replay @log --record #", "run.mcap"),
+    ];
+    for (words, name) in rows {
+        // A command may be over before it is seen; most are not.
+        let caught = (0..50).any(|_| {
+            let place = Place::new();
+            let (folder, file) = (place.path(""), place.path(name));
+            let mut child = start(&inputs.command(words, &folder));
+            // A draft that is open, with or without a name.
+            let opened = PathBuf::from(format!("/proc/{}/fd", child.id()));
+            let is_writing = || {
+                let mut files = fs::read_dir(&opened).into_iter().flatten().flatten();
+                files.any(|file| fs::read_link(file.path()).is_ok_and(|file| file.starts_with(&folder)))
+            };
+            while !is_writing() && child.try_wait().unwrap().is_none() {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            signal(child.id(), Signal::STOP);
+            wait_for("a process that stands still or has ended", || {
+                let stat = fs::read_to_string(format!("/proc/{}/stat", child.id())).unwrap();
+                [") T ", ") Z "].iter().any(|state| stat.contains(state)).then_some(())
+            });
+            let is_in_time = is_writing() && !file.exists();
+            if is_in_time {
+                fs::write(&file, MINE).unwrap();
+            }
+            signal(child.id(), Signal::CONT);
+            let output = limited_output_of(child, LIMIT, words);
+            let err = String::from_utf8_lossy(&output.stderr);
+            if is_in_time {
+                assert_eq!(output.status.code(), Some(2), "{words}: {err}");
+                assert!(err.contains(&format!("{name}: is there already")), "{words}: {err}");
+                assert_eq!(files(&folder), [(PathBuf::from(name), MINE.to_vec())], "{words}");
+            }
+            is_in_time
+        });
+        assert!(caught, "{words}: was never seen while it wrote");
+    }
+}

@@ -1,0 +1,102 @@
+//! Connections that have not shown the token: a request that is still coming, a file of the page on its way. Anybody may have them, so
+//! they are few, and a new one is worth more than an old one: whoever opens connections and says nothing loses them, and keeps nobody out.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::rc::Rc;
+
+use tokio::task::AbortHandle;
+
+/// Most guests at a time.
+pub const MAX_GUESTS: usize = 64;
+
+#[derive(Debug)]
+struct Entry {
+    number: u64,
+    peer: IpAddr,
+    task: Option<AbortHandle>,
+}
+
+#[derive(Debug, Default)]
+struct List {
+    /// The oldest first.
+    entries: Vec<Entry>,
+    next: u64,
+}
+
+/// The guests of a server.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Guests(Rc<RefCell<List>>);
+
+/// A connection's place among the guests, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Guest {
+    list: Guests,
+    number: u64,
+}
+
+impl Guests {
+    /// Takes a guest in. If there are too many, the oldest of the address that has most of them is closed.
+    pub fn admit(&self, peer: IpAddr) -> Guest {
+        let mut list = self.0.borrow_mut();
+        if list.entries.len() >= MAX_GUESTS
+            && let Some(index) = oldest_of_most(&list.entries)
+        {
+            let closed = list.entries.remove(index);
+            closed.task.iter().for_each(AbortHandle::abort);
+        }
+        let number = list.next;
+        list.next += 1;
+        list.entries.push(Entry { number, peer, task: None });
+        Guest { list: self.clone(), number }
+    }
+
+    /// Says which task serves a guest.
+    pub fn is_served_by(&self, number: u64, task: AbortHandle) {
+        if let Some(entry) = self.0.borrow_mut().entries.iter_mut().find(|entry| entry.number == number) {
+            entry.task = Some(task);
+        }
+    }
+}
+
+fn oldest_of_most(entries: &[Entry]) -> Option<usize> {
+    let mut counts: HashMap<IpAddr, usize> = HashMap::new();
+    entries.iter().for_each(|entry| *counts.entry(entry.peer).or_default() += 1);
+    let most = counts.values().copied().max()?;
+    entries.iter().position(|entry| counts.get(&entry.peer) == Some(&most))
+}
+
+impl Guest {
+    /// Its number.
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+}
+
+impl Drop for Guest {
+    fn drop(&mut self) {
+        self.list.0.borrow_mut().entries.retain(|entry| entry.number != self.number);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_of_the_address_with_most_guests_makes_room() {
+        let guests = Guests::default();
+        let peer = |last: u8| IpAddr::from([127, 0, 0, last]);
+        let other = guests.admit(peer(2));
+        let mut of_one: Vec<Guest> = (0..MAX_GUESTS - 1).map(|_| guests.admit(peer(1))).collect();
+        let numbers = || guests.0.borrow().entries.iter().map(|entry| entry.number).collect::<Vec<u64>>();
+        of_one.push(guests.admit(peer(1)));
+        assert_eq!(numbers().len(), MAX_GUESTS);
+        assert!(numbers().contains(&other.number()) && !numbers().contains(&of_one[0].number()));
+        let third = guests.admit(peer(3));
+        assert!(numbers().contains(&other.number()) && !numbers().contains(&of_one[1].number()));
+        drop(of_one);
+        assert_eq!(numbers(), [other.number(), third.number()]);
+    }
+}

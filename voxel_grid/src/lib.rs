@@ -1,0 +1,315 @@
+//! Where the voxels of a CT lie in the world (patient frame, LPS, metres): dimensions, spacing, origin and axes.
+//!
+//! A [`VoxelGrid`] is checked when it is made and cannot be changed, so what one reader takes no later one refuses: files
+//! (`volume_io`), the message in shared memory (`messages`), the physics (`simulation`) and the X-ray (`drr_proc`) all come here.
+//!
+//! Its axes are perpendicular to rounding. Files say them with few digits (DICOM six, NIfTI as f32), so axes within
+//! [`PERPENDICULAR_TOLERANCE`] are made perpendicular, the first kept and the others turned towards it (Gram-Schmidt): what DICOM
+//! defines, where the direction of the rows stands and that of the slices is the normal of the image. ITK takes NIfTI files within the
+//! same tolerance and makes their axes perpendicular too. What is further off is sheared: only resampling would put its voxels where
+//! the file says, so it is refused.
+//!
+//! ```
+//! use voxel_grid::{GridError, VoxelGrid};
+//!
+//! let tilted = |cosine: f64| [[1.0, 0.0, 0.0], [cosine, 1.0, 0.0], [0.0, 0.0, 1.0]];
+//! let grid = VoxelGrid::new([4, 5, 6], [1e-3; 3], [0.0; 3], tilted(5e-5))?;
+//! assert_eq!(grid.axes()[1], [0.0, 1.0, 0.0]);
+//! assert!(matches!(
+//!     VoxelGrid::new([4, 5, 6], [1e-3; 3], [0.0; 3], tilted(5e-4)),
+//!     Err(GridError::Sheared { .. })
+//! ));
+//! # Ok::<(), GridError>(())
+//! ```
+
+/// Most voxels of a volume (2^29, 1 GiB of `i16`): a bound that a hostile header cannot exceed.
+pub const MAX_VOXELS: usize = 1 << 29;
+/// Most voxels along one axis: keeps the projectors' 32.32 fixed-point arithmetic far from overflow.
+pub const MAX_VOXELS_ALONG_AXIS: usize = 1 << 16;
+/// Smallest distance of neighbouring voxels.
+pub const MIN_SPACING_M: f64 = 1e-6;
+/// Largest distance of neighbouring voxels.
+pub const MAX_SPACING_M: f64 = 0.1;
+/// Largest coordinate of the first voxel. No patient lies further from anything.
+pub const MAX_ORIGIN_M: f64 = 100.0;
+/// Largest deviation of the axes' dot products from those of perpendicular unit vectors that counts as rounding: for two axes the cosine
+/// of their angle (0.006 degrees; a slice 500 mm away is then moved by 0.05 mm).
+pub const PERPENDICULAR_TOLERANCE: f64 = 1e-4;
+/// Axes this close to perpendicular stay bit for bit.
+const EXACT: f64 = 1e-12;
+
+/// Why there is no such grid.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum GridError {
+    /// No voxel, or too many.
+    #[error(
+        "{dims:?} voxels; expected 1 to {MAX_VOXELS_ALONG_AXIS} along each axis and at most {MAX_VOXELS} in all: crop or resample the volume"
+    )]
+    Dimensions {
+        /// Voxels along i, j, k.
+        dims: [usize; 3],
+    },
+    /// A spacing that is no length of a voxel.
+    #[error(
+        "a voxel spacing of {spacing_m:?} m; expected {MIN_SPACING_M:e} to {MAX_SPACING_M} m along each axis"
+    )]
+    Spacing {
+        /// Spacing along i, j, k.
+        spacing_m: [f64; 3],
+    },
+    /// A first voxel that is nowhere near.
+    #[error("an origin of {origin_m:?} m; expected -{MAX_ORIGIN_M} to {MAX_ORIGIN_M} m in each coordinate")]
+    Origin {
+        /// Centre of voxel (0, 0, 0).
+        origin_m: [f64; 3],
+    },
+    /// Axes that are not perpendicular unit vectors.
+    #[error(
+        "axes that are off perpendicular unit vectors by {deviation:.1e}; expected at most {PERPENDICULAR_TOLERANCE:e}: resample a sheared \
+         volume to a rectangular grid first"
+    )]
+    Sheared {
+        /// Largest deviation of a dot product of two axes; infinite where one is not a number.
+        deviation: f64,
+    },
+}
+
+/// A uniform grid: voxel (i, j, k) has its centre at `origin_m + i s_0 a_0 + j s_1 a_1 + k s_2 a_2`; i runs fastest in memory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VoxelGrid {
+    dims: [usize; 3],
+    placement: Placement,
+}
+
+impl VoxelGrid {
+    /// A grid; `axes[a]` is the direction of index axis a in the world. A left-handed grid is allowed: voxels are never reordered.
+    ///
+    /// # Errors
+    /// Any [`GridError`].
+    pub fn new(
+        dims: [usize; 3],
+        spacing_m: [f64; 3],
+        origin_m: [f64; 3],
+        axes: [[f64; 3]; 3],
+    ) -> Result<VoxelGrid, GridError> {
+        VoxelGrid::placed(dims, Placement::new(spacing_m, origin_m, axes)?)
+    }
+
+    /// A grid of so many voxels, placed.
+    ///
+    /// # Errors
+    /// [`GridError::Dimensions`].
+    pub fn placed(dims: [usize; 3], placement: Placement) -> Result<VoxelGrid, GridError> {
+        voxel_count(dims)?;
+        Ok(VoxelGrid { dims, placement })
+    }
+
+    /// Voxels along i, j, k.
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// Number of voxels.
+    pub fn voxel_count(&self) -> usize {
+        self.dims.iter().product()
+    }
+
+    /// Distance of neighbouring voxel centres along i, j, k.
+    pub fn spacing_m(&self) -> [f64; 3] {
+        self.placement.spacing_m
+    }
+
+    /// World position of the centre of voxel (0, 0, 0).
+    pub fn origin_m(&self) -> [f64; 3] {
+        self.placement.origin_m
+    }
+
+    /// World directions of i, j, k: perpendicular unit vectors.
+    pub fn axes(&self) -> [[f64; 3]; 3] {
+        self.placement.axes
+    }
+}
+
+/// A grid without its dimensions, for a reader that learns these last.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placement {
+    spacing_m: [f64; 3],
+    origin_m: [f64; 3],
+    axes: [[f64; 3]; 3],
+}
+
+impl Placement {
+    /// As [`VoxelGrid::new`].
+    ///
+    /// # Errors
+    /// Any [`GridError`] but that of dimensions.
+    pub fn new(spacing_m: [f64; 3], origin_m: [f64; 3], axes: [[f64; 3]; 3]) -> Result<Placement, GridError> {
+        // A NaN is in no range.
+        if !spacing_m.iter().all(|s| (MIN_SPACING_M..=MAX_SPACING_M).contains(s)) {
+            return Err(GridError::Spacing { spacing_m });
+        }
+        if !origin_m.iter().all(|x| x.abs() <= MAX_ORIGIN_M) {
+            return Err(GridError::Origin { origin_m });
+        }
+        Ok(Placement { spacing_m, origin_m, axes: perpendicular(axes)? })
+    }
+
+    /// Distance of neighbouring voxel centres along i, j, k.
+    pub fn spacing_m(&self) -> [f64; 3] {
+        self.spacing_m
+    }
+
+    /// World position of the centre of voxel (0, 0, 0).
+    pub fn origin_m(&self) -> [f64; 3] {
+        self.origin_m
+    }
+
+    /// World directions of i, j, k: perpendicular unit vectors.
+    pub fn axes(&self) -> [[f64; 3]; 3] {
+        self.axes
+    }
+}
+
+/// The number of voxels, if a volume may have so many.
+///
+/// # Errors
+/// [`GridError::Dimensions`].
+pub fn voxel_count(dims: [usize; 3]) -> Result<usize, GridError> {
+    let each = dims.iter().all(|n| (1..=MAX_VOXELS_ALONG_AXIS).contains(n));
+    // Cannot overflow: three axes of 2^16.
+    let count = if each { dims.iter().product() } else { 0 };
+    if each && count <= MAX_VOXELS { Ok(count) } else { Err(GridError::Dimensions { dims }) }
+}
+
+fn perpendicular(axes: [[f64; 3]; 3]) -> Result<[[f64; 3]; 3], GridError> {
+    let deviation = deviation(&axes);
+    if deviation > PERPENDICULAR_TOLERANCE {
+        return Err(GridError::Sheared { deviation });
+    }
+    if deviation <= EXACT {
+        return Ok(axes);
+    }
+    let [x, y, z] = axes;
+    let x = unit(x);
+    let y = unit(without(y, x, dot(x, y)));
+    let z = unit(without(without(z, x, dot(x, z)), y, dot(y, z)));
+    Ok([x, y, z])
+}
+
+/// Largest deviation of the axes' dot products from those of perpendicular unit vectors; infinite if one is not a number.
+fn deviation(axes: &[[f64; 3]; 3]) -> f64 {
+    let mut largest = 0.0_f64;
+    for (i, a) in axes.iter().enumerate() {
+        for (j, b) in axes.iter().enumerate().take(i + 1) {
+            let off = (dot(*a, *b) - if i == j { 1.0 } else { 0.0 }).abs();
+            // `max` would drop a NaN.
+            largest = if off.is_nan() { f64::INFINITY } else { largest.max(off) };
+        }
+    }
+    largest
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn unit(a: [f64; 3]) -> [f64; 3] {
+    let length = dot(a, a).sqrt();
+    a.map(|x| x / length)
+}
+
+/// `a` without its part along a unit vector, of length `along`.
+fn without(a: [f64; 3], unit: [f64; 3], along: f64) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] - unit[i] * along)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const AXES: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+    fn with(
+        dims: [usize; 3],
+        spacing_m: [f64; 3],
+        origin_m: [f64; 3],
+        axes: [[f64; 3]; 3],
+    ) -> Option<GridError> {
+        VoxelGrid::new(dims, spacing_m, origin_m, axes).err()
+    }
+
+    #[test]
+    fn every_part_has_its_range() {
+        for dims in [[0, 4, 4], [4, 65_537, 1], [1024, 1024, 513], [usize::MAX; 3]] {
+            assert_eq!(with(dims, [1e-3; 3], [0.0; 3], AXES), Some(GridError::Dimensions { dims }));
+        }
+        assert_eq!(with([1024, 1024, 512], [1e-3; 3], [0.0; 3], AXES), None);
+        for bad in [0.0, -1e-3, 9e-7, 0.11, f64::INFINITY, f64::NAN] {
+            assert!(matches!(
+                with([4; 3], [1e-3, bad, 1e-3], [0.0; 3], AXES),
+                Some(GridError::Spacing { .. })
+            ));
+        }
+        for bad in [100.1, -1e9, f64::INFINITY, f64::NAN] {
+            assert!(matches!(with([4; 3], [1e-3; 3], [0.0, 0.0, bad], AXES), Some(GridError::Origin { .. })));
+        }
+        for bad in [f64::NAN, f64::INFINITY, 1e200, 0.0] {
+            let axes = [[bad, 0.0, 0.0], AXES[1], AXES[2]];
+            assert!(matches!(with([4; 3], [1e-3; 3], [0.0; 3], axes), Some(GridError::Sheared { .. })));
+        }
+    }
+
+    #[test]
+    fn a_left_handed_grid_is_taken_as_it_is() {
+        let axes = [AXES[1], AXES[0], [0.0, 0.0, -1.0]];
+        let mirrored = [AXES[1], AXES[0], AXES[2]];
+        for axes in [axes, mirrored] {
+            assert_eq!(VoxelGrid::new([4; 3], [1e-3; 3], [0.0; 3], axes).unwrap().axes(), axes);
+        }
+    }
+
+    proptest! {
+        /// Within the tolerance the axes become perpendicular to rounding and move by no more than they were off, and once they are so
+        /// they stay bit for bit.
+        #[test]
+        fn axes_within_the_tolerance_become_perpendicular_once(
+            turn in prop::array::uniform3(-3.0..3.0_f64),
+            off in prop::array::uniform9(-2.5e-5..2.5e-5_f64),
+        ) {
+            let exact = rotated(turn);
+            let mut axes = exact;
+            for (value, off) in axes.iter_mut().flatten().zip(off) {
+                *value += off;
+            }
+            let grid = VoxelGrid::new([4; 3], [1e-3; 3], [0.0; 3], axes).unwrap();
+            prop_assert!(deviation(&grid.axes()) <= 1e-15, "{}", deviation(&grid.axes()));
+            for (a, b) in grid.axes().iter().flatten().zip(axes.iter().flatten()) {
+                prop_assert!((a - b).abs() <= PERPENDICULAR_TOLERANCE);
+            }
+            let again = VoxelGrid::new([4; 3], [1e-3; 3], [0.0; 3], grid.axes()).unwrap();
+            prop_assert_eq!(again, grid);
+        }
+
+        #[test]
+        fn the_tolerance_decides(cosine in -1e-2..1e-2_f64) {
+            let axes = [AXES[0], [cosine, (1.0 - cosine * cosine).sqrt(), 0.0], AXES[2]];
+            let refused = VoxelGrid::new([4; 3], [1e-3; 3], [0.0; 3], axes).is_err();
+            prop_assert_eq!(refused, cosine.abs() > PERPENDICULAR_TOLERANCE);
+        }
+    }
+
+    /// Axes turned about x, then y, then z.
+    fn rotated(turn: [f64; 3]) -> [[f64; 3]; 3] {
+        let mut axes = AXES;
+        for (about, angle) in turn.into_iter().enumerate() {
+            let (s, c) = angle.sin_cos();
+            let (i, j) = ((about + 1) % 3, (about + 2) % 3);
+            for axis in &mut axes {
+                (axis[i], axis[j]) = (c * axis[i] - s * axis[j], s * axis[i] + c * axis[j]);
+            }
+        }
+        axes
+    }
+}
