@@ -261,7 +261,11 @@ impl Running<'_> {
         self.eyes.look()?;
         let run_has_ended = self.eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
         let tick = self.eyes.state.as_ref().map_or(0, |state| state.tick);
-        if !run_has_ended && self.understudies.replace(self.plan, self.hub, &mut self.parts, index, tick)? {
+        let goes_on = match run_has_ended {
+            true => self.understudies.dismiss(self.plan, &mut self.parts, index),
+            false => self.understudies.replace(self.plan, self.hub, &mut self.parts, index, tick)?,
+        };
+        if goes_on {
             return Ok(None);
         }
         Ok(Some(judge(&mut self.parts[index], run_has_ended)))

@@ -3,6 +3,7 @@
 use ipc_types::messages::{EVENT_RUN, SENDER_LAUNCHER, SEVERITY_WARNING};
 use ipc_types::ports::PortError;
 use ipc_types::process::EventSender;
+use ipc_types::scene::Controller;
 use ipc_types::session::{Session, SessionError};
 
 use super::hub::Hub;
@@ -22,6 +23,24 @@ impl Understudies {
         Ok(Understudies { events: EventSender::new(session, SENDER_LAUNCHER)?, gone: Vec::new() })
     }
 
+    /// The program of this part, and how many times it has been started again, if the run can go on without it.
+    fn dispensable<'a>(&self, plan: &'a RunPlan, part: &Part) -> Option<(&'a Controller, &'a [String], u32)> {
+        let controller = plan.scene.controller.iter().find(|controller| controller.name == part.name)?;
+        let command = controller.command.as_ref()?;
+        let before = self.gone.iter().filter(|gone| gone.name == part.name).count() as u32;
+        (before < controller.restarts || controller.optional).then_some((controller, command, before))
+    }
+
+    /// Takes the part of this index out after the end of the run. False if the run would not have gone on without it: then how
+    /// it ended counts.
+    pub(super) fn dismiss(&mut self, plan: &RunPlan, parts: &mut Vec<Part>, index: usize) -> bool {
+        let may_go = self.dispensable(plan, &parts[index]).is_some();
+        if may_go {
+            self.gone.push(parts.remove(index));
+        }
+        may_go
+    }
+
     /// Replaces the part of this index, or takes it out. False if the run cannot go on without it.
     ///
     /// # Errors
@@ -35,14 +54,8 @@ impl Understudies {
         tick: u64,
     ) -> Result<bool, PortError> {
         let part = &mut parts[index];
-        let of_part = |controller: &&ipc_types::scene::Controller| controller.name == part.name;
-        let Some(controller) = plan.scene.controller.iter().find(of_part) else { return Ok(false) };
-        let Some(command) = &controller.command else { return Ok(false) };
-        let before = self.gone.iter().filter(|gone| gone.name == part.name).count() as u32;
+        let Some((controller, command, before)) = self.dispensable(plan, part) else { return Ok(false) };
         let again = before < controller.restarts;
-        if !again && !controller.optional {
-            return Ok(false);
-        }
         let how = part.ended().map_or_else(String::new, |status| status.to_string());
         let words = part.last_words().pop().map_or_else(String::new, |line| format!(", saying `{line}`"));
         let then = match again {

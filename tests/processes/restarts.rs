@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use ipc_types::messages::EVENT_RUN;
 use ipc_types::session::CONTROLLER_VARIABLE;
+use rustix::process::Signal;
 use trabecula_client::{Client as Controller, ClientError, Connection};
 
 use crate::common::client::Client;
 use crate::common::logs::{assert_replays, read};
-use crate::common::program::{LIMIT, Place, assert_nothing_left, wait_for};
+use crate::common::program::{LIMIT, Place, assert_nothing_left, signal, wait_for};
 use crate::common::scenes;
 
 const NAME: &str = "short_lived";
@@ -86,4 +87,36 @@ fn an_optional_controller_program_may_end_and_the_run_goes_on() {
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_eq!(read(&ended.folder).ticks.len(), 500);
+}
+
+/// How such a program ends once all ticks are made decides nothing: one that failed at that moment made a whole run fail.
+#[test]
+fn a_dispensable_controller_program_that_fails_after_the_last_tick_fails_no_run() {
+    let place = Place::new();
+    let (over, number) = (place.path("over"), place.path("number"));
+    let script = format!(
+        "echo $$ > {0}.new; mv {0}.new {0}; while [ ! -e {1} ]; do sleep 0.02; done; exit 7",
+        number.display(),
+        over.display()
+    );
+    let run = place.start(&scene(1.0, &format!("[\"sh\", \"-c\", {script:?}]"), "optional = true"));
+    let client = Client::join(&run.session());
+    client.wait_for_state(|state| state.tick >= 100);
+    let program = wait_for("the program's start", || std::fs::read_to_string(&number).ok())
+        .trim()
+        .parse::<u32>()
+        .unwrap();
+    // The physics stays until the recorder has everything.
+    let recorder = run.part("recorder");
+    signal(recorder, Signal::STOP);
+    client.wait_for_state(|state| state.tick == 1000);
+    std::fs::write(&over, "").unwrap();
+    wait_for("the program's end", || {
+        (!std::path::Path::new(&format!("/proc/{program}")).exists()).then_some(())
+    });
+    signal(recorder, Signal::CONT);
+    drop(client);
+    let ended = run.end();
+    assert_eq!(ended.code, Some(0), "{}", ended.err);
+    assert_eq!(read(&ended.folder).ticks.len(), 1000);
 }

@@ -10,6 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use test_support::limited::Limited;
 
+use ipc_types::family::descendants;
 use ipc_types::session::places;
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
@@ -189,11 +190,17 @@ impl Run {
     /// Waits for the end of the launcher.
     pub fn end(mut self) -> Ended {
         let pid = self.pid();
-        let status = wait_for("the end of the run", || {
+        let end = Instant::now() + LIMIT;
+        let status = loop {
             // For whoever looks afterwards whether anything of it is left.
             let _ = session_of(pid);
-            self.child.try_wait().unwrap()
-        });
+            if let Some(status) = self.child.try_wait().unwrap() {
+                break status;
+            }
+            let hangs = Instant::now() >= end;
+            assert!(!hangs, "no end of the run within {LIMIT:?}\n{}\n{}", self.said(), threads_of(pid));
+            std::thread::sleep(LOOK);
+        };
         let text = |name: &str| fs::read_to_string(self.words.path().join(name)).unwrap();
         let folders = fs::read_dir(&self.output).map(|entries| entries.flatten().map(|e| e.path()).collect());
         let folders: Vec<PathBuf> = folders.unwrap_or_default();
@@ -251,6 +258,25 @@ pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
         }
     }
     parts
+}
+
+/// What each thread of a process and of its descendants waits for, as the kernel says it.
+fn threads_of(launcher: u32) -> String {
+    let root = Pid::from_raw(launcher as i32).unwrap();
+    let mut text = String::new();
+    for pid in std::iter::once(root).chain(descendants(root)) {
+        let process = PathBuf::from(format!("/proc/{}", pid.as_raw_nonzero()));
+        let of = |path: PathBuf| fs::read_to_string(path).unwrap_or_default().replace('\0', " ");
+        text += &format!("{}: {}\n", pid.as_raw_nonzero(), of(process.join("cmdline")));
+        for thread in fs::read_dir(process.join("task")).into_iter().flatten().flatten().map(|it| it.path()) {
+            let stat = of(thread.join("stat"));
+            let state = stat.rsplit_once(')').map_or("", |(_, rest)| rest.get(1..2).unwrap_or(""));
+            let [name, wait, call] =
+                ["comm", "wchan", "syscall"].map(|file| of(thread.join(file)).trim().to_owned());
+            text += &format!("  {name} {state} {wait} {call}\n{}", of(thread.join("stack")));
+        }
+    }
+    text
 }
 
 /// Names in /dev/shm that belong to the sessions of a launcher. The transport numbers what it makes, and bits 64 to 95 of
