@@ -22,6 +22,8 @@ use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
+/// How long the word that the run is over may take to come here after it has reached another part.
+const NEWS_LIMIT: Duration = Duration::from_secs(1);
 
 /// How a run is to be made.
 #[derive(Debug, Clone)]
@@ -255,11 +257,24 @@ impl Running<'_> {
         }
     }
 
+    /// Whether the run was over when the part of this index ended. The physics tells one reader after the other, and may be held up
+    /// in between: a part that ended well has most likely heard it first.
+    fn run_has_ended_for(&mut self, index: usize) -> Result<bool, RunError> {
+        let since = Instant::now();
+        loop {
+            self.eyes.look()?;
+            let run_has_ended = self.eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
+            let has_failed = self.parts[index].ended().is_none_or(|status| !status.success());
+            if run_has_ended || has_failed || self.end.is_set() || since.elapsed() >= NEWS_LIMIT {
+                return Ok(run_has_ended);
+            }
+            std::thread::sleep(LOOK_TIME);
+        }
+    }
+
     /// A part has ended; how the run ends with it, if it does.
     fn without(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
-        // What the physics said before is on its way or here.
-        self.eyes.look()?;
-        let run_has_ended = self.eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
+        let run_has_ended = self.run_has_ended_for(index)?;
         let tick = self.eyes.state.as_ref().map_or(0, |state| state.tick);
         let goes_on = match run_has_ended {
             true => self.understudies.dismiss(self.plan, &mut self.parts, index),
