@@ -24,15 +24,10 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 mod tests {
     use clap::CommandFactory;
 
-    /// Commands with an output, and the argument that names it. Each is in the table of `tests/processes/outputs.rs`, but for `run` and
-    /// `stress`, which make a folder of a new name, and `proc recorder`, which `run` starts in it.
-    const KNOWN: [&str; 20] = [
-        "bench soak --output",
+    /// Commands with an output, and the argument that names it. Each is in the table of `tests/processes/outputs.rs`, but for `run`, which
+    /// makes a folder of a new name, and `proc recorder`, which `run` starts in it.
+    const KNOWN: [&str; 13] = [
         "calibrate --output",
-        "chart drr --out",
-        "chart drr --rungs",
-        "chart physics --out",
-        "chart stability --out",
         "drr --output",
         "log cat-files --output",
         "log compress --output",
@@ -42,34 +37,13 @@ mod tests {
         "phantom file",
         "plot --output",
         "replay --record",
-        "reproduce --out",
         "run --output",
         "scene init folder",
-        "stress --output",
         "volume drilled file",
     ];
 
-    fn collect(command: &clap::Command, path: &str, found: &mut Vec<String>) {
-        for argument in command.get_arguments() {
-            let id = argument.get_id().as_str();
-            // What is only read is also called a file.
-            let writes_file = (id == "file" && matches!(path, "phantom " | "volume drilled "))
-                || (id == "folder" && path == "scene init ");
-            if writes_file || ["output", "out", "record", "rungs"].contains(&id) {
-                found.push(format!("{path}{}{id}", if writes_file { "" } else { "--" }));
-            }
-        }
-        let of_users = |command: &&clap::Command| !command.is_hide_set() && command.get_name() != "proc";
-        for command in command.get_subcommands().filter(of_users) {
-            collect(command, &format!("{path}{} ", command.get_name()), found);
-        }
-    }
-
     #[test]
     fn every_command_with_an_output_is_in_the_table_of_the_tests() {
-        let mut found = Vec::new();
-        collect(&crate::Arguments::command(), "", &mut found);
-        found.sort();
-        assert_eq!(found, KNOWN);
+        assert_eq!(test_support::outputs::outputs_of(&crate::cli::Arguments::command()), KNOWN);
     }
 }

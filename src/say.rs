@@ -80,12 +80,14 @@ pub fn line(out: &mut dyn Write, text: &str) {
 
 /// As `println!`, but what cannot be written ends nothing before the command's own end, and texts of strangers are shown as
 /// `foreign_text` shows them.
+#[macro_export]
 macro_rules! say {
     () => { $crate::say::answer("") };
     ($($arguments:tt)*) => { $crate::say::answer(&format!($($arguments)*)) };
 }
 
 /// As `eprintln!`, in the same way; what cannot be said there cannot be said.
+#[macro_export]
 macro_rules! tell {
     ($($arguments:tt)*) => { $crate::say::line(&mut $crate::printer::Words, &format!($($arguments)*)) };
 }

@@ -22,6 +22,7 @@ pub struct CalibrateArguments {
     /// Folder for `calibration.csv`, `.png` and `.svg`; made if it is not there.
     #[arg(short, long, default_value = "out/calibration")]
     pub output: PathBuf,
+    /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
 }

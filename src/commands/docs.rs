@@ -6,7 +6,7 @@ use ipc_types::reference::{every_message, message_reference};
 use ipc_types::scene::reference::scene_reference;
 use recorder_proc::topics::schema_of;
 
-use crate::Arguments;
+use crate::cli::Arguments;
 use crate::failure::Failure;
 use crate::say;
 

@@ -4,9 +4,8 @@ use std::time::Duration;
 
 use clap::Args;
 
-use crate::bench::machine::Machine;
 use crate::failure::Failure;
-use crate::stress::machine::{Finding, Grade, facts};
+use crate::machine::{Finding, Grade, Machine, facts};
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]

@@ -21,6 +21,7 @@ use crate::x_ray::poses::{self, Placed, Pose};
 pub struct DrrArguments {
     /// NIfTI, NRRD, MetaImage, or a DICOM folder.
     pub volume: PathBuf,
+    /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
     /// File to write: .png (16 bits), .nrrd (32-bit floats) or .dcm (X-ray angiography); several poses are numbered.

@@ -35,6 +35,7 @@ pub struct PlanArguments {
     /// With `--check`: go on though the log is of another build, layout or volume.
     #[arg(long)]
     pub allow_mismatch: bool,
+    /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
 }

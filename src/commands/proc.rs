@@ -23,6 +23,7 @@ pub enum ProcCommand {
         /// Its name in the scene.
         #[arg(long)]
         name: String,
+        /// The session.
         #[command(flatten)]
         joined: Joined,
     },
@@ -31,6 +32,7 @@ pub enum ProcCommand {
         /// Folder for `run.mcap` and `timing.mcap`.
         #[arg(long)]
         output: PathBuf,
+        /// The session.
         #[command(flatten)]
         joined: Joined,
     },

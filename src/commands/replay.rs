@@ -53,6 +53,7 @@ pub struct ReplayArguments {
     /// Replay though the log is of another build, layout, scene or volume; the result is labelled so.
     #[arg(long)]
     pub allow_mismatch: bool,
+    /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
 }

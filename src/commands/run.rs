@@ -57,6 +57,7 @@ pub struct RunArguments {
     /// With `--view`: let whoever reaches the port watch without the token.
     #[arg(long, requires = "view")]
     pub watch_by_anyone: bool,
+    /// Which files the volume may name.
     #[command(flatten)]
     pub volume_files: VolumeFiles,
     /// No progress line.

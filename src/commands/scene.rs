@@ -17,6 +17,7 @@ pub enum SceneCommand {
     Check {
         /// Scene file.
         file: PathBuf,
+        /// Which files the volume may name.
         #[command(flatten)]
         volume_files: VolumeFiles,
     },

@@ -17,6 +17,7 @@ pub enum VolumeCommand {
     Info {
         /// NIfTI, NRRD, MetaImage, or a DICOM folder.
         file: PathBuf,
+        /// Which files the volume may name.
         #[command(flatten)]
         files: VolumeFiles,
     },

@@ -20,9 +20,11 @@ const EXPLICIT_LITTLE_ENDIAN: &str = "1.2.840.10008.1.2.1";
 /// A rendered frame.
 #[derive(Debug, Clone)]
 pub struct Picture {
+    /// Where from.
     pub placed: Placed,
     /// Greys proportional to the detector's readout; otherwise to its logarithm.
     pub linear: bool,
+    /// Row by row, as long as the detector has pixels.
     pub greys: Vec<u16>,
     /// Without window and rounding; only where a file wants it.
     pub values: Vec<f32>,

@@ -13,25 +13,37 @@ use crate::failure::Failure;
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Pose {
-    /// DICOM positioner angles and distances.
+    /// DICOM Positioner Primary Angle (0018,1510): LAO positive.
     pub primary_angle_deg: Option<f64>,
+    /// DICOM Positioner Secondary Angle (0018,1511): cranial positive.
     pub secondary_angle_deg: Option<f64>,
+    /// DICOM Distance Source to Patient (0018,1111).
     pub source_isocentre_mm: Option<f64>,
+    /// DICOM Distance Source to Detector (0018,1110).
     pub source_detector_mm: Option<f64>,
+    /// The point about which the C-arm turns.
     pub isocentre_mm: Option<[f64; 3]>,
-    /// Camera.
+    /// Of a camera instead: its matrix K, in pixels.
     pub intrinsics: Option<[[f64; 3]; 3]>,
+    /// Rows: the camera's axes in the volume's frame.
     pub rotation: Option<[[f64; 3]; 3]>,
+    /// Of the volume's origin in the camera's frame.
     pub translation_mm: Option<[f64; 3]>,
+    /// Where a pixel's centre lies.
     pub pixel_centre: Option<PixelCentre>,
-    /// Points.
+    /// Of source and detector as points instead: the focal spot.
     pub source_mm: Option<[f64; 3]>,
+    /// The detector's centre.
     pub detector_centre_mm: Option<[f64; 3]>,
+    /// Unit vector along a row.
     pub row_axis: Option<[f64; 3]>,
+    /// Unit vector along a column.
     pub column_axis: Option<[f64; 3]>,
-    /// Detector.
+    /// The detector's columns.
     pub columns: Option<u32>,
+    /// Its rows.
     pub rows: Option<u32>,
+    /// From one pixel's centre to the next.
     pub pixel_pitch_mm: Option<f64>,
 }
 
@@ -45,7 +57,9 @@ struct PoseList {
 /// A C-arm and the isocentre that its angles refer to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placed {
+    /// Source and detector.
     pub c_arm: CArm,
+    /// The point about which it turns.
     pub isocentre_m: [f64; 3],
 }
 

@@ -1,6 +1,6 @@
 """MuJoCo on the beam of `trabecula chart physics`: a chain of hinges with springs, and its cable plugin.
 
-Input: a folder with beam.json; output lines as src/charts/physics/peers.rs says.
+Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says.
 """
 import json
 import math

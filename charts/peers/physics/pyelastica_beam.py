@@ -1,6 +1,6 @@
 """PyElastica's Cosserat rod on the beam of `trabecula chart physics`.
 
-Input: a folder with beam.json; output lines as src/charts/physics/peers.rs says. The step is what the stretch of the rod
+Input: a folder with beam.json; output lines as lab/charts/physics/peers.rs says. The step is what the stretch of the rod
 allows, so every problem runs for as short as it settles.
 """
 import json

@@ -10,5 +10,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod limited;
+pub mod outputs;
 pub mod python;
 pub mod scenes;

@@ -1,0 +1,278 @@
+//! Milliseconds of X-ray line integrals, beside their error and the speed at which this machine reads memory.
+
+use std::time::Instant;
+
+use drr_proc::attenuation::MuTable;
+use drr_proc::ray::{IndexRay, RayFan};
+use drr_proc::reference::{self, Phantom, Solid, relative_rms};
+use drr_proc::removal::{AttenuationField, BlockMap, RemovedVoxels};
+use drr_proc::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
+use drr_proc::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, siddon};
+use rayon::prelude::*;
+
+use super::{failed, row};
+use trabecula::failure::Failure;
+use trabecula::machine::Machine;
+
+/// Poses by primary and secondary angle, degrees.
+const POSES: [(&str, f64, f64); 3] = [("ap", 0.0, 0.0), ("oblique", 37.0, 18.0), ("lateral", 90.0, 5.0)];
+/// Every how many pixels in both directions the error is taken: Siddon's method is slow.
+const ERROR_STRIDE: u32 = 8;
+/// Voxel size up to 512 voxels along an edge; more are smaller, so that the C-arm stays around the volume.
+const SPACING_M: f64 = 0.5e-3;
+/// Field of view of the detector, m.
+const FIELD_M: f64 = 0.307;
+/// Photon energy, keV.
+const ENERGY_KEV: f64 = 60.0;
+
+/// Times of one thing over rounds.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Times(Vec<f64>);
+
+impl Times {
+    pub(super) fn add<T>(&mut self, what: impl FnOnce() -> T) -> T {
+        let began = Instant::now();
+        let result = what();
+        self.0.push(began.elapsed().as_secs_f64() * 1e3);
+        result
+    }
+
+    pub(super) fn least(&self) -> f64 {
+        self.0.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+
+    pub(super) fn text(&self) -> String {
+        format!("{:8.3} ({:.3})", self.least(), super::samples::median(&self.0))
+    }
+}
+
+fn pool(threads: usize) -> Result<rayon::ThreadPool, Failure> {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(failed)
+}
+
+pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrError> {
+    let format = DetectorFormat { columns: side, rows: side, pixel_pitch_m: [FIELD_M / f64::from(side); 2] };
+    let angles = PositionerAngles::from_degrees(primary, secondary);
+    CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
+}
+
+/// Renders a phantom of the dimensions `rounds` times from three sides.
+///
+/// # Errors
+/// A volume too large for the memory.
+pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
+    let longest = dimensions.into_iter().max().unwrap_or(1);
+    let spacing_m = SPACING_M * (512.0 / longest as f64).min(1.0);
+    let grid = Grid::centred(dimensions, [spacing_m; 3]).map_err(Failure::bad_input)?;
+    // The thigh fills 240 x 200 x 320 mm at size 1; it goes on beyond the ends of a shorter volume.
+    let size = dimensions[0].min(dimensions[1]) as f64 * spacing_m / 0.24;
+    let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
+    let hu = Phantom { solids }.voxelise(&grid, 2);
+    let view = VolumeView::new(grid, &hu).map_err(failed)?;
+    let machine = Machine::watch();
+    say!("volume {dimensions:?}, {spacing_m} m; ms as least (median) of {rounds} interleaved rounds\n");
+    let bandwidth = bandwidth(&hu, rounds)?;
+    for instructions in Instructions::available() {
+        // Scalar code is there to be right.
+        let rounds = if instructions == Instructions::SCALAR { rounds.min(3) } else { rounds };
+        frames(&view, instructions, rounds, bandwidth)?;
+    }
+    errors(&view)?;
+    removals(&view)?;
+    super::drr_layers::run(&view, rounds)?;
+    super::print_machine(&machine);
+    Ok(())
+}
+
+/// Bytes a second that one and two threads read in a row.
+fn bandwidth(hu: &[i16], rounds: usize) -> Result<[f64; 2], Failure> {
+    let mut rates = [0.0; 2];
+    for (rate, threads) in rates.iter_mut().zip([1, 2]) {
+        let (pool, mut times) = (pool(threads)?, Times::default());
+        for _ in 0..rounds {
+            let read = || hu.par_chunks(1 << 19).map(xor).reduce(|| 0, |a, b| a ^ b);
+            std::hint::black_box(times.add(|| pool.install(read)));
+        }
+        *rate = size_of_val(hu) as f64 / times.least() * 1e3;
+        row(&format!("streaming read, {threads} threads"), &format!("{:.1} GB/s", *rate * 1e-9));
+    }
+    Ok(rates)
+}
+
+fn xor(values: &[i16]) -> i16 {
+    values.iter().fold(0, |all, v| all ^ v)
+}
+
+fn projector(view: &VolumeView<'_>, options: SliceOrderedOptions) -> Result<SliceOrdered, Failure> {
+    let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
+    let unit_per_m = Material::Water.mu_per_m(ENERGY_KEV).map_err(failed)? / 1000.0;
+    SliceOrdered::new(view, &table, unit_per_m, 0.0, options).map_err(failed)
+}
+
+fn frames(
+    view: &VolumeView<'_>,
+    instructions: Instructions,
+    rounds: usize,
+    bandwidth: [f64; 2],
+) -> Result<(), Failure> {
+    let removed = RemovedVoxels::new(view.grid());
+    let options = SliceOrderedOptions { instructions, ..SliceOrderedOptions::default() };
+    let mut slices = projector(view, options)?;
+    for (_, primary, secondary) in POSES {
+        let c_arm = pose(primary, secondary, 64).map_err(failed)?;
+        pool(2)?.install(|| slices.prepare(view, &removed, &c_arm)).map_err(failed)?;
+    }
+    // Times by pose, number of threads, side of the detector. The pose changes from frame to frame, so each is a full one.
+    let cases = [(1, 512), (2, 512), (1, 1024), (2, 1024)];
+    let mut times = vec![Times::default(); POSES.len() * cases.len()];
+    let pools = [pool(1)?, pool(2)?];
+    for _ in 0..rounds {
+        for (case, (threads, side)) in cases.into_iter().enumerate() {
+            let pool = &pools[threads - 1];
+            // As in the running hub, the image lies in memory that has been written before.
+            let mut image = vec![1.0; side as usize * side as usize];
+            for (which, (_, primary, secondary)) in POSES.into_iter().enumerate() {
+                let c_arm = pose(primary, secondary, side).map_err(failed)?;
+                let project = || slices.project(view, &removed, &c_arm, &mut image);
+                let update =
+                    times[which * cases.len() + case].add(|| pool.install(project)).map_err(failed)?;
+                if update != Some(Update::Full) {
+                    return Err(Failure::failed(format!("not a full frame: {update:?}")));
+                }
+            }
+        }
+    }
+    let memory = slices.memory();
+    row(
+        &format!("{}: memory with the intermediate image", instructions.name()),
+        &format!("{:.1} MB", memory.total() as f64 * 1e-6),
+    );
+    row(
+        &format!("{}: copies", instructions.name()),
+        &format!("{:.1} + {:.1} MB", memory.along_x as f64 * 1e-6, memory.along_y as f64 * 1e-6),
+    );
+    let [along_x, along_y] = slices.occupied_shares().map(|share| share.unwrap_or(0.0));
+    for ((name, ..), times) in POSES.iter().zip(times.chunks(4)) {
+        let [one, two, one_large, two_large] = times else { continue };
+        let lateral = *name == "lateral";
+        let bytes = if lateral { memory.along_y as f64 * along_y } else { memory.along_x as f64 * along_x };
+        let share = |times: &Times, rate: f64| 100.0 * bytes / rate / (times.least() * 1e-3);
+        row(
+            &format!("{} {name}: 512, 1 and 2 threads; 1024", instructions.name()),
+            &format!("{} {}; {} {}", one.text(), two.text(), one_large.text(), two_large.text()),
+        );
+        row(
+            "  of the streaming rate over what is not skipped",
+            &format!("{:.0} %, {:.0} % (512)", share(one, bandwidth[0]), share(two, bandwidth[1])),
+        );
+    }
+    Ok(())
+}
+
+/// Errors against Siddon's method on the same voxels.
+fn errors(view: &VolumeView<'_>) -> Result<(), Failure> {
+    let (removed, pool) = (RemovedVoxels::new(view.grid()), pool(2)?);
+    let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
+    let blocks = BlockMap::new(view, &table);
+    let field = AttenuationField {
+        view: *view,
+        removed: &removed,
+        blocks: &blocks,
+        table: &table,
+        fill_mu_per_m: 0.0,
+    };
+    let rungs = [
+        ("os 1", SliceOrderedOptions::default()),
+        ("os 1, not sharpened", SliceOrderedOptions { sharpen: false, ..SliceOrderedOptions::default() }),
+        ("os 0.9", SliceOrderedOptions { oversampling: 0.9, ..SliceOrderedOptions::default() }),
+        ("os 0.8", SliceOrderedOptions { oversampling: 0.8, ..SliceOrderedOptions::default() }),
+        ("os 1.5", SliceOrderedOptions { oversampling: 1.5, ..SliceOrderedOptions::default() }),
+        ("preview 2", SliceOrderedOptions { reduction: 2, ..SliceOrderedOptions::default() }),
+    ];
+    for (name, options) in rungs {
+        let mut slices = projector(view, options)?;
+        let mut text = String::new();
+        for (_, primary, secondary) in POSES {
+            let c_arm = pose(primary, secondary, 512).map_err(failed)?;
+            let fan = RayFan::new(view.grid(), &c_arm);
+            let mut image = vec![0.0; c_arm.pixels()];
+            let mut times = Times::default();
+            pool.install(|| slices.prepare(view, &removed, &c_arm)).map_err(failed)?;
+            times
+                .add(|| pool.install(|| slices.project(view, &removed, &c_arm, &mut image)))
+                .map_err(failed)?;
+            let some: Vec<(u32, u32)> = (0..512 / ERROR_STRIDE)
+                .flat_map(|r| (0..512 / ERROR_STRIDE).map(move |c| (c * ERROR_STRIDE, r * ERROR_STRIDE)))
+                .collect();
+            let exact: Vec<f64> = pool.install(|| {
+                let trace = |&(c, r): &(u32, u32)| {
+                    let ray = IndexRay::new(view.grid(), &fan.world_ray(c, r));
+                    siddon::line_integral(&field, &ray, (0.0, 1.0))
+                };
+                some.par_iter().map(trace).collect()
+            });
+            let got: Vec<f64> = some.iter().map(|&(c, r)| image[(r * 512 + c) as usize]).collect();
+            text.push_str(&format!("{:.2e} ({:.1} ms)  ", relative_rms(&got, &exact), times.least()));
+        }
+        row(&format!("rel. rms from Siddon, {name}"), &text);
+    }
+    Ok(())
+}
+
+/// Updates after removals around the middle of the bone, and scattered over the volume.
+fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
+    let (pool, c_arm) = (pool(2)?, pose(37.0, 18.0, 512).map_err(failed)?);
+    let mut image = vec![0.0; c_arm.pixels()];
+    let mut removed = RemovedVoxels::new(view.grid());
+    let mut slices = projector(view, SliceOrderedOptions::default())?;
+    pool.install(|| slices.project(view, &removed, &c_arm, &mut image)).map_err(failed)?;
+    let dims = view.grid().dims();
+    let mut ball = by_distance(view, dims.map(|n| n / 2)).into_iter();
+    for count in [10, 100, 1000, 10_000, 100_000] {
+        let mut times = Times::default();
+        let mut kind = Update::Unchanged;
+        for _ in 0..if count < 10_000 { 20 } else { 1 } {
+            let batch: Vec<usize> = ball.by_ref().take(count).collect();
+            times.add(|| -> Result<(), Failure> {
+                for &linear in &batch {
+                    if removed.insert(linear) {
+                        slices.remove(view, linear).map_err(failed)?;
+                    }
+                }
+                // As the renderer does: few changes are worked in without waking the worker threads.
+                let update = match slices.refresh(&c_arm, &mut image) {
+                    None => {
+                        let project = || slices.project(view, &removed, &c_arm, &mut image);
+                        pool.install(project).map_err(failed)?
+                    }
+                    some => some,
+                };
+                kind = update.unwrap_or(Update::Unchanged);
+                Ok(())
+            })?;
+        }
+        let how = if kind == Update::Full { "full" } else { "incremental" };
+        row(&format!("update after {count} neighbouring removals, ms"), &format!("{} {how}", times.text()));
+    }
+    Ok(())
+}
+
+/// Voxels that attenuate, by their distance from a voxel.
+fn by_distance(view: &VolumeView<'_>, centre: [usize; 3]) -> Vec<usize> {
+    const REACH: i64 = 60;
+    let grid = view.grid();
+    let mut voxels = Vec::new();
+    for z in -REACH..=REACH {
+        for y in -REACH..=REACH {
+            for x in -REACH..=REACH {
+                let place = [(centre[0], x), (centre[1], y), (centre[2], z)];
+                let voxel = place.map(|(c, d)| c.wrapping_add_signed(d as isize));
+                if let Some(linear) = grid.linear_of(voxel).filter(|&l| view.hu()[l] > -900) {
+                    voxels.push((x * x + y * y + z * z, linear));
+                }
+            }
+        }
+    }
+    voxels.sort_unstable();
+    voxels.into_iter().map(|(_, linear)| linear).collect()
+}

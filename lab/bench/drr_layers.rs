@@ -1,0 +1,77 @@
+//! Milliseconds of what comes after the anatomy of an X-ray frame: the tool, the exposure, the display's window.
+
+use drr_proc::{
+    DetectorParameters, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Material, Tool, ToolPart,
+    VolumeView, Window,
+};
+
+use super::drr::{Times, pose};
+use super::{failed, row};
+use trabecula::failure::Failure;
+
+/// Links of the tool.
+const LINKS: usize = 27;
+
+/// 27 hollow links of nitinol (6 / 5 mm) along an arc, a shaft (6 / 4 mm, 120 mm), and a burr of 3 mm radius.
+fn tool() -> Tool {
+    let material = Material::Nitinol;
+    let on_arc = |n: usize| {
+        let angle = n as f64 * 0.03;
+        [0.07 * (1.0 - angle.cos()), -0.02, 0.07 * angle.sin() - 0.03]
+    };
+    let tube = |start_m, end_m, inner_radius_m| ToolPart::HollowCylinder {
+        start_m,
+        end_m,
+        outer_radius_m: 3e-3,
+        inner_radius_m,
+        material,
+    };
+    let mut parts: Vec<ToolPart> = (0..LINKS).map(|n| tube(on_arc(n), on_arc(n + 1), 2.5e-3)).collect();
+    let base = on_arc(0);
+    parts.push(tube([base[0], base[1], base[2] - 0.12], base, 2e-3));
+    parts.push(ToolPart::Sphere { centre_m: on_arc(LINKS), radius_m: 3e-3, material: Material::Steel316L });
+    Tool { parts }
+}
+
+/// Renders frames of a standing C-arm whose anatomy is cached: alone, with the tool, with noise, and with the window of the
+/// picture's own grey values.
+pub(super) fn run(view: &VolumeView<'_>, rounds: usize) -> Result<(), Failure> {
+    let c_arm = pose(37.0, 18.0, 512).map_err(failed)?;
+    let (nothing, tool) = (Tool::default(), tool());
+    let fixed = Window::Fixed { low: 0.0, high: 6.0 };
+    let parameters = |noise: bool, window: Window| DrrParameters {
+        detector: DetectorParameters {
+            quantum_noise: noise,
+            blur_sigma_px: 0.0,
+            ..DetectorParameters::default()
+        },
+        display: DisplayParameters { window, ..DisplayParameters::default() },
+        ..DrrParameters::default()
+    };
+    let cases = [
+        ("exposure alone", &nothing, parameters(false, fixed)),
+        ("exposure with a tool of 29 parts", &tool, parameters(false, fixed)),
+        ("exposure with noise", &nothing, parameters(true, fixed)),
+        ("exposure, window of the picture", &nothing, parameters(false, DisplayParameters::default().window)),
+    ];
+    let mut image = vec![0; c_arm.pixels()];
+    let mut all = Vec::new();
+    for (name, tool, parameters) in cases {
+        let mut renderer = DrrRenderer::new(view, parameters).map_err(failed)?;
+        let mut covered = 0;
+        let mut times = Times::default();
+        for frame in 0..=rounds.max(20) as u64 {
+            let seed = FrameSeed { seed: 1, frame };
+            let mut render = || renderer.render(view, &c_arm, tool, seed, &mut image);
+            // The first makes the anatomy.
+            let report = if frame == 0 { render() } else { times.add(render) };
+            covered = report.map_err(failed)?.tool_pixels;
+        }
+        row(&format!("{name}, ms (512, 2 threads)"), &format!("{}; {covered} pixels of tool", times.text()));
+        all.push(times.least());
+    }
+    if let [alone, tool, ..] = all.as_slice() {
+        row("  of that the tool of 29 parts", &format!("{:8.3}", tool - alone));
+    }
+    Ok(())
+}

@@ -1,0 +1,61 @@
+//! Instructions of a physics step, counted by valgrind: a figure that no other program's load changes.
+
+use std::process::Command;
+
+use super::failed;
+use trabecula::failure::Failure;
+use trabecula::scenes::SceneSource;
+
+/// Only what this function calls is counted: [`super::step`] calls it around every step.
+const COUNTED: &str = "*one_step*";
+
+/// Runs `bench step SCENE --in-process` again under callgrind, and prints the mean over its ticks.
+///
+/// # Errors
+/// No valgrind on the path, or it fails.
+pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
+    let program = std::env::current_exe().map_err(failed)?;
+    let folder = tempfile::tempdir().map_err(failed)?;
+    let mut valgrind = Command::new("valgrind");
+    valgrind
+        .args(["--tool=callgrind", &format!("--toggle-collect={COUNTED}")])
+        .arg(format!("--callgrind-out-file={}", folder.path().join("callgrind.out").display()))
+        .arg(program)
+        .args(["bench", "step"])
+        .args(scene.argument())
+        .arg("--in-process");
+    if let Some(ticks) = ticks {
+        valgrind.args(["--ticks", &ticks.to_string()]);
+    }
+    let output = valgrind.output().map_err(|cause| {
+        Failure::failed(format!("valgrind: {cause}; --instructions needs it (Debian package `valgrind`)"))
+    })?;
+    let (table, report) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let counted = number_after(&report, "Collected :");
+    let steps = number_after(&table, " us   (").filter(|_| output.status.success());
+    match (counted, steps) {
+        (Some(counted), Some(steps)) if steps > 0 => {
+            super::row("instructions a step, mean", &format!("{} ({steps} steps)", counted / steps));
+            Ok(())
+        }
+        _ => Err(Failure::failed(format!("valgrind ended with {}: {}", output.status, report.trim()))),
+    }
+}
+
+/// The first whole number behind a word; in the table of [`super::step`] the first bracket holds the number of steps.
+fn number_after(text: &str, word: &str) -> Option<u64> {
+    let behind = text.split_once(word)?.1;
+    behind.split(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_read_behind_its_word() {
+        assert_eq!(number_after("==12== Collected : 345\n==12==", "Collected :"), Some(345));
+        assert_eq!(number_after("p50 1.2  p99.9 3.4 us   (6000 samples)", " us   ("), Some(6000));
+        assert_eq!(number_after("no samples", " us   ("), None);
+    }
+}

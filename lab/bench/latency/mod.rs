@@ -1,0 +1,137 @@
+//! From the publication of a state to the arrival of the command that answers it, by language and way of waiting, beside
+//! bare iceoryx2 and sockets. All are measured in turn in one run: a time is a fact about a machine, a ratio less so.
+
+mod cores;
+mod hub;
+mod peers;
+mod sockets;
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use ipc_types::layout::Message;
+use ipc_types::messages::{Command, State};
+
+pub use peers::answer;
+
+use super::ping_pong::{self, Wait};
+use super::samples::{Samples, median};
+use cores::Cores;
+use peers::Programs;
+use trabecula::failure::Failure;
+use trabecula::machine::Machine;
+
+/// Round trips of spinning sides that share a core: each takes two of the scheduler's slices.
+const SHARED_SPIN_ROUNDS: usize = 50;
+
+/// Who answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Peer {
+    /// Bare iceoryx2, bytes of the same lengths.
+    Iceoryx2,
+    /// The Rust client.
+    Rust,
+    /// The C client.
+    C,
+    /// The Python client.
+    Python,
+    /// A Unix stream socket, bytes of the same lengths.
+    Unix,
+    /// UDP over the loopback, bytes of the same lengths.
+    Udp,
+}
+
+impl Peer {
+    fn name(self) -> &'static str {
+        match self {
+            Peer::Iceoryx2 => "bare iceoryx2",
+            Peer::Rust => "Rust client",
+            Peer::C => "C client",
+            Peer::Python => "Python client",
+            Peer::Unix => "Unix socket",
+            Peer::Udp => "UDP loopback",
+        }
+    }
+}
+
+/// What was measured of a peer.
+#[derive(Debug, Default)]
+struct Row {
+    samples: Samples,
+    ratios: Vec<f64>,
+    absent: Option<String>,
+}
+
+/// Measures everything `turns` times in turn with `rounds` round trips each, and prints the table.
+///
+/// # Errors
+/// A transport that fails. A language that is not there is said in its row.
+pub fn run(rounds: usize, turns: usize, python: PathBuf) -> Result<(), Failure> {
+    let machine = Machine::watch();
+    let programs = Programs::prepare(python);
+    let (state, command) = (State::DESCRIPTION.size, Command::DESCRIPTION.size);
+    say!(
+        "round trip from state ({state} bytes) to command ({command} bytes), us; {turns} turns of {rounds} each"
+    );
+    for cores in Cores::available() {
+        for wait in [Wait::Spin, Wait::Hybrid] {
+            let shared_spin = wait == Wait::Spin && cores == Cores::One;
+            let rounds = if shared_spin { SHARED_SPIN_ROUNDS } else { rounds };
+            let how = if wait == Wait::Spin { "by spinning" } else { "by event" };
+            say!("\nwaiting {how}, {}", cores.name());
+            say!("{:<16} {:>9} {:>9} {:>9} {:>10}", "", "p50", "p99", "p99.9", "x iceoryx2");
+            for (peer, row) in measure(&programs, cores, wait, rounds, turns)? {
+                print_row(peer, &row);
+            }
+        }
+    }
+    cores::release();
+    say!();
+    super::print_machine(&machine);
+    Ok(())
+}
+
+fn measure(
+    programs: &Programs,
+    cores: Cores,
+    wait: Wait,
+    rounds: usize,
+    turns: usize,
+) -> Result<Vec<(Peer, Row)>, Failure> {
+    let mut rows: Vec<(Peer, Row)> =
+        Peer::value_variants().iter().map(|peer| (*peer, Row::default())).collect();
+    for _ in 0..turns {
+        let mut bare_us = 0.0;
+        for (peer, row) in &mut rows {
+            let samples = match peer {
+                Peer::Iceoryx2 => ping_pong::measure_on(wait, rounds, |start| cores.apart(start))?,
+                Peer::Unix | Peer::Udp => sockets::measure(*peer, wait, rounds, cores)?,
+                Peer::Rust | Peer::C | Peer::Python => match programs.command(*peer, wait, rounds) {
+                    Ok(command) => hub::measure(command, wait, rounds, cores)?,
+                    Err(reason) => {
+                        row.absent = Some(reason);
+                        continue;
+                    }
+                },
+            };
+            let p50_us = samples.quantile_us(0.5);
+            if *peer == Peer::Iceoryx2 {
+                bare_us = p50_us;
+            }
+            row.ratios.push(p50_us / bare_us);
+            row.samples.append(&samples);
+        }
+    }
+    Ok(rows)
+}
+
+fn print_row(peer: Peer, row: &Row) {
+    match &row.absent {
+        Some(reason) => say!("{:<16} not measured: {reason}", peer.name()),
+        None => {
+            let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|fraction| row.samples.quantile_us(fraction));
+            let ratio = median(&row.ratios);
+            say!("{:<16} {p50:9.2} {p99:9.2} {p999:9.2} {ratio:10.2}", peer.name());
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! Size of a recorded lockstep run, and the speed at which its log replays.
+
+use std::path::Path;
+use std::time::Instant;
+
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Mode, Scene};
+use recorder_proc::{LogReader, SegmentOptions, verify_segments};
+use simulation::{CtView, Simulation, ct_geometry};
+
+use super::{complete_run, cut, failed, row};
+use trabecula::failure::Failure;
+use trabecula::launcher::run::RunPlan;
+use trabecula::launcher::volume_source;
+use trabecula::launcher::volume_source::VolumeFiles;
+use trabecula::machine::Machine;
+use trabecula::replay::{OpenedLog, Overrides};
+use trabecula::scenes::SceneSource;
+
+/// Records the scene in lockstep to its end, or for `ticks`, and replays the log without frames.
+///
+/// # Errors
+/// A scene that is not one (2); a run that fails.
+pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
+    scene.run.mode = Mode::Lockstep;
+    cut(&mut scene, ticks);
+    let end = EndRequest::install().map_err(failed)?;
+    let folder = tempfile::tempdir().map_err(failed)?;
+    let machine = Machine::watch();
+    let plan = RunPlan {
+        scene,
+        output: Some(folder.path().to_owned()),
+        view: None,
+        volume_files: VolumeFiles::default(),
+    };
+    let result = complete_run(&plan, &end, |_| {})?;
+    let simulated_s = plan.scene.run.duration_s;
+    let wall_s = result.running.as_secs_f64();
+    say!("scene {}, {simulated_s} s simulated in lockstep over processes, recorded\n", plan.scene.name);
+    row("run", &format!("{wall_s:.2} s, {:.1} times real time", simulated_s / wall_s));
+    for lane in ["run.mcap", "timing.mcap"] {
+        let bytes = std::fs::metadata(folder.path().join(lane)).map_err(failed)?.len();
+        row(
+            lane,
+            &format!(
+                "{:.0} kB per simulated second ({:.1} MB)",
+                bytes as f64 * 1e-3 / simulated_s,
+                bytes as f64 * 1e-6
+            ),
+        );
+    }
+    let replay_s = replay(&plan.scene, &folder.path().join("run.mcap"))?;
+    row("replay without frames", &format!("{replay_s:.2} s, {:.1} times real time", simulated_s / replay_s));
+    let (verify_s, threads) = verify(&folder.path().join("run.mcap"))?;
+    row(
+        &format!("replay --verify, {threads} threads"),
+        &format!("{verify_s:.2} s, {:.1} times real time", simulated_s / verify_s),
+    );
+    super::print_machine(&machine);
+    Ok(())
+}
+
+/// Seconds of a verification between keyframes, on a thread a core.
+///
+/// # Errors
+/// A log that cannot be read, or of which a tick has another hash.
+pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
+    let opened = OpenedLog::open(log, &Overrides::default())?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let began = Instant::now();
+    let options = SegmentOptions { start: None, to_tick: None, threads };
+    let report = verify_segments(&mut opened.reader()?, &|| opened.simulation(), &options);
+    let found = report.replay;
+    if let Some(gap) = report.gaps.first() {
+        return Err(Failure::failed(format!("{}: {gap}", log.display())));
+    }
+    if !found.is_identical() {
+        return Err(Failure::failed(format!("the replay differs behind tick {}", found.last_tick)));
+    }
+    Ok((began.elapsed().as_secs_f64(), threads))
+}
+
+/// Seconds from the first tick to the last, reading included; the end must have the log's hash.
+///
+/// # Errors
+/// A log that cannot be read, a tick whose hash differs.
+pub(super) fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
+    let volume = volume_source::load(scene, VolumeFiles::default()).map_err(failed)?;
+    let ct = volume.as_ref().map(|(volume, hash)| {
+        let geometry = ct_geometry(&volume_source::message(volume, *hash));
+        CtView { geometry, hu: &volume.hu }
+    });
+    let mut simulation = Simulation::new(scene, ct).map_err(failed)?;
+    let began = Instant::now();
+    for record in LogReader::open(log).map_err(failed)? {
+        let record = record.map_err(failed)?;
+        simulation.step(&record.latched).map_err(failed)?;
+        if simulation.state().hash != record.state.hash {
+            return Err(Failure::failed(format!("the replay differs at tick {}", record.latched.tick)));
+        }
+    }
+    Ok(began.elapsed().as_secs_f64())
+}

@@ -1,0 +1,170 @@
+//! Memory of each process with a large volume: one CT in shared memory, not one a process.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use ipc_types::process::EndRequest;
+use ipc_types::scene::Volume as SceneVolume;
+use ipc_types::session::SessionId;
+use volume_io::Volume;
+use zerocopy::IntoBytes;
+
+use super::{complete_run, cut, failed, row};
+use trabecula::failure::Failure;
+use trabecula::launcher::part::Memory;
+use trabecula::launcher::run::RunPlan;
+use trabecula::launcher::volume_source;
+use trabecula::launcher::volume_source::VolumeFiles;
+use trabecula::machine::Machine;
+use trabecula::scenes::SceneSource;
+
+/// Bytes of a mebibyte.
+const MEBIBYTE: f64 = 1_048_576.0;
+
+/// Three sizes with an `x` between.
+///
+/// # Errors
+/// What is wrong with the text.
+pub fn parse_dimensions(text: &str) -> Result<[usize; 3], String> {
+    let sizes: Vec<usize> = text.split('x').map_while(|size| size.parse().ok()).collect();
+    match sizes[..] {
+        [i, j, k] if sizes.iter().all(|size| (8..=2048).contains(size)) => Ok([i, j, k]),
+        _ => Err("expected three sizes of 8 to 2048, such as 512x512x400".to_owned()),
+    }
+}
+
+/// Runs the scene for `ticks` with its volume resampled to `dimensions`, and prints who holds how much.
+///
+/// # Errors
+/// A scene that is not one, or without a volume (2); a run that fails.
+pub fn run(scene: &SceneSource, dimensions: [usize; 3], ticks: u64) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
+    cut(&mut scene, Some(ticks));
+    let folder = tempfile::tempdir().map_err(failed)?;
+    let file = folder.path().join("large.nrrd");
+    let volume = volume_source::load(&scene, VolumeFiles::default()).map_err(Failure::bad_input)?;
+    let (volume, _) = volume.ok_or_else(|| Failure::bad_input("the scene has no `[volume]`"))?;
+    write_resampled(&volume, dimensions, &file).map_err(failed)?;
+    drop(volume);
+    if let Some(source) = &mut scene.volume {
+        *source = SceneVolume { phantom: None, path: Some(file), mask: false, ..source.clone() };
+    }
+    let end = EndRequest::install().map_err(failed)?;
+    let ct_bytes = dimensions.iter().product::<usize>() as u64 * 2;
+    let (mut segments, mut running) = (Vec::new(), Memory::default());
+    let machine = Machine::watch();
+    let plan = RunPlan {
+        scene,
+        output: Some(folder.path().to_owned()),
+        view: None,
+        volume_files: VolumeFiles::default(),
+    };
+    let result = complete_run(&plan, &end, |glance| {
+        running.measure("self");
+        if segments.is_empty() {
+            segments = shared_segments(glance.session, ct_bytes);
+        }
+    })?;
+    let [i, j, k] = dimensions;
+    say!("scene {}, {ticks} ticks, CT of {i} x {j} x {k} voxels: {}\n", plan.scene.name, mebibytes(ct_bytes));
+    say!("{:<46} {:>14} {:>14}", "process", "peak resident", "its own");
+    for (name, memory) in &result.memory {
+        say!("{name:<46} {:>14} {:>14}", mebibytes(memory.peak_resident), mebibytes(memory.peak_private));
+    }
+    // At its peak the launcher holds the volume that it has read and the one that it shares.
+    say!("{:<46} {:>14} {:>14}", "launcher, once the parts run", "", mebibytes(running.peak_private));
+    let sizes: Vec<String> = segments.iter().map(|bytes| mebibytes(*bytes)).collect();
+    row("shared segments as large as the CT", &format!("{} ({})", segments.len(), sizes.join(", ")));
+    super::print_machine(&machine);
+    Ok(())
+}
+
+fn mebibytes(bytes: u64) -> String {
+    format!("{:.1} MiB", bytes as f64 / MEBIBYTE)
+}
+
+/// Sizes of the segments of a session that could hold a whole CT.
+fn shared_segments(session: &Path, ct_bytes: u64) -> Vec<u64> {
+    let Some(prefix) = SessionId::of(session).map(|id| id.shared_memory_prefix()) else { return Vec::new() };
+    let entries = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
+    let ours = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix));
+    ours.filter_map(|entry| entry.metadata().ok())
+        .map(|meta| meta.len())
+        .filter(|bytes| *bytes >= ct_bytes)
+        .collect()
+}
+
+/// Writes the volume with other dimensions over the same space as an uncompressed NRRD file, each voxel the nearest one.
+fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::Result<()> {
+    let ratio = [0, 1, 2].map(|axis| volume.dims[axis] as f64 / dims[axis] as f64);
+    // The first voxel's centre lies half a new voxel inside the corner, not half an old one.
+    let origin_mm = volume.voxel_to_world_m(ratio.map(|ratio| 0.5 * ratio - 0.5)).map(|metres| metres * 1e3);
+    let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0], v[1], v[2]);
+    let axes = [0, 1, 2].map(|axis| {
+        let length_mm = volume.spacing_m[axis] * ratio[axis] * 1e3;
+        vector([0, 1, 2].map(|row| volume.direction[row][axis] * length_mm))
+    });
+    let mut file = BufWriter::new(File::create(path)?);
+    write!(
+        file,
+        "NRRD0005\ntype: int16\ndimension: 3\nspace: left-posterior-superior\nsizes: {} {} {}\n\
+         space directions: {} {} {}\nendian: little\nencoding: raw\nspace units: \"mm\" \"mm\" \"mm\"\nspace origin: {}\n\n",
+        dims[0],
+        dims[1],
+        dims[2],
+        axes[0],
+        axes[1],
+        axes[2],
+        vector(origin_mm)
+    )?;
+    let nearest = |axis: usize| (0..dims[axis]).map(move |at| at * volume.dims[axis] / dims[axis]);
+    let mut line = Vec::with_capacity(dims[0]);
+    for k in nearest(2) {
+        for j in nearest(1) {
+            let start = (k * volume.dims[1] + j) * volume.dims[0];
+            line.clear();
+            line.extend(nearest(0).map(|i| volume.hu[start + i]));
+            file.write_all(line.as_bytes())?;
+        }
+    }
+    file.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dimensions_are_three_sizes_in_range() {
+        assert_eq!(parse_dimensions("512x512x400"), Ok([512, 512, 400]));
+        for bad in ["512x512", "512x512x400x2", "4x512x512", "512x512x4000", "axbxc", ""] {
+            assert!(parse_dimensions(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_resampled_file_covers_the_same_space_with_the_same_values() {
+        let hu = (0..24).collect();
+        let volume = Volume {
+            dims: [4, 3, 2],
+            spacing_m: [1e-3, 2e-3, 3e-3],
+            origin_m: [0.01, 0.02, 0.03],
+            direction: volume_io::IDENTITY_DIRECTION,
+            hu,
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("finer.nrrd");
+        write_resampled(&volume, [8, 9, 2], &file).unwrap();
+        let finer = volume_io::read(&file).unwrap();
+        assert_eq!(finer.dims, [8, 9, 2]);
+        for (i, j, k) in [(0, 0, 0), (7, 8, 1), (3, 4, 0)] {
+            assert_eq!(finer.at([i, j, k]), volume.at([i / 2, j / 3, k]));
+        }
+        // The outer corner of the first voxel stays; millimetres in text round at 1e-16 relative.
+        let corner = |volume: &Volume| volume.voxel_to_world_m([-0.5; 3]);
+        for (a, b) in corner(&volume).iter().zip(corner(&finer)) {
+            assert!((a - b).abs() < 1e-12, "{a} {b}");
+        }
+    }
+}

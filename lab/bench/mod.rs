@@ -1,0 +1,59 @@
+//! What the hub costs: measurements that print tables. Times are facts about a machine, so nothing here asserts one.
+
+pub mod drr;
+mod drr_layers;
+mod growth;
+pub mod instructions;
+pub mod latency;
+pub mod log;
+pub mod memory;
+pub mod overhead;
+pub mod ping_pong;
+pub mod readings;
+pub mod recorder;
+pub mod samples;
+pub mod soak;
+pub mod step;
+pub mod viewer;
+pub mod xray;
+
+use ipc_types::process::EndRequest;
+use ipc_types::scene::Scene;
+
+use trabecula::failure::Failure;
+use trabecula::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene};
+use trabecula::machine::Machine;
+
+/// An error that ends a measurement.
+fn failed(cause: impl ToString) -> Failure {
+    Failure::failed(cause.to_string())
+}
+
+/// Prints one line of a table.
+fn row(name: &str, value: &str) {
+    say!("{name:<46} {value}");
+}
+
+/// Prints what the machine did during a measurement that is over.
+fn print_machine(machine: &Machine) {
+    row("machine during the measurement", &machine.summary());
+}
+
+/// Makes a run with all its processes; one that does not complete is an error.
+fn complete_run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&Glance)) -> Result<RunResult, Failure> {
+    let result = run_scene(plan, end, show).map_err(failed)?;
+    match &result.outcome {
+        Outcome::Completed => Ok(result),
+        Outcome::Interrupted => Err(Failure::failed("interrupted")),
+        Outcome::LogGone(how) => Err(Failure::failed(how.clone())),
+        Outcome::PartDied { name, how, last_words } => {
+            Err(Failure::failed(format!("part `{name}` died ({how}): {}", last_words.join("; "))))
+        }
+    }
+}
+
+/// Cuts a scene to a number of ticks.
+fn cut(scene: &mut Scene, ticks: Option<u64>) {
+    let ticks = ticks.map_or(scene.tick_count(), |most| most.clamp(1, scene.tick_count()));
+    scene.run.duration_s = ticks as f64 * scene.dt_s();
+}

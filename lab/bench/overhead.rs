@@ -1,0 +1,107 @@
+//! The hub's own overhead: a lockstep tick over processes less its physics step, beside a bare ping-pong in turn.
+
+use ipc_types::messages::TickTiming;
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Mode, Scene};
+
+use super::ping_pong::{self, Wait};
+use super::samples::{Samples, median};
+use super::{complete_run, failed, row};
+use trabecula::failure::Failure;
+use trabecula::launcher::run::RunPlan;
+use trabecula::launcher::volume_source::VolumeFiles;
+use trabecula::machine::Machine;
+use trabecula::scenes::SceneSource;
+
+/// Where the time of lockstep ticks goes.
+#[derive(Debug, Default)]
+struct Ticks {
+    whole: Samples,
+    overhead: Samples,
+    latch: Samples,
+    step: Samples,
+    publish: Samples,
+    answer: Samples,
+    /// The tick before, to which the next one's start is the end.
+    last: Option<TickTiming>,
+}
+
+impl Ticks {
+    /// Takes a tick's facts. A tick whose successor's facts were lost is left out.
+    fn add(&mut self, timing: &TickTiming) {
+        if let Some(last) = self.last.replace(*timing)
+            && last.tick + 1 == timing.tick
+        {
+            let whole_ns = timing.start_ns.saturating_sub(last.start_ns);
+            self.whole.add(whole_ns);
+            self.overhead.add(whole_ns.saturating_sub(last.step_ns));
+            self.latch.add(last.latch_ns);
+            self.step.add(last.step_ns);
+            self.publish.add(last.publish_ns);
+            self.answer.add(timing.round_trip_ns[0]);
+        }
+    }
+
+    fn append(&mut self, other: &Ticks) {
+        self.whole.append(&other.whole);
+        self.overhead.append(&other.overhead);
+        self.latch.append(&other.latch);
+        self.step.append(&other.step);
+        self.publish.append(&other.publish);
+        self.answer.append(&other.answer);
+    }
+}
+
+/// Measures `rounds` times in turn: `ticks` ticks of the scene, and as many round trips with either way of waiting.
+///
+/// # Errors
+/// A scene that is not one (2); a run that fails.
+pub fn run(scene: &SceneSource, ticks: u64, rounds: usize) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
+    scene.run.mode = Mode::Lockstep;
+    scene.run.duration_s = ticks as f64 * scene.dt_s();
+    let end = EndRequest::install().map_err(failed)?;
+    let machine = Machine::watch();
+    let (mut all, mut hybrid, mut yielding) = (Ticks::default(), Samples::default(), Samples::default());
+    let (mut to_hybrid, mut to_yield) = (Vec::new(), Vec::new());
+    for _ in 0..rounds {
+        let round = run_ticks(&scene, &end)?;
+        let bare_hybrid = ping_pong::measure(Wait::Hybrid, ticks as usize)?;
+        let bare_yield = ping_pong::measure(Wait::Yield, ticks as usize)?;
+        let overhead_us = round.overhead.quantile_us(0.5);
+        to_hybrid.push(overhead_us / bare_hybrid.quantile_us(0.5));
+        to_yield.push(overhead_us / bare_yield.quantile_us(0.5));
+        all.append(&round);
+        hybrid.append(&bare_hybrid);
+        yielding.append(&bare_yield);
+    }
+    say!(
+        "scene {}, {rounds} rounds of {ticks} ticks in lockstep, each followed by bare ping-pongs\n",
+        scene.name
+    );
+    row("lockstep tick over processes", &all.whole.line());
+    row("  latch and publish u_k", &all.latch.line());
+    row("  physics step", &all.step.line());
+    row("  publish x_k+1", &all.publish.line());
+    row("  state published to command received", &all.answer.line());
+    row("overhead: tick less physics step", &all.overhead.line());
+    row("bare ping-pong, waiting as the hub does", &hybrid.line());
+    row("bare ping-pong, yielding for ever", &yielding.line());
+    row("overhead / ping-pong waiting as the hub does", &ratio_line(&to_hybrid));
+    row("overhead / ping-pong yielding for ever", &ratio_line(&to_yield));
+    super::print_machine(&machine);
+    Ok(())
+}
+
+fn ratio_line(ratios: &[f64]) -> String {
+    let each: Vec<String> = ratios.iter().map(|ratio| format!("{ratio:.2}")).collect();
+    format!("{:.2} (median of the rounds' p50 ratios: {})", median(ratios), each.join(", "))
+}
+
+fn run_ticks(scene: &Scene, end: &EndRequest) -> Result<Ticks, Failure> {
+    let plan =
+        RunPlan { scene: scene.clone(), output: None, view: None, volume_files: VolumeFiles::default() };
+    let mut ticks = Ticks::default();
+    complete_run(&plan, end, |glance| glance.timings.iter().for_each(|timing| ticks.add(timing)))?;
+    Ok(ticks)
+}

@@ -1,0 +1,41 @@
+//! What the readings cost that say why a tick was late.
+
+use std::time::{Duration, Instant};
+
+use ipc_types::messages::TickTiming;
+use physics_proc::process::Disturbances;
+
+use super::row;
+use super::samples::Samples;
+use trabecula::machine::Machine;
+
+/// Takes the readings of `ticks` ticks, each after a short sleep, as in a run, and without one.
+pub fn run(ticks: u64) {
+    let machine = Machine::watch();
+    let (mut slept, mut awake, mut late) = (Samples::default(), Samples::default(), Samples::default());
+    let mut readings = Disturbances::new();
+    for _ in 0..ticks {
+        slept.add(one(&mut readings, Duration::from_micros(20), false));
+        awake.add(one(&mut readings, Duration::ZERO, false));
+        late.add(one(&mut readings, Duration::from_micros(20), true));
+    }
+    say!("readings of {ticks} ticks of each kind, both looks of a tick together\n");
+    row("a tick in time, after a sleep", &slept.line());
+    row("a tick in time, never off its core", &awake.line());
+    row("a late tick, with the machine's steal", &late.line());
+    super::print_machine(&machine);
+}
+
+/// Nanoseconds of both looks.
+fn one(readings: &mut Disturbances, sleep: Duration, late: bool) -> u64 {
+    let mut timing = TickTiming::zeroed();
+    let began = Instant::now();
+    readings.work_ends();
+    let first = began.elapsed();
+    if !sleep.is_zero() {
+        std::thread::sleep(sleep);
+    }
+    let began = Instant::now();
+    readings.tick_begins(0, 0, late, &mut timing);
+    (first + began.elapsed()).as_nanos() as u64
+}

@@ -1,0 +1,286 @@
+//! A long run in real time with frames, and what is left of it: misses, losses, log, memory, replay.
+
+use std::path::Path;
+use std::time::Instant;
+
+use ipc_types::messages::PHASE_RUNNING;
+use ipc_types::process::{EndRequest, Role, prioritise};
+use ipc_types::scene::{Mode, Policy, Scene};
+use recorder_proc::{MessageStream, ReadOptions, frames};
+
+use super::growth::Growth;
+use super::{failed, log, row};
+use trabecula::failure::{EXIT_INTERRUPTED, Failure};
+use trabecula::launcher::part::Memory;
+use trabecula::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene};
+use trabecula::launcher::volume_source::VolumeFiles;
+use trabecula::machine::Machine;
+use trabecula::output::{refuse_existing, within};
+use trabecula::report::{self, Summary};
+use trabecula::scenes::SceneSource;
+
+/// Bytes of a mebibyte.
+const MEBIBYTE: f64 = 1_048_576.0;
+/// The logs of a run.
+const LANES: [&str; 2] = ["run.mcap", "timing.mcap"];
+/// Looks at the memory over the run, and those of them that are said.
+const SAMPLES: f64 = 120.0;
+const SAMPLES_A_LINE: usize = 4;
+/// Share of the run that the feed takes, where it is slowed.
+const FEED_SHARE: f64 = 0.9;
+/// The slowest feed that a scene may have.
+const SLOWEST_MM_PER_S: f64 = 0.01;
+/// Least growth over the whole run, by its slope, that is called one: what an allocator gives back and takes again moves less.
+const FLAT_BYTES: f64 = MEBIBYTE;
+
+/// Runs the scene in real time for `minutes`, its feed slowed so that it drills all the time, and says what is left of
+/// it: whether the log is whole, nothing lost, every tick replayed to the same hash, every frame there, and no process's
+/// memory grown. Ctrl-C ends the run early; what is done is measured all the same.
+///
+/// # Errors
+/// A scene that is not one (2); a run that fails; a log that is not whole, or lost messages, or replays differently;
+/// Ctrl-C (130).
+pub fn run(
+    scene: &SceneSource,
+    minutes: f64,
+    policy: Option<Policy>,
+    output: Option<&Path>,
+) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
+    if let Some(folder) = output {
+        refuse_existing(&within(folder, &["run.mcap", "timing.mcap", "summary.json"]))?;
+    }
+    scene.run.mode = Mode::Realtime;
+    scene.run.duration_s = minutes * 60.0;
+    scene.run.policy = policy.unwrap_or(scene.run.policy);
+    let slowed = slow_down(&mut scene);
+    let end = EndRequest::install().map_err(failed)?;
+    let own = tempfile::tempdir().map_err(failed)?;
+    let folder = output.unwrap_or(own.path());
+    output_file::create_folder(folder).map_err(failed)?;
+    // A soak of hours is not made to find its log refused.
+    if let Some(there) = LANES.iter().map(|lane| folder.join(lane)).find(|path| path.exists()) {
+        return Err(Failure::bad_input(format!(
+            "{}: is there already; name another folder",
+            there.display()
+        )));
+    }
+    let machine = Machine::watch();
+    let plan =
+        RunPlan { scene, output: Some(folder.to_owned()), view: None, volume_files: VolumeFiles::default() };
+    let mut watch = Watch::new(minutes, plan.scene.run.policy);
+    let result = run_scene(&plan, &end, |glance| watch.look(glance)).map_err(failed)?;
+    let facts = result.facts(String::new());
+    let report::Report { summary, missing } = report::write(folder, &facts)?;
+    say!("scene {}, {minutes} minutes in real time, recorded; {}", plan.scene.name, facts.outcome);
+    slowed.iter().for_each(|line| say!("{line}"));
+    say!();
+    print_run(&result, &summary);
+    let grown = print_memory(&watch.growth);
+    super::print_machine(&machine);
+    let mut problems = check(&plan.scene, folder, &result)?;
+    problems.extend(missing.iter().map(ToString::to_string));
+    match (&result.outcome, problems.first().or(grown.first())) {
+        (_, Some(problem)) => Err(Failure::failed(problem)),
+        (Outcome::Interrupted, None) => {
+            let message =
+                format!("interrupted after {:.1} of {minutes} minutes", result.running.as_secs_f64() / 60.0);
+            Err(Failure { message, code: EXIT_INTERRUPTED })
+        }
+        (_, None) => Ok(()),
+    }
+}
+
+/// Slows each feed that would end before most of the run is over; says which.
+fn slow_down(scene: &mut Scene) -> Vec<String> {
+    let feed_s = FEED_SHARE * scene.run.duration_s;
+    let mut said = Vec::new();
+    for controller in &mut scene.controller {
+        let (length_mm, feed_mm_per_s) = match (&mut controller.curved_drilling, &mut controller.skiving) {
+            (Some(plan), _) => (plan.insertion_mm, &mut plan.feed_mm_per_s),
+            (None, Some(plan)) => (plan.depth_mm, &mut plan.feed_mm_per_s),
+            (None, None) => continue,
+        };
+        let slow_mm_per_s = (length_mm / feed_s).max(SLOWEST_MM_PER_S);
+        if slow_mm_per_s < *feed_mm_per_s {
+            *feed_mm_per_s = slow_mm_per_s;
+            let drills_min = length_mm / slow_mm_per_s / 60.0;
+            said.push(format!(
+                "`{}` feeds at {slow_mm_per_s:.4} mm/s, so that it drills for {drills_min:.1} minutes",
+                controller.name
+            ));
+        }
+    }
+    said
+}
+
+/// What is seen while it runs.
+struct Watch {
+    minutes: f64,
+    policy: Policy,
+    /// Of the first tick.
+    began: Option<Instant>,
+    samples: usize,
+    growth: Growth,
+}
+
+impl Watch {
+    fn new(minutes: f64, policy: Policy) -> Watch {
+        Watch { minutes, policy, began: None, samples: 0, growth: Growth::default() }
+    }
+
+    fn look(&mut self, glance: &Glance) {
+        if self.began.is_none() {
+            if glance.status.is_none_or(|status| status.phase < PHASE_RUNNING) {
+                return;
+            }
+            // The parts have started: what follows is for people, and gives way to them.
+            prioritise(Role::Viewer, self.policy);
+        }
+        let at = self.began.get_or_insert_with(Instant::now).elapsed();
+        let due_s = self.samples as f64 * self.minutes * 60.0 / SAMPLES;
+        if at.as_secs_f64() < due_s || glance.parts.is_empty() {
+            return;
+        }
+        // One that has ended has no memory of its own to grow.
+        for part in glance.parts.iter().filter(|part| part.is_running()) {
+            self.growth.add(&part.name, at, part.memory.private);
+        }
+        let mut own = Memory::default();
+        own.measure("self");
+        self.growth.add("launcher", at, own.private);
+        if self.samples.is_multiple_of(SAMPLES_A_LINE) {
+            let done_min = at.as_secs_f64() / 60.0;
+            let missed = glance.status.map_or(0, |status| status.missed_ticks);
+            let left_min = (self.minutes - done_min).max(0.0);
+            tell!(
+                "{done_min:.1} min, {missed} ticks missed, {} frames; about {left_min:.1} min left",
+                glance.frames
+            );
+        }
+        self.samples += 1;
+    }
+}
+
+fn print_run(result: &RunResult, summary: &Summary) {
+    let share = 100.0 * summary.timing.missed_ticks as f64 / summary.ticks.max(1) as f64;
+    row("run", &format!("{:.2} s wall, {} ticks", result.running.as_secs_f64(), summary.ticks));
+    row("ticks missed", &format!("{} ({share:.3} %)", summary.timing.missed_ticks));
+    let misses = &summary.timing.misses;
+    for (cause, count) in &misses.by_cause {
+        let lost_ms = misses.lost_ms.get(cause).copied().unwrap_or(0.0);
+        row(&format!("  because of: {cause}"), &format!("{count} ({lost_ms:.1} ms lost)"));
+    }
+    if misses.not_recorded > 0 {
+        row("  not recorded", &misses.not_recorded.to_string());
+    }
+    if let Some(confirmed) = misses.confirmed_share {
+        let stolen_ms = misses.lost_ms.get("stolen").copied().unwrap_or(0.0);
+        let counter_ms = misses.steal_counter_ms;
+        row("  with a cause that readings confirm", &format!("{:.1} % of the lost time", 100.0 * confirmed));
+        let text = format!("{stolen_ms:.1} ms; the machine's counter {counter_ms:.0} ms at these ticks");
+        row("  stolen", &text);
+    }
+    row("ticks with a late command", &misses.late_controller_ticks.to_string());
+    if let Some(late) = summary.timing.lateness_us {
+        let text = format!(
+            "p50 {:.1}  p99 {:.1}  p99.9 {:.1}  max {:.1} us",
+            late.p50, late.p99, late.p99_9, late.max
+        );
+        row("how late ticks began", &text);
+    }
+    if let Some(drr) = &summary.drr {
+        let rate = drr.frames_per_wall_s.map_or(String::new(), |rate| format!(", {rate:.2} a second"));
+        row("frames", &format!("{}{rate}", drr.frames));
+    }
+    if let Some(drilling) = &summary.drilling {
+        let text = format!(
+            "{} voxels, contact in {:.1} % of ticks",
+            drilling.removed_voxels,
+            100.0 * drilling.contact_share
+        );
+        row("drilled", &text);
+    }
+    let dropped: u64 = summary.logs.lost_messages.values().sum();
+    row("messages that somebody missed", &dropped.to_string());
+    for (name, memory) in &result.memory {
+        let [resident, private] =
+            [memory.peak_resident, memory.peak_private].map(|bytes| bytes as f64 / MEBIBYTE);
+        row(&format!("{name}: peak resident, its own"), &format!("{resident:.1} MiB, {private:.1} MiB"));
+    }
+}
+
+/// The table of own memory; the processes that have grown.
+fn print_memory(growth: &Growth) -> Vec<String> {
+    say!("\n{:<22} {:>12} {:>12} {:>12} {:>16}", "own memory", "start", "middle", "end", "growth a minute");
+    let mut grown = Vec::new();
+    for (name, course) in growth.courses() {
+        let [start, middle, end] = course.bytes.map(|bytes| format!("{:.2} MiB", bytes as f64 / MEBIBYTE));
+        let rate = format!("{:.1} KiB", course.bytes_per_minute / 1024.0);
+        say!("{name:<22} {start:>12} {middle:>12} {end:>12} {rate:>16}");
+        if course.growth_bytes() > FLAT_BYTES {
+            grown.push(format!("the memory of `{name}` grows by {rate} a minute, from {start} to {end}"));
+        }
+    }
+    say!("start: after a tenth of the run; growth: the median slope of all pairs of samples from there on\n");
+    grown
+}
+
+/// What is wrong with the logs; they are read to their ends, and every tick is made again.
+fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>, Failure> {
+    let mut problems = Vec::new();
+    if let Outcome::PartDied { name, how, .. } = &result.outcome {
+        problems.push(format!("part `{name}` died ({how})"));
+    }
+    let mut simulated_s = 0.0;
+    for lane in LANES {
+        let path = folder.join(lane);
+        match lane_end(&path) {
+            Ok((messages, end_s)) => {
+                simulated_s = end_s;
+                let megabytes = std::fs::metadata(&path).map_err(failed)?.len() as f64 * 1e-6;
+                let rate = megabytes / end_s.max(1e-3);
+                row(lane, &format!("{megabytes:.1} MB, {rate:.2} MB/s, {messages} messages, none lost"));
+            }
+            Err(problem) => problems.push(problem),
+        }
+    }
+    let run_log = folder.join("run.mcap");
+    let shown = frames(&run_log, ReadOptions::default()).map_err(failed)?;
+    let missing = shown.filter_map(Result::err).next().map(|error| error.to_string());
+    if scene.drr.is_some() {
+        row("every frame in the log", missing.as_deref().unwrap_or("yes"));
+    }
+    problems.extend(missing);
+    match log::verify(&run_log) {
+        Ok((verify_s, threads)) => {
+            let speed = simulated_s / verify_s;
+            row(
+                "verified by replay",
+                &format!("yes; {verify_s:.1} s, {speed:.1} times real time, {threads} threads"),
+            );
+        }
+        Err(failure) => {
+            row("verified by replay", "no");
+            problems.push(failure.message);
+        }
+    }
+    Ok(problems)
+}
+
+/// Reads a lane to its end: messages, and the simulated time of the last. It must have its end marker and have lost
+/// nothing; the error says what is wrong.
+fn lane_end(path: &Path) -> Result<(u64, f64), String> {
+    let wrong = |error: recorder_proc::LogError| format!("{}: {error}", path.display());
+    let mut stream = MessageStream::open(path, ReadOptions::default()).map_err(wrong)?;
+    let (mut messages, mut end_ns) = (0_u64, 0);
+    while let Some(message) = stream.next_message().map_err(wrong)? {
+        messages += 1;
+        end_ns = message.log_time_ns;
+    }
+    let verdict = stream.verdict();
+    if !verdict.is_intact() {
+        return Err(format!("{}: {verdict}", path.display()));
+    }
+    Ok((messages, end_ns as f64 * 1e-9))
+}

@@ -1,0 +1,229 @@
+//! Physics step and DRR of a scene in one process, driven by the scene's own controllers: no other process, no log.
+
+use std::time::Instant;
+
+use controller_proc::{Controller, built_in};
+use drr_proc::process::{
+    Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view,
+};
+use drr_proc::{CArm, DrrRenderer, VolumeView};
+use hub::in_process::{Answer, InProcess};
+use ipc_types::messages::{Latched, State, Volume as VolumeMessage};
+use ipc_types::scene::{Drr, Mode, Notch, Scene};
+use ipc_types::services::MAX_KEYFRAME_BYTES;
+use simulation::{CtView, Simulation, ct_geometry};
+use zerocopy::IntoBytes;
+
+use super::samples::Samples;
+use super::{cut, failed, row};
+use trabecula::failure::Failure;
+use trabecula::launcher::volume_source;
+use trabecula::machine::Machine;
+use trabecula::scenes::SceneSource;
+
+/// Frames from a C-arm that has moved, at the end.
+const FULL_FRAMES: usize = 9;
+
+/// Runs the scene to its end, or for `ticks`, in lockstep in this process; the steps again in further `rounds`, of which each
+/// tick keeps its least time: the ticks are the same to the bit, so what differs is what else the machine did.
+///
+/// # Errors
+/// A scene that is not one, or whose controllers are not built in (2).
+pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize) -> Result<(), Failure> {
+    let mut scene = scene.load()?;
+    scene.run.mode = Mode::Lockstep;
+    cut(&mut scene, ticks);
+    let volume =
+        volume_source::load(&scene, volume_source::VolumeFiles::default()).map_err(Failure::bad_input)?;
+    let volume = volume.map(|(volume, hash)| (volume_source::message(&volume, hash), volume.hu));
+    let ct = volume.as_ref().map(|(message, hu)| CtView { geometry: ct_geometry(message), hu });
+    let prepare = || -> Result<Bench, Failure> {
+        let simulation = Simulation::new(&scene, ct).map_err(failed)?;
+        let x_ray = match (&scene.drr, &volume) {
+            (Some(drr), Some((message, hu))) => {
+                Some(XRay::new(&scene, drr, message, hu, simulation.predrilled())?)
+            }
+            _ => None,
+        };
+        Ok(Bench {
+            run: InProcess::new(&scene, simulation),
+            x_ray,
+            steps: Samples::default(),
+            keyframes: Samples::default(),
+            keyframe: vec![0; MAX_KEYFRAME_BYTES],
+            keyframe_bytes: 0,
+        })
+    };
+    let machine = Machine::watch();
+    let mut bench = prepare()?;
+    bench.play(&scene)?;
+    let mut least = bench.steps.clone();
+    for _ in 1..rounds {
+        let mut again = prepare()?;
+        again.play(&scene)?;
+        least.keep_least(&again.steps);
+    }
+    say!("scene {}, {} ticks of {} ms in one process\n", scene.name, scene.tick_count(), scene.run.dt_ms);
+    row("physics step", &bench.steps.line());
+    if rounds > 1 {
+        row(&format!("physics step, each tick's least of {rounds} rounds"), &least.line());
+    }
+    row(&format!("keyframe, {} bytes at the end", bench.keyframe_bytes), &bench.keyframes.line());
+    if let Some(mut x_ray) = bench.x_ray.take() {
+        x_ray.render_from_elsewhere(bench.run.plant().state())?;
+        let what =
+            format!("{} x {} pixels, {} threads", x_ray.c_arm.columns, x_ray.c_arm.rows, x_ray.threads);
+        row(&format!("DRR, full ({what})"), &x_ray.full.line());
+        row("DRR, C-arm at rest: what has changed", &x_ray.changed.line());
+    }
+    super::print_machine(&machine);
+    Ok(())
+}
+
+struct Bench<'v> {
+    run: InProcess<Simulation<'v>>,
+    x_ray: Option<XRay<'v>>,
+    steps: Samples,
+    keyframes: Samples,
+    keyframe: Vec<u8>,
+    keyframe_bytes: usize,
+}
+
+impl Bench<'_> {
+    fn play(&mut self, scene: &Scene) -> Result<(), Failure> {
+        let mut controllers = controllers(scene)?;
+        let period = scene.frame_period_ticks();
+        for tick in 0..scene.tick_count() {
+            if let Some(x_ray) = &mut self.x_ray {
+                let plant = self.run.plant();
+                x_ray.see(plant.state(), plant.removed(), period, &mut controllers)?;
+            }
+            let latched = self.run.latch(|index, state, command| {
+                controllers[index].step(state, command);
+                Answer::Command
+            });
+            let latched = latched.map_err(failed)?;
+            let began = Instant::now();
+            one_step(&mut self.run, &latched)?;
+            self.steps.add(began.elapsed().as_nanos() as u64);
+            if scene.keyframe_period_ticks().is_some_and(|period| (tick + 1).is_multiple_of(period)) {
+                let began = Instant::now();
+                self.keyframe_bytes = self.run.plant().write_keyframe(&mut self.keyframe).map_err(failed)?;
+                self.keyframes.add(began.elapsed().as_nanos() as u64);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is timed, and what a profiler counts ([`super::instructions`]).
+#[inline(never)]
+fn one_step(run: &mut InProcess<Simulation>, latched: &Latched) -> Result<(), Failure> {
+    run.step(latched).map_err(failed)
+}
+
+fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {
+    let built_in = |entry: &ipc_types::scene::Controller| {
+        built_in(scene, &entry.name)
+            .map_err(Failure::bad_input)?
+            .ok_or_else(|| Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name)))
+    };
+    scene.controller.iter().map(built_in).collect()
+}
+
+/// The X-ray of the scene, frame by frame as its process would render them.
+struct XRay<'v> {
+    view: VolumeView<'v>,
+    renderer: DrrRenderer,
+    c_arm: CArm,
+    threads: usize,
+    noise_seed: u64,
+    burr_radius_m: f64,
+    notch: Option<Notch>,
+    removed: Vec<u32>,
+    shown: u64,
+    newest: Option<Rendered>,
+    full: Samples,
+    changed: Samples,
+}
+
+impl<'v> XRay<'v> {
+    fn new(
+        scene: &Scene,
+        drr: &Drr,
+        message: &VolumeMessage,
+        hu: &'v [i16],
+        predrilled: &[u32],
+    ) -> Result<XRay<'v>, Failure> {
+        let view = volume_view(message, hu.as_bytes()).map_err(failed)?;
+        Ok(XRay {
+            renderer: DrrRenderer::new(&view, renderer_parameters(drr, scene.tolerance.as_ref()))
+                .map_err(failed)?,
+            view,
+            c_arm: scene_c_arm(drr).map_err(Failure::bad_input)?,
+            threads: drr.threads,
+            noise_seed: scene.run.seed,
+            burr_radius_m: burr_radius_m(scene),
+            notch: drr.notch,
+            removed: predrilled.to_vec(),
+            shown: 0,
+            newest: None,
+            full: Samples::default(),
+            changed: Samples::default(),
+        })
+    }
+
+    /// Renders what is due at this state, and shows the newest frame half a period after its tick.
+    fn see(
+        &mut self,
+        state: &State,
+        removed: &[u32],
+        period: Option<u64>,
+        controllers: &mut [Box<dyn Controller>],
+    ) -> Result<(), Failure> {
+        self.removed.extend_from_slice(removed);
+        let Some(period) = period else { return Ok(()) };
+        if state.tick.is_multiple_of(period) {
+            let rendered = self.render(state, self.c_arm)?;
+            self.newest = Some(rendered);
+        } else if state.tick % period == (period / 2).max(1)
+            && let Some(rendered) = &self.newest
+        {
+            controllers.iter_mut().for_each(|controller| controller.frame(&rendered.frame, &rendered.pixels));
+        }
+        Ok(())
+    }
+
+    fn render(&mut self, state: &State, c_arm: CArm) -> Result<Rendered, Failure> {
+        self.shown += 1;
+        let job = Job {
+            state: Box::new(*state),
+            restore_first: false,
+            removed: std::mem::take(&mut self.removed),
+            sequence: self.shown,
+            request_id: 0,
+            c_arm,
+            aside: false,
+            isocentre_m: [0.0; 3],
+            notch: self.notch,
+            noise_seed: self.noise_seed,
+            burr_radius_m: self.burr_radius_m,
+        };
+        let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;
+        let samples = if rendered.is_full() { &mut self.full } else { &mut self.changed };
+        samples.add(rendered.render_ns);
+        Ok(rendered)
+    }
+
+    /// Frames whose every ray is traced, because the C-arm moves by a millimetre between them.
+    fn render_from_elsewhere(&mut self, state: &State) -> Result<(), Failure> {
+        for frame in 1..=FULL_FRAMES {
+            let shift_m = frame as f64 * 1e-3;
+            let mut c_arm = self.c_arm;
+            c_arm.source_m[2] += shift_m;
+            c_arm.detector_centre_m[2] += shift_m;
+            self.render(state, c_arm)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,34 @@
+//! What X-ray frames cost the physics: the same run in real time without and with them, in turn.
+
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Feedback, Scene};
+
+use super::recorder::{Physics, in_turn, one};
+use super::row;
+use trabecula::failure::Failure;
+use trabecula::scenes::SceneSource;
+
+/// Runs the scene in real time for `seconds`, `rounds` times without and with its X-ray in turn, at `rate_hz` frames a second if
+/// that is given. A controller that steers by the frames steers by the measured shape in all runs: without frames it could not.
+///
+/// # Errors
+/// A scene that is not one or that has no X-ray (2); a run that fails.
+pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, rate_hz: Option<f64>) -> Result<(), Failure> {
+    let mut with = scene.load()?;
+    for drilling in with.controller.iter_mut().filter_map(|controller| controller.curved_drilling.as_mut()) {
+        if drilling.feedback == Feedback::Image {
+            drilling.feedback = Feedback::Shape;
+        }
+    }
+    let mut without = with.clone();
+    without.drr = None;
+    let Some(drr) = &mut with.drr else {
+        return Err(Failure::bad_input("the scene has no `[drr]`: there is no X-ray to leave out"));
+    };
+    drr.rate_hz = rate_hz.unwrap_or(drr.rate_hz);
+    let wanted_hz = drr.rate_hz;
+    let x_rayed = |scene: &Scene, end: &EndRequest, with: &mut Physics| one(scene, None, None, end, with);
+    in_turn("X-ray", [without, with], seconds, rounds, x_rayed, |frames| {
+        row("frames a second", &format!("{:.1} of {wanted_hz} wanted", frames / seconds));
+    })
+}

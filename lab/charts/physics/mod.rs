@@ -1,0 +1,268 @@
+//! `trabecula chart physics`: error against cost for every rung, integrator and baseline, a panel a problem.
+
+mod candidates;
+mod drilled;
+mod elastica;
+mod peers;
+mod problems;
+mod voxel_wall;
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use output_file::SavedFile;
+use plotters::style::RGBColor;
+
+use crate::charts::method::Method;
+use peers::Peer;
+pub use problems::Effort;
+use problems::{Point, Problem, measure};
+use trabecula::failure::Failure;
+use trabecula::output::{refuse_existing, within};
+use trabecula::plan::Row;
+use trabecula::report::axis::{Axis, bounds, duration_label};
+use trabecula::report::panel::{INK, Panel, Rect};
+use trabecula::report::shapes::{Anchor, Figure, Stroke};
+
+const WIDTH: u32 = 1240;
+const HEIGHT: u32 = 1430;
+/// Height of the legend.
+const FOOT: f64 = 250.0;
+const HEAD: f64 = 44.0;
+/// Errors below this are rounding and shown at it, in each problem's unit.
+const ROUNDING: f64 = 1e-4;
+/// Okabe and Ito 2008, and greys for the baselines.
+const COLOURS: [RGBColor; 9] = [
+    RGBColor(230, 159, 0),
+    RGBColor(86, 180, 233),
+    RGBColor(0, 114, 178),
+    RGBColor(150, 210, 190),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(150, 150, 150),
+    RGBColor(90, 90, 90),
+    RGBColor(213, 94, 0),
+];
+
+const PEER_COLOURS: [RGBColor; 5] = [
+    RGBColor(200, 0, 0),
+    RGBColor(120, 60, 0),
+    RGBColor(90, 0, 140),
+    RGBColor(0, 110, 60),
+    RGBColor(0, 0, 0),
+];
+
+/// What is measured, and where to.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// Folder of the files.
+    pub out: PathBuf,
+    /// How much.
+    pub effort: Effort,
+    /// Folder of the peers' scripts.
+    pub peers: Option<PathBuf>,
+    /// The settings of plans and the drilled path alone.
+    pub settings_only: bool,
+}
+
+/// What it writes.
+const FILES: [&str; 4] =
+    ["physics-plan.csv", "accuracy-physics.csv", "accuracy-physics.png", "accuracy-physics.svg"];
+
+/// Measures and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder.
+///
+/// # Errors
+/// A file that cannot be written.
+pub fn run(plan: &Plan) -> Result<(), Failure> {
+    let folder = &plan.out;
+    refuse_existing(&within(folder, &FILES))?;
+    output_file::create_folder(folder).map_err(Failure::folder(folder))?;
+    let (all, mut measured) = (Instant::now(), Vec::new());
+    for problem in if plan.settings_only { &[][..] } else { &Problem::BEAM[..] } {
+        let began = Instant::now();
+        measured.push((*problem, measure_all(*problem, plan.effort)?));
+        took(problem.key(), began);
+    }
+    let mut peers = Vec::new();
+    if let Some(scripts) = &plan.peers {
+        let began = Instant::now();
+        peers = peers::measure(scripts, folder, plan.effort)?;
+        took("peers", began);
+    }
+    // The settings are saved as they come: what has been measured is worth having.
+    let mut settings = SavedFile::create(&folder.join(FILES[0]))?;
+    let save = |rows: &[Row]| Ok(settings.save(trabecula::plan::write(rows))?);
+    let began = Instant::now();
+    let (rows, coarse_mm) = candidates::measure(plan.effort, save)?;
+    took("settings and drilled path", began);
+    measured.push((Problem::Drilled, drilled_points(&rows)));
+    let mut text = csv(&measured);
+    // Writing to a String cannot fail.
+    let name = format!("path error at voxel {} mm (µm)", candidates::COARSE_MM);
+    let _ = writeln!(text, "drilled,full hybrid,27,1,,{name},{:.6e}", coarse_mm * 1e3);
+    for peer in &peers {
+        let (problem, name) = (peer.problem, &peer.name);
+        let head = format!("{},{name},{},{}", problem.key(), peer.links, peer.dt_ms);
+        let _ = writeln!(text, "{head},{:.3},{},{:.6e}", peer.us_per_ms, problem.axis(), peer.error);
+        if let Some(ratio) = peer.cost_ratio {
+            let _ =
+                writeln!(text, "{head},{:.3},cost over ours at no larger error,{ratio:.3}", peer.us_per_ms);
+        }
+    }
+    let [png, svg] = draw(&measured, &peers)?.files(folder, "accuracy-physics")?;
+    output_file::write_all(&[(folder.join(FILES[1]), text.into_bytes()), png, svg])?;
+    took("all", all);
+    Ok(())
+}
+
+fn took(what: &str, began: Instant) {
+    say!("({what}: {:.0} s)", began.elapsed().as_secs_f64());
+}
+
+fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> {
+    let mut points = Vec::new();
+    for method in Method::ALL {
+        let own = measure(problem, method, effort).map_err(|cause| Failure::failed(cause.to_string()))?;
+        for point in &own {
+            say!("{}", line(problem, point));
+        }
+        points.extend(own);
+    }
+    Ok(points)
+}
+
+/// The drilled path with the tool's own flexures; the arc as it is.
+fn drilled_points(rows: &[Row]) -> Vec<Point> {
+    let most = rows.iter().map(|row| row.settings.links).max().unwrap_or(0);
+    let own = rows.iter().filter(|row| row.settings.links == most && row.drilling_us_per_ms.is_finite());
+    own.map(|row| Point {
+        method: candidates::method(&row.settings),
+        links: row.settings.links,
+        dt_ms: row.settings.dt_ms,
+        us_per_ms: row.drilling_us_per_ms,
+        error: row.drilled_path_mm * 1e3,
+        more: Vec::new(),
+    })
+    .collect()
+}
+
+fn line(problem: Problem, point: &Point) -> String {
+    let more: String = point.more.iter().map(|(name, value)| format!(", {name} {value:.4}")).collect();
+    format!(
+        "{:<11} {:<19} {:>2} links, dt {:>7} ms: {:>9.2} us/ms, error {:.4}{more}",
+        problem.key(),
+        point.method.name(),
+        point.links,
+        point.dt_ms,
+        point.us_per_ms,
+        point.error
+    )
+}
+
+fn csv(measured: &[(Problem, Vec<Point>)]) -> String {
+    let mut text = String::from("problem,method,links,dt_ms,us_per_ms,figure,value\n");
+    for (problem, points) in measured {
+        for point in points {
+            let error = [(problem.axis(), point.error)];
+            for (figure, value) in error.iter().chain(&point.more) {
+                // Writing to a String cannot fail.
+                let _ = writeln!(
+                    text,
+                    "{},{},{},{},{:.3},{figure},{value:.6e}",
+                    problem.key(),
+                    point.method.name(),
+                    point.links,
+                    point.dt_ms,
+                    point.us_per_ms
+                );
+            }
+        }
+    }
+    text
+}
+
+fn draw(
+    measured: &[(Problem, Vec<Point>)],
+    peers: &[Peer],
+) -> Result<Figure, trabecula::report::ReportError> {
+    let mut figure = Figure::new(WIDTH, HEIGHT)?;
+    let title = "Physics: error against the cost of a simulated millisecond (lower left is better)";
+    figure.text((16.0, 22.0), title, 18.0, INK, Anchor::Left);
+    let (wide, high) = (f64::from(WIDTH) / 2.0, (f64::from(HEIGHT) - HEAD - FOOT) / 3.0);
+    for (place, (problem, points)) in measured.iter().enumerate() {
+        let (column, row) = (place % 2, place / 2);
+        let cell = Rect { x: column as f64 * wide, y: HEAD + row as f64 * high, width: wide, height: high };
+        let peers: Vec<&Peer> = peers.iter().filter(|peer| peer.problem == *problem).collect();
+        draw_panel(&mut figure, cell, *problem, (points, &peers));
+    }
+    draw_peer_legend(&mut figure, (wide + 70.0, HEAD + 3.0 * high + 24.0), peers);
+    let corner = (70.0, HEAD + 3.0 * high + 24.0);
+    draw_legend(&mut figure, corner);
+    Ok(figure)
+}
+
+fn shown(point: &Point) -> (f64, f64) {
+    (point.us_per_ms, point.error.max(ROUNDING))
+}
+
+fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, (points, peers): (&[Point], &[&Peer])) {
+    let peer = |peer: &&Peer| (peer.us_per_ms, peer.error.max(ROUNDING));
+    let of_peers = || peers.iter().filter(|peer| peer.error.is_finite()).map(peer);
+    let sound = || points.iter().filter(|point| point.error.is_finite()).map(shown).chain(of_peers());
+    let high = bounds(sound().map(|(_, error)| error)).map_or(1.0, |(_, high)| high);
+    let label = |value: f64| {
+        if (0.01..1e5).contains(&value) { format!("{value}") } else { format!("{value:.0e}") }
+    };
+    let x = Axis::logarithmic("time of a simulated millisecond", sound().map(|(us, _)| us), duration_label);
+    // What is worse than 100 mm or the like is not told apart.
+    let y = Axis::logarithmic(problem.axis(), sound().map(|(_, error)| error).chain([high]), label);
+    let mut panel = Panel::new(figure, cell, problem.title(), x, y);
+    for (method, colour) in Method::ALL.into_iter().zip(COLOURS) {
+        let line: Vec<(f64, f64)> =
+            points.iter().filter(|p| p.method == method && p.error.is_finite()).map(shown).collect();
+        panel.line(&line, stroke(method, colour), "");
+        for value in line {
+            panel.disc(value, 4.0, colour);
+        }
+    }
+    for (name, colour) in peers::NAMES.into_iter().zip(PEER_COLOURS) {
+        let of_name = peers.iter().filter(|peer| peer.name == name && peer.error.is_finite());
+        for value in of_name.map(peer) {
+            panel.cross(value, 4.0, Stroke::full(colour, 2.0));
+        }
+    }
+    panel.finish();
+}
+
+fn stroke(method: Method, colour: RGBColor) -> Stroke {
+    let dash: &[f64] = if method.is_ours() { &[] } else { &[5.0, 3.0] };
+    Stroke { colour, width: 2.0, dash }
+}
+
+/// Peers are crosses.
+fn draw_peer_legend(figure: &mut Figure, (left, top): (f64, f64), peers: &[Peer]) {
+    let measured = |name: &str| peers.iter().any(|peer| peer.name == name);
+    let shown = peers::NAMES.into_iter().zip(PEER_COLOURS).filter(|(name, _)| measured(name));
+    for (i, (name, colour)) in shown.enumerate() {
+        let y = top + 22.0 * i as f64;
+        for slope in [4.0, -4.0] {
+            let points = vec![(left + 11.0, y - slope), (left + 19.0, y + slope)];
+            figure.add(trabecula::report::shapes::Shape::Line { points, stroke: Stroke::full(colour, 2.0) });
+        }
+        figure.text((left + 40.0, y), name, 13.0, INK, Anchor::Left);
+    }
+}
+
+fn draw_legend(figure: &mut Figure, (left, top): (f64, f64)) {
+    for (i, (method, colour)) in Method::ALL.into_iter().zip(COLOURS).enumerate() {
+        let y = top + 22.0 * i as f64;
+        let points = vec![(left, y), (left + 30.0, y)];
+        figure.add(trabecula::report::shapes::Shape::Line { points, stroke: stroke(method, colour) });
+        let centre = (left + 15.0, y);
+        figure.add(trabecula::report::shapes::Shape::Disc { centre, radius: 4.0, fill: colour });
+        figure.text((left + 40.0, y), &method.name(), 13.0, INK, Anchor::Left);
+    }
+    let note = "Errors below 0.0001 are shown there; a method that lost the tool has no point.";
+    figure.text((left, top + 22.0 * 9.5), note, 12.0, INK, Anchor::Left);
+}

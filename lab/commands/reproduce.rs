@@ -1,0 +1,31 @@
+//! `trabecula reproduce`: the published behaviours, from low-level rules alone.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::reproduce::{self, Plan};
+use trabecula::failure::Failure;
+
+/// Which part, where to, and how much.
+#[derive(Debug, Args)]
+pub struct ReproduceArguments {
+    /// One part: 1 tunnel, 2 skiving, 3 tip deviation, 4 bend against tension, 5 thrust.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=5))]
+    only: Option<u8>,
+    /// Fewer cases, coarser voxels and faster feeds, in seconds.
+    #[arg(long)]
+    quick: bool,
+    /// Folder of the files.
+    #[arg(long, default_value = "out/reproduce")]
+    out: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file that cannot be written (1).
+pub fn run(arguments: &ReproduceArguments) -> Result<(), Failure> {
+    let plan = Plan { out: arguments.out.clone(), quick: arguments.quick };
+    reproduce::run(&plan, arguments.only.map(usize::from))
+}

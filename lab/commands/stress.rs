@@ -1,0 +1,183 @@
+//! `trabecula stress SCENE`, and the neighbours that it starts.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Policy, Scene, Wait};
+
+use crate::stress::plan::{self, Load, LoadKind};
+use crate::stress::report::{StressReport, comparison, table};
+use crate::stress::{self, StressPlan, load};
+use trabecula::commands::run::{PolicyArgument, WaitArgument};
+use trabecula::failure::{EXIT_INTERRUPTED, Failure};
+use trabecula::launcher::run::output_folder;
+use trabecula::launcher::volume_source::VolumeFiles;
+use trabecula::machine::allowed;
+use trabecula::scenes::{BuiltIn, SceneSource};
+
+/// Arguments of `stress`.
+#[derive(Debug, Args)]
+pub struct StressArguments {
+    /// Scene file; it runs in real time. Without one, the femur inside the program.
+    pub scene: Option<PathBuf>,
+    /// Numbers of cores that the whole hub and its neighbours may use.
+    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    pub cores: Vec<usize>,
+    /// Neighbours: none, spin, memory, disk, fork; spin:2 is two of them.
+    #[arg(long, value_delimiter = ',', default_value = "none,spin:2")]
+    pub load: Vec<Load>,
+    /// How the scheduler treats physics and controllers.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "other")]
+    pub policy: Vec<PolicyArgument>,
+    /// How physics and controllers wait.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "hybrid")]
+    pub wait: Vec<WaitArgument>,
+    /// Seconds of each combination, 0.1 to 3600.
+    #[arg(long, default_value_t = 20.0)]
+    pub seconds: f64,
+    /// Seed of the neighbours and of a subset.
+    #[arg(long, default_value_t = 7)]
+    pub seed: u64,
+    /// Run only so many combinations, chosen so that they hold as many pairs of settings as they can.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub subset: Option<u64>,
+    /// CPU quota of the hub with its neighbours in percent of one core, where a control group can be made.
+    #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub quota: Option<u64>,
+    /// An older test's stress.json: show what has changed.
+    #[arg(long, value_name = "JSON")]
+    pub compare: Option<PathBuf>,
+    /// Folder below which the test's folder is made.
+    #[arg(long, default_value = "out")]
+    pub output: PathBuf,
+    /// Keep the runs' folders.
+    #[arg(long)]
+    pub keep_logs: bool,
+    #[command(flatten)]
+    pub volume_files: VolumeFiles,
+}
+
+/// Runs a stress test.
+///
+/// # Errors
+/// Bad input (2), nothing written; a run that failed, or a log that does not replay (1); Ctrl-C (130): what is done is
+/// in the report.
+pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
+    let plan = plan_of(arguments)?;
+    let end = EndRequest::install()
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    let (report, interrupted) = stress::run(&plan, &end)?;
+    say!("{}", table(&report));
+    if let Some(old) = &plan.compare {
+        say!("since {}: late p50, late p99, step p50, round trip p50, missed", old.began);
+        comparison(old, &report).iter().for_each(|row| say!("  {}", row.join(" | ")));
+    }
+    if let Some(share) = report.explained() {
+        say!("{share}");
+    }
+    say!("report       {}", plan.output.join("index.html").display());
+    let done = report.tested.len();
+    if interrupted {
+        let message = format!("interrupted after {done} of {} combinations", report.planned);
+        return Err(Failure { message, code: EXIT_INTERRUPTED });
+    }
+    let bad = report.tested.iter().find(|tested| tested.failure.is_some() || !tested.measured.replays);
+    match bad {
+        None => Ok(()),
+        Some(tested) => {
+            let why = tested.failure.clone().unwrap_or_else(|| tested.measured.remarks.join("; "));
+            Err(Failure::failed(format!("{}: {why}", tested.combination)))
+        }
+    }
+}
+
+fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
+    let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::Femur);
+    let scene = source.load()?;
+    let most = allowed().map_or(1, |cores| cores.len());
+    if let Some(cores) = arguments.cores.iter().find(|cores| !(1..=most).contains(*cores)) {
+        return Err(Failure::bad_input(format!("--cores {cores}: this program may use 1 to {most}")));
+    }
+    if !(0.1..=3600.0).contains(&arguments.seconds) {
+        return Err(Failure::bad_input(format!(
+            "--seconds is {}, allowed is 0.1 to 3600",
+            arguments.seconds
+        )));
+    }
+    if let Some(controller) =
+        scene.controller.iter().find(|controller| controller.external && !controller.optional)
+    {
+        return Err(Failure::bad_input(format!(
+            "controller `{}` is external: a stress test starts no program of yours; give it a `command` in the scene",
+            controller.name
+        )));
+    }
+    let compare = arguments.compare.as_deref().map(StressReport::read).transpose()?;
+    let policies: Vec<Policy> = arguments.policy.iter().map(|policy| Policy::from(*policy)).collect();
+    let waits: Vec<Wait> = arguments.wait.iter().map(|wait| Wait::from(*wait)).collect();
+    let mut combinations = plan::all(&arguments.cores, &arguments.load, &policies, &waits);
+    if let Some(count) = arguments.subset {
+        combinations = plan::subset(&combinations, count as usize, arguments.seed);
+    }
+    let named = Scene { name: format!("stress-{}", scene.name), ..scene };
+    let output = output_folder(&arguments.output, &named).map_err(|cause| {
+        Failure::bad_input(format!("--output {}: cannot be made ({cause})", arguments.output.display()))
+    })?;
+    Ok(StressPlan {
+        scene: source,
+        combinations,
+        seconds: arguments.seconds,
+        seed: arguments.seed,
+        quota_percent: arguments.quota,
+        output,
+        keep_logs: arguments.keep_logs,
+        volume_files: arguments.volume_files,
+        compare,
+    })
+}
+
+/// Arguments of a neighbour.
+#[derive(Debug, Args)]
+pub struct LoadArguments {
+    /// What it does.
+    #[arg(value_enum)]
+    pub kind: LoadKindArgument,
+    /// Seed.
+    #[arg(long)]
+    pub seed: u64,
+    /// Folder for a disk load.
+    #[arg(long)]
+    pub folder: PathBuf,
+    /// Seconds after which it ends by itself.
+    #[arg(long)]
+    pub limit_s: u64,
+}
+
+/// What a neighbour does.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum LoadKindArgument {
+    /// Computes.
+    Spin,
+    /// Goes over memory.
+    Memory,
+    /// Writes to the disk.
+    Disk,
+    /// Starts processes.
+    Fork,
+}
+
+/// Disturbs until killed.
+///
+/// # Errors
+/// The disk cannot be written, or no process can be started.
+pub fn disturb(arguments: &LoadArguments) -> Result<(), Failure> {
+    let kind = match arguments.kind {
+        LoadKindArgument::Spin => LoadKind::Spin,
+        LoadKindArgument::Memory => LoadKind::Memory,
+        LoadKindArgument::Disk => LoadKind::Disk,
+        LoadKindArgument::Fork => LoadKind::Fork,
+    };
+    load::disturb(kind, arguments.seed, &arguments.folder, Duration::from_secs(arguments.limit_s))
+}

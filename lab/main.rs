@@ -1,0 +1,114 @@
+//! `trabecula-lab`: what the product costs, how exact it is, and what it does under stress. Another program, so that `trabecula`
+//! stays small; it is built on the same library, and runs what it measures from its own file.
+
+#![cfg_attr(not(test), warn(clippy::print_stdout))]
+
+#[macro_use(say, tell)]
+extern crate trabecula;
+
+mod bench;
+mod charts;
+mod commands;
+mod reproduce;
+mod stress;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use trabecula::commands::proc::ProcCommand;
+use trabecula::commands::run::RunArguments;
+use trabecula::commands::view::ViewArguments;
+use trabecula::failure::Failure;
+use trabecula::program::{self, EXIT_CODES};
+
+use commands::bench::BenchCommand;
+use commands::chart::ChartCommand;
+use commands::reproduce::ReproduceArguments;
+use commands::stress::{LoadArguments, StressArguments};
+
+/// The laboratory of Trabecula: what it costs, how exact it is, what it does under stress.
+#[derive(Debug, Parser)]
+#[command(name = "trabecula-lab", version, about, after_help = EXIT_CODES)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    #[command(flatten)]
+    User(UserCommand),
+    /// One part of a run that is measured.
+    #[command(subcommand, hide = true)]
+    Proc(ProcCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum UserCommand {
+    /// Measure what the hub costs on this machine.
+    #[command(subcommand)]
+    Bench(BenchCommand),
+    /// Run a scene on limited cores beside neighbours, and say why ticks were late.
+    Stress(StressArguments),
+    /// Measure accuracy against speed, as tables and figures.
+    #[command(subcommand)]
+    Chart(ChartCommand),
+    /// Make the published behaviours again, from low-level rules: tunnel, skiving, deviation, bend.
+    Reproduce(ReproduceArguments),
+    /// A neighbour of a stress test.
+    #[command(hide = true)]
+    Load(LoadArguments),
+    /// A run that is measured.
+    #[command(hide = true)]
+    Run(RunArguments),
+    /// The viewer of a run that is measured.
+    #[command(hide = true)]
+    View(ViewArguments),
+}
+
+fn main() -> ExitCode {
+    let command = program::start()
+        .and_then(|()| program::parsed(Arguments::try_parse().map(|arguments| arguments.command)));
+    match command {
+        Ok(Some(Command::Proc(part))) => {
+            trabecula::commands::proc::run(&part).unwrap_or_else(|failure| program::end(Err(failure)))
+        }
+        Ok(Some(Command::User(command))) => program::end(obey(&command)),
+        Ok(None) => program::end(Ok(())),
+        Err(failure) => program::end(Err(failure)),
+    }
+}
+
+fn obey(command: &UserCommand) -> Result<(), Failure> {
+    match command {
+        UserCommand::Bench(command) => commands::bench::run(command),
+        UserCommand::Stress(arguments) => commands::stress::run(arguments),
+        UserCommand::Chart(command) => commands::chart::run(command),
+        UserCommand::Reproduce(arguments) => commands::reproduce::run(arguments),
+        UserCommand::Load(arguments) => commands::stress::disturb(arguments),
+        UserCommand::Run(arguments) => trabecula::commands::run::run(arguments),
+        UserCommand::View(arguments) => trabecula::commands::view::run(arguments),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    /// Commands with an output, and the argument that names it. Each is in the table of `tests/processes/outputs.rs`, but for `stress`,
+    /// which makes a folder of a new name.
+    const KNOWN: [&str; 7] = [
+        "bench soak --output",
+        "chart drr --out",
+        "chart drr --rungs",
+        "chart physics --out",
+        "chart stability --out",
+        "reproduce --out",
+        "stress --output",
+    ];
+
+    #[test]
+    fn every_command_with_an_output_is_in_the_table_of_the_tests() {
+        assert_eq!(test_support::outputs::outputs_of(&crate::Arguments::command()), KNOWN);
+    }
+}

@@ -1,0 +1,242 @@
+//! A block of bone and a tool that is fed into it: the whole simulation, in this process.
+
+use std::path::Path;
+
+use hub::in_process::{Answer, InProcess};
+use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
+use ipc_types::scene::Scene;
+use nalgebra::Vector3;
+use simulation::bone::{GridGeometry, MaterialLaw};
+use simulation::{CtView, Simulation};
+
+use trabecula::failure::Failure;
+
+/// Time in which the tension grows before the feed begins, s.
+const RAMP_S: f64 = 1.0;
+/// Time at the end of the feed, s.
+const REST_S: f64 = 0.5;
+/// Bone below this is none, HU: under the lightest foam.
+const THRESHOLD_HU: i16 = -100;
+
+/// Bone of a given density everywhere.
+pub struct Block {
+    /// Grid.
+    pub geometry: GridGeometry,
+    /// Hounsfield units.
+    pub hu: Vec<i16>,
+}
+
+/// The Hounsfield units whose density the standard material law says is this, kg/m³.
+pub fn hu_of_density(density_kg_per_m3: f64) -> i16 {
+    let law = MaterialLaw::default();
+    ((density_kg_per_m3 - law.density_offset_kg_m3) / law.density_slope_kg_m3_hu).round() as i16
+}
+
+impl Block {
+    /// A block with its corners at `low_mm` and `high_mm`; `density_kg_per_m3` of a point in metres, air where it is 0.
+    pub fn new(
+        low_mm: [f64; 3],
+        high_mm: [f64; 3],
+        voxel_mm: f64,
+        density_kg_per_m3: impl Fn(&Vector3<f64>) -> f64,
+    ) -> Block {
+        let dims = [0, 1, 2].map(|a| ((high_mm[a] - low_mm[a]) / voxel_mm).round() as usize);
+        let voxel_m = voxel_mm * 1e-3;
+        let origin = Vector3::from(low_mm.map(|x| x * 1e-3)).add_scalar(0.5 * voxel_m);
+        let geometry = GridGeometry::axis_aligned(dims, [voxel_m; 3], origin);
+        let mut hu = Vec::with_capacity(geometry.voxel_count());
+        for k in 0..dims[2] {
+            for j in 0..dims[1] {
+                for i in 0..dims[0] {
+                    let density = density_kg_per_m3(&geometry.voxel_centre_world_m(i, j, k));
+                    hu.push(if density > 0.0 { hu_of_density(density) } else { -1000 });
+                }
+            }
+        }
+        Block { geometry, hu }
+    }
+}
+
+/// What is done to the tool, and with which parameters. The tool points along +z, bends toward +x, and starts with its burr in
+/// the blind end of a pilot hole.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    /// Step, ms.
+    pub dt_ms: f64,
+    /// Rung of the manipulator ladder, as scenes write it.
+    pub rung: &'static str,
+    /// How voxels end, as scenes write it.
+    pub removal: &'static str,
+    /// Coefficient of the tendons in their channels.
+    pub tendon_friction: f64,
+    /// Coefficient of tool and bone.
+    pub contact_friction: f64,
+    /// Factor of all flexure stiffnesses.
+    pub stiffness: f64,
+    /// Tension of tendon 0, N.
+    pub tension_n: f64,
+    /// Feed, mm/s.
+    pub feed_mm_per_s: f64,
+    /// Length of the feed, mm.
+    pub insertion_mm: f64,
+    /// Burr speed, rpm.
+    pub burr_rpm: f64,
+    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, in place of the standard law's.
+    pub cutting_law: Option<[f64; 2]>,
+    /// Whether the scene drills a pilot hole for the flexible part.
+    pub pilot: bool,
+}
+
+impl Trial {
+    /// The published experiment's tool: 2250 rpm (Alambeigi et al. 2017).
+    pub fn new(tension_n: f64, feed_mm_per_s: f64, insertion_mm: f64) -> Trial {
+        Trial {
+            dt_ms: 5.0,
+            rung: "planar",
+            removal: "energy",
+            tendon_friction: 0.1,
+            contact_friction: 0.2,
+            stiffness: 1.0,
+            tension_n,
+            feed_mm_per_s,
+            insertion_mm,
+            burr_rpm: 2250.0,
+            cutting_law: None,
+            pilot: true,
+        }
+    }
+
+    fn scene(&self) -> Result<Scene, Failure> {
+        let pilot = if self.pilot {
+            "[[predrill]]\nfrom_mm = [0.0, 0.0, -60.0]\nto_mm = [0.0, 0.0, 0.0]\ndiameter_mm = 7.0\n"
+        } else {
+            ""
+        };
+        let law = self.cutting_law.map_or_else(String::new, |[energy, exponent]| {
+            format!("specific_energy_j_per_mm3 = {energy:?}\ndensity_exponent = {exponent:?}\n")
+        });
+        let text = format!(
+            "name = \"reproduce\"\n[run]\nmode = \"lockstep\"\ndt_ms = {:?}\nduration_s = 10.0\n\
+             [volume]\nphantom = \"block\"\nbone_threshold_hu = {THRESHOLD_HU}\n{pilot}\
+             [manipulator]\nmodel = \"{}\"\ntendon_friction = {:?}\nstiffness_scale = {:?}\n\
+             [contact]\nfriction = {:?}\n[drilling]\nremoval = \"{}\"\n{law}\
+             [tool]\nburr_start_mm = [0.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n\
+             [[controller]]\nname = \"feed\"\ndrives = [\"tendon\", \"arm\", \"burr\"]\nexternal = true\n",
+            self.dt_ms, self.rung, self.tendon_friction, self.stiffness, self.contact_friction, self.removal
+        );
+        Scene::parse(&text, Path::new("reproduce.toml")).map_err(|cause| Failure::failed(cause.to_string()))
+    }
+
+    /// Command of a tick, if it is a new one.
+    fn command(&self, time_s: f64, dt_s: f64) -> Option<Command> {
+        if time_s >= RAMP_S + dt_s {
+            return None;
+        }
+        let feeding = time_s >= RAMP_S;
+        Some(Command {
+            tendon_mode: TENDON_SERVO_JF,
+            tendon_force_n: [self.tension_n * (time_s / RAMP_S).min(1.0), 0.0, 0.0, 0.0],
+            burr_mode: BURR_SPEED,
+            burr_speed_rad_per_s: self.burr_rpm * core::f64::consts::TAU / 60.0,
+            arm_mode: if feeding { ARM_INSERT } else { ipc_types::messages::ARM_NONE },
+            arm_axis: [0.0, 0.0, 1.0],
+            arm_depth_m: self.insertion_mm * 1e-3,
+            arm_speed_m_per_s: self.feed_mm_per_s * 1e-3,
+            ..Command::zeroed()
+        })
+    }
+
+    /// Plays the trial; `see` sees every state and the voxels that its tick removed.
+    ///
+    /// # Errors
+    /// A scene or a step that is refused: a parameter of the trial out of range.
+    pub fn play(&self, block: &Block, mut see: impl FnMut(&State, &[u32])) -> Result<Outcome, Failure> {
+        let failed = |cause: &dyn core::fmt::Display| Failure::failed(cause.to_string());
+        let ct = CtView { geometry: block.geometry, hu: &block.hu };
+        let scene = self.scene()?;
+        let simulation = Simulation::new(&scene, Some(ct)).map_err(|cause| failed(&cause))?;
+        let mut run = InProcess::new(&scene, simulation);
+        let dt_s = self.dt_ms * 1e-3;
+        let seconds = RAMP_S + self.insertion_mm / self.feed_mm_per_s + REST_S;
+        let mut outcome = Outcome::new(run.plant().state());
+        let ticks = (seconds / dt_s).ceil() as u64;
+        for tick in 0..ticks {
+            let answer = |_, _: &State, command: &mut Command| match self.command(tick as f64 * dt_s, dt_s) {
+                None => Answer::Nothing,
+                Some(new) => {
+                    *command = Command { sequence: command.sequence, state_tick: command.state_tick, ..new };
+                    Answer::Command
+                }
+            };
+            run.tick(answer).map_err(|cause| failed(&cause))?;
+            let simulation = run.plant();
+            if let Some(refusal) = simulation.refusals().first() {
+                return Err(Failure::failed(format!("a command was refused: {}", refusal.reason)));
+            }
+            let state = simulation.state();
+            let feeding = tick as f64 * dt_s > RAMP_S && (tick as f64) * dt_s < seconds - REST_S;
+            outcome.see(state, feeding, tick * 2 > ticks);
+            see(state, simulation.removed());
+        }
+        outcome.end = *run.plant().state();
+        Ok(outcome)
+    }
+}
+
+/// What a trial came to.
+#[derive(Clone)]
+pub struct Outcome {
+    /// The last state.
+    pub end: State,
+    /// Largest normal force of the burr while it was fed, N.
+    pub most_force_n: f64,
+    /// Its mean over the second half of the run, while fed, N.
+    pub mean_force_n: f64,
+    /// Deepest overlap of any sphere with the bone, m.
+    pub deepest_m: f64,
+    /// Fastest flexure while the tool was fed, rad/s.
+    pub fastest_rad_per_s: f64,
+    /// Most contacts that carried force in a tick.
+    pub most_contacts: u32,
+    samples: u64,
+}
+
+impl Outcome {
+    fn new(state: &State) -> Outcome {
+        Outcome {
+            end: *state,
+            most_force_n: 0.0,
+            mean_force_n: 0.0,
+            deepest_m: 0.0,
+            fastest_rad_per_s: 0.0,
+            most_contacts: 0,
+            samples: 0,
+        }
+    }
+
+    fn see(&mut self, state: &State, feeding: bool, late: bool) {
+        let contacts = state.contacts.iter().take(state.contact_count as usize);
+        self.deepest_m = contacts.map(|contact| -contact.gap_m).fold(self.deepest_m, f64::max);
+        self.most_contacts = self.most_contacts.max(state.contact_count);
+        if !feeding {
+            return;
+        }
+        self.most_force_n = self.most_force_n.max(state.burr_force_n);
+        let rates = state.joint_velocity_rad_per_s.iter();
+        self.fastest_rad_per_s = rates.map(|rate| rate.abs()).fold(self.fastest_rad_per_s, f64::max);
+        if late {
+            self.samples += 1;
+            self.mean_force_n += (state.burr_force_n - self.mean_force_n) / self.samples as f64;
+        }
+    }
+
+    /// Burr centre, m.
+    pub fn burr_m(&self) -> Vector3<f64> {
+        Vector3::from(self.end.t_world_burr.position_m)
+    }
+
+    /// Whether every number of the last state that a reader would look at is one.
+    pub fn is_finite(&self) -> bool {
+        self.burr_m().iter().all(|x| x.is_finite()) && self.end.bend_rad.is_finite()
+    }
+}

@@ -1,0 +1,153 @@
+//! A straight insertion that meets denser material (Fig. 3, bottom), and the planar burr of Fig. 4.
+
+use nalgebra::Vector3;
+use plotters::style::RGBColor;
+use rayon::prelude::*;
+
+use super::output::{Plan, Table};
+use super::planar_burr;
+use super::rig::{Block, Outcome, Trial};
+use super::tunnel::FOAM_KG_PER_M3;
+use trabecula::failure::Failure;
+use trabecula::report::axis::Axis;
+use trabecula::report::panel::{INK, Panel, Rect};
+use trabecula::report::shapes::{Anchor, Figure, Stroke};
+
+/// How many times denser the far side is.
+const RATIOS: [f64; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
+/// mm/s.
+const FEEDS_MM_PER_S: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
+/// Length of the feed, mm.
+pub const INSERTION_MM: f64 = 14.0;
+/// Depth at which the axis meets the dense side, mm.
+const MEETS_MM: f64 = 7.0;
+/// Angle between the axis and the boundary: 30 degrees.
+const NORMAL: [f64; 3] = [0.866_025_403_784_438_6, 0.0, 0.5];
+const COLOURS: [RGBColor; 4] =
+    [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
+
+/// Foam, and beyond an oblique plane material denser by `ratio`.
+pub fn block(foam_kg_per_m3: f64, ratio: f64, quick: bool) -> Block {
+    let voxel_mm = if quick { 1.0 } else { 0.5 };
+    let (normal, point) = (Vector3::from(NORMAL), Vector3::new(0.0, 0.0, MEETS_MM * 1e-3));
+    let density = move |p: &Vector3<f64>| {
+        if (p - point).dot(&normal) > 0.0 { foam_kg_per_m3 * ratio } else { foam_kg_per_m3 }
+    };
+    Block::new([-16.0, -8.0, -38.0], [16.0, 8.0, 24.0], voxel_mm, density)
+}
+
+/// The straight insertion.
+pub fn trial(feed_mm_per_s: f64) -> Trial {
+    Trial { dt_ms: 2.0, ..Trial::new(0.0, feed_mm_per_s, INSERTION_MM) }
+}
+
+pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
+    sweep(plan)?;
+    say!("");
+    rules(plan)?;
+    say!("");
+    planar_burr::run(plan)
+}
+
+fn cells(ratio: f64, feed: f64, outcome: &Outcome) -> Vec<String> {
+    let end = outcome.burr_m() * 1e3;
+    vec![
+        format!("{ratio}"),
+        format!("{feed}"),
+        format!("{:.2}", end.x),
+        format!("{:.2}", end.y),
+        format!("{:.2}", end.z),
+        format!("{:.2}", outcome.end.bend_rad.to_degrees()),
+        format!("{:.2}", outcome.most_force_n),
+        format!("{:.3}", outcome.deepest_m * 1e3),
+    ]
+}
+
+const HEAD: [&str; 8] = [
+    "density_ratio",
+    "feed_mm_per_s",
+    "tip_x_mm",
+    "tip_y_mm",
+    "tip_z_mm",
+    "bend_deg",
+    "burr_force_max_n",
+    "overlap_max_mm",
+];
+
+fn sweep(plan: &Plan) -> Result<(), Failure> {
+    let ratios: &[f64] = if plan.quick { &[1.0, 10.0] } else { &RATIOS };
+    let feeds: &[f64] = if plan.quick { &FEEDS_MM_PER_S[2..] } else { &FEEDS_MM_PER_S };
+    let pairs: Vec<(f64, f64)> =
+        ratios.iter().flat_map(|ratio| feeds.iter().map(move |feed| (*ratio, *feed))).collect();
+    let outcomes: Vec<(f64, f64, Outcome)> = pairs
+        .into_par_iter()
+        .map(|(ratio, feed)| {
+            let block = block(FOAM_KG_PER_M3, ratio, plan.quick);
+            trial(feed).play(&block, |_, _| {}).map(|outcome| (ratio, feed, outcome))
+        })
+        .collect::<Result<_, _>>()?;
+    let mut table = Table::new(&HEAD);
+    outcomes.iter().for_each(|(ratio, feed, outcome)| table.row(cells(*ratio, *feed, outcome)));
+    table.finish(&plan.out, "reproduce-2-skiving.csv")?;
+    plan.draw(&draw(&outcomes, feeds)?, "reproduce-2-skiving")
+}
+
+/// The same insertion with the published rules of removal.
+fn rules(plan: &Plan) -> Result<(), Failure> {
+    let jobs: Vec<(&'static str, f64)> = ["energy", "naive", "capped", "decrement"]
+        .into_iter()
+        .flat_map(|removal| [1.0, 10.0].map(|ratio| (removal, ratio)))
+        .collect();
+    let outcomes: Vec<(&str, f64, Outcome)> = jobs
+        .into_par_iter()
+        .map(|(removal, ratio)| {
+            let block = block(FOAM_KG_PER_M3, ratio, plan.quick);
+            let trial = Trial { removal, ..trial(1.0) };
+            trial.play(&block, |_, _| {}).map(|outcome| (removal, ratio, outcome))
+        })
+        .collect::<Result<_, _>>()?;
+    let mut head = vec!["removal"];
+    head.extend(HEAD);
+    let mut table = Table::new(&head);
+    for (removal, ratio, outcome) in &outcomes {
+        let mut row = vec![(*removal).to_owned()];
+        row.extend(cells(*ratio, 1.0, outcome));
+        table.row(row);
+    }
+    table.finish(&plan.out, "reproduce-2-rules.csv")
+}
+
+/// Title, unit and value of a panel.
+type Quantity<'a> = (&'a str, &'a str, &'a dyn Fn(&Outcome) -> f64);
+
+fn draw(outcomes: &[(f64, f64, Outcome)], feeds: &[f64]) -> Result<Figure, Failure> {
+    let mut figure = Figure::new(980, 440).map_err(|cause| Failure::failed(cause.to_string()))?;
+    figure.text(
+        (12.0, 20.0),
+        "Skiving: a straight insertion that meets denser material",
+        15.0,
+        INK,
+        Anchor::Left,
+    );
+    let at = |feed: f64, value: &dyn Fn(&Outcome) -> f64| -> Vec<(f64, f64)> {
+        let own = outcomes.iter().filter(|(_, own, _)| *own == feed);
+        own.map(|(ratio, _, outcome)| (*ratio, value(outcome))).collect()
+    };
+    let drift = |outcome: &Outcome| -outcome.burr_m().x * 1e3;
+    let bend = |outcome: &Outcome| -outcome.end.bend_rad.to_degrees();
+    let quantities: [Quantity<'_>; 2] =
+        [("Tip, away from the dense side", "mm", &drift), ("Bend away", "degrees", &bend)];
+    for (place, (title, unit, value)) in quantities.into_iter().enumerate() {
+        let cell = Rect { x: 490.0 * place as f64, y: 36.0, width: 490.0, height: 400.0 };
+        let all = outcomes.iter().map(|(.., outcome)| value(outcome)).chain([0.0]);
+        let (x, y) = (Axis::linear("density ratio", 0.0, 10.5, 5), Axis::around(unit, all, 5));
+        let mut panel = Panel::new(&mut figure, cell, title, x, y);
+        for (feed, colour) in feeds.iter().zip(COLOURS) {
+            let values = at(*feed, value);
+            panel.line(&values, Stroke::full(colour, 2.0), &format!("{feed} mm/s"));
+            values.into_iter().for_each(|value| panel.disc(value, 3.5, colour));
+        }
+        panel.finish();
+    }
+    Ok(figure)
+}

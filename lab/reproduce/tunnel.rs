@@ -1,0 +1,168 @@
+//! Curved drilling in homogeneous foam (Fig. 3, top): tension against feed.
+
+use nalgebra::Vector3;
+use plotters::style::RGBColor;
+use rayon::prelude::*;
+
+use super::output::{Plan, Table};
+use super::rig::{Block, Outcome, Trial};
+use trabecula::failure::Failure;
+use trabecula::report::axis::Axis;
+use trabecula::report::panel::{INK, Panel, Rect};
+use trabecula::report::shapes::{Anchor, Figure, Stroke};
+
+/// Tensions of Alambeigi et al. 2017, N.
+const TENSIONS_N: [f64; 4] = [6.0, 10.0, 15.0, 25.0];
+/// Feeds of the same, mm/s.
+const FEEDS_MM_PER_S: [f64; 3] = [0.05, 0.10, 0.15];
+/// Sawbones foam of 10 pounds a cubic foot, kg/m³.
+pub const FOAM_KG_PER_M3: f64 = 160.0;
+/// Length of the feed beyond the pilot hole, mm.
+pub const INSERTION_MM: f64 = 30.0;
+/// Least bend of the published experiments, degrees.
+const LEAST_BEND_DEG: f64 = 40.0;
+const REMOVED: RGBColor = RGBColor(214, 226, 236);
+const TOOL: RGBColor = RGBColor(0, 114, 178);
+
+/// The block: the pilot hole's end is the origin.
+pub fn block(density_kg_per_m3: f64, quick: bool) -> Block {
+    let voxel_mm = if quick { 1.0 } else { 0.5 };
+    Block::new([-10.0, -8.0, -38.0], [34.0, 8.0, 36.0], voxel_mm, |_| density_kg_per_m3)
+}
+
+struct Case {
+    tension_n: f64,
+    feed_mm_per_s: f64,
+    outcome: Outcome,
+    /// Removed voxels of the middle slice, mm.
+    slice: Vec<(f64, f64)>,
+    voxel_mm: f64,
+    path: Vec<(f64, f64)>,
+}
+
+pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
+    let block = block(FOAM_KG_PER_M3, plan.quick);
+    // Ten times the feed in the quick form.
+    let faster = if plan.quick { 10.0 } else { 1.0 };
+    let feeds: &[f64] = if plan.quick { &FEEDS_MM_PER_S[2..] } else { &FEEDS_MM_PER_S };
+    let pairs: Vec<(f64, f64)> =
+        TENSIONS_N.iter().flat_map(|t| feeds.iter().map(move |feed| (*t, *feed * faster))).collect();
+    let cases: Vec<Case> = pairs
+        .into_par_iter()
+        .map(|(tension_n, feed_mm_per_s)| case(&block, tension_n, feed_mm_per_s))
+        .collect::<Result<_, _>>()?;
+    let mut table = Table::new(&[
+        "tension_n",
+        "feed_mm_per_s",
+        "bend_deg",
+        "tip_x_mm",
+        "tip_z_mm",
+        "radius_mm",
+        "burr_force_max_n",
+        "overlap_max_mm",
+        "contacts_max",
+        "flexure_max_rad_per_s",
+        "at_least_40_deg",
+    ]);
+    for case in &cases {
+        let (end, bend_deg) = (case.outcome.burr_m() * 1e3, case.outcome.end.bend_rad.to_degrees());
+        table.row(vec![
+            format!("{}", case.tension_n),
+            format!("{}", case.feed_mm_per_s),
+            format!("{bend_deg:.1}"),
+            format!("{:.2}", end.x),
+            format!("{:.2}", end.z),
+            format!("{:.1}", radius_mm(&case.path)),
+            format!("{:.3}", case.outcome.most_force_n),
+            format!("{:.3}", case.outcome.deepest_m * 1e3),
+            format!("{}", case.outcome.most_contacts),
+            format!("{:.3}", case.outcome.fastest_rad_per_s),
+            if case.outcome.is_finite() && bend_deg >= LEAST_BEND_DEG { "yes" } else { "no" }.to_owned(),
+        ]);
+    }
+    table.finish(&plan.out, "reproduce-1-tunnel.csv")?;
+    plan.draw(&draw(&cases)?, "reproduce-1-tunnel")
+}
+
+fn case(block: &Block, tension_n: f64, feed_mm_per_s: f64) -> Result<Case, Failure> {
+    let trial = Trial::new(tension_n, feed_mm_per_s, INSERTION_MM);
+    let [nx, ny, _] = block.geometry.dims;
+    let middle = ny / 2;
+    let (mut slice, mut path) = (Vec::new(), Vec::new());
+    let outcome = trial.play(block, |state, removed| {
+        for index in removed {
+            let index = *index as usize;
+            let (i, j, k) = (index % nx, (index / nx) % ny, index / (nx * ny));
+            if j == middle {
+                let centre = block.geometry.voxel_centre_world_m(i, j, k) * 1e3;
+                slice.push((centre.z, centre.x));
+            }
+        }
+        let burr = Vector3::from(state.t_world_burr.position_m) * 1e3;
+        let far = path.last().is_none_or(|last: &(f64, f64)| (last.0 - burr.z).hypot(last.1 - burr.x) > 0.1);
+        if far {
+            path.push((burr.z, burr.x));
+        }
+    })?;
+    let voxel_mm = block.geometry.spacing_m[0] * 1e3;
+    Ok(Case { tension_n, feed_mm_per_s, outcome, slice, voxel_mm, path })
+}
+
+/// Radius of the circle nearest to the path in the sense of Kasa (1976), mm.
+pub fn radius_mm(path: &[(f64, f64)]) -> f64 {
+    let mut normal = nalgebra::Matrix3::zeros();
+    let mut right = Vector3::zeros();
+    for &(x, y) in path {
+        let row = Vector3::new(x, y, 1.0);
+        normal += row * row.transpose();
+        right += row * (x * x + y * y);
+    }
+    let Some(solution) = normal.lu().solve(&right) else { return f64::NAN };
+    let (x, y) = (0.5 * solution.x, 0.5 * solution.y);
+    (solution.z + x * x + y * y).sqrt()
+}
+
+fn draw(cases: &[Case]) -> Result<Figure, Failure> {
+    let columns = cases.len() / TENSIONS_N.len();
+    let (wide, high, head) = (400.0, 330.0, 40.0);
+    let size = (wide * columns as f64, head + high * TENSIONS_N.len() as f64);
+    let mut figure =
+        Figure::new(size.0 as u32, size.1 as u32).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let title = "Drilled voxels, tool, path of the burr";
+    figure.text((12.0, 20.0), title, 15.0, INK, Anchor::Left);
+    for (place, case) in cases.iter().enumerate() {
+        let cell = Rect {
+            x: (place % columns) as f64 * wide,
+            y: head + (place / columns) as f64 * high,
+            width: wide,
+            height: high,
+        };
+        draw_case(&mut figure, cell, case);
+    }
+    Ok(figure)
+}
+
+fn draw_case(figure: &mut Figure, cell: Rect, case: &Case) {
+    let title = format!(
+        "{} N, {} mm/s: {:.0}°",
+        case.tension_n,
+        case.feed_mm_per_s,
+        case.outcome.end.bend_rad.to_degrees()
+    );
+    // As many millimetres a unit on both axes: the panel's frame is 324 by 256.
+    let (x, y) = (Axis::linear("along (mm)", -6.0, 38.0, 5), Axis::linear("bend (mm)", -6.0, 28.8, 4));
+    let mut panel = Panel::new(figure, cell, &title, x, y);
+    let half = 0.5 * case.voxel_mm;
+    for &(z, x) in &case.slice {
+        panel.band(&[(z - half, x - half, x + half), (z + half, x - half, x + half)], REMOVED);
+    }
+    let state = &case.outcome.end;
+    let links = state.t_world_link.iter().take(state.joint_count as usize);
+    let tool: Vec<(f64, f64)> = links
+        .chain([&state.t_world_burr])
+        .map(|pose| (pose.position_m[2] * 1e3, pose.position_m[0] * 1e3))
+        .collect();
+    panel.line(&tool, Stroke::full(TOOL, 5.0), "");
+    panel.line(&case.path, Stroke { colour: INK, width: 1.2, dash: &[4.0, 3.0] }, "");
+    panel.finish();
+}

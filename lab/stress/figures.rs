@@ -1,0 +1,162 @@
+//! The figures of a stress test.
+
+use plotters::style::RGBColor;
+use recorder_proc::Cause;
+
+use super::measure::{Curves, DRAWN_MISSES, Measured};
+use super::plan::{Combination, policy_name, wait_name};
+use super::report::Tested;
+use trabecula::report::ReportError;
+use trabecula::report::axis::{Axis, duration_label};
+use trabecula::report::panel::{COLOURS, INK, Key, Panel, Rect};
+use trabecula::report::shapes::{Anchor, Figure, Point, Shape, Stroke};
+use trabecula::report::timing_figure::draw_histogram;
+
+const WIDTH: u32 = 1060;
+const HEIGHT: u32 = 620;
+const HEAD: f64 = 40.0;
+const SHORTEST_US: f64 = 0.1;
+/// Cells of a map.
+const CELL: (f64, f64) = (96.0, 46.0);
+
+/// Colour of a cause; its letter stands beside it (Okabe and Ito 2008).
+fn colour(cause: Cause) -> RGBColor {
+    match cause {
+        Cause::OwnComputation => COLOURS[0],
+        Cause::RunQueue => COLOURS[1],
+        Cause::Stolen => COLOURS[2],
+        Cause::PageFault => COLOURS[3],
+        Cause::Blocked => RGBColor(230, 159, 0),
+        Cause::Controllers => RGBColor(86, 180, 233),
+        Cause::Throttled => RGBColor(0, 158, 115),
+        Cause::Stopped => RGBColor(204, 121, 167),
+        Cause::Recorder => RGBColor(0, 114, 178),
+        Cause::Unknown => RGBColor(60, 60, 60),
+    }
+}
+
+/// A combination: distributions, and the run with its misses.
+pub fn combination(
+    tested: &Combination,
+    measured: &Measured,
+    curves: &Curves,
+) -> Result<Figure, ReportError> {
+    let mut figure = Figure::new(WIDTH, HEIGHT)?;
+    let title = format!("{tested}: {} of {} ticks missed", measured.missed, measured.ticks);
+    figure.text((16.0, 20.0), &title, 18.0, INK, Anchor::Left);
+    let column = f64::from(WIDTH) / 3.0;
+    let cell = |i: f64| Rect { x: i * column, y: HEAD, width: column, height: 280.0 };
+    let panels = [
+        ("Wake-up after the deadline", "lateness", &curves.lateness),
+        ("Physics step", "step time", &curves.step),
+        ("State to command", "round trip", &curves.round_trip),
+    ];
+    for (index, (name, quantity, distribution)) in panels.into_iter().enumerate() {
+        let one = [(String::new(), distribution)];
+        draw_histogram(&mut figure, cell(index as f64), name, quantity, &one, "no data in the log");
+    }
+    let below = Rect { x: 0.0, y: HEAD + 290.0, width: f64::from(WIDTH), height: 290.0 };
+    time_line(&mut figure, below, measured, curves);
+    Ok(figure)
+}
+
+fn time_line(figure: &mut Figure, outer: Rect, measured: &Measured, curves: &Curves) {
+    let latest = curves.latest.iter().filter_map(|(time_s, bin)| Some((time_s, bin.range()?[2])));
+    let points: Vec<Point> = latest.map(|(time_s, late_us)| (time_s, late_us.max(SHORTEST_US))).collect();
+    let marks = curves.misses.iter().map(|miss| miss.late_us);
+    let values = points.iter().map(|point| point.1).chain(marks).chain([curves.period_us]);
+    let y = Axis::logarithmic("lateness", values, duration_label);
+    let x = Axis::linear("simulated time (s)", 0.0, curves.end_s, 12);
+    let shown = if measured.missed as usize > DRAWN_MISSES {
+        format!("Latest tick of each interval, and the {DRAWN_MISSES} worst misses by cause")
+    } else {
+        "Latest tick of each interval, and every miss by cause".to_owned()
+    };
+    let mut panel = Panel::new(figure, outer, &shown, x, y);
+    if points.is_empty() {
+        panel.remark("no timing in the log");
+        return panel.finish();
+    }
+    panel.line(&points, Stroke::full(RGBColor(150, 150, 150), 1.2), "");
+    let period = Stroke { colour: INK, width: 1.2, dash: &[8.0, 2.5, 2.0, 2.5] };
+    panel.line(&[(0.0, curves.period_us), (curves.end_s, curves.period_us)], period, "period");
+    for miss in &curves.misses {
+        panel.disc((miss.time_s, miss.late_us), 3.5, colour(miss.cause));
+    }
+    let letters: Vec<(Point, Cause)> =
+        curves.misses.iter().map(|miss| (panel.place((miss.time_s, miss.late_us)), miss.cause)).collect();
+    let causes = Cause::ALL.into_iter().filter(|cause| measured.misses.by_cause.contains_key(cause.name()));
+    for cause in causes {
+        let count = measured.misses.by_cause.get(cause.name()).copied().unwrap_or(0);
+        panel.key(Key::Disc(colour(cause)), &format!("{} {} {count}", cause.letter(), cause.name()));
+    }
+    panel.finish_with_row();
+    for ((x, y), cause) in letters {
+        figure.text((x, y - 9.0), &cause.letter().to_string(), 9.0, colour(cause), Anchor::Centre);
+    }
+}
+
+/// p99 of the lateness over cores and loads: a table of colours for each policy and way of waiting.
+pub fn map(all: &[Tested]) -> Result<Figure, ReportError> {
+    let mut groups: Vec<(String, Vec<&Tested>)> = Vec::new();
+    for tested in all {
+        let of = &tested.combination;
+        let name = format!("{}, {}", policy_name(of.policy), wait_name(of.wait));
+        match groups.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, members)) => members.push(tested),
+            None => groups.push((name, vec![tested])),
+        }
+    }
+    let mut loads: Vec<String> = Vec::new();
+    let mut cores: Vec<usize> = Vec::new();
+    for tested in all {
+        let load = tested.combination.load.to_string();
+        if !loads.contains(&load) {
+            loads.push(load);
+        }
+        if !cores.contains(&tested.combination.cores) {
+            cores.push(tested.combination.cores);
+        }
+    }
+    let (wide, high) = (90.0 + CELL.0 * loads.len() as f64, 64.0 + CELL.1 * cores.len() as f64);
+    let (columns, rows) = (2.min(groups.len().max(1)), groups.len().div_ceil(2).max(1));
+    let size = (f64::from(columns as u32) * wide + 20.0, f64::from(rows as u32) * high + HEAD);
+    let mut figure = Figure::new(size.0.max(520.0) as u32, size.1 as u32)?;
+    let title = "p99 of the lateness of ticks, over cores and load";
+    figure.text((16.0, 20.0), title, 17.0, INK, Anchor::Left);
+    for (index, (name, members)) in groups.iter().enumerate() {
+        let (left, top) = ((index % 2) as f64 * wide + 10.0, (index / 2) as f64 * high + HEAD);
+        figure.text((left + 4.0, top + 12.0), name, 14.0, INK, Anchor::Left);
+        for (column, load) in loads.iter().enumerate() {
+            let x = left + 80.0 + CELL.0 * (column as f64 + 0.5);
+            figure.text((x, top + 34.0), load, 12.5, INK, Anchor::Centre);
+        }
+        for (row, count) in cores.iter().enumerate() {
+            let y = top + 44.0 + CELL.1 * row as f64;
+            let label = if *count == 1 { "1 core".to_owned() } else { format!("{count} cores") };
+            figure.text((left + 4.0, y + 0.5 * CELL.1), &label, 12.5, INK, Anchor::Left);
+            for (column, load) in loads.iter().enumerate() {
+                let found = members.iter().find(|tested| {
+                    tested.combination.cores == *count && tested.combination.load.to_string() == *load
+                });
+                let p99_us = found.and_then(|tested| tested.measured.lateness_us).map(|q| q.p99);
+                map_cell(&mut figure, (left + 80.0 + CELL.0 * column as f64, y), p99_us);
+            }
+        }
+    }
+    Ok(figure)
+}
+
+/// White at 10 µs, dark blue at 100 ms, by decades; the figure stands in it.
+fn map_cell(figure: &mut Figure, (x, y): Point, p99_us: Option<f64>) {
+    let shade = p99_us.map(|us| ((us.max(1.0).log10() - 1.0) / 4.0).clamp(0.0, 1.0));
+    let mix = |from: f64, to: f64| shade.map_or(245, |s| (from + (to - from) * s) as u8);
+    let fill = RGBColor(mix(255.0, 8.0), mix(255.0, 48.0), mix(255.0, 107.0));
+    let (right, lower) = (x + CELL.0 - 3.0, y + CELL.1 - 3.0);
+    figure.add(Shape::Area { corners: vec![(x, y), (right, y), (right, lower), (x, lower)], fill });
+    let outline = vec![(x, y), (right, y), (right, lower), (x, lower), (x, y)];
+    figure.add(Shape::Line { points: outline, stroke: Stroke::full(RGBColor(190, 190, 190), 0.8) });
+    let ink = if shade.is_some_and(|s| s > 0.5) { RGBColor(255, 255, 255) } else { INK };
+    let text = p99_us.map_or("not run".to_owned(), duration_label);
+    figure.text((0.5 * (x + right), 0.5 * (y + lower)), &text, 13.0, ink, Anchor::Centre);
+}

@@ -1,0 +1,122 @@
+//! The command line of `trabecula`.
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser, Subcommand};
+
+use crate::commands;
+use crate::commands::calibrate::CalibrateArguments;
+use crate::commands::docs::DocsCommand;
+use crate::commands::doctor::DoctorArguments;
+use crate::commands::drr::DrrArguments;
+use crate::commands::laboratory::LaboratoryCommand;
+use crate::commands::log::LogCommand;
+use crate::commands::plan::PlanArguments;
+use crate::commands::plot::PlotArguments;
+use crate::commands::proc::ProcCommand;
+use crate::commands::replay::ReplayArguments;
+use crate::commands::run::RunArguments;
+use crate::commands::scene::SceneCommand;
+use crate::commands::view::ViewArguments;
+use crate::commands::volume::{PhantomArguments, VolumeCommand};
+use crate::failure::Failure;
+use crate::program::{self, EXIT_CODES};
+
+/// A zero-copy shared-memory co-simulation hub for image-guided bone drilling with a continuum manipulator.
+#[derive(Debug, Parser)]
+#[command(name = "trabecula", version, about, after_help = EXIT_CODES)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    #[command(flatten)]
+    User(UserCommand),
+    /// Run one part of a session in this process.
+    #[command(subcommand)]
+    Proc(ProcCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum UserCommand {
+    /// Run a scene (the default: the femur).
+    Run(RunArguments),
+    /// Step the physics through a log's commands again.
+    Replay(ReplayArguments),
+    /// Watch and steer a running session in the browser, or look at logs on a time line.
+    View(ViewArguments),
+    /// Draw fields of a log over time.
+    Plot(PlotArguments),
+    /// Look into logs.
+    #[command(subcommand)]
+    Log(LogCommand),
+    /// Sweep a tendon and write which tension bends the tip to where.
+    Calibrate(CalibrateArguments),
+    /// Choose the cheapest settings that keep a scene's tolerance; check the error that a run made.
+    Plan(PlanArguments),
+    /// Check scenes.
+    #[command(subcommand)]
+    Scene(SceneCommand),
+    /// Look into CT volumes.
+    #[command(subcommand)]
+    Volume(VolumeCommand),
+    /// Write a synthetic volume to a file.
+    Phantom(PhantomArguments),
+    /// Render X-ray frames of a volume to files.
+    Drr(Box<DrrArguments>),
+    /// Print generated documentation.
+    #[command(subcommand)]
+    Docs(DocsCommand),
+    /// Say what this machine permits, what that costs, and what would grant it.
+    Doctor(DoctorArguments),
+    #[command(flatten)]
+    Laboratory(LaboratoryCommand),
+}
+
+/// Runs the program.
+pub fn main() -> ExitCode {
+    match program::start().and_then(|()| command()) {
+        // A part prints no answer, and may end as a program of the user's does.
+        Ok(Some(Command::Proc(part))) => {
+            commands::proc::run(&part).unwrap_or_else(|failure| program::end(Err(failure)))
+        }
+        Ok(Some(Command::User(command))) => program::end(obey(&command)),
+        Ok(None) => program::end(Ok(())),
+        Err(failure) => program::end(Err(failure)),
+    }
+}
+
+/// What is asked for; none if that was the help or the version. Without a command, the default scene runs.
+fn command() -> Result<Option<Command>, Failure> {
+    let parsed = Arguments::try_parse().and_then(|arguments| match arguments.command {
+        Some(command) => Ok(command),
+        None => {
+            let run = Arguments::try_parse_from(["trabecula", "run"])?.command;
+            run.ok_or_else(|| {
+                Arguments::command().error(clap::error::ErrorKind::MissingSubcommand, "expected a command")
+            })
+        }
+    });
+    program::parsed(parsed)
+}
+
+fn obey(command: &UserCommand) -> Result<(), Failure> {
+    match command {
+        UserCommand::Run(arguments) => commands::run::run(arguments),
+        UserCommand::Replay(arguments) => commands::replay::run(arguments),
+        UserCommand::View(arguments) => commands::view::run(arguments),
+        UserCommand::Plot(arguments) => commands::plot::run(arguments),
+        UserCommand::Log(command) => commands::log::run(command),
+        UserCommand::Calibrate(arguments) => commands::calibrate::run(arguments),
+        UserCommand::Plan(arguments) => commands::plan::run(arguments),
+        UserCommand::Scene(command) => commands::scene::run(command),
+        UserCommand::Volume(command) => commands::volume::run(command),
+        UserCommand::Phantom(arguments) => commands::volume::write_phantom(arguments),
+        UserCommand::Drr(arguments) => commands::drr::run(arguments),
+        UserCommand::Docs(command) => commands::docs::run(command),
+        UserCommand::Doctor(arguments) => commands::doctor::run(arguments),
+        UserCommand::Laboratory(command) => commands::laboratory::run(command),
+    }
+}

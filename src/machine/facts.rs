@@ -1,0 +1,295 @@
+//! What this machine is and permits, what it costs where it does not, and what would grant it.
+
+use std::path::Path;
+
+use ipc_types::process::set_fifo;
+use rustix::mm::MlockAllFlags;
+use serde::{Deserialize, Serialize};
+
+use super::confine::{allowed, cpu_group};
+use super::watch::Machine;
+
+/// How far something is there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Grade {
+    /// As it should be.
+    Good,
+    /// There, with limits.
+    Limited,
+    /// Not there.
+    Missing,
+}
+
+/// One thing that timing depends on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Finding {
+    /// Its name.
+    pub name: String,
+    /// How far it is there.
+    pub grade: Grade,
+    /// What was found.
+    pub found: String,
+    /// What it costs where it is missing.
+    pub cost: String,
+    /// The command or setting that grants it.
+    pub grant: String,
+}
+
+/// A machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MachineFacts {
+    /// Processor.
+    pub processor: String,
+    /// Cores that this program may use.
+    pub cores: usize,
+    /// Kernel.
+    pub kernel: String,
+    /// What it permits.
+    pub findings: Vec<Finding>,
+}
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(path).unwrap_or_default().trim().to_owned()
+}
+
+/// Looks at this machine; `steal` is what it lost to its hypervisor while somebody watched.
+pub fn facts(steal: &Machine) -> MachineFacts {
+    let cpuinfo = read("/proc/cpuinfo");
+    let model = cpuinfo.lines().find(|line| line.starts_with("model name"));
+    let model = model.and_then(|line| line.split_once(": ")).map_or("unknown", |(_, name)| name);
+    let virtual_machine = cpuinfo.split_whitespace().any(|word| word == "hypervisor");
+    let place = if virtual_machine { ", a virtual machine" } else { "" };
+    let cores = allowed().map_or(1, |cores| cores.len());
+    MachineFacts {
+        processor: format!("{model}{place}"),
+        cores,
+        kernel: format!("{} {}", read("/proc/sys/kernel/osrelease"), read("/proc/sys/kernel/version")),
+        findings: vec![
+            fifo(),
+            nice(),
+            memory_lock(),
+            affinity(cores),
+            quota(),
+            huge_pages(),
+            shared_memory(),
+            clock_source(),
+            preemption(),
+            stolen(steal, virtual_machine),
+        ],
+    }
+}
+
+fn finding(name: &str, grade: Grade, found: String, cost: &str, grant: &str) -> Finding {
+    let [name, cost, grant] = [name, cost, grant].map(str::to_owned);
+    Finding { name, grade, found, cost, grant }
+}
+
+/// Tries something in a thread of its own, which is gone afterwards.
+fn tried(what: impl FnOnce() -> std::io::Result<()> + Send + 'static) -> std::io::Result<()> {
+    std::thread::spawn(what).join().unwrap_or_else(|_| Err(std::io::Error::other("the thread died")))
+}
+
+fn fifo() -> Finding {
+    let throttle =
+        (read("/proc/sys/kernel/sched_rt_runtime_us"), read("/proc/sys/kernel/sched_rt_period_us"));
+    let (grade, found) = match tried(|| set_fifo(10)) {
+        Ok(()) if throttle.0 == "-1" => (Grade::Good, "permitted, not throttled".to_owned()),
+        Ok(()) => (Grade::Good, format!("permitted, throttled to {} of {} µs", throttle.0, throttle.1)),
+        Err(cause) => (Grade::Missing, format!("not permitted ({cause})")),
+    };
+    finding(
+        "SCHED_FIFO",
+        grade,
+        found,
+        "`--policy fifo` has no effect: on a core that others compute on, ticks wait up to a scheduler slice (3 to 4 ms)",
+        "`ulimit -r 50` after `<user> - rtprio 50` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`; in a container `--cap-add SYS_NICE --ulimit rtprio=50`",
+    )
+}
+
+fn nice() -> Finding {
+    let outcome = tried(|| Ok(rustix::process::setpriority_process(None, -15)?));
+    let (grade, found) = match outcome {
+        Ok(()) => (Grade::Good, "permitted".to_owned()),
+        Err(cause) => (Grade::Missing, format!("not permitted ({cause})")),
+    };
+    finding(
+        "nice below 0",
+        grade,
+        found,
+        "the physics has no more weight than the programs beside it; DRR and viewing still give way to it",
+        "`<user> - nice -15` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`",
+    )
+}
+
+fn memory_lock() -> Finding {
+    // The parts lock theirs for themselves; here it is only tried.
+    let outcome = rustix::mm::mlockall(MlockAllFlags::CURRENT);
+    let _ = rustix::mm::munlockall();
+    let limit = rustix::process::getrlimit(rustix::process::Resource::Memlock).current;
+    let limit = limit.map_or("no limit".to_owned(), |bytes| format!("limit {} KiB", bytes / 1024));
+    let (grade, found) = match outcome {
+        Ok(()) => (Grade::Good, format!("permitted, {limit}")),
+        Err(cause) => (Grade::Missing, format!("not permitted ({cause}), {limit}")),
+    };
+    finding(
+        "mlockall",
+        grade,
+        found,
+        "memory may be paged out; a page that comes back from a disk costs milliseconds",
+        "`<user> - memlock unlimited` in /etc/security/limits.conf, or `ulimit -l unlimited`; in a container `--ulimit memlock=-1`",
+    )
+}
+
+fn affinity(cores: usize) -> Finding {
+    let outcome = tried(|| super::confine::Confinement::enter(1, None).map(|_| ()));
+    let online = std::fs::read_to_string("/proc/cpuinfo")
+        .map_or(cores, |text| text.lines().filter(|line| line.starts_with("processor")).count());
+    let (grade, found) = match outcome {
+        Ok(()) if cores == online => (Grade::Good, format!("permitted, {cores} of {online} cores")),
+        Ok(()) => (Grade::Limited, format!("permitted, {cores} of {online} cores")),
+        Err(cause) => (Grade::Missing, format!("not permitted ({cause})")),
+    };
+    finding(
+        "affinity",
+        grade,
+        found,
+        "`trabecula stress --cores` cannot limit a run",
+        "`taskset -p -c 0-N PID` of the shell, or a wider cpuset of the container (`--cpuset-cpus`)",
+    )
+}
+
+fn quota() -> Finding {
+    let (grade, found) = match cpu_group() {
+        Some((folder, first)) => {
+            let version = if first { 1 } else { 2 };
+            let probe = folder.join(format!("trabecula-doctor-{}", std::process::id()));
+            let made = std::fs::create_dir(&probe);
+            let _ = std::fs::remove_dir(&probe);
+            match made {
+                Ok(()) => (Grade::Good, format!("version {version}, {} can be divided", folder.display())),
+                Err(cause) => (Grade::Missing, format!("version {version}, {}: {cause}", folder.display())),
+            }
+        }
+        None => (Grade::Missing, "no hierarchy with the `cpu` controller".to_owned()),
+    };
+    finding(
+        "control groups",
+        grade,
+        found,
+        "`trabecula stress --quota` cannot limit a run's share of a core; affinity does not need it",
+        "`systemd-run --user --scope -p Delegate=yes -p CPUQuota=150% trabecula …`, or run as root",
+    )
+}
+
+fn huge_pages() -> Finding {
+    huge_pages_of(&read("/sys/kernel/mm/transparent_hugepage/enabled"), &read("/proc/meminfo"))
+}
+
+fn huge_pages_of(transparent: &str, memory: &str) -> Finding {
+    let total = memory.lines().find_map(|line| line.strip_prefix("HugePages_Total:")).map_or("0", str::trim);
+    let chosen = transparent.split(['[', ']']).nth(1).unwrap_or("not there").to_owned();
+    let (grade, granted) = match chosen.as_str() {
+        // The hub asks for them by name (madvise), which is all that either setting wants.
+        "always" | "madvise" => (Grade::Good, "granted to the X-ray's copies of the CT, which ask for them"),
+        _ => (Grade::Limited, "refused to the X-ray's copies of the CT, which ask for them"),
+    };
+    finding(
+        "huge pages",
+        grade,
+        format!("transparent: {chosen}: {granted}; {total} reserved, which the hub does not use"),
+        "rendering walks over the CT in small pages and misses the address cache more often; nothing fails",
+        "`echo madvise > /sys/kernel/mm/transparent_hugepage/enabled`",
+    )
+}
+
+fn shared_memory() -> Finding {
+    let cost = "a session needs the CT volume and its frames there; too little is an error that says so at the start";
+    let grant = "`mount -o remount,size=4G /dev/shm`; in a container `--shm-size 4g`";
+    let Ok(info) = rustix::fs::statvfs("/dev/shm") else {
+        return finding("/dev/shm", Grade::Missing, "not there".to_owned(), cost, grant);
+    };
+    let mebibytes = |blocks: u64| blocks * info.f_frsize / (1 << 20);
+    let free = mebibytes(info.f_bavail);
+    let grade = if free >= 512 { Grade::Good } else { Grade::Limited };
+    let found = format!("{} MiB, {free} MiB of it free", mebibytes(info.f_blocks));
+    finding("/dev/shm", grade, found, cost, grant)
+}
+
+fn clock_source() -> Finding {
+    let folder = "/sys/devices/system/clocksource/clocksource0";
+    let current = read(&format!("{folder}/current_clocksource"));
+    let available = read(&format!("{folder}/available_clocksource"));
+    let grade = match current.as_str() {
+        "tsc" | "kvm-clock" | "arch_sys_counter" => Grade::Good,
+        _ => Grade::Limited,
+    };
+    finding(
+        "clock source",
+        grade,
+        format!("{current} (available: {available})"),
+        "a look at a slow clock (hpet, acpi_pm) is a system call of about a microsecond; a tick takes about ten",
+        "`echo tsc > /sys/devices/system/clocksource/clocksource0/current_clocksource`",
+    )
+}
+
+fn preemption() -> Finding {
+    let version = read("/proc/sys/kernel/version");
+    let command_line = read("/proc/cmdline");
+    let given = command_line.split(' ').find(|word| word.starts_with("preempt="));
+    let config = kernel_config();
+    let is_set = |name: &str| config.lines().any(|line| line == format!("CONFIG_{name}=y"));
+    let built = [
+        ("PREEMPT_NONE", "none"),
+        ("PREEMPT_VOLUNTARY", "voluntary"),
+        ("PREEMPT_LAZY", "lazy"),
+        ("PREEMPT", "full"),
+    ];
+    let built = built.into_iter().find(|(name, _)| is_set(name)).map(|(_, model)| model);
+    let model = match (version.contains("PREEMPT_RT"), given, built) {
+        (true, _, _) => "real time".to_owned(),
+        (_, Some(word), _) => word.trim_start_matches("preempt=").to_owned(),
+        (_, None, Some(model)) => model.to_owned(),
+        (_, None, None) => "the kernel does not say".to_owned(),
+    };
+    let grade = match model.as_str() {
+        "real time" | "full" => Grade::Good,
+        _ => Grade::Limited,
+    };
+    finding(
+        "preemption model",
+        grade,
+        format!("{model} ({version})"),
+        "a neighbour's long system call (a write of megabytes) keeps the core from a tick of any priority for milliseconds",
+        "boot with `preempt=full` where the version says PREEMPT_DYNAMIC, or a PREEMPT_RT kernel",
+    )
+}
+
+/// The kernel's configuration, from where it lies unpacked.
+fn kernel_config() -> String {
+    let release = read("/proc/sys/kernel/osrelease");
+    let boot = std::fs::read_to_string(format!("/boot/config-{release}"));
+    boot.or_else(|_| unpacked(Path::new("/proc/config.gz"))).unwrap_or_default()
+}
+
+fn unpacked(path: &Path) -> std::io::Result<String> {
+    let mut text = String::new();
+    std::io::Read::read_to_string(&mut flate2::read::GzDecoder::new(std::fs::File::open(path)?), &mut text)?;
+    Ok(text)
+}
+
+fn stolen(watched: &Machine, virtual_machine: bool) -> Finding {
+    let (busy, stolen) = watched.shares_percent();
+    let grade = match stolen {
+        _ if !virtual_machine => Grade::Good,
+        stolen if stolen < 0.5 => Grade::Good,
+        _ => Grade::Limited,
+    };
+    finding(
+        "steal",
+        grade,
+        format!("{stolen:.2} % of the machine while {busy:.0} % were busy, over {:.1} s", watched.seconds()),
+        "the hypervisor holds ticks up by milliseconds whatever the priority; such misses are counted apart",
+        "dedicated cores of the provider (pinned vCPUs), or a machine that is not virtual",
+    )
+}

@@ -1,0 +1,26 @@
+//! Which commands of a program write files, by its command line's own description.
+
+/// The commands with an output and the argument that names it, such as `plot --output`, in the order of the alphabet. Hidden commands
+/// and the parts of a session (`proc`) are left out.
+pub fn outputs_of(command: &clap::Command) -> Vec<String> {
+    let mut found = Vec::new();
+    collect(command, "", &mut found);
+    found.sort();
+    found
+}
+
+fn collect(command: &clap::Command, path: &str, found: &mut Vec<String>) {
+    for argument in command.get_arguments() {
+        let id = argument.get_id().as_str();
+        // What is only read is also called a file.
+        let writes_file = (id == "file" && matches!(path, "phantom " | "volume drilled "))
+            || (id == "folder" && path == "scene init ");
+        if writes_file || ["output", "out", "record", "rungs"].contains(&id) {
+            found.push(format!("{path}{}{id}", if writes_file { "" } else { "--" }));
+        }
+    }
+    let of_users = |command: &&clap::Command| !command.is_hide_set() && command.get_name() != "proc";
+    for command in command.get_subcommands().filter(of_users) {
+        collect(command, &format!("{path}{} ", command.get_name()), found);
+    }
+}
