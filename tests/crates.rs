@@ -10,12 +10,13 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 7] = [
+const CORES: [(&str, &str); 8] = [
     ("foreign_text", "foreign_text"),
     ("messages", "messages"),
     ("voxel_grid", "voxel_grid"),
     ("scene", "scene"),
     ("simulation", "simulation"),
+    ("controllers", "controllers"),
     ("hub", "hub"),
     ("hub_simulator", "hub/simulator"),
 ];

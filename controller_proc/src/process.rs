@@ -18,7 +18,7 @@ use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
 use thiserror::Error;
 
-use crate::{CalibrationError, Controller, built_in};
+use controllers::{CalibrationError, Controller, built_in};
 
 /// Longest wait for a frame that is due, in lockstep.
 const FRAME_LIMIT: Duration = Duration::from_secs(120);
@@ -64,7 +64,7 @@ pub enum ControllerError {
 /// Any [`ControllerError`].
 pub fn run(session_folder: &Path, name: &str) -> Result<(), ControllerError> {
     let scene = session_scene(session_folder)?;
-    match built_in(&scene, name)? {
+    match built_in(&scene, name, &ipc_types::text_file::read)? {
         Some(mut controller) => run_controller(session_folder, name, controller.as_mut()),
         None => Err(ControllerError::NotBuiltIn { name: name.to_owned() }),
     }
@@ -123,7 +123,7 @@ impl Ports {
         let index = session.controller_index(name)?;
         let frames = match scene.drr {
             // Frames that others ask for must not push out the one that is due.
-            Some(_) => Some(Frames::new(session.lossless_subscriber(&services::FRAME)?, &scene)),
+            Some(_) => Some(Frames::new(session.lossless_subscriber(&services::FRAME)?, scene.clone())),
             None => None,
         };
         Ok(Ports {
@@ -168,17 +168,16 @@ impl Ports {
     }
 }
 
-/// The frames a controller sees. In real time it sees what has arrived; in lockstep each scheduled frame is seen half a
-/// period after its tick, however long it took to render, so that the run is repeatable.
+/// The frames that a controller sees: in real time what has arrived, in lockstep what is due ([`Scene::frame_seen_at`]).
 struct Frames {
     subscriber: Subscriber<Frame>,
-    period_ticks: Option<u64>,
+    scene: Scene,
     pixels: Vec<u16>,
 }
 
 impl Frames {
-    fn new(subscriber: Subscriber<Frame>, scene: &Scene) -> Frames {
-        Frames { subscriber, period_ticks: scene.frame_period_ticks(), pixels: Vec::new() }
+    fn new(subscriber: Subscriber<Frame>, scene: Scene) -> Frames {
+        Frames { subscriber, scene, pixels: Vec::new() }
     }
 
     fn arrived(&mut self, controller: &mut dyn Controller) -> Result<(), ControllerError> {
@@ -194,12 +193,7 @@ impl Frames {
         controller: &mut dyn Controller,
         end: &EndRequest,
     ) -> Result<(), ControllerError> {
-        let Some(period) = self.period_ticks else { return Ok(()) };
-        let delay = (period / 2).max(1);
-        if tick < delay || !(tick - delay).is_multiple_of(period) {
-            return Ok(());
-        }
-        let wanted = tick - delay;
+        let Some(wanted) = self.scene.frame_seen_at(tick) else { return Ok(()) };
         let mut patience = Patience::new(FRAME_LIMIT.as_nanos() as u64, now_ns());
         while !patience.is_over(now_ns()) {
             match self.subscriber.receive()? {

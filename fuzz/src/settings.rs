@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use controller_proc::Calibration;
+use controllers::Calibration;
 use drr_proc::process::{c_arm_message, c_arm_of, projection_message, scene_c_arm, scene_isocentre_m};
 use ipc_types::scene::Scene;
 use ipc_types::session::Announcement;

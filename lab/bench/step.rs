@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use controller_proc::{Controller, built_in};
+use controllers::{Controller, built_in};
 use drr_proc::process::{
     Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view,
 };
@@ -92,11 +92,10 @@ struct Bench<'v> {
 impl Bench<'_> {
     fn play(&mut self, scene: &Scene) -> Result<(), Failure> {
         let mut controllers = controllers(scene)?;
-        let period = scene.frame_period_ticks();
         for tick in 0..scene.tick_count() {
             if let Some(x_ray) = &mut self.x_ray {
                 let plant = self.run.plant();
-                x_ray.see(plant.state(), plant.removed(), period, &mut controllers)?;
+                x_ray.see(plant.state(), plant.removed(), &scene, &mut controllers)?;
             }
             let latched = self.run.latch(|index, state, command| {
                 controllers[index].step(state, command);
@@ -124,7 +123,7 @@ fn one_step(run: &mut InProcess<Simulation>, latched: &Latched) -> Result<(), Fa
 
 fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {
     let built_in = |entry: &ipc_types::scene::Controller| {
-        built_in(scene, &entry.name)
+        built_in(scene, &entry.name, &ipc_types::text_file::read)
             .map_err(Failure::bad_input)?
             .ok_or_else(|| Failure::bad_input(format!("controller `{}` is not a built-in one", entry.name)))
     };
@@ -173,23 +172,22 @@ impl<'v> XRay<'v> {
         })
     }
 
-    /// Renders what is due at this state, and shows the newest frame half a period after its tick.
+    /// Shows the newest frame when it is due, and renders what is due at this state.
     fn see(
         &mut self,
         state: &State,
         removed: &[u32],
-        period: Option<u64>,
+        scene: &Scene,
         controllers: &mut [Box<dyn Controller>],
     ) -> Result<(), Failure> {
         self.removed.extend_from_slice(removed);
-        let Some(period) = period else { return Ok(()) };
-        if state.tick.is_multiple_of(period) {
-            let rendered = self.render(state, self.c_arm)?;
-            self.newest = Some(rendered);
-        } else if state.tick % period == (period / 2).max(1)
-            && let Some(rendered) = &self.newest
+        if let Some(rendered) = &self.newest
+            && scene.frame_seen_at(state.tick) == Some(rendered.frame.tick)
         {
             controllers.iter_mut().for_each(|controller| controller.frame(&rendered.frame, &rendered.pixels));
+        }
+        if scene.frame_period_ticks().is_some_and(|period| state.tick.is_multiple_of(period)) {
+            self.newest = Some(self.render(state, self.c_arm)?);
         }
         Ok(())
     }

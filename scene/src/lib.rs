@@ -108,6 +108,14 @@ impl Scene {
         (rate_hz > 0.0).then(|| ((1.0 / (rate_hz * self.dt_s())) + 0.5).max(1.0) as u64)
     }
 
+    /// The tick of the scheduled frame that controllers see at `tick` in lockstep: each is seen half a period after its tick, however
+    /// long it took to render, so that a run repeats bit for bit. `None` where none is due.
+    pub fn frame_seen_at(&self, tick: u64) -> Option<u64> {
+        let period = self.frame_period_ticks()?;
+        let frame = tick.checked_sub((period / 2).max(1))?;
+        frame.is_multiple_of(period).then_some(frame)
+    }
+
     /// Ticks between two keyframes; `None` without.
     pub fn keyframe_period_ticks(&self) -> Option<u64> {
         let interval_s = self.recording.keyframe_interval_s;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use controller_proc::{Calibration, Controller, TensionSweepController};
+use controllers::{Calibration, Controller, TensionSweepController};
 use hub::in_process::{Answer, InProcess};
 use ipc_types::scene::{Mode, Scene};
 use simulation::{CtView, Simulation, ct_geometry};

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use controller_proc::Calibration;
+use controllers::Calibration;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
@@ -66,7 +66,7 @@ fn check(file: &Path, volume_files: VolumeFiles) -> Result<(), Failure> {
     }
     let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
     for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {
-        Calibration::load(path)
+        Calibration::load(path, &ipc_types::text_file::read)
             .map_err(|cause| Failure::bad_input(format!("{}: {cause}", file.display())))?;
     }
     say!(

@@ -1,6 +1,6 @@
 //! The figure of a calibration: bend and tip place over the tendon's tension or displacement.
 
-use controller_proc::{Calibration, CalibrationRow};
+use controllers::{Calibration, CalibrationRow};
 
 use super::ReportError;
 use super::axis::Axis;

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use controller_proc::Calibration;
+use controllers::Calibration;
 
 use crate::common::program::{Place, trabecula};
 use crate::common::scenes;
@@ -17,7 +17,8 @@ fn a_sweep_is_written_as_a_table_that_controllers_read_and_as_a_picture() {
     let done = trabecula(&[&"calibrate", &scene, &"-o", &folder]);
     assert_eq!(done.code, Some(0), "{}", done.err);
     // Up in steps of 1 N to 4 N, and down again.
-    let calibration = Calibration::load(&folder.join("calibration.csv")).unwrap();
+    let calibration =
+        Calibration::load(&folder.join("calibration.csv"), &ipc_types::text_file::read).unwrap();
     let levels: Vec<(bool, f64)> = calibration.rows.iter().map(|row| (row.rising, row.commanded)).collect();
     let up = [0.0, 1.0, 2.0, 3.0, 4.0].map(|tension_n| (true, tension_n));
     let down = [3.0, 2.0, 1.0, 0.0].map(|tension_n| (false, tension_n));

@@ -11,8 +11,8 @@ use std::path::Path;
 use std::process::{Child, Command as Program, Stdio};
 use std::time::{Duration, Instant};
 
-use controller_proc::Controller;
 use controller_proc::process::run_controller;
+use controllers::Controller;
 use fastrand::Rng;
 use ipc_types::messages::{
     ARM_HOLD, ARM_MOVE_CP, ARM_SERVO_JP, BURR_SPEED, Command, SOURCE_HELD, SOURCE_SAFE, State,

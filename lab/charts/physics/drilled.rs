@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use controller_proc::built_in;
+use controllers::built_in;
 use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::Volume as VolumeMessage;
 use ipc_types::scene::{Feedback, Mode, Scene};
@@ -66,7 +66,8 @@ impl Drilling {
         let mut run = InProcess::new(&scene, simulation);
         let mut controllers = Vec::new();
         for entry in &scene.controller {
-            controllers.extend(built_in(&scene, &entry.name).map_err(|cause| failed(cause.to_string()))?);
+            let built_in = built_in(&scene, &entry.name, &ipc_types::text_file::read);
+            controllers.extend(built_in.map_err(|cause| failed(cause.to_string()))?);
         }
         let every = (1.0 / (SAMPLES_PER_S * scene.dt_s()) + 0.5) as u64;
         let (mut path, mut nanoseconds) = (Vec::new(), Vec::new());

@@ -193,7 +193,7 @@ impl ManipulatorParameters {
             shaft_sphere_span_m: [0.0, 35.0e-3],
             shaft_sphere_radius_m: 3.0e-3,
             segment_sphere_radius_m: 3.0e-3,
-            burr_radius_m: 3.25e-3,
+            burr_radius_m: scene::STANDARD_BURR_RADIUS_M,
             tendon: TendonParameters {
                 offset_m: 2.5e-3,
                 gap_m: 0.0,

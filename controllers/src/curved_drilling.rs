@@ -7,18 +7,16 @@
 //! bends (the feed waits for the first one), or on the measured shape, or not at all. At the end it may draw the tool
 //! back, the burr still turning and the tension following the same ramp down, so that the tunnel shows in the last frames.
 
-use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, Frame, Pose, State, TENDON_SERVO_JF};
-use ipc_types::scene::{CurvedDrilling, Feedback, Scene};
+use messages::{ARM_INSERT, BURR_SPEED, Command, Frame, Pose, State, TENDON_SERVO_JF};
 use nalgebra::Vector3;
+use scene::{CurvedDrilling, Feedback, Scene};
 
 use crate::Controller;
-use crate::bone_seen::BoneSeen;
-use crate::calibration::{Calibration, CalibrationError};
+use crate::calibration::{Calibration, CalibrationError, ReadText};
 use crate::geometry::{back_project, position_m, rotation};
+use crate::reset::ResetWatch;
 use crate::tip_finder::find_tip;
 
-/// Burr radius of the standard manipulator (6.5 mm diameter).
-const STANDARD_BURR_RADIUS_M: f64 = 3.25e-3;
 /// Share of the measured error's correction that a single frame may add.
 const CORRECTION_SHARE: f64 = 0.5;
 /// Time between two corrections on the measured shape.
@@ -37,7 +35,7 @@ pub struct CurvedDrillingController {
     start: Option<Start>,
     correction_n: f64,
     phase: Phase,
-    bone: BoneSeen,
+    reset: ResetWatch,
     remark: Option<String>,
 }
 
@@ -67,23 +65,28 @@ struct Start {
 }
 
 impl CurvedDrillingController {
-    /// A controller for this plan in this scene.
+    /// A controller for this plan in this scene; `read` gives the text of the calibration that the plan names.
     ///
     /// # Errors
     /// The plan's calibration cannot be read, or does not reach the bend of the arc to the target; the target lies on the
     /// side to which the tool does not bend.
-    pub fn new(plan: &CurvedDrilling, scene: &Scene) -> Result<CurvedDrillingController, CalibrationError> {
-        let calibration = plan.calibration.as_deref().map(Calibration::load).transpose()?;
+    pub fn new(
+        plan: &CurvedDrilling,
+        scene: &Scene,
+        read: &ReadText,
+    ) -> Result<CurvedDrillingController, CalibrationError> {
+        let calibration =
+            plan.calibration.as_deref().map(|path| Calibration::load(path, read)).transpose()?;
         let controller = CurvedDrillingController {
             plan: plan.clone(),
             calibration,
-            burr_radius_m: scene.manipulator.burr_diameter_mm.map_or(STANDARD_BURR_RADIUS_M, |d| d * 0.5e-3),
+            burr_radius_m: scene.manipulator.burr_radius_m(),
             waits_for_frame: plan.feedback == Feedback::Image && scene.frame_period_ticks().is_some(),
             shape_due_s: 0.0,
             start: None,
             correction_n: 0.0,
             phase: Phase::Feeding,
-            bone: BoneSeen::default(),
+            reset: ResetWatch::default(),
             remark: None,
         };
         if let Some(calibration) = &controller.calibration {
@@ -111,7 +114,7 @@ impl CurvedDrillingController {
     }
 
     fn begin(&mut self, state: &State) -> Start {
-        if self.bone.is_back(state) {
+        if self.reset.was_reset(state) {
             (self.start, self.phase, self.correction_n, self.shape_due_s) = (None, Phase::Feeding, 0.0, 0.0);
             self.remark = Some("the run was set back: begins anew".to_owned());
         }

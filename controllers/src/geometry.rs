@@ -1,6 +1,6 @@
 //! From a message's plain numbers to vectors, and between the C-arm's image and the world.
 
-use ipc_types::messages::{CArmGeometry, Pose};
+use messages::{CArmGeometry, Pose};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 /// Origin of a pose.

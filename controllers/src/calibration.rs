@@ -6,6 +6,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+/// Gives the text of a file: this crate opens none.
+pub type ReadText<'a> = dyn Fn(&Path) -> std::io::Result<String> + 'a;
+
 /// Columns of the file, in order.
 pub const COLUMNS: [&str; 12] = [
     "direction",
@@ -94,13 +97,13 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Reads a file of `trabecula calibrate`.
+    /// Reads a file of `trabecula calibrate` with `read`, which gives a file's text.
     ///
     /// # Errors
     /// [`CalibrationError::Unreadable`], [`CalibrationError::Malformed`].
-    pub fn load(path: &Path) -> Result<Calibration, CalibrationError> {
-        let text = ipc_types::text_file::read(path)
-            .map_err(|cause| CalibrationError::Unreadable { path: path.to_owned(), cause })?;
+    pub fn load(path: &Path, read: &ReadText) -> Result<Calibration, CalibrationError> {
+        let text =
+            read(path).map_err(|cause| CalibrationError::Unreadable { path: path.to_owned(), cause })?;
         Calibration::parse(&text).map_err(|(line, problem)| CalibrationError::Malformed {
             path: path.to_owned(),
             line,

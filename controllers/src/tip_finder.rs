@@ -5,7 +5,7 @@
 //! along the expected direction is the burr's front, and the centre of the dark pixels of its last diameter is the
 //! burr's centre.
 
-use ipc_types::messages::{CArmGeometry, Pose};
+use messages::{CArmGeometry, Pose};
 use nalgebra::Vector2;
 
 use crate::geometry::{position_m, project, rotation};

@@ -1,12 +1,12 @@
 //! The test of skiving: a straight feed with the burr on, and how far the burr leaves its line.
 
-use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
-use ipc_types::scene::Skiving;
+use messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
 use nalgebra::Vector3;
+use scene::Skiving;
 
 use crate::Controller;
-use crate::bone_seen::BoneSeen;
 use crate::geometry::{position_m, rotation};
+use crate::reset::ResetWatch;
 
 /// Depth between two reports.
 const REPORT_M: f64 = 1e-3;
@@ -28,7 +28,7 @@ pub struct SkivingController {
     plan: Skiving,
     start: Option<Start>,
     points: Vec<SkivingPoint>,
-    bone: BoneSeen,
+    reset: ResetWatch,
     remark: Option<String>,
 }
 
@@ -44,8 +44,8 @@ struct Start {
 impl SkivingController {
     /// A controller for this plan.
     pub fn new(plan: &Skiving) -> SkivingController {
-        let bone = BoneSeen::default();
-        SkivingController { plan: plan.clone(), start: None, points: Vec::new(), bone, remark: None }
+        let reset = ResetWatch::default();
+        SkivingController { plan: plan.clone(), start: None, points: Vec::new(), reset, remark: None }
     }
 
     /// What has been reported so far: one point a millimetre, and one at the end.
@@ -88,7 +88,7 @@ impl Controller for SkivingController {
             across: turn * Vector3::y(),
             along: turn * Vector3::z(),
         };
-        if self.bone.is_back(state) {
+        if self.reset.was_reset(state) {
             (self.start, self.points) = (None, Vec::new());
         }
         let start = *self.start.get_or_insert(begin);

@@ -1,5 +1,5 @@
-use ipc_types::messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF};
-use ipc_types::scene::Drives;
+use messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF};
+use scene::Drives;
 
 use crate::Controller;
 

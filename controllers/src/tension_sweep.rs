@@ -1,7 +1,7 @@
 //! The sweep of a tendon in steps up and down: what a calibration is made of.
 
-use ipc_types::messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF, TENDON_SERVO_JP};
-use ipc_types::scene::{Drives, TensionSweep};
+use messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF, TENDON_SERVO_JP};
+use scene::{Drives, TensionSweep};
 
 use crate::Controller;
 use crate::calibration::{Calibration, CalibrationRow};

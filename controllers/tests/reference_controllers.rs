@@ -3,15 +3,23 @@
 
 use std::path::{Path, PathBuf};
 
-use controller_proc::{
+use controllers::{
     Calibration, Controller, CurvedDrillingController, SkivingController, TensionSweepController,
 };
 use hub::in_process::{Answer, InProcess};
-use ipc_types::messages::{Command, State};
-use ipc_types::scene::Scene;
+use messages::{Command, State};
 use nalgebra::Vector3;
+use scene::Scene;
 use simulation::bone::GridGeometry;
 use simulation::{CtView, Simulation};
+
+fn read(path: &Path) -> std::io::Result<String> {
+    std::fs::read_to_string(path)
+}
+
+fn load(path: &Path) -> Result<Scene, scene::SceneError> {
+    Scene::parse(&read(path).unwrap(), path)
+}
 
 fn config(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs").join(name)
@@ -92,7 +100,7 @@ fn a_sweep_by_displacement_reaches_its_levels_and_friction_shows_as_hysteresis()
 /// The calibration that the scenes use is the one that their sweep measures.
 #[test]
 fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
-    let stored = Calibration::load(&config("calibration/tension_sweep.csv")).unwrap();
+    let stored = Calibration::load(&config("calibration/tension_sweep.csv"), &read).unwrap();
     let measured = sweep(&sweep_scene());
     assert_eq!(stored.rows.len(), measured.rows.len());
     for (stored, measured) in stored.rows.iter().zip(&measured.rows) {
@@ -110,9 +118,9 @@ fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
 
 /// Distance of the burr from the target at the end, mm.
 fn drill(name: &str) -> f64 {
-    let scene = ipc_types::scene_file::load(&config(name)).unwrap();
+    let scene = load(&config(name)).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let mut controller = CurvedDrillingController::new(plan, &scene).unwrap();
+    let mut controller = CurvedDrillingController::new(plan, &scene, &read).unwrap();
     let (geometry, hu) = block(1.0);
     let state = play(&scene, Some(CtView { geometry, hu: &hu }), &mut controller);
     assert!(state.removed_total > 1_000, "{} voxels drilled", state.removed_total);
@@ -138,7 +146,7 @@ fn the_measured_shape_brings_the_burr_nearer_to_the_target_than_the_calibration_
 fn the_burr_skives_away_from_the_denser_half() {
     let mut aside_mm = [0.0; 2];
     for (aside, ratio) in aside_mm.iter_mut().zip([1.0, 10.0]) {
-        let scene = ipc_types::scene_file::load(&config("skiving.toml")).unwrap();
+        let scene = load(&config("skiving.toml")).unwrap();
         let plan = scene.controller[0].skiving.as_ref().unwrap();
         let mut controller = SkivingController::new(plan);
         let (geometry, hu) = block(ratio);
@@ -166,12 +174,12 @@ fn a_target_beyond_the_calibration_is_refused() {
     let far = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [20.0, 0.0, -11.0]");
     let scene = Scene::parse(&far, &config("curved_open_loop.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let error = CurvedDrillingController::new(plan, &scene).err().unwrap().to_string();
+    let error = CurvedDrillingController::new(plan, &scene, &read).err().unwrap().to_string();
     assert!(error.contains("calibrate farther"), "{error}");
     let missing = text.replace("tension_sweep.csv", "no_such.csv");
     let scene = Scene::parse(&missing, &config("curved_open_loop.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let error = CurvedDrillingController::new(plan, &scene).err().unwrap().to_string();
+    let error = CurvedDrillingController::new(plan, &scene, &read).err().unwrap().to_string();
     assert!(error.contains("no_such.csv") && error.contains("trabecula calibrate"), "{error}");
 }
 
@@ -183,22 +191,22 @@ fn a_target_on_the_side_away_from_the_bend_is_refused() {
     assert_ne!(text, away);
     let scene = Scene::parse(&away, &config("curved_open_loop.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let error = CurvedDrillingController::new(plan, &scene).err().unwrap().to_string();
+    let error = CurvedDrillingController::new(plan, &scene, &read).err().unwrap().to_string();
     assert!(error.contains("away from `tool.bend_toward`"), "{error}");
     let ahead = text.replace("target_mm = [5.0, 0.0, 8.0]", "target_mm = [0.0, 0.0, 8.0]");
     let scene = Scene::parse(&ahead, &config("curved_open_loop.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    assert!(CurvedDrillingController::new(plan, &scene).is_ok(), "straight ahead is no side");
+    assert!(CurvedDrillingController::new(plan, &scene, &read).is_ok(), "straight ahead is no side");
 }
 
 /// A controller that had drilled went on where it was when the run was set back: the tension of the end of its ramp in
 /// front of the bone.
 #[test]
 fn a_reset_sets_the_reference_controllers_back() {
-    let scene = ipc_types::scene_file::load(&config("curved_shape_feedback.toml")).unwrap();
+    let scene = load(&config("curved_shape_feedback.toml")).unwrap();
     let plan = scene.controller[0].curved_drilling.as_ref().unwrap();
-    let fresh = CurvedDrillingController::new(plan, &scene).unwrap();
-    let skiving = ipc_types::scene_file::load(&config("skiving.toml")).unwrap();
+    let fresh = CurvedDrillingController::new(plan, &scene, &read).unwrap();
+    let skiving = load(&config("skiving.toml")).unwrap();
     let skiving = SkivingController::new(skiving.controller[0].skiving.as_ref().unwrap());
     let begin =
         *Simulation::new(&scene, Some(CtView { geometry: block(1.0).0, hu: &block(1.0).1 })).unwrap().state();

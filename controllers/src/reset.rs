@@ -1,0 +1,17 @@
+//! How a controller notices that the run was reset to its beginning: only then does the removed bone come back.
+
+use messages::State;
+
+/// Compares the removed bone of each state with that of the state before.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct ResetWatch {
+    removed_total: u64,
+}
+
+impl ResetWatch {
+    /// Takes the next state; returns whether the run was reset before it.
+    pub fn was_reset(&mut self, state: &State) -> bool {
+        let before = std::mem::replace(&mut self.removed_total, state.removed_total);
+        state.removed_total < before
+    }
+}
