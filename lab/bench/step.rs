@@ -95,7 +95,7 @@ impl Bench<'_> {
         for tick in 0..scene.tick_count() {
             if let Some(x_ray) = &mut self.x_ray {
                 let plant = self.run.plant();
-                x_ray.see(plant.state(), plant.removed(), &scene, &mut controllers)?;
+                x_ray.see(plant.state(), plant.removed(), scene, &mut controllers)?;
             }
             let latched = self.run.latch(|index, state, command| {
                 controllers[index].step(state, command);
