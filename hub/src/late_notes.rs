@@ -1,28 +1,27 @@
-//! What is said of a controller that is late again and again: the first time at once, then at most once a second with the
-//! number of times that were not said. A controller that is slower than the tick is late at nearly every one; which ticks
-//! these were stands in `TickTiming.late_controllers`.
+//! Rate-limits the notes about a late controller: the first one at once, then at most one a second, with the number of notes left out in
+//! between. A controller that is slower than the tick is late at nearly every tick; `TickTiming.late_controllers` lists them all.
 
-/// Simulated time without another note.
+/// Least simulated time between two notes.
 const QUIET_NS: u64 = 1_000_000_000;
 
 /// Notes of one kind about one controller.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LateNotes {
-    said_tick: Option<u64>,
-    unsaid: u64,
+    noted_tick: Option<u64>,
+    left_out: u64,
 }
 
 impl LateNotes {
-    /// It has happened at a tick. What to add to the note, or none: nothing is to be said now.
+    /// Counts a late answer at `tick`. Returns what to append to the note, or `None` if no note is due.
     pub fn add(&mut self, tick: u64, period_ns: u64) -> Option<String> {
         let quiet_ticks = QUIET_NS / period_ns.max(1);
-        if self.said_tick.is_some_and(|said| tick < said.saturating_add(quiet_ticks)) {
-            self.unsaid += 1;
+        if self.noted_tick.is_some_and(|noted| tick < noted.saturating_add(quiet_ticks)) {
+            self.left_out += 1;
             return None;
         }
-        let before = self.said_tick.replace(tick);
-        match (std::mem::take(&mut self.unsaid), before) {
-            (unsaid @ 1.., Some(before)) => Some(format!("; {unsaid} more times since tick {before}")),
+        let before = self.noted_tick.replace(tick);
+        match (std::mem::take(&mut self.left_out), before) {
+            (left_out @ 1.., Some(before)) => Some(format!("; {left_out} more times since tick {before}")),
             _ => Some(String::new()),
         }
     }
@@ -34,7 +33,7 @@ mod tests {
 
     /// At 120 answers a second a thousand notes were sent in eight seconds.
     #[test]
-    fn the_first_is_said_at_once_and_the_others_once_a_second_with_their_number() {
+    fn the_first_note_is_sent_at_once_and_then_one_a_second_with_the_number_left_out() {
         let mut notes = LateNotes::default();
         let said: Vec<(u64, String)> =
             (100..5100).step_by(8).filter_map(|tick| Some((tick, notes.add(tick, 1_000_000)?))).collect();

@@ -27,7 +27,7 @@ use crate::session::{
     open_folder, short_memory, transported,
 };
 use crate::shared_memory::{SharedMemory, require_free};
-use crate::wake::{Crowd, Waiter, WakeFlags, Waker, Way, allowed_cores};
+use crate::wake::{Waiter, WakeFlags, Waker, Way, YieldBackoff, allowed_cores};
 
 /// How long a client waits for a session to be announced, or for a service to be there.
 const JOIN_TIME: Duration = Duration::from_secs(10);
@@ -190,7 +190,7 @@ impl Session {
             flags: self.flags.clone(),
             reader: reader.slot(),
             way,
-            crowd: Crowd::default(),
+            yield_backoff: YieldBackoff::default(),
         })
     }
 

@@ -2,7 +2,7 @@
 //!
 //! How long a reader looks before it sleeps is its [`Way`]. None of them holds a core that another part needs: a reader
 //! spins only while there are more cores than spinning parts; otherwise it yields between two looks, and where a yield
-//! shows that somebody else had the core, it sleeps, this time and the next times ([`Crowd`]).
+//! loses the core to somebody else, it sleeps instead, for this wait and the next ones ([`YieldBackoff`]).
 //!
 //! A writer must not pay for waking a reader that is awake, and a reader must not burn a core that another part
 //! needs. So a reader that is about to sleep says so in a flag that it shares with its writers, looks at its queues
@@ -165,31 +165,31 @@ impl Way {
     }
 }
 
-/// Whether others want this thread's core, as its yields show.
+/// Stops a thread from yielding for a while after a yield has cost it the core.
 #[derive(Debug, Default)]
-pub struct Crowd {
-    /// Waits for which it is still taken for granted.
-    believed: Cell<u32>,
+pub struct YieldBackoff {
+    /// Number of waits that still skip yielding.
+    skipped_waits: Cell<u32>,
 }
 
-impl Crowd {
-    /// Waits after a yield that somebody else used in which there is none.
-    const PATIENCE: u32 = 64;
+impl YieldBackoff {
+    /// Number of waits that skip yielding after a yield lost the core.
+    const SKIPPED_WAITS: u32 = 64;
 
-    /// Whether this wait may begin with yields.
+    /// Whether this wait may yield; counts the wait.
     pub fn core_seems_free(&self) -> bool {
-        let believed = self.believed.get();
-        self.believed.set(believed.saturating_sub(1));
-        believed == 0
+        let skipped_waits = self.skipped_waits.get();
+        self.skipped_waits.set(skipped_waits.saturating_sub(1));
+        skipped_waits == 0
     }
 
-    /// Offers the core; false if somebody else had it for longer than a peer takes to answer.
+    /// Yields; returns false if that took longer than a peer needs to answer, because another thread had the core.
     pub fn offer_core(&self) -> bool {
         let began = Instant::now();
         std::thread::yield_now();
         let is_free = began.elapsed() < 4 * YIELD_TIME;
         if !is_free {
-            self.believed.set(Self::PATIENCE);
+            self.skipped_waits.set(Self::SKIPPED_WAITS);
         }
         is_free
     }
@@ -199,7 +199,7 @@ impl Crowd {
 #[derive(Debug)]
 pub struct Waiter {
     pub(crate) way: Way,
-    pub(crate) crowd: Crowd,
+    pub(crate) yield_backoff: YieldBackoff,
     pub(crate) listener: Own<Listener<ipc::Service>>,
     pub(crate) flags: WakeFlags,
     pub(crate) reader: usize,
@@ -232,7 +232,7 @@ impl Waiter {
     fn look(&self, deadline: Instant, ready: &mut impl FnMut() -> bool) -> bool {
         let end = match self.way {
             Way::Sleep => return ready(),
-            Way::Hybrid if !self.crowd.core_seems_free() => return ready(),
+            Way::Hybrid if !self.yield_backoff.core_seems_free() => return ready(),
             Way::Hybrid => Instant::now() + YIELD_TIME,
             Way::Spin | Way::Yield => deadline,
         };
@@ -247,7 +247,7 @@ impl Waiter {
                 Way::Spin => std::hint::spin_loop(),
                 Way::Yield => std::thread::yield_now(),
                 Way::Hybrid | Way::Sleep => {
-                    if !self.crowd.offer_core() {
+                    if !self.yield_backoff.offer_core() {
                         return ready();
                     }
                 }
@@ -281,9 +281,9 @@ mod tests {
 
     #[test]
     fn a_core_that_was_taken_is_not_waited_on_for_a_while() {
-        let crowd = Crowd::default();
-        assert!(crowd.core_seems_free());
-        crowd.believed.set(2);
-        assert_eq!([(); 4].map(|()| crowd.core_seems_free()), [false, false, true, true]);
+        let yield_backoff = YieldBackoff::default();
+        assert!(yield_backoff.core_seems_free());
+        yield_backoff.believed.set(2);
+        assert_eq!([(); 4].map(|()| yield_backoff.core_seems_free()), [false, false, true, true]);
     }
 }

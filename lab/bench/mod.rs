@@ -21,7 +21,7 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 
 use trabecula::failure::Failure;
-use trabecula::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene};
+use trabecula::launcher::run::{Outcome, RunPlan, RunResult, RunSnapshot, run as run_scene};
 use trabecula::machine::Machine;
 
 /// An error that ends a measurement.
@@ -40,7 +40,11 @@ fn print_machine(machine: &Machine) {
 }
 
 /// Makes a run with all its processes; one that does not complete is an error.
-fn complete_run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&Glance)) -> Result<RunResult, Failure> {
+fn complete_run(
+    plan: &RunPlan,
+    end: &EndRequest,
+    show: impl FnMut(&RunSnapshot),
+) -> Result<RunResult, Failure> {
     let result = run_scene(plan, end, show).map_err(failed)?;
     match &result.outcome {
         Outcome::Completed => Ok(result),

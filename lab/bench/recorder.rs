@@ -118,9 +118,9 @@ pub(super) fn one(
     };
     let mut this = Physics::default();
     let mut frames = 0;
-    complete_run(&plan, end, |glance| {
-        frames = glance.frames;
-        glance.timings.iter().for_each(|timing| {
+    complete_run(&plan, end, |snapshot| {
+        frames = snapshot.frames;
+        snapshot.timings.iter().for_each(|timing| {
             this.add(timing);
             all.add(timing);
         });

@@ -12,7 +12,7 @@ use super::growth::Growth;
 use super::{failed, log, row};
 use trabecula::failure::{EXIT_INTERRUPTED, Failure};
 use trabecula::launcher::part::Memory;
-use trabecula::launcher::run::{Glance, Outcome, RunPlan, RunResult, run as run_scene};
+use trabecula::launcher::run::{Outcome, RunPlan, RunResult, RunSnapshot, run as run_scene};
 use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Machine;
 use trabecula::output::{refuse_existing, within};
@@ -69,7 +69,7 @@ pub fn run(
     let plan =
         RunPlan { scene, output: Some(folder.to_owned()), view: None, volume_files: VolumeFiles::default() };
     let mut watch = Watch::new(minutes, plan.scene.run.policy);
-    let result = run_scene(&plan, &end, |glance| watch.look(glance)).map_err(failed)?;
+    let result = run_scene(&plan, &end, |snapshot| watch.look(snapshot)).map_err(failed)?;
     let facts = result.facts(String::new());
     let report::Report { summary, missing } = report::write(folder, &facts)?;
     say!("scene {}, {minutes} minutes in real time, recorded; {}", plan.scene.name, facts.outcome);
@@ -129,9 +129,9 @@ impl Watch {
         Watch { minutes, policy, began: None, samples: 0, growth: Growth::default() }
     }
 
-    fn look(&mut self, glance: &Glance) {
+    fn look(&mut self, snapshot: &RunSnapshot) {
         if self.began.is_none() {
-            if glance.status.is_none_or(|status| status.phase < PHASE_RUNNING) {
+            if snapshot.status.is_none_or(|status| status.phase < PHASE_RUNNING) {
                 return;
             }
             // The parts have started: what follows is for people, and gives way to them.
@@ -139,11 +139,11 @@ impl Watch {
         }
         let at = self.began.get_or_insert_with(Instant::now).elapsed();
         let due_s = self.samples as f64 * self.minutes * 60.0 / SAMPLES;
-        if at.as_secs_f64() < due_s || glance.parts.is_empty() {
+        if at.as_secs_f64() < due_s || snapshot.parts.is_empty() {
             return;
         }
         // One that has ended has no memory of its own to grow.
-        for part in glance.parts.iter().filter(|part| part.is_running()) {
+        for part in snapshot.parts.iter().filter(|part| part.is_running()) {
             self.growth.add(&part.name, at, part.memory.private);
         }
         let mut own = Memory::default();
@@ -151,11 +151,11 @@ impl Watch {
         self.growth.add("launcher", at, own.private);
         if self.samples.is_multiple_of(SAMPLES_A_LINE) {
             let done_min = at.as_secs_f64() / 60.0;
-            let missed = glance.status.map_or(0, |status| status.missed_ticks);
+            let missed = snapshot.status.map_or(0, |status| status.missed_ticks);
             let left_min = (self.minutes - done_min).max(0.0);
             tell!(
                 "{done_min:.1} min, {missed} ticks missed, {} frames; about {left_min:.1} min left",
-                glance.frames
+                snapshot.frames
             );
         }
         self.samples += 1;

@@ -175,12 +175,12 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let empty = interrupts.run_begins();
     let mut shown = false;
     let result = volume.map_err(RunError::from).and_then(|volume| {
-        run_with(&plan, volume, began, &interrupts.end, |glance| {
+        run_with(&plan, volume, began, &interrupts.end, |snapshot| {
             // The parts have started: what follows is for people, and gives way to them.
             if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
                 prioritise(Role::Viewer, plan.scene.run.policy);
             }
-            display.show(glance);
+            display.show(snapshot);
         })
     });
     display.end();

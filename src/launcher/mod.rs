@@ -6,6 +6,6 @@ pub mod interrupt;
 mod log_watch;
 pub mod part;
 pub mod progress;
+mod replacements;
 pub mod run;
-mod understudy;
 pub mod volume_source;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::{PHASE_CONNECTING, PHASE_PAUSED};
 
-use super::run::Glance;
+use super::run::RunSnapshot;
 use crate::failure::Failure;
 use crate::printer::{self, Echo};
 use crate::report::{History, LiveSnapshot, LiveStats, json_line, progress_line};
@@ -61,29 +61,29 @@ impl Display {
         })
     }
 
-    /// Takes in a glance and shows a line if it is time to.
-    pub fn show(&mut self, glance: &Glance) {
-        glance.timings.iter().for_each(|timing| self.stats.add(timing));
+    /// Takes in a snapshot and shows a line if it is time to.
+    pub fn show(&mut self, snapshot: &RunSnapshot) {
+        snapshot.timings.iter().for_each(|timing| self.stats.add(timing));
         if self.manner != Manner::Quiet && !self.announced {
             self.announced = true;
-            tell!("session {}", glance.session.display());
-            glance.awaited.iter().for_each(|line| tell!("{line}"));
+            tell!("session {}", snapshot.session.display());
+            snapshot.awaited.iter().for_each(|line| tell!("{line}"));
         }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
         if self.manner == Manner::Quiet || self.last.elapsed() < period {
             return;
         }
-        let lines = self.lines(glance);
+        let lines = self.lines(snapshot);
         self.last = Instant::now();
-        self.last_sim_s = glance.state.map_or(0.0, |state| state.sim_time_s);
-        self.last_frames = glance.frames;
+        self.last_sim_s = snapshot.state.map_or(0.0, |state| state.sim_time_s);
+        self.last_frames = snapshot.frames;
         self.draw(&lines);
     }
 
-    fn lines(&mut self, glance: &Glance) -> Vec<String> {
-        let phase = glance.status.map(|status| status.phase);
-        let Some(state) = glance.state.filter(|_| phase != Some(PHASE_CONNECTING)) else {
-            let waits = match glance.state {
+    fn lines(&mut self, snapshot: &RunSnapshot) -> Vec<String> {
+        let phase = snapshot.status.map(|status| status.phase);
+        let Some(state) = snapshot.state.filter(|_| phase != Some(PHASE_CONNECTING)) else {
+            let waits = match snapshot.state {
                 None => "loading the volume, connecting the parts",
                 Some(_) => "connecting the parts",
             };
@@ -100,8 +100,8 @@ impl Display {
             tension_n: state.tendon_tension_n[0],
             removed_total: state.removed_total,
             interval: self.stats.take(),
-            drr_rate_hz: (glance.frames > 0).then(|| (glance.frames - self.last_frames) as f64 / wall_s),
-            missed_ticks: glance.status.filter(|status| status.mode != 0).map(|status| status.missed_ticks),
+            drr_rate_hz: (snapshot.frames > 0).then(|| (snapshot.frames - self.last_frames) as f64 / wall_s),
+            missed_ticks: snapshot.status.filter(|status| status.mode != 0).map(|status| status.missed_ticks),
         };
         self.history.add(&snapshot);
         let paused = phase == Some(PHASE_PAUSED);

@@ -17,7 +17,7 @@ use super::ending::Ending;
 use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER, View};
 use super::log_watch::LogWatch;
 use super::part::{Memory, Part};
-use super::understudy::Understudies;
+use super::replacements::Replacements;
 use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
@@ -136,9 +136,9 @@ pub enum RunError {
     Port(#[from] PortError),
 }
 
-/// What the progress display sees at every look.
+/// What the progress display is given at every look.
 #[derive(Debug)]
-pub struct Glance<'a> {
+pub struct RunSnapshot<'a> {
     /// Folder of the session, for controllers that somebody else starts.
     pub session: &'a Path,
     /// What the run waits for that somebody else must start: see [`awaited`].
@@ -159,7 +159,7 @@ pub struct Glance<'a> {
 ///
 /// # Errors
 /// Any [`RunError`]: the run did not begin. What goes wrong later is the [`Outcome`].
-pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&Glance)) -> Result<RunResult, RunError> {
+pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&RunSnapshot)) -> Result<RunResult, RunError> {
     let began = Instant::now();
     let volume = volume_source::load(&plan.scene, plan.volume_files)?;
     run_with(plan, volume, began, end, show)
@@ -174,38 +174,38 @@ pub fn run_with(
     volume: Option<(Volume, [u8; 32])>,
     began: Instant,
     end: &EndRequest,
-    mut show: impl FnMut(&Glance),
+    mut show: impl FnMut(&RunSnapshot),
 ) -> Result<RunResult, RunError> {
     let hub = Hub::create(&plan.scene, volume.as_ref(), plan.output.is_some())?;
     let mut own_memory = Memory::default();
     own_memory.measure("self");
     // The one copy that stays is the one in shared memory.
     drop(volume);
-    let eyes = Eyes::open(&hub.host.session)?;
+    let subscriptions = Subscriptions::open(&hub.host.session)?;
     let parts = start_parts(plan, &hub)?;
-    let understudies = Understudies::new(&hub.host.session)?;
+    let replacements = Replacements::new(&hub.host.session)?;
     // No part of the run: whatever becomes of it, the run goes on.
     let mut viewer = plan.view.map(|view| hub.start_viewer(view)).transpose()?;
-    let mut running = Running { plan, end, hub: &hub, eyes, parts, understudies, first_tick: None };
+    let mut running = Running { plan, end, hub: &hub, subscriptions, parts, replacements, first_tick: None };
     let outcome = running.watch(&mut show)?;
-    let Running { mut eyes, mut parts, understudies, first_tick, .. } = running;
+    let Running { mut subscriptions, mut parts, replacements, first_tick, .. } = running;
     if let Some(death) = outcome.death() {
         // At once: the others may take a while to end.
         tell!("trabecula: {death}");
     }
     let first_tick = first_tick.unwrap_or_else(Instant::now);
-    let ending = Ending { plan, end, session: hub.folder(), has_begun: eyes.status.is_some() };
+    let ending = Ending { plan, end, session: hub.folder(), has_begun: subscriptions.status.is_some() };
     let (over, outcome) = ending.end_parts(outcome, &mut parts);
     let running = over.duration_since(first_tick);
     if let Some(viewer) = &mut viewer {
         ending.end_viewer(viewer);
     }
-    eyes.look()?;
+    subscriptions.look()?;
     if !end.is_set() {
-        show(&eyes.glance(hub.folder(), &[], &[]));
+        show(&subscriptions.snapshot(hub.folder(), &[], &[]));
     }
     own_memory.measure("self");
-    let all = || parts.iter().chain(&understudies.gone);
+    let all = || parts.iter().chain(&replacements.gone);
     let mut memory: Vec<(String, Memory)> = all().map(|part| (part.name.clone(), part.memory)).collect();
     memory.push(("launcher".to_owned(), own_memory));
     let mut processor: Vec<(String, Duration)> =
@@ -220,23 +220,23 @@ struct Running<'a> {
     plan: &'a RunPlan,
     end: &'a EndRequest,
     hub: &'a Hub,
-    eyes: Eyes,
+    subscriptions: Subscriptions,
     parts: Vec<Part>,
-    understudies: Understudies,
+    replacements: Replacements,
     first_tick: Option<Instant>,
 }
 
 impl Running<'_> {
     /// Watches the parts until something ends the run.
-    fn watch(&mut self, show: &mut impl FnMut(&Glance)) -> Result<Outcome, RunError> {
+    fn watch(&mut self, show: &mut impl FnMut(&RunSnapshot)) -> Result<Outcome, RunError> {
         let awaited = awaited(&self.plan.scene, self.hub);
         let mut log = self.plan.output.as_deref().map(LogWatch::new);
         loop {
             self.hub.serve_late_joiners()?;
-            self.eyes.look()?;
-            show(&self.eyes.glance(self.hub.folder(), &awaited, &self.parts));
+            self.subscriptions.look()?;
+            show(&self.subscriptions.snapshot(self.hub.folder(), &awaited, &self.parts));
             if self.first_tick.is_none()
-                && self.eyes.status.is_some_and(|status| status.phase >= PHASE_RUNNING)
+                && self.subscriptions.status.is_some_and(|status| status.phase >= PHASE_RUNNING)
             {
                 self.first_tick = Some(Instant::now());
             }
@@ -262,8 +262,8 @@ impl Running<'_> {
     fn run_has_ended_for(&mut self, index: usize) -> Result<bool, RunError> {
         let since = Instant::now();
         loop {
-            self.eyes.look()?;
-            let run_has_ended = self.eyes.status.is_some_and(|status| status.phase == PHASE_ENDED);
+            self.subscriptions.look()?;
+            let run_has_ended = self.subscriptions.status.is_some_and(|status| status.phase == PHASE_ENDED);
             let has_failed = self.parts[index].ended().is_none_or(|status| !status.success());
             if run_has_ended || has_failed || self.end.is_set() || since.elapsed() >= NEWS_LIMIT {
                 return Ok(run_has_ended);
@@ -275,10 +275,10 @@ impl Running<'_> {
     /// A part has ended; how the run ends with it, if it does.
     fn without(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
         let run_has_ended = self.run_has_ended_for(index)?;
-        let tick = self.eyes.state.as_ref().map_or(0, |state| state.tick);
+        let tick = self.subscriptions.state.as_ref().map_or(0, |state| state.tick);
         let goes_on = match run_has_ended {
-            true => self.understudies.dismiss(self.plan, &mut self.parts, index),
-            false => self.understudies.replace(self.plan, self.hub, &mut self.parts, index, tick)?,
+            true => self.replacements.dismiss(self.plan, &mut self.parts, index),
+            false => self.replacements.replace(self.plan, self.hub, &mut self.parts, index, tick)?,
         };
         if goes_on {
             return Ok(None);
@@ -346,7 +346,7 @@ pub(super) fn has_gap(part: &mut Part) -> bool {
 }
 
 /// The launcher's subscriptions.
-struct Eyes {
+struct Subscriptions {
     states: Subscriber<State>,
     statuses: Subscriber<RunStatus>,
     tick_timings: Subscriber<TickTiming>,
@@ -357,10 +357,10 @@ struct Eyes {
     frames: u64,
 }
 
-impl Eyes {
-    fn open(session: &Session) -> Result<Eyes, SessionError> {
+impl Subscriptions {
+    fn open(session: &Session) -> Result<Subscriptions, SessionError> {
         let has_frames = session.announcement().frame_bytes > 0;
-        Ok(Eyes {
+        Ok(Subscriptions {
             states: session.newest_subscriber(&services::STATE)?,
             statuses: session.subscriber(&services::RUN_STATUS)?,
             tick_timings: session.subscriber(&services::TICK_TIMING)?,
@@ -391,8 +391,13 @@ impl Eyes {
         Ok(())
     }
 
-    fn glance<'a>(&'a self, session: &'a Path, awaited: &'a [String], parts: &'a [Part]) -> Glance<'a> {
-        Glance {
+    fn snapshot<'a>(
+        &'a self,
+        session: &'a Path,
+        awaited: &'a [String],
+        parts: &'a [Part],
+    ) -> RunSnapshot<'a> {
+        RunSnapshot {
             session,
             awaited,
             state: self.state.as_deref(),

@@ -81,8 +81,17 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     let limit = Duration::from_secs_f64(scene.run.controller_limit_ms * 1e-3);
     let threads = scene.drr.as_ref().map_or(1, |drr| drr.threads);
     let frames = Frames { replay: FrameReplay::new(log, threads)?, next: None, rendered: plan.closed_loop };
-    let mut play =
-        Play { log, hub, stage, parts, answers, frames, limit, end, identical: vec![0; indices.len()] };
+    let mut play = ReplayedSession {
+        log,
+        hub,
+        stage,
+        parts,
+        answers,
+        frames,
+        limit,
+        end,
+        identical: vec![0; indices.len()],
+    };
     let played = match plan.closed_loop {
         false => play.open_loop(plan.to_tick),
         true => play.closed_loop(plan.to_tick, Latch::new(&scene)),
@@ -257,7 +266,7 @@ impl Frames<'_> {
     }
 }
 
-struct Play<'l> {
+struct ReplayedSession<'l> {
     log: &'l OpenedLog,
     hub: Hub,
     stage: Stage,
@@ -269,7 +278,7 @@ struct Play<'l> {
     identical: Vec<u64>,
 }
 
-impl Play<'_> {
+impl ReplayedSession<'_> {
     /// Shows the log's states and compares the answers.
     fn open_loop(&mut self, to_tick: u64) -> Result<(), Failure> {
         let mut ticks = self.log.reader()?;

@@ -3,8 +3,8 @@
 mod bone;
 mod control;
 mod drive;
-mod eyes;
 mod parts;
+mod subscriptions;
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,7 +25,7 @@ use crate::surface::bone::volume_box;
 use bone::BoneThread;
 use control::Control;
 use drive::Driver;
-use eyes::Eyes;
+use subscriptions::Subscriptions;
 
 /// Time between two looks at the queues, which hold half a second.
 const LOOK_TIME: Duration = Duration::from_millis(4);
@@ -63,7 +63,7 @@ pub fn view(
     let tool = tool(&scene);
     let origin = Origin::Live(name);
     board.publish_json(INFO, &info(&scene, &origin, &tool, None));
-    let eyes = Eyes::open(&session, &scene, &tool)?;
+    let subscriptions = Subscriptions::open(&session, &scene, &tool)?;
     if let Some(volume) = &scene.volume {
         let thread = BoneThread {
             session: options.session.clone(),
@@ -80,7 +80,7 @@ pub fn view(
     let driver = Driver::start(&options.session, &scene, Arc::clone(&over), Arc::clone(&board));
     ready(&server);
     let serving = std::thread::spawn(move || server.serve());
-    let mut live = Live { board, eyes, control, driver, called, dt_ns: scene.dt_ns() };
+    let mut live = Live { board, subscriptions, control, driver, called, dt_ns: scene.dt_ns() };
     let watched = live.watch(&session, end);
     // What was said last is on its way to the clients.
     std::thread::sleep(Duration::from_millis(200));
@@ -91,7 +91,7 @@ pub fn view(
 
 struct Live {
     board: Arc<Board>,
-    eyes: Eyes,
+    subscriptions: Subscriptions,
     control: Control,
     driver: Driver,
     called: Calls,
@@ -102,8 +102,8 @@ impl Live {
     fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<(), ViewerError> {
         let mut alive_seen = Instant::now();
         loop {
-            self.eyes.look(&self.board)?;
-            if self.eyes.physics_is_heard() {
+            self.subscriptions.look(&self.board)?;
+            if self.subscriptions.physics_is_heard() {
                 self.control.physics_listens()?;
             }
             self.control.look(&self.board, self.dt_ns)?;
@@ -111,7 +111,7 @@ impl Live {
                 self.dispatch(call);
             }
             // A host that was killed leaves its announcement; the physics then ends, too, and says so.
-            if self.eyes.run_has_ended() && (session.host_is_alive() || !session.is_announced()) {
+            if self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced()) {
                 self.board.notice("info", "the run has ended");
                 return Ok(());
             }
@@ -119,7 +119,7 @@ impl Live {
                 self.board.notice("info", "the viewer has been ended");
                 return Ok(());
             }
-            if alive_seen.elapsed() > ALIVE_LOOK || self.eyes.run_has_ended() {
+            if alive_seen.elapsed() > ALIVE_LOOK || self.subscriptions.run_has_ended() {
                 alive_seen = Instant::now();
                 if !session.host_is_alive() {
                     self.board.notice("error", "the hub has died: its launcher is gone, and the run with it");

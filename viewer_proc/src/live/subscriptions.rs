@@ -26,7 +26,7 @@ const ROUND: usize = 1024;
 const MOST_ASKED: usize = 64;
 
 /// The subscriptions.
-pub(super) struct Eyes {
+pub(super) struct Subscriptions {
     states: Subscriber<State>,
     frames: Option<Subscriber<Frame>>,
     status: Subscriber<RunStatus>,
@@ -92,14 +92,18 @@ fn forward<M: Message>(
     Ok(count)
 }
 
-impl Eyes {
-    pub(super) fn open(session: &Session, scene: &Scene, tool: &ToolShape) -> Result<Eyes, SessionError> {
+impl Subscriptions {
+    pub(super) fn open(
+        session: &Session,
+        scene: &Scene,
+        tool: &ToolShape,
+    ) -> Result<Subscriptions, SessionError> {
         let names = scene.controller_names();
         let commands = names
             .iter()
             .map(|name| Ok((name.clone(), session.command_subscriber(name)?)))
             .collect::<Result<_, SessionError>>()?;
-        Ok(Eyes {
+        Ok(Subscriptions {
             states: session.subscriber(&services::STATE)?,
             frames: scene.drr.as_ref().map(|_| session.subscriber(&services::FRAME)).transpose()?,
             status: session.subscriber(&services::RUN_STATUS)?,

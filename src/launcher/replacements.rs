@@ -1,4 +1,4 @@
-//! Controller programs that end before the run does: started again, or done without, where the scene says so.
+//! Controller programs that end before the run does: restarted, or done without, as the scene says.
 
 use ipc_types::messages::{EVENT_RUN, SENDER_LAUNCHER, SEVERITY_WARNING};
 use ipc_types::ports::PortError;
@@ -10,17 +10,17 @@ use super::hub::Hub;
 use super::part::Part;
 use super::run::RunPlan;
 
-/// Who has ended, and how often it was replaced.
+/// The programs that have ended, and what is told of each.
 #[derive(Debug)]
-pub(super) struct Understudies {
+pub(super) struct Replacements {
     events: EventSender,
     /// Parts that the run goes on without.
     pub(super) gone: Vec<Part>,
 }
 
-impl Understudies {
-    pub(super) fn new(session: &Session) -> Result<Understudies, SessionError> {
-        Ok(Understudies { events: EventSender::new(session, SENDER_LAUNCHER)?, gone: Vec::new() })
+impl Replacements {
+    pub(super) fn new(session: &Session) -> Result<Replacements, SessionError> {
+        Ok(Replacements { events: EventSender::new(session, SENDER_LAUNCHER)?, gone: Vec::new() })
     }
 
     /// The program of this part, and how many times it has been started again, if the run can go on without it.
