@@ -40,6 +40,7 @@
 mod client;
 pub mod clock;
 pub mod family;
+mod half_made;
 pub mod identity;
 pub mod own;
 pub mod ports;

@@ -34,6 +34,15 @@ impl SharedMemory {
         names.filter(|name| name.starts_with(prefix)).collect()
     }
 
+    /// Names of a session's segments that have no size: those being made, or half made by a process that was killed meanwhile.
+    pub(crate) fn empty_segments(&self, prefix: &str) -> Vec<String> {
+        let is_empty = |name: &String| {
+            let stat = rustix::fs::statat(&self.0, name, AtFlags::SYMLINK_NOFOLLOW);
+            stat.is_ok_and(|stat| is_own(&stat) && stat.st_size == 0)
+        };
+        self.names(prefix).into_iter().filter(is_empty).collect()
+    }
+
     /// Opens a file if it is this user's own and has one name only; a link, or what another user has put there, is not.
     fn open_own(&self, name: &str, access: OFlags) -> Option<(OwnedFd, Stat)> {
         let flags = access | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;

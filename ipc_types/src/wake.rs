@@ -283,7 +283,7 @@ mod tests {
     fn a_core_that_was_taken_is_not_waited_on_for_a_while() {
         let yield_backoff = YieldBackoff::default();
         assert!(yield_backoff.core_seems_free());
-        yield_backoff.believed.set(2);
+        yield_backoff.skipped_waits.set(2);
         assert_eq!([(); 4].map(|()| yield_backoff.core_seems_free()), [false, false, true, true]);
     }
 }

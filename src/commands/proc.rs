@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use ipc_types::process::end_with_parent;
-use ipc_types::session::host_is_alive;
+use ipc_types::session::{HalfMadeSweeper, host_is_alive};
 
 use crate::failure::Failure;
 use crate::keeper;
@@ -69,6 +69,8 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
             controller_proc::process::run(joined.to_living()?, name).map_err(|e| failed(&e))?;
         }
         ProcCommand::Recorder { output, joined } => {
+            // The host sweeps, but it may be the host that is killed; without this thread the recorder still records.
+            let _sweeper = HalfMadeSweeper::of(&joined.session);
             let recorded = recorder_proc::process::run(joined.to_living()?, output);
             recorded.map_err(|error| Failure { code: error.exit_code(), message: error.to_string() })?;
         }

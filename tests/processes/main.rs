@@ -26,6 +26,7 @@ mod forks;
 mod frames;
 mod gaps;
 mod guided;
+mod half_made;
 mod held_back;
 mod identity;
 mod interrupts;

@@ -14,6 +14,7 @@ use super::{
     Announcement, ByteService, EventService, FLAGS_FILE, ICEORYX2_VERSION, Reader, Session, SessionError,
     create_node, file_error, transported,
 };
+use crate::half_made::HalfMadeSweeper;
 use crate::messages::Part;
 use crate::own::Own;
 use crate::scene::{Policy, Wait};
@@ -30,6 +31,8 @@ pub struct SessionHost {
     pub session: Session,
     _byte_services: Vec<ByteService>,
     _event_services: Vec<EventService>,
+    /// Until all of that is gone: what is dropped opens segments, which may be half made.
+    _sweeper: HalfMadeSweeper,
     /// Removed last.
     folder: HostFolder,
 }
@@ -63,6 +66,8 @@ impl SessionHost {
         let (place, _) = choose(&all).ok_or_else(nowhere)?;
         let folder = HostFolder::create(place)?;
         wipe_dead_sessions();
+        let sweeper = HalfMadeSweeper::start(folder.id.shared_memory_prefix())
+            .map_err(file_error(Path::new("/dev/shm")))?;
         let node = create_node(&folder.path, &folder.id)?;
         let memory = SharedMemory::open().map_err(file_error(Path::new("/dev/shm")))?;
         memory
@@ -104,7 +109,13 @@ impl SessionHost {
             flags,
         };
         session.claim(Part::Host)?;
-        Ok(SessionHost { session, _byte_services: byte_services, _event_services: event_services, folder })
+        Ok(SessionHost {
+            session,
+            _byte_services: byte_services,
+            _event_services: event_services,
+            _sweeper: sweeper,
+            folder,
+        })
     }
 
     /// Writes `session.json`, from which on clients may join. The file appears whole.

@@ -28,6 +28,7 @@ use crate::services::CONNECTIONS_BYTES;
 use crate::shared_memory::{refusal, require_free};
 use crate::wake::WakeFlags;
 
+pub use crate::half_made::HalfMadeSweeper;
 pub use announcement::Announcement;
 pub(crate) use announcement::{ANNOUNCEMENT_FILE, await_announcement, check_layouts};
 pub use error::SessionError;

@@ -1,0 +1,146 @@
+//! Removes shared memory that a process was killed while making.
+//!
+//! The transport makes a segment in two steps, `shm_open` and `ftruncate`. Whoever opens one that has no size yet waits for the second step
+//! without a limit (iceoryx2 0.10, `dynamic_storage/posix_shared_memory.rs`, the arm `MappingSizeIsZero`). A process that is killed between
+//! the two would so hang every other one that opens the segment, or cleans up after the dead. Removing the name ends their wait with an
+//! error.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crate::session::SessionId;
+use crate::shared_memory::SharedMemory;
+
+/// Between two looks at the session's segments.
+const LOOK_TIME: Duration = Duration::from_millis(200);
+/// How long a segment may have no size though all processes that its name tells of live. It is microseconds; of a process in another PID
+/// namespace nothing else is known.
+const LONGEST_MAKING: Duration = Duration::from_secs(10);
+
+/// A thread that removes half-made segments of a session until it is dropped.
+#[derive(Debug)]
+pub struct HalfMadeSweeper {
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl HalfMadeSweeper {
+    /// Sweeps the session of this folder.
+    ///
+    /// # Errors
+    /// The folder is no session's; the system refuses the thread, or to open the folder of shared memory.
+    pub fn of(session: &Path) -> std::io::Result<HalfMadeSweeper> {
+        let id = SessionId::of(session).ok_or(std::io::ErrorKind::InvalidInput)?;
+        HalfMadeSweeper::start(id.shared_memory_prefix())
+    }
+
+    /// Sweeps the segments whose names begin so.
+    ///
+    /// # Errors
+    /// The system refuses the thread, or to open the folder.
+    pub(crate) fn start(prefix: String) -> std::io::Result<HalfMadeSweeper> {
+        let memory = SharedMemory::open()?;
+        let is_over = Arc::new(AtomicBool::new(false));
+        let seen_over = Arc::clone(&is_over);
+        let thread = std::thread::Builder::new().name("half-made".to_owned()).spawn(move || {
+            let mut empty_since = BTreeMap::new();
+            while !seen_over.load(Ordering::Relaxed) {
+                std::thread::park_timeout(LOOK_TIME);
+                look(&memory, &prefix, &mut empty_since, Instant::now());
+            }
+        })?;
+        Ok(HalfMadeSweeper { is_over, thread: Some(thread) })
+    }
+}
+
+impl Drop for HalfMadeSweeper {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            // It does not panic; if it did, nothing more is swept.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Removes every segment that had no size at the look before either and whose maker is dead.
+fn look(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String, Instant>, now: Instant) {
+    let empty = memory.empty_segments(prefix);
+    empty_since.retain(|name, _| empty.contains(name));
+    for name in empty {
+        match empty_since.get(&name) {
+            None => {
+                empty_since.insert(name, now);
+            }
+            Some(since) if makers(&name).any(is_dead) || now.duration_since(*since) >= LONGEST_MAKING => {
+                memory.remove(&name);
+            }
+            Some(_) => {}
+        }
+    }
+}
+
+/// The processes whose numbers a segment's name tells: bits 64 to 95 of each of the transport's unique numbers (iceoryx2-bb-posix 0.10,
+/// `UniqueSystemId`). A connection has the numbers of both its ends.
+fn makers(name: &str) -> impl Iterator<Item = u32> + '_ {
+    let numbers = name.split(['_', '.']).filter_map(|part| part.parse::<u128>().ok());
+    numbers.filter(|number| *number > u128::from(u64::MAX)).map(|number| (number >> 64) as u32)
+}
+
+/// Whether no process of this number lives here.
+fn is_dead(process: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    // The state stands behind the name, which may hold anything (proc_pid_stat(5)).
+    stat.rsplit_once(')').is_none_or(|(_, rest)| matches!(rest.trim_start().get(..1), Some("Z" | "X")))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, File};
+    use std::path::PathBuf;
+
+    use super::*;
+
+    struct Segment(PathBuf);
+
+    impl Segment {
+        fn make(prefix: &str, maker: u32, bytes: u64) -> Segment {
+            let number = (u128::from(maker) << 64) | 77;
+            let path = PathBuf::from(format!("/dev/shm/{prefix}_0354a209_{number}.data"));
+            File::create(&path).unwrap().set_len(bytes).unwrap();
+            Segment(path)
+        }
+    }
+
+    impl Drop for Segment {
+        fn drop(&mut self) {
+            let _ = fs::remove_file(&self.0);
+        }
+    }
+
+    #[test]
+    fn only_segments_without_a_size_go_and_at_once_only_those_of_dead_makers() {
+        let prefix = format!("trabecula_half_made_test_{}_", std::process::id());
+        let mut dead = std::process::Command::new("true").spawn().unwrap();
+        dead.wait().unwrap();
+        let living = std::process::id();
+        let half_made = Segment::make(&prefix, dead.id(), 0);
+        let whole = Segment::make(&format!("{prefix}whole"), dead.id(), 10);
+        let in_the_making = Segment::make(&prefix, living, 0);
+        let strangers = Segment::make("trabecula_half_made_stranger", dead.id(), 0);
+        let memory = SharedMemory::open().unwrap();
+        let (mut empty_since, now) = (BTreeMap::new(), Instant::now());
+        look(&memory, &prefix, &mut empty_since, now);
+        assert!(half_made.0.exists(), "its maker may have died since the name was read");
+        look(&memory, &prefix, &mut empty_since, now);
+        let left = [&half_made, &whole, &in_the_making, &strangers].map(|segment| segment.0.exists());
+        assert_eq!(left, [false, true, true, true]);
+        look(&memory, &prefix, &mut empty_since, now + LONGEST_MAKING);
+        assert!(!in_the_making.0.exists() && whole.0.exists());
+    }
+}
