@@ -4,7 +4,7 @@ use std::path::Path;
 
 use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED};
 use output_file::OutputError;
-use recorder_proc::LogError;
+use run_log::LogError;
 use rustix::io::Errno;
 use volume_io::VolumeError;
 

@@ -16,7 +16,8 @@ use std::time::Duration;
 
 use ipc_types::messages::SOURCE_FRESH;
 use program::{Place, Run, parts_of, trabecula, wait_for};
-use recorder_proc::{LogReader, TickRecord};
+use recorder_proc::log_file::LogFile;
+use run_log::{LogReader, TickRecord};
 use test_support::limited::Limited;
 use test_support::python;
 
@@ -159,7 +160,7 @@ fn record(place: &Place, name: &str, scene: &str) -> PathBuf {
 
 /// Ticks whose latched command of the page has this burr speed.
 fn commands(folder: &Path, burr_speed_rad_per_s: f64) -> usize {
-    let ticks = LogReader::open(&folder.join("run.mcap")).unwrap();
+    let ticks = LogReader::open(&LogFile::at(folder.join("run.mcap"))).unwrap();
     let is_asked = |tick: &TickRecord| {
         let command = &tick.latched.commands[0];
         (command.command.burr_speed_rad_per_s - burr_speed_rad_per_s).abs() < 1e-6

@@ -10,13 +10,14 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 8] = [
+const CORES: [(&str, &str); 9] = [
     ("foreign_text", "foreign_text"),
     ("messages", "messages"),
     ("voxel_grid", "voxel_grid"),
     ("scene", "scene"),
     ("simulation", "simulation"),
     ("controllers", "controllers"),
+    ("run_log", "run_log"),
     ("hub", "hub"),
     ("hub_simulator", "hub/simulator"),
 ];

@@ -47,7 +47,7 @@ pub fn client_message(data: &[u8]) {
             for description in messages::ALL {
                 if description.check_length(bytes).is_ok() {
                     assert!(bytes.len() >= description.size);
-                    recorder_proc::cat::whole(description, bytes);
+                    run_log::cat::whole(description, bytes);
                 }
             }
         }

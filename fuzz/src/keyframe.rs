@@ -128,7 +128,7 @@ thread_local! {
 
 /// The first byte says which scene's; the others are the keyframe. What is taken leads to ticks, and comes out again as a
 /// keyframe that is taken. The world of rigid bodies is Rapier's own, whose tables only Rapier could check: where it panics, a replay
-/// says so and goes on (`recorder_proc::segments`), and so does this target.
+/// says so and goes on (`run_log::segments`), and so does this target.
 pub fn keyframe(data: &[u8]) {
     let Some((scene, bytes)) = data.split_first() else { return };
     WORLDS.with_borrow_mut(|worlds| {

@@ -3,13 +3,13 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use recorder_proc::repair::survey;
-use recorder_proc::{
-    FrameReader, LogError, LogReader, MessageStream, ReadOptions, SegmentOptions, verify_segments,
+use recorder_proc::build_info;
+use run_log::repair::survey;
+use run_log::{
+    FrameReader, LogBytes, LogError, LogReader, MessageStream, ReadOptions, SegmentOptions, verify_segments,
 };
 
 use crate::seeds::Toy;
-use crate::volume::in_memory;
 
 const OPTIONS: ReadOptions = ReadOptions { allow_other_layouts: true };
 
@@ -66,15 +66,14 @@ fn ticks(data: &[u8]) {
 
 /// `log info`, and every message as `log cat` shows it.
 fn summary(data: &[u8]) {
-    let path = in_memory("fuzz.mcap", data);
-    if let Ok(info) = recorder_proc::info(&path, OPTIONS) {
+    if let Ok(info) = run_log::info(&LogBytes::new("fuzz.mcap", data), OPTIONS) {
         let mut text = Vec::new();
         info.write(&mut text).unwrap();
         info.write_misses(&mut text).unwrap();
     }
     if let Ok(mut stream) = stream(data) {
         while let Ok(Some(message)) = stream.next_message() {
-            recorder_proc::cat::whole(message.description, message.body);
+            run_log::cat::whole(message.description, message.body);
         }
     }
 }
@@ -107,19 +106,19 @@ fn with_chunk(records: &[u8]) -> Vec<u8> {
 
 /// All of an empty log up to its first chunk.
 fn header() -> Vec<u8> {
-    let header = recorder_proc::LogHeader {
+    let header = run_log::LogHeader {
         scene_toml: String::new(),
         calibration_json: None,
         scene_name: "fuzz".to_string(),
         volume_sha256: None,
         volume_dimensions: [0; 3],
         dt_ns: 1_000_000,
-        mode: recorder_proc::RunMode::Lockstep,
+        mode: run_log::RunMode::Lockstep,
         controllers: Vec::new(),
-        build: recorder_proc::BuildInfo::current(),
+        build: build_info::current(),
     };
-    let log = recorder_proc::RunLog::create(Vec::new(), &header);
-    let whole = log.and_then(|log| log.finish(recorder_proc::EndReason::Completed, &Default::default()));
+    let log = run_log::RunLog::create(Vec::new(), &header);
+    let whole = log.and_then(|log| log.finish(run_log::EndReason::Completed, &Default::default()));
     let (_, bytes) = whole.unwrap();
     let mut at = 8;
     // An attachment (9) and a header (1) precede the metadata record (12) that is the log's header.

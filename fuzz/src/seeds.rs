@@ -7,14 +7,14 @@ use ipc_types::layout::Message;
 use ipc_types::messages::{Keyframe, TickTiming};
 use ipc_types::scene::{Policy, Scene, Wait};
 use ipc_types::session::Announcement;
-use recorder_proc::{EndReason, RunLog, TimingLog, topics};
+use run_log::{EndReason, RunLog, TimingLog, topics};
 use volume_io::{IDENTITY_DIRECTION, Volume, write_nrrd};
 use zerocopy::IntoBytes;
 
 #[path = "../../volume_io/tests/common/dicom_bytes.rs"]
 #[allow(missing_docs, dead_code)]
 mod dicom_bytes;
-#[path = "../../recorder_proc/tests/common/mod.rs"]
+#[path = "../../run_log/tests/common/mod.rs"]
 mod log_bytes;
 #[path = "../../volume_io/tests/common/nifti_bytes.rs"]
 #[allow(missing_docs, dead_code)]

@@ -5,7 +5,8 @@ use std::time::Instant;
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Mode, Scene};
-use recorder_proc::{LogReader, SegmentOptions, verify_segments};
+use recorder_proc::log_file::LogFile;
+use run_log::{LogReader, SegmentOptions, verify_segments};
 use simulation::{CtView, Simulation, ct_geometry};
 
 use super::{complete_run, cut, failed, row};
@@ -93,7 +94,7 @@ pub(super) fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
     });
     let mut simulation = Simulation::new(scene, ct).map_err(failed)?;
     let began = Instant::now();
-    for record in LogReader::open(log).map_err(failed)? {
+    for record in LogReader::open(&LogFile::at(log)).map_err(failed)? {
         let record = record.map_err(failed)?;
         simulation.step(&record.latched).map_err(failed)?;
         if simulation.state().hash != record.state.hash {

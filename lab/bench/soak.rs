@@ -6,7 +6,8 @@ use std::time::Instant;
 use ipc_types::messages::PHASE_RUNNING;
 use ipc_types::process::{EndRequest, Role, prioritise};
 use ipc_types::scene::{Mode, Policy, Scene};
-use recorder_proc::{MessageStream, ReadOptions, frames};
+use recorder_proc::log_file::LogFile;
+use run_log::{MessageStream, ReadOptions, frames};
 
 use super::growth::Growth;
 use super::{failed, log, row};
@@ -246,7 +247,7 @@ fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>
         }
     }
     let run_log = folder.join("run.mcap");
-    let shown = frames(&run_log, ReadOptions::default()).map_err(failed)?;
+    let shown = frames(&LogFile::at(&run_log), ReadOptions::default()).map_err(failed)?;
     let missing = shown.filter_map(Result::err).next().map(|error| error.to_string());
     if scene.drr.is_some() {
         row("every frame in the log", missing.as_deref().unwrap_or("yes"));
@@ -271,8 +272,8 @@ fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>
 /// Reads a lane to its end: messages, and the simulated time of the last. It must have its end marker and have lost
 /// nothing; the error says what is wrong.
 fn lane_end(path: &Path) -> Result<(u64, f64), String> {
-    let wrong = |error: recorder_proc::LogError| format!("{}: {error}", path.display());
-    let mut stream = MessageStream::open(path, ReadOptions::default()).map_err(wrong)?;
+    let wrong = |error: run_log::LogError| format!("{}: {error}", path.display());
+    let mut stream = MessageStream::open(&LogFile::at(path), ReadOptions::default()).map_err(wrong)?;
     let (mut messages, mut end_ns) = (0_u64, 0);
     while let Some(message) = stream.next_message().map_err(wrong)? {
         messages += 1;

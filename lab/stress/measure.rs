@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use ipc_types::messages::{FrameTiming, Latched, MAX_CONTROLLERS, TickTiming};
-use recorder_proc::{Cause, MessageStream, Misses, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::{Cause, MessageStream, Misses, ReadOptions, topics};
 use serde::{Deserialize, Serialize};
 use zerocopy::FromBytes;
 
@@ -158,8 +159,8 @@ impl Reader {
         self.measured.remarks.push(text);
     }
 
-    fn lane(&mut self, path: &Path) -> Result<(), recorder_proc::LogError> {
-        let mut stream = MessageStream::open(path, ReadOptions::default())?;
+    fn lane(&mut self, path: &Path) -> Result<(), run_log::LogError> {
+        let mut stream = MessageStream::open(&LogFile::at(path), ReadOptions::default())?;
         self.dt_ns = stream.header().dt_ns;
         while let Some(message) = stream.next_message()? {
             match message.topic {

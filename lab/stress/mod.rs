@@ -205,14 +205,14 @@ fn said(last_words: &[String]) -> String {
 /// What the physics said of a priority that it did not get.
 fn refused_priority(folder: &Path) -> Vec<String> {
     let mut said = Vec::new();
-    let Ok(mut stream) = recorder_proc::MessageStream::open(
-        &folder.join("timing.mcap"),
-        recorder_proc::ReadOptions::default(),
+    let Ok(mut stream) = run_log::MessageStream::open(
+        &recorder_proc::log_file::LogFile::at(folder.join("timing.mcap")),
+        run_log::ReadOptions::default(),
     ) else {
         return said;
     };
     while let Ok(Some(message)) = stream.next_message() {
-        if message.topic == recorder_proc::topics::EVENT {
+        if message.topic == run_log::topics::EVENT {
             let text = String::from_utf8_lossy(message.body);
             if let Some(at) = text.find("priority: ") {
                 said.push(text[at..].trim_end_matches('\0').to_owned());

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use recorder_proc::Cause;
+use run_log::Cause;
 
 use super::report::{COLUMNS, StressReport, Tested, causes, comparison, yes};
 use trabecula::machine::{Finding, Grade};

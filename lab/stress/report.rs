@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
-use recorder_proc::Cause;
+use run_log::Cause;
 use serde::{Deserialize, Serialize};
 
 use super::measure::Measured;

@@ -12,7 +12,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use ipc_types::messages::*;
-use recorder_proc::{BuildInfo, EndReason, LogHeader, LogReader, RunLog, RunMode, frames};
+use recorder_proc::build_info;
+use recorder_proc::log_file::{LogFile, create_run};
+use run_log::{EndReason, LogHeader, LogReader, RunMode, frames};
 use zerocopy::IntoBytes;
 
 const SIDE: u32 = 512;
@@ -30,12 +32,15 @@ fn main() {
         let (write_s, mut tick_us) = write(&path, seconds, with_images);
         let bytes = std::fs::metadata(&path).expect("the log is there").len() as f64;
         let began = Instant::now();
-        let ticks = LogReader::open(&path).expect("the log opens").filter(Result::is_ok).count();
+        let ticks =
+            LogReader::open(&LogFile::at(&path)).expect("the log opens").filter(Result::is_ok).count();
         let read_s = began.elapsed().as_secs_f64();
         assert_eq!(ticks as u64, seconds * 1000);
         if with_images {
-            let images =
-                frames(&path, Default::default()).expect("the log opens").filter(Result::is_ok).count();
+            let images = frames(&LogFile::at(&path), Default::default())
+                .expect("the log opens")
+                .filter(Result::is_ok)
+                .count();
             assert!(images as u64 >= seconds * 1000 / TICKS_PER_FRAME);
         }
         tick_us.sort_by(f64::total_cmp);
@@ -63,9 +68,9 @@ fn write(path: &std::path::Path, seconds: u64, with_images: bool) -> (f64, Vec<f
         dt_ns: 1_000_000,
         mode: RunMode::RealTime,
         controllers: vec!["a".to_string(), "b".to_string()],
-        build: BuildInfo::current(),
+        build: build_info::current(),
     };
-    let mut log = RunLog::create_file(path, &header).expect("the folder is writable");
+    let mut log = create_run(path, &header).expect("the folder is writable");
     let mut random = Rng::with_seed(1);
     let mut total_s = 0.0;
     let mut tick_us = Vec::new();

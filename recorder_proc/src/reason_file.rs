@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::EndReason;
+use run_log::EndReason;
 
 /// The file in the session's folder.
 pub fn in_session(session: &Path) -> PathBuf {

@@ -9,7 +9,8 @@ use std::path::Path;
 
 use common::*;
 use recorder_proc::background::{BackgroundFile, BackgroundOptions};
-use recorder_proc::*;
+use recorder_proc::log_file::index_beside;
+use run_log::*;
 
 const SMALL: BackgroundOptions =
     BackgroundOptions { buffers: 2, buffer_bytes: 8192, direct: true, fresh: false };
@@ -60,7 +61,7 @@ fn a_log_written_by_the_thread_is_the_log_written_at_once() {
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
     let path = folder.path().join("run.mcap");
     let file = BackgroundFile::create(&path, SMALL).unwrap();
-    let mut log = RunLog::create_named(file, &path, &header()).unwrap();
+    let mut log = RunLog::create_named(file, &path, index_beside(&path), &header()).unwrap();
     feed(&mut log, &steps).unwrap();
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1.close().unwrap();
     assert!(std::fs::read(&path).unwrap() == write_log(&steps));
@@ -96,8 +97,13 @@ fn a_log_that_ends_in_a_block_of_zeros_is_cut() {
 #[test]
 fn a_full_disk_is_an_error_with_the_systems_reason() {
     let path = Path::new("/dev/full");
-    let mut log =
-        RunLog::create_named(BackgroundFile::create(path, SMALL).unwrap(), path, &header()).unwrap();
+    let mut log = RunLog::create_named(
+        BackgroundFile::create(path, SMALL).unwrap(),
+        path,
+        index_beside(path),
+        &header(),
+    )
+    .unwrap();
     let steps = run_messages(2000, None);
     let error = feed(&mut log, &steps).expect_err("the writer hears of it");
     assert!(matches!(&error, LogError::Write { source, .. } if source.kind() == ErrorKind::StorageFull));

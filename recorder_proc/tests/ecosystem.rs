@@ -8,9 +8,10 @@ use std::process::{Command, Output};
 use test_support::limited::Limited;
 
 use common::*;
-use recorder_proc::columns::{columns, description_of_topic, read_rows};
-use recorder_proc::export::Parquet;
-use recorder_proc::{fields, topics};
+use recorder_proc::log_file::LogFile;
+use recorder_proc::parquet_file::Parquet;
+use run_log::columns::{columns, description_of_topic, read_rows};
+use run_log::{fields, topics};
 use serde_json::Value;
 use test_support::python::or_skip;
 
@@ -60,10 +61,10 @@ fn rosbags_rerun_pyarrow_and_the_guides_five_lines_read_a_log() {
 
 fn parquet_is_read_by_pyarrow(python: &Path, folder: &Path, log: &Path, rows: usize) {
     let wanted = ["t_world_tip.position_m".to_owned(), "hash".to_owned()];
-    let columns = columns(description_of_topic(log, "/state").unwrap(), &wanted).unwrap();
+    let columns = columns(description_of_topic(&LogFile::at(log), "/state").unwrap(), &wanted).unwrap();
     let out = folder.join("state.parquet");
     let mut table = Parquet::new(std::fs::File::create(&out).unwrap(), &columns).unwrap();
-    read_rows(log, "/state", &columns, (0, None), &mut table).unwrap();
+    read_rows(&LogFile::at(log), "/state", &columns, (0, None), &mut table).unwrap();
     table.finish().unwrap();
     let script = "import sys, pyarrow.parquet as p; t = p.read_table(sys.argv[1]); \
                   print(t.num_rows, t.column_names, t['tick'][9].as_py())";

@@ -11,7 +11,7 @@ use test_support::limited::Limited;
 use common::*;
 use ipc_types::layout::{Description, Element, Message};
 use ipc_types::messages::*;
-use recorder_proc::*;
+use run_log::*;
 use test_support::python::or_skip;
 use zerocopy::{FromBytes, IntoBytes};
 

@@ -8,7 +8,9 @@ use std::path::Path;
 
 use common::*;
 use ipc_types::layout::Message;
-use recorder_proc::*;
+use recorder_proc::log_file::LogFile;
+use recorder_proc::rewritten::repair;
+use run_log::*;
 use zerocopy::IntoBytes;
 
 /// Messages of a whole file by the mcap crate's own reader: topic, number, bytes.
@@ -132,7 +134,7 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
             assert_eq!(marker.reason, EndReason::Repaired(Some(Box::new(EndReason::Completed))));
         }
         let path = folder.path().join("out.mcap");
-        let info = info(&path, ReadOptions::default()).unwrap();
+        let info = info(&LogFile::at(&path), ReadOptions::default()).unwrap();
         assert!(info.log_error.is_none(), "{:?}", info.log_error);
         let mut text = Vec::new();
         info.write(&mut text).unwrap();
@@ -188,7 +190,7 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
             assert_eq!(channel.metadata, before.metadata, "{what}");
         }
         let path = folder.path().join("out.mcap");
-        let mut stream = MessageStream::open(&path, ReadOptions::default()).unwrap();
+        let mut stream = MessageStream::open(&LogFile::at(&path), ReadOptions::default()).unwrap();
         let mut count = 0;
         while stream.next_message().unwrap().is_some() {
             count += 1;
@@ -243,7 +245,8 @@ fn a_topic_whose_schema_lies_in_a_chunk_that_is_passed_over_is_read() {
     let path = save(folder.path(), "timing.mcap", &bytes);
     for (topic, count) in [("/command/a", 1), ("/command/b", 1), ("/timing/frame", 2), ("/command/c", 0)] {
         let mut stream =
-            MessageStream::open_topics(&path, &[topic.to_owned()], ReadOptions::default()).unwrap();
+            MessageStream::open_topics(&LogFile::at(&path), &[topic.to_owned()], ReadOptions::default())
+                .unwrap();
         for _ in 0..count {
             assert_eq!(stream.next_message().unwrap().unwrap().topic, topic);
         }
@@ -360,90 +363,6 @@ fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
     }
 }
 
-#[test]
-fn a_packed_log_holds_the_same_run() {
-    let folder = tempfile::tempdir().unwrap();
-    let input = save(folder.path(), "in.mcap", &write_log(&run_messages(700, Some(200))));
-    let mut sizes = Vec::new();
-    for packing in [Packing::None, Packing::Lz4(0), Packing::Lz4(9), Packing::Zstd(1), Packing::Zstd(19)] {
-        let output = folder.path().join(format!("{packing:?}.mcap"));
-        let (before, after) = compress(&input, &output, packing).unwrap();
-        assert_eq!(after, std::fs::metadata(&output).unwrap().len());
-        sizes.push((packing, before, after));
-        let report = diff(&input, &output, ReadOptions::default()).unwrap();
-        assert!(report.same_run() && report.header.is_empty() && report.identical_ticks == 700);
-        let mut reader = LogReader::open(&output).unwrap();
-        let replayed = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
-        assert!(replayed.is_identical() && replayed.last_tick == 700);
-        assert_eq!(replayed.ending.describe(), "end marker: completed");
-        let bytes = std::fs::read(&output).unwrap();
-        assert!(messages(&bytes) == messages(&std::fs::read(&input).unwrap()));
-        assert!(matches!(compress(&input, &output, packing), Err(LogError::Exists { .. })));
-    }
-    println!("{sizes:?}");
-    assert!(sizes[4].2 < sizes[0].2);
-    // The recorder's own packing gives the recorder's own bytes: nothing else was changed on the way.
-    assert!(std::fs::read(folder.path().join("Lz4(0).mcap")).unwrap() == std::fs::read(&input).unwrap());
-}
-
-#[test]
-fn a_log_that_is_not_whole_is_not_packed_or_joined() {
-    let folder = tempfile::tempdir().unwrap();
-    let bytes = write_log(&run_messages(200, None));
-    let cut = save(folder.path(), "cut.mcap", &bytes[..bytes.len() - 30]);
-    let whole = save(folder.path(), "whole.mcap", &bytes);
-    let mut flipped = bytes.clone();
-    flipped[bytes.len() / 2] ^= 1;
-    let flipped = save(folder.path(), "flipped.mcap", &flipped);
-    let output = folder.path().join("out.mcap");
-    for input in [&cut, &flipped] {
-        let error = compress(input, &output, Packing::None).unwrap_err();
-        assert!(
-            matches!(error, LogError::NotWhole { .. }) && error.to_string().contains("repair"),
-            "{error}"
-        );
-        let error = cat_files(&[whole.clone(), input.clone()], &output).unwrap_err();
-        assert!(matches!(error, LogError::NotWhole { .. }), "{error}");
-        assert!(!output.exists(), "a failed command leaves nothing");
-    }
-}
-
-#[test]
-fn joined_logs_split_into_what_they_were() {
-    let folder = tempfile::tempdir().unwrap();
-    let runs = [write_log(&run_messages(300, None)), write_log(&run_messages(450, Some(100)))];
-    let inputs = [save(folder.path(), "a.mcap", &runs[0]), save(folder.path(), "b.mcap", &runs[1])];
-    let joined = folder.path().join("joined.mcap");
-    cat_files(&inputs, &joined).unwrap();
-
-    // Another reader sees both runs beside each other.
-    let bytes = std::fs::read(&joined).unwrap();
-    let states = |prefix: &str| {
-        messages(&bytes).iter().filter(|(topic, _, _)| *topic == format!("{prefix}/state")).count()
-    };
-    assert_eq!((states("/run1"), states("/run2")), (301, 451));
-    // Ours does not take it for one run.
-    let error = LogReader::open(&joined).err().unwrap();
-    assert!(
-        matches!(error, LogError::SeveralRuns { .. }) && error.to_string().contains("log split"),
-        "{error}"
-    );
-    let error = cat_files(&[joined.clone(), inputs[0].clone()], &folder.path().join("c.mcap")).unwrap_err();
-    assert!(matches!(error, LogError::SeveralRuns { .. }), "{error}");
-
-    let out = folder.path().join("runs");
-    let paths = split(&joined, &out).unwrap();
-    assert_eq!(paths, [out.join("run1.mcap"), out.join("run2.mcap")]);
-    for (path, original) in paths.iter().zip(&runs) {
-        assert!(std::fs::read(path).unwrap() == *original, "{}", path.display());
-    }
-    assert!(matches!(split(&inputs[0], &out), Err(LogError::NotWhole { .. })));
-    // A run that cannot be written leaves none of the others, and what was there as it was.
-    std::fs::remove_file(&paths[0]).unwrap();
-    assert!(matches!(split(&joined, &out), Err(LogError::Exists { path }) if path == paths[1]));
-    assert!(!paths[0].exists() && std::fs::read(&paths[1]).unwrap() == runs[1]);
-}
-
 /// Reading one topic passes over the other chunks and gives the same messages; a gap in it is still damage.
 #[test]
 fn one_topic_is_read_without_the_others() {
@@ -453,7 +372,8 @@ fn one_topic_is_read_without_the_others() {
     let all = messages(&bytes);
     for topic in ["/state", "/drr/image", "/drr/frame", "/removed", "/no/such/topic"] {
         let wanted = [topic.to_owned()];
-        let mut stream = MessageStream::open_topics(&path, &wanted, ReadOptions::default()).unwrap();
+        let mut stream =
+            MessageStream::open_topics(&LogFile::at(&path), &wanted, ReadOptions::default()).unwrap();
         let mut found = Vec::new();
         while let Some(message) = stream.next_message().unwrap() {
             found.push((message.topic.to_owned(), message.sequence, [&[0, 1, 0, 0], message.body].concat()));
@@ -468,7 +388,8 @@ fn one_topic_is_read_without_the_others() {
     let path = save(folder.path(), "flipped.mcap", &flipped);
     let read = |topic: &str| {
         let mut stream =
-            MessageStream::open_topics(&path, &[topic.to_owned()], ReadOptions::default()).unwrap();
+            MessageStream::open_topics(&LogFile::at(&path), &[topic.to_owned()], ReadOptions::default())
+                .unwrap();
         loop {
             match stream.next_message() {
                 Ok(Some(_)) => {}

@@ -10,7 +10,9 @@ use std::path::{Path, PathBuf};
 
 use common::*;
 use ipc_types::messages::Keyframe;
-use recorder_proc::*;
+use recorder_proc::log_file::LogFile;
+use recorder_proc::rewritten::repair;
+use run_log::*;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use zerocopy::{FromZeros, IntoBytes};
 
@@ -81,8 +83,9 @@ fn save_named(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
 fn refused(bytes: &[u8], name: &str, what: &str) {
     let folder = tempfile::tempdir().unwrap();
     let (log, output) = (save_named(folder.path(), name, bytes), folder.path().join("out.mcap"));
-    let (error, info_bytes) =
-        allocated(|| info(&log, ReadOptions::default()).unwrap().log_error.map(|error| error.to_string()));
+    let (error, info_bytes) = allocated(|| {
+        info(&LogFile::at(&log), ReadOptions::default()).unwrap().log_error.map(|error| error.to_string())
+    });
     let (repaired, repair_bytes) = allocated(|| repair(&log, &output).map_err(|error| error.to_string()));
     println!("{name}: info {info_bytes} bytes: {error:?}; repair {repair_bytes} bytes");
     let told = |text: &Option<String>| text.as_ref().is_some_and(|text| text.contains(what));
@@ -155,7 +158,8 @@ fn keyframe_of_a_gigabyte() {
     let bytes = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
     let folder = tempfile::tempdir().unwrap();
     let path = save_named(folder.path(), "keyframe", &bytes);
-    let (error, read_bytes) = allocated(|| LogReader::open(&path).unwrap().find_map(Result::err));
+    let (error, read_bytes) =
+        allocated(|| LogReader::open(&LogFile::at(&path)).unwrap().find_map(Result::err));
     println!("keyframe: {read_bytes} bytes: {error:?}");
     assert!(matches!(error, Some(LogError::Gap { topic: "/keyframe", .. })), "{error:?}");
     assert!(read_bytes < MOST_BYTES, "{read_bytes}");
@@ -182,8 +186,9 @@ fn index_of_many_chunks() {
     let folder = tempfile::tempdir().unwrap();
     let path = save_named(folder.path(), "index", &bytes);
     let wanted = ["/state".to_owned()];
-    let (stream, read_bytes) =
-        allocated(|| MessageStream::open_topics(&path, &wanted, ReadOptions::default()).map(|_| ()));
+    let (stream, read_bytes) = allocated(|| {
+        MessageStream::open_topics(&LogFile::at(&path), &wanted, ReadOptions::default()).map(|_| ())
+    });
     stream.unwrap();
     println!("index: {read_bytes} bytes for one of {}", bytes.len());
     assert!(read_bytes < 4 * bytes.len(), "{read_bytes} of {}", bytes.len());

@@ -5,8 +5,10 @@ mod common;
 use common::*;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::Field;
-use recorder_proc::columns::{Column, columns, description_of_topic, read_rows};
-use recorder_proc::export::{Csv, Parquet};
+use recorder_proc::log_file::LogFile;
+use recorder_proc::parquet_file::Parquet;
+use run_log::columns::{Column, columns, description_of_topic, read_rows};
+use run_log::csv::Csv;
 
 const FIELDS: [&str; 4] = ["tick", "t_world_link[7].position_m", "hash", "removed_in_tick"];
 
@@ -24,11 +26,11 @@ fn a_csv_has_a_line_a_message_and_a_column_a_number() {
     let folder = tempfile::tempdir().unwrap();
     let steps = run_messages(120, None);
     let path = save(folder.path(), "run.mcap", &write_log(&steps));
-    let description = description_of_topic(&path, "/state").unwrap();
+    let description = description_of_topic(&LogFile::at(&path), "/state").unwrap();
     let columns = columns(description, &fields()).unwrap();
     let mut text = Vec::new();
     let mut rows = Csv::new(&mut text, &columns).unwrap();
-    read_rows(&path, "/state", &columns, (10, Some(99)), &mut rows).unwrap();
+    read_rows(&LogFile::at(&path), "/state", &columns, (10, Some(99)), &mut rows).unwrap();
     rows.finish().unwrap();
     let text = String::from_utf8(text).unwrap();
     let mut lines = text.lines();
@@ -57,10 +59,11 @@ fn a_parquet_file_holds_the_same_numbers() {
     let folder = tempfile::tempdir().unwrap();
     let steps = run_messages(300, None);
     let path = save(folder.path(), "run.mcap", &write_log(&steps));
-    let columns: Vec<Column> = columns(description_of_topic(&path, "/state").unwrap(), &fields()).unwrap();
+    let columns: Vec<Column> =
+        columns(description_of_topic(&LogFile::at(&path), "/state").unwrap(), &fields()).unwrap();
     let out = folder.path().join("state.parquet");
     let mut rows = Parquet::new(std::fs::File::create(&out).unwrap(), &columns).unwrap();
-    read_rows(&path, "/state", &columns, (0, None), &mut rows).unwrap();
+    read_rows(&LogFile::at(&path), "/state", &columns, (0, None), &mut rows).unwrap();
     rows.finish().unwrap();
     let reader = SerializedFileReader::new(std::fs::File::open(&out).unwrap()).unwrap();
     assert_eq!(reader.metadata().file_metadata().num_rows(), 301);
@@ -78,9 +81,9 @@ fn a_parquet_file_holds_the_same_numbers() {
 fn what_is_not_there_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = save(folder.path(), "run.mcap", &write_log(&run_messages(20, None)));
-    let error = description_of_topic(&path, "/stat").unwrap_err().to_string();
+    let error = description_of_topic(&LogFile::at(&path), "/stat").unwrap_err().to_string();
     assert!(error.contains("no topic /stat") && error.contains("/state"), "{error}");
-    let description = description_of_topic(&path, "/state").unwrap();
+    let description = description_of_topic(&LogFile::at(&path), "/state").unwrap();
     let error = columns(description, &["tip_mm".to_owned()]).unwrap_err().to_string();
     assert!(error.contains("tip_mm"), "{error}");
     // All fields of a state, with every pose's numbers.

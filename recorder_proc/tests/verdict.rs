@@ -7,8 +7,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use common::*;
-use recorder_proc::segments::Passed;
-use recorder_proc::*;
+use recorder_proc::exit_code::exit_code;
+use recorder_proc::log_file::LogFile;
+use recorder_proc::rewritten::repair;
+use run_log::segments::Passed;
+use run_log::*;
 use zerocopy::IntoBytes;
 
 /// Where the records of a whole file begin, and the file's length.
@@ -31,7 +34,7 @@ struct Content {
 }
 
 fn content(path: &Path) -> Option<Content> {
-    let mut stream = MessageStream::open(path, ReadOptions::default()).ok()?;
+    let mut stream = MessageStream::open(&LogFile::at(path), ReadOptions::default()).ok()?;
     let mut messages = Vec::new();
     while let Ok(Some(message)) = stream.next_message() {
         messages.push((message.topic.to_owned(), message.log_time_ns, message.body.to_vec()));
@@ -44,8 +47,8 @@ fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     let log = save(folder, "in.mcap", bytes);
     let output = folder.join("out.mcap");
     let _ = std::fs::remove_file(&output);
-    let info = info(&log, ReadOptions::default()).ok().map(|info| info.verdict);
-    let replayed = LogReader::open(&log).ok().map(|mut reader| {
+    let info = info(&LogFile::at(&log), ReadOptions::default()).ok().map(|info| info.verdict);
+    let replayed = LogReader::open(&LogFile::at(&log)).ok().map(|mut reader| {
         while reader.next().is_some() {
             while let Ok(Some(_)) = reader.go_on() {}
         }
@@ -54,7 +57,7 @@ fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     let repaired = repair(&log, &output).ok();
     if let Some(report) = &repaired {
         // The result is a log without damage: intact, or with a gap that it tells.
-        let after = verdict(&output, ReadOptions::default()).unwrap();
+        let after = verdict(&LogFile::at(&output), ReadOptions::default()).unwrap();
         assert_eq!(after, report.after);
         assert!(after.faults.iter().all(|fault| matches!(fault, Fault::Gap(_))), "{after}");
         let lost = report.topics.values().map(|count| count.lost).sum::<u64>();
@@ -93,7 +96,7 @@ fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
             match verdict {
                 // Every changed bit is covered by some checksum or length.
                 Some(verdict) => {
-                    assert!(!verdict.is_intact() && verdict.exit_code() != 0, "{who}: bit {bit}: {verdict}");
+                    assert!(!verdict.is_intact() && exit_code(verdict) != 0, "{who}: bit {bit}: {verdict}");
                 }
                 None => {
                     refused += 1;
@@ -124,7 +127,7 @@ fn every_cut_is_named_by_all() {
         for verdict in all.iter().flatten() {
             let cut_is_told =
                 verdict.faults.iter().any(|fault| matches!(fault, Fault::Cut { .. } | Fault::Damaged { .. }));
-            assert!(cut_is_told && verdict.exit_code() != 0, "cut at {cut}: {verdict}");
+            assert!(cut_is_told && exit_code(verdict) != 0, "cut at {cut}: {verdict}");
             named += 1;
         }
     }
@@ -162,7 +165,7 @@ fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
         assert!(content(&folder.path().join("in.mcap")).unwrap() == whole, "{copy:?}");
         // The repaired log has both again.
         let repaired = folder.path().join("out.mcap");
-        assert!(verdict(&repaired, ReadOptions::default()).unwrap().is_intact());
+        assert!(verdict(&LogFile::at(&repaired), ReadOptions::default()).unwrap().is_intact());
         assert!(content(&repaired).unwrap() == whole);
     }
     // A lost block that takes the second copy with it: what lies behind is the repair's.
@@ -277,7 +280,7 @@ fn a_gap_is_named_by_all_with_its_ticks_and_topics() {
         assert_eq!(gap.lost, BTreeMap::from(lost));
         let told: Vec<_> = gap.stretches.iter().map(|s| (s.first_tick, s.last_tick)).collect();
         assert_eq!(told, [(101, 159), (301, 302)]);
-        assert_eq!(verdict.exit_code(), ipc_types::process::EXIT_GAP);
+        assert_eq!(exit_code(verdict), ipc_types::process::EXIT_GAP);
         let text = verdict.to_string();
         assert!(text.contains("ticks 101 to 159: 50 of /latched, 50 of /state"), "{text}");
     }

@@ -4,7 +4,7 @@ use clap::{CommandFactory, Subcommand};
 use clap_complete::Shell;
 use ipc_types::reference::{every_message, message_reference};
 use ipc_types::scene::reference::scene_reference;
-use recorder_proc::topics::schema_of;
+use run_log::topics::schema_of;
 
 use crate::cli::Arguments;
 use crate::failure::Failure;

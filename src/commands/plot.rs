@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use recorder_proc::columns::{Column, Rows, columns, description_of_topic, read_rows};
-use recorder_proc::fields::Scalar;
-use recorder_proc::{LogError, log_path, topics};
+use recorder_proc::log_file::{LogFile, log_path};
+use run_log::columns::{Column, Rows, columns, description_of_topic, read_rows};
+use run_log::fields::Scalar;
+use run_log::{LogError, topics};
 
 use crate::failure::Failure;
 use crate::output::refuse_existing;
@@ -45,7 +46,7 @@ pub struct PlotArguments {
 /// A log or field that is not there, a figure that is there already (2), a damaged log, a full disk (1).
 pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
-    let description = description_of_topic(&log, &arguments.topic)?;
+    let description = description_of_topic(&LogFile::at(&log), &arguments.topic)?;
     if arguments.fields.len() > MOST_PANELS {
         let text = format!("{} fields; a figure shows {MOST_PANELS} at most", arguments.fields.len());
         return Err(Failure::bad_input(text));
@@ -64,7 +65,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     }
     let all: Vec<Column> = panels.iter().flat_map(|(_, columns)| columns.iter().cloned()).collect();
     let mut lines = Lines(vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()]);
-    read_rows(&log, &arguments.topic, &all, (0, None), &mut lines)?;
+    read_rows(&LogFile::at(&log), &arguments.topic, &all, (0, None), &mut lines)?;
     let title = format!("{}  {}", log.display(), arguments.topic);
     draw(&title, &panels, &lines)?.write(folder, &stem)?;
     paths.iter().for_each(|path| say!("{}", path.display()));

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
-use recorder_proc::{
+use recorder_proc::exit_code::exit_code;
+use run_log::{
     LogError, ReplayReport, SavedState, SegmentOptions, SegmentReport, Verdict, keyframe_before,
     segments::Passed, verify_segments,
 };
@@ -254,12 +255,12 @@ impl Told {
     /// Of a replay in which nothing differed.
     fn exit_code(&self) -> u8 {
         let of_gaps = if self.gaps.is_empty() { 0 } else { EXIT_GAP };
-        self.verdict.as_ref().map_or(of_gaps, |verdict| verdict.exit_code().max(of_gaps))
+        self.verdict.as_ref().map_or(of_gaps, |verdict| exit_code(verdict).max(of_gaps))
     }
 
     fn tell(&self, report: &ReplayReport) -> Result<(), Failure> {
         let simulated_s = report.simulated_ns as f64 * 1e-9;
-        let hash = recorder_proc::end::hash_text(report.hash);
+        let hash = run_log::end::hash_text(report.hash);
         let label = &self.label;
         if let Some(error) = &report.log_error {
             return Err(Failure::failed(format!(

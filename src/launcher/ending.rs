@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 use ipc_types::process::EndRequest;
 use output_file::SavedFile;
-use recorder_proc::{EndReason, reason_file};
+use recorder_proc::reason_file;
+use run_log::EndReason;
 
 use super::hub::{DRR, PHYSICS, RECORDER};
 use super::part::Part;

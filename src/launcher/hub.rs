@@ -13,8 +13,8 @@ use ipc_types::services;
 use ipc_types::session::{
     CONTROLLER_VARIABLE, SESSION_VARIABLE, SessionError, SessionHost, SessionPlan, passed_over,
 };
-use recorder_proc::cat::whole;
-use recorder_proc::header::CALIBRATION_ATTACHMENT;
+use run_log::cat::whole;
+use run_log::header::CALIBRATION_ATTACHMENT;
 use volume_io::Volume;
 use zerocopy::IntoBytes;
 

@@ -5,8 +5,9 @@ use drr_proc::process::{
 };
 use drr_proc::{DrrRenderer, VolumeView};
 use ipc_types::messages::{Frame, State};
-use recorder_proc::diff::compare_frame;
-use recorder_proc::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
+use recorder_proc::log_file::LogFile;
+use run_log::diff::compare_frame;
+use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
@@ -51,7 +52,7 @@ impl<'l> FrameReplay<'l> {
         Ok(Some(FrameReplay {
             renderer: DrrRenderer::new(&view, parameters).map_err(|cause| failed(cause.to_string()))?,
             view,
-            recorded: frames(&log.path, log.options())?,
+            recorded: frames(&LogFile::at(&log.path), log.options())?,
             state: Box::new(*ticks.initial()),
             restore_first: false,
             removed,

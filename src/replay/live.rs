@@ -18,9 +18,10 @@ use ipc_types::scene::Mode;
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
-use recorder_proc::difference::compare;
-use recorder_proc::verify::compare_state;
-use recorder_proc::{FrameRecord, MessageStream, RunMode, TickRecord, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::difference::compare;
+use run_log::verify::compare_state;
+use run_log::{FrameRecord, MessageStream, RunMode, TickRecord, topics};
 use simulation::Simulation;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -138,7 +139,7 @@ impl Answers {
     fn read(log: &OpenedLog, indices: &[usize]) -> Result<Answers, Failure> {
         let mut expected = vec![BTreeMap::new(); indices.len()];
         let mut replies = BTreeMap::new();
-        let mut stream = MessageStream::open(&log.path, log.options())?;
+        let mut stream = MessageStream::open(&LogFile::at(&log.path), log.options())?;
         let real_time = stream.header().mode == RunMode::RealTime;
         while let Ok(Some(message)) = stream.next_message() {
             if let (topics::LATCHED, Ok(latched)) = (message.topic, Latched::read_from_bytes(message.body)) {
@@ -162,7 +163,7 @@ impl Answers {
 
     fn read_sent(&mut self, log: &OpenedLog, indices: &[usize]) {
         let timing = log.path.with_file_name("timing.mcap");
-        let Ok(mut stream) = MessageStream::open(&timing, log.options()) else { return };
+        let Ok(mut stream) = MessageStream::open(&LogFile::at(&timing), log.options()) else { return };
         let names = log.scene.controller_names();
         let topics: Vec<String> = indices.iter().map(|index| topics::command(&names[*index])).collect();
         while let Ok(Some(message)) = stream.next_message() {

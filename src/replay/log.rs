@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use foreign_text::foreign;
 use ipc_types::layout::hex;
 use ipc_types::scene::Scene;
-use recorder_proc::header::layout_hashes;
-use recorder_proc::{BuildInfo, LogReader, ReadOptions, log_path};
+use recorder_proc::build_info;
+use recorder_proc::log_file::{LogFile, log_path};
+use run_log::header::layout_hashes;
+use run_log::{BuildInfo, LogReader, ReadOptions};
 use simulation::{CtView, Simulation, ct_geometry};
 use volume_io::Volume;
 
@@ -48,7 +50,7 @@ impl OpenedLog {
     pub fn open(given: &Path, overrides: &Overrides) -> Result<OpenedLog, Failure> {
         let path = log_path(given);
         let options = ReadOptions { allow_other_layouts: overrides.allow_mismatch };
-        let reader = LogReader::open_with(&path, options)?;
+        let reader = LogReader::open_with(&LogFile::at(&path), options)?;
         let recorded = Scene::parse(&reader.header().scene_toml, &path).map_err(Failure::bad_input)?;
         let mut mismatches = build_mismatch(&reader);
         mismatches.extend(layout_mismatches(&reader));
@@ -81,7 +83,7 @@ impl OpenedLog {
     /// # Errors
     /// The file cannot be opened any more.
     pub fn reader(&self) -> Result<LogReader, Failure> {
-        Ok(LogReader::open_with(&self.path, self.options)?)
+        Ok(LogReader::open_with(&LogFile::at(&self.path), self.options)?)
     }
 
     /// How the log is to be read.
@@ -111,7 +113,7 @@ impl OpenedLog {
 }
 
 fn build_mismatch(reader: &LogReader) -> Vec<String> {
-    let (theirs, ours) = (&reader.header().build, BuildInfo::current());
+    let (theirs, ours) = (&reader.header().build, build_info::current());
     if *theirs == ours {
         return Vec::new();
     }

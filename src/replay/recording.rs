@@ -9,8 +9,9 @@ use hub::run_lane::RunLane;
 use ipc_types::layout::{Message, hex};
 use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State};
 use output_file::{OutputError, OutputFile};
-use recorder_proc::verify::compare_state;
-use recorder_proc::{EndReason, FrameRecord, LogError, LogMessage, MessageStream, RunLog, topics};
+use recorder_proc::log_file::{LogFile, index_beside};
+use run_log::verify::compare_state;
+use run_log::{EndReason, FrameRecord, LogError, LogMessage, MessageStream, RunLog, topics};
 use sha2::{Digest, Sha256};
 use simulation::Simulation;
 use zerocopy::{FromBytes, IntoBytes};
@@ -44,7 +45,7 @@ pub struct Recorded {
 pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
     let path = folder.join("run.mcap");
     refuse_existing(&[&path])?;
-    let mut stream = MessageStream::open(&log.path, log.options())?;
+    let mut stream = MessageStream::open(&LogFile::at(&log.path), log.options())?;
     let frames = match frame_threads {
         Some(threads) => FrameReplay::new(log, threads)?,
         None => None,
@@ -53,7 +54,8 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let file = OutputFile::create(&path)?;
     let written = BufWriter::with_capacity(1 << 16, file.handle()?);
-    let mut out = RunLog::create_named(written, &path, stream.header()).map_err(failed)?;
+    let mut out =
+        RunLog::create_named(written, &path, index_beside(&path), stream.header()).map_err(failed)?;
     out.keep_places();
     let mut copy = Copy {
         log,

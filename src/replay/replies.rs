@@ -7,8 +7,9 @@ use drr_proc::process::{c_arm_message, scene_c_arm};
 use ipc_types::layout::Message;
 use ipc_types::messages::{CArmGeometry, DRR_ACCEPTED, DrrReply, DrrRequest, Frame, GEOMETRY_REQUEST};
 use ipc_types::scene::Drr;
-use recorder_proc::difference::compare;
-use recorder_proc::{MessageStream, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::difference::compare;
+use run_log::{MessageStream, ReadOptions, topics};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::OpenedLog;
@@ -42,7 +43,7 @@ impl Replies {
         let scene = scene_c_arm(drr).map_err(|cause| Failure::failed(cause.to_string()))?;
         let scene = c_arm_message(&scene);
         let wanted = [topics::DRR_REPLY.to_owned()];
-        let stream = MessageStream::open_topics(&log.path, &wanted, log.options())?;
+        let stream = MessageStream::open_topics(&LogFile::at(&log.path), &wanted, log.options())?;
         let requests = requests(log, &scene);
         let (path, options) = (log.path.clone(), log.options());
         Ok(Replies { stream, waiting: VecDeque::new(), scene, requests, path, options, lacks: None })
@@ -109,7 +110,9 @@ impl Replies {
         let (path, options) = (&self.path, self.options);
         *self.lacks.get_or_insert_with(|| {
             let wanted = [topics::DRR_REPLY.to_owned()];
-            let Ok(mut stream) = MessageStream::open_topics(path, &wanted, options) else { return true };
+            let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(path), &wanted, options) else {
+                return true;
+            };
             while let Ok(Some(_)) = stream.next_message() {}
             !stream.verdict().is_intact()
         })
@@ -121,7 +124,9 @@ fn requests(log: &OpenedLog, scene: &CArmGeometry) -> BTreeMap<(u32, u64), Vec<C
     let mut requests: BTreeMap<(u32, u64), Vec<CArmGeometry>> = BTreeMap::new();
     let wanted = [topics::DRR_REQUEST.to_owned()];
     let timing = log.path.with_file_name("timing.mcap");
-    let Ok(mut stream) = MessageStream::open_topics(&timing, &wanted, log.options()) else { return requests };
+    let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(&timing), &wanted, log.options()) else {
+        return requests;
+    };
     let mut count = 0;
     while let (true, Ok(Some(message))) = (count < MAX_REQUESTS, stream.next_message()) {
         let Ok(request) = DrrRequest::read_from_bytes(message.body) else { continue };

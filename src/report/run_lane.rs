@@ -5,7 +5,8 @@ use std::path::Path;
 
 use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, State};
 use ipc_types::scene::Scene;
-use recorder_proc::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, topics};
 use zerocopy::FromBytes;
 
 use super::grey::GreyImage;
@@ -188,7 +189,7 @@ impl RunLane {
     /// known, for the choice of the middle frame; without it the scene's length counts.
     pub fn read(path: &Path, end_ns: Option<u64>) -> RunLane {
         let mut lane = RunLane::default();
-        let stream = match MessageStream::open(path, ReadOptions::default()) {
+        let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {
             Ok(stream) => stream,
             Err(error) => {
                 lane.notes.push(error.to_string());

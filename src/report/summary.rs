@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use recorder_proc::end::hash_text;
-use recorder_proc::{Cause, Misses, RunMode};
+use run_log::end::hash_text;
+use run_log::{Cause, Misses, RunMode};
 use serde::{Deserialize, Serialize};
 
 use super::RunFacts;
@@ -132,7 +132,7 @@ pub struct TimingSummary {
     pub page_faults: u64,
 }
 
-/// Why ticks began late; see `recorder_proc::misses`.
+/// Why ticks began late; see `run_log::misses`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MissSummary {
     /// Misses by the cause of most of their lost time; causes without one are left out.

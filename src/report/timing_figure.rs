@@ -1,7 +1,7 @@
 //! The figure of the run's timing.
 
 use plotters::style::RGBColor;
-use recorder_proc::RunMode;
+use run_log::RunMode;
 
 use super::ReportError;
 use super::axis::{Axis, count_label, duration_label};

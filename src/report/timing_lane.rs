@@ -8,7 +8,8 @@ use ipc_types::messages::{
     EVENT_RUN, EVENT_SAFE_COMMAND, Event, FrameTiming, SENDER_CONTROLLER, SENDER_DRR, SENDER_LAUNCHER,
     SENDER_PHYSICS, SENDER_RECORDER, SEVERITY_WARNING, TickTiming,
 };
-use recorder_proc::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, topics};
 use zerocopy::FromBytes;
 
 use super::ReportError;
@@ -61,7 +62,7 @@ pub struct TimingLane {
 impl TimingLane {
     /// Reads the file once. Whatever is wrong with it is a note.
     pub fn read(path: &Path) -> Result<TimingLane, ReportError> {
-        let stream = match MessageStream::open(path, ReadOptions::default()) {
+        let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {
             Ok(stream) => stream,
             Err(error) => {
                 let mut lane = TimingLane::empty(0, 1)?;

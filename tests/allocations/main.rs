@@ -18,7 +18,8 @@ use test_support::limited::{Limited, end_within};
 use hub::latch::Latch;
 use ipc_types::messages::{ARM_MOVE_CP, BURR_SPEED, CONTROL_STOP, Command, State, TENDON_SERVO_JF};
 use ipc_types::scene::Scene;
-use recorder_proc::{MessageStream, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::{MessageStream, ReadOptions, topics};
 use rustix::process::Signal;
 use simulation::bone::GridGeometry;
 use simulation::{CtView, Simulation};
@@ -218,7 +219,7 @@ fn steered(state: &State) -> Command {
 
 /// Messages of the ticks behind a tick, by topic, in a lane.
 fn messages_behind(from: u64, log: &Path, topics: &[&str]) -> u64 {
-    let mut stream = MessageStream::open(log, ReadOptions::default()).unwrap();
+    let mut stream = MessageStream::open(&LogFile::at(log), ReadOptions::default()).unwrap();
     let mut count = 0;
     while let Some(message) = stream.next_message().unwrap() {
         let tick = message.log_time_ns / 1_000_000;

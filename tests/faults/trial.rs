@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 use ipc_types::messages::CONTROL_STOP;
-use recorder_proc::EndReason;
+use run_log::EndReason;
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 
 use crate::clock::stepping_clock;

@@ -36,7 +36,7 @@ fn only_run(folder: &Path) -> (String, String) {
 /// Of a run's log: the scene that its header holds.
 fn scene_in(run: &str) -> String {
     let log = Path::new(run).join("run.mcap");
-    recorder_proc::LogReader::open(&log).unwrap().header().scene_toml.clone()
+    run_log::LogReader::open(&recorder_proc::log_file::LogFile::at(&log)).unwrap().header().scene_toml.clone()
 }
 
 /// `run` looked for `configs/femur_curved_drilling.toml` in the folder it was called in, and ended with exit code 2. What

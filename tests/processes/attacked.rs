@@ -4,7 +4,8 @@ use std::ffi::OsStr;
 use std::fs;
 
 use ipc_types::messages::CONTROL_STOP;
-use recorder_proc::{EndReason, LogError, LogReader, log_path};
+use recorder_proc::log_file::{LogFile, log_path};
+use run_log::{EndReason, LogError, LogReader};
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::Signal;
 
@@ -113,7 +114,7 @@ fn a_log_without_any_state_is_damage_to_every_command() {
     let cut = place.path("cut.mcap");
     let has_no_state = |length: &usize| {
         fs::write(&cut, &bytes[..*length]).unwrap();
-        matches!(LogReader::open(&cut), Err(LogError::NoInitialState { .. }))
+        matches!(LogReader::open(&LogFile::at(&cut)), Err(LogError::NoInitialState { .. }))
     };
     let length = (100..bytes.len()).step_by(100).find(has_no_state).unwrap();
     fs::write(&cut, &bytes[..length]).unwrap();
@@ -153,7 +154,7 @@ fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
         assert_eq!(ended.code, Some(1), "{}", ended.err);
         assert!(ended.err.contains("run.mcap has been moved to"), "{}", ended.err);
         assert_nothing_left(ended.pid);
-        let mut log = LogReader::open(&log_path(&to)).unwrap();
+        let mut log = LogReader::open(&LogFile::at(log_path(&to))).unwrap();
         while log.next().is_some() {}
         assert_eq!(log.ending().marker.as_ref().unwrap().reason, EndReason::LogMoved);
         assert_replays(&to);

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use recorder_proc::EndReason;
+use run_log::EndReason;
 use rustix::process::Signal;
 
 use crate::common::client::Client;

@@ -4,7 +4,8 @@ use drr_proc::DrrRenderer;
 use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, scene_isocentre_m, volume_view};
 use ipc_types::messages::{Pose, Volume as VolumeMessage};
 use ipc_types::scene::Scene;
-use recorder_proc::{FrameRecord, ReadOptions, frames};
+use recorder_proc::log_file::LogFile;
+use run_log::{FrameRecord, ReadOptions, frames};
 use zerocopy::IntoBytes;
 
 use crate::common::logs::{Whole, read};
@@ -14,7 +15,10 @@ use crate::languages::clients;
 use crate::strays::{answer_here, joined, stopped};
 
 fn frames_of(ended: &Ended) -> Vec<FrameRecord> {
-    frames(&ended.folder.join("run.mcap"), ReadOptions::default()).unwrap().map(Result::unwrap).collect()
+    frames(&LogFile::at(ended.folder.join("run.mcap")), ReadOptions::default())
+        .unwrap()
+        .map(Result::unwrap)
+        .collect()
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use fastrand::Rng;
 use ipc_types::messages::PHASE_ENDED;
-use recorder_proc::EndReason;
+use run_log::EndReason;
 use rustix::process::Signal;
 use test_support::limited::{COMMAND_LIMIT, Watchdog};
 

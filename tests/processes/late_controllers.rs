@@ -3,7 +3,7 @@
 use ipc_types::messages::{
     EVENT_COMMAND_HELD, EVENT_SAFE_COMMAND, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, State,
 };
-use recorder_proc::EndReason;
+use run_log::EndReason;
 use rustix::process::Signal;
 
 use crate::common::client::Client;

@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use parquet::file::reader::{FileReader, SerializedFileReader};
-use recorder_proc::{ReadOptions, frames};
+use recorder_proc::log_file::LogFile;
+use run_log::{ReadOptions, frames};
 use rustix::process::Signal;
 
 use crate::common::logs::{assert_replays, counts};
@@ -27,10 +28,11 @@ fn images_are_recorded_as_asked_and_states_cost_the_same() {
         images.push((count["/drr/frame"], count["/drr/image"]));
         let done = trabecula(&[&"log", &"cat", &ended.folder, &"--topic", &"/state"]);
         states.push(done.out);
-        let hashes: Vec<[u64; 2]> = frames(&ended.folder.join("run.mcap"), ReadOptions::default())
-            .unwrap()
-            .map(|frame| frame.unwrap().frame.pixel_hash)
-            .collect();
+        let hashes: Vec<[u64; 2]> =
+            frames(&LogFile::at(ended.folder.join("run.mcap")), ReadOptions::default())
+                .unwrap()
+                .map(|frame| frame.unwrap().frame.pixel_hash)
+                .collect();
         assert!(hashes.iter().all(|hash| *hash != [0, 0]));
     }
     let all = images[0].0;
@@ -72,8 +74,10 @@ fn logs_are_packed_joined_split_and_exported() {
     run(&[&"log", &"export", &folder, &"-o", &path("tip.parquet"), &field[0], &field[1]]);
     assert_eq!(parquet_rows(&path("tip.parquet")), 401);
     run(&[&"log", &"export", &folder, &"-o", &path("pictures"), &"--frames"]);
-    let recorded: Vec<_> =
-        frames(&folder.join("run.mcap"), ReadOptions::default()).unwrap().map(Result::unwrap).collect();
+    let recorded: Vec<_> = frames(&LogFile::at(folder.join("run.mcap")), ReadOptions::default())
+        .unwrap()
+        .map(Result::unwrap)
+        .collect();
     let mut names: Vec<_> = fs::read_dir(path("pictures")).unwrap().map(|e| e.unwrap().path()).collect();
     names.sort();
     assert_eq!(names.len(), recorded.len());

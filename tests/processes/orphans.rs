@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fastrand::Rng;
-use recorder_proc::EndReason;
+use run_log::EndReason;
 use rustix::process::Signal;
 
 use crate::common::client::Client;

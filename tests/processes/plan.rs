@@ -1,6 +1,7 @@
 //! A scene's tolerance: the choice, the run made with it, and the error that it really made.
 
-use recorder_proc::LogReader;
+use recorder_proc::log_file::LogFile;
+use run_log::LogReader;
 
 use crate::common::logs::{assert_replays, rewrite_as};
 use crate::common::program::{Place, trabecula};
@@ -18,7 +19,8 @@ fn a_run_within_a_tolerance_is_recorded_as_resolved_and_its_error_is_checked() {
     assert_eq!(planned.code, Some(0), "{}", planned.err);
     assert!(planned.out.contains("tip error") && planned.out.contains("cost"), "{}", planned.out);
     let run = place.complete(&scene);
-    let recorded = LogReader::open(&run.folder.join("run.mcap")).unwrap().header().scene_toml.clone();
+    let recorded =
+        LogReader::open(&LogFile::at(run.folder.join("run.mcap"))).unwrap().header().scene_toml.clone();
     for key in ["model = ", "integrator = ", "dt_ms = ", "tip_mm = 0.5"] {
         assert!(recorded.contains(key), "{key} is not in {recorded}");
     }

@@ -6,7 +6,8 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use ipc_types::messages::PHASE_ENDED;
-use recorder_proc::{EndReason, MessageStream, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::{EndReason, MessageStream, ReadOptions, topics};
 use rustix::process::Signal;
 
 use crate::common::client::{Client, Pilot};
@@ -125,7 +126,8 @@ fn a_drr_process_that_dies_when_the_controllers_have_left_is_named() {
 
 /// Replies to run control in a file that may still grow.
 fn replies_in(folder: &Path) -> Option<usize> {
-    let mut stream = MessageStream::open(&folder.join("timing.mcap"), ReadOptions::default()).ok()?;
+    let mut stream =
+        MessageStream::open(&LogFile::at(folder.join("timing.mcap")), ReadOptions::default()).ok()?;
     let mut count = 0;
     while let Ok(Some(message)) = stream.next_message() {
         count += usize::from(message.topic == topics::RUN_CONTROL_REPLY);

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Latched, State};
-use recorder_proc::{EndReason, MessageStream, ReadOptions, RunLog, topics};
+use recorder_proc::log_file::{LogFile, create_run};
+use run_log::{EndReason, MessageStream, ReadOptions, topics};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::common::logs::{assert_replays, rewrite_as, verify};
@@ -95,7 +96,7 @@ fn promise_3_closed_loop_stops_at_the_first_difference_and_names_it() {
         failed(&done, 1, &bits);
     }
     // Another controller: the scene that the live one reads asks for 3 N, not 2 N.
-    let stronger = |header: &mut recorder_proc::LogHeader| {
+    let stronger = |header: &mut run_log::LogHeader| {
         header.scene_toml = header.scene_toml.replace("tension_n = 2.0", "tension_n = 3.0");
     };
     rewrite_as(&original, &changed, stronger, |_| {}, |_| {});
@@ -129,8 +130,8 @@ fn promise_5_save_and_restore_a_new_process_begins_at_a_keyframe() {
 
 /// A log with one frame's hash and one image's pixel altered.
 fn alter_frames(from: &Path, to: &Path, hash_of: u64, pixel_of: u64) {
-    let mut stream = MessageStream::open(from, ReadOptions::default()).unwrap();
-    let mut log = RunLog::create_file(to, stream.header()).unwrap();
+    let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
+    let mut log = create_run(to, stream.header()).unwrap();
     log.keep_places();
     let mut frame = Frame::zeroed();
     while let Some(message) = stream.next_message().unwrap() {
@@ -190,7 +191,7 @@ fn promise_8_refusal_of_another_build_layout_volume_or_scene() {
         succeeded(&done, &["all identical (MISMATCH ALLOWED:", label]);
     };
     // Another build.
-    let older = |header: &mut recorder_proc::LogHeader| header.build.version = "0.0.7+abc".to_owned();
+    let older = |header: &mut run_log::LogHeader| header.build.version = "0.0.7+abc".to_owned();
     rewrite_as(&log, &changed, older, |_| {}, |_| {});
     failed(&verify(&changed), 2, &["build: the log was written by 0.0.7+abc for", "this is"]);
     allowed(&changed, "build: the log was written by 0.0.7+abc");

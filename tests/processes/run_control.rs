@@ -7,7 +7,7 @@ use ipc_types::messages::{
     CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, PHASE_CONNECTING, PHASE_PAUSED, State,
     TENDON_SERVO_JF,
 };
-use recorder_proc::EndReason;
+use run_log::EndReason;
 
 use crate::common::client::Pilot;
 use crate::common::logs::{assert_replays, read};

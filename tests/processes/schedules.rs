@@ -19,7 +19,8 @@ use ipc_types::messages::{
     TENDON_SERVO_JF,
 };
 use ipc_types::session::SESSION_VARIABLE;
-use recorder_proc::LogReader;
+use recorder_proc::log_file::LogFile;
+use run_log::LogReader;
 use rustix::process::{Pid, Signal, setpriority_process};
 use rustix::thread::{CpuSet, sched_setaffinity};
 
@@ -188,7 +189,7 @@ fn disturb(
 
 /// The log must replay to the identical hash at every tick that it holds without a gap: all, unless the recorder lost some.
 fn check(seed: u64, folder: &Path, row: &mut Row) {
-    let mut reader = LogReader::open(&folder.join("run.mcap")).unwrap();
+    let mut reader = LogReader::open(&LogFile::at(folder.join("run.mcap"))).unwrap();
     let mut gap = false;
     for tick in reader.by_ref() {
         let Ok(tick) = tick else {

@@ -5,7 +5,8 @@ use std::process::Command;
 
 use ipc_types::messages::Command as Message;
 use ipc_types::session::{CONTROLLER_VARIABLE, SESSION_VARIABLE};
-use recorder_proc::{MessageStream, ReadOptions};
+use recorder_proc::log_file::LogFile;
+use run_log::{MessageStream, ReadOptions};
 use zerocopy::FromBytes;
 
 use crate::common::logs::{assert_replays, read};
@@ -16,7 +17,8 @@ use crate::languages::{clients, compiled_test, output_within_limit, python, skip
 fn tensions_n(folder: &Path) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
     let two = |command: &Message| [command.tendon_force_n[0], command.tendon_force_n[1]];
     let latched = read(folder).ticks.iter().map(|tick| two(&tick.latched.commands[0].command)).collect();
-    let mut stream = MessageStream::open(&folder.join("timing.mcap"), ReadOptions::default()).unwrap();
+    let mut stream =
+        MessageStream::open(&LogFile::at(folder.join("timing.mcap")), ReadOptions::default()).unwrap();
     let mut sent = Vec::new();
     while let Some(message) = stream.next_message().unwrap() {
         if message.topic.starts_with("/command") {

@@ -6,7 +6,8 @@ use std::fs::{self, File};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use recorder_proc::{EndReason, MessageStream, ReadOptions, RunLog, topics};
+use recorder_proc::log_file::{LogFile, create_run};
+use run_log::{EndReason, MessageStream, ReadOptions, topics};
 use zerocopy::FromBytes;
 
 use crate::common::program::{Done, Place, wait_for};
@@ -55,7 +56,7 @@ fn assert_plain(done: &Done, what: &str) -> String {
 
 /// A log whose every text is the stranger's.
 fn hostile_log(from: &Path, to: &Path) {
-    let mut stream = MessageStream::open(from, ReadOptions::default()).unwrap();
+    let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
     let mut header = stream.header().clone();
     let forged = format!("{HOSTILE}\nend         forged");
     header.scene_name = forged.clone();
@@ -63,7 +64,7 @@ fn hostile_log(from: &Path, to: &Path) {
     header.build.version = forged.clone();
     header.build.target = forged.clone();
     header.build.rustc = Some(forged);
-    let mut log = RunLog::create_file(to, &header).unwrap();
+    let mut log = create_run(to, &header).unwrap();
     while let Some(message) = stream.next_message().unwrap() {
         match message.topic {
             topics::LATCHED => log.latched(&FromBytes::read_from_bytes(message.body).unwrap()).unwrap(),

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ipc_types::messages::{CONTROL_PAUSE, CONTROL_STOP, Progress, SENDER_RECORDER};
 use ipc_types::services;
-use recorder_proc::EndReason;
+use run_log::EndReason;
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 
 use crate::common::client::Client;

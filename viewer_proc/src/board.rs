@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ipc_types::layout::CDR_LITTLE_ENDIAN;
 use ipc_types::messages::TickTiming;
-use recorder_proc::Misses;
-use recorder_proc::topics;
+use run_log::Misses;
+use run_log::topics;
 use tokio::sync::Notify;
 use zerocopy::FromBytes;
 

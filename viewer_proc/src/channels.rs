@@ -4,7 +4,7 @@ use ipc_types::layout::{Description, Message};
 use ipc_types::messages::{
     Command, DrrRequest, Event, Frame, FrameTiming, RunControl, RunControlReply, RunStatus, TickTiming,
 };
-use recorder_proc::topics;
+use run_log::topics;
 
 use crate::protocol::Advertisement;
 
@@ -22,7 +22,7 @@ pub const PACE: &str = "/view/pace";
 pub const NOTICE: &str = "/view/notice";
 /// Two logs compared (JSON; logs only).
 pub const COMPARE: &str = "/view/compare";
-/// Why a tick began late, before its `TickTiming` (JSON): [`recorder_proc::misses`].
+/// Why a tick began late, before its `TickTiming` (JSON): [`run_log::misses`].
 pub const MISS: &str = "/view/miss";
 /// The tool and its contacts for the 3D panel of Lichtblick and Foxglove (`foxglove.SceneUpdate`, JSON).
 pub const SCENE: &str = "/view/scene";

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use ipc_types::ports::PortError;
 use ipc_types::scene::SceneError;
 use ipc_types::session::{Searched, SessionError};
-use recorder_proc::LogError;
+use run_log::LogError;
 use trabecula_client::ClientError;
 
 use crate::log::file::PlayError;

@@ -10,7 +10,7 @@ use std::time::Duration;
 use futures_util::{SinkExt, StreamExt};
 use ipc_types::layout::{CDR_LITTLE_ENDIAN, Message as _};
 use ipc_types::messages::State;
-use recorder_proc::topics;
+use run_log::topics;
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use recorder_proc::{CatOptions, ReadOptions, cat, log_path};
+use recorder_proc::exit_code::exit_code;
+use recorder_proc::log_file::{LogFile, log_path};
+use run_log::{CatOptions, ReadOptions, cat};
 
 use super::{Out, answered, concluded};
 use crate::failure::Failure;
@@ -49,14 +51,14 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
         read: ReadOptions::default(),
     };
     let log = log_path(&arguments.log);
-    let verdict = match cat(&log, &options, out) {
+    let verdict = match cat(&LogFile::at(&log), &options, out) {
         Ok(verdict) => verdict,
         Err(error) => return answered(Err(error)),
     };
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());
     }
-    concluded(out, verdict.exit_code())
+    concluded(out, exit_code(&verdict))
 }
 
 fn nanoseconds(option: &str, time_s: f64) -> Result<u64, Failure> {

@@ -5,10 +5,13 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use output_file::{OutputError, OutputFile};
-use recorder_proc::columns::{Rows, columns, description_of_topic, read_rows};
-use recorder_proc::export::{Csv, Parquet, ending_of};
-use recorder_proc::fields::Scalar;
-use recorder_proc::{FrameRecord, LogError, ReadOptions, Verdict, frames, log_path, topics};
+use recorder_proc::exit_code::exit_code;
+use recorder_proc::log_file::{LogFile, log_path};
+use recorder_proc::parquet_file::Parquet;
+use run_log::columns::{Rows, columns, description_of_topic, read_rows};
+use run_log::csv::Csv;
+use run_log::fields::Scalar;
+use run_log::{FrameRecord, LogError, ReadOptions, Verdict, frames, topics};
 
 use super::{Out, concluded};
 use crate::failure::Failure;
@@ -55,7 +58,12 @@ pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());
     }
-    concluded(out, verdict.exit_code())
+    concluded(out, exit_code(&verdict))
+}
+
+/// A file name's ending, in lower case.
+fn ending_of(path: &Path) -> String {
+    path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
 
 fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), Failure> {
@@ -65,7 +73,7 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
         return Err(Failure::bad_input(format!("--output is {given}, expected a .csv or .parquet file")));
     }
     refuse_existing(&[&arguments.output])?;
-    let description = description_of_topic(log, &arguments.topic)?;
+    let description = description_of_topic(&LogFile::at(log), &arguments.topic)?;
     let columns = columns(description, &arguments.fields)?;
     // Its own errors name no file.
     let failure = |error| match error {
@@ -78,10 +86,10 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     // The rows before a damage are a whole table too.
     let (read, finished) = if ending == "csv" {
         let mut rows = Csv::new(rows_of, &columns).map_err(failure)?;
-        (read_rows(log, &arguments.topic, &columns, range, &mut rows), rows.finish())
+        (read_rows(&LogFile::at(log), &arguments.topic, &columns, range, &mut rows), rows.finish())
     } else {
         let mut rows = Parquet::new(rows_of, &columns).map_err(failure)?;
-        (read_rows(log, &arguments.topic, &columns, range, &mut rows), rows.finish())
+        (read_rows(&LogFile::at(log), &arguments.topic, &columns, range, &mut rows), rows.finish())
     };
     finished.map_err(failure)?;
     if !matches!(read, Err(LogError::Output { .. })) {
@@ -91,7 +99,7 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
 }
 
 fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), Failure> {
-    let mut reader = frames(log, ReadOptions::default())?;
+    let mut reader = frames(&LogFile::at(log), ReadOptions::default())?;
     let folder = &arguments.output;
     refuse_existing(&names(log, arguments))?;
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
@@ -132,9 +140,9 @@ fn name(sequence: u64, tick: u64) -> String {
 fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
     let mut names = Names { folder: &arguments.output, paths: Vec::new() };
     let range = (arguments.from, arguments.to);
-    let _ = description_of_topic(log, topics::DRR_FRAME)
+    let _ = description_of_topic(&LogFile::at(log), topics::DRR_FRAME)
         .and_then(|description| columns(description, &["sequence".to_owned()]))
-        .and_then(|columns| read_rows(log, topics::DRR_FRAME, &columns, range, &mut names));
+        .and_then(|columns| read_rows(&LogFile::at(log), topics::DRR_FRAME, &columns, range, &mut names));
     names.paths
 }
 

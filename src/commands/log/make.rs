@@ -5,7 +5,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use ipc_types::process::EXIT_GAP;
-use recorder_proc::{Packing, cat_files, compress, log_path, repair, split};
+use recorder_proc::log_file::log_path;
+use recorder_proc::rewritten::{Sizes, cat_files, compress, repair, split};
+use run_log::Packing;
 
 use super::Out;
 use crate::failure::Failure;
@@ -64,7 +66,7 @@ pub struct CompressArguments {
 /// A level that the method has not, not a log, an output that is there already (2); a log that is not whole (1).
 pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let packing = packing(arguments.method, arguments.level)?;
-    let (before, after) = compress(&log_path(&arguments.log), &arguments.output, packing)?;
+    let Sizes { before, after } = compress(&log_path(&arguments.log), &arguments.output, packing)?;
     let share = 100.0 * after as f64 / before.max(1) as f64;
     // What cannot be written is told when the command ends.
     let _ = writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages");

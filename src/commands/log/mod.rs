@@ -8,7 +8,9 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Subcommand;
-use recorder_proc::{LogError, ReadOptions, Verdict, diff, info, log_path};
+use recorder_proc::exit_code::exit_code;
+use recorder_proc::log_file::{LogFile, log_path};
+use run_log::{LogError, ReadOptions, diff, info};
 
 use crate::failure::Failure;
 use crate::say::{self, Out};
@@ -52,31 +54,31 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let read = ReadOptions::default();
     match command {
         LogCommand::Info { log } => {
-            let summary = info(&log_path(log), read)?;
+            let summary = info(&LogFile::at(log_path(log)), read)?;
             answered(summary.write(&mut out))?;
-            let mut code = summary.verdict.exit_code();
+            let mut code = exit_code(&summary.verdict);
             // Of a run's folder both lanes are asked for.
             let timing = log.join("timing.mcap");
             if log.is_dir() && timing.exists() {
-                let lane = info(&timing, read)?;
+                let lane = info(&LogFile::at(&timing), read)?;
                 answered(lane.write_misses(&mut out))?;
                 if !lane.verdict.is_intact() {
                     let _ = writeln!(out, "timing lane {}", lane.verdict);
                 }
-                code = worse(code, lane.verdict.exit_code());
+                code = worse(code, exit_code(&lane.verdict));
             }
             return concluded(&mut out, code);
         }
         LogCommand::Cat(arguments) => cat::run(arguments, &mut out)?,
         LogCommand::Diff { first, second } => {
-            let report = diff(&log_path(first), &log_path(second), read)?;
+            let report = diff(&LogFile::at(log_path(first)), &LogFile::at(log_path(second)), read)?;
             answered(report.write(&mut out))?;
             if !report.same_run() {
                 // The report has said where.
                 let _ = out.flush();
                 return Err(Failure::failed("the logs differ"));
             }
-            let codes = report.verdicts.each_ref().map(Verdict::exit_code);
+            let codes = report.verdicts.each_ref().map(exit_code);
             return concluded(&mut out, worse(codes[0], codes[1]));
         }
         LogCommand::Repair(arguments) => make::repair_log(arguments, &mut out)?,

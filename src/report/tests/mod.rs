@@ -7,7 +7,8 @@ use std::path::Path;
 
 use super::*;
 use fastrand::Rng;
-use recorder_proc::{EndReason, LogHeader, RunLog, RunMode, TimingLog};
+use recorder_proc::log_file::{create_run, create_timing};
+use run_log::{EndReason, LogHeader, RunMode};
 use synthetic::{BURR_RADIUS_M, FRAME_TICKS};
 
 const TICKS: u64 = 2000;
@@ -169,10 +170,10 @@ fn a_run_without_ticks_or_logs_is_reported() {
 
     let folder = tempfile::tempdir().unwrap();
     let header = LogHeader { mode: RunMode::Lockstep, ..synthetic::header() };
-    let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &header).unwrap();
+    let mut run = create_run(&folder.path().join("run.mcap"), &header).unwrap();
     run.state(&synthetic::state(0, 1, &mut Rng::with_seed(1))).unwrap();
     run.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
-    let timing = TimingLog::create_file(&folder.path().join("timing.mcap"), &header).unwrap();
+    let timing = create_timing(&folder.path().join("timing.mcap"), &header).unwrap();
     timing.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap();
     let summary = write(folder.path(), &facts()).unwrap();
     assert_eq!((summary.ticks, summary.scene.as_deref()), (0, Some("synthetic")));
@@ -187,7 +188,7 @@ fn a_run_without_ticks_or_logs_is_reported() {
 #[test]
 fn numbers_that_are_none_do_not_stop_the_drawing() {
     let folder = tempfile::tempdir().unwrap();
-    let mut run = RunLog::create_file(&folder.path().join("run.mcap"), &synthetic::header()).unwrap();
+    let mut run = create_run(&folder.path().join("run.mcap"), &synthetic::header()).unwrap();
     for tick in 0..50 {
         let mut state = synthetic::state(tick, 50, &mut Rng::with_seed(1));
         if tick > 20 {

@@ -6,7 +6,9 @@ use std::path::Path;
 use fastrand::Rng;
 use ipc_types::layout::Message;
 use ipc_types::messages::*;
-use recorder_proc::{BuildInfo, EndReason, LogHeader, RunLog, RunMode, TimingLog, topics};
+use recorder_proc::build_info;
+use recorder_proc::log_file::{create_run, create_timing};
+use run_log::{EndReason, LogHeader, RunMode, topics};
 use zerocopy::IntoBytes;
 
 /// The scene's text; its target lies where the burr ends, 1 mm to the side.
@@ -60,7 +62,7 @@ pub fn header() -> LogHeader {
         dt_ns: 1_000_000,
         mode: RunMode::RealTime,
         controllers: vec!["guide".to_string(), "watch".to_string()],
-        build: BuildInfo::current(),
+        build: build_info::current(),
     }
 }
 
@@ -133,8 +135,8 @@ fn event(tick: u64, severity: u32, code: u32, text: &str) -> Vec<u8> {
 /// Writes both lanes of a run of `ticks` ticks into a folder.
 pub fn write_run(folder: &Path, ticks: u64) {
     let mut random = Rng::with_seed(1);
-    let mut run = RunLog::create_file(&folder.join("run.mcap"), &header()).unwrap();
-    let mut lane = TimingLog::create_file(&folder.join("timing.mcap"), &header()).unwrap();
+    let mut run = create_run(&folder.join("run.mcap"), &header()).unwrap();
+    let mut lane = create_timing(&folder.join("timing.mcap"), &header()).unwrap();
     run.state(&state(0, ticks, &mut random)).unwrap();
     let mut frames = 0;
     for k in 0..ticks {

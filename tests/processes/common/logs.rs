@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use ipc_types::messages::{DrrReply, Latched, State};
-use recorder_proc::{
-    EndMarker, EndReason, LogHeader, LogReader, MessageStream, ReadOptions, RunLog, TickRecord, topics,
-};
+use recorder_proc::log_file::{LogFile, create_run};
+use run_log::{EndMarker, EndReason, LogHeader, LogReader, MessageStream, ReadOptions, TickRecord, topics};
 use zerocopy::FromBytes;
 
 use super::program::{Done, trabecula};
@@ -20,7 +19,7 @@ pub struct Whole {
 
 /// Reads a log that must be readable to its end.
 pub fn read(folder: &Path) -> Whole {
-    let mut reader = LogReader::open(&folder.join("run.mcap")).unwrap();
+    let mut reader = LogReader::open(&LogFile::at(folder.join("run.mcap"))).unwrap();
     let initial = *reader.initial();
     let ticks = reader.by_ref().map(Result::unwrap).collect();
     Whole { initial, ticks, marker: reader.ending().marker.clone() }
@@ -28,7 +27,7 @@ pub fn read(folder: &Path) -> Whole {
 
 /// Messages of a log by topic; the log must be complete and miss none.
 pub fn counts(log: &Path) -> BTreeMap<String, u64> {
-    let mut stream = MessageStream::open(log, ReadOptions::default()).unwrap();
+    let mut stream = MessageStream::open(&LogFile::at(log), ReadOptions::default()).unwrap();
     while stream.next_message().unwrap().is_some() {}
     let marker = stream.ending().marker.clone().expect("an end marker");
     assert_eq!(marker.lost, BTreeMap::new());
@@ -64,10 +63,10 @@ pub fn rewrite_as(
     latched: impl Fn(&mut Latched),
     state: impl Fn(&mut State),
 ) {
-    let mut stream = MessageStream::open(from, ReadOptions::default()).unwrap();
+    let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
     let mut changed = stream.header().clone();
     header(&mut changed);
-    let mut log = RunLog::create_file(to, &changed).unwrap();
+    let mut log = create_run(to, &changed).unwrap();
     while let Some(message) = stream.next_message().unwrap() {
         match message.topic {
             topics::LATCHED => {
@@ -90,8 +89,8 @@ pub fn rewrite_as(
 
 /// Writes a log again, every message at its place, as `edit` leaves its bytes; what it returns false of is left out.
 pub fn edited(from: &Path, to: &Path, mut edit: impl FnMut(&str, &mut Vec<u8>) -> bool) {
-    let mut stream = MessageStream::open(from, ReadOptions::default()).unwrap();
-    let mut log = RunLog::create_file(to, stream.header()).unwrap();
+    let mut stream = MessageStream::open(&LogFile::at(from), ReadOptions::default()).unwrap();
+    let mut log = create_run(to, stream.header()).unwrap();
     log.keep_places();
     let (mut frame, mut chunk) = (None, 1);
     while let Some(message) = stream.next_message().unwrap() {

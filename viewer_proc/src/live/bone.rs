@@ -11,8 +11,9 @@ use ipc_types::messages::{Removed, RunStatus, Volume};
 use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
-use recorder_proc::reader::voxel_indices;
-use recorder_proc::{MessageStream, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::reader::voxel_indices;
+use run_log::{MessageStream, ReadOptions, topics};
 use zerocopy::FromBytes;
 
 use crate::board::Board;
@@ -161,9 +162,11 @@ impl Removals {
             let text = "nothing is recorded: bone that was drilled before the viewer joined is shown whole";
             return self.say_incomplete(text, board);
         };
-        let Ok(mut stream) =
-            MessageStream::open_topics(path, &[topics::REMOVED.to_owned()], ReadOptions::default())
-        else {
+        let Ok(mut stream) = MessageStream::open_topics(
+            &LogFile::at(path),
+            &[topics::REMOVED.to_owned()],
+            ReadOptions::default(),
+        ) else {
             return;
         };
         let mut logged = 0;

@@ -11,7 +11,7 @@ use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
-use recorder_proc::topics;
+use run_log::topics;
 
 use super::parts::Parts;
 use crate::board::Board;

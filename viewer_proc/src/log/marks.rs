@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use ipc_types::messages::{Event, Removed, State, TickTiming};
-use recorder_proc::reader::{voxel_indices, voxels_of};
-use recorder_proc::{LogError, LogHeader, MessageStream, ReadOptions, topics};
+use recorder_proc::log_file::LogFile;
+use run_log::reader::{voxel_indices, voxels_of};
+use run_log::{LogError, LogHeader, MessageStream, ReadOptions, topics};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
@@ -59,7 +60,7 @@ pub struct Outline {
 /// It is no log of this build.
 pub fn outline(path: &Path) -> Result<Outline, LogError> {
     let wanted = [topics::STATE, topics::REMOVED, topics::DRR_FRAME].map(str::to_owned);
-    let mut stream = MessageStream::open_topics(path, &wanted, ReadOptions::default())?;
+    let mut stream = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())?;
     let mut outline = Outline::new(stream.header().clone());
     // What keeps it from being read further is among the faults.
     while let Ok(Some(message)) = stream.next_message() {
@@ -168,7 +169,8 @@ fn part(first: &[(u64, [u64; 2])], second: &[(u64, [u64; 2])]) -> Option<(u64, &
 /// log's is when they came to the recorder.
 pub fn timing_marks(path: &Path, dt_ns: u64) -> Vec<Mark> {
     let wanted = [topics::EVENT, topics::TICK_TIMING].map(str::to_owned);
-    let Ok(mut stream) = MessageStream::open_topics(path, &wanted, ReadOptions::default()) else {
+    let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())
+    else {
         return Vec::new();
     };
     let (mut events, mut misses) = (Vec::new(), Vec::new());
@@ -194,7 +196,8 @@ pub fn timing_marks(path: &Path, dt_ns: u64) -> Vec<Mark> {
 
 #[cfg(test)]
 mod tests {
-    use recorder_proc::{BuildInfo, RunMode};
+    use recorder_proc::build_info;
+    use run_log::RunMode;
     use zerocopy::IntoBytes;
 
     use super::*;
@@ -209,7 +212,7 @@ mod tests {
             dt_ns: 1_000_000,
             mode: RunMode::RealTime,
             controllers: Vec::new(),
-            build: BuildInfo::current(),
+            build: build_info::current(),
         })
     }
 

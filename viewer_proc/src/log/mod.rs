@@ -15,8 +15,9 @@ use ipc_types::layout::Message;
 use ipc_types::messages::{Latched, State};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
-use recorder_proc::fields::Scalar;
-use recorder_proc::{difference, log_path, topics};
+use recorder_proc::log_file::log_path;
+use run_log::fields::Scalar;
+use run_log::{difference, topics};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 

@@ -1,0 +1,340 @@
+//! A file that a thread of its own writes, so that a disk that stalls stops nobody who has something to record.
+//!
+//! Bytes go into preallocated, page-aligned buffers that are used again and again. The thread writes them with
+//! `O_DIRECT` where the file system can: the data is not copied into the page cache, which costs a fraction of the
+//! processor time (`examples/disk_cost.rs` measures it) and keeps the kernel from long copies that nothing preempts.
+//! Elsewhere (tmpfs, FUSE) it writes as usual. The finished file is the same in either way.
+//!
+//! While it is written directly, a file may end in up to one block of zeros: the rest of the last block.
+//!
+//! The thread brings what it has written to the disk once a second (`fdatasync`), and all of it before the file is closed: a machine
+//! that loses its power costs what was recorded in the last second or so. Whoever records does not wait for that either.
+
+use std::collections::VecDeque;
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use memmap2::MmapMut;
+
+mod disk;
+
+use disk::{Disk, Medium, open};
+
+/// Alignment of offsets, lengths and addresses that every file system's `O_DIRECT` takes.
+const BLOCK: usize = 4096;
+/// Written bytes are on the disk after this much wall time, and what the disk takes for it.
+pub const SYNC_PERIOD: Duration = Duration::from_secs(1);
+
+/// How much may wait for the disk, and how it is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BackgroundOptions {
+    /// Buffers.
+    pub buffers: usize,
+    /// Bytes of each; a multiple of 4096.
+    pub buffer_bytes: usize,
+    /// Tries `O_DIRECT`.
+    pub direct: bool,
+    /// Never writes over a file that is there.
+    pub fresh: bool,
+}
+
+impl BackgroundOptions {
+    /// 32 MiB, in pieces small enough that a flush every 10 ms takes no more than its share: half a second of images
+    /// of 2 MiB at 30 Hz. Only buffers that are used become resident.
+    pub const RUN: BackgroundOptions =
+        BackgroundOptions { buffers: 64, buffer_bytes: 512 << 10, direct: true, fresh: true };
+    /// 2 MiB: more than half a second of the timing lane.
+    pub const TIMING: BackgroundOptions =
+        BackgroundOptions { buffers: 16, buffer_bytes: 128 << 10, direct: true, fresh: true };
+}
+
+/// A buffer and the bytes in it.
+struct Buffer {
+    memory: MmapMut,
+    /// Offset of its first byte in the file; a multiple of [`BLOCK`].
+    offset: u64,
+    /// Bytes at its start that have been written with the buffer before.
+    carried: usize,
+    length: usize,
+}
+
+struct State {
+    /// Last in, first out, so that no more memory is touched than is needed at a time.
+    free: Vec<Buffer>,
+    full: VecDeque<Buffer>,
+    failure: Option<(io::ErrorKind, Option<i32>, String)>,
+    closed: bool,
+}
+
+impl State {
+    /// The first error counts.
+    fn fail(&mut self, outcome: io::Result<()>) {
+        if let (Err(cause), None) = (outcome, &self.failure) {
+            self.failure = Some((cause.kind(), cause.raw_os_error(), cause.to_string()));
+        }
+    }
+}
+
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wait<'a>(&self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
+        self.wait_for(state, None)
+    }
+
+    /// Waits for a change, no longer than `limit`.
+    fn wait_for<'a>(&self, state: MutexGuard<'a, State>, limit: Option<Duration>) -> MutexGuard<'a, State> {
+        match limit {
+            None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            Some(limit) => {
+                let waited = self.changed.wait_timeout(state, limit);
+                waited.unwrap_or_else(PoisonError::into_inner).0
+            }
+        }
+    }
+}
+
+/// A file being written by a thread of its own.
+///
+/// `write` copies; it waits only when all buffers are full. `flush` hands what is there to the thread and does not wait
+/// for the disk. An error of the thread comes back from the next call and from [`close`](BackgroundFile::close).
+pub struct BackgroundFile {
+    shared: Arc<Shared>,
+    current: Option<Buffer>,
+    thread: Option<JoinHandle<()>>,
+    direct: bool,
+}
+
+impl BackgroundFile {
+    /// Creates the file, its buffers and its thread.
+    ///
+    /// # Errors
+    /// The file cannot be created, or there is no memory or no thread to be had.
+    pub fn create(path: &Path, options: BackgroundOptions) -> io::Result<BackgroundFile> {
+        let (file, direct) = open(path, options)?;
+        BackgroundFile::on(Box::new(file), direct, options)
+    }
+
+    fn on(medium: Box<dyn Medium>, direct: bool, options: BackgroundOptions) -> io::Result<BackgroundFile> {
+        let bytes = options.buffer_bytes.next_multiple_of(BLOCK).max(2 * BLOCK);
+        let buffer = |_| -> io::Result<Buffer> {
+            Ok(Buffer { memory: MmapMut::map_anon(bytes)?, offset: 0, carried: 0, length: 0 })
+        };
+        let mut free = (0..options.buffers.max(2)).map(buffer).collect::<io::Result<Vec<Buffer>>>()?;
+        let full = VecDeque::with_capacity(free.len());
+        let current = free.pop();
+        let state = State { free, full, failure: None, closed: false };
+        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let of_thread = Arc::clone(&shared);
+        let disk = Disk { medium, direct, written: 0, unsynced: None };
+        let thread = std::thread::Builder::new().name("log writer".to_owned());
+        let thread = thread.spawn(move || disk.serve(&of_thread))?;
+        Ok(BackgroundFile { shared, current, thread: Some(thread), direct })
+    }
+
+    /// Whether the file was opened for `O_DIRECT`.
+    pub fn is_direct(&self) -> bool {
+        self.direct
+    }
+
+    /// Writes what is left, gives the file its exact length, and waits until all is on the disk.
+    ///
+    /// # Errors
+    /// What the disk said first.
+    pub fn close(mut self) -> io::Result<()> {
+        let flushed = self.flush();
+        self.join();
+        flushed.and(check(&self.shared.lock()))
+    }
+
+    fn join(&mut self) {
+        self.shared.lock().closed = true;
+        self.shared.changed.notify_all();
+        if let Some(thread) = self.thread.take() {
+            // It does not panic; a panic would have left its error or its data behind.
+            let _ = thread.join();
+        }
+    }
+
+    /// Hands the present buffer over and begins the next one with its last, incomplete block.
+    fn submit(&mut self) -> io::Result<()> {
+        let mut state = self.shared.lock();
+        let mut next = loop {
+            check(&state)?;
+            match state.free.pop() {
+                Some(buffer) => break buffer,
+                None => state = self.shared.wait(state),
+            }
+        };
+        if let Some(done) = self.current.take() {
+            let whole = done.length / BLOCK * BLOCK;
+            let rest = done.length - whole;
+            next.memory[..rest].copy_from_slice(&done.memory[whole..done.length]);
+            (next.offset, next.carried, next.length) = (done.offset + whole as u64, rest, rest);
+            state.full.push_back(done);
+        }
+        drop(state);
+        self.shared.changed.notify_all();
+        self.current = Some(next);
+        Ok(())
+    }
+}
+
+impl Write for BackgroundFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.current.as_ref().is_none_or(|buffer| buffer.length == buffer.memory.len()) {
+            self.submit()?;
+        }
+        let Some(buffer) = &mut self.current else { return Ok(0) };
+        let count = bytes.len().min(buffer.memory.len() - buffer.length);
+        buffer.memory[buffer.length..buffer.length + count].copy_from_slice(&bytes[..count]);
+        buffer.length += count;
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if self.current.as_ref().is_some_and(|buffer| buffer.length > buffer.carried) {
+            return self.submit();
+        }
+        check(&self.shared.lock())
+    }
+}
+
+impl Drop for BackgroundFile {
+    fn drop(&mut self) {
+        if self.thread.is_some() {
+            // Nobody is left to hear of an error; what was taken is written if it can be.
+            let _ = self.flush();
+            self.join();
+        }
+    }
+}
+
+fn check(state: &State) -> io::Result<()> {
+    match &state.failure {
+        None => Ok(()),
+        Some((_, Some(code), _)) => Err(io::Error::from_raw_os_error(*code)),
+        Some((kind, None, text)) => Err(io::Error::new(*kind, text.clone())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+
+    /// A disk with a cache of its own, which a loss of power empties.
+    #[derive(Default)]
+    struct Volatile {
+        cache: Vec<u8>,
+        disk: Vec<u8>,
+        syncs: u64,
+        refuses: bool,
+    }
+
+    impl Medium for Arc<Mutex<Volatile>> {
+        fn write_all_at(&self, bytes: &[u8], offset: u64) -> io::Result<()> {
+            let mut this = self.lock().unwrap();
+            let (begin, end) = (offset as usize, offset as usize + bytes.len());
+            if this.cache.len() < end {
+                this.cache.resize(end, 0);
+            }
+            this.cache[begin..end].copy_from_slice(bytes);
+            Ok(())
+        }
+
+        fn write_through_cache(&self) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn set_length(&self, length: u64) -> io::Result<()> {
+            self.lock().unwrap().cache.truncate(length as usize);
+            Ok(())
+        }
+
+        fn sync(&self) -> io::Result<()> {
+            let mut this = self.lock().unwrap();
+            this.syncs += 1;
+            if this.refuses {
+                return Err(io::Error::from_raw_os_error(rustix::io::Errno::IO.raw_os_error()));
+            }
+            this.disk = this.cache.clone();
+            Ok(())
+        }
+    }
+
+    fn file() -> (Arc<Mutex<Volatile>>, BackgroundFile) {
+        let disk = Arc::new(Mutex::new(Volatile::default()));
+        let options = BackgroundOptions { buffers: 4, buffer_bytes: 8192, direct: true, fresh: true };
+        (Arc::clone(&disk), BackgroundFile::on(Box::new(Arc::clone(&disk)), true, options).unwrap())
+    }
+
+    fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
+        let end = Instant::now() + Duration::from_secs(60);
+        while !done() {
+            assert!(Instant::now() < end, "{what} did not happen");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Nothing was ever synced: a machine that crashed right after "completed" had an empty log.
+    #[test]
+    fn a_closed_file_survives_a_crash_of_the_machine() {
+        let (disk, mut file) = file();
+        let bytes: Vec<u8> = (0..100_000_u32).map(|i| i as u8).collect();
+        file.write_all(&bytes).unwrap();
+        file.close().unwrap();
+        assert!(disk.lock().unwrap().disk == bytes);
+    }
+
+    #[test]
+    fn what_was_written_is_soon_on_the_disk_and_an_idle_file_is_left_alone() {
+        let (disk, mut file) = file();
+        file.write_all(&[7; 5000]).unwrap();
+        file.flush().unwrap();
+        wait_for("the first sync", || disk.lock().unwrap().disk.starts_with(&[7; 5000]));
+        let before = disk.lock().unwrap().syncs;
+        std::thread::sleep(2 * SYNC_PERIOD);
+        assert_eq!(disk.lock().unwrap().syncs, before);
+        drop(file);
+    }
+
+    #[test]
+    fn a_disk_that_cannot_keep_the_bytes_is_told() {
+        let (disk, mut file) = file();
+        disk.lock().unwrap().refuses = true;
+        file.write_all(b"lost").unwrap();
+        assert_eq!(file.close().unwrap_err().raw_os_error(), Some(rustix::io::Errno::IO.raw_os_error()));
+    }
+
+    #[test]
+    fn a_file_that_is_removed_while_it_is_written_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log");
+        let mut file = BackgroundFile::create(&path, BackgroundOptions::TIMING).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        file.write_all(b"for nobody").unwrap();
+        wait_for("the error", || file.flush().is_err());
+        assert!(file.close().unwrap_err().to_string().contains("has been removed"));
+    }
+
+    #[test]
+    fn a_file_that_is_there_is_not_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log");
+        std::fs::write(&path, "another run").unwrap();
+        assert!(BackgroundFile::create(&path, BackgroundOptions::RUN).is_err());
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "another run");
+    }
+}

@@ -1,0 +1,179 @@
+//! The recorder process: takes every message of every service and writes the two logs.
+//!
+//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]; one thread takes
+//! from them and puts the log together, another writes the files ([`background`](crate::background)). The physics in lockstep, and
+//! with `recording.on_full = "wait"` in real time, waits for its `Progress`; else a recorder that is later than its queues
+//! leaves a gap: said at once in an event, counted in the log's end, and told by the exit code ([`RecorderError::Gap`]).
+
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use hub::rate_limit::WarningLimit;
+use ipc_types::messages::{Part, Volume};
+use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::process::{
+    EXIT_FAILED, EXIT_GAP, EndRequest, Role, VOLUME_LIMIT, await_volume, prioritise, session_scene,
+};
+use ipc_types::scene::{Mode, Scene, SceneError};
+use ipc_types::services::{self, RECORDER_QUEUE_TICKS};
+use ipc_types::session::{Session, SessionError};
+use run_log::gaps::Gaps;
+use run_log::header::CALIBRATION_ATTACHMENT;
+use run_log::{LogError, LogHeader, RunLog, RunMode, TimingLog};
+use thiserror::Error;
+
+use crate::background::{BackgroundFile, BackgroundOptions};
+use crate::build_info;
+use crate::log_file::index_beside;
+
+mod ports;
+mod recorder;
+
+use ports::Ports;
+use recorder::{Recorded, Recorder};
+
+/// Why the recorder ends early.
+#[derive(Debug, Error)]
+pub enum RecorderError {
+    /// The session cannot be joined.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The session's scene cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A message cannot be taken.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// A log cannot be written.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// The scene's text cannot be read back.
+    #[error("{path}: {cause}")]
+    SceneText {
+        /// Scene in the session's folder.
+        path: PathBuf,
+        /// The system's reason.
+        cause: std::io::Error,
+    },
+    /// The volume did not come.
+    #[error("the volume did not arrive within {} s; is the launcher running?", VOLUME_LIMIT.as_secs())]
+    NoVolume,
+    /// Signals cannot be handled.
+    #[error("signals cannot be handled: {0}")]
+    Signals(std::io::Error),
+    /// The folder of the logs cannot be brought to the disk.
+    #[error("{}: cannot be brought to the disk: {source}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The log is finished, but something that belongs into `run.mcap` never came.
+    #[error(
+        "the log has a gap ({lost}): the recorder was held up for longer than the {RECORDER_QUEUE_TICKS} ticks that its queues hold; \
+         `recording.on_full = \"wait\"` makes the physics wait for it"
+    )]
+    Gap {
+        /// What is missing, by topic.
+        lost: String,
+    },
+}
+
+impl RecorderError {
+    /// Exit code of the recorder process.
+    pub fn exit_code(&self) -> u8 {
+        if matches!(self, RecorderError::Gap { .. }) { EXIT_GAP } else { EXIT_FAILED }
+    }
+}
+
+/// Name of the file in the session's folder that says where the run is recorded.
+pub const OUTPUT_FILE: &str = "output";
+
+/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then takes what
+/// still waits and finishes both logs.
+///
+/// # Errors
+/// Any [`RecorderError`].
+pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
+    let end = EndRequest::install().map_err(RecorderError::Signals)?;
+    let scene = session_scene(session_folder)?;
+    if scene.run.mode == Mode::Realtime {
+        // Before the writing threads start, which are to have it too.
+        prioritise(Role::Recorder, scene.run.policy);
+    }
+    let session = Session::join(session_folder)?;
+    session.claim(Part::Recorder)?;
+    let header = header(&session, &scene, &end)?;
+    let ports = Ports::open(&session, &scene)?;
+    let (run, timing) = (output.join("run.mcap"), output.join("timing.mcap"));
+    let mut recorder = Recorder {
+        run: RunLog::create_named(create(&run, BackgroundOptions::RUN)?, &run, index_beside(&run), &header)?,
+        timing: TimingLog::create_named(
+            create(&timing, BackgroundOptions::TIMING)?,
+            &timing,
+            index_beside(&timing),
+            &header,
+        )?,
+        recording: scene.recording.clone(),
+        newest_tick: 0,
+        reported_tick: 0,
+        gaps: Gaps::default(),
+        run_has_ended: false,
+        session_folder: session_folder.to_owned(),
+        strangers: 0,
+        stranger_warnings: WarningLimit::default(),
+        gap_warnings: WarningLimit::default(),
+        ports,
+    };
+    // From here on a machine that loses its power leaves files that say what they are.
+    sync_folder(output)?;
+    let recorded = recorder.record(&end);
+    let how_far = if recorded.is_ok() { Recorded::UpToTheEnd } else { Recorded::UpToAnError };
+    // Whatever went wrong, what has been taken is kept.
+    let finished = recorder.finish(output, how_far);
+    recorded.and(finished)
+}
+
+fn create(path: &Path, options: BackgroundOptions) -> Result<BackgroundFile, LogError> {
+    BackgroundFile::create(path, options).map_err(|source| match source.kind() {
+        ErrorKind::AlreadyExists => LogError::Exists { path: path.into() },
+        _ => LogError::Create { path: path.into(), source },
+    })
+}
+
+fn sync_folder(folder: &Path) -> Result<(), RecorderError> {
+    output_file::sync_folder(folder).map_err(|source| RecorderError::Folder { path: folder.into(), source })
+}
+
+/// What the logs say about the run.
+fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeader, RecorderError> {
+    let (volume_sha256, volume_dimensions) = match &scene.volume {
+        Some(_) => {
+            let (sha256, dimensions) = volume_identity(session, end)?;
+            (Some(sha256), dimensions)
+        }
+        None => (None, [0; 3]),
+    };
+    let path = session.folder().join("scene.toml");
+    let scene_toml =
+        std::fs::read_to_string(&path).map_err(|cause| RecorderError::SceneText { path, cause })?;
+    Ok(LogHeader {
+        scene_toml,
+        // The launcher lays it there if the scene has an X-ray.
+        calibration_json: std::fs::read_to_string(session.folder().join(CALIBRATION_ATTACHMENT)).ok(),
+        scene_name: scene.name.clone(),
+        volume_sha256,
+        volume_dimensions,
+        dt_ns: scene.dt_ns(),
+        mode: if scene.run.mode == Mode::Lockstep { RunMode::Lockstep } else { RunMode::RealTime },
+        controllers: scene.controller_names(),
+        build: build_info::current(),
+    })
+}
+
+fn volume_identity(session: &Session, end: &EndRequest) -> Result<([u8; 32], [u32; 3]), RecorderError> {
+    let subscriber: Subscriber<Volume> = session.subscriber(&services::VOLUME)?;
+    let volume = await_volume(&subscriber, end)?.ok_or(RecorderError::NoVolume)?;
+    Ok((volume.message().sha256, volume.message().dimensions))
+}

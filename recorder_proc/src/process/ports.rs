@@ -1,0 +1,83 @@
+//! Every service that the recorder listens to, and the two that it sends on.
+
+use ipc_types::messages::{
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Progress, Removed,
+    RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming,
+};
+use ipc_types::ports::{Publisher, Subscriber};
+use ipc_types::process::EventSender;
+use ipc_types::scene::Scene;
+use ipc_types::services;
+use ipc_types::session::{Reader, Session, SessionError};
+use ipc_types::wake::{Waiter, Waker};
+use run_log::topics;
+
+/// The recorder's ports: every service of the session.
+pub(super) struct Ports {
+    pub states: Subscriber<State>,
+    pub latched: Subscriber<Latched>,
+    pub removed: Subscriber<Removed>,
+    pub keyframes: Subscriber<Keyframe>,
+    pub frames: Option<Subscriber<Frame>>,
+    pub replies: Subscriber<DrrReply>,
+    pub requests: Subscriber<DrrRequest>,
+    pub commands: Vec<(String, Subscriber<Command>)>,
+    pub controls: Subscriber<RunControl>,
+    pub control_replies: Subscriber<RunControlReply>,
+    pub status: Subscriber<RunStatus>,
+    pub events: Subscriber<Event>,
+    pub tick_timing: Subscriber<TickTiming>,
+    pub frame_timing: Subscriber<FrameTiming>,
+    pub progress: Publisher<Progress>,
+    pub events_sent: EventSender,
+    pub waiter: Waiter,
+    pub physics: Waker,
+}
+
+impl Ports {
+    /// Opens all of them.
+    pub fn open(session: &Session, scene: &Scene) -> Result<Ports, SessionError> {
+        let command =
+            |name: String| Ok((topics::command(&name), session.lossless_command_subscriber(&name)?));
+        Ok(Ports {
+            states: session.lossless_subscriber(&services::STATE)?,
+            latched: session.lossless_subscriber(&services::LATCHED)?,
+            removed: session.lossless_subscriber(&services::REMOVED)?,
+            keyframes: session.lossless_subscriber(&services::KEYFRAME)?,
+            frames: scene.drr.as_ref().map(|_| session.lossless_subscriber(&services::FRAME)).transpose()?,
+            replies: session.lossless_subscriber(&services::DRR_REPLY)?,
+            requests: session.lossless_subscriber(&services::DRR_REQUEST)?,
+            commands: scene
+                .controller_names()
+                .into_iter()
+                .map(command)
+                .collect::<Result<_, SessionError>>()?,
+            controls: session.lossless_subscriber(&services::RUN_CONTROL)?,
+            control_replies: session.lossless_subscriber(&services::RUN_CONTROL_REPLY)?,
+            status: session.lossless_subscriber(&services::RUN_STATUS)?,
+            events: session.lossless_subscriber(&services::EVENT)?,
+            tick_timing: session.lossless_subscriber(&services::TICK_TIMING)?,
+            frame_timing: session.lossless_subscriber(&services::FRAME_TIMING)?,
+            progress: session.publisher(&services::PROGRESS)?,
+            events_sent: EventSender::new(session, SENDER_RECORDER)?,
+            waiter: session.waiter(Reader::Recorder)?,
+            physics: session.waker(Reader::Physics)?,
+        })
+    }
+}
+
+impl Ports {
+    /// Messages so far that did not come from the part whose service it is.
+    pub fn strangers(&self) -> u64 {
+        self.states.strangers()
+            + self.latched.strangers()
+            + self.removed.strangers()
+            + self.keyframes.strangers()
+            + self.frames.as_ref().map_or(0, Subscriber::strangers)
+            + self.replies.strangers()
+            + self.control_replies.strangers()
+            + self.status.strangers()
+            + self.tick_timing.strangers()
+            + self.frame_timing.strangers()
+    }
+}

@@ -1,0 +1,317 @@
+//! Taking what waits in the queues, and finishing the logs.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use hub::rate_limit::WarningLimit;
+use ipc_types::clock::now_ns;
+use ipc_types::layout::Message;
+use ipc_types::messages::{
+    EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Event, FrameTiming, PHASE_ENDED, Progress, RunStatus,
+    SENDER_RECORDER, SEVERITY_WARNING, TickTiming,
+};
+use ipc_types::ports::Subscriber;
+use ipc_types::process::EndRequest;
+use ipc_types::scene::{Images, Recording};
+use ipc_types::session::host_is_alive;
+use run_log::gaps::Gaps;
+use run_log::{EndMarker, EndReason, LogError, RunLog, TimingLog, topics};
+
+use super::ports::Ports;
+use super::{RecorderError, sync_folder};
+use crate::background::BackgroundFile;
+use crate::reason_file;
+
+/// Longest time between two looks at the queues: a small part of what they hold.
+const LOOK_TIME: Duration = Duration::from_millis(2);
+/// States after which progress is reported in between.
+const PROGRESS_TICKS: u64 = 64;
+/// States that are taken before the other queues are looked at again.
+const TICKS_PER_ROUND: usize = 16;
+/// Messages of one service that clients write which are taken before the other queues are looked at again: a client that never
+/// stops would keep the recorder from the ticks.
+const CLIENT_MESSAGES_PER_ROUND: usize = 256;
+/// Rounds after the run's end, in which the longest queue of clients' messages (2048 events) is emptied.
+const LAST_ROUNDS: usize = 8;
+/// How long a physics may take to end whose launcher has been killed.
+const ORPHANED_LIMIT: Duration = Duration::from_secs(5);
+/// Time without a state after which the timing lane is handed to the file.
+const QUIET_TIME: Duration = Duration::from_millis(100);
+
+/// How much of the run was recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Recorded {
+    /// All until the recorder was asked to end.
+    UpToTheEnd,
+    /// What came before an error of the recorder.
+    UpToAnError,
+}
+
+/// The recorder while it records.
+pub(super) struct Recorder {
+    /// Messages of strangers that have been said.
+    pub strangers: u64,
+    pub stranger_warnings: WarningLimit,
+    pub run: RunLog<BackgroundFile>,
+    pub timing: TimingLog<BackgroundFile>,
+    pub recording: Recording,
+    pub newest_tick: u64,
+    pub reported_tick: u64,
+    /// Of the timing lane.
+    pub gaps: Gaps,
+    /// Whether the physics has said so.
+    pub run_has_ended: bool,
+    pub session_folder: PathBuf,
+    pub gap_warnings: WarningLimit,
+    pub ports: Ports,
+}
+
+impl Recorder {
+    /// Takes messages until the recorder is asked to end, and then what still waits.
+    pub fn record(&mut self, end: &EndRequest) -> Result<(), RecorderError> {
+        self.report_progress(0)?;
+        let mut quiet_since = Instant::now();
+        while !end.is_set() {
+            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
+            // A physics process that joins later must hear of this one.
+            self.ports.progress.deliver_history()?;
+            if self.take_round()? {
+                quiet_since = Instant::now();
+            } else if quiet_since.elapsed() >= QUIET_TIME {
+                // In a pause no tick closes a chunk, and what people do then is to be in the file too.
+                self.timing.flush()?;
+                quiet_since = Instant::now();
+            }
+            self.report_strangers()?;
+        }
+        // The launcher says why the run ends before it asks. Its lock alone may outlive it for a moment.
+        if self.reason_path().is_none() || !host_is_alive(&self.session_folder) {
+            self.outlast_physics()?;
+        }
+        for _ in 0..LAST_ROUNDS {
+            self.take_round()?;
+        }
+        while self.ports.states.has_message() {
+            self.take_round()?;
+        }
+        Ok(())
+    }
+
+    /// A launcher asks when nobody writes any more; one that was killed asks all at the same moment. What the physics
+    /// publishes up to its end is to be in the log.
+    fn outlast_physics(&mut self) -> Result<(), RecorderError> {
+        let limit = Instant::now() + ORPHANED_LIMIT;
+        while !self.run_has_ended && Instant::now() < limit {
+            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
+            self.take_round()?;
+        }
+        Ok(())
+    }
+
+    /// Takes some ticks, and everything else that waits. In lockstep the physics goes on as fast as states are taken:
+    /// a recorder that took states as long as there are any would never come to the other queues, which overflow.
+    /// Returns whether a state came.
+    fn take_round(&mut self) -> Result<bool, RecorderError> {
+        let came = self.take_ticks()?;
+        self.take_frames()?;
+        self.take_timing()?;
+        Ok(came)
+    }
+
+    fn take_ticks(&mut self) -> Result<bool, RecorderError> {
+        let mut came = false;
+        for _ in 0..TICKS_PER_ROUND {
+            let Some(state) = self.ports.states.receive()? else { break };
+            came = true;
+            // Latched and Removed of a tick are published before its state.
+            self.take_inputs()?;
+            self.run.state(state.message())?;
+            let tick = state.message().tick;
+            drop(state);
+            let missing = self.newest_tick + 1..tick;
+            self.newest_tick = tick;
+            if !missing.is_empty() {
+                self.tell_of_gap(&missing)?;
+            }
+            if self.newest_tick >= self.reported_tick + PROGRESS_TICKS {
+                self.report_progress(self.newest_tick)?;
+            }
+        }
+        self.take_inputs()?;
+        if let Some(more) = self.gap_warnings.take_suppressed(now_ns()) {
+            let text = format!("{more} more gaps in the log");
+            self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
+        }
+        if self.newest_tick > self.reported_tick {
+            self.report_progress(self.newest_tick)?;
+        }
+        Ok(came)
+    }
+
+    fn take_inputs(&mut self) -> Result<(), RecorderError> {
+        while let Some(latched) = self.ports.latched.receive()? {
+            self.run.latched(latched.message())?;
+        }
+        while let Some(keyframe) = self.ports.keyframes.receive()? {
+            self.run.keyframe(keyframe.bytes())?;
+        }
+        while let Some(removed) = self.ports.removed.receive()? {
+            self.run.removed(removed.bytes())?;
+        }
+        Ok(())
+    }
+
+    fn take_frames(&mut self) -> Result<(), RecorderError> {
+        while let Some(reply) = self.ports.replies.receive()? {
+            self.run.drr_reply(reply.message())?;
+        }
+        let Some(frames) = &self.ports.frames else { return Ok(()) };
+        while let Some(frame) = frames.receive()? {
+            let sequence = frame.message().sequence;
+            match self.recording.images {
+                Images::Full if self.recording.keeps_image(sequence) => self.run.frame(frame.bytes())?,
+                Images::Full | Images::HashOnly => self.run.frame_without_image(frame.message())?,
+                Images::None => self.gaps.see(topics::DRR_FRAME, 0, sequence),
+            }
+        }
+        Ok(())
+    }
+
+    fn take_timing(&mut self) -> Result<(), RecorderError> {
+        let (ports, timing, tick) = (&self.ports, &mut self.timing, self.newest_tick);
+        while let Some(message) = ports.tick_timing.receive()? {
+            let of_tick = message.message().tick;
+            self.gaps.see(topics::TICK_TIMING, 0, of_tick + 1);
+            timing.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, of_tick, message.bytes())?;
+        }
+        for (topic, commands) in &ports.commands {
+            copy_all(commands, timing, topic, tick)?;
+        }
+        while let Some(message) = ports.frame_timing.receive()? {
+            self.gaps.see(topics::FRAME_TIMING, 0, message.message().frame_sequence);
+            timing.message(topics::FRAME_TIMING, FrameTiming::DESCRIPTION, tick, message.bytes())?;
+        }
+        for _ in 0..CLIENT_MESSAGES_PER_ROUND {
+            let Some(message) = ports.events.receive_valid(|_| {})? else { break };
+            self.gaps.see(topics::EVENT, message.message().sender, message.message().sequence);
+            timing.message(topics::EVENT, Event::DESCRIPTION, tick, message.bytes())?;
+        }
+        copy_all(&ports.controls, timing, topics::RUN_CONTROL, tick)?;
+        copy_all(&ports.control_replies, timing, topics::RUN_CONTROL_REPLY, tick)?;
+        while let Some(status) = ports.status.receive()? {
+            self.run_has_ended |= status.message().phase == PHASE_ENDED;
+            timing.message(topics::RUN_STATUS, RunStatus::DESCRIPTION, tick, status.bytes())?;
+        }
+        copy_all(&ports.requests, timing, topics::DRR_REQUEST, tick)
+    }
+
+    /// At once: what is recorded from here on may not be what the run is made for.
+    fn tell_of_gap(&mut self, missing: &Range<u64>) -> Result<(), RecorderError> {
+        if !self.gap_warnings.allows(now_ns()) {
+            return Ok(());
+        }
+        let text = format!(
+            "ticks {} to {} are missing in the log: the recorder was held up for longer than its queues hold",
+            missing.start,
+            missing.end - 1
+        );
+        Ok(self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?)
+    }
+
+    /// Says when programs that are not the part whose service it is have sent what the log does not take.
+    fn report_strangers(&mut self) -> Result<(), RecorderError> {
+        let strangers = self.ports.strangers();
+        let new = strangers - self.strangers;
+        if new > 0 && self.stranger_warnings.allows(now_ns()) {
+            self.strangers = strangers;
+            let text = format!("{new} messages on services of other parts came from strangers; not recorded");
+            self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+        }
+        // They are told the next time, with those that come until then.
+        self.stranger_warnings.take_suppressed(now_ns());
+        Ok(())
+    }
+
+    fn report_progress(&mut self, tick: u64) -> Result<(), RecorderError> {
+        self.reported_tick = tick;
+        let lost = self.run.lost().values().chain(self.gaps.lost().values());
+        let lost_messages = lost.fold(0, |sum: u64, lost| sum.saturating_add(*lost));
+        self.ports.progress.send(&Progress {
+            tick,
+            lost_messages,
+            consumer: SENDER_RECORDER,
+            reserved: 0,
+        })?;
+        self.ports.physics.wake();
+        Ok(())
+    }
+
+    /// Where the launcher has said why the run ends, if it has.
+    fn reason_path(&self) -> Option<PathBuf> {
+        reason_file::find(&self.session_folder, self.run.path().parent().unwrap_or(Path::new(".")))
+    }
+
+    pub fn finish(self, output: &Path, recorded: Recorded) -> Result<(), RecorderError> {
+        // Somebody else's signal may come before the launcher's word: of a run that is over the launcher is about to give it.
+        let limit = Instant::now() + ORPHANED_LIMIT;
+        let launcher_lives = || host_is_alive(&self.session_folder);
+        while self.run_has_ended && self.reason_path().is_none() && launcher_lives() && Instant::now() < limit
+        {
+            std::thread::sleep(LOOK_TIME);
+        }
+        let reason_path = self.reason_path();
+        let reason = match reason_path.as_deref().map(reason_file::read) {
+            _ if recorded == Recorded::UpToAnError => EndReason::PartDied("recorder".to_owned()),
+            Some(Ok(reason)) => reason,
+            // Nobody has ended the run: the recorder was told to go.
+            _ if launcher_lives() => EndReason::PartDied("recorder".to_owned()),
+            // It was killed, and could not say why the run ends.
+            _ => EndReason::PartDied("launcher".to_owned()),
+        };
+        // It has done its work.
+        reason_path.iter().for_each(|path| drop(std::fs::remove_file(path)));
+        let lost = self.gaps.lost();
+        let paths = [self.run.path().to_owned(), self.timing.path().to_owned()];
+        let [run_path, timing_path] = paths.clone();
+        let run = finish_file(run_path, self.run.finish(reason.clone(), &BTreeMap::new()));
+        let timing = finish_file(timing_path, self.timing.finish(reason.clone(), lost));
+        let run = run.and_then(|run| timing.map(|_| run))?;
+        if run.last_tick.is_none() && reason == EndReason::Interrupted {
+            // There was nothing to record yet, and there is nothing to replay.
+            paths.iter().for_each(|path| drop(std::fs::remove_file(path)));
+        }
+        sync_folder(output)?;
+        if run.lost.is_empty() {
+            return Ok(());
+        }
+        let each: Vec<String> = run.lost.iter().map(|(topic, count)| format!("{count} of {topic}")).collect();
+        Err(RecorderError::Gap { lost: each.join(", ") })
+    }
+}
+
+/// Waits until the finished log is on the disk.
+fn finish_file(
+    path: PathBuf,
+    finished: Result<(EndMarker, BackgroundFile), LogError>,
+) -> Result<EndMarker, LogError> {
+    let (marker, file) = finished?;
+    file.close().map_err(|source| LogError::Write { path, source })?;
+    Ok(marker)
+}
+
+/// Copies what waits on a service into the timing lane. What a client sends in a wrong length is no message: it has
+/// no place in the log, and whom it was meant for has said so in an event.
+fn copy_all<M: Message>(
+    subscriber: &Subscriber<M>,
+    timing: &mut TimingLog<BackgroundFile>,
+    topic: &str,
+    tick: u64,
+) -> Result<(), RecorderError> {
+    for _ in 0..CLIENT_MESSAGES_PER_ROUND {
+        let Some(message) = subscriber.receive_valid(|_| {})? else { break };
+        timing.message(topic, M::DESCRIPTION, tick, message.bytes())?;
+    }
+    Ok(())
+}

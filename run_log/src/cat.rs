@@ -1,0 +1,170 @@
+//! `cat` — messages of a log as JSON, one a line.
+
+use std::io::Write;
+
+use messages::ALL;
+use messages::layout::{Description, Element, Tail};
+use serde_json::{Map, Value, json};
+
+use crate::error::LogError;
+use crate::fields::{Place, Scalar, element_size, find};
+use crate::source::LogSource;
+use crate::stream::{LogMessage, MessageStream, ReadOptions};
+use crate::verdict::Verdict;
+
+/// Longest tail that is written out; pixels are told by their number.
+const MAX_TAIL_ELEMENTS: usize = 4096;
+
+/// Which messages and fields.
+#[derive(Debug, Clone, Default)]
+pub struct CatOptions {
+    /// Topics; empty for all.
+    pub topics: Vec<String>,
+    /// Field paths, `t_world_link[7].position_m`; empty for whole messages. A topic that has none of them is left out.
+    pub fields: Vec<String>,
+    /// First tick.
+    pub first_tick: u64,
+    /// Last tick, included.
+    pub last_tick: Option<u64>,
+    /// First simulated time, in nanoseconds.
+    pub first_ns: u64,
+    /// Last simulated time, included.
+    pub last_ns: Option<u64>,
+    /// How strict the reader is.
+    pub read: ReadOptions,
+}
+
+impl CatOptions {
+    fn takes(&self, tick: u64, time_ns: u64) -> bool {
+        tick >= self.first_tick
+            && self.last_tick.is_none_or(|last| tick <= last)
+            && time_ns >= self.first_ns
+            && self.last_ns.is_none_or(|last| time_ns <= last)
+    }
+}
+
+/// Writes the selected messages. Floats have as many digits as identify them; infinities and NaN are strings.
+///
+/// # Errors
+/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], behind the messages of the others; a log that cannot be read.
+pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Verdict, LogError> {
+    check_fields(&options.fields)?;
+    let mut stream = match options.topics.as_slice() {
+        [] => MessageStream::open(log, options.read)?,
+        topics => MessageStream::open_topics(log, topics, options.read)?,
+    };
+    let dt_ns = stream.header().dt_ns.max(1);
+    while let Some(message) = stream.next_message()? {
+        let tick = message.log_time_ns / dt_ns;
+        let chosen = options.topics.is_empty() || options.topics.iter().any(|topic| topic == message.topic);
+        if !chosen || !options.takes(tick, message.log_time_ns) {
+            continue;
+        }
+        let Some(content) = content(&message, &options.fields) else { continue };
+        let mut line = Map::new();
+        line.insert("topic".to_string(), json!(message.topic));
+        line.insert("tick".to_string(), json!(tick));
+        line.insert("log_time_ns".to_string(), json!(message.log_time_ns));
+        line.insert("message".to_string(), content);
+        writeln!(out, "{}", Value::Object(line))?;
+    }
+    let topics = stream.topics();
+    match options.topics.iter().find(|topic| !topics.contains(topic.as_str())) {
+        Some(unknown) => Err(stream.no_such_topic(unknown)),
+        None => Ok(stream.verdict()),
+    }
+}
+
+/// A field that no message has is a mistake of whoever asks, not an empty answer.
+pub(crate) fn check_fields(fields: &[String]) -> Result<(), LogError> {
+    for field in fields {
+        let mut attempts = ALL.iter().map(|description| find(description, field));
+        if attempts.all(|attempt| attempt.is_err()) {
+            let name = field.split(['.', '[']).next().unwrap_or_default();
+            let closest = ALL.iter().find(|description| description.fields.iter().any(|f| f.name == name));
+            let reason = closest.and_then(|description| find(description, field).err());
+            let reason = reason.unwrap_or_else(|| format!("no message has a field '{name}'"));
+            return Err(LogError::NoSuchField { field: field.clone(), reason });
+        }
+    }
+    Ok(())
+}
+
+fn content(message: &LogMessage<'_>, fields: &[String]) -> Option<Value> {
+    if fields.is_empty() {
+        return Some(whole(message.description, message.body));
+    }
+    let mut map = Map::new();
+    for field in fields {
+        if let Ok(place) = find(message.description, field) {
+            map.insert(field.clone(), place_value(&place, message.body));
+        }
+    }
+    (!map.is_empty()).then_some(Value::Object(map))
+}
+
+/// A whole message with its tail.
+pub fn whole(description: &'static Description, body: &[u8]) -> Value {
+    let mut map = object(description, body);
+    if let Some(tail) = description.tail {
+        let bytes = body.get(description.size..).unwrap_or_default();
+        map.insert(tail.name.to_string(), tail_value(&tail, bytes));
+    }
+    Value::Object(map)
+}
+
+fn object(description: &'static Description, bytes: &[u8]) -> Map<String, Value> {
+    let mut map = Map::new();
+    for field in description.fields {
+        let place = Place {
+            path: String::new(),
+            element: field.element,
+            array_length: field.array_length,
+            offset: field.offset,
+            size: field.size,
+        };
+        debug_assert!(element_size(field) * field.array_length.unwrap_or(1) == field.size);
+        map.insert(field.name.to_string(), place_value(&place, bytes));
+    }
+    map
+}
+
+fn place_value(place: &Place, bytes: &[u8]) -> Value {
+    let bytes = bytes.get(place.offset..place.offset + place.size).unwrap_or_default();
+    match place.array_length {
+        None => element_value(place.element, bytes),
+        Some(length) => {
+            let size = (place.size / length.max(1)).max(1);
+            bytes.chunks(size).map(|part| element_value(place.element, part)).collect()
+        }
+    }
+}
+
+fn element_value(element: Element, bytes: &[u8]) -> Value {
+    match element {
+        Element::Scalar(ros) => Scalar::read(ros, bytes).map_or(Value::Null, scalar_value),
+        Element::Message(nested) => Value::Object(object(nested, bytes)),
+    }
+}
+
+fn scalar_value(scalar: Scalar) -> Value {
+    match scalar {
+        Scalar::Unsigned(value) => json!(value),
+        Scalar::Signed(value) => json!(value),
+        Scalar::Float32(value) => scalar_value(Scalar::Float64(f64::from(value))),
+        Scalar::Float64(value) if value.is_finite() => json!(value),
+        Scalar::Float64(value) => json!(value.to_string()),
+    }
+}
+
+fn tail_value(tail: &Tail, bytes: &[u8]) -> Value {
+    let size = tail.element_size.max(1);
+    let count = bytes.len() / size;
+    if tail.ros_type == "string" {
+        return json!(String::from_utf8_lossy(bytes.strip_suffix(&[0]).unwrap_or(bytes)));
+    }
+    if count > MAX_TAIL_ELEMENTS {
+        return json!(format!("{count} elements of {}", tail.ros_type));
+    }
+    bytes.chunks(size).map(|part| element_value(Element::Scalar(tail.ros_type), part)).collect()
+}

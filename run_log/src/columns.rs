@@ -1,0 +1,128 @@
+//! Chosen fields of a topic as a table: one row a message, one column a number.
+
+use messages::layout::{Description, Element};
+
+use crate::error::LogError;
+use crate::fields::{Place, Scalar, element_size, find};
+use crate::source::LogSource;
+use crate::stream::{MessageStream, ReadOptions};
+use crate::topics;
+use crate::verdict::Verdict;
+
+/// One column: a scalar of a message.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Column {
+    /// Its path, `t_world_tip.position_m[0]`.
+    pub name: String,
+    /// ROS type of the scalar.
+    pub ros_type: &'static str,
+    offset: usize,
+    size: usize,
+}
+
+impl Column {
+    /// The column's value in a message.
+    pub fn value(&self, body: &[u8]) -> Option<Scalar> {
+        Scalar::read(self.ros_type, body.get(self.offset..self.offset + self.size)?)
+    }
+}
+
+/// The columns of some fields, in their order; arrays and nested messages become a column a number. No fields: all of
+/// the message.
+///
+/// # Errors
+/// [`LogError::NoSuchField`].
+pub fn columns(description: &'static Description, fields: &[String]) -> Result<Vec<Column>, LogError> {
+    let mut out = Vec::new();
+    if fields.is_empty() {
+        message(description, "", 0, &mut out);
+    }
+    for field in fields {
+        let place = find(description, field);
+        let place = place.map_err(|reason| LogError::NoSuchField { field: field.clone(), reason })?;
+        of_place(&place, field, &mut out);
+    }
+    Ok(out)
+}
+
+fn message(description: &'static Description, prefix: &str, offset: usize, out: &mut Vec<Column>) {
+    for field in description.fields {
+        let name = format!("{prefix}{}", field.name);
+        let place = Place {
+            path: name.clone(),
+            element: field.element,
+            array_length: field.array_length,
+            offset: offset + field.offset,
+            size: field.size,
+        };
+        debug_assert!(element_size(field) * field.array_length.unwrap_or(1) == field.size);
+        of_place(&place, &name, out);
+    }
+}
+
+fn of_place(place: &Place, name: &str, out: &mut Vec<Column>) {
+    let count = place.array_length.unwrap_or(1).max(1);
+    let size = place.size / count;
+    for i in 0..count {
+        let name = match place.array_length {
+            Some(_) => format!("{name}[{i}]"),
+            None => name.to_owned(),
+        };
+        let offset = place.offset + i * size;
+        match place.element {
+            Element::Scalar(ros_type) => out.push(Column { name, ros_type, offset, size }),
+            Element::Message(nested) => message(nested, &format!("{name}."), offset, out),
+        }
+    }
+}
+
+/// Takes a table row by row.
+pub trait Rows {
+    /// A row: the tick, the simulated time, and a value a column.
+    ///
+    /// # Errors
+    /// What its file says.
+    fn row(&mut self, tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError>;
+}
+
+/// This build's description of a topic of either lane.
+///
+/// # Errors
+/// [`LogError::NoSuchTopic`].
+pub fn description_of_topic(log: &dyn LogSource, topic: &str) -> Result<&'static Description, LogError> {
+    let mut stream = MessageStream::open_topics(log, &[topic.to_owned()], ReadOptions::default())?;
+    let first = stream.next_message()?.map(|message| message.description);
+    let of_run_lane =
+        || topics::RUN.iter().find(|(name, _)| *name == topic).map(|(_, description)| *description);
+    match first.or_else(of_run_lane) {
+        Some(description) => Ok(description),
+        // One without a message has no description to be read by.
+        None => Err(stream.no_such_topic(topic)),
+    }
+}
+
+/// Reads the messages of a topic in a range of ticks (both included) into rows.
+///
+/// # Errors
+/// A log that cannot be read; what the rows' file says.
+pub fn read_rows(
+    log: &dyn LogSource,
+    topic: &str,
+    columns: &[Column],
+    (first_tick, last_tick): (u64, Option<u64>),
+    rows: &mut dyn Rows,
+) -> Result<Verdict, LogError> {
+    let mut stream = MessageStream::open_topics(log, &[topic.to_owned()], ReadOptions::default())?;
+    let dt_ns = stream.header().dt_ns.max(1);
+    let mut values = Vec::with_capacity(columns.len());
+    while let Some(message) = stream.next_message()? {
+        let tick = message.log_time_ns / dt_ns;
+        if tick < first_tick || last_tick.is_some_and(|last| tick > last) {
+            continue;
+        }
+        values.clear();
+        values.extend(columns.iter().filter_map(|column| column.value(message.body)));
+        rows.row(tick, message.log_time_ns, &values)?;
+    }
+    Ok(stream.verdict())
+}

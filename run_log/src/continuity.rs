@@ -1,0 +1,194 @@
+//! Which messages of a run lane are missing between others, as their own numbers show.
+//!
+//! Every state and command carries its tick, every removal, keyframe part and frame a number that rises by one. What is
+//! missing is told as stretches of ticks, each with the messages that it lacks by topic.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use messages::{Frame, Keyframe, Latched, Removed, State};
+use zerocopy::FromBytes;
+
+use crate::end::EndMarker;
+use crate::limits::MAX_TOLD;
+use crate::stream::TopicCount;
+use crate::topics;
+
+/// Ticks of which something is not in a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Stretch {
+    /// First tick (`State.tick`).
+    pub first_tick: u64,
+    /// Last tick, included.
+    pub last_tick: u64,
+    /// Messages that are missing, by topic.
+    pub messages: BTreeMap<&'static str, u64>,
+}
+
+impl fmt::Display for Stretch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.first_tick, self.last_tick) {
+            (first, last) if first >= last => write!(f, "tick {first}")?,
+            (first, last) => write!(f, "ticks {first} to {last}")?,
+        }
+        let each: Vec<String> = self.messages.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
+        write!(f, ": {}", each.join(", "))
+    }
+}
+
+/// What is missing in a log.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Gap {
+    /// Where, in the order of the ticks; the first of them.
+    pub stretches: Vec<Stretch>,
+    /// Stretches that are not among them.
+    pub more: u64,
+    /// Messages by topic: also those behind the last tick, and of topics without numbers, as the end marker counts them.
+    pub lost: BTreeMap<String, u64>,
+}
+
+/// The numbers of a run lane's messages so far.
+#[derive(Debug, Default)]
+pub(crate) struct Continuity {
+    next_latched: u64,
+    next_state: u64,
+    removed: Numbered,
+    removed_total: u64,
+    /// State whose removals did not come.
+    owed: Option<u64>,
+    keyframe: Numbered,
+    frame: Numbered,
+    stretches: Vec<Stretch>,
+    more: u64,
+    lost: BTreeMap<&'static str, u64>,
+}
+
+/// Messages that are numbered from 1.
+#[derive(Debug, Default)]
+struct Numbered {
+    last: u64,
+    last_tick: u64,
+}
+
+impl Numbered {
+    /// The ticks in which messages are missing before this one, and how many.
+    fn see(&mut self, number: u64, tick: u64) -> Option<(u64, u64, u64)> {
+        let expected = self.last.saturating_add(1);
+        let first = self.last_tick.saturating_add(u64::from(self.last > 0));
+        (self.last, self.last_tick) = (number, tick);
+        (number != expected).then(|| (first.min(tick), tick, number.saturating_sub(expected).max(1)))
+    }
+}
+
+impl Continuity {
+    /// A message has come.
+    pub fn see(&mut self, topic: &str, body: &[u8]) {
+        match topic {
+            topics::LATCHED => {
+                let Ok(latched) = Latched::read_from_bytes(body) else { return };
+                // u_k leads to state k + 1.
+                let (expected, tick) = (self.next_latched, latched.tick);
+                self.next_latched = tick.saturating_add(1);
+                self.ticks(topics::LATCHED, expected.saturating_add(1), tick.saturating_add(1));
+            }
+            topics::STATE => {
+                let Ok(state) = State::read_from_bytes(body) else { return };
+                let expected = self.next_state;
+                self.next_state = state.tick.saturating_add(1);
+                self.ticks(topics::STATE, expected, state.tick);
+                if state.removed_total == self.removed_total {
+                    self.owed = None;
+                } else {
+                    self.owed.get_or_insert(state.tick);
+                }
+            }
+            topics::REMOVED => {
+                let Ok((removed, _)) = Removed::read_from_prefix(body) else { return };
+                self.removed_total = removed.removed_total;
+                let missing = self.removed.see(removed.sequence, removed.tick);
+                // Those that a state misses are the ones that the numbers miss.
+                self.owed = self.owed.filter(|_| missing.is_none());
+                self.numbered(topics::REMOVED, missing);
+            }
+            topics::KEYFRAME => {
+                let Ok((part, _)) = Keyframe::read_from_prefix(body) else { return };
+                let missing = self.keyframe.see(part.sequence, part.tick);
+                self.numbered(topics::KEYFRAME, missing);
+            }
+            topics::DRR_FRAME => {
+                let Ok(frame) = Frame::read_from_bytes(body) else { return };
+                let missing = self.frame.see(frame.sequence, frame.tick);
+                self.numbered(topics::DRR_FRAME, missing);
+            }
+            _ => {}
+        }
+    }
+
+    /// What is missing, where removals are among the topics that are read or not; `counts` and the marker know of messages behind the last one and of topics without numbers.
+    pub fn gap(
+        &self,
+        reads_removals: bool,
+        counts: &BTreeMap<String, TopicCount>,
+        marker: Option<&EndMarker>,
+    ) -> Option<Gap> {
+        let mut lost: BTreeMap<String, u64> =
+            self.lost.iter().map(|(topic, n)| ((*topic).to_owned(), *n)).collect();
+        if reads_removals && self.owed.is_some() {
+            *lost.entry(topics::REMOVED.to_owned()).or_default() += 1;
+        }
+        let mut at_least = |topic: &String, n: u64| {
+            if n > 0 {
+                let entry = lost.entry(topic.clone()).or_default();
+                *entry = n.max(*entry);
+            }
+        };
+        counts.iter().for_each(|(topic, count)| at_least(topic, count.missing));
+        if let Some(marker) = marker {
+            for topic in marker.lost.keys().chain(marker.damaged.keys()) {
+                let of = |counts: &BTreeMap<String, u64>| counts.get(topic).copied().unwrap_or(0);
+                at_least(topic, of(&marker.lost).saturating_add(of(&marker.damaged)));
+            }
+        }
+        let mut stretches = self.stretches.clone();
+        stretches.sort_by_key(|stretch| stretch.first_tick);
+        (!lost.is_empty()).then_some(Gap { stretches, more: self.more, lost })
+    }
+
+    /// A message of a topic that has one every tick.
+    fn ticks(&mut self, topic: &'static str, expected: u64, found: u64) {
+        match found.checked_sub(expected) {
+            Some(0) => {}
+            Some(missing) => self.note(topic, (expected, found - 1, missing), true),
+            // It goes back.
+            None => self.note(topic, (found, found, 1), true),
+        }
+    }
+
+    fn numbered(&mut self, topic: &'static str, missing: Option<(u64, u64, u64)>) {
+        if let Some(missing) = missing {
+            self.note(topic, missing, false);
+        }
+    }
+
+    /// Something is missing between two ticks, which are the very ones if `exact`.
+    fn note(&mut self, topic: &'static str, (first, last, count): (u64, u64, u64), exact: bool) {
+        let total = self.lost.entry(topic).or_default();
+        *total = total.saturating_add(count);
+        let touches = |s: &&mut Stretch| {
+            first <= s.last_tick.saturating_add(1) && s.first_tick <= last.saturating_add(1)
+        };
+        if let Some(stretch) = self.stretches.iter_mut().rev().find(touches) {
+            if exact {
+                stretch.first_tick = stretch.first_tick.min(first);
+                stretch.last_tick = stretch.last_tick.max(last);
+            }
+            let entry = stretch.messages.entry(topic).or_default();
+            *entry = entry.saturating_add(count);
+        } else if self.stretches.len() < MAX_TOLD {
+            let messages = BTreeMap::from([(topic, count)]);
+            self.stretches.push(Stretch { first_tick: first, last_tick: last, messages });
+        } else {
+            self.more += 1;
+        }
+    }
+}

@@ -1,0 +1,300 @@
+//! `diff` — do two logs hold the same run?
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use foreign_text::{foreign, foreign_line};
+use messages::layout::{Description, Message};
+use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched};
+use zerocopy::IntoBytes;
+
+use crate::difference::{Divergence, compare, compare_removed};
+use crate::end::EndReason;
+use crate::error::LogError;
+use crate::frames::{FrameReader, FrameRecord, frames};
+use crate::reader::{LogReader, TickRecord};
+use crate::seal::SEAL;
+use crate::source::LogSource;
+use crate::stream::{MessageStream, ReadOptions};
+use crate::topics;
+use crate::verdict::Verdict;
+use crate::verify::compare_state;
+
+/// A header entry that differs; empty where a log lacks it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HeaderDifference {
+    /// Name of the entry.
+    pub name: String,
+    /// In the first log.
+    pub first: String,
+    /// In the second log.
+    pub second: String,
+}
+
+/// What two logs have in common.
+#[derive(Debug, Default)]
+pub struct DiffReport {
+    /// Header entries that differ.
+    pub header: Vec<HeaderDifference>,
+    /// Complete ticks that are identical.
+    pub identical_ticks: u64,
+    /// Frames that are identical.
+    pub identical_frames: u64,
+    /// The first tick that differs.
+    pub ticks: Option<Divergence>,
+    /// The first frame that differs.
+    pub frames: Option<Divergence>,
+    /// The first keyframe part and the first reply that differ.
+    pub messages: Vec<Divergence>,
+    /// What one log has and the other lacks, and how each ends if they ended for different reasons. That one lacks only its end is
+    /// said by its verdict.
+    pub remarks: Vec<String>,
+    /// What is wrong with each.
+    pub verdicts: [Verdict; 2],
+}
+
+impl DiffReport {
+    /// True if both hold the same ticks, frames, keyframes and replies. Header entries may differ (another build, another
+    /// mode).
+    pub fn same_run(&self) -> bool {
+        let none_differs = self.ticks.is_none() && self.frames.is_none() && self.messages.is_empty();
+        none_differs && self.remarks.is_empty()
+    }
+
+    /// Writes the comparison for people.
+    pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
+        for HeaderDifference { name, first, second } in &self.header {
+            let [name, first, second] = [name, first, second].map(|text| foreign(text));
+            writeln!(out, "header {name}: \"{first}\" against \"{second}\"")?;
+        }
+        writeln!(
+            out,
+            "{} identical ticks, {} identical frames",
+            self.identical_ticks, self.identical_frames
+        )?;
+        for divergence in self.ticks.iter().chain(&self.frames).chain(&self.messages) {
+            writeln!(out, "{divergence}")?;
+        }
+        for remark in &self.remarks {
+            writeln!(out, "{}", foreign_line(remark))?;
+        }
+        for (name, verdict) in ["first", "second"].into_iter().zip(&self.verdicts) {
+            if !verdict.is_intact() {
+                writeln!(out, "the {name} log: {verdict}")?;
+            }
+        }
+        if self.same_run() {
+            writeln!(out, "identical")?;
+        }
+        Ok(())
+    }
+}
+
+/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run may
+/// interleave frames and ticks differently; that is no difference.
+pub fn diff(
+    first: &dyn LogSource,
+    second: &dyn LogSource,
+    options: ReadOptions,
+) -> Result<DiffReport, LogError> {
+    let mut report = DiffReport::default();
+    compare_ticks(first, second, options, &mut report)?;
+    compare_frames(first, second, options, &mut report)?;
+    for topic in [(topics::KEYFRAME, Keyframe::DESCRIPTION), (topics::DRR_REPLY, DrrReply::DESCRIPTION)] {
+        compare_messages(first, second, topic, options, &mut report)?;
+    }
+    Ok(report)
+}
+
+fn compare_ticks(
+    first: &dyn LogSource,
+    second: &dyn LogSource,
+    options: ReadOptions,
+    out: &mut DiffReport,
+) -> Result<(), LogError> {
+    let mut a = LogReader::open_with(first, options)?;
+    let mut b = LogReader::open_with(second, options)?;
+    out.header = compare_headers(a.stream().metadata(), b.stream().metadata());
+    if a.beginning().is_none() && b.beginning().is_none() {
+        out.ticks = compare_state(a.initial(), b.initial())
+            .or_else(|| compare_removed(0, a.predrilled(), b.predrilled()));
+    }
+    let (mut x, mut y) = (next_tick(&mut a)?, next_tick(&mut b)?);
+    // Ticks that only one of them has, as a gap of the other.
+    let mut alone = [0_u64; 2];
+    while out.ticks.is_none() {
+        // Behind a gap of one of them both go on where they meet.
+        if let (Some(in_a), Some(in_b)) = (&x, &y) {
+            match in_a.state.tick.cmp(&in_b.state.tick) {
+                Ordering::Less => {
+                    alone[0] += 1;
+                    x = next_tick(&mut a)?;
+                    continue;
+                }
+                Ordering::Greater => {
+                    alone[1] += 1;
+                    y = next_tick(&mut b)?;
+                    continue;
+                }
+                Ordering::Equal => {}
+            }
+        }
+        match (x, y) {
+            (Some(x), Some(y)) => {
+                out.ticks = compare_tick(&x, &y);
+                out.identical_ticks += u64::from(out.ticks.is_none());
+            }
+            (None, None) => {
+                if let (Some(x), Some(y)) = (reason(&a), reason(&b))
+                    && x != y
+                {
+                    out.remarks.push(format!("{}: {}", first.path().display(), a.ending().describe()));
+                    out.remarks.push(format!("{}: {}", second.path().display(), b.ending().describe()));
+                }
+                break;
+            }
+            (more_in_first, _) => {
+                let (long, short, ending) = match more_in_first {
+                    Some(_) => (first, second, b.ending()),
+                    None => (second, first, a.ending()),
+                };
+                let (long, short, ending) =
+                    (long.path().display(), short.path().display(), ending.describe());
+                out.remarks.push(format!("{long} goes on, {short} ends: {ending}"));
+                break;
+            }
+        }
+        (x, y) = (next_tick(&mut a)?, next_tick(&mut b)?);
+    }
+    for (path, count) in [first, second].into_iter().zip(alone).filter(|(_, count)| *count > 0) {
+        out.remarks.push(format!("{count} ticks are in {} alone", path.path().display()));
+    }
+    // A verdict is on the whole log, also where the logs differ before its end.
+    for reader in [&mut a, &mut b] {
+        while let Ok(Some(_)) = next_tick(reader) {}
+    }
+    out.verdicts = [a.stream().verdict(), b.stream().verdict()];
+    Ok(())
+}
+
+/// The next complete tick, behind a gap if there is one.
+fn next_tick(reader: &mut LogReader) -> Result<Option<TickRecord>, LogError> {
+    loop {
+        match reader.next() {
+            Some(Ok(tick)) => return Ok(Some(tick)),
+            None => return Ok(None),
+            Some(Err(LogError::Gap { .. })) => {
+                if reader.go_on()?.is_none() {
+                    return Ok(None);
+                }
+            }
+            Some(Err(error)) => return Err(error),
+        }
+    }
+}
+
+/// Why a run ended, if its log says so; also of one that was repaired.
+fn reason(reader: &LogReader) -> Option<&EndReason> {
+    let mut reason = &reader.ending().marker.as_ref()?.reason;
+    while let EndReason::Repaired(before) = reason {
+        reason = before.as_ref()?;
+    }
+    Some(reason)
+}
+
+fn compare_headers(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -> Vec<HeaderDifference> {
+    let names: std::collections::BTreeSet<&String> =
+        a.keys().chain(b.keys()).filter(|name| *name != SEAL).collect();
+    let value = |map: &BTreeMap<String, String>, name: &String| map.get(name).cloned().unwrap_or_default();
+    let entries = names.into_iter().map(|name| HeaderDifference {
+        name: name.clone(),
+        first: value(a, name),
+        second: value(b, name),
+    });
+    entries.filter(|entry| entry.first != entry.second).collect()
+}
+
+/// Where two ticks differ: the command before its effect.
+fn compare_tick(a: &TickRecord, b: &TickRecord) -> Option<Divergence> {
+    let restored = |tick: &TickRecord| tick.restored.clone().unwrap_or_default();
+    let (x, y) = (a.latched.as_bytes(), b.latched.as_bytes());
+    compare(topics::LATCHED, a.latched.tick, Latched::DESCRIPTION, x, y)
+        .or_else(|| compare_state(&a.state, &b.state))
+        .or_else(|| compare_removed(a.state.tick, &restored(a), &restored(b)))
+        .or_else(|| compare_removed(a.state.tick, &a.removed, &b.removed))
+}
+
+fn compare_frames(
+    first: &dyn LogSource,
+    second: &dyn LogSource,
+    options: ReadOptions,
+    out: &mut DiffReport,
+) -> Result<(), LogError> {
+    let (mut a, mut b) = (frames(first, options)?, frames(second, options)?);
+    while out.frames.is_none() {
+        match (next_frame(&mut a)?, next_frame(&mut b)?) {
+            (Some(x), Some(y)) => {
+                out.frames = compare_frame(&x, &y);
+                out.identical_frames += u64::from(out.frames.is_none());
+            }
+            (None, None) => break,
+            (more_in_first, _) => {
+                let long = if more_in_first.is_some() { first } else { second };
+                out.remarks.push(format!("{} has more frames", long.path().display()));
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The next frame, behind a gap if there is one.
+fn next_frame(reader: &mut FrameReader) -> Result<Option<FrameRecord>, LogError> {
+    loop {
+        match reader.next().transpose() {
+            Err(LogError::Gap { .. }) if reader.go_on() => {}
+            other => return other,
+        }
+    }
+}
+
+/// The messages of a topic, in their order, byte by byte.
+fn compare_messages(
+    first: &dyn LogSource,
+    second: &dyn LogSource,
+    (topic, description): (&'static str, &'static Description),
+    options: ReadOptions,
+    out: &mut DiffReport,
+) -> Result<(), LogError> {
+    let open = |log: &dyn LogSource| MessageStream::open_topics(log, &[topic.to_owned()], options);
+    let (mut a, mut b) = (open(first)?, open(second)?);
+    let dt_ns = a.header().dt_ns.max(1);
+    loop {
+        match (a.next_message()?, b.next_message()?) {
+            (Some(x), Some(y)) => {
+                let tick = x.log_time_ns / dt_ns;
+                if let Some(divergence) = compare(topic, tick, description, x.body, y.body) {
+                    out.messages.push(divergence);
+                    return Ok(());
+                }
+            }
+            (None, None) => return Ok(()),
+            (more_in_first, _) => {
+                let long = if more_in_first.is_some() { first } else { second };
+                out.remarks.push(format!("{} has more of {topic}", long.path().display()));
+                return Ok(());
+            }
+        }
+    }
+}
+
+/// A log may hold hashes instead of images: then the frames' own fields decide, the hash among them.
+pub fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
+    let (tick, frame) = (a.frame.tick, Frame::DESCRIPTION);
+    compare(topics::DRR_FRAME, tick, frame, a.frame.as_bytes(), b.frame.as_bytes()).or_else(|| {
+        let (x, y) = (a.image.as_ref()?, b.image.as_ref()?);
+        let (x, y) = ([x.as_bytes(), &a.pixels].concat(), [y.as_bytes(), &b.pixels].concat());
+        compare(topics::DRR_IMAGE, tick, ImagePrefix::DESCRIPTION, &x, &y)
+    })
+}

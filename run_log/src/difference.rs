@@ -1,0 +1,157 @@
+//! Where two messages differ, field by field.
+
+use messages::layout::{Description, Element};
+
+use crate::fields::{Scalar, element_size};
+
+/// One scalar that differs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FieldDifference {
+    /// Path of the field, `t_world_link[7].position_m[2]`.
+    pub path: String,
+    /// Value in the first (recorded) message.
+    pub recorded: Option<Scalar>,
+    /// Value in the second (replayed) message.
+    pub replayed: Option<Scalar>,
+    /// Distance in units of the last place, for floats.
+    pub ulps: Option<u64>,
+}
+
+impl std::fmt::Display for FieldDifference {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let text = |value: &Option<Scalar>| value.map_or("nothing".to_string(), |value| value.to_string());
+        write!(f, "{}: {} against {}", self.path, text(&self.recorded), text(&self.replayed))?;
+        match self.ulps {
+            Some(ulps) => write!(f, ", {ulps} ulp"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The first tick at which two runs differ.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Divergence {
+    /// Topic of the message that differs.
+    pub topic: &'static str,
+    /// `State.tick` of the tick.
+    pub tick: u64,
+    /// Differing scalars in the order of the fields, the chained hash last; at most [`MAX_LISTED`].
+    pub differences: Vec<FieldDifference>,
+    /// Number of all differing scalars.
+    pub total: usize,
+}
+
+/// Differing scalars that are listed.
+pub const MAX_LISTED: usize = 16;
+
+impl std::fmt::Display for Divergence {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "first divergence: tick {}, {}, {} values differ", self.tick, self.topic, self.total)?;
+        self.differences.iter().try_for_each(|difference| write!(f, "\n  {difference}"))
+    }
+}
+
+/// Compares two messages of one description; none if all bytes agree.
+pub fn compare(
+    topic: &'static str,
+    tick: u64,
+    description: &'static Description,
+    recorded: &[u8],
+    replayed: &[u8],
+) -> Option<Divergence> {
+    if recorded == replayed {
+        return None;
+    }
+    // A few more than are listed, so that the chained hash can move behind them.
+    let mut found = Found { most: MAX_LISTED + 2, ..Found::default() };
+    found.message(description, "", recorded, replayed);
+    if let Some(tail) = description.tail {
+        let (a, b) = (recorded.get(description.size..), replayed.get(description.size..));
+        let element = if tail.ros_type == "string" { "uint8" } else { tail.ros_type };
+        found.elements(element, tail.name, tail.element_size, a.unwrap_or_default(), b.unwrap_or_default());
+    }
+    // A chained hash differs from the first divergence on whatever the cause: the cause comes first.
+    found.list.sort_by_key(|difference| difference.path.starts_with("hash["));
+    found.list.truncate(MAX_LISTED);
+    Some(Divergence { topic, tick, differences: found.list, total: found.total })
+}
+
+/// Compares two lists of voxel indices.
+pub fn compare_removed(tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<Divergence> {
+    if recorded == replayed {
+        return None;
+    }
+    let bytes = |list: &[u32]| -> Vec<u8> { list.iter().flat_map(|index| index.to_le_bytes()).collect() };
+    let mut found = Found { most: MAX_LISTED, ..Found::default() };
+    if recorded.len() != replayed.len() {
+        let length = |list: &[u32]| Some(Scalar::Unsigned(list.len() as u64));
+        found.push("voxel_index_length".to_string(), length(recorded), length(replayed));
+    }
+    found.elements("uint32", "voxel_index", 4, &bytes(recorded), &bytes(replayed));
+    found.list.truncate(MAX_LISTED);
+    let topic = crate::topics::REMOVED;
+    Some(Divergence { topic, tick, differences: found.list, total: found.total })
+}
+
+/// All differing scalars of two messages of one description that has no tail, in the order of the fields.
+pub fn all_differences(description: &'static Description, a: &[u8], b: &[u8]) -> Vec<FieldDifference> {
+    let mut found = Found { most: usize::MAX, ..Found::default() };
+    found.message(description, "", a, b);
+    found.list
+}
+
+#[derive(Default)]
+struct Found {
+    list: Vec<FieldDifference>,
+    /// How many are kept.
+    most: usize,
+    total: usize,
+}
+
+impl Found {
+    fn push(&mut self, path: String, recorded: Option<Scalar>, replayed: Option<Scalar>) {
+        self.total += 1;
+        if self.list.len() < self.most {
+            let ulps = recorded.zip(replayed).and_then(|(a, b)| a.ulp_distance(&b));
+            self.list.push(FieldDifference { path, recorded, replayed, ulps });
+        }
+    }
+
+    fn message(&mut self, description: &'static Description, prefix: &str, a: &[u8], b: &[u8]) {
+        for field in description.fields {
+            let range = field.offset..field.offset + field.size;
+            let (a, b) = (a.get(range.clone()).unwrap_or_default(), b.get(range).unwrap_or_default());
+            if a == b {
+                continue;
+            }
+            let path = format!("{prefix}{}", field.name);
+            match (field.element, field.array_length) {
+                (Element::Scalar(ros), None) => self.push(path, Scalar::read(ros, a), Scalar::read(ros, b)),
+                (Element::Scalar(ros), Some(_)) => self.elements(ros, &path, element_size(field), a, b),
+                (Element::Message(nested), None) => self.message(nested, &format!("{path}."), a, b),
+                (Element::Message(nested), Some(length)) => {
+                    let size = element_size(field);
+                    for i in 0..length {
+                        let part = |bytes: &[u8]| bytes.get(i * size..(i + 1) * size).map(<[u8]>::to_vec);
+                        let (a, b) = (part(a).unwrap_or_default(), part(b).unwrap_or_default());
+                        if a != b {
+                            self.message(nested, &format!("{path}[{i}]."), &a, &b);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn elements(&mut self, ros: &str, path: &str, size: usize, a: &[u8], b: &[u8]) {
+        let size = size.max(1);
+        for i in 0..a.len().max(b.len()).div_ceil(size) {
+            let part =
+                |bytes: &[u8]| bytes.get(i * size..(i + 1) * size).and_then(|part| Scalar::read(ros, part));
+            let (a, b) = (part(a), part(b));
+            if a.map(|value| value.bits()) != b.map(|value| value.bits()) {
+                self.push(format!("{path}[{i}]"), a, b);
+            }
+        }
+    }
+}

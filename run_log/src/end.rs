@@ -1,0 +1,185 @@
+//! How a log ends: the marker of a clean finish, or where it was cut.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use foreign_text::{foreign, foreign_line};
+
+use crate::error::LogError;
+use crate::header::Entries;
+use crate::seal::{is_unbroken, seal};
+
+/// Name of the metadata record that a clean finish writes last.
+pub const END_RECORD: &str = "end";
+
+/// Name of the metadata record near the start of a repaired log.
+pub const REPAIR_RECORD: &str = "repair";
+
+/// What an end marker, and the launcher before it, says of a log that was moved. No part has such a name.
+const LOG_MOVED: &str = "log moved";
+
+/// Why a run ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum EndReason {
+    /// All ticks of the scene were made, or the run was stopped on request.
+    Completed,
+    /// A signal ended it.
+    Interrupted,
+    /// A part died; its name.
+    PartDied(String),
+    /// The log, or its folder, was moved while it was written.
+    LogMoved,
+    /// The log was damaged or cut, and repaired; the reason that it gave before, if that could be read.
+    Repaired(Option<Box<EndReason>>),
+}
+
+impl EndReason {
+    /// The text in the end marker.
+    pub fn text(&self) -> String {
+        match self {
+            EndReason::Completed => "completed".to_string(),
+            EndReason::Interrupted => "interrupted".to_string(),
+            EndReason::PartDied(part) => format!("part died: {part}"),
+            EndReason::LogMoved => LOG_MOVED.to_string(),
+            EndReason::Repaired(None) => "repaired".to_string(),
+            EndReason::Repaired(Some(before)) => format!("repaired, before: {}", before.text()),
+        }
+    }
+
+    /// Reads what [`text`](Self::text) gives; none if it is another text.
+    pub fn parse(text: &str) -> Option<EndReason> {
+        match text {
+            "completed" => Some(EndReason::Completed),
+            "interrupted" => Some(EndReason::Interrupted),
+            LOG_MOVED => Some(EndReason::LogMoved),
+            "repaired" => Some(EndReason::Repaired(None)),
+            _ if text.starts_with("repaired, before: ") => {
+                let before =
+                    text.strip_prefix("repaired, before: ").filter(|rest| !rest.starts_with("repaired"));
+                Some(EndReason::Repaired(Some(Box::new(EndReason::parse(before?)?))))
+            }
+            _ => text.strip_prefix("part died: ").map(|part| EndReason::PartDied(part.to_string())),
+        }
+    }
+}
+
+/// What the writer knew when it finished.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EndMarker {
+    /// Why the run ended.
+    pub reason: EndReason,
+    /// `State.tick` of the last state; of the last message's time in the timing lane. None if there was none.
+    pub last_tick: Option<u64>,
+    /// `State.hash` of the last state, low word first; none in the timing lane.
+    pub hash: Option<[u64; 2]>,
+    /// Messages written, by topic.
+    pub counts: BTreeMap<String, u64>,
+    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that
+    /// its owner counted. Topics without a loss are absent.
+    pub lost: BTreeMap<String, u64>,
+    /// Messages that were in the log and that a damage took, by topic; only in a repaired log.
+    pub damaged: BTreeMap<String, u64>,
+}
+
+impl EndMarker {
+    /// The marker as the entries of its metadata record.
+    pub fn to_metadata(&self) -> BTreeMap<String, String> {
+        let mut entries = BTreeMap::new();
+        entries.insert("reason".to_string(), self.reason.text());
+        entries.insert("last_tick".to_string(), self.last_tick.map(|n| n.to_string()).unwrap_or_default());
+        let hash = self.hash.map(hash_text).unwrap_or_default();
+        entries.insert("hash".to_string(), hash);
+        let named = |prefix: &str, (topic, n): (&String, &u64)| (format!("{prefix}{topic}"), n.to_string());
+        entries.extend(self.counts.iter().map(|entry| named("count", entry)));
+        entries.extend(self.lost.iter().map(|entry| named("lost", entry)));
+        entries.extend(self.damaged.iter().map(|entry| named("damaged", entry)));
+        seal(&mut entries);
+        entries
+    }
+
+    /// What is missing, for people; empty if nothing is.
+    fn losses(&self) -> String {
+        let list = |what: &str, counts: &BTreeMap<String, u64>| {
+            let each: Vec<String> = counts.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
+            if each.is_empty() { String::new() } else { format!("; {what}: {}", each.join(", ")) }
+        };
+        list("lost by the recorder", &self.lost) + &list("lost to damage", &self.damaged)
+    }
+
+    pub(crate) fn from_metadata(path: &Path, map: &BTreeMap<String, String>) -> Result<EndMarker, LogError> {
+        let entries = Entries { path, record: END_RECORD, entries: map };
+        if !is_unbroken(map) {
+            return Err(entries.wrong("crc32", "the checksum of the other entries"));
+        }
+        let wrong_reason = || entries.wrong("reason", "completed, interrupted, log moved or part died");
+        let reason = EndReason::parse(entries.text("reason")?).ok_or_else(wrong_reason)?;
+        let last_tick = match entries.text("last_tick")? {
+            "" => None,
+            _ => Some(entries.number("last_tick", "a number")?),
+        };
+        let hash = match entries.text("hash")? {
+            "" => None,
+            text => {
+                let value = u128::from_str_radix(text, 16);
+                let value = value.map_err(|_| entries.wrong("hash", "32 hexadecimal digits"))?;
+                Some([value as u64, (value >> 64) as u64])
+            }
+        };
+        let numbers = |prefix: &str| -> Result<BTreeMap<String, u64>, LogError> {
+            let keys = map.keys().filter_map(|key| key.strip_prefix(prefix).map(|topic| (key, topic)));
+            let keys = keys.filter(|(_, topic)| topic.starts_with('/'));
+            keys.map(|(key, topic)| Ok((topic.to_string(), entries.number(key, "a number")?))).collect()
+        };
+        let (counts, lost, damaged) = (numbers("count")?, numbers("lost")?, numbers("damaged")?);
+        Ok(EndMarker { reason, last_tick, hash, counts, lost, damaged })
+    }
+}
+
+/// A chained hash as 32 hexadecimal digits, high word first.
+pub fn hash_text(hash: [u64; 2]) -> String {
+    format!("{:016x}{:016x}", hash[1], hash[0])
+}
+
+/// What the end of a file says.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Ending {
+    /// The marker of a clean finish.
+    pub marker: Option<EndMarker>,
+    /// Set if the file stops before the MCAP format's own end.
+    pub cut: Option<Cut>,
+}
+
+/// Where a file stops.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cut {
+    /// End of the last complete record: everything before it was read.
+    pub offset: u64,
+    /// Bytes of the incomplete record behind it.
+    pub incomplete_bytes: u64,
+}
+
+impl Ending {
+    /// True if nothing is missing: the marker is there and the file is whole.
+    pub fn is_complete(&self) -> bool {
+        self.marker.is_some() && self.cut.is_none()
+    }
+
+    /// One line for people.
+    pub fn describe(&self) -> String {
+        let marker = match &self.marker {
+            Some(marker) => {
+                format!("end marker: {}{}", foreign(&marker.reason.text()), foreign_line(&marker.losses()))
+            }
+            None => "no end marker: the recorder did not finish, later ticks may be missing".to_string(),
+        };
+        match self.cut {
+            None => marker,
+            Some(cut) => {
+                let Cut { offset, incomplete_bytes } = cut;
+                format!(
+                    "{marker}; cut after byte {offset}, {incomplete_bytes} bytes of an incomplete record left out"
+                )
+            }
+        }
+    }
+}

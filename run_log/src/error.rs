@@ -1,0 +1,245 @@
+//! What can go wrong with a log.
+
+use std::io;
+use std::path::PathBuf;
+
+use foreign_text::{foreign, foreign_line};
+
+/// What went wrong, with the file, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The file could not be created.
+    #[error("{}: cannot create the log: {source}; choose a writable folder for the run", path.display())]
+    Create {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// Bytes could not be written: disk full, quota, device gone.
+    #[error("{}: cannot write the log: {source}; free space or choose another folder", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The MCAP writer refused.
+    #[error("{}: cannot encode the log: {source}", path.display())]
+    Encode {
+        /// The file.
+        path: PathBuf,
+        /// The writer's reason.
+        source: mcap::McapError,
+    },
+    /// A message given to a writer is not what its topic holds.
+    #[error("{}: message for {topic} refused: got {given}, expected {expected}", path.display())]
+    Message {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// What was given.
+        given: String,
+        /// What was expected.
+        expected: String,
+    },
+    /// The file could not be opened.
+    #[error("{}: cannot open the log: {source}", path.display())]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// Reading failed in the device, not in the content.
+    #[error("{}: cannot read the log at byte {offset}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Where.
+        offset: u64,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The file is no MCAP file.
+    #[error("{}: not an MCAP file: it begins with {found}, expected 89 4d 43 41 50 30 0d 0a", path.display())]
+    NotMcap {
+        /// The file.
+        path: PathBuf,
+        /// Its first bytes in hexadecimal.
+        found: String,
+    },
+    /// The file ends before its header, or was written by something else.
+    #[error("{}: no header of this hub before byte {offset}: cut too early or not a log of this hub", path.display())]
+    NoHeader {
+        /// The file.
+        path: PathBuf,
+        /// Where the search ended.
+        offset: u64,
+    },
+    /// The file holds several runs.
+    #[error("{}: holds {} runs; `trabecula log split` makes a log of each", path.display(), foreign(.runs))]
+    SeveralRuns {
+        /// The file.
+        path: PathBuf,
+        /// How many.
+        runs: String,
+    },
+    /// What a log is to be written to is there already.
+    #[error("{}: is there already; name a file that is not", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Only a whole log can be handled so.
+    #[error("{}: {}; `trabecula log repair` first", path.display(), foreign_line(.cause))]
+    NotWhole {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        cause: String,
+    },
+    /// The header or end marker holds a value that cannot be read.
+    #[error("{}: {record}.{} is '{}', expected {expected}", path.display(), foreign(.key), foreign(.value))]
+    Metadata {
+        /// The file.
+        path: PathBuf,
+        /// `trabecula` or `end`.
+        record: &'static str,
+        /// Entry.
+        key: String,
+        /// What it holds; empty if it is missing.
+        value: String,
+        /// What it should hold.
+        expected: &'static str,
+    },
+    /// A message's layout is not this build's.
+    #[error(
+        "{}: layout of {} is {} in the log and {build} in this build; use the build that wrote the log ({}), or allow other layouts",
+        path.display(),
+        foreign(.message),
+        foreign(.log),
+        foreign(.version)
+    )]
+    Layout {
+        /// The file.
+        path: PathBuf,
+        /// The message.
+        message: String,
+        /// Layout hash in the log.
+        log: String,
+        /// Layout hash in this build; empty if it has no such message.
+        build: String,
+        /// Version that wrote the log.
+        version: String,
+    },
+    /// More of something than a reader keeps in memory.
+    #[error(
+        "{}: {found} {what}, at most {most} are kept: no log of this hub has so many",
+        path.display()
+    )]
+    TooMuch {
+        /// The file.
+        path: PathBuf,
+        /// Of what.
+        what: &'static str,
+        /// How much of it, as far as it was read.
+        found: usize,
+        /// How much is allowed.
+        most: usize,
+    },
+    /// Content that no writer of ours produces: a flipped bit, a lost block, an edited file.
+    #[error("{}: damaged at byte {offset}: {}; everything before is readable", path.display(), foreign_line(.cause))]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Start of the damaged record.
+        offset: u64,
+        /// What is wrong.
+        cause: String,
+    },
+    /// A message is missing between two others.
+    #[error("{}: gap in {topic} at tick {tick}: {}; ticks before it are complete", path.display(), foreign(.found))]
+    Gap {
+        /// The file.
+        path: PathBuf,
+        /// Topic of the missing message.
+        topic: &'static str,
+        /// `tick` that the missing message carries.
+        tick: u64,
+        /// What was found in its place.
+        found: String,
+    },
+    /// The file ends before the initial state.
+    #[error("{}: no initial state on /state: the log was cut before its first chunk was complete", path.display())]
+    NoInitialState {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A whole log without a state: nothing in it can be replayed.
+    #[error(
+        "{}: a whole log, but without states: it is not a run's `run.mcap`, or the run ended before its first state",
+        path.display()
+    )]
+    NoStates {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A topic that the log has not.
+    #[error("{}: no topic {topic}; it has {}", path.display(), foreign_line(.topics))]
+    NoSuchTopic {
+        /// The file.
+        path: PathBuf,
+        /// The topic asked for.
+        topic: String,
+        /// What there is.
+        topics: String,
+    },
+    /// A field path names nothing.
+    #[error("no field '{field}' in any selected topic; {reason}")]
+    NoSuchField {
+        /// The path as given.
+        field: String,
+        /// Where it stops matching.
+        reason: String,
+    },
+    /// The text output failed (a closed pipe, a full disk).
+    #[error("cannot write the output: {source}")]
+    Output {
+        /// The system's reason.
+        #[from]
+        source: io::Error,
+    },
+}
+
+impl LogError {
+    /// Whether another argument would mend it; damage and a full disk it would not.
+    pub fn is_bad_input(&self) -> bool {
+        !matches!(
+            self,
+            LogError::Damaged { .. }
+                | LogError::Gap { .. }
+                | LogError::NotWhole { .. }
+                | LogError::NoInitialState { .. }
+                | LogError::Write { .. }
+                | LogError::Encode { .. }
+                | LogError::Read { .. }
+                | LogError::Output { .. }
+        )
+    }
+
+    /// What is wrong, where the file is known.
+    pub fn without_path(&self) -> String {
+        let text = self.to_string();
+        let path = match self {
+            LogError::Metadata { path, .. }
+            | LogError::TooMuch { path, .. }
+            | LogError::Read { path, .. }
+            | LogError::NotMcap { path, .. }
+            | LogError::NoHeader { path, .. } => path,
+            _ => return text,
+        };
+        text.strip_prefix(&format!("{}: ", path.display())).map_or(text.clone(), str::to_owned)
+    }
+}

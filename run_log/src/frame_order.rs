@@ -1,0 +1,152 @@
+//! Gives frames and replies, whose moment depends on the renderer's speed, a fixed place among the ticks.
+
+use std::collections::VecDeque;
+
+use messages::services::{FRAME, STATE};
+use messages::{DRR_ACCEPTED, DrrReply, Frame};
+
+use crate::header::{LogHeader, RunMode};
+
+/// In real time a frame is written this long after the tick that it shows: longer than a frame takes to render.
+const REAL_TIME_LAG_NS: u64 = 300_000_000;
+/// Most bytes of held images; beyond, the oldest are written at once.
+const MAX_HELD_BYTES: usize = 256 << 20;
+
+/// Number of ticks by which frames are written behind the tick that they show.
+///
+/// In lockstep the physics waits for the renderer and for the recorder, so that neither is more than a state queue
+/// behind: twice that makes a frame's place certain. In real time it is 300 ms, so that a killed recorder loses few.
+pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
+    match header.mode {
+        RunMode::Lockstep => 2 * STATE.queue_length as u64,
+        RunMode::RealTime => (REAL_TIME_LAG_NS / header.dt_ns.max(1)).max(FRAME.queue_length as u64),
+    }
+}
+
+/// What is written now.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Due {
+    /// What stands at a tick that has come.
+    AtItsTick,
+    /// All that waits.
+    All,
+}
+
+/// A message that waits, and the tick behind which it is written.
+#[derive(Debug)]
+struct Held<T> {
+    due: u64,
+    message: T,
+}
+
+/// A reply and the tick at which it stands in the log.
+#[derive(Debug)]
+pub(crate) struct PlacedReply {
+    pub tick: u64,
+    pub reply: DrrReply,
+}
+
+/// A frame with its image, if that is logged.
+#[derive(Debug)]
+pub(crate) struct FrameWithImage {
+    pub frame: Frame,
+    pub image: Option<Vec<u8>>,
+}
+
+/// Frames and replies that wait for their tick.
+#[derive(Debug)]
+pub(crate) struct FrameOrder {
+    lag_ticks: u64,
+    /// Tick of the last state written.
+    tick: Option<u64>,
+    replies: VecDeque<Held<PlacedReply>>,
+    frames: VecDeque<Held<FrameWithImage>>,
+    held_bytes: usize,
+}
+
+impl FrameOrder {
+    pub fn new(header: &LogHeader) -> FrameOrder {
+        let lag_ticks = frame_lag_ticks(header);
+        FrameOrder { lag_ticks, tick: None, replies: VecDeque::new(), frames: VecDeque::new(), held_bytes: 0 }
+    }
+
+    /// A state of this tick has been written.
+    pub fn tick(&mut self, tick: u64) {
+        self.tick = Some(tick);
+    }
+
+    /// Takes a reply. None overtakes an earlier one.
+    ///
+    /// A refusal may carry a tick that never comes: it then stands where it came, and holds no later one.
+    pub fn reply(&mut self, reply: &DrrReply) {
+        let now = self.tick.unwrap_or(0);
+        let comes = reply.status == DRR_ACCEPTED || reply.tick <= now.saturating_add(self.lag_ticks);
+        let tick = if comes { reply.tick } else { now };
+        let due = tick.saturating_add(self.lag_ticks);
+        let due = self.replies.back().map_or(due, |earlier| due.max(earlier.due));
+        self.replies.push_back(Held { due, message: PlacedReply { tick, reply: *reply } });
+    }
+
+    /// Takes a frame, with its image if that is logged. None overtakes an earlier one.
+    pub fn frame(&mut self, frame: &Frame, image: Option<&[u8]>) {
+        let due = frame.tick.saturating_add(self.lag_ticks);
+        let due = self.frames.back().map_or(due, |earlier| due.max(earlier.due));
+        self.held_bytes += image.map_or(0, <[u8]>::len);
+        let message = FrameWithImage { frame: *frame, image: image.map(<[u8]>::to_vec) };
+        self.frames.push_back(Held { due, message });
+    }
+
+    /// The next reply that is due.
+    pub fn next_reply(&mut self, due: Due) -> Option<PlacedReply> {
+        take_due(&mut self.replies, self.tick, due)
+    }
+
+    /// The next frame that is due, or any while too many bytes are held.
+    pub fn next_frame(&mut self, due: Due) -> Option<FrameWithImage> {
+        let due = if self.held_bytes > MAX_HELD_BYTES { Due::All } else { due };
+        let frame = take_due(&mut self.frames, self.tick, due)?;
+        self.held_bytes -= frame.image.as_ref().map_or(0, Vec::len);
+        Some(frame)
+    }
+}
+
+fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<u64>, due: Due) -> Option<T> {
+    let first = held.front()?;
+    let is_due = due == Due::All || tick.is_some_and(|tick| first.due <= tick);
+    if is_due { held.pop_front().map(|held| held.message) } else { None }
+}
+
+#[cfg(test)]
+mod tests {
+    use messages::{DRR_ACCEPTED, DrrReply};
+
+    use super::{Due, FrameOrder};
+
+    fn order() -> FrameOrder {
+        FrameOrder {
+            lag_ticks: 10,
+            tick: Some(100),
+            replies: Default::default(),
+            frames: Default::default(),
+            held_bytes: 0,
+        }
+    }
+
+    #[test]
+    fn a_refusal_of_a_tick_that_never_comes_holds_no_later_reply() {
+        let mut order = order();
+        let refused = DRR_ACCEPTED + 1;
+        let reply = |tick, status| DrrReply { tick, status, ..DrrReply::zeroed() };
+        order.reply(&reply(u64::MAX, refused));
+        order.reply(&reply(104, DRR_ACCEPTED));
+        order.reply(&reply(103, refused));
+        let mut written = Vec::new();
+        for tick in 101..120 {
+            order.tick(tick);
+            while let Some(placed) = order.next_reply(Due::AtItsTick) {
+                written.push((tick, placed.tick, placed.reply.tick));
+            }
+        }
+        assert_eq!(written, [(110, 100, u64::MAX), (114, 104, 104), (114, 103, 103)]);
+    }
+}

@@ -1,0 +1,134 @@
+//! The frames of a log.
+
+use std::path::PathBuf;
+
+use messages::{Frame, ImagePrefix};
+use zerocopy::FromBytes;
+
+use crate::end::Ending;
+use crate::error::LogError;
+use crate::header::LogHeader;
+use crate::source::LogSource;
+use crate::stream::{MessageStream, ReadOptions};
+use crate::topics;
+use crate::verdict::Verdict;
+
+/// One frame with its pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameRecord {
+    /// What it shows.
+    pub frame: Frame,
+    /// Size and time of the image; none if the log holds hashes only.
+    pub image: Option<ImagePrefix>,
+    /// `mono16` pixels, row by row, top left first, little-endian; empty without an image.
+    pub pixels: Vec<u8>,
+}
+
+/// The frames of a `run.mcap` in the order of their numbers. A missing one is an error and the last item,
+/// unless [`FrameReader::go_on`] is called.
+pub struct FrameReader {
+    stream: MessageStream,
+    expected: u64,
+    pending: Option<Frame>,
+    /// A frame without image that stood before a gap.
+    before_gap: Option<Frame>,
+    at_gap: bool,
+    done: bool,
+}
+
+/// Opens a log for its frames.
+pub fn frames(log: &dyn LogSource, options: ReadOptions) -> Result<FrameReader, LogError> {
+    Ok(FrameReader::from_stream(MessageStream::open(log, options)?))
+}
+
+impl FrameReader {
+    /// Reads the frames of a stream.
+    pub fn from_stream(stream: MessageStream) -> FrameReader {
+        FrameReader { stream, expected: 1, pending: None, before_gap: None, at_gap: false, done: false }
+    }
+
+    /// What the log is about.
+    pub fn header(&self) -> &LogHeader {
+        self.stream.header()
+    }
+
+    /// How the file ends. Known once the iteration has ended without an error.
+    pub fn ending(&self) -> &Ending {
+        self.stream.ending()
+    }
+
+    /// What is wrong with the log, as far as it has been read.
+    pub fn verdict(&self) -> Verdict {
+        self.stream.verdict()
+    }
+
+    /// After the iteration has ended with [`LogError::Gap`]: lets it go on behind the frames that are missing. False if it
+    /// did not end so.
+    pub fn go_on(&mut self) -> bool {
+        let at_gap = std::mem::take(&mut self.at_gap);
+        self.done &= !at_gap;
+        at_gap
+    }
+
+    /// The image follows its frame at once, or is not in the log.
+    fn next_frame(&mut self) -> Result<Option<FrameRecord>, LogError> {
+        let path: PathBuf = self.stream.path().into();
+        if let Some(frame) = self.before_gap.take() {
+            return Ok(Some(FrameRecord { frame, image: None, pixels: Vec::new() }));
+        }
+        while let Some(message) = self.stream.next_message()? {
+            let without_image = |frame| FrameRecord { frame, image: None, pixels: Vec::new() };
+            match message.topic {
+                topics::DRR_FRAME => {
+                    let Ok(frame) = Frame::read_from_bytes(message.body) else { continue };
+                    let expected = std::mem::replace(&mut self.expected, frame.sequence.saturating_add(1));
+                    if frame.sequence != expected {
+                        let found = format!("frame {}, expected {expected}", frame.sequence);
+                        self.before_gap = self.pending.replace(frame);
+                        return Err(LogError::Gap {
+                            path,
+                            topic: topics::DRR_FRAME,
+                            tick: frame.tick,
+                            found,
+                        });
+                    }
+                    if let Some(previous) = self.pending.replace(frame) {
+                        return Ok(Some(without_image(previous)));
+                    }
+                }
+                topics::DRR_IMAGE => {
+                    let Ok((image, pixels)) = ImagePrefix::read_from_prefix(message.body) else { continue };
+                    let Some(frame) = self.pending.take() else {
+                        let tick = message.log_time_ns / self.stream.header().dt_ns.max(1);
+                        let found = "an image without its frame".to_string();
+                        return Err(LogError::Gap { path, topic: topics::DRR_FRAME, tick, found });
+                    };
+                    return Ok(Some(FrameRecord { frame, image: Some(image), pixels: pixels.to_vec() }));
+                }
+                _ => {
+                    if let Some(frame) = self.pending.take() {
+                        return Ok(Some(without_image(frame)));
+                    }
+                }
+            }
+        }
+        // A frame at the very end of a cut file may have lost its image.
+        let whole = self.stream.ending().cut.is_none();
+        let frame = self.pending.take().filter(|_| whole);
+        Ok(frame.map(|frame| FrameRecord { frame, image: None, pixels: Vec::new() }))
+    }
+}
+
+impl Iterator for FrameReader {
+    type Item = Result<FrameRecord, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.done {
+            return None;
+        }
+        let item = self.next_frame();
+        self.done = !matches!(item, Ok(Some(_)));
+        self.at_gap = matches!(item, Err(LogError::Gap { .. }));
+        item.transpose()
+    }
+}

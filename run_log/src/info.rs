@@ -1,0 +1,145 @@
+//! `info` — what a log holds, on one screen.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+
+use foreign_text::{foreign, foreign_line};
+
+use crate::end::{Ending, hash_text};
+use crate::error::LogError;
+use crate::header::{LogHeader, RunMode};
+use crate::misses::Misses;
+use crate::source::LogSource;
+use crate::stream::{MessageStream, ReadOptions, TopicCount};
+use crate::verdict::Verdict;
+
+/// Summary of a log.
+#[derive(Debug)]
+pub struct LogInfo {
+    /// What the log is about.
+    pub header: LogHeader,
+    /// Its metadata record.
+    pub metadata: BTreeMap<String, String>,
+    /// Messages and bytes by topic.
+    pub topics: BTreeMap<String, TopicCount>,
+    /// Latest simulated time of a message.
+    pub end_ns: u64,
+    /// Bytes of the file that could be read.
+    pub file_bytes: u64,
+    /// Ticks that began late, of a timing lane.
+    pub misses: Misses,
+    /// How the file ends.
+    pub ending: Ending,
+    /// Why it could not be read further (damage).
+    pub log_error: Option<LogError>,
+    /// What is wrong with it.
+    pub verdict: Verdict,
+}
+
+/// Reads a whole log of either lane and sums it up. Damage is part of the summary.
+pub fn info(log: &dyn LogSource, options: ReadOptions) -> Result<LogInfo, LogError> {
+    let mut stream = MessageStream::open(log, options)?;
+    let (mut end_ns, mut misses) = (0, Misses::default());
+    let log_error = loop {
+        match stream.next_message() {
+            Ok(Some(message)) => {
+                end_ns = message.log_time_ns.max(end_ns);
+                misses.take(message.topic, message.body);
+            }
+            Ok(None) => break None,
+            Err(error) => break Some(error),
+        }
+    };
+    Ok(LogInfo {
+        header: stream.header().clone(),
+        metadata: stream.metadata().clone(),
+        topics: stream.counts(),
+        end_ns,
+        file_bytes: stream.offset(),
+        misses,
+        ending: stream.ending().clone(),
+        log_error,
+        verdict: stream.verdict(),
+    })
+}
+
+impl LogInfo {
+    /// Bytes of the file per simulated second; none before the first tick.
+    pub fn bytes_per_second(&self) -> Option<f64> {
+        (self.end_ns > 0).then(|| self.file_bytes as f64 / (self.end_ns as f64 * 1e-9))
+    }
+
+    /// Messages of a topic that are known to be missing: lost by the recorder and lost to damage.
+    pub fn lost(&self, topic: &str) -> u64 {
+        let Some(marker) = &self.ending.marker else {
+            return self.topics.get(topic).map_or(0, |count| count.missing);
+        };
+        marker.lost.get(topic).unwrap_or(&0) + marker.damaged.get(topic).unwrap_or(&0)
+    }
+
+    /// Says why ticks began late, if this is the timing lane of a run in real time.
+    pub fn write_misses(&self, out: &mut dyn Write) -> Result<(), LogError> {
+        if self.misses.ticks > 0 && self.header.mode == RunMode::RealTime {
+            writeln!(out, "late ticks  {}", self.misses.describe())?;
+        }
+        Ok(())
+    }
+
+    /// Writes the summary for people.
+    pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
+        let header = &self.header;
+        let seconds = self.end_ns as f64 * 1e-9;
+        let lane = self.metadata.get("lane").map(String::as_str).unwrap_or_default();
+        writeln!(out, "scene       {} (sha256 {})", foreign(&header.scene_name), header.scene_sha256())?;
+        match header.volume_sha256 {
+            Some(digest) => {
+                let [i, j, k] = header.volume_dimensions;
+                writeln!(out, "volume      {i} x {j} x {k} (sha256 {})", messages::layout::hex(&digest))?;
+            }
+            None => writeln!(out, "volume      none")?,
+        }
+        let build = &header.build;
+        let rustc = foreign(build.rustc.as_deref().unwrap_or("unknown compiler"));
+        writeln!(out, "build       {} for {}, {rustc}", foreign(&build.version), foreign(&build.target))?;
+        writeln!(
+            out,
+            "lane        {}, {}, controllers: {}",
+            foreign(lane),
+            header.mode.name(),
+            foreign_line(&header.controllers.join(", "))
+        )?;
+        let ticks = self.end_ns / header.dt_ns.max(1);
+        writeln!(
+            out,
+            "duration    {seconds:.3} s simulated, {ticks} ticks of {} us",
+            header.dt_ns as f64 * 1e-3
+        )?;
+        let rate = self.bytes_per_second().unwrap_or(0.0);
+        writeln!(out, "size        {} bytes, {rate:.0} bytes per simulated second", self.file_bytes)?;
+        for (topic, count) in &self.topics {
+            let lost = self.lost(topic);
+            let gap = if lost > 0 { format!("  {lost} MISSING") } else { String::new() };
+            writeln!(
+                out,
+                "  {:<22} {:>10} messages {:>14} bytes unpacked{gap}",
+                foreign(topic),
+                count.messages,
+                count.bytes
+            )?;
+        }
+        self.write_misses(out)?;
+        writeln!(out, "end         {}", self.ending.describe())?;
+        if let Some(marker) = &self.ending.marker {
+            let tick = marker.last_tick.map_or("none".to_string(), |tick| tick.to_string());
+            let hash = marker.hash.map(hash_text).unwrap_or_else(|| "none".to_string());
+            writeln!(out, "  last tick {tick}, hash {hash}")?;
+            for (topic, count) in &marker.lost {
+                writeln!(out, "  lost {count} messages of {}: they never reached the log", foreign(topic))?;
+            }
+            for (topic, count) in &marker.damaged {
+                writeln!(out, "  lost {count} messages of {} to damage of the file", foreign(topic))?;
+            }
+        }
+        self.verdict.write(out)
+    }
+}

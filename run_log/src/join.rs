@@ -1,0 +1,266 @@
+//! `compress`, `cat-files`, `split` — whole logs, written again.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use mcap::records::{Channel, SchemaHeader};
+use sha2::{Digest, Sha256};
+
+use crate::end::END_RECORD;
+use crate::error::LogError;
+use crate::header::RUNS_RECORD;
+use crate::limits::Declared;
+use crate::rewrite::{Packing, Rewriter};
+use crate::source::LogSource;
+use crate::walk::{Piece, walk};
+
+/// Calls `visit` for every piece of a log that must be whole.
+fn walk_whole(
+    log: &dyn LogSource,
+    visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
+) -> Result<(), LogError> {
+    let not_whole = |cause: &str| not_whole(log, cause);
+    let mut marked = false;
+    walk(log.open()?, log.path(), &mut |piece| match piece {
+        Piece::Lost(lost) => Err(not_whole(&format!("damaged at byte {}: {}", lost.offset, lost.cause))),
+        Piece::Cut { offset, .. } => Err(not_whole(&format!("cut after byte {offset}"))),
+        Piece::Metadata { name, entries } => {
+            marked |= name == END_RECORD || name == RUNS_RECORD;
+            visit(Piece::Metadata { name, entries })
+        }
+        other => visit(other),
+    })?;
+    if marked { Ok(()) } else { Err(not_whole("no end marker")) }
+}
+
+/// Digest of all messages: topics, numbers, times and bytes in their order.
+fn digest(log: &dyn LogSource) -> Result<[u8; 32], LogError> {
+    let (mut hasher, mut topics) = (Sha256::new(), BTreeMap::new());
+    walk_whole(log, &mut |piece| {
+        match piece {
+            Piece::Channel(channel) => {
+                topics.insert(channel.id, channel.topic);
+            }
+            Piece::Message { header, data } => {
+                hasher.update(topics.get(&header.channel_id).map(String::as_str).unwrap_or_default());
+                hasher.update(header.sequence.to_le_bytes());
+                hasher.update(header.log_time.to_le_bytes());
+                hasher.update((data.len() as u64).to_le_bytes());
+                hasher.update(data);
+            }
+            _ => {}
+        }
+        Ok(())
+    })?;
+    Ok(hasher.finalize().into())
+}
+
+/// Writes a log with its chunks packed anew to `out`; errors will name `path`.
+///
+/// # Errors
+/// [`LogError::NotWhole`], and what the output says.
+pub fn compress<W: Write>(
+    input: &dyn LogSource,
+    out: W,
+    path: &Path,
+    packing: Packing,
+) -> Result<W, LogError> {
+    let mut out = Rewriter::create(out, path, packing)?;
+    walk_whole(input, &mut |piece| out.piece(piece))?;
+    out.finish()
+}
+
+/// Whether two logs hold the same messages in the same order. What is wrong with the second is damage of `path`.
+///
+/// # Errors
+/// [`LogError::NotWhole`] of the first, [`LogError::Damaged`] if the second cannot be read or differs.
+pub fn check_packed(input: &dyn LogSource, packed: &dyn LogSource, path: &Path) -> Result<(), LogError> {
+    let damaged = |cause| LogError::Damaged { path: path.into(), offset: 0, cause };
+    let read_back = digest(packed).map_err(|error| damaged(error.without_path()))?;
+    if digest(input)? != read_back {
+        return Err(damaged("the packed log reads back differently".to_string()));
+    }
+    Ok(())
+}
+
+/// What stands before the topics, attachments and metadata of a run in a file of several.
+fn prefix(run: usize) -> String {
+    format!("run{run}/")
+}
+
+/// Puts whole logs one after the other into one log in `out`; errors will name `path`. The topics of the first begin with
+/// `/run1`, its attachments and metadata with `run1/`; times stay as they are, so that a viewer shows the runs on one axis.
+/// [`split`] undoes it.
+///
+/// # Errors
+/// [`LogError::NotWhole`], [`LogError::SeveralRuns`], and what the output says.
+pub fn cat_files<W: Write>(inputs: &[&dyn LogSource], out: W, path: &Path) -> Result<W, LogError> {
+    let mut out = Rewriter::create(out, path, Packing::RECORDED)?;
+    let runs = BTreeMap::from([("count".to_string(), inputs.len().to_string())]);
+    out.metadata(RUNS_RECORD.to_string(), runs)?;
+    for (index, input) in inputs.iter().enumerate() {
+        let prefix = prefix(index + 1);
+        out.begin_source(&format!("/{}", prefix.trim_end_matches('/')));
+        walk_whole(*input, &mut |piece| match piece {
+            Piece::Metadata { name, entries } if name == RUNS_RECORD => {
+                let runs = entries.get("count").cloned().unwrap_or_default();
+                Err(LogError::SeveralRuns { path: input.path().into(), runs })
+            }
+            Piece::Metadata { name, entries } => out.metadata(format!("{prefix}{name}"), entries),
+            Piece::Attachment(mut found) => {
+                found.name = format!("{prefix}{}", found.name);
+                out.piece(Piece::Attachment(found))
+            }
+            other => out.piece(other),
+        })?;
+    }
+    out.finish()
+}
+
+/// Where [`split`] writes the runs of a log, one at a time.
+pub trait RunOutputs {
+    /// What a run is written to.
+    type Output: Write;
+
+    /// What messages call all outputs together.
+    fn path(&self) -> &Path;
+
+    /// What messages call the output of a run, numbered from 1.
+    fn path_of(&self, run: usize) -> PathBuf;
+
+    /// Begins the output of a run, numbered from 1.
+    ///
+    /// # Errors
+    /// The output's.
+    fn begin(&mut self, run: usize) -> Result<Self::Output, LogError>;
+
+    /// Takes the output of a run that is whole.
+    ///
+    /// # Errors
+    /// The output's.
+    fn end(&mut self, output: Self::Output) -> Result<(), LogError>;
+}
+
+/// Refuses a log that is not whole or does not say that it holds several runs.
+///
+/// # Errors
+/// [`LogError::NotWhole`].
+pub fn check_holds_runs(input: &dyn LogSource) -> Result<(), LogError> {
+    let mut marked = false;
+    walk_whole(input, &mut |piece| {
+        marked |= matches!(piece, Piece::Metadata { name, .. } if name == RUNS_RECORD);
+        Ok(())
+    })?;
+    if marked { Ok(()) } else { Err(not_whole(input, "it holds one run, not several")) }
+}
+
+/// Makes a log of each run of a log of several. Returns the number of runs.
+///
+/// # Errors
+/// [`LogError::NotWhole`], and what the outputs say.
+pub fn split(input: &dyn LogSource, outputs: &mut impl RunOutputs) -> Result<usize, LogError> {
+    let mut split = Split::of(outputs);
+    walk_whole(input, &mut |piece| split.take(piece))?;
+    split.finish_run()?;
+    match split.whole {
+        0 => Err(not_whole(input, "it holds no run")),
+        runs => Ok(runs),
+    }
+}
+
+fn not_whole(input: &dyn LogSource, cause: &str) -> LogError {
+    LogError::NotWhole { path: input.path().into(), cause: cause.to_owned() }
+}
+
+/// A log of several runs being split into one log per run. They follow each other, so one is written at a time.
+struct Split<'o, O: RunOutputs> {
+    outputs: &'o mut O,
+    /// Number of runs that are whole.
+    whole: usize,
+    /// The run that is being written.
+    out: Option<Rewriter<O::Output>>,
+    /// A schema is declared once for all runs; each run declares it again with its first channel that needs it.
+    schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
+    kept: Declared,
+    chunk_is_ours: bool,
+}
+
+impl<'o, O: RunOutputs> Split<'o, O> {
+    fn of(outputs: &'o mut O) -> Split<'o, O> {
+        let (schemas, kept) = (BTreeMap::new(), Declared::default());
+        Split { outputs, whole: 0, out: None, schemas, kept, chunk_is_ours: false }
+    }
+
+    fn take(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
+        match piece {
+            Piece::Metadata { name, entries } => match self.run_of(&name)? {
+                Some((out, name)) => out.metadata(name, entries),
+                None => Ok(()),
+            },
+            Piece::Attachment(mut found) => match self.run_of(&found.name)? {
+                Some((out, name)) => {
+                    found.name = name;
+                    out.attachment(&found)
+                }
+                None => Ok(()),
+            },
+            Piece::Schema { header, data } => {
+                if !self.schemas.contains_key(&header.id) {
+                    self.kept.schema(self.outputs.path(), &header, data.len())?;
+                    self.schemas.insert(header.id, (header, data.to_vec()));
+                }
+                Ok(())
+            }
+            Piece::Channel(channel) => self.channel(channel),
+            Piece::Message { header, data } => match &mut self.out {
+                Some(out) if out.knows(header.channel_id) => {
+                    self.chunk_is_ours = true;
+                    out.piece(Piece::Message { header, data })
+                }
+                _ => Ok(()),
+            },
+            Piece::ChunkEnd => match &mut self.out {
+                Some(out) if std::mem::take(&mut self.chunk_is_ours) => out.piece(Piece::ChunkEnd),
+                _ => Ok(()),
+            },
+            _ => Ok(()),
+        }
+    }
+
+    fn channel(&mut self, mut channel: Channel) -> Result<(), LogError> {
+        let schema = self.schemas.get(&channel.schema_id).cloned();
+        let Some(name) = channel.topic.strip_prefix('/') else { return Ok(()) };
+        let Some((out, topic)) = self.run_of(name)? else { return Ok(()) };
+        channel.topic = format!("/{topic}");
+        if let Some((header, data)) = schema {
+            out.piece(Piece::Schema { header, data: &data })?;
+        }
+        out.piece(Piece::Channel(channel))
+    }
+
+    /// The file of the run that a name of the joined file belongs to, and the name in it; none for what is no run's. A
+    /// run that begins ends the one before it.
+    fn run_of(&mut self, name: &str) -> Result<Option<(&mut Rewriter<O::Output>, String)>, LogError> {
+        let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
+        let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));
+        let Some((run, rest)) = parts else { return Ok(None) };
+        let present = self.whole + usize::from(self.out.is_some());
+        if run == present + 1 {
+            self.finish_run()?;
+            let (output, path) = (self.outputs.begin(run)?, self.outputs.path_of(run));
+            self.out = Some(Rewriter::create(output, &path, Packing::RECORDED)?);
+        } else if run != present {
+            let cause =
+                format!("run {run} stands beside run {present}: `cat-files` writes them one after the other");
+            return Err(LogError::NotWhole { path: self.outputs.path().into(), cause });
+        }
+        Ok(self.out.as_mut().map(|out| (out, rest.to_owned())))
+    }
+
+    fn finish_run(&mut self) -> Result<(), LogError> {
+        let Some(out) = self.out.take() else { return Ok(()) };
+        self.whole += 1;
+        self.outputs.end(out.finish()?)
+    }
+}

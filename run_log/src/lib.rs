@@ -1,0 +1,125 @@
+//! Logs of a run as MCAP: writing, reading, repairing, comparing, replaying and tabulating them.
+//!
+//! A run leaves two logs. `run.mcap`, the deterministic lane, is a function of the scene and the latched commands: its bytes depend
+//! only on the sequence of messages written to it. `timing.mcap` holds wall-clock times and everything that depends on them.
+//!
+//! A record is the raw message behind [`CDR_LITTLE_ENDIAN`](messages::layout::CDR_LITTLE_ENDIAN), so any reader of `cdr` with `ros2msg`
+//! schemas can show it. Chunks are closed every 100 ms of simulated time, and their CRCs are checked when they are read. A log cut at
+//! any byte can be read up to its last complete tick.
+//!
+//! **Boundary:** bytes in, bytes out. It writes to any `Write` and reads any `Read + Seek` ([`LogSource`]); it opens no files, reads no
+//! clock and starts no thread that outlives the call. Logs in files, the recorder and the build's identity are `recorder_proc`. It knows
+//! no simulation either: a log is verified against any [`Plant`](messages::Plant).
+//!
+//! **Invariants:** the bytes of `run.mcap` do not depend on when messages arrive. A reader trusts no length and no count before it has
+//! checked it. No single damaged record makes a log unreadable, and whatever is skipped is reported.
+//!
+//! Writing a log into memory and reading it back:
+//!
+//! ```
+//! use std::collections::BTreeMap;
+//!
+//! use messages::{Latched, State};
+//! use run_log::{BuildInfo, EndReason, LogBytes, LogHeader, LogReader, RunLog, RunMode};
+//!
+//! # fn main() -> Result<(), run_log::LogError> {
+//! let header = LogHeader {
+//!     scene_toml: "name = \"example\"".to_owned(),
+//!     calibration_json: None,
+//!     scene_name: "example".to_owned(),
+//!     volume_sha256: None,
+//!     volume_dimensions: [0; 3],
+//!     dt_ns: 1_000_000,
+//!     mode: RunMode::Lockstep,
+//!     controllers: vec!["me".to_owned()],
+//!     build: BuildInfo { version: "0.1.0".to_owned(), target: "any".to_owned(), rustc: None },
+//! };
+//! let mut log = RunLog::create(Vec::new(), &header)?;
+//! log.state(&State::zeroed())?;
+//! // The command of tick 1 comes after its effect; the log has them in order.
+//! log.state(&State { tick: 1, ..State::zeroed() })?;
+//! log.latched(&Latched { tick: 0, ..Latched::zeroed() })?;
+//! let (_, bytes) = log.finish(EndReason::Completed, &BTreeMap::new())?;
+//!
+//! // Cut anywhere behind its ticks it still gives them back.
+//! let cut = bytes.len() - 40;
+//! let mut reader = LogReader::open(&LogBytes::new("example.mcap", &bytes[..cut]))?;
+//! let ticks: Vec<u64> = reader.by_ref().map(|tick| Ok(tick?.state.tick)).collect::<Result<_, run_log::LogError>>()?;
+//! assert_eq!(ticks, [1]);
+//! assert!(!reader.stream().verdict().is_intact());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | [`run_lane`], [`timing_lane`] | the writers |
+//! | [`source`] | where a log's bytes come from |
+//! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
+//! | [`verdict`](mod@verdict), [`continuity`], [`opening`] | what is wrong with a log: one answer for every command |
+//! | [`verify`](mod@verify), [`segments`] | replaying a log and comparing tick by tick, in one pass or in parallel |
+//! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
+//! | [`misses`], [`gaps`] | why ticks began late; messages that never arrived |
+//! | [`repair`](mod@repair), [`join`] | logs made of logs: repaired, packed, joined, split |
+//! | [`columns`], [`csv`] | a topic as a table |
+
+pub mod cat;
+pub mod columns;
+pub mod continuity;
+pub mod csv;
+pub mod diff;
+pub mod difference;
+pub mod end;
+pub mod error;
+pub mod fields;
+mod frame_order;
+pub mod frames;
+pub mod gaps;
+pub mod header;
+mod index;
+pub mod info;
+pub mod join;
+mod lengths;
+mod limits;
+mod mcap_writer;
+pub mod misses;
+pub mod opening;
+mod order;
+pub mod reader;
+mod records;
+pub mod repair;
+pub mod rewrite;
+pub mod run_lane;
+mod seal;
+pub mod segments;
+mod sink;
+pub mod source;
+pub mod stream;
+pub mod timing_lane;
+pub mod topics;
+pub mod verdict;
+pub mod verify;
+mod walk;
+
+pub use cat::{CatOptions, cat};
+pub use continuity::{Gap, Stretch};
+pub use diff::{DiffReport, HeaderDifference, diff};
+pub use difference::{Divergence, FieldDifference};
+pub use end::{EndMarker, EndReason, Ending};
+pub use error::LogError;
+pub use frames::{FrameReader, FrameRecord, frames};
+pub use header::{BuildInfo, LogHeader, RunMode};
+pub use info::{LogInfo, info};
+pub use mcap_writer::IndexStore;
+pub use misses::{Cause, LostTime, Misses};
+pub use opening::HeaderCopy;
+pub use reader::{LogReader, SavedState, TickRecord};
+pub use repair::RepairReport;
+pub use rewrite::Packing;
+pub use run_lane::RunLog;
+pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segments};
+pub use source::{LogBytes, LogSource, ReadSeek};
+pub use stream::{LogMessage, MessageStream, ReadOptions};
+pub use timing_lane::TimingLog;
+pub use verdict::{Fault, Verdict, verdict};
+pub use verify::{ReplayReport, VerifyOptions, verify};

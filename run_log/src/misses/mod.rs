@@ -1,0 +1,361 @@
+//! Why ticks began late: the lost time of each miss, split into causes by the readings in its [`TickTiming`].
+//!
+//! A miss is a tick that began more than a period behind its deadline; all of its lateness is lost, since the schedule
+//! starts anew from there. The lateness has two parts. Up to the *overrun* the last tick's work was still going on;
+//! behind it the thread was due and had not begun.
+//!
+//! | part | time | cause |
+//! |---|---|---|
+//! | overrun | off the core, held back by a quota (`cpu.stat`) | throttled |
+//! | overrun | off the core, in the run queue (`schedstat`) | run queue |
+//! | overrun | off the core, stopped or frozen (SIGCONT, `cgroup.stat.local`) | stopped |
+//! | overrun | off the core otherwise: a disk was waited for, the thread gave its core away, neither | page fault, blocked, nothing seen |
+//! | overrun | on the core: 2 µs a page fault, then the rest | page fault, own computation |
+//! | due | waiting for the recorder, as the scene wants it | recorder |
+//! | due | held back by a quota, in the run queue, stopped or frozen | throttled, run queue, stopped |
+//! | due | taking the controllers' commands | controllers |
+//! | due | otherwise: the timer was late although nobody held the core | nothing seen |
+//!
+//! What nothing was seen for is called stolen as far as the machine's steal counter shows as much ([`Misses`]), and unknown beyond
+//! that. The kernel leaves stolen time out of a thread's processor time (`CONFIG_PARAVIRT_TIME_ACCOUNTING`). One that does not
+//! charges it to the thread; then what the counter says beyond its step of 10 ms is taken from the computation.
+
+use messages::{RunStatus, TickTiming};
+use zerocopy::FromBytes;
+
+use crate::topics;
+
+mod attribution;
+mod cause;
+
+pub use attribution::attribute;
+pub use cause::{Cause, LostTime};
+
+use attribution::STEAL_STEP_NS;
+use cause::CAUSES;
+
+/// The misses of a run.
+///
+/// Unknown time of a virtual machine is called stolen as far as the machine's own counter (`/proc/stat`) shows it: at that miss, or,
+/// since the counter moves in steps of 10 ms, for up to such a step of misses before. So never more is called stolen than it shows.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Misses {
+    /// Ticks.
+    pub ticks: u64,
+    /// Misses whose readings came: those that have a cause.
+    pub recorded: u64,
+    /// Misses that the physics has counted, as its status says.
+    counted: u64,
+    /// Misses by the cause of most of their lost time, in the order of [`Cause::ALL`].
+    pub by_cause: [u64; CAUSES],
+    /// Lost time of all misses.
+    pub lost: LostTime,
+    /// What the machine's own counter (`/proc/stat`, in steps of 10 ms) says was stolen from the core of a late tick in
+    /// the up to 100 ms before it, over all misses: no more is called stolen here.
+    pub steal_counter_ns: u64,
+    /// Ticks in which a controller's command was late. No time is lost to it in real time: its last command holds.
+    pub late_controller_ticks: u64,
+    /// Unknown time that the counter's next step may confirm, and the misses of which it is most.
+    pending_ns: u64,
+    pending_misses: u64,
+}
+
+impl Misses {
+    /// Takes in a tick; returns what it lost, if it was missed.
+    pub fn add(&mut self, timing: &TickTiming) -> Option<LostTime> {
+        self.ticks += 1;
+        self.late_controller_ticks += u64::from(timing.late_controllers != 0);
+        let mut lost = attribute(timing)?;
+        self.recorded += 1;
+        self.steal_counter_ns = self.steal_counter_ns.saturating_add(timing.stolen_ns);
+        // What the tick's own readings have shown of the counter is spent.
+        let budget_ns = timing.stolen_ns.saturating_sub(lost.of(Cause::Stolen));
+        let own_ns = lost.rename_unknown(budget_ns);
+        self.confirm_earlier(budget_ns - own_ns);
+        let main = lost.main_cause();
+        self.by_cause[main as usize] += 1;
+        self.lost.add(&lost);
+        // The counter is behind by less than a step: more than that it would have shown.
+        let room_ns = STEAL_STEP_NS.saturating_sub(self.pending_ns);
+        let unknown_ns = lost.of(Cause::Unknown).min(room_ns);
+        if timing.virtual_machine != 0 && unknown_ns > 0 {
+            self.pending_ns += unknown_ns;
+            let is_small = lost.of(Cause::Unknown) <= room_ns;
+            self.pending_misses += u64::from(main == Cause::Unknown && is_small);
+        }
+        Some(lost)
+    }
+
+    /// What is left of a step of the counter is of misses before.
+    fn confirm_earlier(&mut self, budget_ns: u64) {
+        let confirmed_ns = self.lost.rename_unknown(budget_ns.min(self.pending_ns));
+        if confirmed_ns == 0 {
+            return;
+        }
+        let share = u128::from(self.pending_misses) * u128::from(confirmed_ns) / u128::from(self.pending_ns);
+        let misses = (share as u64).min(self.by_cause[Cause::Unknown as usize]);
+        self.by_cause[Cause::Unknown as usize] -= misses;
+        self.by_cause[Cause::Stolen as usize] += misses;
+        self.pending_ns -= confirmed_ns;
+        self.pending_misses -= misses;
+    }
+
+    /// Takes in a message of the timing lane, of whatever topic.
+    pub fn take(&mut self, topic: &str, body: &[u8]) {
+        match topic {
+            topics::TICK_TIMING => {
+                if let Ok(timing) = TickTiming::read_from_bytes(body) {
+                    self.add(&timing);
+                }
+            }
+            topics::RUN_STATUS => {
+                if let Ok(status) = RunStatus::read_from_bytes(body) {
+                    self.add_status(&status);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes in what the physics has counted itself: of a gap in the log it knows the misses.
+    pub fn add_status(&mut self, status: &RunStatus) {
+        self.counted = self.counted.max(status.missed_ticks);
+    }
+
+    /// Ticks that began more than a period late, with those of which nothing was recorded.
+    pub fn missed(&self) -> u64 {
+        self.recorded.max(self.counted)
+    }
+
+    /// Misses that fell into a gap of the log: nobody knows why.
+    pub fn not_recorded(&self) -> u64 {
+        self.missed() - self.recorded
+    }
+
+    /// Share of the lost time that readings have named a cause for; none without lost time. Of misses that were not recorded nobody
+    /// knows the lost time.
+    pub fn confirmed_share(&self) -> Option<f64> {
+        let total_ns = self.lost.total_ns();
+        let named_ns = total_ns - self.lost.of(Cause::Unknown).min(total_ns);
+        (total_ns > 0).then(|| named_ns as f64 / total_ns as f64)
+    }
+
+    /// Misses that no hypervisor caused.
+    pub fn not_stolen(&self) -> u64 {
+        self.missed() - self.by_cause[Cause::Stolen as usize]
+    }
+
+    /// One line: `12 missed (0.10 %): 8 run queue, 3 stolen, 1 not recorded; 31.2 ms lost, 99.1 % confirmed`.
+    pub fn describe(&self) -> String {
+        let ticks = self.ticks.max(1) + self.not_recorded();
+        let share = 100.0 * self.missed() as f64 / ticks as f64;
+        let mut text = format!("{} missed ({share:.2} %)", self.missed());
+        let named = Cause::ALL.into_iter().zip(self.by_cause).filter(|(_, count)| *count > 0);
+        let mut named: Vec<String> =
+            named.map(|(cause, count)| format!("{count} {}", cause.name())).collect();
+        if self.not_recorded() > 0 {
+            named.push(format!("{} not recorded", self.not_recorded()));
+        }
+        if !named.is_empty() {
+            text += &format!(": {}", named.join(", "));
+        }
+        if let Some(confirmed) = self.confirmed_share() {
+            let lost_ms = self.lost.total_ns() as f64 * 1e-6;
+            text += &format!("; {lost_ms:.1} ms lost, {:.1} % confirmed", 100.0 * confirmed);
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    /// A miss whose last tick ended its work `overrun_ms` behind the deadline and which began `late_ms` behind it.
+    fn missed(late_ms: u64, overrun_ms: i64) -> TickTiming {
+        let mut timing = TickTiming::zeroed();
+        timing.missed = 1;
+        timing.virtual_machine = 1;
+        timing.wake_lateness_ns = (late_ms * MS) as i64;
+        timing.overrun_ns = overrun_ms * MS as i64;
+        timing.voluntary_switches = u32::from(overrun_ms < 0);
+        timing.work_ns = (1 + overrun_ms).max(0) as u64 * MS;
+        timing.work_cpu_ns = timing.work_ns;
+        timing
+    }
+
+    fn main_cause(timing: &TickTiming) -> Cause {
+        attribute(timing).unwrap().main_cause()
+    }
+
+    fn all(timings: &[TickTiming]) -> Misses {
+        let mut misses = Misses::default();
+        for timing in timings {
+            misses.add(timing);
+        }
+        misses
+    }
+
+    #[test]
+    fn a_tick_in_time_has_lost_nothing() {
+        assert_eq!(attribute(&TickTiming { missed: 0, ..missed(3, -1) }), None);
+    }
+
+    #[test]
+    fn each_cause_has_its_evidence() {
+        // Asleep when due, and then in the run queue.
+        let queued = TickTiming { run_queue_wait_ns: 3 * MS, ..missed(3, -1) };
+        assert_eq!(attribute(&queued).unwrap().of(Cause::RunQueue), 3 * MS);
+        // The timer was late, nobody held the core, and nothing was seen.
+        assert_eq!(main_cause(&missed(3, -1)), Cause::Unknown);
+        // The work took 4 ms of the core.
+        assert_eq!(main_cause(&missed(3, 3)), Cause::OwnComputation);
+        // It took 1 ms of the core and 3 ms in the run queue.
+        let off = TickTiming { work_cpu_ns: MS, ..missed(3, 3) };
+        assert_eq!(main_cause(&TickTiming { run_queue_wait_ns: 3 * MS, ..off }), Cause::RunQueue);
+        assert_eq!(main_cause(&off), Cause::Unknown);
+        assert_eq!(main_cause(&TickTiming { voluntary_switches: 1, ..off }), Cause::Blocked);
+        assert_eq!(main_cause(&TickTiming { major_page_faults: 1, page_faults: 1, ..off }), Cause::PageFault);
+        // 1,400 pages were touched.
+        assert_eq!(main_cause(&TickTiming { page_faults: 1400, ..missed(3, 3) }), Cause::PageFault);
+        // A kernel that charges stolen time to the thread.
+        assert_eq!(main_cause(&TickTiming { stolen_ns: 40 * MS, ..missed(30, 30) }), Cause::Stolen);
+        // Commands without end.
+        assert_eq!(main_cause(&TickTiming { collect_ns: 3 * MS, ..missed(3, -1) }), Cause::Controllers);
+        // The recorder, which the scene has the physics wait for.
+        assert_eq!(main_cause(&TickTiming { recorder_wait_ns: 3 * MS, ..missed(3, -1) }), Cause::Recorder);
+    }
+
+    /// Asleep or at work: 600 ms of SIGSTOP were 652 ms "stolen".
+    #[test]
+    fn a_stop_is_stopped_and_a_quota_is_throttled() {
+        for at in [missed(600, -1), TickTiming { work_cpu_ns: MS, voluntary_switches: 1, ..missed(600, 600) }]
+        {
+            let stopped = TickTiming { stopped_ns: 600 * MS, ..at };
+            assert_eq!(attribute(&stopped).unwrap().of(Cause::Stopped), 600 * MS, "{at:?}");
+            // In some kernels a throttled thread waits in the run queue, in others it does not.
+            for run_queue_wait_ns in [0, 600 * MS] {
+                let throttled = TickTiming { throttled_ns: 600 * MS, run_queue_wait_ns, ..at };
+                assert_eq!(attribute(&throttled).unwrap().of(Cause::Throttled), 600 * MS, "{at:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_no_evidence_names_is_not_called_stolen() {
+        let misses = all(&[missed(652, -1)]);
+        assert_eq!((misses.lost.of(Cause::Stolen), misses.lost.of(Cause::Unknown)), (0, 652 * MS));
+        assert_eq!(misses.describe(), "1 missed (100.00 %): 1 unknown; 652.0 ms lost, 0.0 % confirmed");
+        // A later step of the counter belongs to what it was behind by, and to no more of it.
+        let misses = all(&[missed(652, -1), TickTiming { stolen_ns: 100 * MS, ..missed(2, -1) }]);
+        assert_eq!(misses.lost.of(Cause::Stolen), 2 * MS + STEAL_STEP_NS);
+    }
+
+    #[test]
+    fn run_queue_time_of_an_earlier_part_explains_no_late_timer() {
+        // Work: 0.4 ms of the core, 0.3 ms in the run queue, done in time; then the timer was 2 ms late.
+        let timing = TickTiming {
+            work_ns: 700_000,
+            work_cpu_ns: 400_000,
+            run_queue_wait_ns: 300_000,
+            ..missed(2, -1)
+        };
+        let lost = attribute(&timing).unwrap();
+        assert_eq!((lost.of(Cause::RunQueue), lost.of(Cause::Unknown)), (0, 2 * MS));
+    }
+
+    #[test]
+    fn a_run_says_its_misses_in_a_line() {
+        let mut misses = Misses::default();
+        misses.add(&TickTiming::zeroed());
+        assert_eq!(misses.describe(), "0 missed (0.00 %)");
+        misses.add(&TickTiming { stolen_ns: STEAL_STEP_NS, ..missed(3, -1) });
+        misses.add(&TickTiming { late_controllers: 2, ..missed(1, 1) });
+        assert_eq!(
+            misses.describe(),
+            "2 missed (66.67 %): 1 own computation, 1 stolen; 4.0 ms lost, 100.0 % confirmed"
+        );
+        assert_eq!((misses.not_stolen(), misses.late_controller_ticks), (1, 1));
+    }
+
+    /// 436 were counted by the physics and 355 reported, "100 % explained".
+    #[test]
+    fn misses_that_fell_into_a_gap_are_said() {
+        let queued = TickTiming { run_queue_wait_ns: 3 * MS, ..missed(3, -1) };
+        let mut misses = all(&[queued; 355]);
+        misses.add_status(&RunStatus { missed_ticks: 436, ..RunStatus::zeroed() });
+        misses.add_status(&RunStatus { missed_ticks: 400, ..RunStatus::zeroed() });
+        assert_eq!((misses.missed(), misses.not_recorded()), (436, 81));
+        let said = misses.describe();
+        assert!(said.contains("436 missed") && said.contains("355 run queue, 81 not recorded"), "{said}");
+    }
+
+    #[test]
+    fn what_is_called_stolen_is_held_against_the_machines_counter() {
+        assert_eq!(Misses::default().confirmed_share(), None);
+        // 20 of 30 ms are on the counter.
+        let misses = all(&[TickTiming { stolen_ns: 20 * MS, ..missed(30, -1) }]);
+        assert_eq!(misses.confirmed_share(), Some(20.0 / 30.0));
+        assert_eq!(misses.by_cause[Cause::Stolen as usize], 1);
+        // It moves in steps: of ten misses of a millisecond the last one is told of all.
+        let mut timings = [missed(1, -1); 10];
+        timings[9].stolen_ns = 10 * MS;
+        let misses = all(&timings);
+        assert_eq!((misses.confirmed_share(), misses.by_cause[Cause::Stolen as usize]), (Some(1.0), 10));
+        // Nothing is stolen on a machine that nobody can steal from.
+        timings.iter_mut().for_each(|timing| (timing.virtual_machine, timing.stolen_ns) = (0, 0));
+        assert_eq!(all(&timings).confirmed_share(), Some(0.0));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+
+        /// Whatever the readings: the parts' sum is the lateness, and no cause is given more than its evidence.
+        #[test]
+        fn parts_sum_to_the_lateness(
+            late in -10_i64..50_000_000, overrun in -2_000_000_i64..60_000_000,
+            work in 0_u64..60_000_000, cpu in 0_u64..70_000_000, queue in 0_u64..80_000_000,
+            collect in 0_u64..60_000_000, stolen in 0_u64..5, faults in 0_u32..5000, major in 0_u32..3,
+            voluntary in 0_u32..4, virtual_machine in 0_u32..2,
+            throttled in 0_u64..60_000_000, stopped in 0_u64..60_000_000, recorder in 0_u64..60_000_000,
+        ) {
+            let timing = TickTiming {
+                wake_lateness_ns: late, overrun_ns: overrun, work_ns: work, work_cpu_ns: cpu,
+                run_queue_wait_ns: queue, collect_ns: collect, stolen_ns: stolen * STEAL_STEP_NS,
+                page_faults: faults + major, major_page_faults: major, voluntary_switches: voluntary,
+                missed: 1, virtual_machine, throttled_ns: throttled, stopped_ns: stopped, recorder_wait_ns: recorder,
+                ..TickTiming::zeroed()
+            };
+            let lost = attribute(&timing).unwrap();
+            prop_assert_eq!(lost.total_ns(), late.max(0) as u64);
+            prop_assert!(lost.of(Cause::RunQueue) <= queue);
+            prop_assert!(lost.of(Cause::OwnComputation) <= cpu);
+            prop_assert!(lost.of(Cause::Controllers) <= collect);
+            prop_assert!(lost.of(Cause::Throttled) <= throttled);
+            prop_assert!(lost.of(Cause::Stopped) <= stopped);
+            prop_assert!(lost.of(Cause::Recorder) <= recorder);
+            prop_assert!(lost.of(Cause::Stolen) <= timing.stolen_ns);
+            // Nor over any two ticks.
+            let misses = all(&[timing, TickTiming { stolen_ns: STEAL_STEP_NS, ..timing }]);
+            prop_assert!(misses.lost.of(Cause::Stolen) <= misses.steal_counter_ns);
+            prop_assert_eq!(misses.lost.total_ns(), 2 * late.max(0) as u64);
+            prop_assert_eq!(misses.by_cause.iter().sum::<u64>(), 2);
+        }
+
+        /// Extreme readings overflow nothing.
+        #[test]
+        fn any_bits_are_split(late in any::<i64>(), overrun in any::<i64>(), r in any::<[u64; 8]>(), c in any::<[u32; 4]>()) {
+            let timing = TickTiming {
+                wake_lateness_ns: late, overrun_ns: overrun, work_ns: r[0], work_cpu_ns: r[1],
+                run_queue_wait_ns: r[2], collect_ns: r[3], stolen_ns: r[4], page_faults: c[0],
+                major_page_faults: c[1], voluntary_switches: c[2], virtual_machine: c[3], missed: 1,
+                throttled_ns: r[5], stopped_ns: r[6], recorder_wait_ns: r[7], ..TickTiming::zeroed()
+            };
+            prop_assert_eq!(attribute(&timing).unwrap().total_ns(), late.max(0) as u64);
+        }
+    }
+}

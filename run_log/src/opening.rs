@@ -1,0 +1,151 @@
+//! Finding a log's header: it stands in the file twice, at the start and behind the first chunk, each copy with the
+//! scene, the calibration and checksums of its own. Whichever can be read is taken.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Seek};
+use std::path::Path;
+
+use crate::end::END_RECORD;
+use crate::error::LogError;
+use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, RUNS_RECORD, SCENE_ATTACHMENT};
+use crate::limits::MAX_SCENE_BYTES;
+use crate::records::{Attached, FileRecord, Records, Source};
+use crate::walk::{Piece, walk};
+
+/// Which copy of the header.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HeaderCopy {
+    /// At the start of the file.
+    First,
+    /// Behind the first chunk.
+    Second,
+}
+
+impl HeaderCopy {
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            HeaderCopy::First => "at the start",
+            HeaderCopy::Second => "behind the first chunk",
+        }
+    }
+}
+
+/// A header with the entries of its record.
+pub(crate) struct Opened {
+    pub header: LogHeader,
+    pub metadata: BTreeMap<String, String>,
+    /// The records behind it.
+    pub records: Records,
+    /// What is wrong with the first copy; none if it was read.
+    pub first_is_bad: Option<String>,
+}
+
+/// What has come of a copy.
+#[derive(Default)]
+pub(crate) struct Parts {
+    scene: Option<String>,
+    calibration: Option<String>,
+}
+
+impl Parts {
+    /// Keeps an attachment that is a header's.
+    pub fn take(&mut self, found: &Attached) {
+        let text = || {
+            let kept = found.data.get(..MAX_SCENE_BYTES).unwrap_or(&found.data);
+            Some(String::from_utf8_lossy(kept).into_owned())
+        };
+        match found.name.as_str() {
+            SCENE_ATTACHMENT => self.scene = text(),
+            CALIBRATION_ATTACHMENT => self.calibration = text(),
+            _ => {}
+        }
+    }
+
+    /// The copy, now that its record has come.
+    pub fn header(&mut self, path: &Path, entries: &BTreeMap<String, String>) -> Result<LogHeader, LogError> {
+        let Parts { scene, calibration } = std::mem::take(self);
+        LogHeader::from_metadata(path, entries, scene.unwrap_or_default(), calibration)
+    }
+}
+
+/// Opens a log at its first header, or at its first chunk with the header that follows it.
+///
+/// # Errors
+/// There is no header that can be read: what is wrong with the first.
+pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
+    let mut records = Records::new(source, path)?;
+    let mut parts = Parts::default();
+    let error = loop {
+        match records.next_record() {
+            Ok(FileRecord::Attachment(found)) => parts.take(&found),
+            Ok(FileRecord::Metadata { name, entries }) if name == HEADER_RECORD => {
+                match parts.header(path, &entries) {
+                    Ok(header) => {
+                        return Ok(Opened { header, metadata: entries, records, first_is_bad: None });
+                    }
+                    Err(error) => break error,
+                }
+            }
+            Ok(FileRecord::Metadata { name, entries }) if name == RUNS_RECORD => {
+                let runs = entries.get("count").cloned().unwrap_or_default();
+                return Err(LogError::SeveralRuns { path: path.into(), runs });
+            }
+            Ok(FileRecord::Metadata { .. }) => (),
+            Ok(FileRecord::Chunk | FileRecord::End | FileRecord::Cut(_)) => {
+                break LogError::NoHeader { path: path.into(), offset: records.offset() };
+            }
+            Err(error) => break error,
+        }
+    };
+    let mut source = records.into_source();
+    match second(&mut source, path) {
+        Found { header: Some((header, metadata)), first_chunk: Some(at) } => {
+            let records = Records::at(source, path, at)?;
+            Ok(Opened { header, metadata, records, first_is_bad: Some(cause(&error)) })
+        }
+        _ => Err(error),
+    }
+}
+
+/// What is wrong, without the file's name.
+pub(crate) fn cause(error: &LogError) -> String {
+    match error {
+        LogError::Damaged { cause, .. } => cause.clone(),
+        LogError::Metadata { key, expected, .. } => format!("its {key} is not {expected}"),
+        LogError::NoHeader { .. } => "there is none".to_string(),
+        other => other.to_string(),
+    }
+}
+
+/// What a file holds of a log whose first header cannot be read.
+#[derive(Default)]
+struct Found {
+    first_chunk: Option<u64>,
+    header: Option<(LogHeader, BTreeMap<String, String>)>,
+}
+
+/// Looks for the header behind the first chunk.
+fn second<R: Read + Seek>(source: &mut R, path: &Path) -> Found {
+    let (mut found, mut parts) = (Found::default(), Parts::default());
+    let walked = walk(source, path, &mut |piece| {
+        match piece {
+            Piece::ChunkBegin(at) => _ = found.first_chunk.get_or_insert(at),
+            Piece::Attachment(attached) if found.first_chunk.is_some() => parts.take(&attached),
+            Piece::Metadata { name, entries } if name == HEADER_RECORD && found.first_chunk.is_some() => {
+                found.header = parts.header(path, &entries).ok().map(|header| (header, entries));
+            }
+            Piece::Metadata { name, .. } if name == END_RECORD => return Err(enough(path)),
+            _ => {}
+        }
+        if found.header.is_some() { Err(enough(path)) } else { Ok(()) }
+    });
+    // That the walk was ended is no error of the file.
+    drop(walked);
+    found
+}
+
+/// Ends a walk.
+fn enough(path: &Path) -> LogError {
+    LogError::NoHeader { path: path.into(), offset: 0 }
+}

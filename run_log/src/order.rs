@@ -1,0 +1,175 @@
+//! Puts the messages of a tick, which arrive on separate queues, into one order.
+
+use std::collections::VecDeque;
+
+use messages::services::STATE;
+use messages::{Latched, Removed, State};
+use zerocopy::FromBytes;
+
+/// A message whose partner has not come is written alone once this many of its kind wait: its partner is lost.
+/// More than a queue holds: after a pause of the recorder one queue may come whole before the next is looked at.
+const MAX_WAITING: usize = 2 * STATE.lossless_length;
+
+/// Whether more messages can come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Supply {
+    /// They can: what is not complete waits for them.
+    Open,
+    /// They cannot: what is there is all there is.
+    Ended,
+}
+
+/// What a tick in the log begins with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Beginning {
+    Latched,
+    State,
+}
+
+/// One message in the order of the log.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Ordered {
+    Latched(Box<Latched>),
+    Removed(Vec<u8>),
+    State(Box<State>),
+}
+
+/// Messages of each kind in order of arrival. Out come, tick by tick: `Latched` k, `Removed` k+1, `State` k+1, however
+/// the three queues were interleaved; first of all, `Removed` 0 and `State` 0.
+#[derive(Debug, Default)]
+pub(crate) struct TickOrder {
+    latched: VecDeque<Box<Latched>>,
+    removed: VecDeque<(Removed, Vec<u8>)>,
+    states: VecDeque<Box<State>>,
+    /// `removed_total` of the last state handed out: the next one's differs by what its messages say.
+    removed_total: u64,
+    begun: bool,
+}
+
+impl TickOrder {
+    pub fn latched(&mut self, latched: &Latched) {
+        self.latched.push_back(Box::new(*latched));
+    }
+
+    pub fn removed(&mut self, message: &[u8]) {
+        if let Ok((removed, _)) = Removed::read_from_prefix(message) {
+            self.removed.push_back((removed, message.to_vec()));
+        }
+    }
+
+    pub fn state(&mut self, state: &State) {
+        self.states.push_back(Box::new(*state));
+    }
+
+    /// The next messages in order; empty if the next tick's are not all there and more can come.
+    pub fn next(&mut self, supply: Supply) -> Vec<Ordered> {
+        let has_ended = supply == Supply::Ended;
+        match (self.latched.front(), self.states.front()) {
+            (_, Some(state)) if !self.begun && state.tick == 0 => self.tick(Beginning::State, supply),
+            (Some(latched), Some(state)) if latched.tick.checked_add(1) == Some(state.tick) => {
+                self.tick(Beginning::Latched, supply)
+            }
+            (Some(latched), Some(state)) if latched.tick >= state.tick => self.tick(Beginning::State, supply),
+            (Some(_), Some(_)) => self.lone_latched(),
+            (Some(_), None) if has_ended => self.last_latched(),
+            (Some(_), None) if self.latched.len() > MAX_WAITING => self.lone_latched(),
+            (None, Some(_)) if has_ended || self.states.len() > MAX_WAITING => {
+                self.tick(Beginning::State, supply)
+            }
+            (None, None) if has_ended => {
+                self.removed.pop_front().map(|(_, bytes)| Ordered::Removed(bytes)).into_iter().collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// The first waiting state with its removals, and behind the first waiting command if that is its own.
+    fn tick(&mut self, beginning: Beginning, supply: Supply) -> Vec<Ordered> {
+        let with_latched = beginning == Beginning::Latched;
+        let reset = with_latched && self.latched.front().is_some_and(|latched| latched.reset != 0);
+        let Some(count) = self.removals_of_front_state(reset, supply) else { return Vec::new() };
+        let latched = if with_latched { self.latched.pop_front() } else { None };
+        let mut out: Vec<Ordered> = latched.map(Ordered::Latched).into_iter().collect();
+        out.extend(self.removed.drain(..count).map(|(_, bytes)| Ordered::Removed(bytes)));
+        if let Some(state) = self.states.pop_front() {
+            self.removed_total = state.removed_total;
+            out.push(Ordered::State(state));
+        }
+        self.begun = true;
+        out
+    }
+
+    /// The commands behind the last state. Those of later ticks, whose states were not taken any more, are no part of the
+    /// log: it ends with what is whole.
+    fn last_latched(&mut self) -> Vec<Ordered> {
+        let first = self.lone_latched();
+        self.latched.clear();
+        first
+    }
+
+    fn lone_latched(&mut self) -> Vec<Ordered> {
+        self.begun = true;
+        self.latched.pop_front().map(Ordered::Latched).into_iter().collect()
+    }
+
+    /// Number of waiting removals that belong before the first waiting state; none while more must come. Totals only
+    /// grow within a tick, but for the first message behind a reset, so reaching the state's total ends the tick.
+    fn removals_of_front_state(&self, is_reset: bool, supply: Supply) -> Option<usize> {
+        let state = self.states.front()?;
+        let of_tick = self.removed.iter().take_while(|(removed, _)| removed.tick <= state.tick).count();
+        let messages = || self.removed.iter().take(of_tick).map(|(removed, _)| removed);
+        let total = messages().next_back().map_or(self.removed_total, |removed| removed.removed_total);
+        let restored = !is_reset || messages().any(|removed| removed.restore_first != 0);
+        let complete = total == state.removed_total && restored;
+        let hopeless =
+            supply == Supply::Ended || of_tick < self.removed.len() || self.states.len() > MAX_WAITING;
+        (complete || hopeless).then_some(of_tick)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A recorder that has to end early has taken more commands than states; it wrote them all, and the log's last ticks
+    /// were a gap that no reader passes.
+    #[test]
+    fn commands_whose_states_were_not_taken_do_not_follow_each_other_at_the_end() {
+        let mut order = TickOrder::default();
+        order.state(&State::zeroed());
+        (0..5).for_each(|tick| order.latched(&Latched { tick, ..Latched::zeroed() }));
+        order.state(&State { tick: 1, ..State::zeroed() });
+        let mut out = Vec::new();
+        loop {
+            let next = order.next(Supply::Ended);
+            if next.is_empty() {
+                break;
+            }
+            out.extend(next);
+        }
+        let tick = |ordered: &Ordered| match ordered {
+            Ordered::Latched(latched) => ("latched", latched.tick),
+            Ordered::State(state) => ("state", state.tick),
+            Ordered::Removed(_) => ("removed", 0),
+        };
+        let ticks: Vec<_> = out.iter().map(tick).collect();
+        assert_eq!(ticks, [("state", 0), ("latched", 0), ("state", 1), ("latched", 1)]);
+    }
+
+    /// A recorder that was stopped for two seconds found one queue full, took it whole, and wrote states without their
+    /// commands when more than 1024 waited: a gap that no reader passes.
+    #[test]
+    fn a_whole_queue_of_states_waits_for_its_commands() {
+        let mut order = TickOrder::default();
+        let ticks = STATE.lossless_length as u64;
+        (0..=ticks).for_each(|tick| order.state(&State { tick, ..State::zeroed() }));
+        assert_eq!(order.next(Supply::Open).len(), 1, "the first state has none");
+        assert!(order.next(Supply::Open).is_empty(), "its commands come later");
+        for tick in 0..ticks {
+            order.latched(&Latched { tick, ..Latched::zeroed() });
+            let next = order.next(Supply::Open);
+            let pair = matches!(&next[..], [Ordered::Latched(l), Ordered::State(s)] if l.tick == tick && s.tick == tick + 1);
+            assert!(pair, "tick {tick}: {} messages", next.len());
+        }
+    }
+}

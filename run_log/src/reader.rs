@@ -1,0 +1,438 @@
+//! The ticks of a log.
+
+use std::path::{Path, PathBuf};
+
+use messages::services::MAX_KEYFRAME_BYTES;
+use messages::{Keyframe, Latched, Removed, State};
+use zerocopy::FromBytes;
+
+use crate::end::Ending;
+use crate::error::LogError;
+use crate::header::LogHeader;
+use crate::source::LogSource;
+use crate::stream::{LogMessage, MessageStream, ReadOptions};
+use crate::topics;
+
+/// One complete tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TickRecord {
+    /// u_k.
+    pub latched: Latched,
+    /// The state that it led to.
+    pub state: State,
+    /// Linear indices of the voxels that this tick drilled away.
+    pub removed: Vec<u32>,
+    /// After a reset: all voxels were put back and these removed again (the predrilled ones) before `removed`.
+    pub restored: Option<Vec<u32>>,
+}
+
+/// A whole keyframe of a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SavedState {
+    /// `State.tick` of the state that it saves.
+    pub tick: u64,
+    /// `State.hash` of that state, low word first.
+    pub hash: [u64; 2],
+    /// The physics' own bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// The ticks of a `run.mcap`, in order from a complete log or one cut at any byte.
+///
+/// Iterates over complete ticks only. An error (a gap, damage) is the last item; behind a gap, [`LogReader::go_on`] goes
+/// to the next keyframe, and the iteration goes on there.
+pub struct LogReader {
+    stream: MessageStream,
+    initial: State,
+    predrilled: Vec<u32>,
+    last: u64,
+    pending: Pending,
+    /// Most voxels that a tick can remove.
+    voxels: u64,
+    /// Keyframe at which the ticks begin, of a log whose start is missing.
+    beginning: Option<SavedState>,
+    /// Whether the iteration ended at a gap, behind which there may be more.
+    at_gap: bool,
+    done: bool,
+}
+
+/// Where the ticks of a log go on behind a gap.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Resumption {
+    /// The first state behind the gap of which there is a keyframe.
+    pub state: Box<State>,
+    /// That keyframe.
+    pub keyframe: SavedState,
+}
+
+/// Messages of the tick whose state has not come.
+#[derive(Default)]
+struct Pending {
+    latched: Option<Latched>,
+    removals: Vec<(Removed, Vec<u32>)>,
+    /// Their voxels; a message without any counts as one.
+    held: u64,
+    /// Number of removal messages so far; none behind a gap, where any number may come.
+    removal_count: Option<u64>,
+    /// `removed_total` of the last state.
+    removed_total: u64,
+    /// The last keyframe, or what has come of it.
+    keyframe: Option<(SavedState, usize)>,
+    /// Number of keyframe parts so far; none behind a gap.
+    keyframe_parts: Option<u64>,
+}
+
+impl LogReader {
+    /// Opens a log of this build's layouts and reads up to the initial state.
+    pub fn open(log: &dyn LogSource) -> Result<LogReader, LogError> {
+        LogReader::open_with(log, ReadOptions::default())
+    }
+
+    /// Opens a log and reads up to the initial state.
+    pub fn open_with(log: &dyn LogSource, options: ReadOptions) -> Result<LogReader, LogError> {
+        LogReader::from_stream(MessageStream::open(log, options)?)
+    }
+
+    /// Reads the ticks of a stream from its start; of a log whose start is missing, from its first keyframe
+    /// ([`beginning`](Self::beginning)).
+    pub fn from_stream(mut stream: MessageStream) -> Result<LogReader, LogError> {
+        let mut pending = Pending { removal_count: Some(0), keyframe_parts: Some(0), ..Pending::default() };
+        let voxels = voxels_of(stream.header());
+        match LogReader::start(&mut stream, &mut pending, voxels) {
+            Ok((initial, predrilled)) => Ok(LogReader {
+                stream,
+                initial,
+                predrilled,
+                last: 0,
+                pending,
+                voxels,
+                beginning: None,
+                at_gap: false,
+                done: false,
+            }),
+            Err(error @ (LogError::Gap { .. } | LogError::NoInitialState { .. })) => {
+                let mut reader = LogReader {
+                    stream,
+                    initial: State::zeroed(),
+                    predrilled: Vec::new(),
+                    last: 0,
+                    pending: Pending::default(),
+                    voxels,
+                    beginning: None,
+                    at_gap: true,
+                    done: true,
+                };
+                let Some(found) = reader.go_on()? else { return Err(error) };
+                reader.initial = *found.state;
+                reader.beginning = Some(found.keyframe);
+                Ok(reader)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// The initial state and what is predrilled in it.
+    fn start(
+        stream: &mut MessageStream,
+        pending: &mut Pending,
+        voxels: u64,
+    ) -> Result<(State, Vec<u32>), LogError> {
+        let path: PathBuf = stream.path().into();
+        let initial = loop {
+            let Some(message) = stream.next_message()? else {
+                // A log of the timing lane, for one.
+                let is_whole = stream.ending().is_complete();
+                return Err(if is_whole {
+                    LogError::NoStates { path }
+                } else {
+                    LogError::NoInitialState { path }
+                });
+            };
+            if message.topic == topics::LATCHED {
+                return Err(gap(&path, topics::STATE, 0, "a command comes first"));
+            }
+            match pending.take(&path, &message, None)? {
+                Some(state) if state.tick == 0 => break state,
+                Some(state) => {
+                    return Err(gap(&path, topics::STATE, 0, &format!("state {} comes first", state.tick)));
+                }
+                None => pending.check_size(stream, voxels)?,
+            }
+        };
+        let (predrilled, _) = pending.removed_of(&path, &initial, false)?;
+        Ok((initial, predrilled))
+    }
+
+    /// The keyframe at which the ticks begin if the log's start is missing.
+    pub fn beginning(&self) -> Option<&SavedState> {
+        self.beginning.as_ref()
+    }
+
+    /// After the iteration has ended with [`LogError::Gap`]: goes to the next keyframe behind it, from which the iteration
+    /// then goes on. None if the iteration did not end so, or the log ends before.
+    ///
+    /// # Errors
+    /// The log cannot be read further.
+    pub fn go_on(&mut self) -> Result<Option<Resumption>, LogError> {
+        if !std::mem::take(&mut self.at_gap) {
+            return Ok(None);
+        }
+        let path: PathBuf = self.stream.path().into();
+        let mut state: Option<Box<State>> = None;
+        let mut pending = Pending::default();
+        while let Some(message) = self.stream.next_message()? {
+            match message.topic {
+                topics::STATE => state = State::read_from_bytes(message.body).ok().map(Box::new),
+                topics::KEYFRAME => {
+                    let Some(state) = &state else { continue };
+                    // One of another state is of no use here.
+                    let _ = pending.take_keyframe_part(&path, message.body, Some(state.tick));
+                    if let Some(keyframe) = pending.whole_keyframe()
+                        && keyframe.hash == state.hash
+                    {
+                        let found = Resumption { state: state.clone(), keyframe: keyframe.clone() };
+                        pending.removed_total = state.removed_total;
+                        (self.pending, self.last, self.done) = (pending, state.tick, false);
+                        return Ok(Some(found));
+                    }
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+
+    /// What the log is about.
+    pub fn header(&self) -> &LogHeader {
+        self.stream.header()
+    }
+
+    /// The initial state, tick 0.
+    pub fn initial(&self) -> &State {
+        &self.initial
+    }
+
+    /// Linear indices of the voxels that are gone in the initial state.
+    pub fn predrilled(&self) -> &[u32] {
+        &self.predrilled
+    }
+
+    /// The stream below, for its metadata and counts.
+    pub fn stream(&self) -> &MessageStream {
+        &self.stream
+    }
+
+    /// The keyframe behind the tick before the last one that was read, if there is one: of the state in which the last
+    /// tick began. At the end of the log, that of the last state. Taken only once.
+    pub fn take_keyframe(&mut self) -> Option<SavedState> {
+        self.pending.whole_keyframe()?;
+        self.pending.keyframe.take().map(|(saved, _)| saved)
+    }
+
+    /// `State.tick` of the last complete tick so far.
+    pub fn last_complete_tick(&self) -> u64 {
+        self.last
+    }
+
+    /// How the file ends. Known once the iteration has ended without an error.
+    pub fn ending(&self) -> &Ending {
+        self.stream.ending()
+    }
+
+    fn next_tick(&mut self) -> Result<Option<TickRecord>, LogError> {
+        let path: PathBuf = self.stream.path().into();
+        while let Some(message) = self.stream.next_message()? {
+            let Some(state) = self.pending.take(&path, &message, Some(self.last))? else {
+                self.pending.check_size(&self.stream, self.voxels)?;
+                continue;
+            };
+            let tick = state.tick;
+            let Some(latched) = self.pending.latched.take() else {
+                return Err(gap(
+                    &path,
+                    topics::LATCHED,
+                    self.last,
+                    &format!("state {tick} follows without it"),
+                ));
+            };
+            if self.last.checked_add(1) != Some(tick) {
+                return Err(gap(&path, topics::STATE, self.last.saturating_add(1), &format!("state {tick}")));
+            }
+            let (removed, restored) = self.pending.removed_of(&path, &state, latched.reset != 0)?;
+            self.last = tick;
+            return Ok(Some(TickRecord { latched, state, removed, restored }));
+        }
+        Ok(None)
+    }
+}
+
+impl Pending {
+    /// Takes a message behind state `last`; returns the state if it is one.
+    fn take(
+        &mut self,
+        path: &Path,
+        message: &LogMessage<'_>,
+        last: Option<u64>,
+    ) -> Result<Option<State>, LogError> {
+        match message.topic {
+            topics::LATCHED => {
+                let Ok(latched) = Latched::read_from_bytes(message.body) else { return Ok(None) };
+                if let Some(previous) = &self.latched {
+                    let found = format!("latched {} follows latched {}", latched.tick, previous.tick);
+                    return Err(gap(path, topics::STATE, previous.tick.saturating_add(1), &found));
+                }
+                let expected = last.unwrap_or(0);
+                if latched.tick != expected {
+                    return Err(gap(path, topics::LATCHED, expected, &format!("latched {}", latched.tick)));
+                }
+                self.latched = Some(latched);
+            }
+            topics::REMOVED => {
+                let Ok((removed, tail)) = Removed::read_from_prefix(message.body) else { return Ok(None) };
+                let expected = self.removal_count.map_or(removed.sequence, |count| count.saturating_add(1));
+                self.removal_count = Some(removed.sequence);
+                if removed.sequence != expected {
+                    let found = format!("message {}, expected {expected}", removed.sequence);
+                    return Err(gap(path, topics::REMOVED, removed.tick, &found));
+                }
+                let tick = last.map_or(0, |last| last.saturating_add(1));
+                if removed.tick != tick {
+                    return Err(gap(
+                        path,
+                        topics::STATE,
+                        tick,
+                        &format!("a removal of tick {}", removed.tick),
+                    ));
+                }
+                let voxels = voxel_indices(tail);
+                self.held += voxels.len().max(1) as u64;
+                self.removals.push((removed, voxels));
+            }
+            topics::KEYFRAME => self.take_keyframe_part(path, message.body, last)?,
+            topics::STATE => return Ok(State::read_from_bytes(message.body).ok()),
+            _ => (),
+        }
+        Ok(None)
+    }
+
+    /// A log that removes without end and never says a state would fill the memory.
+    fn check_size(&self, stream: &MessageStream, most: u64) -> Result<(), LogError> {
+        // After a reset without predrilled voxels there is a message that holds none.
+        if self.held <= most.saturating_add(1) {
+            return Ok(());
+        }
+        let cause = format!("removals of {} voxels in a tick, the volume has {most}", self.held);
+        Err(LogError::Damaged { path: stream.path().into(), offset: stream.offset(), cause })
+    }
+
+    /// Takes a part of the keyframe of state `last`. If one before it is missing, the keyframe is none: the ticks need it
+    /// only to begin there, and what is missing is counted elsewhere.
+    fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<u64>) -> Result<(), LogError> {
+        let Ok((head, data)) = Keyframe::read_from_prefix(body) else { return Ok(()) };
+        let expected = self.keyframe_parts.map(|parts| parts.saturating_add(1));
+        self.keyframe_parts = Some(head.sequence);
+        let begun = match &self.keyframe {
+            Some((saved, _)) if head.offset_bytes > 0 && saved.tick == head.tick => Some(saved.bytes.len()),
+            _ => None,
+        };
+        let total = head.total_bytes as usize;
+        let fits = begun.unwrap_or(0) == head.offset_bytes as usize
+            && head.offset_bytes as usize + data.len() <= total
+            && total <= MAX_KEYFRAME_BYTES;
+        let is_lost = expected != Some(head.sequence) || (begun.is_none() && head.offset_bytes > 0);
+        if Some(head.tick) != last || (!fits && !is_lost) {
+            let found = format!("part {} of tick {}, byte {}", head.sequence, head.tick, head.offset_bytes);
+            return Err(gap(path, topics::KEYFRAME, head.tick, &found));
+        }
+        if !fits {
+            self.keyframe = None;
+            return Ok(());
+        }
+        if begun.is_none() {
+            let saved = SavedState { tick: head.tick, hash: head.hash, bytes: Vec::new() };
+            self.keyframe = Some((saved, total));
+        }
+        if let Some((saved, _)) = &mut self.keyframe {
+            saved.bytes.extend_from_slice(data);
+        }
+        Ok(())
+    }
+
+    /// The last keyframe, if all of it has come.
+    fn whole_keyframe(&self) -> Option<&SavedState> {
+        let (saved, total) = self.keyframe.as_ref()?;
+        (saved.bytes.len() == *total).then_some(saved)
+    }
+
+    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all
+    /// are predrilled.
+    fn removed_of(
+        &mut self,
+        path: &Path,
+        state: &State,
+        reset: bool,
+    ) -> Result<(Vec<u32>, Option<Vec<u32>>), LogError> {
+        let missing = |found: String| gap(path, topics::REMOVED, state.tick, &found);
+        let removals = std::mem::take(&mut self.removals);
+        self.held = 0;
+        let total = removals.last().map_or(self.removed_total, |(removed, _)| removed.removed_total);
+        if total != state.removed_total {
+            return Err(missing(format!(
+                "messages up to {total} voxels, the state counts {}",
+                state.removed_total
+            )));
+        }
+        self.removed_total = total;
+        let restores = removals.iter().any(|(removed, _)| removed.restore_first != 0);
+        if restores != reset {
+            let word =
+                if restores { "voxels put back without a reset" } else { "a reset without voxels put back" };
+            return Err(missing(word.to_string()));
+        }
+        let mut voxels: Vec<u32> = removals.into_iter().flat_map(|(_, voxels)| voxels).collect();
+        if state.tick == 0 {
+            return Ok((voxels, None));
+        }
+        let drilled = state.removed_in_tick as usize;
+        match voxels.len().checked_sub(drilled) {
+            Some(before) if reset => {
+                let removed = voxels.split_off(before);
+                Ok((removed, Some(voxels)))
+            }
+            Some(0) => Ok((voxels, None)),
+            _ => Err(missing(format!("{} voxels, the state counts {drilled} in this tick", voxels.len()))),
+        }
+    }
+}
+
+impl Iterator for LogReader {
+    type Item = Result<TickRecord, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.done {
+            return None;
+        }
+        let item = self.next_tick();
+        self.done = !matches!(item, Ok(Some(_)));
+        self.at_gap = matches!(item, Err(LogError::Gap { .. }));
+        item.transpose()
+    }
+}
+
+/// Voxels of the log's volume.
+pub fn voxels_of(header: &LogHeader) -> u64 {
+    header
+        .volume_dimensions
+        .iter()
+        .fold(1_u64, |count, n| count.saturating_mul(u64::from(*n)))
+        .min(voxel_grid::MAX_VOXELS as u64)
+}
+
+/// The voxel indices behind a `Removed`.
+pub fn voxel_indices(tail: &[u8]) -> Vec<u32> {
+    tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+}
+
+fn gap(path: &Path, topic: &'static str, tick: u64, found: &str) -> LogError {
+    LogError::Gap { path: path.into(), topic, tick, found: found.to_string() }
+}

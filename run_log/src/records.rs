@@ -1,0 +1,431 @@
+//! MCAP records of a file, one after the other, with every length checked before it is believed.
+//!
+//! The framing is done here and not by `mcap`'s readers because a log may be cut or damaged anywhere: their attachment
+//! parser panics on short records, and they do not say at which byte a file stops.
+//! Format: <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use mcap::MAGIC;
+use mcap::records::{ChunkHeader, Record, op};
+
+use crate::end::Cut;
+use crate::error::LogError;
+use crate::lengths::parse_record;
+use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
+use crate::sink::MAX_MESSAGE_BYTES;
+use crate::source::ReadSeek;
+
+/// Longest record or unpacked chunk: the longest message with some room for its neighbours.
+pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
+pub(crate) const RECORD_HEADER: usize = 9;
+/// A log being written ends in fewer zeros than this (`background::BLOCK`).
+const PADDING_BYTES: u64 = 4096;
+/// Bytes of the footer's fields that its checksum covers.
+const FOOTER_COVERED: usize = 8 + 8;
+
+/// What a file-level record is, as far as a log needs it.
+pub(crate) enum FileRecord {
+    /// A chunk, checked and unpacked: see [`Records::chunk`].
+    Chunk,
+    /// A metadata record.
+    Metadata { name: String, entries: BTreeMap<String, String> },
+    /// An attachment.
+    Attachment(Attached),
+    /// The file is whole.
+    End,
+    /// The file stops in the middle.
+    Cut(Cut),
+}
+
+/// An attachment whose checksum is right.
+pub(crate) struct Attached {
+    pub log_time: u64,
+    pub create_time: u64,
+    pub name: String,
+    pub media_type: String,
+    pub data: Vec<u8>,
+}
+
+/// What a log is read through.
+pub(crate) type Source = BufReader<Box<dyn ReadSeek>>;
+
+/// What became of a record.
+enum Loaded {
+    /// It lies in `record`; its type.
+    Record(u8),
+    /// It is a chunk that nobody wants.
+    PassedOver,
+    /// The file has only so many bytes of it.
+    Incomplete(u64),
+}
+
+/// The records of a file.
+pub(crate) struct Records {
+    source: Source,
+    path: PathBuf,
+    /// Start of the next record.
+    offset: u64,
+    /// CRC of everything before it; none once the data section is over, or if not all of it is read.
+    data_crc: Option<crc32fast::Hasher>,
+    /// CRC of the summary so far, with the footer's fields.
+    summary_crc: crc32fast::Hasher,
+    /// Before the end of the data section.
+    in_data: bool,
+    record: Vec<u8>,
+    chunk: Vec<u8>,
+    finished: bool,
+    /// Type of the last record.
+    opcode: u8,
+    /// Offsets of chunks that nobody wants.
+    unwanted: BTreeSet<u64>,
+}
+
+impl Records {
+    /// Checks the magic number.
+    pub fn new(mut source: Source, path: &Path) -> Result<Records, LogError> {
+        let read_error = |source| LogError::Read { path: path.into(), offset: 0, source };
+        source.seek(SeekFrom::Start(0)).map_err(read_error)?;
+        let mut magic = Vec::new();
+        source.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic).map_err(read_error)?;
+        check_magic(&magic, path)?;
+        let mut crc = crc32fast::Hasher::new();
+        crc.update(MAGIC);
+        Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
+    }
+
+    /// The records from a byte on at which one begins. The checksum of the whole file is not checked then.
+    pub fn at(mut source: Source, path: &Path, offset: u64) -> Result<Records, LogError> {
+        let moved = source.seek(SeekFrom::Start(offset));
+        moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
+        Ok(Records::from(source, path, offset, None))
+    }
+
+    fn from(source: Source, path: &Path, offset: u64, data_crc: Option<crc32fast::Hasher>) -> Records {
+        Records {
+            source,
+            path: path.into(),
+            offset,
+            data_crc,
+            summary_crc: crc32fast::Hasher::new(),
+            in_data: true,
+            record: Vec::new(),
+            chunk: Vec::new(),
+            finished: false,
+            opcode: 0,
+            unwanted: BTreeSet::new(),
+        }
+    }
+
+    /// What it read from.
+    pub fn into_source(self) -> Source {
+        self.source
+    }
+
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Start of the next record in bytes.
+    pub fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// The last chunk's records.
+    pub fn chunk(&self) -> &[u8] {
+        &self.chunk
+    }
+
+    /// Passes over these chunks from now on. The checksum of the whole file can then not be told; those of the chunks
+    /// that are read can.
+    pub fn pass_over(&mut self, chunks: BTreeSet<u64>) {
+        self.data_crc = self.data_crc.take().filter(|_| chunks.is_empty());
+        self.unwanted = chunks;
+    }
+
+    /// Whether the last record was an attachment or metadata: no message is lost with it.
+    pub fn is_beside_messages(&self) -> bool {
+        matches!(self.opcode, op::ATTACHMENT | op::METADATA)
+    }
+
+    /// Does without the checksum of the whole file: why it is wrong is known.
+    pub fn forget_checksum(&mut self) {
+        self.data_crc = None;
+    }
+
+    /// The next record that a log needs.
+    pub fn next_record(&mut self) -> Result<FileRecord, LogError> {
+        loop {
+            if self.finished {
+                return Ok(FileRecord::End);
+            }
+            let start = self.offset;
+            let opcode = match self.load()? {
+                Loaded::Record(opcode) => opcode,
+                Loaded::PassedOver => continue,
+                Loaded::Incomplete(incomplete_bytes) => {
+                    self.finished = true;
+                    return Ok(FileRecord::Cut(Cut { offset: start, incomplete_bytes }));
+                }
+            };
+            self.opcode = opcode;
+            let found = self.interpret(opcode);
+            // Whoever can do without this one may ask for the next.
+            self.offset = start + (RECORD_HEADER + self.record.len()) as u64;
+            let found =
+                found.map_err(|cause| LogError::Damaged { path: self.path.clone(), offset: start, cause })?;
+            if opcode == op::FOOTER {
+                return self.end_magic();
+            }
+            if let Some(found) = found {
+                return Ok(found);
+            }
+        }
+    }
+
+    /// Reads a record.
+    fn load(&mut self) -> Result<Loaded, LogError> {
+        let mut header = Vec::with_capacity(RECORD_HEADER);
+        self.read_up_to(RECORD_HEADER as u64, |bytes| std::mem::swap(bytes, &mut header))?;
+        let Ok(fixed) = <[u8; RECORD_HEADER]>::try_from(header.as_slice()) else {
+            return Ok(Loaded::Incomplete(header.len() as u64));
+        };
+        if fixed == [0; RECORD_HEADER]
+            && let Some(zeros) = self.zeros_to_the_end()?
+        {
+            // The rest of a block that a killed recorder was writing.
+            return Ok(Loaded::Incomplete(RECORD_HEADER as u64 + zeros));
+        }
+        let mut length = [0u8; 8];
+        length.copy_from_slice(&fixed[1..]);
+        let length = u64::from_le_bytes(length);
+        if length > MAX_RECORD_BYTES {
+            let cause = format!("a record of {length} bytes, expected at most {MAX_RECORD_BYTES}");
+            return Err(LogError::Damaged { path: self.path.clone(), offset: self.offset, cause });
+        }
+        if fixed[0] == op::CHUNK && self.unwanted.contains(&self.offset) {
+            self.record.clear();
+            let skipped = self.source.seek_relative(i64::try_from(length).unwrap_or(i64::MAX));
+            skipped.map_err(|source| LogError::Read {
+                path: self.path.clone(),
+                offset: self.offset,
+                source,
+            })?;
+            self.offset += RECORD_HEADER as u64 + length;
+            return Ok(Loaded::PassedOver);
+        }
+        self.read_up_to(length, |_| ())?;
+        if (self.record.len() as u64) < length {
+            return Ok(Loaded::Incomplete((RECORD_HEADER + self.record.len()) as u64));
+        }
+        self.sum(fixed);
+        Ok(Loaded::Record(fixed[0]))
+    }
+
+    /// Takes a record into the checksum that covers it: of the data section, or of the summary.
+    fn sum(&mut self, fixed: [u8; RECORD_HEADER]) {
+        let opcode = fixed[0];
+        let crc = match self.in_data {
+            true if opcode == op::DATA_END => return,
+            true => self.data_crc.as_mut(),
+            false => Some(&mut self.summary_crc),
+        };
+        let Some(crc) = crc else { return };
+        // The footer's own checksum is not covered.
+        let covered = if opcode == op::FOOTER { FOOTER_COVERED } else { self.record.len() };
+        crc.update(&fixed);
+        crc.update(self.record.get(..covered).unwrap_or(&self.record));
+    }
+
+    /// Number of zeros up to the end of the file; none if there is anything else, or more than a block of them.
+    fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
+        self.read_up_to(PADDING_BYTES, |_| ())?;
+        let few = (self.record.len() as u64) < PADDING_BYTES;
+        Ok((few && self.record.iter().all(|byte| *byte == 0)).then_some(self.record.len() as u64))
+    }
+
+    fn read_up_to(&mut self, count: u64, then: impl FnOnce(&mut Vec<u8>)) -> Result<(), LogError> {
+        self.record.clear();
+        let read = self.source.by_ref().take(count).read_to_end(&mut self.record);
+        read.map_err(|source| LogError::Read { path: self.path.clone(), offset: self.offset, source })?;
+        then(&mut self.record);
+        Ok(())
+    }
+
+    fn interpret(&mut self, opcode: u8) -> Result<Option<FileRecord>, String> {
+        match opcode {
+            op::CHUNK => {
+                match parse_record(opcode, &self.record)? {
+                    Record::Chunk { header, data } => unpack(&header, &data, &mut self.chunk)?,
+                    _ => return Err("a chunk that is none".to_string()),
+                }
+                Ok(Some(FileRecord::Chunk))
+            }
+            op::METADATA => {
+                metadata(&self.record).map(|(name, entries)| Some(FileRecord::Metadata { name, entries }))
+            }
+            op::ATTACHMENT => attachment(&self.record).map(|found| Some(FileRecord::Attachment(found))),
+            op::DATA_END => {
+                self.in_data = false;
+                let calculated = self.data_crc.take().map(crc32fast::Hasher::finalize);
+                match parse_record(opcode, &self.record)? {
+                    Record::DataEnd(end) if end.data_section_crc == 0 => Ok(None),
+                    Record::DataEnd(end) if calculated.is_none_or(|crc| crc == end.data_section_crc) => {
+                        Ok(None)
+                    }
+                    _ => Err("the CRC of the data section is wrong: a record before this one has changed"
+                        .to_string()),
+                }
+            }
+            op::FOOTER => self.check_summary().map(|()| None),
+            op::MESSAGE | op::SCHEMA | op::CHANNEL if self.in_data => {
+                Err(format!("record type {opcode:#04x} outside of a chunk"))
+            }
+            0 => Err("record type 0".to_string()),
+            _ => Ok(None),
+        }
+    }
+
+    /// Checks the summary's checksum; 0 is "not computed" (MCAP specification, "Footer").
+    fn check_summary(&mut self) -> Result<(), String> {
+        let told = self.record.get(FOOTER_COVERED..).and_then(|bytes| <[u8; 4]>::try_from(bytes).ok());
+        let Some(told) = told.map(u32::from_le_bytes) else {
+            return Err(format!("a footer of {} bytes, expected {}", self.record.len(), FOOTER_COVERED + 4));
+        };
+        let calculated = std::mem::take(&mut self.summary_crc).finalize();
+        if self.in_data {
+            return Err("a footer without the end of the data section before it".to_string());
+        }
+        if told == 0 || told == calculated {
+            return Ok(());
+        }
+        Err(format!(
+            "CRC of the index is {calculated:08x}, the footer says {told:08x}: no message is touched, other programs may \
+             miss some"
+        ))
+    }
+
+    fn end_magic(&mut self) -> Result<FileRecord, LogError> {
+        let mut magic = Vec::new();
+        self.read_up_to(MAGIC.len() as u64 + 1, |bytes| std::mem::swap(bytes, &mut magic))?;
+        self.finished = true;
+        if magic == MAGIC {
+            Ok(FileRecord::End)
+        } else if MAGIC.starts_with(&magic) {
+            Ok(FileRecord::Cut(Cut { offset: self.offset, incomplete_bytes: magic.len() as u64 }))
+        } else {
+            let cause = "bytes behind the footer that are not the end of an MCAP file".to_string();
+            Err(LogError::Damaged { path: self.path.clone(), offset: self.offset, cause })
+        }
+    }
+}
+
+/// Whether a file begins as an MCAP file does.
+pub(crate) fn check_magic(found: &[u8], path: &Path) -> Result<(), LogError> {
+    if found == MAGIC {
+        return Ok(());
+    }
+    let found = found.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
+    let found = if found.is_empty() { "nothing".to_string() } else { found };
+    Err(LogError::NotMcap { path: path.into(), found })
+}
+
+/// Unpacks a chunk and checks its CRC before anyone sees a record of it.
+pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
+    let size = header.uncompressed_size;
+    if size > MAX_RECORD_BYTES {
+        return Err(format!("a chunk of {size} bytes unpacked, expected at most {MAX_RECORD_BYTES}"));
+    }
+    out.clear();
+    match header.compression.as_str() {
+        "" => out.extend_from_slice(data),
+        "lz4" => {
+            let decoder =
+                lz4::Decoder::new(data).map_err(|error| format!("cannot unpack a chunk: {error}"))?;
+            let unpacked = decoder.take(size + 1).read_to_end(out);
+            unpacked.map_err(|error| format!("cannot unpack a chunk: {error}"))?;
+        }
+        "zstd" => {
+            let decoder =
+                zstd::Decoder::new(data).map_err(|error| format!("cannot unpack a chunk: {error}"))?;
+            let unpacked = decoder.take(size + 1).read_to_end(out);
+            unpacked.map_err(|error| format!("cannot unpack a chunk: {error}"))?;
+        }
+        other => return Err(format!("a chunk packed with '{other}', expected lz4, zstd or nothing")),
+    }
+    if out.len() as u64 != size {
+        return Err(format!("a chunk of {} bytes unpacked, its header says {size}", out.len()));
+    }
+    let calculated = crc32fast::hash(out);
+    if calculated != header.uncompressed_crc {
+        return Err(format!(
+            "CRC of a chunk is {calculated:08x}, its header says {:08x}",
+            header.uncompressed_crc
+        ));
+    }
+    Ok(())
+}
+
+/// Parses a metadata record: its name and entries.
+pub(crate) fn metadata(record: &[u8]) -> Result<(String, BTreeMap<String, String>), String> {
+    if record.len() > MAX_METADATA_BYTES {
+        let found = record.len();
+        return Err(format!("a metadata record of {found} bytes, expected at most {MAX_METADATA_BYTES}"));
+    }
+    match parse_record(op::METADATA, record)? {
+        Record::Metadata(found) if found.name.len() <= MAX_NAME_BYTES => Ok((found.name, found.metadata)),
+        Record::Metadata(found) => {
+            let length = found.name.len();
+            Err(format!("a metadata record's name of {length} bytes, expected at most {MAX_NAME_BYTES}"))
+        }
+        _ => Err("a metadata record that is none".to_string()),
+    }
+}
+
+/// Parses an attachment. Layout: log time, create time (8 bytes each), name, media type (4 bytes of length each),
+/// 8 bytes of data length, data, CRC of all before it.
+pub(crate) fn attachment(record: &[u8]) -> Result<Attached, String> {
+    let parse = || -> Option<(Attached, u32)> {
+        let (body, crc) = record.split_at_checked(record.len().checked_sub(4)?)?;
+        let word = |at: usize| Some(u64::from_le_bytes(body.get(at..at + 8)?.try_into().ok()?));
+        let (name, rest) = string(body.get(16..)?)?;
+        let (media_type, rest) = string(rest)?;
+        if name.len().max(media_type.len()) > MAX_NAME_BYTES {
+            return None;
+        }
+        let (length, data) = rest.split_at_checked(8)?;
+        let length = u64::from_le_bytes(length.try_into().ok()?);
+        let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
+        let attached = Attached {
+            log_time: word(0)?,
+            create_time: word(8)?,
+            name: text(name),
+            media_type: text(media_type),
+            data: data.to_vec(),
+        };
+        let crc = u32::from_le_bytes(crc.try_into().ok()?);
+        (length == data.len() as u64).then_some((attached, crc))
+    };
+    let (attached, crc) =
+        parse().ok_or("an attachment whose lengths do not fit, or whose name is too long")?;
+    if crc32fast::hash(&record[..record.len() - 4]) != crc {
+        return Err(format!("CRC of the attachment '{}' is wrong", attached.name));
+    }
+    Ok(attached)
+}
+
+fn string(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_at_checked(4)?;
+    rest.split_at_checked(u32::from_le_bytes(length.try_into().ok()?) as usize)
+}
+
+/// Splits the first record off a chunk's records: type, body, number of bytes.
+pub(crate) fn chunk_record(bytes: &[u8]) -> Option<(u8, &[u8], usize)> {
+    let (header, rest) = bytes.split_at_checked(RECORD_HEADER)?;
+    let length = u64::from_le_bytes(header[1..].try_into().ok()?);
+    let length = usize::try_from(length).ok()?;
+    Some((header[0], rest.get(..length)?, RECORD_HEADER + length))
+}

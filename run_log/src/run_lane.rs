@@ -1,0 +1,356 @@
+//! The writer of `run.mcap`, the deterministic lane.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+use messages::layout::Message;
+use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State};
+use zerocopy::{FromBytes, IntoBytes};
+
+use crate::end::{EndMarker, EndReason};
+use crate::error::LogError;
+use crate::frame_order::{Due, FrameOrder, FrameWithImage, PlacedReply};
+use crate::header::LogHeader;
+use crate::mcap_writer::IndexStore;
+use crate::order::{Ordered, Supply, TickOrder};
+use crate::sink::Sink;
+use crate::topics;
+
+/// The deterministic lane of a run, being written.
+///
+/// The methods may be called in any interleaving, each topic in its own order, except that the removals of tick 0 must come before
+/// its state. Ticks are written as `Latched` k,
+/// `Removed` k+1, `State` k+1 once these are there. Frames and replies take as long as the renderer takes, so they are
+/// held and written a fixed number of ticks behind the tick that they show ([`frame_lag_ticks`]): two runs with the same
+/// messages leave the same bytes. Only a frame that is later than that is written when it comes. A keyframe, to be given
+/// before the next tick's messages, stands right behind its state and the frames that are due there.
+///
+/// `log_time` is tick × dt, for a frame the tick that it shows.
+///
+/// [`frame_lag_ticks`]: crate::frame_order::frame_lag_ticks
+pub struct RunLog<W: Write> {
+    sink: Sink<W>,
+    ticks: TickOrder,
+    frames: FrameOrder,
+    keyframes: VecDeque<(u64, Vec<u8>)>,
+    places: Places,
+    channels: Channels,
+    last: Option<State>,
+    expected: Expected,
+    lost: BTreeMap<&'static str, u64>,
+}
+
+/// What decides where replies, frames and keyframes stand, and where chunks end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Places {
+    /// The ticks.
+    ByTick,
+    /// Whoever writes: this is a copy of a log.
+    AsGiven,
+}
+
+impl Places {
+    fn due(self) -> Due {
+        match self {
+            Places::ByTick => Due::AtItsTick,
+            Places::AsGiven => Due::All,
+        }
+    }
+}
+
+struct Channels {
+    latched: usize,
+    state: usize,
+    removed: usize,
+    reply: usize,
+    frame: usize,
+    image: usize,
+    keyframe: usize,
+}
+
+/// Numbers that the next messages should carry.
+#[derive(Default)]
+struct Expected {
+    latched_tick: u64,
+    state_tick: u64,
+    removed_sequence: u64,
+    frame_sequence: u64,
+    keyframe_sequence: u64,
+}
+
+impl<W: Write> RunLog<W> {
+    /// Writes the header to `w`; errors will name `run.mcap`, and the index is kept in memory.
+    pub fn create(w: W, header: &LogHeader) -> Result<RunLog<W>, LogError> {
+        RunLog::create_named(w, Path::new("run.mcap"), Box::new(Cursor::new(Vec::new())), header)
+    }
+
+    /// Writes the header to `w`; errors will name `path`, and the index waits in `index` for the end.
+    pub fn create_named(
+        w: W,
+        path: &Path,
+        index: Box<dyn IndexStore>,
+        header: &LogHeader,
+    ) -> Result<RunLog<W>, LogError> {
+        let mut sink = Sink::create(w, path, index, header, "run")?;
+        let mut channel = |i: usize| sink.channel(topics::RUN[i].0, topics::RUN[i].1);
+        let channels = Channels {
+            latched: channel(0)?,
+            state: channel(1)?,
+            removed: channel(2)?,
+            reply: channel(3)?,
+            frame: channel(4)?,
+            image: channel(5)?,
+            keyframe: channel(6)?,
+        };
+        Ok(RunLog {
+            sink,
+            ticks: TickOrder::default(),
+            frames: FrameOrder::new(header),
+            keyframes: VecDeque::new(),
+            places: Places::ByTick,
+            channels,
+            last: None,
+            expected: Expected {
+                removed_sequence: 1,
+                frame_sequence: 1,
+                keyframe_sequence: 1,
+                ..Expected::default()
+            },
+            lost: BTreeMap::new(),
+        })
+    }
+
+    /// From now on replies, frames and keyframes are written at the place at which they are given, and ticks close no
+    /// chunk ([`RunLog::close_chunk`] does): for whoever writes a log again in the order of its messages.
+    pub fn keep_places(&mut self) {
+        self.places = Places::AsGiven;
+    }
+
+    /// Closes the open chunk.
+    pub fn close_chunk(&mut self) -> Result<(), LogError> {
+        self.sink.close_chunk()
+    }
+
+    /// Takes u_k.
+    pub fn latched(&mut self, latched: &Latched) -> Result<(), LogError> {
+        self.ticks.latched(latched);
+        self.write_ticks(Supply::Open)
+    }
+
+    /// Takes a state.
+    pub fn state(&mut self, state: &State) -> Result<(), LogError> {
+        self.ticks.state(state);
+        self.write_ticks(Supply::Open)
+    }
+
+    /// Takes the bytes of a `Removed` message: struct and voxel indices.
+    pub fn removed(&mut self, message: &[u8]) -> Result<(), LogError> {
+        let size = Removed::DESCRIPTION.size;
+        let expected = match Removed::read_from_prefix(message) {
+            Ok((removed, tail)) if tail.len() == removed.voxel_index_length as usize * 4 => None,
+            Ok((removed, _)) => Some(size + removed.voxel_index_length as usize * 4),
+            Err(_) => Some(size),
+        };
+        if let Some(expected) = expected {
+            return Err(self.wrong_size(topics::REMOVED, message.len(), expected));
+        }
+        self.ticks.removed(message);
+        self.write_ticks(Supply::Open)
+    }
+
+    /// Takes the bytes of a `Keyframe` message: struct and data.
+    pub fn keyframe(&mut self, message: &[u8]) -> Result<(), LogError> {
+        let size = Keyframe::DESCRIPTION.size;
+        match Keyframe::read_from_prefix(message) {
+            Ok((head, data)) if data.len() == head.data_length as usize => {
+                self.keyframes.push_back((head.tick, message.to_vec()));
+                if self.places == Places::AsGiven { self.write_keyframes(head.tick) } else { Ok(()) }
+            }
+            Ok((head, _)) => {
+                let expected = size + head.data_length as usize;
+                Err(self.wrong_size(topics::KEYFRAME, message.len(), expected))
+            }
+            Err(_) => Err(self.wrong_size(topics::KEYFRAME, message.len(), size)),
+        }
+    }
+
+    /// Takes a reply.
+    pub fn drr_reply(&mut self, reply: &DrrReply) -> Result<(), LogError> {
+        self.frames.reply(reply);
+        self.write_frames(self.places.due())
+    }
+
+    /// Takes a frame as on the wire: `Frame`, `ImagePrefix`, pixels.
+    pub fn frame(&mut self, payload: &[u8]) -> Result<(), LogError> {
+        let smallest = Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size;
+        let Ok((frame, image)) = Frame::read_from_prefix(payload) else {
+            return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), smallest));
+        };
+        let Ok((prefix, pixels)) = ImagePrefix::read_from_prefix(image) else {
+            return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), smallest));
+        };
+        if pixels.len() != prefix.data_length as usize {
+            let expected = smallest + prefix.data_length as usize;
+            return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), expected));
+        }
+        self.frames.frame(&frame, Some(image));
+        self.write_frames(self.places.due())
+    }
+
+    /// Takes a frame whose image is not to be logged: its `pixel_hash` stands for it.
+    pub fn frame_without_image(&mut self, frame: &Frame) -> Result<(), LogError> {
+        self.frames.frame(frame, None);
+        self.write_frames(self.places.due())
+    }
+
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        self.sink.path()
+    }
+
+    /// The last state written.
+    pub fn last_state(&self) -> Option<&State> {
+        self.last.as_ref()
+    }
+
+    /// Messages missed so far, by topic, as their numbers show.
+    pub fn lost(&self) -> &BTreeMap<&'static str, u64> {
+        &self.lost
+    }
+
+    /// Writes what waits, the end marker, the index and the footer. `lost` is what the owner counted itself; of two
+    /// counts of a topic the greater one stands.
+    pub fn finish(
+        mut self,
+        reason: EndReason,
+        lost: &BTreeMap<String, u64>,
+    ) -> Result<(EndMarker, W), LogError> {
+        self.write_ticks(Supply::Ended)?;
+        self.write_keyframes(u64::MAX)?;
+        self.write_frames(Due::All)?;
+        let mut all: BTreeMap<String, u64> = self.lost.iter().map(|(k, n)| (k.to_string(), *n)).collect();
+        for (topic, &count) in lost.iter().filter(|(_, count)| **count > 0) {
+            let entry = all.entry(topic.clone()).or_default();
+            *entry = count.max(*entry);
+        }
+        let last_tick = self.last.as_ref().map(|state| state.tick);
+        let hash = self.last.as_ref().map(|state| state.hash);
+        let marker = EndMarker {
+            reason,
+            last_tick,
+            hash,
+            counts: self.sink.counts(),
+            lost: all,
+            damaged: BTreeMap::new(),
+        };
+        let w = self.sink.finish(&marker)?;
+        Ok((marker, w))
+    }
+
+    fn write_ticks(&mut self, supply: Supply) -> Result<(), LogError> {
+        loop {
+            let messages = self.ticks.next(supply);
+            if messages.is_empty() {
+                return Ok(());
+            }
+            for message in messages {
+                match message {
+                    Ordered::Latched(latched) => self.write_latched(&latched)?,
+                    Ordered::Removed(bytes) => self.write_removed(&bytes)?,
+                    Ordered::State(state) => self.write_state(&state)?,
+                }
+            }
+        }
+    }
+
+    /// Writes the keyframes of states up to this one, in a chunk of their own: whoever asks for states reads none.
+    fn write_keyframes(&mut self, tick: u64) -> Result<(), LogError> {
+        if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
+            return Ok(());
+        }
+        // A copy takes its chunks from the log.
+        if self.places == Places::ByTick {
+            self.sink.close_chunk()?;
+        }
+        while self.keyframes.front().is_some_and(|(of, _)| *of <= tick)
+            && let Some((of, message)) = self.keyframes.pop_front()
+        {
+            if let Ok((head, _)) = Keyframe::read_from_prefix(&message) {
+                let missed = head.sequence.saturating_sub(self.expected.keyframe_sequence);
+                self.count_lost(topics::KEYFRAME, missed);
+                self.expected.keyframe_sequence = head.sequence.saturating_add(1);
+            }
+            self.sink.message(self.channels.keyframe, of, &[&message])?;
+        }
+        if self.places == Places::ByTick { self.sink.close_chunk() } else { Ok(()) }
+    }
+
+    fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
+        self.write_keyframes(latched.tick)?;
+        let missed = latched.tick.saturating_sub(self.expected.latched_tick);
+        self.count_lost(topics::LATCHED, missed);
+        self.expected.latched_tick = latched.tick.saturating_add(1);
+        self.sink.message(self.channels.latched, latched.tick, &[latched.as_bytes()])
+    }
+
+    fn write_removed(&mut self, message: &[u8]) -> Result<(), LogError> {
+        let Ok((removed, _)) = Removed::read_from_prefix(message) else {
+            return Err(self.wrong_size(topics::REMOVED, message.len(), Removed::DESCRIPTION.size));
+        };
+        let missed = removed.sequence.saturating_sub(self.expected.removed_sequence);
+        self.count_lost(topics::REMOVED, missed);
+        self.expected.removed_sequence = removed.sequence.saturating_add(1);
+        self.sink.message(self.channels.removed, removed.tick, &[message])
+    }
+
+    fn write_state(&mut self, state: &State) -> Result<(), LogError> {
+        let missed = state.tick.saturating_sub(self.expected.state_tick);
+        self.count_lost(topics::STATE, missed);
+        self.expected.state_tick = state.tick.saturating_add(1);
+        self.sink.message(self.channels.state, state.tick, &[state.as_bytes()])?;
+        let is_first = self.last.is_none();
+        self.last = Some(*state);
+        self.frames.tick(state.tick);
+        self.write_frames(Due::AtItsTick)?;
+        // Whoever opens the file of a paused run finds its initial state.
+        match self.places {
+            Places::AsGiven => Ok(()),
+            Places::ByTick if is_first => self.sink.close_chunk(),
+            Places::ByTick => self.sink.end_tick(state.tick),
+        }
+    }
+
+    fn write_frames(&mut self, due: Due) -> Result<(), LogError> {
+        while let Some(PlacedReply { tick, reply }) = self.frames.next_reply(due) {
+            self.sink.message(self.channels.reply, tick, &[reply.as_bytes()])?;
+        }
+        while let Some(FrameWithImage { frame, image }) = self.frames.next_frame(due) {
+            let missed = frame.sequence.saturating_sub(self.expected.frame_sequence);
+            self.count_lost(topics::DRR_FRAME, missed);
+            self.expected.frame_sequence = frame.sequence.saturating_add(1);
+            self.sink.message(self.channels.frame, frame.tick, &[frame.as_bytes()])?;
+            let Some(image) = image else { continue };
+            // The image lies in a chunk of its own, so that whoever asks for states does not read pixels.
+            self.sink.close_chunk()?;
+            self.sink.message(self.channels.image, frame.tick, &[&image])?;
+            self.sink.close_chunk()?;
+        }
+        Ok(())
+    }
+
+    fn count_lost(&mut self, topic: &'static str, count: u64) {
+        if count > 0 {
+            *self.lost.entry(topic).or_default() += count;
+        }
+    }
+
+    fn wrong_size(&self, topic: &str, given: usize, expected: usize) -> LogError {
+        LogError::Message {
+            path: self.sink.path().into(),
+            topic: topic.to_string(),
+            given: format!("{given} bytes"),
+            expected: format!("{expected} bytes"),
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Where the bytes of a log come from.
+
+use std::io::{Cursor, Read, Seek};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::error::LogError;
+
+/// What a log is read through.
+pub trait ReadSeek: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> ReadSeek for T {}
+
+/// A log that can be opened any number of times. This crate knows logs in memory ([`LogBytes`]); logs in files are its user's.
+pub trait LogSource {
+    /// What messages call it.
+    fn path(&self) -> &Path;
+
+    /// A new reader at the log's first byte.
+    ///
+    /// # Errors
+    /// [`LogError::Open`].
+    fn open(&self) -> Result<Box<dyn ReadSeek>, LogError>;
+}
+
+/// A log in memory.
+#[derive(Debug, Clone)]
+pub struct LogBytes {
+    path: PathBuf,
+    bytes: Arc<[u8]>,
+}
+
+impl LogBytes {
+    /// A log that messages call `path`.
+    pub fn new(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) -> LogBytes {
+        LogBytes { path: path.into(), bytes: bytes.into() }
+    }
+
+    /// The whole log.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl LogSource for LogBytes {
+    fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn open(&self) -> Result<Box<dyn ReadSeek>, LogError> {
+        Ok(Box::new(Cursor::new(Arc::clone(&self.bytes))))
+    }
+}

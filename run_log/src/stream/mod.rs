@@ -1,0 +1,336 @@
+//! The messages of a log, one after the other, checked.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::BufReader;
+use std::path::Path;
+
+use messages::layout::Description;
+
+use crate::continuity::Continuity;
+use crate::end::{END_RECORD, EndMarker, Ending, REPAIR_RECORD};
+use crate::error::LogError;
+use crate::header::{HEADER_RECORD, LogHeader, check_layouts};
+use crate::index::Summary;
+use crate::limits::Declared;
+use crate::opening::{HeaderCopy, Opened, Parts, open};
+use crate::records::{FileRecord, Records};
+use crate::source::{LogSource, ReadSeek};
+use crate::topics;
+use crate::verdict::{Fault, Verdict};
+
+use in_chunk::Found;
+
+mod in_chunk;
+
+/// How strict a reader is.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ReadOptions {
+    /// Reads messages whose layout is not this build's as if it were. Their sizes are still checked.
+    pub allow_other_layouts: bool,
+}
+
+/// One message.
+#[derive(Debug, Clone, Copy)]
+pub struct LogMessage<'a> {
+    /// Its topic.
+    pub topic: &'a str,
+    /// Its layout.
+    pub description: &'static Description,
+    /// Low 32 bits of the number of earlier messages of this topic.
+    pub sequence: u32,
+    /// Simulated time.
+    pub log_time_ns: u64,
+    /// Number of its chunk in the file, from 1.
+    pub chunk: u64,
+    /// Struct and tail.
+    pub body: &'a [u8],
+}
+
+struct Channel {
+    topic: String,
+    description: Option<&'static Description>,
+    schema: String,
+    count: u64,
+    bytes: u64,
+    /// Messages that a damage took, as the numbers show; only in a repaired log.
+    missing: u64,
+}
+
+/// Messages and bytes of one topic so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TopicCount {
+    /// Messages read.
+    pub messages: u64,
+    /// Their bytes, without framing, before compression.
+    pub bytes: u64,
+    /// Messages between them that a damage took; 0 but in a repaired log, since others are not read beyond a gap.
+    pub missing: u64,
+}
+
+/// The messages of a log in the order in which they were written. Holds one chunk in memory.
+pub struct MessageStream {
+    records: Records,
+    header: LogHeader,
+    metadata: BTreeMap<String, String>,
+    schemas: BTreeMap<u16, String>,
+    channels: BTreeMap<u16, Channel>,
+    position: usize,
+    in_chunk: bool,
+    chunks: u64,
+    ending: Ending,
+    repaired: bool,
+    declared: Declared,
+    /// The second copy of the header, as far as it has come.
+    second: Parts,
+    /// Whether it has been met, whole or not.
+    has_second: bool,
+    header_fault: Option<(HeaderCopy, String)>,
+    continuity: Continuity,
+    /// Where reading stopped, and why.
+    damage: Option<(u64, String)>,
+    /// Topics that are handed out; none for all.
+    wanted: Option<Vec<String>>,
+    done: bool,
+}
+
+impl MessageStream {
+    /// Opens a log and reads its header.
+    pub fn open(log: &dyn LogSource, options: ReadOptions) -> Result<MessageStream, LogError> {
+        MessageStream::from_reader(log.open()?, log.path(), options)
+    }
+
+    /// Opens a log for some topics only. Chunks that hold none of them are not read if the log's index tells them, so
+    /// that states cost the same with images beside them as without; the checksum of the whole file is then not
+    /// checked, those of the chunks read are.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_topics(
+        log: &dyn LogSource,
+        topics: &[String],
+        options: ReadOptions,
+    ) -> Result<MessageStream, LogError> {
+        let mut stream = MessageStream::open(log, options)?;
+        if let Ok(mut source) = log.open()
+            && let Some(summary) = Summary::read(&mut source, None)
+        {
+            stream.records.pass_over(summary.chunks_without(topics));
+            // A schema stands in a file once: it may lie in a chunk that is passed over.
+            stream.schemas = summary.schemas.into_iter().map(|(id, (header, _))| (id, header.name)).collect();
+        }
+        stream.wanted = Some(topics.to_vec());
+        Ok(stream)
+    }
+
+    /// Reads the header of a log from any source; errors will name `path`.
+    pub fn from_reader(
+        source: Box<dyn ReadSeek>,
+        path: &Path,
+        options: ReadOptions,
+    ) -> Result<MessageStream, LogError> {
+        let source = BufReader::with_capacity(1 << 16, source);
+        let Opened { header, metadata, records, first_is_bad } = open(source, path)?;
+        if !options.allow_other_layouts {
+            check_layouts(path, &metadata, &header)?;
+        }
+        Ok(MessageStream {
+            records,
+            header,
+            metadata,
+            schemas: BTreeMap::new(),
+            channels: BTreeMap::new(),
+            position: 0,
+            in_chunk: false,
+            chunks: 0,
+            ending: Ending::default(),
+            repaired: false,
+            declared: Declared::default(),
+            second: Parts::default(),
+            has_second: first_is_bad.is_some(),
+            header_fault: first_is_bad.map(|cause| (HeaderCopy::First, cause)),
+            continuity: Continuity::default(),
+            damage: None,
+            wanted: None,
+            done: false,
+        })
+    }
+
+    /// What the log is about.
+    pub fn header(&self) -> &LogHeader {
+        &self.header
+    }
+
+    /// The header's metadata record as it stands in the file.
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.metadata
+    }
+
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        self.records.path()
+    }
+
+    /// How the file ends. Known once [`next_message`](Self::next_message) has returned none.
+    pub fn ending(&self) -> &Ending {
+        &self.ending
+    }
+
+    /// What is wrong with the log, as far as it has been read: all of it once
+    /// [`next_message`](Self::next_message) has returned none or an error. With some topics only, of the chunks read.
+    pub fn verdict(&self) -> Verdict {
+        let mut faults = Vec::new();
+        if let Some((copy, cause)) = &self.header_fault {
+            faults.push(Fault::HeaderDamaged { copy: *copy, cause: cause.clone() });
+        }
+        let gap =
+            self.continuity.gap(self.wants(topics::REMOVED), &self.counts(), self.ending.marker.as_ref());
+        faults.extend(gap.map(Fault::Gap));
+        match (&self.damage, self.ending.cut, &self.ending.marker) {
+            (Some((offset, cause)), _, _) => {
+                faults.push(Fault::Damaged { offset: *offset, cause: cause.clone() });
+            }
+            (None, Some(cut), marker) => {
+                faults.push(Fault::Cut { cut, ended: marker.is_some() });
+            }
+            (None, None, None) => faults.push(Fault::NotEnded),
+            (None, None, Some(_)) => {}
+        }
+        Verdict { faults, ending: self.ending.clone() }
+    }
+
+    /// Messages and bytes so far, by topic.
+    pub fn counts(&self) -> BTreeMap<String, TopicCount> {
+        let count = |channel: &Channel| {
+            let Channel { count, bytes, missing, .. } = *channel;
+            TopicCount { messages: count, bytes, missing }
+        };
+        self.channels.values().map(|channel| (channel.topic.clone(), count(channel))).collect()
+    }
+
+    /// Topics of the log. All of them are known once [`next_message`](Self::next_message) has returned none.
+    pub(crate) fn topics(&self) -> BTreeSet<&str> {
+        let declared = self.channels.values().map(|channel| channel.topic.as_str());
+        let counted = self.ending.marker.iter().flat_map(|marker| marker.counts.keys().map(String::as_str));
+        declared.chain(counted).collect()
+    }
+
+    pub(crate) fn no_such_topic(&self, topic: &str) -> LogError {
+        let topics = Vec::from_iter(self.topics()).join(", ");
+        LogError::NoSuchTopic { path: self.path().into(), topic: topic.to_owned(), topics }
+    }
+
+    /// Bytes of the file that have been read.
+    pub fn offset(&self) -> u64 {
+        self.records.offset()
+    }
+
+    /// The next message; none at the end, however the file ends. After an error there is no more.
+    pub fn next_message(&mut self) -> Result<Option<LogMessage<'_>>, LogError> {
+        let found = self.find().inspect_err(|error| {
+            self.done = true;
+            self.damage = Some(match error {
+                LogError::Damaged { offset, cause, .. } => (*offset, cause.clone()),
+                other => (self.records.offset(), other.without_path()),
+            });
+        });
+        let Some(found) = found? else { return Ok(None) };
+        let missing =
+            || LogError::NoHeader { path: self.records.path().into(), offset: self.records.offset() };
+        let channel = self.channels.get(&found.channel).ok_or_else(missing)?;
+        let description = channel.description.ok_or_else(missing)?;
+        Ok(Some(LogMessage {
+            topic: &channel.topic,
+            description,
+            sequence: found.sequence,
+            log_time_ns: found.log_time_ns,
+            chunk: self.chunks,
+            body: &self.records.chunk()[found.body],
+        }))
+    }
+
+    fn wants(&self, topic: &str) -> bool {
+        self.wanted.as_ref().is_none_or(|wanted| wanted.iter().any(|name| name == topic))
+    }
+
+    fn find(&mut self) -> Result<Option<Found>, LogError> {
+        loop {
+            if self.done {
+                return Ok(None);
+            }
+            if self.in_chunk {
+                match self.find_in_chunk()? {
+                    Some(found) => return Ok(Some(found)),
+                    None => self.in_chunk = false,
+                }
+            }
+            match self.next_record()? {
+                FileRecord::Chunk => {
+                    (self.position, self.in_chunk) = (0, true);
+                    self.chunks += 1;
+                }
+                FileRecord::Metadata { name, entries } if name == END_RECORD => self.end_marker(&entries)?,
+                FileRecord::Metadata { name, entries } if name == HEADER_RECORD => self.second(&entries),
+                FileRecord::Metadata { name, .. } if name == REPAIR_RECORD => self.repaired = true,
+                FileRecord::Attachment(found) => self.second.take(&found),
+                FileRecord::Metadata { .. } => (),
+                FileRecord::End => self.done = true,
+                FileRecord::Cut(cut) => {
+                    self.ending.cut = Some(cut);
+                    self.done = true;
+                }
+            }
+        }
+    }
+
+    /// The next record of the file. What is wrong with the second copy of the header keeps nobody from reading on.
+    fn next_record(&mut self) -> Result<FileRecord, LogError> {
+        loop {
+            match self.records.next_record() {
+                Err(LogError::Damaged { cause, .. })
+                    if !self.has_second && self.chunks == 1 && self.records.is_beside_messages() =>
+                {
+                    self.second_is_bad(cause);
+                }
+                other => return other,
+            }
+        }
+    }
+
+    fn second(&mut self, entries: &BTreeMap<String, String>) {
+        let header = self.second.header(self.records.path(), entries);
+        if std::mem::replace(&mut self.has_second, true) {
+            return;
+        }
+        match header {
+            Ok(header) if header == self.header => {}
+            Ok(_) => self.second_is_bad("it is not the one at the start".to_string()),
+            Err(error) => self.second_is_bad(crate::opening::cause(&error)),
+        }
+    }
+
+    fn second_is_bad(&mut self, cause: String) {
+        self.has_second = true;
+        // That the whole file's checksum is wrong is explained.
+        self.records.forget_checksum();
+        self.header_fault.get_or_insert((HeaderCopy::Second, cause));
+    }
+
+    fn end_marker(&mut self, entries: &BTreeMap<String, String>) -> Result<(), LogError> {
+        let marker = EndMarker::from_metadata(self.records.path(), entries)?;
+        if !self.has_second && crate::seal::is_sealed(&self.metadata) {
+            self.second_is_bad("there is none".to_string());
+        }
+        for (topic, &written) in &marker.counts {
+            let channel = self.channels.values().find(|channel| channel.topic == *topic);
+            let (read, missing) = channel.map_or((0, 0), |channel| (channel.count, channel.missing));
+            let damaged = marker.damaged.get(topic).copied().unwrap_or(0);
+            if self.wants(topic) && (read != written || missing > damaged) {
+                return Err(self.damaged(format!(
+                    "{topic} has {read} messages and misses {missing}, the end marker says {written} and {damaged}"
+                )));
+            }
+        }
+        self.ending.marker = Some(marker);
+        Ok(())
+    }
+}

@@ -1,0 +1,89 @@
+//! The writer of `timing.mcap`, the wall-clock lane.
+
+use std::collections::BTreeMap;
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+use messages::layout::Description;
+
+use crate::end::{EndMarker, EndReason};
+use crate::error::LogError;
+use crate::fields::message_size;
+use crate::header::LogHeader;
+use crate::mcap_writer::IndexStore;
+use crate::sink::Sink;
+
+/// The wall-clock lane of a run, being written. Its times are simulated too, so that both files share an axis; its
+/// contents are not reproducible.
+pub struct TimingLog<W: Write> {
+    sink: Sink<W>,
+    last_tick: Option<u64>,
+}
+
+impl<W: Write> TimingLog<W> {
+    /// Writes the header to `w`; errors will name `timing.mcap`, and the index is kept in memory.
+    pub fn create(w: W, header: &LogHeader) -> Result<TimingLog<W>, LogError> {
+        TimingLog::create_named(w, Path::new("timing.mcap"), Box::new(Cursor::new(Vec::new())), header)
+    }
+
+    /// Writes the header to `w`; errors will name `path`, and the index waits in `index` for the end.
+    pub fn create_named(
+        w: W,
+        path: &Path,
+        index: Box<dyn IndexStore>,
+        header: &LogHeader,
+    ) -> Result<TimingLog<W>, LogError> {
+        Ok(TimingLog { sink: Sink::create(w, path, index, header, "timing")?, last_tick: None })
+    }
+
+    /// Writes a message's bytes, struct and tail. `tick` is `State.tick` of the newest state when it arrived.
+    pub fn message(
+        &mut self,
+        topic: &str,
+        description: &'static Description,
+        tick: u64,
+        message: &[u8],
+    ) -> Result<(), LogError> {
+        let expected = message_size(description, message);
+        if expected != Some(message.len()) {
+            let expected =
+                expected.map_or(format!("at least {} bytes", description.size), |n| format!("{n} bytes"));
+            return Err(LogError::Message {
+                path: self.sink.path().into(),
+                topic: topic.to_string(),
+                given: format!("{} bytes", message.len()),
+                expected: format!("{expected} of {}", description.short_name()),
+            });
+        }
+        let channel = self.sink.channel(topic, description)?;
+        self.last_tick = self.last_tick.max(Some(tick));
+        self.sink.message(channel, tick, &[message])?;
+        self.sink.end_tick(tick)
+    }
+
+    /// The file, for messages.
+    pub fn path(&self) -> &Path {
+        self.sink.path()
+    }
+
+    /// Hands everything so far to the operating system. The owner calls it when no tick will come for a while (pause).
+    pub fn flush(&mut self) -> Result<(), LogError> {
+        self.sink.close_chunk()
+    }
+
+    /// Writes the end marker, the index and the footer. `lost` is what the owner counted.
+    pub fn finish(self, reason: EndReason, lost: &BTreeMap<String, u64>) -> Result<(EndMarker, W), LogError> {
+        let lost = lost.iter().filter(|(_, n)| **n > 0).map(|(topic, n)| (topic.clone(), *n)).collect();
+        let counts = self.sink.counts();
+        let marker = EndMarker {
+            reason,
+            last_tick: self.last_tick,
+            hash: None,
+            counts,
+            lost,
+            damaged: BTreeMap::new(),
+        };
+        let w = self.sink.finish(&marker)?;
+        Ok((marker, w))
+    }
+}

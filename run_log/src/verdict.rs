@@ -1,0 +1,127 @@
+//! What is wrong with a log: one answer, from one function, for every command.
+
+use std::fmt;
+use std::io::Write;
+
+use crate::continuity::Gap;
+use crate::end::{Cut, Ending};
+use crate::error::LogError;
+use crate::opening::HeaderCopy;
+use crate::source::LogSource;
+use crate::stream::{MessageStream, ReadOptions};
+
+/// One thing that is wrong with a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Fault {
+    /// One copy of the header cannot be read; the other one was.
+    HeaderDamaged {
+        /// Which.
+        copy: HeaderCopy,
+        /// What is wrong with it.
+        cause: String,
+    },
+    /// Messages are missing between others, or never reached the log.
+    Gap(Gap),
+    /// Bytes have changed: nothing behind them is read, but by `repair`.
+    Damaged {
+        /// Where the damaged record begins.
+        offset: u64,
+        /// What is wrong.
+        cause: String,
+    },
+    /// The file stops before its own end.
+    Cut {
+        /// Where.
+        cut: Cut,
+        /// Whether the end marker is still there: then no message is missing.
+        ended: bool,
+    },
+    /// The file is whole, but the recorder did not finish it.
+    NotEnded,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Fault::HeaderDamaged { copy, cause } => {
+                write!(f, "header damaged: the copy {} cannot be read ({cause}); the other was", copy.name())
+            }
+            Fault::Gap(gap) => {
+                let lost: Vec<String> = gap.lost.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
+                write!(f, "gap: not in the log are {}", lost.join(", "))?;
+                gap.stretches.iter().try_for_each(|stretch| write!(f, "\n  {stretch}"))?;
+                if gap.more > 0 {
+                    write!(f, "\n  and {} stretches more", gap.more)?;
+                }
+                Ok(())
+            }
+            Fault::Damaged { offset, cause } => {
+                write!(f, "damaged at byte {offset}: {cause}; `trabecula log repair` keeps what lies behind")
+            }
+            Fault::Cut { cut: Cut { offset, incomplete_bytes }, ended } => {
+                let lost =
+                    if *ended { "no message is missing" } else { "what may have followed is not known" };
+                write!(
+                    f,
+                    "cut after byte {offset}, {incomplete_bytes} bytes of an incomplete record left out: {lost}"
+                )
+            }
+            Fault::NotEnded => {
+                f.write_str("not ended: the recorder did not finish, later ticks may be missing")
+            }
+        }
+    }
+}
+
+/// All that is wrong with a log; nothing if it is intact.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Verdict {
+    /// What is wrong.
+    pub faults: Vec<Fault>,
+    /// How the file ends.
+    pub ending: Ending,
+}
+
+impl Verdict {
+    /// Nothing is wrong.
+    pub fn is_intact(&self) -> bool {
+        self.faults.is_empty()
+    }
+
+    /// Whether reading stopped at a damage: nothing behind it was read.
+    pub fn is_stopped_by_damage(&self) -> bool {
+        self.faults.iter().any(|fault| matches!(fault, Fault::Damaged { .. }))
+    }
+
+    /// Writes it for people, a fault a line.
+    ///
+    /// # Errors
+    /// The output's.
+    pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
+        writeln!(out, "verdict     {self}")?;
+        Ok(())
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_intact() {
+            return f.write_str("intact");
+        }
+        for (index, fault) in self.faults.iter().enumerate() {
+            let line = if index > 0 { "\n" } else { "" };
+            write!(f, "{line}{fault}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads a log of either lane to its end, or as far as it can be read.
+///
+/// # Errors
+/// It cannot be opened as a log: neither copy of the header can be read, it is no MCAP file, it is another build's.
+pub fn verdict(log: &dyn LogSource, options: ReadOptions) -> Result<Verdict, LogError> {
+    let mut stream = MessageStream::open(log, options)?;
+    while let Ok(Some(_)) = stream.next_message() {}
+    Ok(stream.verdict())
+}

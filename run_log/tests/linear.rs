@@ -1,0 +1,97 @@
+//! What makes logs of logs takes time in proportion to the log, however many chunks it has: 300,000 chunks took over 40 s.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
+
+mod common;
+use std::cell::Cell;
+use std::collections::BTreeMap;
+use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::rc::Rc;
+
+use common::*;
+use messages::FrameTiming;
+use messages::layout::Message;
+use run_log::*;
+use zerocopy::{FromZeros, IntoBytes};
+
+/// A source that counts the bytes that are read from it.
+struct Counted {
+    source: Cursor<Vec<u8>>,
+    bytes: Rc<Cell<u64>>,
+}
+
+impl Read for Counted {
+    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.source.read(out)?;
+        self.bytes.set(self.bytes.get() + read as u64);
+        Ok(read)
+    }
+}
+
+impl Seek for Counted {
+    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+        self.source.seek(to)
+    }
+}
+
+/// Bytes that a repair reads of a log, by the log's own.
+fn read_by_repair(log: Vec<u8>) -> f64 {
+    let (length, bytes) = (log.len() as f64, Rc::new(Cell::new(0)));
+    let source = Counted { source: Cursor::new(log), bytes: Rc::clone(&bytes) };
+    repair::survey(source, Path::new("log.mcap")).unwrap();
+    bytes.get() as f64 / length
+}
+
+/// A timing lane with a chunk a message.
+fn many_chunks(chunks: u64) -> Vec<u8> {
+    let mut log = TimingLog::create(Vec::new(), &header()).unwrap();
+    let timing = FrameTiming::new_zeroed();
+    for chunk in 0..chunks {
+        log.message("/timing/frame", FrameTiming::DESCRIPTION, chunk, timing.as_bytes()).unwrap();
+        log.flush().unwrap();
+    }
+    log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
+}
+
+/// Not time, which another program's load decides, but bytes: each is read once, or as often as the buffers overlap.
+#[test]
+fn a_log_of_many_chunks_is_read_once_and_not_once_a_chunk() {
+    for chunks in [1000, 20_000] {
+        let whole = many_chunks(chunks);
+        let times = read_by_repair(whole.clone());
+        println!("{chunks} chunks, {} bytes: read {times:.2} times", whole.len());
+        assert!(times < 2.0, "{times}");
+        // A damage is searched behind, not from the start.
+        let mut changed = whole.clone();
+        (0..40).for_each(|n| changed[(n + 1) * (whole.len() / 50)] ^= 0x55);
+        let times = read_by_repair(changed);
+        println!("  with 40 damaged places: read {times:.2} times");
+        assert!(times < 25.0, "{times}");
+    }
+}
+
+/// A stranger's file may look like the start of a chunk at every few bytes: each would be unpacked.
+#[test]
+fn what_looks_like_chunks_everywhere_is_given_up() {
+    let mut log = many_chunks(1);
+    let at = log.len() - 40;
+    log.truncate(at);
+    let room = 600_000_usize;
+    // Uncompressed chunks that reach to the end of the file, with a wrong checksum.
+    while log.len() < at + room {
+        let records = (at + room - log.len()) as u64;
+        let mut head = vec![6];
+        head.extend((records + 40).to_le_bytes());
+        head.extend([0; 16]);
+        head.extend(records.to_le_bytes());
+        head.extend([1, 2, 3, 4]);
+        head.extend(0_u32.to_le_bytes());
+        head.extend(records.to_le_bytes());
+        log.extend(head);
+    }
+    let length = log.len() as f64;
+    let bytes = read_by_repair(log) * length;
+    println!("{bytes:.2e} bytes read of {length}");
+    // To the end each time, they would be 3e9.
+    assert!(bytes < 3e8, "{bytes:.2e}");
+}
