@@ -6,7 +6,8 @@
 //!
 //! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the latch's rules; that nothing is made
 //! while the run rests, is stopped or is to end; that no consumer is left too far behind; deadlines and misses; every request
-//! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings.
+//! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings. Of one schedule in
+//! 64, if it has a recorder, the log is written and cut at any byte; the ticks read from it are a prefix of those published.
 //!
 //! ```
 //! let plan = hub_simulator::Plan::of(7);
@@ -18,6 +19,7 @@ pub mod mutants;
 pub mod oracle;
 mod plan;
 mod plant;
+mod recording;
 mod world;
 
 use std::path::Path;
@@ -29,6 +31,7 @@ use scene::{Drives, Scene};
 
 pub use plan::{Bad, ControllerPlan, Fault, FaultKind, Plan};
 use plant::{ChainPlant, Handle};
+use recording::Recording;
 use world::World;
 
 /// Advances of one run; more of them are a hub that does not come to an end.
@@ -43,6 +46,8 @@ pub struct Played {
     pub advances: u64,
     /// Whether the run came to its end, and not to an error that had a reason.
     pub ended: bool,
+    /// Whether its log was cut and read.
+    pub log_was_cut: bool,
 }
 
 /// Plays a schedule.
@@ -82,6 +87,8 @@ pub fn run(plan: &Plan) -> Result<Played, String> {
             return Err(failure);
         }
         if !matches!(next, Ok(Next::Wait(_) | Next::GetReady)) {
+            played.log_was_cut = world.recording.is_some();
+            world.recording.take().map_or(Ok(()), Recording::check_cut)?;
             return Ok(Played { ticks: hub.tick(), ended: next.is_ok(), ..played });
         }
     }
@@ -149,7 +156,8 @@ pub fn shrink(plan: &Plan) -> (Plan, String) {
             }
             again = true;
         }
-        let without: [fn(&mut Plan); 4] = [
+        let without: [fn(&mut Plan); 5] = [
+            |plan| plan.log_cut = None,
             |plan| plan.drr_ns = None,
             |plan| plan.recorder_ns = None,
             |plan| plan.keyframe_period_ticks = None,
@@ -175,6 +183,8 @@ pub struct Summary {
     pub ticks: u64,
     /// Those that came to their end.
     pub ended: u64,
+    /// Those whose log was cut and read.
+    pub logs_cut: u64,
     /// The first seed that fails, and how.
     pub failure: Option<(u64, String)>,
 }
@@ -190,6 +200,7 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
                 Ok(played) => {
                     summary.ticks += played.ticks;
                     summary.ended += u64::from(played.ended);
+                    summary.logs_cut += u64::from(played.log_was_cut);
                 }
                 Err(cause) => {
                     summary.failure = Some((seed, cause));
@@ -210,6 +221,7 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
             sum.schedules += one.schedules;
             sum.ticks += one.ticks;
             sum.ended += one.ended;
+            sum.logs_cut += one.logs_cut;
             let earlier =
                 |(seed, _): &(u64, String)| sum.failure.as_ref().is_none_or(|(other, _)| seed < other);
             if one.failure.as_ref().is_some_and(earlier) {

@@ -8,6 +8,9 @@ pub const US: u64 = 1_000;
 /// Milliseconds in nanoseconds.
 pub const MS: u64 = 1_000_000;
 
+/// Number of schedules of which one has its log written and cut.
+const SCHEDULES_PER_CUT: u64 = 64;
+
 /// One schedule.
 #[derive(Debug, Clone)]
 pub struct Plan {
@@ -35,6 +38,8 @@ pub struct Plan {
     pub recorder_ns: Option<u64>,
     /// What goes wrong.
     pub faults: Vec<Fault>,
+    /// Seed of the byte at which the run's log is cut; none: no log is written.
+    pub log_cut: Option<u64>,
 }
 
 /// A controller.
@@ -177,9 +182,13 @@ impl Plan {
             drr_ns: consumer(&mut random),
             recorder_ns: consumer(&mut random),
             faults: Vec::new(),
+            log_cut: None,
         };
         let count = [0, 1, 2, 4, 8][random.usize(..5)];
         plan.faults = (0..count).map(|_| fault(&plan, &mut random)).collect();
+        // Writing and reading a log takes longer than playing the schedule.
+        plan.log_cut =
+            (seed.is_multiple_of(SCHEDULES_PER_CUT) && plan.recorder_ns.is_some()).then(|| random.u64(..));
         plan
     }
 

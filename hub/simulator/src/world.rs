@@ -18,6 +18,7 @@ use crate::actors::{Alarm, Consumer, Controller};
 use crate::oracle::Oracle;
 use crate::plan::{FaultKind, MS, Plan, US};
 use crate::plant::Handle;
+use crate::recording::Recording;
 
 /// Longest sleep of a reader before it looks again by itself.
 const LONGEST_SLEEP_NS: u64 = 10 * MS;
@@ -57,6 +58,8 @@ pub struct World {
     newest_tick: Option<u64>,
     stopped_ns: u64,
     idle_waits: u32,
+    /// The log of the run, if the plan cuts it.
+    pub recording: Option<Recording>,
     /// What must hold.
     pub oracle: Oracle,
 }
@@ -89,8 +92,13 @@ impl World {
             newest_tick: None,
             stopped_ns: 0,
             idle_waits: 0,
+            recording: None,
             plan: plan.clone(),
         };
+        world.recording = plan.log_cut.and_then(|cut| {
+            let begun = Recording::begin(plan, cut);
+            begun.map_err(|error| world.oracle.fail(format!("the recording: {error}"))).ok()
+        });
         for index in 0..world.controllers.len() {
             let joins_ns = world.controllers[index].plan.joins_ns;
             world.after(joins_ns, Event::ControllerJoins(index));
@@ -345,11 +353,17 @@ impl Outputs for World {
 
     fn send_latched(&mut self, latched: &Latched) -> Result<(), String> {
         self.oracle.latch(latched, self.plant.refuses.get(), self.now_ns.get());
+        if let Some(recording) = &mut self.recording {
+            recording.latch(latched);
+        }
         Ok(())
     }
 
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), String> {
         self.oracle.removed(removed, voxels);
+        if let Some(recording) = &mut self.recording {
+            recording.removed(removed, voxels);
+        }
         Ok(())
     }
 
@@ -358,11 +372,17 @@ impl Outputs for World {
         self.controllers.iter_mut().for_each(|controller| controller.see(state.tick));
         self.consumers.iter_mut().for_each(|consumer| consumer.waiting += 1);
         self.oracle.state(state, self.now_ns.get());
+        if let Some(Err(error)) = self.recording.as_mut().map(|recording| recording.state(state)) {
+            self.oracle.fail(format!("the recording: {error}"));
+        }
         Ok(())
     }
 
     fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), String> {
         self.oracle.keyframe(keyframe, part);
+        if let Some(recording) = &mut self.recording {
+            recording.keyframe(keyframe, part);
+        }
         Ok(())
     }
 }

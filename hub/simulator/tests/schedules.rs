@@ -17,6 +17,7 @@ fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
     // Schedules that fail at once would find nothing.
     assert!(summary.ended * 10 > summary.schedules * 9, "{summary:?}");
     assert!(summary.ticks > 20 * summary.schedules, "{summary:?}");
+    assert!(summary.logs_cut * 100 > summary.schedules, "{summary:?}");
 }
 
 #[test]
