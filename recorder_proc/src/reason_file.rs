@@ -1,5 +1,5 @@
-//! How the launcher tells its recorder why a run ends: a file in the session's folder, or, if that has been removed, in the run's, with
-//! the text that the log's end marker gets.
+//! How the launcher tells its recorder why a run ends: by a file in the session's folder, or in the run's folder if that has been removed.
+//! It holds the text for the end marker of the log.
 
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
-//! Which messages of a run lane are missing between others, as their own numbers show.
+//! Which messages of a run lane are missing, according to their numbers.
 //!
-//! Every state and command carries its tick, every removal, keyframe part and frame a number that rises by one. What is
-//! missing is told as stretches of ticks, each with the messages that it lacks by topic.
+//! Every state and command carries its tick; every removal, keyframe part and frame a number that rises by one. Missing messages are
+//! reported as stretches of ticks, each with its number of missing messages by topic.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,7 +14,7 @@ use crate::limits::MAX_TOLD;
 use crate::stream::TopicCount;
 use crate::topics;
 
-/// Ticks of which something is not in a log.
+/// A stretch of ticks with messages missing in the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stretch {
     /// First tick (`State.tick`).
@@ -81,7 +81,7 @@ impl Numbered {
 }
 
 impl Continuity {
-    /// A message has come.
+    /// Takes in a message.
     pub fn see(&mut self, topic: &str, body: &[u8]) {
         match topic {
             topics::LATCHED => {
@@ -159,7 +159,7 @@ impl Continuity {
         match found.checked_sub(expected) {
             Some(0) => {}
             Some(missing) => self.note(topic, (expected, found - 1, missing), true),
-            // It goes back.
+            // The number goes back.
             None => self.note(topic, (found, found, 1), true),
         }
     }

@@ -1,4 +1,4 @@
-//! How a log ends: the marker of a clean finish, or where it was cut.
+//! How a log ends: with the marker of a clean finish, or cut off.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ pub const END_RECORD: &str = "end";
 /// Name of the metadata record near the start of a repaired log.
 pub const REPAIR_RECORD: &str = "repair";
 
-/// What an end marker, and the launcher before it, says of a log that was moved. No part has such a name.
+/// Text for a log that was moved, in the end marker and from the launcher. No part has such a name.
 const LOG_MOVED: &str = "log moved";
 
 /// Why a run ended.
@@ -77,7 +77,7 @@ pub struct EndMarker {
     /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that
     /// its owner counted. Topics without a loss are absent.
     pub lost: BTreeMap<String, u64>,
-    /// Messages that were in the log and that a damage took, by topic; only in a repaired log.
+    /// Messages that were in the log and were lost to damage, by topic; only in a repaired log.
     pub damaged: BTreeMap<String, u64>,
 }
 
@@ -140,12 +140,12 @@ pub fn hash_text(hash: [u64; 2]) -> String {
     format!("{:016x}{:016x}", hash[1], hash[0])
 }
 
-/// What the end of a file says.
+/// What is known from the end of a file.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ending {
     /// The marker of a clean finish.
     pub marker: Option<EndMarker>,
-    /// Set if the file stops before the MCAP format's own end.
+    /// Set if the file stops before the end that MCAP requires.
     pub cut: Option<Cut>,
 }
 

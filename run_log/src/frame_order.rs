@@ -1,4 +1,4 @@
-//! Gives frames and replies, whose moment depends on the renderer's speed, a fixed place among the ticks.
+//! The place of frames and replies among the ticks: fixed, although their arrival depends on the renderer's speed.
 
 use std::collections::VecDeque;
 
@@ -14,8 +14,8 @@ const MAX_HELD_BYTES: usize = 256 << 20;
 
 /// Number of ticks by which frames are written behind the tick that they show.
 ///
-/// In lockstep the physics waits for the renderer and for the recorder, so that neither is more than a state queue
-/// behind: twice that makes a frame's place certain. In real time it is 300 ms, so that a killed recorder loses few.
+/// In lockstep the physics waits for the renderer and the recorder, so neither is more than a state queue behind, and twice that is always
+/// enough. In real time it is 300 ms, so that few frames are lost if the recorder is killed.
 pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
     match header.mode {
         RunMode::Lockstep => 2 * STATE.queue_length as u64,
@@ -26,13 +26,13 @@ pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
 /// What is written now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Due {
-    /// What stands at a tick that has come.
+    /// What belongs to a tick that has been written.
     AtItsTick,
     /// All that waits.
     All,
 }
 
-/// A message that waits, and the tick behind which it is written.
+/// A waiting message, and the tick after which it is written.
 #[derive(Debug)]
 struct Held<T> {
     due: u64,
@@ -77,7 +77,8 @@ impl FrameOrder {
 
     /// Takes a reply. None overtakes an earlier one.
     ///
-    /// A refusal may carry a tick that never comes: it then stands where it came, and holds no later one.
+    /// A refusal may name a tick that never comes; it is then written at the tick of its arrival, so that it does not hold up later
+    /// replies.
     pub fn reply(&mut self, reply: &DrrReply) {
         let now = self.tick.unwrap_or(0);
         let comes = reply.status == DRR_ACCEPTED || reply.tick <= now.saturating_add(self.lag_ticks);

@@ -1,10 +1,10 @@
-//! Messages that never came, as the numbers of those that did show.
+//! Messages that never arrived, according to the numbers of those that did.
 
 use std::collections::BTreeMap;
 
-/// Senders that are followed: more than a session has. Who they are, a message says itself.
+/// Most senders that are followed: more than a session has. A message names its sender, so a client could invent any number of them.
 const MAX_SENDERS: usize = 64;
-/// Messages that nobody misses at once (49 days at 1 kHz): such a jump is a new beginning.
+/// Longest gap that is believed (49 days at 1 kHz); a longer jump is a sender that starts anew.
 const LONGEST_GAP: u64 = u32::MAX as u64;
 
 /// Last number of each sender on each topic, and what was missed.
@@ -15,7 +15,7 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// A message has come; a sender's numbers begin at 1 and rise by one. One that begins anew lost nothing.
+    /// Takes in a message. The numbers of a sender begin at 1 and rise by one; a sender that starts anew has lost nothing.
     pub fn see(&mut self, topic: &'static str, sender: u32, number: u64) {
         if self.last.len() >= MAX_SENDERS && !self.last.contains_key(&(topic, sender)) {
             return;

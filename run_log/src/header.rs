@@ -157,7 +157,7 @@ impl LogHeader {
     }
 }
 
-/// Refuses a log of which a message has not this build's layout.
+/// Refuses a log with a message whose layout is not this build's.
 pub(crate) fn check_layouts(
     path: &Path,
     metadata: &BTreeMap<String, String>,

@@ -1,5 +1,5 @@
-//! What a whole log's summary says: which chunks hold which topics, so that a question about one topic need not read the
-//! others; and the declarations, for a log whose own are damaged.
+//! The summary of a whole log: which chunks hold which topics, so that reading one topic skips the others; and the
+//! declarations, for a log whose own are damaged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, SeekFrom};
@@ -17,7 +17,7 @@ use crate::topics;
 const FOOTER: usize = 8 + 8 + 4;
 const END: usize = RECORD_HEADER + FOOTER + MAGIC.len();
 
-/// What a log's summary repeats of its chunks.
+/// What the summary of a log repeats from its chunks.
 #[derive(Default)]
 pub(crate) struct Summary {
     /// Schemas with their text.
@@ -26,15 +26,14 @@ pub(crate) struct Summary {
     chunks: Vec<ChunkPlace>,
 }
 
-/// What of a chunk's index is kept.
+/// The part of a chunk's index that is kept.
 struct ChunkPlace {
     offset: u64,
     channels: Box<[u16]>,
 }
 
 impl Summary {
-    /// None if the file has no index that can be trusted. `data_end` is where the summary begins; without it the footer
-    /// says so.
+    /// None if the file has no intact index. `data_end` is where the summary begins; without it, the footer's value is used.
     pub fn read<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Summary> {
         let records = records(source, data_end)?;
         let (mut summary, mut rest) = (Summary::default(), records.as_slice());
@@ -82,7 +81,7 @@ impl Summary {
         summary
     }
 
-    /// Offsets of the chunks that hold nothing of the topics.
+    /// Offsets of the chunks without messages of the topics.
     pub fn chunks_without(&self, topics: &[String]) -> BTreeSet<u64> {
         let wanted = |id: &u16| self.channels.get(id).is_none_or(|channel| topics.contains(&channel.topic));
         // The first chunk declares the channels of the run lane.

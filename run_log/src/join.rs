@@ -15,7 +15,7 @@ use crate::rewrite::{Packing, Rewriter};
 use crate::source::LogSource;
 use crate::walk::{Piece, walk};
 
-/// Calls `visit` for every piece of a log that must be whole.
+/// Calls `visit` for every piece of a log, which must be whole.
 fn walk_whole(
     log: &dyn LogSource,
     visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
@@ -84,7 +84,7 @@ pub fn check_packed(input: &dyn LogSource, packed: &dyn LogSource, path: &Path) 
     Ok(())
 }
 
-/// What stands before the topics, attachments and metadata of a run in a file of several.
+/// Prefix of the topics, attachments and metadata of a run in a log of several runs.
 fn prefix(run: usize) -> String {
     format!("run{run}/")
 }
@@ -186,6 +186,12 @@ struct Split<'o, O: RunOutputs> {
     chunk_is_ours: bool,
 }
 
+/// A run being written, and a name as it stands there.
+struct InRun<'a, W: Write> {
+    out: &'a mut Rewriter<W>,
+    name: String,
+}
+
 impl<'o, O: RunOutputs> Split<'o, O> {
     fn of(outputs: &'o mut O) -> Split<'o, O> {
         let (schemas, kept) = (BTreeMap::new(), Declared::default());
@@ -195,11 +201,11 @@ impl<'o, O: RunOutputs> Split<'o, O> {
     fn take(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
         match piece {
             Piece::Metadata { name, entries } => match self.run_of(&name)? {
-                Some((out, name)) => out.metadata(name, entries),
+                Some(InRun { out, name }) => out.metadata(name, entries),
                 None => Ok(()),
             },
             Piece::Attachment(mut found) => match self.run_of(&found.name)? {
-                Some((out, name)) => {
+                Some(InRun { out, name }) => {
                     found.name = name;
                     out.attachment(&found)
                 }
@@ -231,7 +237,7 @@ impl<'o, O: RunOutputs> Split<'o, O> {
     fn channel(&mut self, mut channel: Channel) -> Result<(), LogError> {
         let schema = self.schemas.get(&channel.schema_id).cloned();
         let Some(name) = channel.topic.strip_prefix('/') else { return Ok(()) };
-        let Some((out, topic)) = self.run_of(name)? else { return Ok(()) };
+        let Some(InRun { out, name: topic }) = self.run_of(name)? else { return Ok(()) };
         channel.topic = format!("/{topic}");
         if let Some((header, data)) = schema {
             out.piece(Piece::Schema { header, data: &data })?;
@@ -239,9 +245,8 @@ impl<'o, O: RunOutputs> Split<'o, O> {
         out.piece(Piece::Channel(channel))
     }
 
-    /// The file of the run that a name of the joined file belongs to, and the name in it; none for what is no run's. A
-    /// run that begins ends the one before it.
-    fn run_of(&mut self, name: &str) -> Result<Option<(&mut Rewriter<O::Output>, String)>, LogError> {
+    /// Where a name of the joined log belongs; none if it belongs to no run. The first name of a run ends the run before it.
+    fn run_of(&mut self, name: &str) -> Result<Option<InRun<'_, O::Output>>, LogError> {
         let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
         let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));
         let Some((run, rest)) = parts else { return Ok(None) };
@@ -255,7 +260,7 @@ impl<'o, O: RunOutputs> Split<'o, O> {
                 format!("run {run} stands beside run {present}: `cat-files` writes them one after the other");
             return Err(LogError::NotWhole { path: self.outputs.path().into(), cause });
         }
-        Ok(self.out.as_mut().map(|out| (out, rest.to_owned())))
+        Ok(self.out.as_mut().map(|out| InRun { out, name: rest.to_owned() }))
     }
 
     fn finish_run(&mut self) -> Result<(), LogError> {

@@ -1,5 +1,5 @@
-//! Records parsed only after the lengths of their texts are known to lie within them: `mcap`'s parser takes memory for a
-//! text as soon as its length is read, up to 4 GiB for a record of a few bytes.
+//! Parses records only after checking that the texts lie within them: `mcap`'s parser allocates memory for a text as soon as it has
+//! read the length, up to 4 GiB for a record of a few bytes.
 //! Format: <https://mcap.dev/spec>, "Records".
 
 use mcap::records::{Record, op};
@@ -7,13 +7,13 @@ use mcap::records::{Record, op};
 /// A part of a record's body.
 #[derive(Clone, Copy)]
 enum Part {
-    /// So many bytes.
+    /// A fixed number of bytes.
     Fixed(usize),
-    /// A text behind its length.
+    /// A text after its length.
     Text,
-    /// Pairs of texts behind the length of all of them.
+    /// Pairs of texts after their total length.
     Texts,
-    /// Numbers behind the length of all of them.
+    /// Numbers after their total length.
     Numbers,
 }
 
@@ -33,7 +33,7 @@ fn parts(opcode: u8) -> &'static [Part] {
     }
 }
 
-/// Splits off what stands behind its own length.
+/// Splits off a part that is preceded by its length.
 fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
@@ -71,7 +71,7 @@ pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String
 mod tests {
     use super::*;
 
-    /// A metadata record of 8 bytes took 1.9 GB: the length of its name was believed.
+    /// A metadata record of 8 bytes allocated 1.9 GB, because the length of its name was trusted.
     #[test]
     fn the_length_of_a_text_takes_no_memory_before_it_is_checked() {
         // What stands before the first text of each record, zeros throughout.

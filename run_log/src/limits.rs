@@ -1,7 +1,7 @@
 //! How much of a log is kept in memory while it is read.
 //!
-//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. What a reader keeps beyond the record that it
-//! looks at is therefore bounded here, by kind; our own logs need less than a hundredth of it.
+//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. So what a reader keeps beyond the current record is
+//! bounded here, by kind; our own logs need less than a hundredth of these limits.
 
 use std::path::Path;
 
@@ -21,12 +21,12 @@ pub(crate) const MAX_DECLARED_BYTES: usize = 16 << 20;
 pub(crate) const MAX_METADATA_BYTES: usize = 1 << 20;
 /// Longest scene or calibration.
 pub(crate) const MAX_SCENE_BYTES: usize = 16 << 20;
-/// Longest index of a file that is used: of more, every chunk is read.
+/// Longest index that is used; with a longer one, every chunk is read.
 pub(crate) const MAX_INDEX_BYTES: u64 = 64 << 20;
-/// Most pieces of a damaged file that are told one by one, and most stretches of missing ticks.
+/// Most damaged pieces of a file, and most stretches of missing ticks, that a report lists.
 pub(crate) const MAX_TOLD: usize = 64;
 
-/// What a file has declared so far, of what its reader keeps.
+/// How much a reader keeps of the declarations so far.
 #[derive(Debug, Default)]
 pub(crate) struct Declared {
     schemas: usize,

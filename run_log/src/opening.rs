@@ -1,5 +1,5 @@
-//! Finding a log's header: it stands in the file twice, at the start and behind the first chunk, each copy with the
-//! scene, the calibration and checksums of its own. Whichever can be read is taken.
+//! Finding the header of a log. It is in the file twice, at the start and after the first chunk, each copy with the scene, the
+//! calibration and its own checksums. The first copy that can be read is used.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -22,7 +22,7 @@ pub enum HeaderCopy {
 }
 
 impl HeaderCopy {
-    /// For people.
+    /// Text for users.
     pub fn name(self) -> &'static str {
         match self {
             HeaderCopy::First => "at the start",
@@ -41,7 +41,7 @@ pub(crate) struct Opened {
     pub first_is_bad: Option<String>,
 }
 
-/// What has come of a copy.
+/// The parts of a copy that have been read.
 #[derive(Default)]
 pub(crate) struct Parts {
     scene: Option<String>,
@@ -140,12 +140,12 @@ fn second<R: Read + Seek>(source: &mut R, path: &Path) -> Found {
         }
         if found.header.is_some() { Err(enough(path)) } else { Ok(()) }
     });
-    // That the walk was ended is no error of the file.
+    // The walk was stopped on purpose; its error says nothing about the file.
     drop(walked);
     found
 }
 
-/// Ends a walk.
+/// Stops a walk.
 fn enough(path: &Path) -> LogError {
     LogError::NoHeader { path: path.into(), offset: 0 }
 }

@@ -1,4 +1,4 @@
-//! Puts the messages of a tick, which arrive on separate queues, into one order.
+//! The order of a tick's messages in the log; they arrive on separate queues.
 
 use std::collections::VecDeque;
 
@@ -6,16 +6,16 @@ use messages::services::STATE;
 use messages::{Latched, Removed, State};
 use zerocopy::FromBytes;
 
-/// A message whose partner has not come is written alone once this many of its kind wait: its partner is lost.
-/// More than a queue holds: after a pause of the recorder one queue may come whole before the next is looked at.
+/// A message whose counterpart has not arrived is written alone once this many of its kind wait: the counterpart is lost.
+/// More than a queue holds: after a pause, the recorder may empty one whole queue before it looks at the next.
 const MAX_WAITING: usize = 2 * STATE.lossless_length;
 
 /// Whether more messages can come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Supply {
-    /// They can: what is not complete waits for them.
+    /// They can; an incomplete tick waits for them.
     Open,
-    /// They cannot: what is there is all there is.
+    /// They cannot; an incomplete tick is written as it is.
     Ended,
 }
 
@@ -34,8 +34,8 @@ pub(crate) enum Ordered {
     State(Box<State>),
 }
 
-/// Messages of each kind in order of arrival. Out come, tick by tick: `Latched` k, `Removed` k+1, `State` k+1, however
-/// the three queues were interleaved; first of all, `Removed` 0 and `State` 0.
+/// Takes the messages of each kind in order of arrival and hands them out tick by tick: `Latched` k, `Removed` k+1, `State` k+1,
+/// however the three queues were interleaved. `Removed` 0 and `State` 0 come first.
 #[derive(Debug, Default)]
 pub(crate) struct TickOrder {
     latched: VecDeque<Box<Latched>>,
@@ -83,7 +83,7 @@ impl TickOrder {
         }
     }
 
-    /// The first waiting state with its removals, and behind the first waiting command if that is its own.
+    /// The first waiting state with its removals, after the first waiting command if it belongs to the state.
     fn tick(&mut self, beginning: Beginning, supply: Supply) -> Vec<Ordered> {
         let with_latched = beginning == Beginning::Latched;
         let reset = with_latched && self.latched.front().is_some_and(|latched| latched.reset != 0);
@@ -99,8 +99,8 @@ impl TickOrder {
         out
     }
 
-    /// The commands behind the last state. Those of later ticks, whose states were not taken any more, are no part of the
-    /// log: it ends with what is whole.
+    /// The command after the last state. Commands of later ticks, whose states were never taken, are left out, so that the log has no
+    /// gap at its end.
     fn last_latched(&mut self) -> Vec<Ordered> {
         let first = self.lone_latched();
         self.latched.clear();
@@ -112,8 +112,8 @@ impl TickOrder {
         self.latched.pop_front().map(Ordered::Latched).into_iter().collect()
     }
 
-    /// Number of waiting removals that belong before the first waiting state; none while more must come. Totals only
-    /// grow within a tick, but for the first message behind a reset, so reaching the state's total ends the tick.
+    /// Number of waiting removals that belong before the first waiting state; none while more must come. Within a tick totals only
+    /// grow, except at the first message after a reset, so the tick is complete when the state's total is reached.
     fn removals_of_front_state(&self, is_reset: bool, supply: Supply) -> Option<usize> {
         let state = self.states.front()?;
         let of_tick = self.removed.iter().take_while(|(removed, _)| removed.tick <= state.tick).count();

@@ -185,7 +185,7 @@ impl LogReader {
                 topics::STATE => state = State::read_from_bytes(message.body).ok().map(Box::new),
                 topics::KEYFRAME => {
                     let Some(state) = &state else { continue };
-                    // One of another state is of no use here.
+                    // A keyframe of another state is of no use here.
                     let _ = pending.take_keyframe_part(&path, message.body, Some(state.tick));
                     if let Some(keyframe) = pending.whole_keyframe()
                         && keyframe.hash == state.hash

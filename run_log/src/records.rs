@@ -1,4 +1,4 @@
-//! MCAP records of a file, one after the other, with every length checked before it is believed.
+//! MCAP records of a file, one after the other, with every length checked before it is trusted.
 //!
 //! The framing is done here and not by `mcap`'s readers because a log may be cut or damaged anywhere: their attachment
 //! parser panics on short records, and they do not say at which byte a file stops.
@@ -18,15 +18,15 @@ use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
 use crate::sink::MAX_MESSAGE_BYTES;
 use crate::source::ReadSeek;
 
-/// Longest record or unpacked chunk: the longest message with some room for its neighbours.
+/// Longest record or unpacked chunk: the longest message, with room for its neighbours.
 pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
 pub(crate) const RECORD_HEADER: usize = 9;
-/// A log being written ends in fewer zeros than this (`background::BLOCK`).
+/// A log being written ends in fewer zeros than one block of the recorder's file (`recorder_proc::background`).
 const PADDING_BYTES: u64 = 4096;
 /// Bytes of the footer's fields that its checksum covers.
 const FOOTER_COVERED: usize = 8 + 8;
 
-/// What a file-level record is, as far as a log needs it.
+/// A file-level record that matters to a log.
 pub(crate) enum FileRecord {
     /// A chunk, checked and unpacked: see [`Records::chunk`].
     Chunk,
@@ -52,13 +52,13 @@ pub(crate) struct Attached {
 /// What a log is read through.
 pub(crate) type Source = BufReader<Box<dyn ReadSeek>>;
 
-/// What became of a record.
+/// Result of loading a record.
 enum Loaded {
-    /// It lies in `record`; its type.
+    /// Loaded into `record`; its type.
     Record(u8),
-    /// It is a chunk that nobody wants.
+    /// An unwanted chunk, skipped.
     PassedOver,
-    /// The file has only so many bytes of it.
+    /// The file ends inside the record; number of its bytes that are there.
     Incomplete(u64),
 }
 
@@ -68,7 +68,7 @@ pub(crate) struct Records {
     path: PathBuf,
     /// Start of the next record.
     offset: u64,
-    /// CRC of everything before it; none once the data section is over, or if not all of it is read.
+    /// CRC of everything before it; none after the data section, or if parts of it are skipped.
     data_crc: Option<crc32fast::Hasher>,
     /// CRC of the summary so far, with the footer's fields.
     summary_crc: crc32fast::Hasher,
@@ -79,7 +79,7 @@ pub(crate) struct Records {
     finished: bool,
     /// Type of the last record.
     opcode: u8,
-    /// Offsets of chunks that nobody wants.
+    /// Offsets of chunks to skip.
     unwanted: BTreeSet<u64>,
 }
 
@@ -96,7 +96,7 @@ impl Records {
         Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
     }
 
-    /// The records from a byte on at which one begins. The checksum of the whole file is not checked then.
+    /// The records from the given offset, which must be the start of one. The checksum of the whole file is not checked.
     pub fn at(mut source: Source, path: &Path, offset: u64) -> Result<Records, LogError> {
         let moved = source.seek(SeekFrom::Start(offset));
         moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
@@ -119,7 +119,7 @@ impl Records {
         }
     }
 
-    /// What it read from.
+    /// Returns the source.
     pub fn into_source(self) -> Source {
         self.source
     }
@@ -139,19 +139,19 @@ impl Records {
         &self.chunk
     }
 
-    /// Passes over these chunks from now on. The checksum of the whole file can then not be told; those of the chunks
-    /// that are read can.
+    /// Skips these chunks from now on. The checksum of the whole file is then not checked; those of the chunks that are read
+    /// are.
     pub fn pass_over(&mut self, chunks: BTreeSet<u64>) {
         self.data_crc = self.data_crc.take().filter(|_| chunks.is_empty());
         self.unwanted = chunks;
     }
 
-    /// Whether the last record was an attachment or metadata: no message is lost with it.
+    /// Whether the last record was an attachment or metadata, so that no message is lost with it.
     pub fn is_beside_messages(&self) -> bool {
         matches!(self.opcode, op::ATTACHMENT | op::METADATA)
     }
 
-    /// Does without the checksum of the whole file: why it is wrong is known.
+    /// Stops checking the checksum of the whole file, because the reason for a mismatch is known.
     pub fn forget_checksum(&mut self) {
         self.data_crc = None;
     }
@@ -173,7 +173,7 @@ impl Records {
             };
             self.opcode = opcode;
             let found = self.interpret(opcode);
-            // Whoever can do without this one may ask for the next.
+            // A caller that can do without this record may ask for the next one.
             self.offset = start + (RECORD_HEADER + self.record.len()) as u64;
             let found =
                 found.map_err(|cause| LogError::Damaged { path: self.path.clone(), offset: start, cause })?;
@@ -225,7 +225,7 @@ impl Records {
         Ok(Loaded::Record(fixed[0]))
     }
 
-    /// Takes a record into the checksum that covers it: of the data section, or of the summary.
+    /// Adds a record to the checksum that covers it: of the data section or of the summary.
     fn sum(&mut self, fixed: [u8; RECORD_HEADER]) {
         let opcode = fixed[0];
         let crc = match self.in_data {
@@ -240,7 +240,7 @@ impl Records {
         crc.update(self.record.get(..covered).unwrap_or(&self.record));
     }
 
-    /// Number of zeros up to the end of the file; none if there is anything else, or more than a block of them.
+    /// Number of zeros up to the end of the file; none if anything else follows, or more than a block of zeros.
     fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
         self.read_up_to(PADDING_BYTES, |_| ())?;
         let few = (self.record.len() as u64) < PADDING_BYTES;
@@ -323,7 +323,7 @@ impl Records {
     }
 }
 
-/// Whether a file begins as an MCAP file does.
+/// Checks that a file begins with the magic number of MCAP.
 pub(crate) fn check_magic(found: &[u8], path: &Path) -> Result<(), LogError> {
     if found == MAGIC {
         return Ok(());
@@ -333,7 +333,7 @@ pub(crate) fn check_magic(found: &[u8], path: &Path) -> Result<(), LogError> {
     Err(LogError::NotMcap { path: path.into(), found })
 }
 
-/// Unpacks a chunk and checks its CRC before anyone sees a record of it.
+/// Unpacks a chunk and checks its CRC, before any of its records is read.
 pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
     let size = header.uncompressed_size;
     if size > MAX_RECORD_BYTES {

@@ -20,15 +20,12 @@ use crate::topics;
 /// The deterministic lane of a run, being written.
 ///
 /// The methods may be called in any interleaving, each topic in its own order, except that the removals of tick 0 must come before
-/// its state. Ticks are written as `Latched` k,
-/// `Removed` k+1, `State` k+1 once these are there. Frames and replies take as long as the renderer takes, so they are
-/// held and written a fixed number of ticks behind the tick that they show ([`frame_lag_ticks`]): two runs with the same
-/// messages leave the same bytes. Only a frame that is later than that is written when it comes. A keyframe, to be given
-/// before the next tick's messages, stands right behind its state and the frames that are due there.
+/// its state. A tick is written as `Latched` k, `Removed` k+1, `State` k+1 once all of them have arrived. The arrival of frames and
+/// replies depends on the renderer, so they are held and written a fixed number of ticks after the tick that they show
+/// (`frame_lag_ticks`): two runs with the same messages leave the same bytes. Only a frame that arrives later than that is written on
+/// arrival. A keyframe must be given before the next tick's state; it is written directly after its own state and the frames due there.
 ///
 /// `log_time` is tick × dt, for a frame the tick that it shows.
-///
-/// [`frame_lag_ticks`]: crate::frame_order::frame_lag_ticks
 pub struct RunLog<W: Write> {
     sink: Sink<W>,
     ticks: TickOrder,
@@ -41,12 +38,12 @@ pub struct RunLog<W: Write> {
     lost: BTreeMap<&'static str, u64>,
 }
 
-/// What decides where replies, frames and keyframes stand, and where chunks end.
+/// What decides the place of replies, frames and keyframes, and where chunks end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Places {
-    /// The ticks.
+    /// The tick that they belong to.
     ByTick,
-    /// Whoever writes: this is a copy of a log.
+    /// The caller, which copies a log.
     AsGiven,
 }
 
@@ -121,8 +118,8 @@ impl<W: Write> RunLog<W> {
         })
     }
 
-    /// From now on replies, frames and keyframes are written at the place at which they are given, and ticks close no
-    /// chunk ([`RunLog::close_chunk`] does): for whoever writes a log again in the order of its messages.
+    /// From now on replies, frames and keyframes are written in the order of the calls, and only [`RunLog::close_chunk`] closes
+    /// chunks: for copying a log message by message.
     pub fn keep_places(&mut self) {
         self.places = Places::AsGiven;
     }
@@ -198,7 +195,7 @@ impl<W: Write> RunLog<W> {
         self.write_frames(self.places.due())
     }
 
-    /// Takes a frame whose image is not to be logged: its `pixel_hash` stands for it.
+    /// Takes a frame whose image is not logged; its `pixel_hash` represents it.
     pub fn frame_without_image(&mut self, frame: &Frame) -> Result<(), LogError> {
         self.frames.frame(frame, None);
         self.write_frames(self.places.due())
@@ -214,13 +211,13 @@ impl<W: Write> RunLog<W> {
         self.last.as_ref()
     }
 
-    /// Messages missed so far, by topic, as their numbers show.
+    /// Messages missed so far, by topic, according to their numbers.
     pub fn lost(&self) -> &BTreeMap<&'static str, u64> {
         &self.lost
     }
 
-    /// Writes what waits, the end marker, the index and the footer. `lost` is what the owner counted itself; of two
-    /// counts of a topic the greater one stands.
+    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is what the owner counted; the greater of both counts of
+    /// a topic is recorded.
     pub fn finish(
         mut self,
         reason: EndReason,
@@ -264,12 +261,12 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Writes the keyframes of states up to this one, in a chunk of their own: whoever asks for states reads none.
+    /// Writes the keyframes of states up to this one, in a chunk of their own, so that reading states does not read keyframes.
     fn write_keyframes(&mut self, tick: u64) -> Result<(), LogError> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());
         }
-        // A copy takes its chunks from the log.
+        // A copy ends its chunks where the original does.
         if self.places == Places::ByTick {
             self.sink.close_chunk()?;
         }
@@ -313,7 +310,7 @@ impl<W: Write> RunLog<W> {
         self.last = Some(*state);
         self.frames.tick(state.tick);
         self.write_frames(Due::AtItsTick)?;
-        // Whoever opens the file of a paused run finds its initial state.
+        // So that the file of a run that is paused from the start holds its initial state.
         match self.places {
             Places::AsGiven => Ok(()),
             Places::ByTick if is_first => self.sink.close_chunk(),
@@ -331,7 +328,7 @@ impl<W: Write> RunLog<W> {
             self.expected.frame_sequence = frame.sequence.saturating_add(1);
             self.sink.message(self.channels.frame, frame.tick, &[frame.as_bytes()])?;
             let Some(image) = image else { continue };
-            // The image lies in a chunk of its own, so that whoever asks for states does not read pixels.
+            // Images have chunks of their own, so that reading states does not read pixels.
             self.sink.close_chunk()?;
             self.sink.message(self.channels.image, frame.tick, &[&image])?;
             self.sink.close_chunk()?;

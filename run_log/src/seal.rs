@@ -1,22 +1,22 @@
-//! A checksum of a metadata record's own. MCAP has none: a changed bit is known only at the end of a file that has one.
+//! A checksum inside a metadata record. MCAP has none: a flipped bit there would show only in the checksum at the end of a file.
 
 use std::collections::BTreeMap;
 
-/// The entry that holds it.
+/// Name of the entry that holds the checksum.
 pub(crate) const SEAL: &str = "crc32";
 
-/// Puts the checksum of the entries among them.
+/// Adds the checksum of the entries as another entry.
 pub(crate) fn seal(entries: &mut BTreeMap<String, String>) {
     let checksum = of(entries);
     entries.insert(SEAL.to_owned(), checksum);
 }
 
-/// Whether the entries are what was sealed. Records of earlier builds have no seal.
+/// Whether the checksum is right or absent, as in records of earlier builds.
 pub(crate) fn is_unbroken(entries: &BTreeMap<String, String>) -> bool {
     entries.get(SEAL).is_none_or(|told| *told == of(entries))
 }
 
-/// Whether they have a seal.
+/// Whether the entries have a checksum.
 pub(crate) fn is_sealed(entries: &BTreeMap<String, String>) -> bool {
     entries.contains_key(SEAL)
 }

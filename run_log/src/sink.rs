@@ -13,15 +13,15 @@ use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTA
 use crate::mcap_writer::{IndexStore, McapWriter};
 use crate::topics;
 
-/// Says that all channels are `cdr` of `ros2msg` schemas; `rosbags` opens no file without it.
+/// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` needs it to open a file.
 pub(crate) const PROFILE: &str = "ros2";
-/// Who wrote a log.
+/// The program that wrote a log.
 pub(crate) const LIBRARY: &str = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
-/// A chunk is closed after this much simulated time, so that a killed recorder loses no more.
+/// A chunk is closed after this much simulated time, which is the most that is lost if the recorder is killed.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.
 const CHUNK_BYTES: usize = 4 << 20;
-/// Longest message that is logged; readers refuse longer records, so that garbage cannot exhaust memory.
+/// Longest message that is logged. Readers refuse longer records, so that a damaged length cannot exhaust memory.
 pub(crate) const MAX_MESSAGE_BYTES: usize = 128 << 20;
 
 struct Channel {
@@ -34,7 +34,7 @@ struct Channel {
 pub(crate) struct Sink<W: Write> {
     writer: McapWriter<W>,
     path: PathBuf,
-    /// The header's second copy, until it is written: behind the first chunk, where a damage of the first does not reach.
+    /// The second copy of the header, until it is written after the first chunk, where damage to the first does not reach.
     second: Option<Header>,
     channels: Vec<Channel>,
     dt_ns: u64,
@@ -137,7 +137,7 @@ impl<W: Write> Sink<W> {
         Ok(())
     }
 
-    /// Says that a tick's messages are written: closes the chunk every 100 ms and when it is large.
+    /// All messages of a tick have been written: closes the chunk every 100 ms and when it is large.
     pub fn end_tick(&mut self, tick: u64) -> Result<(), LogError> {
         let chunk = tick / self.chunk_ticks;
         if chunk <= self.last_chunk && self.chunk_bytes < CHUNK_BYTES {

@@ -13,8 +13,8 @@ use crate::header::LogHeader;
 use crate::mcap_writer::IndexStore;
 use crate::sink::Sink;
 
-/// The wall-clock lane of a run, being written. Its times are simulated too, so that both files share an axis; its
-/// contents are not reproducible.
+/// The wall-clock lane of a run, being written. Its log times are simulated time as well, so that both files share an axis; its contents
+/// are not reproducible.
 pub struct TimingLog<W: Write> {
     sink: Sink<W>,
     last_tick: Option<u64>,

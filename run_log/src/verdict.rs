@@ -22,7 +22,7 @@ pub enum Fault {
     },
     /// Messages are missing between others, or never reached the log.
     Gap(Gap),
-    /// Bytes have changed: nothing behind them is read, but by `repair`.
+    /// Bytes have changed; only `repair` reads on after them.
     Damaged {
         /// Where the damaged record begins.
         offset: u64,
@@ -88,12 +88,12 @@ impl Verdict {
         self.faults.is_empty()
     }
 
-    /// Whether reading stopped at a damage: nothing behind it was read.
+    /// Whether damage stopped the reading: nothing after it was read.
     pub fn is_stopped_by_damage(&self) -> bool {
         self.faults.iter().any(|fault| matches!(fault, Fault::Damaged { .. }))
     }
 
-    /// Writes it for people, a fault a line.
+    /// Writes it as text, one fault per line.
     ///
     /// # Errors
     /// The output's.
@@ -119,7 +119,7 @@ impl fmt::Display for Verdict {
 /// Reads a log of either lane to its end, or as far as it can be read.
 ///
 /// # Errors
-/// It cannot be opened as a log: neither copy of the header can be read, it is no MCAP file, it is another build's.
+/// Not a log: not an MCAP file, no readable copy of the header, or message layouts of another build.
 pub fn verdict(log: &dyn LogSource, options: ReadOptions) -> Result<Verdict, LogError> {
     let mut stream = MessageStream::open(log, options)?;
     while let Ok(Some(_)) = stream.next_message() {}

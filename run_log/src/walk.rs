@@ -1,7 +1,7 @@
 //! The records of a file that may be damaged anywhere: what can be trusted, and what lies between.
 //!
-//! [`Records`](crate::records::Records) stops at the first damage, as a reader that promises ticks without a gap must.
-//! This walk goes on behind it: where a chunk's checksum is wrong but its length leads to a record, at that record;
+//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without a gap. This walk
+//! continues after it: where a chunk's checksum is wrong but its length leads to a record, at that record;
 //! where a length is wrong, at the next byte that begins a chunk, a header or an end marker whose checksum is right.
 
 use std::collections::BTreeMap;
@@ -21,18 +21,18 @@ use crate::records::{
 };
 use crate::seal::is_unbroken;
 
-/// Bytes that a search for the next chunk looks at together.
+/// Window of a search for the next chunk, in bytes.
 const WINDOW: usize = 1 << 20;
-/// Bytes that searches unpack or copy in all, as a multiple of the file's length and besides: bytes that look like the
-/// start of a chunk again and again would be read as often as they do.
+/// Budget of all searches together for unpacking and copying: a multiple of the file's length plus a constant. Without it, bytes that
+/// look like the start of a chunk over and over would be read each time.
 const SEARCHED_TIMES: u64 = 8;
 const SEARCHED_BYTES: u64 = 1 << 28;
-/// Bytes of the magic number that may be wrong in what still is a log.
+/// Number of wrong bytes in the magic number up to which a file still counts as a log.
 const WRONG_MAGIC_BYTES: usize = 2;
 /// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
 const LOOK: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
-/// What a walk meets, in the order of the file.
+/// What a walk finds, in the order of the file.
 pub(crate) enum Piece<'a> {
     Attachment(Attached),
     Metadata {
@@ -51,18 +51,18 @@ pub(crate) enum Piece<'a> {
     /// A chunk's records follow; where it begins.
     ChunkBegin(u64),
     ChunkEnd,
-    /// The data end here; where the summary begins.
+    /// End of the data section; offset of the summary.
     DataEnd(u64),
-    /// Bytes that are no record, or a record whose checksum is wrong.
+    /// Not a record, or a record whose checksum is wrong.
     Lost(Lost),
-    /// The file stops here before the format's own end, with so many bytes of an incomplete record.
+    /// The file stops here, inside a record or before the end of the format; bytes of the incomplete record.
     Cut {
         offset: u64,
         incomplete_bytes: u64,
     },
 }
 
-/// A piece of a file that cannot be trusted.
+/// A damaged piece of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Lost {
     /// First byte.
@@ -170,7 +170,7 @@ impl<R: Read + Seek> Walker<R> {
         Ok(())
     }
 
-    /// Goes to a byte; what has been read ahead stays, or each record would cost a whole buffer.
+    /// Seeks within the buffer if possible; otherwise each record would cost reading a whole buffer.
     fn go_to(&mut self, at: u64) -> io::Result<()> {
         match i64::try_from(i128::from(at) - i128::from(self.position)) {
             Ok(distance) => self.source.seek_relative(distance)?,
@@ -261,7 +261,7 @@ impl<R: Read + Seek> Walker<R> {
                 Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
                 Err(cause) => Ok(Err(cause)),
             },
-            // Nothing else of these can be checked; a wrong length would pass over whole chunks.
+            // These have no checksum; a wrong length would skip whole chunks.
             _ => match self.leads_on(next) {
                 Ok(true) => Ok(Ok(())),
                 Ok(false) => Ok(Err("a record whose length leads to no other".to_string())),

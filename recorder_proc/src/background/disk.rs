@@ -64,7 +64,7 @@ impl Medium for File {
     }
 
     fn sync(&self) -> io::Result<()> {
-        // Else nobody would notice before the end of the run.
+        // Otherwise it would be noticed only at the end of the run.
         if rustix::fs::fstat(self)?.st_nlink == 0 {
             return Err(io::Error::new(ErrorKind::NotFound, "the file has been removed"));
         }
@@ -80,9 +80,9 @@ impl Medium for File {
 pub(super) struct Disk {
     pub medium: Box<dyn Medium>,
     pub direct: bool,
-    /// Bytes of the file that are surely there.
+    /// Bytes of the file that have been written.
     pub written: u64,
-    /// Since when there are bytes that a machine without power would lose.
+    /// Since when there are bytes that a power failure would lose.
     pub unsynced: Option<Instant>,
 }
 

@@ -1,14 +1,14 @@
-//! A file that a thread of its own writes, so that a disk that stalls stops nobody who has something to record.
+//! A file written by its own thread, so that a stalled disk does not stall the recorder.
 //!
-//! Bytes go into preallocated, page-aligned buffers that are used again and again. The thread writes them with
+//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with
 //! `O_DIRECT` where the file system can: the data is not copied into the page cache, which costs a fraction of the
 //! processor time (`examples/disk_cost.rs` measures it) and keeps the kernel from long copies that nothing preempts.
-//! Elsewhere (tmpfs, FUSE) it writes as usual. The finished file is the same in either way.
+//! Elsewhere (tmpfs, FUSE) it uses ordinary writes. The finished file is the same either way.
 //!
 //! While it is written directly, a file may end in up to one block of zeros: the rest of the last block.
 //!
-//! The thread brings what it has written to the disk once a second (`fdatasync`), and all of it before the file is closed: a machine
-//! that loses its power costs what was recorded in the last second or so. Whoever records does not wait for that either.
+//! The thread syncs to the disk once a second (`fdatasync`) and before the file is closed, so a power failure costs about the last
+//! second. The recorder does not wait for that either.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -25,10 +25,10 @@ use disk::{Disk, Medium, open};
 
 /// Alignment of offsets, lengths and addresses that every file system's `O_DIRECT` takes.
 const BLOCK: usize = 4096;
-/// Written bytes are on the disk after this much wall time, and what the disk takes for it.
+/// Wall time between two syncs; written bytes are on the disk after this and the time that the sync takes.
 pub const SYNC_PERIOD: Duration = Duration::from_secs(1);
 
-/// How much may wait for the disk, and how it is written.
+/// Buffers of a background file, and how it is opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BackgroundOptions {
     /// Buffers.
@@ -37,7 +37,7 @@ pub struct BackgroundOptions {
     pub buffer_bytes: usize,
     /// Tries `O_DIRECT`.
     pub direct: bool,
-    /// Never writes over a file that is there.
+    /// Refuses to replace an existing file.
     pub fresh: bool,
 }
 

@@ -51,7 +51,7 @@ pub(super) enum Recorded {
 
 /// The recorder while it records.
 pub(super) struct Recorder {
-    /// Messages of strangers that have been said.
+    /// Number of messages from other parts that has been reported.
     pub strangers: u64,
     pub stranger_warnings: WarningLimit,
     pub run: RunLog<BackgroundFile>,
@@ -59,7 +59,7 @@ pub(super) struct Recorder {
     pub recording: Recording,
     pub newest_tick: u64,
     pub reported_tick: u64,
-    /// Of the timing lane.
+    /// Gaps in the timing lane.
     pub gaps: Gaps,
     /// Whether the physics has said so.
     pub run_has_ended: bool,
@@ -75,7 +75,7 @@ impl Recorder {
         let mut quiet_since = Instant::now();
         while !end.is_set() {
             self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
-            // A physics process that joins later must hear of this one.
+            // A physics process that joins later must see this recorder.
             self.ports.progress.deliver_history()?;
             if self.take_round()? {
                 quiet_since = Instant::now();

@@ -1,7 +1,7 @@
 //! A writer of MCAP files whose memory does not grow with the file.
 //!
 //! The `mcap` crate's writer holds the index of every chunk until the end: 0.7 MiB a minute for a run with its timing lane.
-//! Here it goes to a file without a name beside the log, and from there into the log's summary. Record layouts are the
+//! Here it goes to an [`IndexStore`], and from there into the log's summary. Record layouts are the
 //! crate's, and so is every byte of the file (a test holds one against the other).
 
 use std::collections::BTreeMap;
