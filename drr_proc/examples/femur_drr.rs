@@ -7,11 +7,12 @@ mod common;
 
 use std::error::Error;
 
-use drr_proc::{
+use drr_proc::ThisMachine;
+use volume_io::phantom::{FemurSpec, femur, femur_landmarks};
+use xray::{
     CArm, DetectorFormat, DisplayMode, DrrParameters, DrrRenderer, FrameSeed, Grid, PositionerAngles, Tool,
     VolumeView,
 };
-use volume_io::phantom::{FemurSpec, femur, femur_landmarks};
 
 const SIDE: u32 = 512;
 
@@ -43,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let mut parameters = DrrParameters::default();
     parameters.display.mode = mode;
-    let mut renderer = DrrRenderer::new(&view, parameters)?;
+    let mut renderer = DrrRenderer::new(&view, parameters, &ThisMachine)?;
     let centre = grid.index_to_world(volume.dims.map(|n| 0.5 * (n as f64 - 1.0)));
     let format = DetectorFormat { columns: SIDE, rows: SIDE, pixel_pitch_m: [0.4e-3; 2] };
     let c_arm = CArm::from_positioner_angles(centre, angles, 0.7, 1.0, format)?;

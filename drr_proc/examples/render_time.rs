@@ -7,8 +7,9 @@ mod common;
 use std::error::Error;
 use std::time::Instant;
 
-use drr_proc::ray::RayFan;
-use drr_proc::{
+use drr_proc::ThisMachine;
+use xray::ray::RayFan;
+use xray::{
     CArm, DetectorFormat, DrrParameters, DrrRenderer, FrameSeed, Grid, Material, PositionerAngles, Projector,
     Tool, VolumeView, reference,
 };
@@ -37,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         for projector in [Projector::Siddon, Projector::Joseph] {
             let parameters = DrrParameters { projector, threads, ..DrrParameters::default() };
             let started = Instant::now();
-            let mut renderer = DrrRenderer::new(&view, parameters)?;
+            let mut renderer = DrrRenderer::new(&view, parameters, &ThisMachine)?;
             let built_ms = ms(started);
             let mut image = vec![0_u16; c_arm.pixels()];
             renderer.render(&view, &c_arm, &tool, FrameSeed::default(), &mut image)?;
@@ -59,7 +60,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn pose(primary_deg: f64, secondary_deg: f64) -> Result<CArm, drr_proc::DrrError> {
+fn pose(primary_deg: f64, secondary_deg: f64) -> Result<CArm, xray::DrrError> {
     let format = DetectorFormat { columns: SIDE, rows: SIDE, pixel_pitch_m: [0.3 / f64::from(SIDE); 2] };
     let angles = PositionerAngles::from_degrees(primary_deg, secondary_deg);
     CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)

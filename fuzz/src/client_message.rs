@@ -3,7 +3,6 @@
 use std::cell::RefCell;
 use std::path::Path;
 
-use drr_proc::process::c_arm_of;
 use hub::latch::Latch;
 use ipc_types::messages::{
     self, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JV, BURR_SPEED,
@@ -12,6 +11,7 @@ use ipc_types::messages::{
 use ipc_types::scene::Scene;
 use simulation::{Simulation, SimulationSnapshot};
 use test_support::scenes::TOOL;
+use xray::message::c_arm_of;
 use zerocopy::{FromBytes, IntoBytes};
 
 const SCENE: &str = r#"
@@ -55,7 +55,7 @@ pub fn client_message(data: &[u8]) {
             if let Ok((request, _)) = DrrRequest::read_from_prefix(bytes)
                 && let Ok(c_arm) = c_arm_of(&request.geometry)
             {
-                let camera = drr_proc::process::projection_message(&c_arm, [0.0; 3]);
+                let camera = xray::message::projection_message(&c_arm, [0.0; 3]);
                 assert!(camera.as_bytes().len() > c_arm.pixel_pitch_m.len());
                 assert!(camera.intrinsics.iter().all(|number| number.is_finite()));
                 assert!(c_arm.project([0.0; 3]).is_none_or(|place| place.depth_m.is_finite()));
@@ -133,8 +133,8 @@ pub fn seeds() -> Vec<Vec<u8>> {
     all.push([&[2], one[4..8].as_bytes()].concat());
     all.push([&[1], DrrRequest::zeroed().as_bytes()].concat());
     let scene = crate::seeds::scene_file("curved_shape_feedback.toml");
-    if let Some(c_arm) = scene.drr.as_ref().and_then(|drr| drr_proc::process::scene_c_arm(drr).ok()) {
-        let geometry = drr_proc::process::c_arm_message(&c_arm);
+    if let Some(c_arm) = scene.drr.as_ref().and_then(|drr| xray::from_scene::scene_c_arm(drr).ok()) {
+        let geometry = xray::message::c_arm_message(&c_arm);
         all.push(
             [&[1], DrrRequest { geometry, use_geometry: 1, ..DrrRequest::zeroed() }.as_bytes()].concat(),
         );

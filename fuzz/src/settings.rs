@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use controllers::Calibration;
-use drr_proc::process::{c_arm_message, c_arm_of, projection_message, scene_c_arm, scene_isocentre_m};
 use ipc_types::scene::Scene;
 use ipc_types::session::Announcement;
 use simulation::Simulation;
+use xray::from_scene::{scene_c_arm, scene_isocentre_m};
+use xray::message::{c_arm_message, c_arm_of, projection_message};
 
 /// A scene's text. One that is taken has a C-arm and a simulation, or says why not.
 pub fn scene(data: &[u8]) {

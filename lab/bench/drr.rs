@@ -2,13 +2,14 @@
 
 use std::time::Instant;
 
-use drr_proc::attenuation::MuTable;
-use drr_proc::ray::{IndexRay, RayFan};
-use drr_proc::reference::{self, Phantom, Solid, relative_rms};
-use drr_proc::removal::{AttenuationField, BlockMap, RemovedVoxels};
-use drr_proc::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
-use drr_proc::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, siddon};
+use drr_proc::ThisMachine;
 use rayon::prelude::*;
+use xray::attenuation::MuTable;
+use xray::ray::{IndexRay, RayFan};
+use xray::reference::{self, Phantom, Solid, relative_rms};
+use xray::removal::{AttenuationField, BlockMap, RemovedVoxels};
+use xray::slice_ordered::{Instructions, SliceOrdered, SliceOrderedOptions, Update};
+use xray::{CArm, DetectorFormat, DrrError, Grid, HuLaw, Material, PositionerAngles, VolumeView, siddon};
 
 use super::{failed, row};
 use trabecula::failure::Failure;
@@ -106,7 +107,7 @@ fn xor(values: &[i16]) -> i16 {
 fn projector(view: &VolumeView<'_>, options: SliceOrderedOptions) -> Result<SliceOrdered, Failure> {
     let table = MuTable::new(HuLaw::WaterScaling, ENERGY_KEV, -900).map_err(failed)?;
     let unit_per_m = Material::Water.mu_per_m(ENERGY_KEV).map_err(failed)? / 1000.0;
-    SliceOrdered::new(view, &table, unit_per_m, 0.0, options).map_err(failed)
+    SliceOrdered::new(view, &table, unit_per_m, 0.0, options, &ThisMachine).map_err(failed)
 }
 
 fn frames(

@@ -1,6 +1,7 @@
 //! Milliseconds of what comes after the anatomy of an X-ray frame: the tool, the exposure, the display's window.
 
-use drr_proc::{
+use drr_proc::ThisMachine;
+use xray::{
     DetectorParameters, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Material, Tool, ToolPart,
     VolumeView, Window,
 };
@@ -57,7 +58,7 @@ pub(super) fn run(view: &VolumeView<'_>, rounds: usize) -> Result<(), Failure> {
     let mut image = vec![0; c_arm.pixels()];
     let mut all = Vec::new();
     for (name, tool, parameters) in cases {
-        let mut renderer = DrrRenderer::new(view, parameters).map_err(failed)?;
+        let mut renderer = DrrRenderer::new(view, parameters, &ThisMachine).map_err(failed)?;
         let mut covered = 0;
         let mut times = Times::default();
         for frame in 0..=rounds.max(20) as u64 {

@@ -3,15 +3,16 @@
 use std::time::Instant;
 
 use controllers::{Controller, built_in};
-use drr_proc::process::{
-    Job, Rendered, burr_radius_m, render_job, renderer_parameters, scene_c_arm, volume_view,
-};
-use drr_proc::{CArm, DrrRenderer, VolumeView};
+use drr_proc::ThisMachine;
 use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::{Latched, State, Volume as VolumeMessage};
 use ipc_types::scene::{Drr, Mode, Notch, Scene};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
 use simulation::{CtView, Simulation, ct_geometry};
+use xray::frame::{Job, Rendered, render_job};
+use xray::from_scene::{burr_radius_m, renderer_parameters, scene_c_arm};
+use xray::message::volume_view;
+use xray::{CArm, DrrRenderer, VolumeView};
 use zerocopy::IntoBytes;
 
 use super::samples::Samples;
@@ -156,8 +157,12 @@ impl<'v> XRay<'v> {
     ) -> Result<XRay<'v>, Failure> {
         let view = volume_view(message, hu.as_bytes()).map_err(failed)?;
         Ok(XRay {
-            renderer: DrrRenderer::new(&view, renderer_parameters(drr, scene.tolerance.as_ref()))
-                .map_err(failed)?,
+            renderer: DrrRenderer::new(
+                &view,
+                renderer_parameters(drr, scene.tolerance.as_ref()),
+                &ThisMachine,
+            )
+            .map_err(failed)?,
             view,
             c_arm: scene_c_arm(drr).map_err(Failure::bad_input)?,
             threads: drr.threads,
@@ -207,9 +212,11 @@ impl<'v> XRay<'v> {
             noise_seed: self.noise_seed,
             burr_radius_m: self.burr_radius_m,
         };
+        let began = Instant::now();
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;
+        let render_ns = began.elapsed().as_nanos() as u64;
         let samples = if rendered.is_full() { &mut self.full } else { &mut self.changed };
-        samples.add(rendered.render_ns);
+        samples.add(render_ns);
         Ok(rendered)
     }
 

@@ -33,7 +33,7 @@ pub struct DrrChartArguments {
     /// Timed frames of each point, 1 to 100.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
-    /// Write the table from which `tolerance.drr_rel` chooses (`drr_proc/src/rungs.csv`) instead of a chart.
+    /// Write the table from which `tolerance.drr_rel` chooses (`xray/src/rungs.csv`) instead of a chart.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "peers"])]
     rungs: Option<PathBuf>,
 }

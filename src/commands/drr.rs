@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::{Args, ValueEnum};
-use drr_proc::{
+use drr_proc::ThisMachine;
+use volume_io::Volume;
+use xray::{
     DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Grid, Output,
     Projector, Spectrum, Tool, VolumeView,
 };
-use volume_io::Volume;
 
 use crate::failure::Failure;
 use crate::launcher::volume_source::VolumeFiles;
@@ -147,7 +148,8 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     }
     let grid = Grid::from(volume.grid(&arguments.volume)?);
     let view = VolumeView::new(grid, &volume.hu).map_err(Failure::bad_input)?;
-    let mut renderer = DrrRenderer::new(&view, parameters(arguments)).map_err(Failure::bad_input)?;
+    let mut renderer =
+        DrrRenderer::new(&view, parameters(arguments), &ThisMachine).map_err(Failure::bad_input)?;
     let linear = matches!(arguments.display, DisplayName::Linear);
     let mut animation = Vec::new();
     let mut slowest_ms = 0.0_f64;

@@ -148,7 +148,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let interrupts =
         Interrupts::hear().map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let scene = scene_of(arguments)?;
-    if let Some(choice) = drr_proc::process::tolerance_text(&scene).filter(|_| !arguments.json) {
+    if let Some(choice) = xray::from_scene::tolerance_text(&scene).filter(|_| !arguments.json) {
         say!("{choice}");
     }
     let output = match arguments.no_record {

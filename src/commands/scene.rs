@@ -82,7 +82,7 @@ fn check(file: &Path, volume_files: VolumeFiles) -> Result<(), Failure> {
             None => "no scheduled frames".to_owned(),
         }
     );
-    if let Some(choice) = drr_proc::process::tolerance_text(&scene) {
+    if let Some(choice) = xray::from_scene::tolerance_text(&scene) {
         say!("{choice}");
     }
     Ok(())

@@ -4,7 +4,6 @@ use std::cell::Cell;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use drr_proc::process::{c_arm_message, scene_c_arm};
 use ipc_types::layout::Message;
 use ipc_types::messages::{CArmGeometry, Volume as VolumeMessage};
 use ipc_types::ports::{PortError, Publisher};
@@ -16,6 +15,8 @@ use ipc_types::session::{
 use run_log::cat::whole;
 use run_log::header::CALIBRATION_ATTACHMENT;
 use volume_io::Volume;
+use xray::from_scene::scene_c_arm;
+use xray::message::c_arm_message;
 use zerocopy::IntoBytes;
 
 use super::part::Part;

@@ -1,13 +1,14 @@
 //! Rendering a log's frames again.
 
-use drr_proc::process::{
-    Job, burr_radius_m, c_arm_of, render_job, renderer_parameters, scene_isocentre_m, volume_view,
-};
-use drr_proc::{DrrRenderer, VolumeView};
+use drr_proc::ThisMachine;
 use ipc_types::messages::{Frame, State};
 use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
 use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
+use xray::frame::{Job, render_job};
+use xray::from_scene::{burr_radius_m, renderer_parameters, scene_isocentre_m};
+use xray::message::{c_arm_of, volume_view};
+use xray::{DrrRenderer, VolumeView};
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
@@ -43,14 +44,15 @@ impl<'l> FrameReplay<'l> {
         let failed = |cause: String| Failure::failed(cause);
         let view = volume_view(&message, volume.hu.as_bytes()).map_err(|cause| failed(cause.to_string()))?;
         let parameters =
-            drr_proc::DrrParameters { threads, ..renderer_parameters(drr, log.scene.tolerance.as_ref()) };
+            xray::DrrParameters { threads, ..renderer_parameters(drr, log.scene.tolerance.as_ref()) };
         let ticks = log.reader()?;
         let (predrilled, removed) = match ticks.beginning() {
             None => (ticks.predrilled().to_vec(), ticks.predrilled().to_vec()),
             Some(keyframe) => gone_at(log, keyframe)?,
         };
         Ok(Some(FrameReplay {
-            renderer: DrrRenderer::new(&view, parameters).map_err(|cause| failed(cause.to_string()))?,
+            renderer: DrrRenderer::new(&view, parameters, &ThisMachine)
+                .map_err(|cause| failed(cause.to_string()))?,
             view,
             recorded: frames(&LogFile::at(&log.path), log.options())?,
             state: Box::new(*ticks.initial()),
@@ -89,7 +91,7 @@ impl<'l> FrameReplay<'l> {
         if !self.advance_to(recorded)? {
             return Ok(None);
         }
-        let failed = |cause: drr_proc::DrrError| {
+        let failed = |cause: xray::DrrError| {
             Failure::failed(format!("frame {} of tick {}: {cause}", recorded.sequence, recorded.tick))
         };
         let job = Job {

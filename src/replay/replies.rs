@@ -3,13 +3,14 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 
-use drr_proc::process::{c_arm_message, scene_c_arm};
 use ipc_types::layout::Message;
 use ipc_types::messages::{CArmGeometry, DRR_ACCEPTED, DrrReply, DrrRequest, Frame, GEOMETRY_REQUEST};
 use ipc_types::scene::Drr;
 use recorder_proc::log_file::LogFile;
 use run_log::difference::compare;
 use run_log::{MessageStream, ReadOptions, topics};
+use xray::from_scene::scene_c_arm;
+use xray::message::c_arm_message;
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::OpenedLog;

@@ -67,7 +67,7 @@ pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let c_arm = &picture.placed.c_arm;
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0] * 1e3, v[1] * 1e3, v[2] * 1e3);
     let step = |axis: [f64; 3], pitch_m: f64| vector(axis.map(|x| x * pitch_m));
-    let normal = c_arm.camera(drr_proc::PixelCentre::Whole).rotation[2];
+    let normal = c_arm.camera(xray::PixelCentre::Whole).rotation[2];
     let header = format!(
         "NRRD0005\n# X-ray frame, written by Trabecula\ntype: float\ndimension: 3\n\
          space: left-posterior-superior\nsizes: {} {} 1\nspace directions: {} {} {}\n\

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use drr_proc::process::scene_c_arm;
-use drr_proc::{CArm, DrrError};
 use ipc_types::scene::{CArm as CameraOrPoints, Display, Drr, PixelCentre, Projector};
 use serde::Deserialize;
+use xray::from_scene::scene_c_arm;
+use xray::{CArm, DrrError};
 
 use crate::failure::Failure;
 

@@ -47,6 +47,7 @@ fn no_loop_reads_the_wall_clock() {
         "volume_io/src",
         "voxel_grid/src",
         "physics_proc/src",
+        "xray/src",
         "drr_proc/src",
         "hub/src",
         "simulation/src",

@@ -1,11 +1,14 @@
 //! X-ray frames are tied to ticks and are a function of volume, removed voxels and state.
 
-use drr_proc::DrrRenderer;
-use drr_proc::process::{Job, render_job, renderer_parameters, scene_c_arm, scene_isocentre_m, volume_view};
+use drr_proc::ThisMachine;
 use ipc_types::messages::{Pose, Volume as VolumeMessage};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{FrameRecord, ReadOptions, frames};
+use xray::DrrRenderer;
+use xray::frame::{Job, render_job};
+use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
+use xray::message::volume_view;
 use zerocopy::IntoBytes;
 
 use crate::common::logs::{Whole, read};
@@ -95,7 +98,8 @@ fn drilled_voxels_are_gone_in_the_frames() {
             burr_radius_m: 3.25e-3,
         };
         let mut renderer =
-            DrrRenderer::new(&view, renderer_parameters(drr, scene.tolerance.as_ref())).unwrap();
+            DrrRenderer::new(&view, renderer_parameters(drr, scene.tolerance.as_ref()), &ThisMachine)
+                .unwrap();
         render_job(&mut renderer, &view, &job).unwrap().frame.pixel_hash
     };
     // A fresh renderer that is told all at once sees what the process saw after many small steps.

@@ -1,7 +1,7 @@
 //! Where the voxels of a CT lie in the world (patient frame, LPS, metres): dimensions, spacing, origin and axes.
 //!
 //! A [`VoxelGrid`] is checked when it is made and cannot be changed, so what one reader takes no later one refuses: files
-//! (`volume_io`), the message in shared memory (`messages`), the physics (`simulation`) and the X-ray (`drr_proc`) all come here.
+//! (`volume_io`), the message in shared memory (`messages`), the physics (`simulation`) and the X-ray (`xray`) all come here.
 //!
 //! Its axes are perpendicular to rounding. Files say them with few digits (DICOM six, NIfTI as f32), so axes within
 //! [`PERPENDICULAR_TOLERANCE`] are made perpendicular, the first kept and the others turned towards it (Gram-Schmidt): what DICOM

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::BufWriter;
 
-use drr_proc::{Material, Tool, ToolPart};
+use xray::{Material, Tool, ToolPart};
 
 /// Writes a mono16 image (rows from top to bottom) as an 8-bit greyscale PNG file.
 pub fn write_png(
@@ -15,7 +15,7 @@ pub fn write_png(
     let mut encoder = png::Encoder::new(BufWriter::new(File::create(path)?), columns, rows);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.write_header()?.write_image_data(&drr_proc::display::to_8_bit(image))?;
+    encoder.write_header()?.write_image_data(&xray::display::to_8_bit(image))?;
     Ok(())
 }
 

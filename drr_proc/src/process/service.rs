@@ -13,13 +13,15 @@ use ipc_types::messages::{
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Drives, Mode, Notch, Scene};
+use xray::frame::{Job, Rendered, render_job};
+use xray::from_scene::{burr_radius_m, scene_isocentre_m};
+use xray::message::{c_arm_message, c_arm_of};
+use xray::{CArm, DrrError, DrrRenderer, VolumeView};
 use zerocopy::FromBytes;
 
+use super::DrrProcessError;
 use super::ports::Ports;
 use super::schedule::{Due, Schedule};
-use super::worker::{Job, Rendered, render_job};
-use super::{DrrProcessError, burr_radius_m, c_arm_message, c_arm_of, scene_isocentre_m};
-use crate::{CArm, DrrError, DrrRenderer, VolumeView};
 
 /// Jobs that may wait for the renderer.
 const QUEUE: usize = 2;
@@ -29,7 +31,13 @@ const STATES_PER_ROUND: usize = 32;
 /// States after which progress is reported in between.
 const PROGRESS_TICKS: u64 = 32;
 
-type Outcome = Result<Rendered, DrrError>;
+/// A finished frame, and the wall time that it took.
+struct Finished {
+    rendered: Rendered,
+    render_ns: u64,
+}
+
+type Outcome = Result<Finished, DrrError>;
 
 /// Serves frames until the run ends.
 pub(super) fn serve(
@@ -45,8 +53,11 @@ pub(super) fn serve(
     std::thread::scope(|scope| {
         scope.spawn(move || {
             for job in job_queue {
+                let began_ns = now_ns();
+                let outcome = render_job(&mut renderer, view, &job)
+                    .map(|rendered| Finished { rendered, render_ns: now_ns() - began_ns });
                 // The other side has ended: so does this one.
-                if outcomes.send(render_job(&mut renderer, view, &job)).is_err() {
+                if outcomes.send(outcome).is_err() {
                     break;
                 }
             }
@@ -348,7 +359,7 @@ impl Service {
 
     fn publish_finished(&mut self) -> Result<(), DrrProcessError> {
         loop {
-            let rendered = match self.outcomes.try_recv() {
+            let Finished { rendered, render_ns } = match self.outcomes.try_recv() {
                 Ok(outcome) => outcome?,
                 Err(TryRecvError::Empty) => return Ok(()),
                 Err(TryRecvError::Disconnected) if self.in_flight == 0 => return Ok(()),
@@ -360,7 +371,7 @@ impl Service {
             self.ports.timing.send(&FrameTiming {
                 frame_sequence: rendered.frame.sequence,
                 tick: rendered.frame.tick,
-                render_ns: rendered.render_ns,
+                render_ns,
                 rays: rendered.report.rays_traced as u64,
                 age_ticks: newest.saturating_sub(rendered.frame.tick),
                 full: u32::from(rendered.is_full()),

@@ -13,9 +13,10 @@ mod table;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use drr_proc::ray::RayFan;
-use drr_proc::reference::Phantom;
-use drr_proc::{
+use drr_proc::ThisMachine;
+use xray::ray::RayFan;
+use xray::reference::Phantom;
+use xray::{
     CArm, DetectorFormat, DetectorParameters, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Grid,
     Material, PositionerAngles, Projector, Tool, VolumeView, Window,
 };
@@ -77,7 +78,7 @@ impl Errors {
         let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
         let difference = largest(&mut image.iter().zip(reference).map(|(a, b)| (a - b).abs()));
         let scale = largest(&mut reference.iter().map(|b| b.abs()));
-        Errors { rms: drr_proc::reference::relative_rms(image, reference), max: difference / scale }
+        Errors { rms: xray::reference::relative_rms(image, reference), max: difference / scale }
     }
 }
 
@@ -166,7 +167,7 @@ fn failed(cause: impl ToString) -> Failure {
     Failure::failed(cause.to_string())
 }
 
-fn sample(phantom: &Phantom, coarseness: usize) -> Result<Sample, drr_proc::DrrError> {
+fn sample(phantom: &Phantom, coarseness: usize) -> Result<Sample, xray::DrrError> {
     let spacing_m = 0.5e-3 * coarseness as f64;
     let dims = EDGE_M.map(|edge| (edge / spacing_m + 0.5) as usize);
     let grid = Grid::centred(dims, [spacing_m; 3])?;
@@ -193,15 +194,11 @@ fn parameters(projector: Projector, threads: usize) -> DrrParameters {
     }
 }
 
-fn references(
-    phantom: &Phantom,
-    finest: &Sample,
-    side: u32,
-) -> Result<Vec<PosedReference>, drr_proc::DrrError> {
+fn references(phantom: &Phantom, finest: &Sample, side: u32) -> Result<Vec<PosedReference>, xray::DrrError> {
     let mu_water = Material::Water.mu_per_m(60.0)?;
     let view = VolumeView::new(finest.grid, &finest.hu)?;
     let format = DetectorFormat { columns: side, rows: side, pixel_pitch_m: [0.3072 / f64::from(side); 2] };
-    let mut renderer = DrrRenderer::new(&view, parameters(Projector::Siddon, 2))?;
+    let mut renderer = DrrRenderer::new(&view, parameters(Projector::Siddon, 2), &ThisMachine)?;
     let mut image = vec![0; side as usize * side as usize];
     POSES
         .into_iter()
@@ -224,9 +221,9 @@ fn measure(
     (name, projector, threads): (&str, Projector, usize),
     rounds: usize,
     points: &mut Vec<Point>,
-) -> Result<(), drr_proc::DrrError> {
+) -> Result<(), xray::DrrError> {
     let view = VolumeView::new(sample.grid, &sample.hu)?;
-    let mut renderer = DrrRenderer::new(&view, parameters(projector, threads))?;
+    let mut renderer = DrrRenderer::new(&view, parameters(projector, threads), &ThisMachine)?;
     // Copies of the volume are made when it is loaded, not with a frame.
     poses.iter().try_for_each(|pose| renderer.prepare(&view, &pose.c_arm))?;
     // Siddon's times spread little and are long.

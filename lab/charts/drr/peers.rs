@@ -8,8 +8,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use drr_proc::Material;
 use serde_json::json;
+use xray::Material;
 
 use super::{Errors, Plan, Point, PosedReference, STANDARD, Sample};
 use crate::charts::peers::{new_input, run, scripts};

@@ -1,4 +1,4 @@
-//! `drr_proc/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
+//! `xray/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
 //!
 //! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels; for each projector the largest of the
 //! poses' errors against Siddon's sum in f64, relative and r.m.s., on every eighth pixel in both directions, and the median of the times
@@ -7,8 +7,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use drr_proc::reference::{self, Phantom, Solid, relative_rms};
-use drr_proc::{
+use drr_proc::ThisMachine;
+use xray::reference::{self, Phantom, Solid, relative_rms};
+use xray::{
     CArm, DetectorFormat, DrrError, DrrRenderer, FrameSeed, Grid, Projector, Tool, VolumeView, ladder,
 };
 
@@ -35,7 +36,7 @@ impl Problem {
         let format =
             DetectorFormat { columns: SIDE, rows: SIDE, pixel_pitch_m: [FIELD_M / f64::from(SIDE); 2] };
         let c_arms = POSES.into_iter().map(|(_, primary, secondary)| {
-            let angles = drr_proc::PositionerAngles::from_degrees(primary, secondary);
+            let angles = xray::PositionerAngles::from_degrees(primary, secondary);
             CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
         });
         Ok(Self {
@@ -52,7 +53,7 @@ impl Problem {
     /// Line integrals of every eighth pixel, of all poses one after the other.
     fn integrals(&self, projector: Projector) -> Result<Vec<f64>, DrrError> {
         let view = self.view()?;
-        let mut renderer = DrrRenderer::new(&view, parameters(projector, 2))?;
+        let mut renderer = DrrRenderer::new(&view, parameters(projector, 2), &ThisMachine)?;
         let mut all = Vec::new();
         for c_arm in &self.c_arms {
             // Rays that are traced one by one do not need their neighbours.
@@ -69,7 +70,7 @@ impl Problem {
     /// Median milliseconds of the poses' frames.
     fn frame_ms(&self, projector: Projector, rounds: usize) -> Result<f64, DrrError> {
         let view = self.view()?;
-        let mut renderer = DrrRenderer::new(&view, parameters(projector, 2))?;
+        let mut renderer = DrrRenderer::new(&view, parameters(projector, 2), &ThisMachine)?;
         let mut times = Vec::new();
         for c_arm in self.c_arms.iter().cycle().take(rounds * self.c_arms.len()) {
             renderer.prepare(&view, c_arm)?;

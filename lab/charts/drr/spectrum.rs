@@ -1,7 +1,7 @@
 //! How far off the polychromatic table is from its sum over energies, and one energy from both.
 
-use drr_proc::spectrum::SpectrumTable;
-use drr_proc::{DrrError, Material, Spectrum};
+use xray::spectrum::SpectrumTable;
+use xray::{DrrError, Material, Spectrum};
 
 /// Tissue before the other material, metres.
 const TISSUE_M: f64 = 0.2;

@@ -1,0 +1,50 @@
+//! This machine, as the renderer uses it: threads, the monotonic clock, the free memory, huge pages.
+
+use ipc_types::clock::now_ns;
+use memmap2::MmapMut;
+use xray::{Machine, Memory};
+
+/// The machine that this process runs on.
+#[derive(Debug, Clone, Copy)]
+pub struct ThisMachine;
+
+impl Machine for ThisMachine {
+    fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("drr-{i}"));
+        pool.build().map_err(|cause| cause.to_string())
+    }
+
+    fn now_ns(&self) -> u64 {
+        now_ns()
+    }
+
+    /// `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)); `None` where there is none.
+    fn available_bytes(&self) -> Option<u64> {
+        let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+        let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+        line.split_whitespace().next()?.parse::<u64>().ok()?.checked_mul(1024)
+    }
+
+    /// In huge pages where the kernel grants them.
+    fn zeroed(&self, bytes: usize) -> Option<Box<dyn Memory>> {
+        // An empty mapping is refused.
+        let map = MmapMut::map_anon(bytes.max(1)).ok()?;
+        // A kernel without huge pages refuses this; small pages are only slower.
+        #[cfg(target_os = "linux")]
+        map.advise(memmap2::Advice::HugePage).ok();
+        Some(Box::new(Mapping(map)))
+    }
+}
+
+/// An anonymous mapping; it begins at a page, so every alignment fits.
+struct Mapping(MmapMut);
+
+impl Memory for Mapping {
+    fn bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    fn bytes_mut(&mut self) -> &mut [u8] {
+        &mut self.0
+    }
+}

@@ -1,0 +1,144 @@
+//! Linear attenuation coefficients: materials by photon energy, and Hounsfield units to attenuation.
+
+use crate::error::{DrrError, check_range};
+
+/// Photon energies of the table below, keV.
+const ENERGIES_KEV: [f64; 7] = [30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0];
+/// Lowest and highest energy that the table covers, keV.
+pub const ENERGY_RANGE_KEV: (f64, f64) = (30.0, 120.0);
+
+/// A homogeneous material. Mass attenuation coefficients: NIST X-ray mass attenuation tables (SRD 126, NISTIR 5632), elements mixed
+/// by mass fraction; at 120 keV, which they leave out, NIST's XCOM as xraylib 4.3 tabulates it. Densities as given for each. No
+/// material here has an absorption edge between 30 and 120 keV; between the table's energies they err by at most 2.1 % from XCOM.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Material {
+    /// Water, 1.0 g/cm3.
+    Water,
+    /// Soft tissue of ICRU report 44, 1.06 g/cm3.
+    SoftTissue,
+    /// Cortical bone of ICRU report 44, 1.92 g/cm3.
+    CorticalBone,
+    /// Nickel-titanium, 55 % nickel by mass, 6.45 g/cm3.
+    Nitinol,
+    /// Stainless steel 316L, 7.99 g/cm3.
+    Steel316L,
+    /// Titanium, 4.506 g/cm3.
+    Titanium,
+}
+
+impl Material {
+    /// All materials, by their [`Material::index`].
+    pub const ALL: [Self; Self::COUNT] =
+        [Self::Water, Self::SoftTissue, Self::CorticalBone, Self::Nitinol, Self::Steel316L, Self::Titanium];
+    /// Number of materials.
+    pub const COUNT: usize = 6;
+
+    /// Its index in [`Material::ALL`].
+    pub fn index(self) -> usize {
+        self as usize
+    }
+
+    /// Density in g/cm3 and mass attenuation coefficients in cm2/g at [`ENERGIES_KEV`].
+    fn table(self) -> (f64, [f64; 7]) {
+        match self {
+            Self::Water => (1.0, [0.3756, 0.2683, 0.2269, 0.2058, 0.1836, 0.1707, 0.1614]),
+            Self::SoftTissue => (1.06, [0.3790, 0.2688, 0.2264, 0.2048, 0.1823, 0.1693, 0.1599]),
+            Self::CorticalBone => (1.92, [1.331, 0.6655, 0.4242, 0.3148, 0.2229, 0.1855, 0.1656]),
+            Self::Nitinol => (6.45, [7.924, 3.526, 1.907, 1.176, 0.5842, 0.3666, 0.2668]),
+            Self::Steel316L => (7.99, [8.550, 3.808, 2.058, 1.266, 0.6228, 0.3865, 0.2782]),
+            Self::Titanium => (4.506, [4.972, 2.214, 1.213, 0.7661, 0.4052, 0.2721, 0.2102]),
+        }
+    }
+
+    /// Linear attenuation coefficient at a photon energy, 1/m: interpolated linearly in log(mu) over log(energy) between
+    /// the table's energies.
+    ///
+    /// # Errors
+    /// An energy outside 30 to 120 keV.
+    pub fn mu_per_m(self, energy_kev: f64) -> Result<f64, DrrError> {
+        let (low, high) = ENERGY_RANGE_KEV;
+        check_range("energy_kev", energy_kev, low, high, "30 to 120 keV")?;
+        let (density, mass_mu) = self.table();
+        // cm2/g * g/cm3 = 1/cm = 100/m.
+        Ok(100.0 * density * log_log(&ENERGIES_KEV, &mass_mu, energy_kev))
+    }
+}
+
+/// Interpolates a coefficient linearly in its logarithm over the logarithm of the energy, inside the table's range.
+pub(crate) fn log_log<const N: usize>(energies_kev: &[f64; N], values: &[f64; N], energy_kev: f64) -> f64 {
+    let above = energies_kev.partition_point(|&e| e < energy_kev).clamp(1, N - 1);
+    let (e0, e1) = (energies_kev[above - 1], energies_kev[above]);
+    let (m0, m1) = (values[above - 1], values[above]);
+    let t = libm::log(energy_kev / e0) / libm::log(e1 / e0);
+    m0 * libm::exp(t * libm::log(m1 / m0))
+}
+
+/// How Hounsfield units become attenuation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum HuLaw {
+    /// `mu = mu_water (1 + HU/1000)`, the definition of the Hounsfield unit inverted: exact for water, and for any tissue
+    /// when the frame's energy is the CT's effective energy. Cortical bone errs by -12 % at 60 keV and +11 % at 80 keV for a CT
+    /// of 70 keV.
+    WaterScaling,
+    /// Two straight lines: water scaling up to HU 0, then through the ICRU-44 cortical bone point of a CT taken at
+    /// `ct_energy_kev`: exact for mixtures of water and cortical bone at any energy.
+    BoneCorrected {
+        /// Effective photon energy of the CT, keV (about 70 for a 120 kV scan).
+        ct_energy_kev: f64,
+    },
+}
+
+/// Attenuation for every possible Hounsfield value, so that any law costs one load per voxel.
+#[derive(Debug, Clone)]
+pub struct MuTable {
+    mu_per_m: Box<[f64; 65536]>,
+}
+
+impl MuTable {
+    /// Tabulates `law` at a photon energy. Values below `air_below_hu` are air and attenuate nothing, so that noisy
+    /// air and padding can be skipped; nothing is negative.
+    ///
+    /// # Errors
+    /// Energies outside 30 to 120 keV.
+    pub fn new(law: HuLaw, energy_kev: f64, air_below_hu: i16) -> Result<Self, DrrError> {
+        let water = Material::Water.mu_per_m(energy_kev)?;
+        let slope_above = match law {
+            HuLaw::WaterScaling => water / 1000.0,
+            HuLaw::BoneCorrected { ct_energy_kev } => {
+                let bone_hu = cortical_bone_hu(ct_energy_kev)?;
+                (Material::CorticalBone.mu_per_m(energy_kev)? - water) / bone_hu
+            }
+        };
+        let mut mu_per_m = Box::new([0.0; 65536]);
+        for (hu, mu) in (i16::MIN..=i16::MAX).zip(mu_per_m.iter_mut()) {
+            let slope = if hu > 0 { slope_above } else { water / 1000.0 };
+            *mu = if hu < air_below_hu { 0.0 } else { (water + slope * f64::from(hu)).max(0.0) };
+        }
+        Ok(Self { mu_per_m })
+    }
+
+    /// Tabulates any function of the Hounsfield value to integrate along rays; 0 below `air_below_hu`.
+    pub fn of(air_below_hu: i16, value: impl Fn(f64) -> f64) -> Self {
+        let mut mu_per_m = Box::new([0.0; 65536]);
+        for (hu, mu) in (i16::MIN..=i16::MAX).zip(mu_per_m.iter_mut()) {
+            *mu = if hu < air_below_hu { 0.0 } else { value(f64::from(hu)) };
+        }
+        Self { mu_per_m }
+    }
+
+    /// Linear attenuation coefficient of a Hounsfield value, 1/m.
+    #[inline]
+    pub fn mu_per_m(&self, hu: i16) -> f64 {
+        // The sign bit flipped maps -32768..=32767 to 0..=65535: no bounds check is left.
+        self.mu_per_m[usize::from(hu as u16 ^ 0x8000)]
+    }
+}
+
+/// Hounsfield value of ICRU-44 cortical bone in a CT of the given effective energy.
+///
+/// # Errors
+/// An energy outside 30 to 120 keV.
+pub fn cortical_bone_hu(ct_energy_kev: f64) -> Result<f64, DrrError> {
+    let water = Material::Water.mu_per_m(ct_energy_kev)?;
+    Ok(1000.0 * (Material::CorticalBone.mu_per_m(ct_energy_kev)? / water - 1.0))
+}

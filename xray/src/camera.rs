@@ -1,0 +1,141 @@
+//! C-arms in the conventions of other software: a pinhole camera (K, R, t), and DICOM positioner angles read back from any C-arm.
+//!
+//! Camera: `s (u, v, 1) = K (R x + t)`, x in the world, z of the camera towards the detector, as in OpenCV and DeepDRR. OpenCV counts
+//! pixel centres as whole numbers, as [`CArm`] does; DeepDRR and nanodrr have them at +1/2 ([`PixelCentre::Half`]). A radiograph is
+//! usually seen from the detector's side, a mirror image of what a camera at the source sees: with a proper rotation that is a
+//! negative focal length, which DeepDRR writes too.
+
+use crate::carm::CArm;
+use crate::error::{DrrError, check_orthonormal, check_range};
+use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
+
+/// Largest deviation of R from a rotation.
+const ROTATION_LIMIT: f64 = 1e-6;
+
+/// Where pixel centres are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PixelCentre {
+    /// At whole numbers: the first is (0, 0), as in OpenCV, ITK and DICOM.
+    #[default]
+    Whole,
+    /// At halves: the first is (0.5, 0.5), as in DeepDRR.
+    Half,
+}
+
+/// A pinhole camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Camera {
+    /// K in pixels, row by row: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`.
+    pub intrinsics: [[f64; 3]; 3],
+    /// R, row by row: rows are the camera's axes in the world.
+    pub rotation: [[f64; 3]; 3],
+    /// t: the world's origin in the camera.
+    pub translation_m: [f64; 3],
+}
+
+/// What DICOM's positioner module says of a C-arm (PS3.3 C.8.7.5).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Positioner {
+    /// (0018,1510), -pi to pi.
+    pub primary_rad: f64,
+    /// (0018,1511), -pi/2 to pi/2.
+    pub secondary_rad: f64,
+    /// (0018,1110): source to detector, along the detector's normal.
+    pub source_detector_m: f64,
+    /// (0018,1111): source to isocentre, along the detector's normal.
+    pub source_isocentre_m: f64,
+}
+
+impl CArm {
+    /// The C-arm of a camera. K gives the detector's distance in pixels only; the pixel pitch along a row turns it into metres.
+    ///
+    /// # Errors
+    /// A number that is not finite, a skew, a last row that is not (0, 0, 1), a focal length of 0, an R that is no rotation, and
+    /// everything that [`CArm::validate`] refuses.
+    pub fn from_camera(
+        camera: &Camera,
+        centre: PixelCentre,
+        pixel_pitch_m: f64,
+        columns: u32,
+        rows: u32,
+    ) -> Result<Self, DrrError> {
+        let [[fx, skew, cx], [zero, fy, cy], last] = camera.intrinsics;
+        check_range("intrinsics K[0][1] (skew)", skew, 0.0, 0.0, "0: a flat detector has no skew")?;
+        check_range("intrinsics K[1][0]", zero, 0.0, 0.0, "0")?;
+        for (value, want) in last.into_iter().zip([0.0, 0.0, 1.0]) {
+            check_range("intrinsics K[2]", value, want, want, "0, 0, 1: divide K by its last element")?;
+        }
+        for (field, f) in [("intrinsics K[0][0] (fx)", fx), ("intrinsics K[1][1] (fy)", fy)] {
+            check_range(field, f.abs(), 1.0, 1e7, "1 to 1e7 pixels, of either sign")?;
+        }
+        for (field, c) in [("intrinsics K[0][2] (cx)", cx), ("intrinsics K[1][2] (cy)", cy)] {
+            check_range(field, c, -1e6, 1e6, "-1e6 to 1e6 pixels")?;
+        }
+        check_range("pixel_pitch_m", pixel_pitch_m, 1e-6, 0.1, "1e-6 to 0.1 m")?;
+        check_orthonormal("rows of the rotation", &camera.rotation, ROTATION_LIMIT)?;
+        let [x, y, z] = camera.rotation;
+        let handed = dot(cross(x, y), z);
+        check_range("determinant of the rotation", handed, 0.5, 1.5, "1: a mirror is a negative fx or fy")?;
+        for t in camera.translation_m {
+            check_range("translation_m", t, -100.0, 100.0, "-100 to 100 m")?;
+        }
+        let distance_m = fx.abs() * pixel_pitch_m;
+        let pitch = [pixel_pitch_m, distance_m / fy.abs()];
+        let (row_axis, column_axis) = (scale(x, fx.signum()), scale(y, fy.signum()));
+        let t = camera.translation_m;
+        let source_m = [0, 1, 2].map(|i| -(x[i] * t[0] + y[i] * t[1] + z[i] * t[2]));
+        let shift = if centre == PixelCentre::Half { 0.5 } else { 0.0 };
+        let from_principal = [(columns, cx, pitch[0]), (rows, cy, pitch[1])]
+            .map(|(n, c, p)| ((f64::from(n) - 1.0) / 2.0 - (c - shift)) * p);
+        let foot = add_scaled(source_m, distance_m, z);
+        let along = add_scaled(foot, from_principal[0], row_axis);
+        let c_arm = Self {
+            source_m,
+            detector_centre_m: add_scaled(along, from_principal[1], column_axis),
+            row_axis,
+            column_axis,
+            pixel_pitch_m: pitch,
+            columns,
+            rows,
+        };
+        c_arm.validate()?;
+        Ok(c_arm)
+    }
+
+    /// The camera of a C-arm; fx is negative where the picture is seen from the detector's side.
+    pub fn camera(&self, centre: PixelCentre) -> Camera {
+        let (z, distance_m) = self.sight();
+        let mirrored = dot(cross(self.row_axis, self.column_axis), z) < 0.0;
+        let sign = if mirrored { -1.0 } else { 1.0 };
+        let rotation = [scale(self.row_axis, sign), self.column_axis, z];
+        let offset = sub(self.detector_centre_m, self.source_m);
+        let shift = if centre == PixelCentre::Half { 0.5 } else { 0.0 };
+        let [pu, pv] = self.pixel_pitch_m;
+        let cx = (f64::from(self.columns) - 1.0) / 2.0 - dot(offset, self.row_axis) / pu + shift;
+        let cy = (f64::from(self.rows) - 1.0) / 2.0 - dot(offset, self.column_axis) / pv + shift;
+        Camera {
+            intrinsics: [[sign * distance_m / pu, 0.0, cx], [0.0, distance_m / pv, cy], [0.0, 0.0, 1.0]],
+            rotation,
+            translation_m: rotation.map(|axis| -dot(axis, self.source_m)),
+        }
+    }
+
+    /// The direction from source to detector as positioner angles, and distances, about an isocentre. The angles do
+    /// not say how the picture is rotated about that direction, and DICOM assumes that the central ray meets the picture's centre.
+    pub fn positioner(&self, isocentre_m: [f64; 3]) -> Positioner {
+        let (n, source_detector_m) = self.sight();
+        Positioner {
+            primary_rad: libm::atan2(n[0], -n[1]),
+            secondary_rad: libm::asin(n[2].clamp(-1.0, 1.0)),
+            source_detector_m,
+            source_isocentre_m: dot(sub(isocentre_m, self.source_m), n),
+        }
+    }
+
+    /// The detector's unit normal away from the source, and its distance.
+    fn sight(&self) -> (Vec3, f64) {
+        let normal = cross(self.row_axis, self.column_axis);
+        let distance = dot(sub(self.detector_centre_m, self.source_m), normal);
+        if distance < 0.0 { (scale(normal, -1.0), -distance) } else { (normal, distance) }
+    }
+}

@@ -1,0 +1,131 @@
+//! Errors: what was refused, and what to do about it.
+
+use thiserror::Error;
+
+/// Bytes of a GiB.
+const GIB: f64 = (1_u64 << 30) as f64;
+
+/// A refused input. Nothing has changed when one of these comes back.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum DrrError {
+    /// A number outside its range.
+    #[error("{field} is {given}, expected {expected}: correct the value")]
+    OutOfRange {
+        /// Name of the field, with its unit.
+        field: &'static str,
+        /// What was given.
+        given: f64,
+        /// The range in words.
+        expected: &'static str,
+    },
+    /// A buffer of the wrong length.
+    #[error("{field} has {given} elements, expected {expected}: size the buffer to the volume or detector")]
+    Length {
+        /// Name of the buffer.
+        field: &'static str,
+        /// Its length.
+        given: usize,
+        /// The length it must have.
+        expected: usize,
+    },
+    /// The voxels' grid is not one that a volume may have.
+    #[error("the volume has {0}")]
+    Grid(#[from] voxel_grid::GridError),
+    /// The voxels of a volume message cannot be read in place.
+    #[error("the volume message is not one: {problem}")]
+    BadVolume {
+        /// What is wrong.
+        problem: String,
+    },
+    /// Two direction vectors that must be perpendicular are not.
+    #[error(
+        "{field} are not perpendicular unit vectors (worst error {error:.3e}, limit {limit:.1e}): \
+         normalise the axes"
+    )]
+    NotOrthonormal {
+        /// The vectors concerned.
+        field: &'static str,
+        /// Largest deviation of their dot products from 0 or 1.
+        error: f64,
+        /// The largest deviation accepted.
+        limit: f64,
+    },
+    /// A removed voxel that the volume does not have. The whole batch is refused.
+    #[error(
+        "removed voxel {given} at position {position} of the batch: the volume has {voxels} voxels; \
+         send linear indices x + nx*(y + ny*z)"
+    )]
+    VoxelIndex {
+        /// The offending index.
+        given: u32,
+        /// Its place in the batch.
+        position: usize,
+        /// Number of voxels of the volume.
+        voxels: usize,
+    },
+    /// The view has another grid than the renderer was built for.
+    #[error("the volume's grid differs from the one the renderer was built for: build a new renderer")]
+    GridChanged,
+    /// A tool part with impossible dimensions.
+    #[error("tool part {part}: {reason}")]
+    ToolPart {
+        /// Position of the part in the tool.
+        part: usize,
+        /// What is wrong and what is expected.
+        reason: &'static str,
+    },
+    /// The re-ordered copy of the volume does not fit into the free memory.
+    #[error(
+        "the re-ordered copy of a volume of {} x {} x {} voxels needs {:.2} GiB ({bytes_each} B a voxel and 32 zeros between \
+         rows), and {:.2} GiB are free: crop or resample the volume, or choose the projector `preview` or `joseph`",
+        dims[0], dims[1], dims[2], *needed_bytes as f64 / GIB, *available_bytes as f64 / GIB
+    )]
+    Memory {
+        /// Voxels along each axis.
+        dims: [usize; 3],
+        /// Bytes a voxel.
+        bytes_each: usize,
+        /// Bytes of the copy.
+        needed_bytes: u64,
+        /// Bytes free.
+        available_bytes: u64,
+    },
+    /// The worker threads could not be started.
+    #[error("cannot start {threads} render threads ({reason}): lower `threads` or raise the process limit")]
+    Threads {
+        /// Number asked for.
+        threads: usize,
+        /// The system's reason.
+        reason: String,
+    },
+}
+
+/// Refuses a number that is not finite or not in `low..=high`.
+pub(crate) fn check_range(
+    field: &'static str,
+    given: f64,
+    low: f64,
+    high: f64,
+    expected: &'static str,
+) -> Result<(), DrrError> {
+    if given.is_finite() && given >= low && given <= high {
+        Ok(())
+    } else {
+        Err(DrrError::OutOfRange { field, given, expected })
+    }
+}
+
+/// Refuses axes whose dot products are further than `limit` from those of perpendicular unit vectors.
+pub(crate) fn check_orthonormal(field: &'static str, axes: &[[f64; 3]], limit: f64) -> Result<(), DrrError> {
+    let mut error = 0.0_f64;
+    for (i, a) in axes.iter().enumerate() {
+        for (j, b) in axes.iter().enumerate().take(i + 1) {
+            let want = if i == j { 1.0 } else { 0.0 };
+            let deviation = (crate::vector::dot(*a, *b) - want).abs();
+            // A NaN must not pass: `max` would drop it.
+            error = if deviation.is_nan() { f64::INFINITY } else { error.max(deviation) };
+        }
+    }
+    if error <= limit { Ok(()) } else { Err(DrrError::NotOrthonormal { field, error, limit }) }
+}

@@ -1,0 +1,100 @@
+//! One frame: from the state, the removed voxels and the C-arm to the bytes of its message.
+
+use messages::{Frame, ImagePrefix, State};
+use scene::Notch as SceneNotch;
+use xxhash_rust::xxh3::xxh3_128;
+use zerocopy::IntoBytes;
+
+use crate::message::{c_arm_message, projection_message};
+use crate::tool_model::tool_of;
+use crate::{CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, RenderKind, VolumeView};
+
+/// What a frame is to show.
+#[derive(Debug, Clone)]
+pub struct Job {
+    /// State of the tick.
+    pub state: Box<State>,
+    /// Whether all removed voxels are put back before `removed` is removed.
+    pub restore_first: bool,
+    /// Voxels removed since the last job.
+    pub removed: Vec<u32>,
+    /// `Frame.sequence`.
+    pub sequence: u64,
+    /// `DrrRequest.request_id`, or 0.
+    pub request_id: u64,
+    /// C-arm.
+    pub c_arm: CArm,
+    /// Whether only this frame has the C-arm, so that the cache of the scene's C-arm is kept.
+    pub aside: bool,
+    /// The scene's isocentre.
+    pub isocentre_m: [f64; 3],
+    /// The scene's seed.
+    pub noise_seed: u64,
+    /// Radius of the burr.
+    pub burr_radius_m: f64,
+    /// Notches of the links.
+    pub notch: Option<SceneNotch>,
+}
+
+/// A finished frame.
+#[derive(Debug, Clone)]
+pub struct Rendered {
+    /// What it shows.
+    pub frame: Frame,
+    /// Head of the image.
+    pub prefix: ImagePrefix,
+    /// Pixels, rows from top to bottom.
+    pub pixels: Vec<u16>,
+    /// How much was computed.
+    pub report: FrameReport,
+}
+
+impl Rendered {
+    /// Whether all of the anatomy was computed anew.
+    pub fn is_full(&self) -> bool {
+        self.report.kind == RenderKind::Full
+    }
+
+    /// The three parts of the message, in order.
+    pub fn parts(&self) -> [&[u8]; 3] {
+        [self.frame.as_bytes(), self.prefix.as_bytes(), self.pixels.as_bytes()]
+    }
+}
+
+/// Renders one frame. The result depends only on this job and the removals of those before it.
+///
+/// # Errors
+/// The renderer's.
+pub fn render_job(
+    renderer: &mut DrrRenderer,
+    view: &VolumeView<'_>,
+    job: &Job,
+) -> Result<Rendered, DrrError> {
+    if job.restore_first {
+        renderer.restore_all(view)?;
+    }
+    renderer.remove(view, &job.removed)?;
+    let tool = tool_of(&job.state, job.burr_radius_m, job.notch.as_ref());
+    let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
+    let mut pixels = vec![0_u16; job.c_arm.pixels()];
+    let report = if job.aside {
+        renderer.render_aside(view, &job.c_arm, &tool, seed, &mut pixels)?
+    } else {
+        renderer.render(view, &job.c_arm, &tool, seed, &mut pixels)?
+    };
+    let hash = xxh3_128(pixels.as_bytes());
+    let frame = Frame {
+        sequence: job.sequence,
+        request_id: job.request_id,
+        tick: job.state.tick,
+        removed_total: job.state.removed_total,
+        sim_time_s: job.state.sim_time_s,
+        pixel_hash: [hash as u64, (hash >> 64) as u64],
+        noise_seed: job.noise_seed,
+        t_world_burr: job.state.t_world_burr,
+        geometry: c_arm_message(&job.c_arm),
+        projection: projection_message(&job.c_arm, job.isocentre_m),
+    };
+    let prefix = ImagePrefix::mono16(job.c_arm.columns, job.c_arm.rows, job.state.sim_time_s);
+    Ok(Rendered { frame, prefix, pixels, report })
+}

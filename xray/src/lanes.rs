@@ -1,0 +1,24 @@
+//! Loops over pixels that are compiled for each instruction set.
+
+/// Declares a loop and what it borrows; `Arch::dispatch` runs it. A closure is not enough: the compiler inlines only small ones into the
+/// code of an instruction set, and compiles the others for the oldest processor.
+macro_rules! lanes {
+    ($(#[$about:meta])* $name:ident { $($field:ident: $type:ty),* $(,)? } -> $output:ty $body:block) => {
+        $(#[$about])*
+        pub(crate) struct $name<'a> {
+            $(pub(crate) $field: $type),*
+        }
+
+        impl pulp::WithSimd for $name<'_> {
+            type Output = $output;
+
+            #[inline(always)]
+            fn with_simd<S: pulp::Simd>(self, _: S) -> $output {
+                let Self { $($field),* } = self;
+                $body
+            }
+        }
+    };
+}
+
+pub(crate) use lanes;

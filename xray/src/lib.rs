@@ -1,0 +1,93 @@
+//! Simulated X-ray frames (DRR, digitally reconstructed radiographs): C-arm geometry, projectors, tool, detector, display.
+//!
+//! A frame is a pure function of the CT, the set of removed voxels, the tool's parts, the C-arm and the frame seed:
+//!
+//! 1. Anatomy: the line integral of attenuation along the ray to each pixel centre, by [`slice_ordered`], [`joseph`] or [`siddon`].
+//!    It is cached for a standing C-arm; after [`DrrRenderer::remove`] only what the removed voxels can reach is computed again.
+//! 2. Tool: closed-form chords of its parts ([`tool`]); the anatomy inside the union of their envelopes is taken out.
+//! 3. Detector ([`detector`]): Beer-Lambert, seeded quantum noise, blur. Then [`display`]: what a monitor shows, as mono16.
+//!
+//! The CT is a borrowed `&[i16]` of Hounsfield units and may lie in shared memory. The renderer keeps one bit a voxel for what is
+//! drilled and one byte a block of 8x8x8 voxels for what is empty; [`slice_ordered`] also keeps re-ordered copies.
+//!
+//! **Boundary:** it computes only. It opens no file, reads no clock and starts no thread: the caller hands in a [`Machine`], which
+//! provides worker threads, memory and a clock. `drr_proc` has the one of the real machine, and the process around this crate.
+//! [`from_scene`] and [`message`] translate scenes and messages; [`frame`] renders what a frame message is to show.
+//!
+//! **Invariants:** a frame's bits do not depend on the number of threads, the vector instructions found, the [`Machine`], or what was
+//! rendered before: a cached frame equals a full render bit for bit. What is refused changes nothing.
+//!
+//! ```
+//! use xray::{CArm, DetectorFormat, DrrParameters, DrrRenderer, FrameSeed, Grid, Machine, PositionerAngles, Tool, VolumeView};
+//!
+//! /// Threads from rayon, memory from the heap.
+//! struct Desk;
+//!
+//! impl Machine for Desk {
+//!     fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String> {
+//!         rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|cause| cause.to_string())
+//!     }
+//! }
+//!
+//! # fn main() -> Result<(), xray::DrrError> {
+//! let grid = Grid::axis_aligned([32, 32, 32], [1e-3; 3], [0.0; 3])?;
+//! let hu = vec![200_i16; 32 * 32 * 32];
+//! let view = VolumeView::new(grid, &hu)?;
+//! let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), &Desk)?;
+//! let format = DetectorFormat { columns: 64, rows: 64, pixel_pitch_m: [1e-3; 2] };
+//! let c_arm = CArm::from_positioner_angles([0.016; 3], PositionerAngles::AP, 0.7, 1.0, format)?;
+//! let (tool, seed) = (Tool::default(), FrameSeed { seed: 1, frame: 0 });
+//! let mut image = vec![0_u16; 64 * 64];
+//!
+//! // The first frame of a C-arm is computed whole, the next only where a voxel was removed.
+//! let first = renderer.render(&view, &c_arm, &tool, seed, &mut image)?;
+//! assert_eq!(first.rays_traced, 64 * 64);
+//! renderer.remove(&view, &[0, 1, 2])?;
+//! let second = renderer.render(&view, &c_arm, &tool, seed, &mut image)?;
+//! assert!(second.rays_traced < 64 * 64);
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod attenuation;
+pub mod camera;
+pub mod carm;
+pub mod detector;
+mod displaced;
+pub mod display;
+mod error;
+pub mod exposure;
+pub mod frame;
+pub mod from_scene;
+pub mod grid;
+pub mod joseph;
+pub mod ladder;
+pub mod lane_math;
+mod lanes;
+pub mod machine;
+pub mod message;
+pub mod ray;
+pub mod reference;
+pub mod removal;
+pub mod renderer;
+pub mod siddon;
+pub mod slice_ordered;
+pub mod spectrum;
+pub mod tool;
+mod tool_layer;
+pub mod tool_model;
+mod tool_row;
+mod vector;
+
+pub use attenuation::{HuLaw, Material};
+pub use camera::{Camera, PixelCentre, Positioner};
+pub use carm::{CArm, DetectorFormat, PositionerAngles, Projection};
+pub use detector::{DetectorParameters, FrameSeed};
+pub use display::{DisplayMode, DisplayParameters, Window};
+pub use error::DrrError;
+pub use exposure::Output;
+pub use grid::{Grid, VolumeView};
+pub use machine::{Machine, Memory};
+pub use renderer::{DrrParameters, DrrRenderer, FrameReport, Projector, RenderKind};
+pub use spectrum::Spectrum;
+pub use tool::{Notch, Tool, ToolPart};

@@ -1,0 +1,114 @@
+//! One quantity that rays are integrated over: attenuation, or with a spectrum the metres of one kind of tissue.
+
+use super::{DrrParameters, RenderKind};
+use crate::attenuation::MuTable;
+use crate::carm::CArm;
+use crate::error::DrrError;
+use crate::grid::VolumeView;
+use crate::machine::Machine;
+use crate::removal::{AttenuationField, BlockMap, RemovedVoxels};
+use crate::slice_ordered::{SliceOrdered, Update};
+
+/// How much of a layer was computed for a frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Computed {
+    pub kind: RenderKind,
+    pub pixels: usize,
+}
+
+impl Computed {
+    /// The larger of the two; `self` if they are equal.
+    pub fn or_more(self, other: Self) -> Self {
+        if other.pixels > self.pixels { other } else { self }
+    }
+}
+
+/// The quantity, and what speeds up its integration.
+pub(super) struct Layer {
+    table: MuTable,
+    fill_per_m: f64,
+    blocks: BlockMap,
+    intact_blocks: BlockMap,
+    /// The sums over slices, where the projector is of that kind.
+    pub slices: Option<SliceOrdered>,
+}
+
+impl Layer {
+    pub fn new(
+        view: &VolumeView<'_>,
+        table: MuTable,
+        unit_per_m: f64,
+        parameters: &DrrParameters,
+        machine: &'static dyn Machine,
+    ) -> Result<Self, DrrError> {
+        let blocks = BlockMap::new(view, &table);
+        let fill_per_m = table.mu_per_m(parameters.fill_hu);
+        let slices = match parameters.projector.slice_ordered()? {
+            Some(options) => Some(SliceOrdered::new(view, &table, unit_per_m, fill_per_m, options, machine)?),
+            None => None,
+        };
+        Ok(Self { fill_per_m, table, intact_blocks: blocks.clone(), blocks, slices })
+    }
+
+    pub fn field<'a>(&'a self, view: &VolumeView<'a>, removed: &'a RemovedVoxels) -> AttenuationField<'a> {
+        AttenuationField {
+            view: *view,
+            removed,
+            blocks: &self.blocks,
+            table: &self.table,
+            fill_mu_per_m: self.fill_per_m,
+        }
+    }
+
+    /// Takes in a removed voxel; returns whether that changes the quantity there.
+    pub fn remove(
+        &mut self,
+        view: &VolumeView<'_>,
+        linear: usize,
+        voxel: [usize; 3],
+        hu: i16,
+    ) -> Result<bool, DrrError> {
+        self.blocks.mark_drilled(voxel, self.fill_per_m);
+        if let Some(slices) = &mut self.slices {
+            slices.remove(view, linear)?;
+        }
+        Ok(self.table.mu_per_m(hu) != self.fill_per_m)
+    }
+
+    /// Restores all voxels.
+    pub fn restore(&mut self, view: &VolumeView<'_>) {
+        self.blocks.clone_from(&self.intact_blocks);
+        if let Some(slices) = &mut self.slices {
+            slices.restore_all(view);
+        }
+    }
+
+    /// Updates `image` by sums over slices; `None`, and nothing written, if rays have to be traced one by one.
+    pub fn project(
+        &mut self,
+        view: &VolumeView<'_>,
+        removed: &RemovedVoxels,
+        c_arm: &CArm,
+        image: &mut Vec<f64>,
+        pool: &rayon::ThreadPool,
+    ) -> Result<Option<Computed>, DrrError> {
+        let Some(slices) = &mut self.slices else { return Ok(None) };
+        let fresh = image.is_empty();
+        image.resize(c_arm.pixels(), 0.0);
+        if fresh {
+            slices.forget();
+        }
+        let update = match slices.refresh(c_arm, image) {
+            None => pool.install(|| slices.project(view, removed, c_arm, image))?,
+            some => some,
+        };
+        if update.is_none() && fresh {
+            image.clear();
+        }
+        Ok(update.map(|update| match update {
+            Update::Full => Computed { kind: RenderKind::Full, pixels: c_arm.pixels() },
+            Update::Changed(pixels) => Computed { kind: RenderKind::Incremental, pixels },
+            Update::Unchanged => Computed { kind: RenderKind::Cached, pixels: 0 },
+        }))
+    }
+}

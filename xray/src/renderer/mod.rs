@@ -1,0 +1,285 @@
+//! The renderer: the cached anatomy of a standing C-arm, the tool of the frame, and their exposure.
+
+mod layer;
+mod parameters;
+mod standing;
+mod trace;
+
+pub use parameters::{DrrParameters, FrameReport, Projector, RenderKind};
+
+use crate::attenuation::{ENERGY_RANGE_KEV, Material, MuTable};
+use crate::carm::CArm;
+use crate::detector::FrameSeed;
+use crate::display::window_limits;
+use crate::error::{DrrError, check_range};
+use crate::exposure::{Exposure, Output};
+use crate::grid::{Grid, VolumeView};
+use crate::machine::Machine;
+use crate::removal::RemovedVoxels;
+use crate::slice_ordered::{SliceOrdered, SliceOrderedMemory};
+use crate::spectrum::SpectrumTable;
+use crate::tool::Tool;
+use crate::tool_layer::{DisplacedBy, PlacedTool};
+use layer::{Computed, Layer};
+use standing::{DirtyMarker, Standing};
+
+/// Renders frames of one CT. Holds small data derived from it, the removed voxels, and the cache of the C-arm.
+pub struct DrrRenderer {
+    parameters: DrrParameters,
+    grid: Grid,
+    /// Attenuation at the frame's energy; with a spectrum, metres of tissue.
+    tissue: Layer,
+    /// With a spectrum, metres of cortical bone.
+    bone: Option<Layer>,
+    removed: RemovedVoxels,
+    exposure: Exposure,
+    tool: PlacedTool,
+    pool: rayon::ThreadPool,
+    standing: Option<Standing>,
+}
+
+impl DrrRenderer {
+    /// Reads the CT once to find its empty blocks; keeps no copy of it.
+    ///
+    /// # Errors
+    /// A parameter out of range, by name; worker threads that cannot be started.
+    pub fn new(
+        view: &VolumeView<'_>,
+        parameters: DrrParameters,
+        machine: &'static dyn Machine,
+    ) -> Result<Self, DrrError> {
+        let (low, high) = ENERGY_RANGE_KEV;
+        check_range("energy_kev", parameters.energy_kev, low, high, "30 to 120 keV")?;
+        check_range("threads", parameters.threads as f64, 1.0, 64.0, "1 to 64")?;
+        parameters.detector.validate()?;
+        parameters.display.validate()?;
+        let threads = parameters.threads;
+        let pool = machine.workers(threads).map_err(|reason| DrrError::Threads { threads, reason })?;
+        let (law, air) = (parameters.hu_law, parameters.air_below_hu);
+        let (tissue, bone, spectrum) = match &parameters.spectrum {
+            None => (MuTable::new(law, parameters.energy_kev, air)?, None, None),
+            Some(spectrum) => {
+                let table = SpectrumTable::new(spectrum)?;
+                let mixture = table.mixture();
+                let tissue = MuTable::of(air, |hu| mixture.of(hu).0);
+                (tissue, Some(MuTable::of(air, |hu| mixture.of(hu).1)), Some(table))
+            }
+        };
+        // One Hounsfield unit of water scaling: that law is stored without rounding. A spectrum's shares lie near 1.
+        let unit_per_m = match spectrum {
+            None => Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0,
+            Some(_) => 1e-3,
+        };
+        let layer = |table| Layer::new(view, table, unit_per_m, &parameters, machine);
+        Ok(Self {
+            grid: *view.grid(),
+            tissue: layer(tissue)?,
+            bone: bone.map(layer).transpose()?,
+            parameters,
+            removed: RemovedVoxels::new(view.grid()),
+            exposure: Exposure::new(parameters.detector, parameters.display, spectrum),
+            tool: PlacedTool::default(),
+            pool,
+            standing: None,
+        })
+    }
+
+    /// Makes the re-ordered copy of the volume that frames of this C-arm need, so that the first frame does not wait for it.
+    ///
+    /// # Errors
+    /// A view of another grid, a bad C-arm, a volume whose copy does not fit into the free memory.
+    pub fn prepare(&mut self, view: &VolumeView<'_>, c_arm: &CArm) -> Result<(), DrrError> {
+        self.check_view(view)?;
+        c_arm.validate()?;
+        let Self { tissue, bone, removed, pool, .. } = self;
+        for slices in core::iter::once(tissue).chain(bone).filter_map(|layer| layer.slices.as_mut()) {
+            pool.install(|| slices.prepare(view, removed, c_arm))?;
+        }
+        Ok(())
+    }
+
+    /// Bytes of the re-ordered copies and the intermediate image; all 0 where rays are traced one by one. With a spectrum, bone has as
+    /// much again.
+    pub fn slice_ordered_memory(&self) -> SliceOrderedMemory {
+        self.tissue.slices.as_ref().map(SliceOrdered::memory).unwrap_or_default()
+    }
+
+    /// The parameters.
+    pub fn parameters(&self) -> &DrrParameters {
+        &self.parameters
+    }
+
+    /// The voxels removed so far.
+    pub fn removed(&self) -> &RemovedVoxels {
+        &self.removed
+    }
+
+    /// Line integrals of the anatomy behind the last frame, row by row; empty before the first.
+    pub fn anatomy(&self) -> &[f64] {
+        self.standing.as_ref().map_or(&[], |s| &s.anatomy)
+    }
+
+    /// Attenuation (-ln of the share that passes) of anatomy and tool behind the last frame, row by row; empty before the first.
+    pub fn line_integrals(&self) -> Vec<f64> {
+        let attenuation =
+            |s: &Standing| self.exposure.attenuations(s.images(), &self.tool, s.c_arm.columns as usize);
+        self.standing.as_ref().map_or(Vec::new(), attenuation)
+    }
+
+    /// Removes voxels by linear index; those already removed are ignored. Returns how many are new. The order and the grouping into
+    /// batches do not matter.
+    ///
+    /// # Errors
+    /// A view of another grid, or an index outside the volume: then the whole batch is refused.
+    pub fn remove(&mut self, view: &VolumeView<'_>, batch: &[u32]) -> Result<usize, DrrError> {
+        self.check_view(view)?;
+        self.removed.check(batch)?;
+        let traced = self.standing.as_mut().filter(|s| s.traced);
+        let mut marker = traced.map(|s| DirtyMarker::new(s, &self.grid, self.parameters.projector));
+        let mut new = 0;
+        for &index in batch {
+            let linear = index as usize;
+            if !self.removed.insert(linear) {
+                continue;
+            }
+            new += 1;
+            let voxel = self.grid.voxel_of(linear);
+            let hu = view.hu().get(linear).copied().unwrap_or(self.parameters.fill_hu);
+            let mut changed = self.tissue.remove(view, linear, voxel, hu)?;
+            if let Some(bone) = &mut self.bone {
+                changed |= bone.remove(view, linear, voxel, hu)?;
+            }
+            if let Some(marker) = marker.as_mut().filter(|_| changed) {
+                marker.mark(self.grid.index_to_world(voxel.map(|v| v as f64)));
+            }
+        }
+        Ok(new)
+    }
+
+    /// Restores all removed voxels; the next frame is rendered in full.
+    ///
+    /// # Errors
+    /// A view of another grid.
+    pub fn restore_all(&mut self, view: &VolumeView<'_>) -> Result<(), DrrError> {
+        self.check_view(view)?;
+        self.removed.clear();
+        for layer in core::iter::once(&mut self.tissue).chain(&mut self.bone) {
+            layer.restore(view);
+        }
+        self.standing = None;
+        Ok(())
+    }
+
+    /// Renders a frame into `image` (rows from top to bottom, one u16 a pixel).
+    ///
+    /// # Errors
+    /// A view of another grid, a bad C-arm or tool, an image of another size. The cache survives.
+    pub fn render(
+        &mut self,
+        view: &VolumeView<'_>,
+        c_arm: &CArm,
+        tool: &Tool,
+        seed: FrameSeed,
+        image: &mut [u16],
+    ) -> Result<FrameReport, DrrError> {
+        self.render_to(view, c_arm, tool, seed, Output::Mono16(image))
+    }
+
+    /// As [`DrrRenderer::render`], for any kind of pixel.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn render_to(
+        &mut self,
+        view: &VolumeView<'_>,
+        c_arm: &CArm,
+        tool: &Tool,
+        seed: FrameSeed,
+        mut output: Output<'_>,
+    ) -> Result<FrameReport, DrrError> {
+        self.check_view(view)?;
+        c_arm.validate()?;
+        if output.len() != c_arm.pixels() {
+            return Err(DrrError::Length { field: "image", given: output.len(), expected: c_arm.pixels() });
+        }
+        self.tool.place(tool, c_arm, self.parameters.energy_kev)?;
+        let mut standing = match self.standing.take() {
+            Some(s) if s.c_arm == *c_arm => s,
+            _ => Standing::new(&self.grid, c_arm),
+        };
+        let Computed { kind, pixels: rays_traced } = self.update_anatomy(view, &mut standing)?;
+        if kind != RenderKind::Cached {
+            let window = self.parameters.display.window;
+            standing.window = self.exposure.with_anatomy(standing.images(), |a| window_limits(window, a));
+        }
+        let width = standing.c_arm.columns as usize;
+        let tissue = self.tissue.field(view, &self.removed);
+        let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
+        let anatomy =
+            DisplacedBy { projector: self.parameters.projector, tissue: &tissue, bone: bone.as_ref() };
+        let (tool, exposure) = (&mut self.tool, &mut self.exposure);
+        let tool_pixels = self.pool.install(|| {
+            let covered = tool.draw(&standing.fan, &anatomy);
+            exposure.expose(standing.images(), tool, width, standing.window, seed, &mut output);
+            covered
+        });
+        let window = standing.window;
+        self.standing = Some(standing);
+        Ok(FrameReport { kind, rays_traced, tool_pixels, window })
+    }
+
+    /// As [`DrrRenderer::render`] for a C-arm that is used for one frame only: the cache of the standing C-arm is kept, so that its next
+    /// frame costs no more than without this one.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn render_aside(
+        &mut self,
+        view: &VolumeView<'_>,
+        c_arm: &CArm,
+        tool: &Tool,
+        seed: FrameSeed,
+        image: &mut [u16],
+    ) -> Result<FrameReport, DrrError> {
+        if self.standing.as_ref().is_some_and(|standing| standing.c_arm == *c_arm) {
+            return self.render(view, c_arm, tool, seed, image);
+        }
+        let standing = self.standing.take();
+        self.layers_slices().for_each(SliceOrdered::step_aside);
+        let report = self.render(view, c_arm, tool, seed, image);
+        self.layers_slices().for_each(SliceOrdered::step_back);
+        self.standing = standing;
+        report
+    }
+
+    fn layers_slices(&mut self) -> impl Iterator<Item = &mut SliceOrdered> {
+        core::iter::once(&mut self.tissue).chain(&mut self.bone).filter_map(|layer| layer.slices.as_mut())
+    }
+
+    fn check_view(&self, view: &VolumeView<'_>) -> Result<(), DrrError> {
+        if *view.grid() == self.grid { Ok(()) } else { Err(DrrError::GridChanged) }
+    }
+
+    /// Brings the anatomy's line integrals up to date.
+    fn update_anatomy(
+        &mut self,
+        view: &VolumeView<'_>,
+        standing: &mut Standing,
+    ) -> Result<Computed, DrrError> {
+        let fresh = standing.anatomy.is_empty();
+        if fresh || !standing.traced {
+            let Self { tissue, bone, removed, pool, .. } = self;
+            let c_arm = &standing.c_arm;
+            let first = tissue.project(view, removed, c_arm, &mut standing.anatomy, pool)?;
+            if let Some(mut done) = first {
+                if let Some(bone) = bone {
+                    let second = bone.project(view, removed, c_arm, &mut standing.bone_m, pool)?;
+                    done = second.map_or(done, |second| done.or_more(second));
+                }
+                standing.traced = false;
+                return Ok(done);
+            }
+        }
+        Ok(self.trace_anatomy(view, standing))
+    }
+}

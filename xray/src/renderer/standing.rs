@@ -1,0 +1,90 @@
+//! The cached anatomy of one C-arm, and which of its pixels removed voxels can reach.
+
+use super::Projector;
+use crate::carm::{CArm, Pinhole};
+use crate::exposure::Anatomy;
+use crate::grid::Grid;
+use crate::ray::RayFan;
+use crate::vector::scale;
+
+/// Largest distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for rounding.
+const REACH_JOSEPH: f64 = 1.0 + 1e-3;
+const REACH_SIDDON: f64 = 0.5 + 1e-3;
+
+/// The cached anatomy of one C-arm.
+pub(super) struct Standing {
+    pub c_arm: CArm,
+    pub fan: RayFan,
+    /// Whether rays are traced one by one, so that `dirty` counts.
+    pub traced: bool,
+    /// Line integrals of the anatomy (with a spectrum, metres of tissue), row by row.
+    pub anatomy: Vec<f64>,
+    /// Metres of cortical bone, with a spectrum.
+    pub bone_m: Vec<f64>,
+    /// Whether a pixel is in `dirty_list`.
+    pub dirty: Vec<bool>,
+    pub dirty_list: Vec<u32>,
+    pub window: (f64, f64),
+}
+
+impl Standing {
+    pub fn images(&self) -> Anatomy<'_> {
+        Anatomy { total: &self.anatomy, bone_m: &self.bone_m }
+    }
+
+    pub fn new(grid: &Grid, c_arm: &CArm) -> Self {
+        let pixels = c_arm.pixels();
+        Self {
+            c_arm: *c_arm,
+            fan: RayFan::new(grid, c_arm),
+            traced: true,
+            anatomy: Vec::new(),
+            bone_m: Vec::new(),
+            dirty: vec![false; pixels],
+            dirty_list: Vec::new(),
+            window: (0.0, 1.0),
+        }
+    }
+}
+
+/// Marks the pixels that removed voxels can reach.
+pub(super) struct DirtyMarker<'a> {
+    dirty: &'a mut [bool],
+    list: &'a mut Vec<u32>,
+    pinhole: Pinhole,
+    columns: u32,
+    rows: u32,
+    half_m: [[f64; 3]; 3],
+}
+
+impl<'a> DirtyMarker<'a> {
+    pub fn new(standing: &'a mut Standing, grid: &Grid, projector: Projector) -> Self {
+        let reach = match projector {
+            Projector::Siddon => REACH_SIDDON,
+            _ => REACH_JOSEPH,
+        };
+        Self {
+            dirty: &mut standing.dirty,
+            list: &mut standing.dirty_list,
+            pinhole: standing.c_arm.pinhole(),
+            columns: standing.c_arm.columns,
+            rows: standing.c_arm.rows,
+            half_m: grid.axis_steps_m().map(|s| scale(s, reach)),
+        }
+    }
+
+    pub fn mark(&mut self, centre_m: [f64; 3]) {
+        let Some(bounds) = self.pinhole.bounds(centre_m, &self.half_m, self.columns, self.rows) else {
+            return;
+        };
+        for row in bounds.rows.0..bounds.rows.1 {
+            for pixel in row * self.columns + bounds.columns.0..row * self.columns + bounds.columns.1 {
+                let flag = &mut self.dirty[pixel as usize];
+                if !*flag {
+                    *flag = true;
+                    self.list.push(pixel);
+                }
+            }
+        }
+    }
+}

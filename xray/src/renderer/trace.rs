@@ -1,0 +1,86 @@
+//! Line integrals ray by ray.
+
+use rayon::prelude::*;
+
+use super::layer::Computed;
+use super::standing::Standing;
+use super::{DrrRenderer, Projector, RenderKind};
+use crate::carm::CArm;
+use crate::grid::VolumeView;
+use crate::ray::{IndexRay, RayFan};
+use crate::removal::AttenuationField;
+use crate::{joseph, siddon};
+
+/// Fewer rays than this are traced without waking the worker threads.
+const PARALLEL_FROM: usize = 256;
+
+impl DrrRenderer {
+    fn trace(&self, field: &AttenuationField<'_>, ray: &IndexRay) -> f64 {
+        match self.parameters.projector {
+            Projector::Siddon => siddon::line_integral(field, ray, (0.0, 1.0)),
+            _ => joseph::line_integral(field, ray),
+        }
+    }
+
+    /// Brings the anatomy's line integrals up to date.
+    pub(super) fn trace_anatomy(&self, view: &VolumeView<'_>, standing: &mut Standing) -> Computed {
+        let tissue = self.tissue.field(view, &self.removed);
+        let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
+        if standing.anatomy.is_empty() {
+            self.trace_all(&tissue, standing.c_arm, &standing.fan, &mut standing.anatomy);
+            if let Some(bone) = &bone {
+                self.trace_all(bone, standing.c_arm, &standing.fan, &mut standing.bone_m);
+            }
+            return Computed { kind: RenderKind::Full, pixels: standing.anatomy.len() };
+        }
+        if standing.dirty_list.is_empty() {
+            return Computed { kind: RenderKind::Cached, pixels: 0 };
+        }
+        let mut list = core::mem::take(&mut standing.dirty_list);
+        // Neighbouring rays one after the other share cache lines; the result does not depend on the order.
+        list.sort_unstable();
+        let (columns, fan) = (standing.c_arm.columns, standing.fan);
+        self.trace_list(&tissue, columns, &fan, &list, &mut standing.anatomy);
+        if let Some(bone) = &bone {
+            self.trace_list(bone, columns, &fan, &list, &mut standing.bone_m);
+        }
+        for &pixel in &list {
+            standing.dirty[pixel as usize] = false;
+        }
+        let traced = list.len();
+        list.clear();
+        standing.dirty_list = list;
+        Computed { kind: RenderKind::Incremental, pixels: traced }
+    }
+
+    fn trace_all(&self, field: &AttenuationField<'_>, c_arm: CArm, fan: &RayFan, image: &mut Vec<f64>) {
+        image.resize(c_arm.pixels(), 0.0);
+        let rows = image.par_chunks_mut(c_arm.columns as usize).zip(0_u32..c_arm.rows);
+        self.pool.install(|| {
+            rows.for_each(|(line, row)| {
+                for (value, column) in line.iter_mut().zip(0_u32..) {
+                    *value = self.trace(field, &fan.index_ray(column, row));
+                }
+            });
+        });
+    }
+
+    fn trace_list(
+        &self,
+        field: &AttenuationField<'_>,
+        columns: u32,
+        fan: &RayFan,
+        list: &[u32],
+        image: &mut [f64],
+    ) {
+        let one = |&pixel: &u32| self.trace(field, &fan.index_ray(pixel % columns, pixel / columns));
+        let values: Vec<f64> = if list.len() < PARALLEL_FROM {
+            list.iter().map(one).collect()
+        } else {
+            self.pool.install(|| list.par_iter().with_min_len(64).map(one).collect())
+        };
+        for (&pixel, value) in list.iter().zip(values) {
+            image[pixel as usize] = value;
+        }
+    }
+}

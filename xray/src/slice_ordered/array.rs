@@ -1,0 +1,45 @@
+//! A large array in memory that the [`Machine`] gives. It is read from one end to the other, many rows at a time, so ordinary pages cost
+//! time for their address translation; huge pages do not.
+
+use std::marker::PhantomData;
+use std::ops::{Deref, DerefMut};
+
+use zerocopy::{FromBytes, Immutable, IntoBytes};
+
+use crate::machine::{Machine, Memory};
+
+/// An array that begins as zeros.
+pub(crate) struct Array<T> {
+    memory: Box<dyn Memory>,
+    bytes: usize,
+    of: PhantomData<T>,
+}
+
+impl<T: FromBytes + IntoBytes + Immutable> Array<T> {
+    /// As many elements as told; `None` if the machine has no memory for them.
+    pub fn zeroed(machine: &dyn Machine, length: usize) -> Option<Self> {
+        let bytes = length.checked_mul(size_of::<T>())?;
+        let memory = machine.zeroed(bytes)?;
+        // What is too short or not aligned would later read as empty.
+        let fits = memory.bytes().get(..bytes).is_some_and(|bytes| <[T]>::ref_from_bytes(bytes).is_ok());
+        fits.then_some(Self { memory, bytes, of: PhantomData })
+    }
+}
+
+impl<T: FromBytes + IntoBytes + Immutable> Deref for Array<T> {
+    type Target = [T];
+
+    #[inline(always)]
+    fn deref(&self) -> &[T] {
+        let bytes = self.memory.bytes().get(..self.bytes);
+        bytes.and_then(|bytes| <[T]>::ref_from_bytes(bytes).ok()).unwrap_or(&[])
+    }
+}
+
+impl<T: FromBytes + IntoBytes + Immutable> DerefMut for Array<T> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [T] {
+        let bytes = self.memory.bytes_mut().get_mut(..self.bytes);
+        bytes.and_then(|bytes| <[T]>::mut_from_bytes(bytes).ok()).unwrap_or(&mut [])
+    }
+}

@@ -1,0 +1,282 @@
+//! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector loads.
+//!
+//! Two copies are enough for all three axes: slices across z and across y are read in rows along x, slices across x in rows
+//! along y. A copy is made when the first frame needs it. A row is a whole number of cells, and each cell has one bit that says
+//! whether there is anything in it.
+
+use rayon::prelude::*;
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+use super::Machine;
+use super::array::Array;
+
+/// Voxels of a cell.
+pub(crate) const CELL: usize = 32;
+/// Side of the squares that are transposed at a time.
+const SQUARE: usize = 32;
+/// Cells of 16-bit voxels in a page of 4096 bytes, and by how many cells the start of each plane is shifted within a page. Rows of
+/// consecutive planes are read at the same time and must not fall into the same cache sets.
+const PAGE_CELLS: usize = 64;
+const PLANE_SHIFT: usize = 5;
+/// Bits by which a byte is shifted, so that rounding between two rows is small compared with its steps.
+const BYTE_SHIFT: u32 = 4;
+
+/// 32 voxels of 16 bits.
+#[derive(Debug, Clone, Copy, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C, align(64))]
+pub(crate) struct Cell16(pub [i16; CELL]);
+
+/// 32 voxels of 8 bits.
+#[derive(Debug, Clone, Copy, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C, align(32))]
+pub(crate) struct Cell8(pub [u8; CELL]);
+
+/// How a voxel is stored.
+pub(crate) trait Voxel:
+    Copy + Default + Send + Sync + PartialEq + FromBytes + IntoBytes + Immutable + 'static
+{
+    /// 32 of them.
+    type Cell: Copy + Default + PartialEq + Send + Sync + FromBytes + IntoBytes + Immutable;
+    /// What one unit of the stored values is multiplied with by [`Voxel::widen`].
+    const UNIT: i16;
+    /// A cell as the 16-bit numbers that are summed.
+    fn widen(cell: &Self::Cell) -> [i16; CELL];
+    /// Stores a value that is in range.
+    fn store(value: i16) -> Self;
+    /// The value.
+    fn value(self) -> i16;
+}
+
+impl Voxel for i16 {
+    type Cell = Cell16;
+    const UNIT: i16 = 1;
+
+    #[inline(always)]
+    fn widen(cell: &Cell16) -> [i16; CELL] {
+        cell.0
+    }
+    #[inline(always)]
+    fn store(value: i16) -> Self {
+        value
+    }
+    #[inline(always)]
+    fn value(self) -> i16 {
+        self
+    }
+}
+
+impl Voxel for u8 {
+    type Cell = Cell8;
+    const UNIT: i16 = 1 << BYTE_SHIFT;
+
+    #[inline(always)]
+    fn widen(cell: &Cell8) -> [i16; CELL] {
+        cell.0.map(|v| i16::from(v) << BYTE_SHIFT)
+    }
+    #[inline(always)]
+    fn store(value: i16) -> Self {
+        // The renderer's unit keeps previews within 0..=255.
+        value.clamp(0, 255) as Self
+    }
+    #[inline(always)]
+    fn value(self) -> i16 {
+        i16::from(self)
+    }
+}
+
+/// The voxels of cells, one after the other.
+#[inline(always)]
+pub(crate) fn voxels<T: Voxel>(cells: &[T::Cell]) -> &[T] {
+    // Cells are aligned more strictly than voxels and a whole number of them: this cannot fail.
+    <[T]>::ref_from_bytes(cells.as_bytes()).unwrap_or(&[])
+}
+
+#[inline(always)]
+fn voxels_mut<T: Voxel>(cells: &mut [T::Cell]) -> &mut [T] {
+    <[T]>::mut_from_bytes(cells.as_mut_bytes()).unwrap_or(&mut [])
+}
+
+/// One order of the volume.
+pub(crate) struct Copy3<T: Voxel> {
+    /// A row of zeros, used for all rows beyond the volume; then the planes of equal z.
+    data: Array<T::Cell>,
+    dims: [usize; 3],
+    /// The axis along which rows are contiguous.
+    fast: usize,
+    /// Cells of a row, and cells from plane to plane.
+    row_cells: usize,
+    plane_cells: usize,
+    /// One bit for each cell of each row: set if something in it attenuates, or did before it was removed.
+    occupancy: Vec<u64>,
+    words_per_row: usize,
+}
+
+/// Cells of a row and of a plane of a copy with rows along `fast`.
+fn extents(dims: [usize; 3], fast: usize) -> (usize, usize) {
+    let row = dims[fast].div_ceil(CELL);
+    let used = row * dims[1 - fast];
+    (row, used.next_multiple_of(PAGE_CELLS) + PLANE_SHIFT)
+}
+
+/// Elements of a copy with rows along `fast`.
+pub(crate) fn copy_elements(dims: [usize; 3], fast: usize) -> u64 {
+    let (row, plane) = extents(dims, fast);
+    (row as u64 + plane as u64 * dims[2] as u64) * CELL as u64
+}
+
+impl<T: Voxel> Copy3<T> {
+    /// Makes the copy with rows along `fast` (0 or 1). `fill_row(y, z, row)` writes the voxels of a row along x.
+    /// `None` if the machine has no memory for it.
+    pub fn new(
+        machine: &dyn Machine,
+        dims: [usize; 3],
+        fast: usize,
+        fill_row: impl Fn(usize, usize, &mut [T]) + Sync,
+    ) -> Option<Self> {
+        let [nx, ny, nz] = dims;
+        let (row_cells, plane_cells) = extents(dims, fast);
+        let width = row_cells * CELL;
+        let mut data = Array::zeroed(machine, row_cells + plane_cells * nz)?;
+        data[row_cells..].par_chunks_mut(plane_cells).enumerate().for_each_init(
+            || vec![T::default(); if fast == 0 { 0 } else { nx * ny }],
+            |flat, (z, plane)| {
+                let out = voxels_mut::<T>(plane);
+                if fast == 0 {
+                    for (y, row) in out.chunks_mut(width).take(ny).enumerate() {
+                        fill_row(y, z, &mut row[..nx]);
+                    }
+                } else {
+                    for (y, row) in flat.chunks_mut(nx).enumerate() {
+                        fill_row(y, z, row);
+                    }
+                    transpose(flat, [nx, ny], out, width);
+                }
+            },
+        );
+        let words_per_row = row_cells.div_ceil(64);
+        let mut copy =
+            Self { data, dims, fast, row_cells, plane_cells, occupancy: Vec::new(), words_per_row };
+        copy.occupancy = copy.occupied_rows();
+        Some(copy)
+    }
+
+    fn occupied_rows(&self) -> Vec<u64> {
+        let rows = self.dims[1 - self.fast];
+        let mut bits = vec![0_u64; rows * self.dims[2] * self.words_per_row];
+        let planes = self.data[self.row_cells..].par_chunks(self.plane_cells);
+        let zero = T::Cell::default();
+        bits.par_chunks_mut(rows * self.words_per_row).zip(planes).for_each(|(bits, plane)| {
+            let lines = plane.chunks(self.row_cells);
+            for (words, row) in bits.chunks_mut(self.words_per_row).zip(lines) {
+                row.iter().enumerate().filter(|(_, cell)| **cell != zero).for_each(|(c, _)| mark(words, c));
+            }
+        });
+        bits
+    }
+
+    /// Largest value.
+    pub fn largest(&self) -> i16 {
+        let largest = |cells: &[T::Cell]| voxels::<T>(cells).iter().map(|v| v.value()).max().unwrap_or(0);
+        self.data.par_chunks(1 << 11).map(largest).max().unwrap_or(0)
+    }
+
+    /// Number of the cell of `data` that a voxel lies in.
+    #[inline(always)]
+    fn cell_of(&self, voxel: [usize; 3]) -> usize {
+        let row = voxel[1 - self.fast] * self.row_cells + voxel[self.fast] / CELL;
+        self.row_cells + voxel[2] * self.plane_cells + row
+    }
+
+    /// Changes a voxel.
+    pub fn set(&mut self, voxel: [usize; 3], value: i16) {
+        let at = self.cell_of(voxel);
+        let Some(cell) = self.data.get_mut(at..=at) else { return };
+        if let Some(v) = voxels_mut::<T>(cell).get_mut(voxel[self.fast] % CELL) {
+            *v = T::store(value);
+        }
+        if value != 0 {
+            let row = (voxel[1 - self.fast] + self.dims[1 - self.fast] * voxel[2]) * self.words_per_row;
+            if let Some(words) = self.occupancy.get_mut(row..row + self.words_per_row) {
+                mark(words, voxel[self.fast] / CELL);
+            }
+        }
+    }
+
+    /// The value of a voxel as it is summed.
+    #[inline(always)]
+    pub fn wide(&self, voxel: [usize; 3]) -> i16 {
+        let cell = self.data.get(self.cell_of(voxel)..).and_then(|cells| cells.first_chunk::<1>());
+        let voxel = cell.and_then(|cell| voxels::<T>(cell).get(voxel[self.fast] % CELL));
+        voxel.map_or(0, |v| v.value() * T::UNIT)
+    }
+
+    /// The same, 0 beyond the volume.
+    #[inline(always)]
+    pub fn wide_or_zero(&self, voxel: [usize; 3]) -> i16 {
+        if (0..3).all(|axis| voxel[axis] < self.dims[axis]) { self.wide(voxel) } else { 0 }
+    }
+
+    /// All cells.
+    #[inline(always)]
+    pub fn data(&self) -> &[T::Cell] {
+        &self.data
+    }
+
+    /// Cells of a row.
+    #[inline(always)]
+    pub fn row_cells(&self) -> usize {
+        self.row_cells
+    }
+
+    /// First cell of a row of slice `k` across `slow`, or of zeros beyond the volume; and its occupancy.
+    #[inline(always)]
+    pub fn row(&self, slow: usize, k: usize, v_axis: usize, v: i64) -> (usize, &[u64]) {
+        if v < 0 || v >= self.dims[v_axis] as i64 {
+            return (0, &[]);
+        }
+        let v = v as usize;
+        let (row, z) = if slow == 2 { (v, k) } else { (k, v) };
+        let bits = (row + self.dims[1 - self.fast] * z) * self.words_per_row;
+        let first = self.row_cells * (1 + row) + self.plane_cells * z;
+        (first, self.occupancy.get(bits..bits + self.words_per_row).unwrap_or(&[]))
+    }
+
+    /// Words of a row's occupancy.
+    pub fn words_per_row(&self) -> usize {
+        self.words_per_row
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&*self.data) + self.occupancy.len() * 8
+    }
+
+    /// Share of the cells in which something attenuates.
+    pub fn occupied_share(&self) -> f64 {
+        let cells = self.occupancy.len() / self.words_per_row * self.row_cells;
+        let set: u64 = self.occupancy.iter().map(|w| u64::from(w.count_ones())).sum();
+        set as f64 / cells.max(1) as f64
+    }
+}
+
+#[inline(always)]
+fn mark(words: &mut [u64], bit: usize) {
+    if let Some(word) = words.get_mut(bit / 64) {
+        *word |= 1 << (bit % 64);
+    }
+}
+
+/// `out[x width + y] = flat[x + nx y]`, square by square.
+fn transpose<T: Copy>(flat: &[T], [nx, ny]: [usize; 2], out: &mut [T], width: usize) {
+    for y0 in (0..ny).step_by(SQUARE) {
+        let y1 = (y0 + SQUARE).min(ny);
+        for x0 in (0..nx).step_by(SQUARE) {
+            for x in x0..(x0 + SQUARE).min(nx) {
+                let line = &mut out[x * width + y0..x * width + y1];
+                for (o, row) in line.iter_mut().zip(flat[y0 * nx..].chunks(nx)) {
+                    *o = row[x];
+                }
+            }
+        }
+    }
+}

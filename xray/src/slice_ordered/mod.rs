@@ -1,0 +1,312 @@
+//! Line integrals in the memory order of the volume: all slices, as seen from the source, are summed into an intermediate image of
+//! integers, which is then warped once onto the detector (shear-warp).
+//!
+//! - Every sample is Joseph's (bilinear in a slice): two rows of voxels are blended into one row of 16-bit integers, with rounding, and two
+//!   neighbours in it are added with 14-bit weights whose sum is exactly 2^14. Everything is an integer, so neither the instruction set
+//!   nor the number of threads nor the order changes a bit.
+//! - A sample depends on four voxels. A removed voxel changes the sums by the difference that it makes to the samples around it, and the
+//!   image then equals that of a full render of the drilled volume.
+//! - Values are multiples of a thousandth of water's attenuation (clamped at 32767 of them); previews use coarser multiples
+//!   that fit a byte, on a volume of block means.
+//! - The line integral begins at the source: what lies behind it, or within one slice of it, is not in the picture. A source inside
+//!   the volume, or inside bone, is therefore no error.
+//!
+//! Memory: one copy of the volume for each of two orders (see [`SliceOrdered::memory`]), made when a frame first needs it.
+
+mod array;
+mod copies;
+mod instructions;
+mod kernel;
+mod options;
+mod plan;
+mod splat;
+mod standing;
+mod store;
+mod warp;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+pub use instructions::Instructions;
+pub use options::{SliceOrderedMemory, SliceOrderedOptions, Update, UpdateCost};
+
+use crate::attenuation::MuTable;
+use crate::carm::{CArm, PixelBox};
+use crate::error::{DrrError, check_range};
+use crate::grid::{Grid, VolumeView};
+use crate::machine::Machine;
+use crate::ray::RayFan;
+use crate::removal::RemovedVoxels;
+use plan::{Plan, WEIGHT_BITS};
+use splat::Dirty;
+use standing::{Show, Standing, Threads};
+use store::{Change, Source, Store, Values};
+use warp::{Rect, pixels_of};
+
+/// Up to this number of changed voxels, the worker threads are not used.
+const ALONE_UP_TO: usize = 4096;
+/// From this number of changed voxels on, they are sorted by their place in memory first.
+const SORTED_FROM: usize = 1024;
+
+/// Projects one volume by summing its slices, and keeps the sums of the last C-arm for changes.
+pub struct SliceOrdered {
+    options: SliceOrderedOptions,
+    machine: &'static dyn Machine,
+    grid: Grid,
+    store_grid: Grid,
+    values: Values,
+    fill: i16,
+    /// Attenuation of one unit, 1/m.
+    unit_per_m: f64,
+    store: Store,
+    standing: Option<Standing>,
+    /// What stood before [`SliceOrdered::step_aside`]; otherwise the memory of what was rendered aside.
+    aside: Option<Standing>,
+    /// Voxels changed since the last frame, in their order; the copies do not have them yet.
+    waiting: Vec<Change>,
+    cost: UpdateCost,
+}
+
+impl SliceOrdered {
+    /// For a volume whose Hounsfield units mean the attenuation in `table`; `unit_per_m` is the attenuation of one unit of the stored
+    /// integers, and removed voxels become `fill_mu_per_m`. Copies are made when the first frame needs them.
+    ///
+    /// # Errors
+    /// An option or a unit out of range.
+    pub fn new(
+        view: &VolumeView<'_>,
+        table: &MuTable,
+        unit_per_m: f64,
+        fill_mu_per_m: f64,
+        options: SliceOrderedOptions,
+        machine: &'static dyn Machine,
+    ) -> Result<Self, DrrError> {
+        options.validate()?;
+        check_range("unit_per_m", unit_per_m, 1e-9, 1e9, "1e-9 to 1e9 1/m")?;
+        let values = Values::new(table, unit_per_m);
+        let store = Store::new(view, &values, options.reduction as usize);
+        let grid = *view.grid();
+        Ok(Self {
+            options,
+            machine,
+            grid,
+            store_grid: store.grid(&grid)?,
+            values,
+            fill: Values::rounded(fill_mu_per_m, unit_per_m),
+            unit_per_m: unit_per_m * f64::from(store.step()),
+            store,
+            standing: None,
+            aside: None,
+            waiting: Vec::new(),
+            cost: UpdateCost::default(),
+        })
+    }
+
+    /// The options.
+    pub fn options(&self) -> &SliceOrderedOptions {
+        &self.options
+    }
+
+    /// Costs measured so far.
+    pub fn cost(&self) -> UpdateCost {
+        self.cost
+    }
+
+    /// Bytes held.
+    pub fn memory(&self) -> SliceOrderedMemory {
+        let [along_x, along_y] = self.store.copy_bytes();
+        let image = self.standing.iter().chain(&self.aside).map(Standing::bytes).sum();
+        SliceOrderedMemory { along_x, along_y, preview_sums: self.store.preview_bytes(), image }
+    }
+
+    /// Share of the cells of 32 voxels that are not skipped, of the copies that exist (along x, along y).
+    pub fn occupied_shares(&self) -> [Option<f64>; 2] {
+        self.store.occupied_shares()
+    }
+
+    /// The sums of the last frame: columns, rows, and integers row by row. Their sum is a checksum of the drilled volume as seen.
+    pub fn sums(&self) -> (usize, usize, &[i64]) {
+        self.standing.as_ref().map_or((0, 0, &[]), |s| (s.plan.columns, s.plan.rows, &s.sums))
+    }
+
+    /// Restores all voxels; copies and sums are made anew.
+    pub fn restore_all(&mut self, view: &VolumeView<'_>) {
+        self.store.restore(view, &self.values);
+        self.standing = None;
+        self.aside = None;
+        self.waiting.clear();
+    }
+
+    /// Drops the sums of the C-arm: the next frame is summed in full.
+    pub fn forget(&mut self) {
+        self.standing = None;
+    }
+
+    /// Keeps the sums of the standing C-arm while frames of others are rendered, until [`SliceOrdered::step_back`]. Voxels removed in
+    /// between reach the standing C-arm only if they are removed before or after.
+    pub fn step_aside(&mut self) {
+        if self.cost.prefers_full(self.waiting.len()) {
+            self.standing = None;
+        }
+        self.settle();
+        core::mem::swap(&mut self.standing, &mut self.aside);
+        // Its sums lack the voxels removed since: with no columns, this C-arm matches no other.
+        if let Some(standing) = &mut self.standing {
+            standing.c_arm.columns = 0;
+        }
+    }
+
+    /// Returns to the C-arm that stood before [`SliceOrdered::step_aside`].
+    pub fn step_back(&mut self) {
+        core::mem::swap(&mut self.standing, &mut self.aside);
+    }
+
+    /// Replaces a voxel by the fill value. The caller makes sure that it has not been removed before.
+    ///
+    /// # Errors
+    /// An index outside the volume.
+    pub fn remove(&mut self, view: &VolumeView<'_>, linear: usize) -> Result<(), DrrError> {
+        let Some(&hu) = view.hu().get(linear) else {
+            let given = u32::try_from(linear).unwrap_or(u32::MAX);
+            return Err(DrrError::VoxelIndex { given, position: 0, voxels: self.grid.voxels() });
+        };
+        let old = self.values.of(hu);
+        if old != self.fill {
+            self.waiting.extend(self.store.change(&self.grid, linear, old, self.fill));
+        }
+        Ok(())
+    }
+
+    /// Makes the copy that frames of this C-arm need, so that the first one does not wait for it. False if the C-arm's rays have to be
+    /// traced one by one: no axis of the volume is within a slope of 4 voxels a slice of all of them, or the volume reaches
+    /// behind the detector.
+    ///
+    /// # Errors
+    /// A volume too large for the memory.
+    pub fn prepare(
+        &mut self,
+        view: &VolumeView<'_>,
+        removed: &RemovedVoxels,
+        c_arm: &CArm,
+    ) -> Result<bool, DrrError> {
+        let fan = RayFan::new(&self.store_grid, c_arm);
+        match Plan::new(&self.store_grid, &fan, [c_arm.columns, c_arm.rows], self.options.oversampling) {
+            Some(plan) => self.ensure(view, removed, plan.axes.u).map(|()| true),
+            None => Ok(false),
+        }
+    }
+
+    fn ensure(
+        &mut self,
+        view: &VolumeView<'_>,
+        removed: &RemovedVoxels,
+        fast: usize,
+    ) -> Result<(), DrrError> {
+        let source = Source { view, removed, values: &self.values, fill: self.fill, machine: self.machine };
+        self.store.ensure(&source, fast)
+    }
+
+    /// As [`SliceOrdered::project`], where that needs no worker threads: the C-arm stands and few voxels have changed. `None`, and
+    /// nothing written, otherwise.
+    pub fn refresh(&mut self, c_arm: &CArm, image: &mut [f64]) -> Option<Update> {
+        if image.len() != c_arm.pixels() { None } else { self.refresh_on(c_arm, image, ALONE_UP_TO) }
+    }
+
+    fn refresh_on(&mut self, c_arm: &CArm, image: &mut [f64], most: usize) -> Option<Update> {
+        let changes = self.waiting.len();
+        let known = self.standing.as_ref().is_some_and(|s| s.c_arm == *c_arm);
+        if !known || changes > most || self.cost.prefers_full(changes) {
+            return None;
+        }
+        let threads = if most > ALONE_UP_TO { Threads::Pool } else { Threads::Caller };
+        Some(self.update(image, threads))
+    }
+
+    /// Brings the line integrals of a C-arm up to date: `image` holds those of the last call with this C-arm, or is written whole. `None`
+    /// if the rays have to be traced one by one (see [`SliceOrdered::prepare`]); then nothing is written. Runs on the threads of
+    /// the caller's pool.
+    ///
+    /// # Errors
+    /// An image of another size, a volume too large for the memory.
+    pub fn project(
+        &mut self,
+        view: &VolumeView<'_>,
+        removed: &RemovedVoxels,
+        c_arm: &CArm,
+        image: &mut [f64],
+    ) -> Result<Option<Update>, DrrError> {
+        if image.len() != c_arm.pixels() {
+            return Err(DrrError::Length { field: "image", given: image.len(), expected: c_arm.pixels() });
+        }
+        if let Some(update) = self.refresh_on(c_arm, image, usize::MAX) {
+            return Ok(Some(update));
+        }
+        let fan = RayFan::new(&self.store_grid, c_arm);
+        let pixels = [c_arm.columns, c_arm.rows];
+        // The new sums reuse the memory of the old ones.
+        let memory = self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
+        self.settle();
+        let Some(plan) = Plan::new(&self.store_grid, &fan, pixels, self.options.oversampling) else {
+            return Ok(None);
+        };
+        self.ensure(view, removed, plan.axes.u)?;
+        let began_ns = self.machine.now_ns();
+        let (mut sums, floats): (Vec<i64>, Vec<f32>) = memory;
+        self.store.sum(&plan, self.options.instructions, &mut sums);
+        self.cost.full_ns = self.machine.now_ns().saturating_sub(began_ns) as f64;
+        let mut standing =
+            Standing { c_arm: *c_arm, fan, plan, sums, image: floats, dirty: Dirty::default() };
+        standing.image.resize(standing.plan.pixels(), 0.0);
+        let all = Rect { columns: (0, standing.plan.columns), rows: (0, standing.plan.rows) };
+        let detector = PixelBox { columns: (0, c_arm.columns), rows: (0, c_arm.rows) };
+        self.show(Threads::Pool).show(&mut standing, &all, &detector, image);
+        self.standing = Some(standing);
+        Ok(Some(Update::Full))
+    }
+
+    /// Applies the waiting changes to the copies, and to the sums of the standing C-arm if there is one.
+    fn settle(&mut self) {
+        if self.waiting.is_empty() {
+            return;
+        }
+        let began_ns = self.machine.now_ns();
+        if self.waiting.len() >= SORTED_FROM {
+            // The sort is stable: changes of the same voxel keep their order.
+            self.waiting.sort_by_key(|change| change.linear);
+        }
+        self.store.apply(self.standing.as_mut(), &self.waiting);
+        if self.standing.is_some() {
+            let elapsed_ns = self.machine.now_ns().saturating_sub(began_ns);
+            self.cost.note_update(elapsed_ns, self.waiting.len());
+        }
+        self.waiting.clear();
+    }
+
+    /// Applies the waiting changes and redraws the pixels that they reach.
+    fn update(&mut self, image: &mut [f64], threads: Threads) -> Update {
+        self.settle();
+        let Some(mut standing) = self.standing.take() else { return Update::Unchanged };
+        let dirty = core::mem::take(&mut standing.dirty);
+        let (columns, rows) = (standing.plan.columns, standing.plan.rows);
+        let pixels = [standing.c_arm.columns, standing.c_arm.rows];
+        let mut written = 0;
+        for rect in dirty.rects() {
+            let changed = pixels_of(&standing.plan, &standing.fan, rect, pixels);
+            let changed = changed.unwrap_or(PixelBox { columns: (0, 0), rows: (0, 0) });
+            let side = |(first, end): (u32, u32)| (end - first) as usize;
+            written += side(changed.columns) * side(changed.rows);
+            self.show(threads).show(&mut standing, &rect.grown(1, columns, rows), &changed, image);
+        }
+        self.standing = Some(standing);
+        if written == 0 { Update::Unchanged } else { Update::Changed(written) }
+    }
+
+    fn show(&self, threads: Threads) -> Show {
+        let unit = f64::from(i32::from(self.store.widening()) << WEIGHT_BITS);
+        Show {
+            instructions: self.options.instructions,
+            alpha: self.options.alpha(),
+            scale_per_m: self.unit_per_m / unit,
+            threads,
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! The cached sums and image of one C-arm, and how they become line integrals on its detector.
+
+use rayon::prelude::*;
+
+use super::instructions::Instructions;
+use super::plan::Plan;
+use super::splat::Dirty;
+use super::warp::{Rect, SharpenRow, Warp, WarpRow};
+use crate::carm::{CArm, PixelBox};
+use crate::ray::RayFan;
+
+/// Fewer pixels than this are warped without waking the worker threads.
+const PARALLEL_FROM: usize = 1 << 14;
+
+/// Which threads work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Threads {
+    /// The caller's alone.
+    Caller,
+    /// Those of the pool that the caller runs in.
+    Pool,
+}
+
+/// The cached image of one C-arm.
+pub(super) struct Standing {
+    pub c_arm: CArm,
+    pub fan: RayFan,
+    pub plan: Plan,
+    /// Sums over all slices, row by row.
+    pub sums: Vec<i64>,
+    /// The same, sharpened.
+    pub image: Vec<f32>,
+    /// What has changed in the sums and not yet in the image.
+    pub dirty: Dirty,
+}
+
+impl Standing {
+    /// Bytes of the sums and the image.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&*self.sums) + size_of_val(&*self.image)
+    }
+}
+
+/// How sums are shown.
+#[derive(Clone, Copy)]
+pub(super) struct Show {
+    pub instructions: Instructions,
+    /// Strength of the sharpening.
+    pub alpha: f64,
+    /// Attenuation of one unit of the sums, 1/m.
+    pub scale_per_m: f64,
+    pub threads: Threads,
+}
+
+impl Show {
+    /// Sharpens a rectangle of the sums and warps it to a rectangle of the detector.
+    pub fn show(self, standing: &mut Standing, rect: &Rect, detector: &PixelBox, out: &mut [f64]) {
+        let Standing { c_arm, fan, plan, sums, image, .. } = standing;
+        let Self { instructions, alpha, scale_per_m, threads } = self;
+        let width = plan.columns;
+        let sharpen = |(row, line): (usize, &mut [f32])| {
+            instructions.run(SharpenRow { sums, plan, row, columns: rect.columns, alpha, out: line });
+        };
+        let (first, end) = rect.rows;
+        let lines = &mut image[first * width..end * width];
+        if threads == Threads::Caller || lines.len() < PARALLEL_FROM || rect.columns.1 - rect.columns.0 < 64 {
+            lines.chunks_mut(width.max(1)).enumerate().for_each(|(n, line)| sharpen((first + n, line)));
+        } else {
+            let numbered = lines.par_chunks_mut(width.max(1)).enumerate().with_min_len(8);
+            numbered.for_each(|(n, line)| sharpen((first + n, line)));
+        }
+        let warp = Warp { plan, fan, image, scale_per_m };
+        let (c0, c1) = (detector.columns.0 as usize, detector.columns.1 as usize);
+        let (r0, r1) = (detector.rows.0 as usize, detector.rows.1 as usize);
+        let columns = c_arm.columns as usize;
+        let rows = &mut out[r0 * columns..r1 * columns];
+        let draw = |(n, line): (usize, &mut [f64])| {
+            let out = &mut line[c0..c1];
+            let row = (r0 + n) as u32;
+            instructions.run(WarpRow { warp: &warp, row, first_column: detector.columns.0, out });
+        };
+        if threads == Threads::Caller || (r1 - r0) * (c1 - c0) < PARALLEL_FROM {
+            rows.chunks_mut(columns).enumerate().for_each(draw);
+        } else {
+            rows.par_chunks_mut(columns).enumerate().with_min_len(8).for_each(draw);
+        }
+    }
+}

@@ -1,0 +1,331 @@
+//! The volume as it is summed: re-ordered copies of its values, or of the means of its blocks.
+
+use std::sync::{Mutex, PoisonError};
+
+use rayon::prelude::*;
+
+use super::Machine;
+use super::copies::{Copy3, Voxel, copy_elements};
+use super::instructions::Instructions;
+use super::kernel::{TILES, Work};
+use super::plan::{Plan, TILE_ROWS};
+use super::splat::{Splatter, slices_until_flush};
+use super::standing::Standing;
+use crate::attenuation::MuTable;
+use crate::error::DrrError;
+use crate::grid::{Grid, VolumeView};
+use crate::removal::RemovedVoxels;
+
+/// A voxel of the store that gets another value.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Change {
+    /// Linear index in the store.
+    pub linear: u32,
+    pub value: i16,
+}
+
+/// The stored value of every Hounsfield unit.
+pub(super) struct Values(Box<[i16; 65536]>);
+
+impl Values {
+    /// Attenuations as multiples of `unit_per_m`.
+    pub fn new(table: &MuTable, unit_per_m: f64) -> Self {
+        let mut values = Box::new([0_i16; 65536]);
+        for (hu, value) in (i16::MIN..=i16::MAX).zip(values.iter_mut()) {
+            *value = Self::rounded(table.mu_per_m(hu), unit_per_m);
+        }
+        Self(values)
+    }
+
+    /// An attenuation as a multiple of `unit_per_m`.
+    pub fn rounded(mu_per_m: f64, unit_per_m: f64) -> i16 {
+        libm::round(mu_per_m / unit_per_m).clamp(0.0, f64::from(i16::MAX)) as i16
+    }
+
+    #[inline(always)]
+    pub fn of(&self, hu: i16) -> i16 {
+        self.0[usize::from(hu as u16 ^ 0x8000)]
+    }
+}
+
+/// What is stored.
+pub(super) enum Store {
+    /// Every voxel.
+    Whole(Copies<i16>),
+    /// The means of blocks of voxels, in bytes.
+    Preview { copies: Copies<u8>, blocks: Blocks },
+}
+
+/// Runs the same code for either kind of copies.
+macro_rules! with_copies {
+    ($store:expr, $copies:ident => $code:expr) => {
+        match $store {
+            Store::Whole($copies) => $code,
+            Store::Preview { copies: $copies, .. } => $code,
+        }
+    };
+}
+
+impl Store {
+    /// `reduction` voxels along each axis are joined to one.
+    pub fn new(view: &VolumeView<'_>, values: &Values, reduction: usize) -> Self {
+        if reduction == 1 {
+            return Self::Whole(Copies::new(view.grid().dims()));
+        }
+        let blocks = Blocks::new(view, values, reduction);
+        Self::Preview { copies: Copies::new(blocks.dims), blocks }
+    }
+
+    /// The grid of what is stored.
+    pub fn grid(&self, grid: &Grid) -> Result<Grid, DrrError> {
+        match self {
+            Self::Whole(_) => Ok(*grid),
+            Self::Preview { blocks, .. } => blocks.grid(grid),
+        }
+    }
+
+    /// Units in one step of a stored value.
+    pub fn step(&self) -> u32 {
+        match self {
+            Self::Whole(_) => 1,
+            Self::Preview { blocks, .. } => blocks.step,
+        }
+    }
+
+    /// What a stored value is multiplied by before it is weighted.
+    pub fn widening(&self) -> i16 {
+        match self {
+            Self::Whole(_) => <i16 as Voxel>::UNIT,
+            Self::Preview { .. } => <u8 as Voxel>::UNIT,
+        }
+    }
+
+    /// Forgets all copies and all changes.
+    pub fn restore(&mut self, view: &VolumeView<'_>, values: &Values) {
+        *self = match self {
+            Self::Whole(_) => Self::new(view, values, 1),
+            Self::Preview { blocks, .. } => Self::new(view, values, blocks.side),
+        };
+    }
+
+    /// The change of the store if a voxel of the volume changes from one value to another; `None` if the stored values stay.
+    pub fn change(&mut self, grid: &Grid, linear: usize, from: i16, to: i16) -> Option<Change> {
+        match self {
+            Self::Whole(_) => Some(Change { linear: linear as u32, value: to }),
+            Self::Preview { blocks, .. } => {
+                let block = grid.voxel_of(linear).map(|v| v / blocks.side);
+                let at = block[0] + blocks.dims[0] * (block[1] + blocks.dims[1] * block[2]);
+                let before = blocks.value(blocks.sums[at]);
+                blocks.sums[at] = blocks.sums[at] + u32::from(to as u16) - u32::from(from as u16);
+                let after = blocks.value(blocks.sums[at]);
+                (before != after).then_some(Change { linear: at as u32, value: after })
+            }
+        }
+    }
+
+    /// Makes the copy with rows along `fast`, if it is missing.
+    pub fn ensure(&mut self, source: &Source<'_>, fast: usize) -> Result<(), DrrError> {
+        let Source { view, removed, values, fill, machine } = *source;
+        match self {
+            Self::Whole(copies) => {
+                let grid = view.grid();
+                let [nx, ny, _] = grid.dims();
+                let fill_row = |y: usize, z: usize, row: &mut [i16]| {
+                    let start = nx * (y + ny * z);
+                    for (v, &hu) in row.iter_mut().zip(&view.hu()[start..start + nx]) {
+                        *v = values.of(hu);
+                    }
+                };
+                let changed = removed.iter().map(|linear| (grid.voxel_of(linear), fill));
+                copies.ensure(machine, fast, fill_row, changed)
+            }
+            Self::Preview { copies, blocks } => {
+                let [nx, ny, _] = blocks.dims;
+                let fill_row = |y: usize, z: usize, row: &mut [u8]| {
+                    let start = nx * (y + ny * z);
+                    for (v, &sum) in row.iter_mut().zip(&blocks.sums[start..start + nx]) {
+                        *v = u8::store(blocks.value(sum));
+                    }
+                };
+                copies.ensure(machine, fast, fill_row, core::iter::empty())
+            }
+        }
+    }
+
+    /// Sums all slices.
+    pub fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut Vec<i64>) {
+        with_copies!(self, copies => copies.sum(plan, instructions, sums));
+    }
+
+    /// Works changes into the sums of a C-arm, if one stands, and into the copies.
+    pub fn apply(&mut self, standing: Option<&mut Standing>, changes: &[Change]) {
+        with_copies!(self, copies => match standing {
+            Some(standing) => copies.splat(standing, changes),
+            None => copies.set_all(changes),
+        });
+    }
+
+    /// Bytes of the copies with rows along x and along y.
+    pub fn copy_bytes(&self) -> [usize; 2] {
+        with_copies!(self, copies => copies.each(Copy3::bytes).map(Option::unwrap_or_default))
+    }
+
+    /// Bytes of the sums of blocks.
+    pub fn preview_bytes(&self) -> usize {
+        match self {
+            Self::Whole(_) => 0,
+            Self::Preview { blocks, .. } => size_of_val(&*blocks.sums),
+        }
+    }
+
+    /// Shares of the cells that are not skipped, of the copies that exist.
+    pub fn occupied_shares(&self) -> [Option<f64>; 2] {
+        with_copies!(self, copies => copies.each(Copy3::occupied_share))
+    }
+}
+
+/// What a copy is made from.
+#[derive(Clone, Copy)]
+pub(super) struct Source<'a> {
+    pub view: &'a VolumeView<'a>,
+    pub removed: &'a RemovedVoxels,
+    pub values: &'a Values,
+    /// Stored value of a removed voxel.
+    pub fill: i16,
+    pub machine: &'static dyn Machine,
+}
+
+/// The two copies.
+pub(super) struct Copies<T: Voxel> {
+    dims: [usize; 3],
+    by_fast: [Option<Copy3<T>>; 2],
+    largest: i16,
+}
+
+impl<T: Voxel> Copies<T> {
+    fn new(dims: [usize; 3]) -> Self {
+        Self { dims, by_fast: [None, None], largest: 0 }
+    }
+
+    fn set(&mut self, voxel: [usize; 3], value: i16) {
+        self.largest = self.largest.max(value);
+        self.by_fast.iter_mut().flatten().for_each(|copy| copy.set(voxel, value));
+    }
+
+    fn splat(&mut self, standing: &mut Standing, changes: &[Change]) {
+        let Standing { plan, sums, dirty, .. } = standing;
+        let mut splatter = Splatter::default();
+        for &Change { linear, value } in changes {
+            let voxel = self.voxel_of(linear);
+            if let Some(copy) = &self.by_fast[plan.axes.u] {
+                splatter.splat(copy, plan, sums, voxel, value, dirty);
+            }
+            self.set(voxel, value);
+        }
+    }
+
+    fn voxel_of(&self, linear: u32) -> [usize; 3] {
+        let [nx, ny, _] = self.dims;
+        let linear = linear as usize;
+        [linear % nx, linear / nx % ny, linear / nx / ny]
+    }
+
+    fn set_all(&mut self, changes: &[Change]) {
+        for &Change { linear, value } in changes {
+            self.set(self.voxel_of(linear), value);
+        }
+    }
+
+    /// Makes a copy if it is missing; `changed` are the voxels that differ from `fill_row`'s.
+    fn ensure(
+        &mut self,
+        machine: &dyn Machine,
+        fast: usize,
+        fill_row: impl Fn(usize, usize, &mut [T]) + Sync,
+        changed: impl Iterator<Item = ([usize; 3], i16)>,
+    ) -> Result<(), DrrError> {
+        if self.by_fast[fast].is_some() {
+            return Ok(());
+        }
+        let needed_bytes = copy_elements(self.dims, fast) * size_of::<T>() as u64;
+        let refused = |available_bytes: u64| {
+            let (dims, bytes_each) = (self.dims, size_of::<T>());
+            DrrError::Memory { dims, bytes_each, needed_bytes, available_bytes }
+        };
+        if let Some(available_bytes) = machine.available_bytes().filter(|available| needed_bytes > *available)
+        {
+            return Err(refused(available_bytes));
+        }
+        let copy = Copy3::new(machine, self.dims, fast, fill_row);
+        let mut copy = copy.ok_or_else(|| refused(machine.available_bytes().unwrap_or(0)))?;
+        self.largest = self.largest.max(copy.largest());
+        changed.for_each(|(voxel, value)| copy.set(voxel, value));
+        self.by_fast[fast] = Some(copy);
+        Ok(())
+    }
+
+    fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut Vec<i64>) {
+        // Every tile is written whole.
+        sums.resize(plan.pixels(), 0);
+        let Some(copy) = &self.by_fast[plan.axes.u] else { return };
+        let flush_after = slices_until_flush(self.largest * T::UNIT);
+        // One tile at a time, because those in the middle of the picture take longest; finished tiles hand on their work space.
+        let spare = Mutex::new(Vec::new());
+        let spare = || spare.lock().unwrap_or_else(PoisonError::into_inner);
+        let tiles = sums.par_chunks_mut((TILES * TILE_ROWS * plan.columns).max(1)).enumerate();
+        tiles.with_max_len(1).for_each(|(tiles, out)| {
+            let work = spare().pop();
+            let mut work = work.unwrap_or_else(|| Work::new(plan, copy));
+            instructions.sum_tiles(copy, plan, flush_after, tiles * TILES * TILE_ROWS, &mut work, out);
+            spare().push(work);
+        });
+    }
+
+    fn each<U>(&self, of: impl Fn(&Copy3<T>) -> U) -> [Option<U>; 2] {
+        self.by_fast.each_ref().map(|copy| copy.as_ref().map(&of))
+    }
+}
+
+/// Sums of the values of cubes of voxels: a preview's values come from them.
+pub(super) struct Blocks {
+    side: usize,
+    dims: [usize; 3],
+    sums: Vec<u32>,
+    /// Units in one step of a byte.
+    step: u32,
+}
+
+impl Blocks {
+    fn new(view: &VolumeView<'_>, values: &Values, side: usize) -> Self {
+        let [nx, ny, nz] = view.grid().dims();
+        let dims = [nx, ny, nz].map(|n| n.div_ceil(side));
+        let mut sums = vec![0_u32; dims[0] * dims[1] * dims[2]];
+        sums.par_chunks_mut(dims[0] * dims[1]).enumerate().for_each(|(bz, plane)| {
+            for z in bz * side..((bz + 1) * side).min(nz) {
+                for y in 0..ny {
+                    let start = nx * (y + ny * z);
+                    let line = &mut plane[dims[0] * (y / side)..][..dims[0]];
+                    for (sum, voxels) in line.iter_mut().zip(view.hu()[start..start + nx].chunks(side)) {
+                        *sum += voxels.iter().map(|&hu| u32::from(values.of(hu) as u16)).sum::<u32>();
+                    }
+                }
+            }
+        });
+        let count = (side * side * side) as u32;
+        let largest = sums.par_iter().copied().max().unwrap_or(0).div_ceil(count);
+        Self { side, dims, sums, step: largest.div_ceil(255).max(1) }
+    }
+
+    /// Value of a block in steps: the rounded mean. Voxels beyond the volume count as air.
+    fn value(&self, sum: u32) -> i16 {
+        let unit = (self.side * self.side * self.side) as u32 * self.step;
+        ((sum + unit / 2) / unit).min(255) as i16
+    }
+
+    fn grid(&self, grid: &Grid) -> Result<Grid, DrrError> {
+        let centre = 0.5 * (self.side as f64 - 1.0);
+        let direction = grid.direction();
+        let spacing_m = grid.spacing_m().map(|s| s * self.side as f64);
+        Grid::new(self.dims, spacing_m, grid.index_to_world([centre; 3]), direction)
+    }
+}

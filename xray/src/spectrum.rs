@@ -1,0 +1,214 @@
+//! A spectrum of photon energies through tissue, bone and metal.
+//!
+//! Every voxel is a mixture of tissue (water's attenuation, scaled by density) and ICRU-44 cortical bone, so a ray is described by two
+//! lengths: tissue T and bone B, in metres of water and of cortical bone; the tool adds lengths of metal. The detector integrates energy:
+//!
+//! `attenuation(T, B) = -ln( sum_E w_E exp(-(T mu_water(E) + B mu_bone(E))) )`, `w_E ~ E N(E)`
+//!
+//! with N(E) after Kramers (Philos. Mag. 46 (1923) 836), `V/E - 1`, behind aluminium. Coefficients: NIST ([`Material`]). Characteristic
+//! lines are left out, and so are energies below 30 keV, which hardly pass through a patient. The anatomy's pixels read a table of the
+//! attenuation over (T, B); the few pixels under metal, and those outside the table, sum over the energies.
+
+use crate::attenuation::{ENERGY_RANGE_KEV, Material, cortical_bone_hu, log_log};
+use crate::error::{DrrError, check_range};
+use crate::tool_layer::{ToolCell, ToolMaterials};
+
+/// Spacing of the energies in the sum.
+const STEP_KEV: f64 = 2.0;
+/// Mass attenuation of aluminium, cm2/g, at these energies, keV; density 2.699 g/cm3. NIST SRD 126 (NISTIR 5632), table 3, Z = 13; at
+/// 120 keV, which it leaves out, NIST's XCOM as xraylib 4.3 tabulates it.
+const ALUMINIUM_KEV: [f64; 8] = [30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 150.0];
+const ALUMINIUM: [f64; 8] = [1.128, 0.5685, 0.3681, 0.2778, 0.2018, 0.1704, 0.1533, 0.1378];
+const ALUMINIUM_G_PER_CM3: f64 = 2.699;
+/// Range and nodes of the table.
+const TISSUE_MAX_M: f64 = 0.5;
+const BONE_MAX_M: f64 = 0.16;
+const TISSUE_NODES: usize = 257;
+const BONE_NODES: usize = 257;
+
+/// A tube's spectrum and the CT's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spectrum {
+    /// Tube voltage, 50 to 120 kV.
+    pub tube_kv: f64,
+    /// Total filtration, millimetres of aluminium, 0 to 20.
+    pub aluminium_mm: f64,
+    /// Effective photon energy of the CT, keV (about 70 for a 120 kV scan): says which Hounsfield value is cortical bone.
+    pub ct_energy_kev: f64,
+    /// Above this a voxel holds bone, 0 to 1000 HU.
+    pub bone_above_hu: f64,
+}
+
+impl Default for Spectrum {
+    fn default() -> Self {
+        Self { tube_kv: 90.0, aluminium_mm: 3.0, ct_energy_kev: 70.0, bone_above_hu: 200.0 }
+    }
+}
+
+impl Spectrum {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// The first field that is out of range, by name.
+    pub fn validate(&self) -> Result<(), DrrError> {
+        check_range("tube_kv", self.tube_kv, 50.0, 120.0, "50 to 120 kV")?;
+        check_range("aluminium_mm", self.aluminium_mm, 0.0, 20.0, "0 to 20 mm")?;
+        let (low, high) = ENERGY_RANGE_KEV;
+        check_range("ct_energy_kev", self.ct_energy_kev, low, high, "30 to 120 keV")?;
+        check_range("bone_above_hu", self.bone_above_hu, 0.0, 1000.0, "0 to 1000 HU")
+    }
+
+    /// Energies, keV, and the share of the detector's open-field signal that each contributes.
+    pub fn weights(&self) -> Vec<(f64, f64)> {
+        let lowest = ENERGY_RANGE_KEV.0;
+        let count = ((self.tube_kv - lowest) / STEP_KEV).max(1.0) as usize;
+        let step = (self.tube_kv - lowest) / count as f64;
+        let mut weights: Vec<(f64, f64)> = (0..count)
+            .map(|i| {
+                let energy = lowest + (i as f64 + 0.5) * step;
+                let filter_cm = 0.1 * self.aluminium_mm;
+                let mu = ALUMINIUM_G_PER_CM3 * log_log(&ALUMINIUM_KEV, &ALUMINIUM, energy);
+                (energy, energy * (self.tube_kv / energy - 1.0) * libm::exp(-mu * filter_cm))
+            })
+            .collect();
+        let total: f64 = weights.iter().map(|(_, w)| w).sum();
+        weights.iter_mut().for_each(|(_, w)| *w /= total);
+        weights
+    }
+
+    /// Shares of tissue (relative to water) and of cortical bone in a voxel.
+    ///
+    /// # Errors
+    /// A CT energy outside 30 to 120 keV.
+    pub fn mixture(&self) -> Result<Mixture, DrrError> {
+        Ok(Mixture {
+            bone_above_hu: self.bone_above_hu,
+            cortical_hu: cortical_bone_hu(self.ct_energy_kev)?.max(self.bone_above_hu + 1.0),
+        })
+    }
+}
+
+/// Tissue and bone of a Hounsfield value: tissue of density 1 + HU/1000 up to `bone_above_hu`, from there on a mixture of that
+/// densest tissue and cortical bone, all bone at `cortical_hu`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mixture {
+    /// HU above which a voxel holds bone.
+    pub bone_above_hu: f64,
+    /// HU of cortical bone in the CT.
+    pub cortical_hu: f64,
+}
+
+impl Mixture {
+    /// (tissue relative to water, share of cortical bone); enamel and metal in the CT count as more than 1 of bone.
+    pub fn of(&self, hu: f64) -> (f64, f64) {
+        if hu <= self.bone_above_hu {
+            return ((1.0 + hu / 1000.0).max(0.0), 0.0);
+        }
+        let bone = (hu - self.bone_above_hu) / (self.cortical_hu - self.bone_above_hu);
+        ((1.0 - bone).max(0.0) * (1.0 + self.bone_above_hu / 1000.0), bone)
+    }
+}
+
+/// Coefficients of one energy.
+#[derive(Debug, Clone, Copy)]
+struct Line {
+    weight: f64,
+    water: f64,
+    bone: f64,
+    /// By [`Material::index`].
+    materials: [f64; Material::COUNT],
+}
+
+/// The attenuation of a spectrum, tabulated over tissue and bone.
+#[derive(Debug, Clone)]
+pub struct SpectrumTable {
+    lines: Vec<Line>,
+    /// Attenuation over bone, then tissue, in steps of the constants above.
+    nodes: Vec<f32>,
+    mixture: Mixture,
+}
+
+impl SpectrumTable {
+    /// Computes the table.
+    ///
+    /// # Errors
+    /// As [`Spectrum::validate`].
+    pub fn new(spectrum: &Spectrum) -> Result<Self, DrrError> {
+        spectrum.validate()?;
+        let mut lines = Vec::new();
+        for (energy, weight) in spectrum.weights() {
+            let mut materials = [0.0; Material::COUNT];
+            for material in Material::ALL {
+                materials[material.index()] = material.mu_per_m(energy)?;
+            }
+            let (water, bone) = (Material::Water.mu_per_m(energy)?, Material::CorticalBone.mu_per_m(energy)?);
+            lines.push(Line { weight, water, bone, materials });
+        }
+        let mut table = Self { lines, nodes: Vec::new(), mixture: spectrum.mixture()? };
+        let mut nodes = Vec::with_capacity(TISSUE_NODES * BONE_NODES);
+        for t in 0..TISSUE_NODES {
+            for b in 0..BONE_NODES {
+                let tissue = t as f64 * TISSUE_MAX_M / (TISSUE_NODES - 1) as f64;
+                let bone = b as f64 * BONE_MAX_M / (BONE_NODES - 1) as f64;
+                nodes.push(table.exact(tissue, bone, &[0.0; Material::COUNT]) as f32);
+            }
+        }
+        table.nodes = nodes;
+        Ok(table)
+    }
+
+    /// How Hounsfield units become tissue and bone.
+    pub fn mixture(&self) -> Mixture {
+        self.mixture
+    }
+
+    /// The sum over the energies, for lengths of tissue, bone and, by [`Material::index`], of anything else, in metres.
+    pub fn exact(&self, tissue_m: f64, bone_m: f64, materials_m: &[f64; Material::COUNT]) -> f64 {
+        let mut sum = 0.0;
+        for line in &self.lines {
+            let mut depth = tissue_m * line.water + bone_m * line.bone;
+            for (length, mu) in materials_m.iter().zip(&line.materials) {
+                depth += length * mu;
+            }
+            sum += line.weight * crate::lane_math::exp(-depth);
+        }
+        -crate::lane_math::log(sum)
+    }
+
+    /// The attenuation of tissue and bone, from the table.
+    #[inline(always)]
+    pub fn attenuation(&self, tissue_m: f64, bone_m: f64) -> f64 {
+        let t = tissue_m.max(0.0) * ((TISSUE_NODES - 1) as f64 / TISSUE_MAX_M);
+        let b = bone_m.max(0.0) * ((BONE_NODES - 1) as f64 / BONE_MAX_M);
+        let (it, ib) = (t as usize, b as usize);
+        if it >= TISSUE_NODES - 1 || ib >= BONE_NODES - 1 {
+            return self.exact(tissue_m.max(0.0), bone_m.max(0.0), &[0.0; Material::COUNT]);
+        }
+        let node = |i: usize, j: usize| f64::from(self.nodes[i * BONE_NODES + j]);
+        let (ft, fb) = (t - it as f64, b - ib as f64);
+        let near = node(it, ib) + fb * (node(it, ib + 1) - node(it, ib));
+        let far = node(it + 1, ib) + fb * (node(it + 1, ib + 1) - node(it + 1, ib));
+        near + ft * (far - near)
+    }
+
+    /// Replaces the metres of tissue in a row by the attenuation of tissue and bone.
+    #[inline(always)]
+    pub(crate) fn attenuation_of_row(&self, tissue_m: &mut [f64], bone_m: &[f64]) {
+        for (value, &bone) in tissue_m.iter_mut().zip(bone_m) {
+            *value = self.attenuation(*value, bone);
+        }
+    }
+
+    /// The attenuation of a pixel under the tool.
+    pub(crate) fn attenuation_with_tool(
+        &self,
+        tissue_m: f64,
+        bone_m: f64,
+        cell: &ToolCell,
+        materials: &ToolMaterials,
+    ) -> f64 {
+        let tissue_m = (tissue_m - cell.displaced).max(0.0);
+        let bone_m = (bone_m - materials.displaced_bone_m).max(0.0);
+        self.exact(tissue_m, bone_m, &materials.lengths_m)
+    }
+}

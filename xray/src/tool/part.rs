@@ -1,0 +1,206 @@
+//! A part of the tool: checked, and with its constants.
+
+use super::crossing::{Crossing, SeenPart};
+use super::{Notch, ToolPart};
+use crate::attenuation::Material;
+use crate::ray::WorldRay;
+use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
+
+/// A checked part with its constants.
+#[derive(Debug, Clone, Copy)]
+pub struct PreparedPart {
+    shape: Shape,
+    material: Material,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Shape {
+    Sphere { centre_m: Vec3, radius_m: f64 },
+    Axial { start_m: Vec3, axis: Vec3, length_m: f64, radii: Radii },
+}
+
+/// The cross-section about an axis.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Radii {
+    Tube { outer_m: f64, inner_m: f64, notch: Option<Cut> },
+    Cone { start_m: f64, slope: f64, widest_m: f64 },
+}
+
+/// A notch as a range of the coordinate along the axis, and a lower bound of the one towards `side`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Cut {
+    pub(super) along: (f64, f64),
+    pub(super) side: Vec3,
+    pub(super) above: f64,
+}
+
+impl PreparedPart {
+    /// Checks a part and computes its constants.
+    ///
+    /// # Errors
+    /// What is wrong with it: a number that is not finite or above 100 m, a radius or length that is not positive, a lumen as wide as the
+    /// tube, a notch outside its tube.
+    pub fn new(part: &ToolPart) -> Result<Self, &'static str> {
+        let (shape, material) = match *part {
+            ToolPart::Sphere { centre_m, radius_m, material } => {
+                check_points(&[centre_m])?;
+                check_radius(radius_m)?;
+                (Shape::Sphere { centre_m, radius_m }, material)
+            }
+            ToolPart::Cylinder { start_m, end_m, radius_m, material } => {
+                check_radius(radius_m)?;
+                (axial(start_m, end_m, |_, _| Ok(tube(radius_m, 0.0)))?, material)
+            }
+            ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material } => {
+                check_tube(outer_radius_m, inner_radius_m)?;
+                (axial(start_m, end_m, |_, _| Ok(tube(outer_radius_m, inner_radius_m)))?, material)
+            }
+            ToolPart::NotchedTube { start_m, end_m, outer_radius_m, inner_radius_m, notch, material } => {
+                check_tube(outer_radius_m, inner_radius_m)?;
+                let notched = |axis, length_m| {
+                    let cut = Some(notch.cut(axis, length_m, outer_radius_m)?);
+                    Ok(Radii::Tube { outer_m: outer_radius_m, inner_m: inner_radius_m, notch: cut })
+                };
+                (axial(start_m, end_m, notched)?, material)
+            }
+            ToolPart::Cone { start_m, end_m, start_radius_m, end_radius_m, material } => {
+                let widest_m = start_radius_m.max(end_radius_m);
+                check_radius(widest_m)?;
+                // Written so that a NaN is refused.
+                if !(start_radius_m >= 0.0 && end_radius_m >= 0.0) {
+                    return Err("a radius of the cone is negative or NaN: give 0 for a point");
+                }
+                let cone = |_, length_m: f64| {
+                    let slope = (end_radius_m - start_radius_m) / length_m;
+                    Ok(Radii::Cone { start_m: start_radius_m, slope, widest_m })
+                };
+                (axial(start_m, end_m, cone)?, material)
+            }
+        };
+        Ok(Self { shape, material })
+    }
+
+    /// What the part is made of.
+    pub fn material(&self) -> Material {
+        self.material
+    }
+
+    /// How a ray crosses the part; `None` if it misses.
+    pub fn cross(&self, ray: &WorldRay) -> Option<Crossing> {
+        self.seen_from(ray.origin_m).cross(ray.direction_m, ray.length_m)
+    }
+
+    /// The part with everything that all rays from one source share.
+    pub(crate) fn seen_from(&self, source_m: Vec3) -> SeenPart {
+        match self.shape {
+            Shape::Sphere { centre_m, radius_m } => SeenPart::Sphere { o: sub(source_m, centre_m), radius_m },
+            Shape::Axial { start_m, axis, length_m, radii } => {
+                let o = sub(source_m, start_m);
+                let along = dot(o, axis);
+                SeenPart::Axial { axis, length_m, radii, along, across: add_scaled(o, -along, axis) }
+            }
+        }
+    }
+
+    /// Centre and half edges of a box around the part, rotated so that it is as narrow as possible as seen from `source_m`.
+    pub(crate) fn box_from(&self, source_m: Vec3) -> (Vec3, [Vec3; 3]) {
+        match self.shape {
+            Shape::Sphere { centre_m, radius_m: r } => {
+                (centre_m, [[r, 0.0, 0.0], [0.0, r, 0.0], [0.0, 0.0, r]])
+            }
+            Shape::Axial { start_m, axis, length_m, radii } => {
+                let centre = add_scaled(start_m, 0.5 * length_m, axis);
+                let sight = sub(centre, source_m);
+                let side = cross(axis, sight);
+                let size = norm(side);
+                let side =
+                    if size > 1e-6 * norm(sight) { scale(side, 1.0 / size) } else { any_perpendicular(axis) };
+                let radius_m = match radii {
+                    Radii::Tube { outer_m, .. } => outer_m,
+                    Radii::Cone { widest_m, .. } => widest_m,
+                };
+                let half =
+                    [scale(axis, 0.5 * length_m), scale(side, radius_m), scale(cross(axis, side), radius_m)];
+                (centre, half)
+            }
+        }
+    }
+}
+
+impl Notch {
+    fn cut(&self, axis: Vec3, length_m: f64, outer_radius_m: f64) -> Result<Cut, &'static str> {
+        let inside = self.offset_m >= 0.0 && self.width_m > 0.0 && self.offset_m + self.width_m <= length_m;
+        if !inside {
+            return Err(
+                "its notch is not within the tube: give offset_m >= 0, width_m > 0, their sum at most the length",
+            );
+        }
+        if !(self.depth_m > 0.0 && self.depth_m < 2.0 * outer_radius_m) {
+            return Err("its notch's depth is not between 0 and the outer diameter: correct depth_m");
+        }
+        let unit = (norm(self.side) - 1.0).abs() < 1e-6 && dot(self.side, axis).abs() < 1e-6;
+        if !unit {
+            return Err("its notch's side is not a unit vector perpendicular to the axis: normalise it");
+        }
+        let along = (self.offset_m, self.offset_m + self.width_m);
+        Ok(Cut { along, side: self.side, above: outer_radius_m - self.depth_m })
+    }
+}
+
+fn check_points(points: &[Vec3]) -> Result<(), &'static str> {
+    if points.iter().flatten().all(|x| x.abs() <= 100.0) {
+        Ok(())
+    } else {
+        Err("a coordinate is not finite or is beyond 100 m: give world positions in metres")
+    }
+}
+
+fn check_radius(radius_m: f64) -> Result<(), &'static str> {
+    if radius_m > 0.0 && radius_m <= 1.0 {
+        Ok(())
+    } else {
+        Err("a radius is not in 0 to 1 m (0 excluded): give it in metres; a solid part is a Cylinder")
+    }
+}
+
+fn check_tube(outer_radius_m: f64, inner_radius_m: f64) -> Result<(), &'static str> {
+    check_radius(outer_radius_m)?;
+    check_radius(inner_radius_m)?;
+    if inner_radius_m >= outer_radius_m {
+        return Err("the inner radius is not below the outer one: give inner_radius_m < outer_radius_m");
+    }
+    Ok(())
+}
+
+fn tube(outer_m: f64, inner_m: f64) -> Radii {
+    Radii::Tube { outer_m, inner_m, notch: None }
+}
+
+fn axial(
+    start_m: Vec3,
+    end_m: Vec3,
+    radii: impl Fn(Vec3, f64) -> Result<Radii, &'static str>,
+) -> Result<Shape, &'static str> {
+    check_points(&[start_m, end_m])?;
+    let along = sub(end_m, start_m);
+    let length_m = norm(along);
+    if length_m < 1e-9 {
+        return Err("its two ends coincide: give it a length");
+    }
+    let axis = scale(along, 1.0 / length_m);
+    Ok(Shape::Axial { start_m, axis, length_m, radii: radii(axis, length_m)? })
+}
+
+/// A unit vector perpendicular to a unit vector.
+fn any_perpendicular(axis: Vec3) -> Vec3 {
+    let a = axis.map(f64::abs);
+    let helper = if a[0] <= a[1] && a[0] <= a[2] {
+        [1.0, 0.0, 0.0]
+    } else if a[1] <= a[2] {
+        [0.0, 1.0, 0.0]
+    } else {
+        [0.0, 0.0, 1.0]
+    };
+    let side = cross(axis, helper);
+    scale(side, 1.0 / norm(side))
+}

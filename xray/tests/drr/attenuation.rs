@@ -1,0 +1,92 @@
+//! Attenuation against independent tables.
+
+use xray::attenuation::{MuTable, cortical_bone_hu};
+use xray::{HuLaw, Material};
+
+fn assert_relative(got: f64, want: f64, tolerance: f64) {
+    assert!((got / want - 1.0).abs() < tolerance, "got {got}, want {want}");
+}
+
+#[test]
+fn log_log_interpolation_gives_the_published_values_at_70_kev() {
+    // mu/rho (cm2/g) at 70 keV interpolated log-log from NIST by another program; four digits are given.
+    for (material, density, mass_mu) in [
+        (Material::Water, 1.0, 0.1936),
+        (Material::SoftTissue, 1.06, 0.1924),
+        (Material::CorticalBone, 1.92, 0.2616),
+        (Material::Nitinol, 6.45, 0.8083),
+        (Material::Steel316L, 7.99, 0.8655),
+        (Material::Titanium, 4.506, 0.5446),
+    ] {
+        // The other program interpolates between the elements' own energies (60 and 80 keV too): rounding only.
+        assert_relative(material.mu_per_m(70.0).unwrap(), 100.0 * density * mass_mu, 3e-3);
+    }
+}
+
+#[test]
+fn a_second_table_agrees_within_its_slightly_different_compositions() {
+    // 1/cm, from another set of mixtures (NiTi 55.8/44.2, steel Fe70Cr18Ni12 of 7.9 g/cm3, Ti 4.54 g/cm3).
+    for (energy, water, soft, bone, niti, steel, titanium) in [
+        (40.0, 0.2683, 0.2849, 1.278, 22.9, 28.5, 10.05),
+        (60.0, 0.2059, 0.2171, 0.6044, 7.63, 9.47, 3.48),
+        (100.0, 0.1707, 0.1795, 0.3562, 2.37, 2.92, 1.24),
+    ] {
+        let mu = |m: Material| m.mu_per_m(energy).unwrap() / 100.0;
+        assert_relative(mu(Material::Water), water, 1e-3);
+        assert_relative(mu(Material::SoftTissue), soft, 1e-3);
+        assert_relative(mu(Material::CorticalBone), bone, 1e-3);
+        assert_relative(mu(Material::Nitinol), niti, 0.01);
+        assert_relative(mu(Material::Titanium), titanium, 0.012);
+        // 316L has 2 to 3 % molybdenum and 1 % more density.
+        assert_relative(mu(Material::Steel316L), steel, 0.07);
+    }
+}
+
+#[test]
+fn energies_outside_the_table_are_refused() {
+    for energy in [29.9, 120.1, f64::NAN, -60.0] {
+        let error = Material::Water.mu_per_m(energy).unwrap_err().to_string();
+        assert!(error.contains("energy_kev") && error.contains("30 to 120 keV"), "{error}");
+    }
+    assert!(MuTable::new(HuLaw::BoneCorrected { ct_energy_kev: 10.0 }, 60.0, -900).is_err());
+}
+
+#[test]
+fn water_scaling_is_the_hounsfield_definition_and_air_is_nothing() {
+    let water = Material::Water.mu_per_m(60.0).unwrap();
+    let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    assert_eq!(table.mu_per_m(0), water);
+    assert_relative(table.mu_per_m(1000), 2.0 * water, 1e-15);
+    assert_relative(table.mu_per_m(-500), 0.5 * water, 1e-15);
+    assert_relative(table.mu_per_m(i16::MAX), 33.767 * water, 1e-15);
+    assert_relative(table.mu_per_m(-900), 0.1 * water, 1e-12);
+    for padding in [-901, -1000, -1024, -3024, i16::MIN] {
+        assert_eq!(table.mu_per_m(padding), 0.0);
+    }
+    let clamped = MuTable::new(HuLaw::WaterScaling, 60.0, i16::MIN).unwrap();
+    assert_eq!(clamped.mu_per_m(-2000), 0.0);
+}
+
+#[test]
+fn the_bone_correction_is_exact_for_cortical_bone_and_nothing_at_the_cts_own_energy() {
+    // HU of ICRU-44 cortical bone by energy.
+    for (energy, hu) in [(50.0, 2590.0), (60.0, 1936.0), (70.0, 1595.0), (80.0, 1331.0), (100.0, 1087.0)] {
+        assert!((cortical_bone_hu(energy).unwrap() - hu).abs() < 6.0, "{energy}");
+    }
+    let bone_hu = cortical_bone_hu(70.0).unwrap().round() as i16;
+    for energy in [50.0, 60.0, 80.0, 100.0] {
+        let corrected = MuTable::new(HuLaw::BoneCorrected { ct_energy_kev: 70.0 }, energy, -900).unwrap();
+        let truth = Material::CorticalBone.mu_per_m(energy).unwrap();
+        // Half a Hounsfield unit of rounding.
+        assert_relative(corrected.mu_per_m(bone_hu), truth, 5e-4);
+        assert_relative(corrected.mu_per_m(0), Material::Water.mu_per_m(energy).unwrap(), 1e-15);
+    }
+    // The error of plain water scaling at 60 keV for a CT of 70 keV: -12 %.
+    let plain = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+    let error = plain.mu_per_m(bone_hu) / Material::CorticalBone.mu_per_m(60.0).unwrap() - 1.0;
+    assert!((error + 0.12).abs() < 0.01, "{error}");
+    let same = MuTable::new(HuLaw::BoneCorrected { ct_energy_kev: 60.0 }, 60.0, -900).unwrap();
+    for hu in [-800, 0, 300, 2000] {
+        assert_relative(same.mu_per_m(hu), plain.mu_per_m(hu), 1e-12);
+    }
+}

@@ -1,0 +1,124 @@
+//! The machine that the tests render on, and tests that no machine changes a bit.
+
+use std::sync::LazyLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use xray::attenuation::MuTable;
+use xray::removal::RemovedVoxels;
+use xray::slice_ordered::{SliceOrdered, SliceOrderedOptions, Update};
+use xray::{
+    DrrError, DrrParameters, DrrRenderer, FrameSeed, HuLaw, Machine, Material, Memory, Tool, VolumeView,
+};
+
+use crate::slice_ordered::{c_arm, hash, random, remove, volume};
+
+/// Threads of rayon, memory of the heap, and a clock that runs.
+pub struct Desk;
+
+static START: LazyLock<Instant> = LazyLock::new(Instant::now);
+
+impl Machine for Desk {
+    fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String> {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|cause| cause.to_string())
+    }
+
+    fn now_ns(&self) -> u64 {
+        START.elapsed().as_nanos() as u64
+    }
+}
+
+/// A clock that advances by a second at every reading, so that a few changed voxels seem to cost more than a full sum.
+struct SlowUpdates(AtomicU64);
+
+impl Machine for SlowUpdates {
+    fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String> {
+        Desk.workers(threads)
+    }
+
+    fn now_ns(&self) -> u64 {
+        self.0.fetch_add(1_000_000_000, Ordering::Relaxed)
+    }
+}
+
+/// A clock that stands still, so that updates never seem slower.
+struct NoClock;
+
+impl Machine for NoClock {
+    fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String> {
+        Desk.workers(threads)
+    }
+}
+
+/// A machine that reports this much free memory, and gives at most this many bytes.
+struct Small {
+    free_bytes: Option<u64>,
+    given_bytes: usize,
+}
+
+impl Machine for Small {
+    fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String> {
+        if threads > 4 { Err("no more than 4".to_owned()) } else { Desk.workers(threads) }
+    }
+
+    fn available_bytes(&self) -> Option<u64> {
+        self.free_bytes
+    }
+
+    fn zeroed(&self, bytes: usize) -> Option<Box<dyn Memory>> {
+        Desk.zeroed(bytes.min(self.given_bytes))
+    }
+}
+
+#[test]
+fn the_clock_decides_how_changes_are_worked_in_and_not_what_comes_out() {
+    static SLOW: SlowUpdates = SlowUpdates(AtomicU64::new(0));
+    let (grid, hu) = volume(2500);
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let c_arm = c_arm(20.0, 10.0, 64);
+    let results = [&SLOW as &'static dyn Machine, &NoClock].map(|machine| {
+        let table = MuTable::new(HuLaw::WaterScaling, 60.0, -900).unwrap();
+        let unit_per_m = Material::Water.mu_per_m(60.0).unwrap() / 1000.0;
+        let options = SliceOrderedOptions::default();
+        let mut slices = SliceOrdered::new(&view, &table, unit_per_m, 0.0, options, machine).unwrap();
+        let mut set = RemovedVoxels::new(&grid);
+        let mut image = vec![0.0; c_arm.pixels()];
+        let mut updates = Vec::new();
+        for step in 0..4_u64 {
+            // The first change tells what one voxel costs.
+            let count = if step == 1 { 1 } else { 1000 * step };
+            let batch: Vec<u32> =
+                (0..count).map(|i| (random(10_000 * step + i) % grid.voxels() as u64) as u32).collect();
+            remove(&mut slices, &view, &mut set, &batch);
+            updates.push(slices.project(&view, &set, &c_arm, &mut image).unwrap().unwrap());
+        }
+        (updates, hash(&image))
+    });
+    let [(slow, slow_hash), (never, never_hash)] = results;
+    assert_eq!(slow_hash, never_hash);
+    assert_eq!(slow[2..], [Update::Full; 2]);
+    assert!(never[1..].iter().all(|update| matches!(update, Update::Changed(_))), "{never:?}");
+}
+
+#[test]
+fn a_copy_that_the_memory_cannot_hold_is_refused_with_both_sizes() {
+    static FULL: Small = Small { free_bytes: Some(1 << 10), given_bytes: usize::MAX };
+    static STINGY: Small = Small { free_bytes: None, given_bytes: 1 << 10 };
+    let (grid, hu) = volume(2500);
+    let view = VolumeView::new(grid, &hu).unwrap();
+    let c_arm = c_arm(20.0, 10.0, 32);
+    for (machine, free) in [(&FULL, 1 << 10), (&STINGY, 0)] {
+        let mut renderer = DrrRenderer::new(&view, DrrParameters::default(), machine).unwrap();
+        let mut image = vec![0; c_arm.pixels()];
+        let (tool, seed) = (Tool::default(), FrameSeed::default());
+        let refused = renderer.render(&view, &c_arm, &tool, seed, &mut image).unwrap_err();
+        let DrrError::Memory { dims, bytes_each: 2, needed_bytes, available_bytes } = refused else {
+            panic!("{refused}")
+        };
+        assert_eq!((dims, available_bytes), (grid.dims(), free));
+        assert!(needed_bytes >= 2 * grid.voxels() as u64);
+    }
+    let too_many = DrrParameters { threads: 5, ..DrrParameters::default() };
+    let refused = DrrRenderer::new(&view, too_many, &FULL).err();
+    assert_eq!(refused, Some(DrrError::Threads { threads: 5, reason: "no more than 4".to_owned() }));
+}
