@@ -73,6 +73,7 @@
 //! | [`in_process`] | the same tick with controllers in the same thread: benches, calibration, tests |
 //! | [`latch`], [`command_check`] | u_k from the commands that have come |
 //! | [`rate_limit`], [`patience`] | limits per sender; limits of waiting |
+//! | [`x_ray`] | which X-ray frames are due at which tick; used by the DRR process, not by [`Hub`] |
 
 pub mod command_check;
 mod consumers;
@@ -86,6 +87,7 @@ mod pacing;
 pub mod patience;
 pub mod rate_limit;
 pub mod run_lane;
+pub mod x_ray;
 
 pub use environment::{Environment, Incoming, Note, Outputs, Report};
 pub use machine::{Awaited, Hub, HubError, Next, Settings, Wait};

@@ -6,11 +6,11 @@
 //! once the renderer is free. Which tick a frame shows is published (`DrrReply`) before it is rendered.
 
 mod ports;
-mod schedule;
 mod service;
 
 use std::path::Path;
 
+use hub::x_ray::RemovedLost;
 use ipc_types::messages::Part;
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
@@ -48,15 +48,8 @@ pub enum DrrProcessError {
         limit_s: u64,
     },
     /// Removed voxels were lost, so that frames would show bone that is gone.
-    #[error("tick {tick}: {expected} voxels have been removed, but only {received} arrived here")]
-    RemovedLost {
-        /// Tick.
-        tick: u64,
-        /// Voxels that the physics removed.
-        expected: u64,
-        /// Voxels that came.
-        received: u64,
-    },
+    #[error(transparent)]
+    RemovedLost(#[from] RemovedLost),
     /// The rendering thread ended.
     #[error("the rendering thread ended early")]
     WorkerGone,

@@ -1,18 +1,18 @@
 //! The loop of the DRR process: messages in, jobs to the renderer, frames out.
 
-use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
 
 use hub::rate_limit::{Connection, LOOKED_AT, RateLimit, WarningLimit};
+use hub::x_ray::{Due, Removals, RemovedBatch, RemovedSince, Renderer, Schedule, ScheduleSettings};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{
-    DRR_ACCEPTED, DRR_BUSY, DRR_REFUSED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming,
-    GEOMETRY_REQUEST, PHASE_ENDED, SEVERITY_WARNING, State,
+    DRR_ACCEPTED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming, GEOMETRY_REQUEST, PHASE_ENDED,
+    SEVERITY_WARNING, State,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Drives, Mode, Notch, Scene};
+use ipc_types::scene::{Mode, Notch, Scene};
 use xray::frame::{Job, Rendered, render_job};
 use xray::from_scene::{burr_radius_m, scene_isocentre_m};
 use xray::message::{c_arm_message, c_arm_of};
@@ -21,14 +21,14 @@ use zerocopy::FromBytes;
 
 use super::DrrProcessError;
 use super::ports::Ports;
-use super::schedule::{Due, Schedule};
 
 /// Jobs that may wait for the renderer.
 const QUEUE: usize = 2;
+/// Longest wait for a message before the ports are looked at again.
 const LOOK_TIME: Duration = Duration::from_millis(2);
 /// States that are taken before requests are looked at again.
 const STATES_PER_ROUND: usize = 32;
-/// States after which progress is reported in between.
+/// Progress is reported at least every so many states.
 const PROGRESS_TICKS: u64 = 32;
 
 /// A finished frame, and the wall time that it took.
@@ -69,15 +69,10 @@ pub(super) fn serve(
 struct Service {
     ports: Ports,
     schedule: Schedule,
-    lockstep: bool,
-    tick_count: u64,
-    /// Whether frames come by themselves.
-    scheduled: bool,
+    mode: Mode,
     c_arm: CArm,
     isocentre_m: [f64; 3],
     notch: Option<Notch>,
-    /// Index of the controller that alone may move the C-arm, if the scene names one.
-    c_arm_driver: Option<u32>,
     noise_seed: u64,
     burr_radius_m: f64,
     jobs: SyncSender<Job>,
@@ -88,7 +83,6 @@ struct Service {
     warnings: WarningLimit,
     removals: Removals,
     newest: Option<Box<State>>,
-    shown_tick: Option<u64>,
     reported_tick: u64,
 }
 
@@ -102,18 +96,11 @@ impl Service {
     ) -> Service {
         Service {
             ports,
-            schedule: Schedule::new(scene.run.mode, scene.frame_period_ticks()),
-            lockstep: scene.run.mode == Mode::Lockstep,
-            tick_count: scene.tick_count(),
-            scheduled: scene.frame_period_ticks().is_some(),
+            schedule: Schedule::new(ScheduleSettings::of(scene)),
+            mode: scene.run.mode,
             c_arm,
             isocentre_m: scene_isocentre_m(scene),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
-            c_arm_driver: scene
-                .controller
-                .iter()
-                .position(|controller| controller.drives.contains(&Drives::CArm))
-                .map(|index| index as u32),
             noise_seed: scene.run.seed,
             burr_radius_m: burr_radius_m(scene),
             jobs,
@@ -124,7 +111,6 @@ impl Service {
             warnings: WarningLimit::default(),
             removals: Removals::default(),
             newest: None,
-            shown_tick: None,
             reported_tick: 0,
         }
     }
@@ -140,7 +126,7 @@ impl Service {
             self.serve_newest()?;
             self.take_states()?;
             self.publish_finished()?;
-            // A physics process that joins later must hear of this one.
+            // A physics process that joins later must learn of this one.
             self.ports.progress.deliver_history()?;
             if let Some(status) = self.ports.status.receive_newest()?
                 && status.message().phase == PHASE_ENDED
@@ -156,12 +142,12 @@ impl Service {
         Ok(())
     }
 
-    /// The last state is always shown.
+    /// Shows the last state, and waits for all frames.
     fn finish(mut self) -> Result<(), DrrProcessError> {
         if let Some(state) = self.newest.take()
-            && self.shown_tick != Some(state.tick)
+            && let Some(due) = self.schedule.last(state.tick)
         {
-            self.start(&state, Due::Scheduled)?;
+            self.start(&state, due)?;
         }
         while self.in_flight > 0 {
             self.publish_finished()?;
@@ -171,13 +157,13 @@ impl Service {
     }
 
     fn take_states(&mut self) -> Result<(), DrrProcessError> {
-        // In lockstep the physics goes on as fast as states are taken: requests must be looked at in between.
+        // In lockstep the physics runs as fast as states are taken, so requests must be looked at in between.
         for _ in 0..STATES_PER_ROUND {
             let Some(received) = self.ports.states.receive()? else { break };
             let state = Box::new(*received.message());
             drop(received);
             self.take_removals(&state)?;
-            while let Some(due) = self.schedule.due(state.tick, self.in_flight == 0) {
+            while let Some(due) = self.schedule.due(state.tick, self.renderer()) {
                 self.start(&state, due)?;
             }
             if state.tick >= self.reported_tick + PROGRESS_TICKS {
@@ -201,53 +187,33 @@ impl Service {
             let voxels =
                 removed.tail().chunks_exact(4).filter_map(|bytes| u32::read_from_bytes(bytes).ok()).collect();
             let message = removed.message();
-            self.removals.waiting.push_back(Batch {
+            self.removals.receive(RemovedBatch {
                 tick: message.tick,
                 total: message.removed_total,
                 restore_first: message.restore_first != 0,
                 voxels,
             });
         }
-        self.removals.advance(state)
+        Ok(self.removals.advance(state.tick, state.removed_total)?)
     }
 
-    /// Takes the requests that have come; of each program no more than its ration, so that who floods holds up no frame.
+    /// Takes the requests that have come. Their number is limited per program, so that a flooding program cannot delay frames.
     fn take_requests(&mut self) -> Result<(), DrrProcessError> {
         let mut refused = Vec::new();
         for _ in 0..LOOKED_AT {
             let malformed = |error: &PortError| refused.push(format!("{error}; refused"));
             let Some(request) = self.ports.requests.receive_valid(malformed)? else { break };
-            let connection = request.sender();
-            if !self.rate_limit.allows(Connection(connection.number()), now_ns()) {
+            let from = Connection(request.sender().number());
+            if !self.rate_limit.allows(from, now_ns()) {
                 refused.push("a program asks for more frames than can be answered; refused".to_owned());
                 continue;
             }
             let sender = self.ports.requesters.controller_of(&request).map_or(u32::MAX, |index| index as u32);
             let request = *request.message();
-            let refusal = match self.geometry_of(&request) {
-                _ if request.requester != sender => {
-                    let claim = request.requester;
-                    Some((
-                        DRR_REFUSED,
-                        format!("it says that controller {claim} asks, but another program sent it"),
-                    ))
-                }
-                _ if !self.may_move_c_arm(&request) => {
-                    Some((DRR_REFUSED, "the scene gives the C-arm to another controller".to_owned()))
-                }
-                Err(cause) => Some((DRR_REFUSED, cause.to_string())),
-                Ok(_) if request.tick > self.tick_count => Some((
-                    DRR_REFUSED,
-                    format!("`tick` is {}, the run ends at {}", request.tick, self.tick_count),
-                )),
-                Ok(_) if !self.schedule.request(connection.number(), request) => {
-                    Some((DRR_BUSY, "too many requests wait".to_owned()))
-                }
-                Ok(_) => None,
-            };
-            if let Some((status, reason)) = refusal {
-                self.reply(&request, 0, request.tick, status, &self.c_arm)?;
-                refused.push(format!("request {} for a frame: {reason}; refused", request.request_id));
+            let geometry = self.geometry_of(&request).map(drop).map_err(|cause| cause.to_string());
+            if let Err(refusal) = self.schedule.request(from, sender, request, geometry) {
+                self.reply(&request, 0, request.tick, refusal.status(), &self.c_arm)?;
+                refused.push(format!("request {} for a frame: {refusal}; refused", request.request_id));
             }
         }
         for text in refused {
@@ -266,15 +232,14 @@ impl Service {
         Ok(self.ports.events.send(tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, text)?)
     }
 
-    fn may_move_c_arm(&self, request: &DrrRequest) -> bool {
-        let moves = request.use_geometry == GEOMETRY_REQUEST;
-        !moves || self.c_arm_driver.is_none_or(|driver| driver == request.requester)
+    fn renderer(&self) -> Renderer {
+        if self.in_flight == 0 { Renderer::Idle } else { Renderer::Busy }
     }
 
-    /// Serves requests that came after the state that they ask for: in lockstep none may follow before they are answered.
+    /// Serves requests that came after the state that they ask for: in lockstep no other state may come before they are answered.
     fn serve_newest(&mut self) -> Result<(), DrrProcessError> {
         let Some(state) = self.newest.take() else { return Ok(()) };
-        while let Some(due) = self.schedule.due(state.tick, self.in_flight == 0) {
+        while let Some(due) = self.schedule.due(state.tick, self.renderer()) {
             self.start(&state, due)?;
         }
         self.newest = Some(state);
@@ -325,18 +290,17 @@ impl Service {
             Due::Requested(request) => (request, self.geometry_of(&request)?),
         };
         self.sequence += 1;
-        self.shown_tick = Some(state.tick);
         self.reply(&request, self.sequence, state.tick, DRR_ACCEPTED, &c_arm)?;
-        let (restore_first, removed) = self.removals.take();
+        let RemovedSince { restore_first, voxels } = self.removals.take();
         let mut job = Job {
             state: Box::new(*state),
             restore_first,
-            removed,
+            removed: voxels,
             sequence: self.sequence,
             request_id: request.request_id,
             c_arm,
-            // Without a schedule, the requests are all there is: their C-arm may well stand.
-            aside: self.scheduled && c_arm != self.c_arm,
+            // Without a frame rate all frames are requested, and their C-arm may well stay the same.
+            aside: self.schedule.is_periodic() && c_arm != self.c_arm,
             isocentre_m: self.isocentre_m,
             notch: self.notch,
             noise_seed: self.noise_seed,
@@ -348,7 +312,10 @@ impl Service {
                 Ok(()) => return Ok(()),
                 Err(TrySendError::Disconnected(_)) => return Err(DrrProcessError::WorkerGone),
                 Err(TrySendError::Full(back)) => {
-                    debug_assert!(self.lockstep, "in real time only a free renderer is given a job");
+                    debug_assert!(
+                        self.mode == Mode::Lockstep,
+                        "in real time only a free renderer is given a job"
+                    );
                     job = back;
                     self.publish_finished()?;
                     std::thread::sleep(Duration::from_millis(1));
@@ -378,52 +345,5 @@ impl Service {
                 reserved: 0,
             })?;
         }
-    }
-}
-
-struct Batch {
-    tick: u64,
-    total: u64,
-    restore_first: bool,
-    voxels: Vec<u32>,
-}
-
-/// Removed voxels between their arrival and the frame that shows them gone.
-#[derive(Default)]
-struct Removals {
-    waiting: VecDeque<Batch>,
-    predrilled: Vec<u32>,
-    restore_first: bool,
-    fresh: Vec<u32>,
-    total: u64,
-}
-
-impl Removals {
-    /// Takes in what belongs to this state and checks that nothing is missing.
-    fn advance(&mut self, state: &State) -> Result<(), DrrProcessError> {
-        while self.waiting.front().is_some_and(|batch| batch.tick <= state.tick) {
-            let Some(batch) = self.waiting.pop_front() else { break };
-            if batch.restore_first {
-                self.restore_first = true;
-                self.fresh.clone_from(&self.predrilled);
-            }
-            if batch.tick == 0 {
-                self.predrilled.extend_from_slice(&batch.voxels);
-            }
-            self.fresh.extend_from_slice(&batch.voxels);
-            self.total = batch.total;
-        }
-        if self.total == state.removed_total {
-            return Ok(());
-        }
-        Err(DrrProcessError::RemovedLost {
-            tick: state.tick,
-            expected: state.removed_total,
-            received: self.total,
-        })
-    }
-
-    fn take(&mut self) -> (bool, Vec<u32>) {
-        (std::mem::take(&mut self.restore_first), std::mem::take(&mut self.fresh))
     }
 }

@@ -1,0 +1,25 @@
+//! Which X-ray frames are rendered at which tick, and which removed voxels they show.
+//!
+//! **Boundary:** as in the rest of this crate, it decides and does nothing: the DRR process takes the messages, renders and publishes.
+//!
+//! **Invariants:** in lockstep the frames depend on ticks and requests alone, never on how long rendering takes; no program's requests
+//! take the place of another's; a frame shows exactly the voxels that were removed up to its tick, or the run fails.
+//!
+//! ```
+//! use hub::x_ray::{Due, Renderer, Schedule, ScheduleSettings};
+//! use scene::Mode;
+//!
+//! let settings = ScheduleSettings { mode: Mode::Realtime, period_ticks: Some(40), end_tick: 1000, c_arm_driver: None };
+//! let mut schedule = Schedule::new(settings);
+//! assert_eq!(schedule.due(0, Renderer::Idle), Some(Due::Scheduled));
+//! // A busy renderer delays the next frame; the one after it is on time again.
+//! assert_eq!(schedule.due(40, Renderer::Busy), None);
+//! assert_eq!(schedule.due(47, Renderer::Idle), Some(Due::Scheduled));
+//! assert_eq!(schedule.due(80, Renderer::Idle), Some(Due::Scheduled));
+//! ```
+
+mod removals;
+mod schedule;
+
+pub use removals::{Removals, RemovedBatch, RemovedLost, RemovedSince};
+pub use schedule::{Due, Refusal, Renderer, Schedule, ScheduleSettings};

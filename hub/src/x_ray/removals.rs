@@ -1,0 +1,134 @@
+//! Removed voxels between their arrival and the frame that no longer shows them.
+
+use std::collections::VecDeque;
+
+use thiserror::Error;
+
+/// The voxels that one tick removed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RemovedBatch {
+    /// The tick; 0 for what the scene predrills.
+    pub tick: u64,
+    /// Number of voxels removed up to and with this tick.
+    pub total: u64,
+    /// Whether all removed voxels were restored first, as a reset does.
+    pub restore_first: bool,
+    /// Linear indices.
+    pub voxels: Vec<u32>,
+}
+
+/// What has changed since the last frame.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RemovedSince {
+    /// Whether all removed voxels are restored before `voxels` are removed.
+    pub restore_first: bool,
+    /// Linear indices in the order of their removal; after a restore, beginning with the predrilled ones.
+    pub voxels: Vec<u32>,
+}
+
+/// Removed voxels were lost, so that frames would show bone that is gone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[error("tick {tick}: {expected} voxels have been removed, but only {received} arrived here")]
+pub struct RemovedLost {
+    /// Tick.
+    pub tick: u64,
+    /// Voxels that the physics removed.
+    pub expected: u64,
+    /// Voxels that came.
+    pub received: u64,
+}
+
+/// Pairs removed voxels with the states that they belong to.
+#[derive(Debug, Default)]
+pub struct Removals {
+    waiting: VecDeque<RemovedBatch>,
+    predrilled: Vec<u32>,
+    since: RemovedSince,
+    total: u64,
+}
+
+impl Removals {
+    /// Queues a batch; they come in the order of their ticks.
+    pub fn receive(&mut self, batch: RemovedBatch) {
+        self.waiting.push_back(batch);
+    }
+
+    /// Takes in the batches up to the state of a tick, by which `removed_total` voxels have been removed.
+    ///
+    /// # Errors
+    /// Batches are missing.
+    pub fn advance(&mut self, tick: u64, removed_total: u64) -> Result<(), RemovedLost> {
+        while self.waiting.front().is_some_and(|batch| batch.tick <= tick) {
+            let Some(batch) = self.waiting.pop_front() else { break };
+            if batch.restore_first {
+                self.since.restore_first = true;
+                self.since.voxels.clone_from(&self.predrilled);
+            }
+            if batch.tick == 0 {
+                self.predrilled.extend_from_slice(&batch.voxels);
+            }
+            self.since.voxels.extend_from_slice(&batch.voxels);
+            self.total = batch.total;
+        }
+        if self.total == removed_total {
+            return Ok(());
+        }
+        Err(RemovedLost { tick, expected: removed_total, received: self.total })
+    }
+
+    /// What has changed since the last call, up to the tick of the last [`Removals::advance`].
+    pub fn take(&mut self) -> RemovedSince {
+        std::mem::take(&mut self.since)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn batch(tick: u64, total: u64, voxels: &[u32]) -> RemovedBatch {
+        RemovedBatch { tick, total, restore_first: false, voxels: voxels.to_vec() }
+    }
+
+    fn since(voxels: &[u32]) -> RemovedSince {
+        RemovedSince { restore_first: false, voxels: voxels.to_vec() }
+    }
+
+    #[test]
+    fn a_frame_shows_the_voxels_up_to_its_tick_and_none_after_it() {
+        let mut removals = Removals::default();
+        for batch in [batch(0, 2, &[1, 2]), batch(5, 3, &[3]), batch(6, 5, &[5, 4])] {
+            removals.receive(batch);
+        }
+        removals.advance(0, 2).unwrap();
+        assert_eq!(removals.take(), since(&[1, 2]));
+        removals.advance(4, 2).unwrap();
+        assert_eq!(removals.take(), since(&[]));
+        removals.advance(5, 3).unwrap();
+        removals.advance(6, 5).unwrap();
+        assert_eq!(removals.take(), since(&[3, 5, 4]));
+    }
+
+    #[test]
+    fn after_a_reset_only_the_predrilled_voxels_and_newer_ones_are_gone() {
+        let mut removals = Removals::default();
+        removals.receive(batch(0, 1, &[7]));
+        removals.receive(batch(3, 2, &[8]));
+        removals.advance(3, 2).unwrap();
+        removals.take();
+        removals.receive(RemovedBatch { restore_first: true, ..batch(4, 1, &[]) });
+        removals.receive(batch(5, 2, &[9]));
+        removals.advance(5, 2).unwrap();
+        assert_eq!(removals.take(), RemovedSince { restore_first: true, voxels: vec![7, 9] });
+        assert_eq!(removals.take(), since(&[]));
+    }
+
+    #[test]
+    fn a_lost_batch_is_an_error_with_both_counts() {
+        let mut removals = Removals::default();
+        removals.receive(batch(0, 4, &[1, 2, 3, 4]));
+        let lost = removals.advance(9, 6).unwrap_err();
+        assert_eq!(lost, RemovedLost { tick: 9, expected: 6, received: 4 });
+        assert_eq!(lost.to_string(), "tick 9: 6 voxels have been removed, but only 4 arrived here");
+    }
+}
