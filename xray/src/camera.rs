@@ -50,7 +50,7 @@ impl CArm {
     /// The C-arm of a camera. K gives the detector's distance in pixels only; the pixel pitch along a row turns it into metres.
     ///
     /// # Errors
-    /// A number that is not finite, a skew, a last row that is not (0, 0, 1), a focal length of 0, an R that is no rotation, and
+    /// A number that is not finite, a skew, a last row that is not (0, 0, 1), a focal length of 0, an R that is not a rotation, and
     /// everything that [`CArm::validate`] refuses.
     pub fn from_camera(
         camera: &Camera,

@@ -5,7 +5,7 @@ use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
 /// Largest deviation of the detector axes from perpendicular unit vectors.
 const AXES_LIMIT: f64 = 1e-6;
-/// Most pixels along one side of the detector.
+/// Largest number of pixels along one side of the detector.
 const MAX_SIDE: u32 = 8192;
 
 /// Size of the detector.

@@ -15,7 +15,7 @@ pub enum DisplayMode {
     /// The radiograph's negative: the more attenuation, the brighter; bone and tool bright, a drilled path a darker track.
     BoneBright,
     /// As `BoneBright` for the anatomy, with the tool laid over it in black (its noise-free transmission times the anatomy's
-    /// brightness). Not a physical picture, but a usual one in simulators.
+    /// brightness). Not physical, but common in simulators.
     BoneBrightToolBlack,
     /// No logarithm and no window: 65535 times the share of photons detected. For algorithms, not for eyes.
     Linear,

@@ -256,19 +256,18 @@ impl Exposure {
     /// The second pass without noise and blur: the attenuation as it is, unless the readout changes it.
     fn directly(&self, frame: &Frame<'_>, row: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
         self.attenuation(frame, row, from, count, values);
-        let linear = self.display.mode == DisplayMode::Linear;
-        let readout = self.detector.readout();
-        if linear || !readout.is_plain() {
-            self.arch.dispatch(ReadThrough { readout, linear, values });
+        let (readout, mode) = (self.detector.readout(), self.display.mode);
+        if mode == DisplayMode::Linear || !readout.is_plain() {
+            self.arch.dispatch(ReadThrough { readout, mode, values });
         }
     }
 
     /// The blur along columns, and the readout.
     fn read_out(&self, row: usize, width: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
-        let (readout, linear) = (self.detector.readout(), self.display.mode == DisplayMode::Linear);
+        let (readout, mode) = (self.detector.readout(), self.display.mode);
         let source = if self.weights.len() > 1 { &self.blurred } else { &self.detected };
         let weights = &self.weights[..];
-        self.arch.dispatch(ReadBlurred { readout, linear, source, weights, width, row, from, count, values });
+        self.arch.dispatch(ReadBlurred { readout, mode, source, weights, width, row, from, count, values });
     }
 
     /// Blurred transmission of the metal alone.
@@ -353,11 +352,11 @@ lanes! {
 
 lanes! {
     /// The readout of attenuations without noise and blur.
-    ReadThrough { readout: Readout, linear: bool, values: &'a mut [f64; CHUNK] } -> () {
+    ReadThrough { readout: Readout, mode: DisplayMode, values: &'a mut [f64; CHUNK] } -> () {
         for v in values.iter_mut() {
             *v = readout.apply(lane_math::exp(-*v));
         }
-        if !linear {
+        if mode != DisplayMode::Linear {
             to_attenuation(values);
         }
     }
@@ -367,7 +366,7 @@ lanes! {
     /// The blur along columns, and the readout.
     ReadBlurred {
         readout: Readout,
-        linear: bool,
+        mode: DisplayMode,
         source: &'a [f32],
         weights: &'a [f32],
         width: usize,
@@ -381,7 +380,7 @@ lanes! {
         for (v, s) in values.iter_mut().zip(&sums) {
             *v = readout.apply(f64::from(*s));
         }
-        if !linear {
+        if mode != DisplayMode::Linear {
             to_attenuation(values);
         }
     }

@@ -14,7 +14,7 @@ use crate::{CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, RenderKind, Vol
 pub struct Job {
     /// State of the tick.
     pub state: Box<State>,
-    /// Whether all removed voxels are put back before `removed` is removed.
+    /// Whether all removed voxels are restored before `removed` is removed.
     pub restore_first: bool,
     /// Voxels removed since the last job.
     pub removed: Vec<u32>,

@@ -13,7 +13,7 @@ use crate::removal::{AttenuationField, BLOCK_SHIFT, is_drilled, is_occupied};
 /// 2^32: one voxel in fixed point.
 const ONE: i64 = 1 << 32;
 const FRACTION: f64 = 1.0 / ONE as f64;
-/// Positions beyond this many voxels cannot come back into a volume (65536 voxels a side at most, slope at most 1).
+/// Positions beyond this many voxels cannot re-enter a volume (65536 voxels a side at most, slope at most 1).
 const FAR: f64 = 1e6;
 
 /// Line integral of attenuation over the whole ray, dimensionless.

@@ -41,7 +41,7 @@ fn rung(line: &str) -> Option<Rung> {
     Some(Rung { projector, error_rel: error_rel.parse().ok()?, frame_ms: frame_ms.parse().ok()? })
 }
 
-/// The line of a projector in `rungs.csv`; `None` for one that is no rung.
+/// The line of a projector in `rungs.csv`; `None` for one that is not a rung.
 pub fn line_of(projector: Projector, error_rel: f64, frame_ms: f64) -> Option<String> {
     let (name, parameter) = match projector {
         Projector::Siddon => ("siddon", 0.0),

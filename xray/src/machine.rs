@@ -22,8 +22,8 @@ pub trait Machine: Sync {
         None
     }
 
-    /// At least this many bytes of zeros, aligned to 64 bytes; `None` if there are not as many. Here they come from the heap; huge pages
-    /// make the sums faster.
+    /// At least this many bytes of zeros, aligned to 64 bytes; `None` if there is not enough memory. Here they come from the heap; huge
+    /// pages make the sums faster.
     fn zeroed(&self, bytes: usize) -> Option<Box<dyn Memory>> {
         let (mut lines, count) = (Vec::new(), bytes.div_ceil(LINE));
         lines.try_reserve_exact(count).ok()?;

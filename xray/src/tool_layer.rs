@@ -311,8 +311,13 @@ struct RowWork {
     starts: Vec<usize>,
 }
 
-/// A span that covers the column, and where its crossings begin.
-type Active = (Span, usize);
+/// A span that covers the column.
+#[derive(Debug, Clone, Copy)]
+struct Active {
+    span: Span,
+    /// Where its crossings begin.
+    start: usize,
+}
 
 impl Painter<'_> {
     /// Fills the cells of a row; returns how many are covered.
@@ -342,15 +347,15 @@ impl Painter<'_> {
         let mut covered = 0;
         let mut column = 0;
         loop {
-            active.retain(|(span, _)| span.end > column);
+            active.retain(|active| active.span.end > column);
             if active.is_empty() {
                 let Some((next, _)) = waiting.peek() else { break };
                 column = column.max(next.first);
             }
             while let Some((span, start)) = waiting.next_if(|(span, _)| span.first <= column) {
                 // In the tool's order, which is the order of the sums.
-                let at = active.partition_point(|(other, _)| other.part < span.part);
-                active.insert(at, (*span, *start));
+                let at = active.partition_point(|other| other.span.part < span.part);
+                active.insert(at, Active { span: *span, start: *start });
             }
             let at = (column - first) as usize;
             let materials = materials.get_mut(at);
@@ -376,7 +381,7 @@ impl Painter<'_> {
     ) -> ToolCell {
         envelopes.clear();
         let mut cell = ToolCell::default();
-        for (span, start) in active {
+        for Active { span, start } in active {
             if let Some(crossing) = crossings.at(start + (column - span.first) as usize) {
                 let placed = &self.tool.parts[span.part as usize];
                 envelopes.push(crossing.envelope);

@@ -1,4 +1,4 @@
-//! What a frame is rendered with, and what it took.
+//! What frames are rendered with, and how much of each was computed.
 
 use crate::attenuation::HuLaw;
 use crate::detector::DetectorParameters;
@@ -14,8 +14,9 @@ pub enum Projector {
     Siddon,
     /// Bilinear interpolation plane by plane, ray by ray ([`joseph`](crate::joseph)).
     Joseph,
-    /// All slices summed in the volume's own order, then warped ([`slice_ordered`](crate::slice_ordered)): as exact as Joseph beside the
-    /// error of the voxels themselves. Keeps a copy of the volume for each of two orders, made when a frame needs it.
+    /// All slices summed in the volume's own order, then warped ([`slice_ordered`](crate::slice_ordered)): its
+    /// difference from Joseph is small compared with the error of the voxels themselves. Keeps a copy of the volume for each of two orders,
+    /// made when a frame needs it.
     SliceOrdered {
         /// Samples for each voxel of the farthest slice, 0.8 to 4: more are slower, and closer to Joseph.
         oversampling: f64,
@@ -24,18 +25,18 @@ pub enum Projector {
     },
     /// As `SliceOrdered`, on a volume of block means stored in bytes.
     Preview {
-        /// Voxels along each axis that are joined to one, 2 to 8.
+        /// Voxels along each axis that are merged into one, 2 to 8.
         reduction: u32,
     },
 }
 
 impl Projector {
-    /// One sample a voxel, sharpened.
+    /// One sample per voxel, sharpened.
     pub const SLICE_ORDERED: Self = Self::SliceOrdered { oversampling: 1.0, sharpen: true };
-    /// Two voxels to one along each axis.
+    /// Two voxels merged into one along each axis.
     pub const PREVIEW: Self = Self::Preview { reduction: 2 };
 
-    /// Options of the sum over slices; `None` where rays are traced one by one.
+    /// Options of the sum over slices; `None` if rays are traced one by one.
     ///
     /// # Errors
     /// An oversampling or a reduction out of range.

@@ -1,4 +1,4 @@
-//! A large array in memory that the [`Machine`] gives. It is read from one end to the other, many rows at a time, so ordinary pages cost
+//! A large array in memory from the [`Machine`]. It is read from one end to the other, many rows at a time, so ordinary pages cost
 //! time for their address translation; huge pages do not.
 
 use std::marker::PhantomData;
@@ -16,11 +16,11 @@ pub(crate) struct Array<T> {
 }
 
 impl<T: FromBytes + IntoBytes + Immutable> Array<T> {
-    /// As many elements as told; `None` if the machine has no memory for them.
+    /// `length` elements; `None` if the machine has no memory for them.
     pub fn zeroed(machine: &dyn Machine, length: usize) -> Option<Self> {
         let bytes = length.checked_mul(size_of::<T>())?;
         let memory = machine.zeroed(bytes)?;
-        // What is too short or not aligned would later read as empty.
+        // Memory that is too short or not aligned would later read as empty.
         let fits = memory.bytes().get(..bytes).is_some_and(|bytes| <[T]>::ref_from_bytes(bytes).is_ok());
         fits.then_some(Self { memory, bytes, of: PhantomData })
     }

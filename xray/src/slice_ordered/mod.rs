@@ -27,7 +27,7 @@ mod warp;
 mod x86;
 
 pub use instructions::Instructions;
-pub use options::{SliceOrderedMemory, SliceOrderedOptions, Update, UpdateCost};
+pub use options::{SliceOrderedMemory, SliceOrderedOptions, Sums, Update, UpdateCost};
 
 use crate::attenuation::MuTable;
 use crate::carm::{CArm, PixelBox};
@@ -59,7 +59,7 @@ pub struct SliceOrdered {
     unit_per_m: f64,
     store: Store,
     standing: Option<Standing>,
-    /// What stood before [`SliceOrdered::step_aside`]; otherwise the memory of what was rendered aside.
+    /// After [`SliceOrdered::step_aside`] what stood before; otherwise memory to reuse for the next frame aside.
     aside: Option<Standing>,
     /// Voxels changed since the last frame, in their order; the copies do not have them yet.
     waiting: Vec<Change>,
@@ -123,9 +123,13 @@ impl SliceOrdered {
         self.store.occupied_shares()
     }
 
-    /// The sums of the last frame: columns, rows, and integers row by row. Their sum is a checksum of the drilled volume as seen.
-    pub fn sums(&self) -> (usize, usize, &[i64]) {
-        self.standing.as_ref().map_or((0, 0, &[]), |s| (s.plan.columns, s.plan.rows, &s.sums))
+    /// The sums of the last frame. Their total is a checksum of the drilled volume as seen.
+    pub fn sums(&self) -> Sums<'_> {
+        let none = Sums { columns: 0, rows: 0, values: &[] };
+        self.standing.as_ref().map_or(none, |standing| {
+            let Plan { columns, rows, .. } = standing.plan;
+            Sums { columns, rows, values: &standing.sums }
+        })
     }
 
     /// Restores all voxels; copies and sums are made anew.
@@ -141,8 +145,8 @@ impl SliceOrdered {
         self.standing = None;
     }
 
-    /// Keeps the sums of the standing C-arm while frames of others are rendered, until [`SliceOrdered::step_back`]. Voxels removed in
-    /// between reach the standing C-arm only if they are removed before or after.
+    /// Keeps the sums of the standing C-arm while frames of others are rendered, until [`SliceOrdered::step_back`]. No voxels may be
+    /// removed in between: the kept sums would miss them.
     pub fn step_aside(&mut self) {
         if self.cost.prefers_full(self.waiting.len()) {
             self.standing = None;
@@ -177,7 +181,7 @@ impl SliceOrdered {
     }
 
     /// Makes the copy that frames of this C-arm need, so that the first one does not wait for it. False if the C-arm's rays have to be
-    /// traced one by one: no axis of the volume is within a slope of 4 voxels a slice of all of them, or the volume reaches
+    /// traced one by one: no axis of the volume has a slope of at most 4 voxels per slice for all of them, or the volume extends
     /// behind the detector.
     ///
     /// # Errors
@@ -205,8 +209,8 @@ impl SliceOrdered {
         self.store.ensure(&source, fast)
     }
 
-    /// As [`SliceOrdered::project`], where that needs no worker threads: the C-arm stands and few voxels have changed. `None`, and
-    /// nothing written, otherwise.
+    /// As [`SliceOrdered::project`], if no worker threads are needed: the C-arm is the same and few voxels have changed. Otherwise `None`,
+    /// and nothing is written.
     pub fn refresh(&mut self, c_arm: &CArm, image: &mut [f64]) -> Option<Update> {
         if image.len() != c_arm.pixels() { None } else { self.refresh_on(c_arm, image, ALONE_UP_TO) }
     }

@@ -14,7 +14,7 @@ pub struct SliceOrderedOptions {
     pub oversampling: f64,
     /// Whether the image is sharpened against the blur of the interpolation.
     pub sharpen: bool,
-    /// Voxels along each axis that are joined to one, 1 to 8. Above 1, values are stored in bytes.
+    /// Voxels along each axis that are merged into one, 1 to 8. Above 1, values are stored in bytes.
     pub reduction: u32,
     /// Instructions to use.
     pub instructions: Instructions,
@@ -53,7 +53,18 @@ pub enum Update {
     Unchanged,
 }
 
-/// Bytes that a [`SliceOrdered`] holds, and what they are for.
+/// The intermediate image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sums<'a> {
+    /// Its width.
+    pub columns: usize,
+    /// Its height.
+    pub rows: usize,
+    /// The sums, row by row.
+    pub values: &'a [i64],
+}
+
+/// Bytes that a [`SliceOrdered`](super::SliceOrdered) holds, and what they are for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SliceOrderedMemory {
     /// Copy with rows along x; 0 if no frame has needed it.

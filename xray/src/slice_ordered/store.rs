@@ -67,7 +67,7 @@ macro_rules! with_copies {
 }
 
 impl Store {
-    /// `reduction` voxels along each axis are joined to one.
+    /// `reduction` voxels along each axis are merged into one.
     pub fn new(view: &VolumeView<'_>, values: &Values, reduction: usize) -> Self {
         if reduction == 1 {
             return Self::Whole(Copies::new(view.grid().dims()));

@@ -44,7 +44,7 @@ pub fn full(
     let mut image = vec![f64::NAN; c_arm.pixels()];
     let update = slices.project(view, &set, c_arm, &mut image).unwrap()?;
     assert_eq!(update, Update::Full);
-    Some((image, slices.sums().2.to_vec()))
+    Some((image, slices.sums().values.to_vec()))
 }
 
 /// Removes voxels that are still there, as the renderer does.
