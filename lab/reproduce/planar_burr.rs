@@ -100,7 +100,7 @@ fn drill(rule: Removal, name: &'static str, ratio: f64, force_n: f64) -> Result<
 /// One step along +z, as far as the contact planes allow: the nearest point of the half-spaces' intersection.
 fn moved(field: &BoneField, centre_m: Vector3<f64>) -> Vector3<f64> {
     let mut buffer = ContactBuffer::with_capacity(8);
-    field.contact_planes(0, &centre_m, RADIUS_M, 0.3e-3, &mut buffer);
+    field.voxels().contact_planes(0, &centre_m, RADIUS_M, 0.3e-3, &mut buffer);
     let mut impulses = [0.0; 8];
     let mut step = Vector3::new(0.0, 0.0, STEP_M);
     for _ in 0..60 {

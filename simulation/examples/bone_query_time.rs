@@ -82,7 +82,7 @@ fn time_queries(field: &mut BoneField, (name, way): (&str, &str), centres: &[Vec
         for (sphere, centre) in centres.iter().enumerate() {
             let centre = centre + moved;
             if way == "fresh" {
-                field.contact_planes(sphere, &centre, RADIUS_M, MARGIN_M, &mut buffer);
+                field.voxels().contact_planes(sphere, &centre, RADIUS_M, MARGIN_M, &mut buffer);
             } else {
                 field.contact_planes_tracked(sphere, &centre, RADIUS_M, MARGIN_M, &mut buffer);
             }

@@ -48,7 +48,7 @@ fn block(
 /// Moves the burr along `wish` as far as the contact planes allow: the nearest point of the half-spaces' intersection.
 fn move_burr(field: &BoneField, position: Vector3<f64>, wish: Vector3<f64>) -> Vector3<f64> {
     let mut buffer = ContactBuffer::with_capacity(8);
-    field.contact_planes(0, &position, RADIUS_M, 0.3e-3, &mut buffer);
+    field.voxels().contact_planes(0, &position, RADIUS_M, 0.3e-3, &mut buffer);
     let mut impulses = vec![0.0; buffer.planes().len()];
     let mut step = wish;
     for _ in 0..60 {
@@ -213,10 +213,13 @@ fn energy_is_conserved() {
         block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |x| if x < 4e-3 { 300 } else { 1500 }).unwrap();
     let start = Vector3::new(4.5e-3, 4.4e-3, block.top_m + RADIUS_M);
     let run = drill(&mut block, start, 8.0, 1.0e-3, 3.0).unwrap();
-    let booked = block.field.absorbed_energy_j(&block.hu).unwrap();
+    let booked = block.field.voxels().absorbed_energy_j(&block.hu).unwrap();
     let given = run.used_j + run.shed_j;
-    println!("booked {booked:.12} J, given {given:.12} J, {} voxels removed", block.field.removed_total());
-    assert!(block.field.removed_total() > 200);
+    println!(
+        "booked {booked:.12} J, given {given:.12} J, {} voxels removed",
+        block.field.voxels().removed_total()
+    );
+    assert!(block.field.voxels().removed_total() > 200);
     assert!((booked - given).abs() < 1e-9 * given);
 }
 
@@ -239,11 +242,15 @@ fn feed_limit_does_not_depend_on_the_time_step() {
 
 /// State that a run can see: occupancy, strength left, counts.
 fn fingerprint(field: &BoneField) -> Vec<u64> {
-    let [nx, ny, nz] = field.geometry().dims;
-    let mut all = vec![field.removed_total(), field.solid_count() as u64, field.pool_usage().0 as u64];
+    let [nx, ny, nz] = field.voxels().geometry().dims;
+    let mut all = vec![
+        field.voxels().removed_total(),
+        field.voxels().solid_count() as u64,
+        field.voxels().pool_usage().0 as u64,
+    ];
     for k in 0..nz {
         for j in 0..ny {
-            all.extend((0..nx).map(|i| field.remaining_strength(i, j, k).to_bits()));
+            all.extend((0..nx).map(|i| field.voxels().remaining_strength(i, j, k).to_bits()));
         }
     }
     all
@@ -255,12 +262,12 @@ fn reset_restores_voxels_and_strength_and_a_second_run_is_the_same() {
     let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400).unwrap();
     let bottom = Vector3::new(4.5e-3, 4.5e-3, 0.0);
     let pilot = block.field.predrill_capsule(&bottom, &(bottom + Vector3::z() * 2e-3), 1.0e-3);
-    assert!(!pilot.is_empty() && pilot.iter().all(|index| !block.field.is_solid_index(*index as usize)));
+    assert!(!pilot.is_empty() && pilot.iter().all(|index| !block.field.voxels().is_solid_index(*index)));
     let fresh = fingerprint(&block.field);
     let start = Vector3::new(4.5e-3, 4.4e-3, block.top_m + RADIUS_M);
     drill(&mut block, start, 8.0, 1.0e-3, 2.0).unwrap();
     let drilled = fingerprint(&block.field);
-    assert!(drilled != fresh && block.field.removed_total() > 100);
+    assert!(drilled != fresh && block.field.voxels().removed_total() > 100);
     block.field.reset();
     assert!(fingerprint(&block.field) == fresh);
     drill(&mut block, start, 8.0, 1.0e-3, 2.0).unwrap();
@@ -272,12 +279,12 @@ fn snapshot_continues_bit_for_bit() {
     let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 400).unwrap();
     let start = Vector3::new(4.5e-3, 4.4e-3, block.top_m + RADIUS_M);
     let first = drill(&mut block, start, 8.0, 1.0e-3, 1.0).unwrap();
-    let snapshot = block.field.snapshot();
+    let snapshot = block.field.voxels().snapshot();
     let here = start + first.drift_m;
     drill(&mut block, here, 8.0, 1.0e-3, 1.0).unwrap();
     let end = fingerprint(&block.field);
     block.field.restore(&snapshot).unwrap();
-    assert!(block.field.snapshot() == snapshot);
+    assert!(block.field.voxels().snapshot() == snapshot);
     drill(&mut block, here, 8.0, 1.0e-3, 1.0).unwrap();
     assert!(fingerprint(&block.field) == end);
     let mut other = self::block([9e-3, 9e-3, 8e-3], 0.5e-3, proportional(), |_| 400).unwrap();
@@ -312,11 +319,13 @@ fn mirrored_bone_is_drilled_mirrored() {
         a.grind(&hu_a, &burr(middle + offset), 1.0e-3).unwrap();
         b.grind(&hu_b, &burr(middle - offset), 1.0e-3).unwrap();
     }
-    assert!(a.removed_total() > 100);
+    assert!(a.voxels().removed_total() > 100);
     for n in 0..size * size * size {
         let (i, j, k) = (n % size, (n / size) % size, n / (size * size));
-        let (left, right) =
-            (a.remaining_strength(i, j, k), b.remaining_strength(size - 1 - i, size - 1 - j, size - 1 - k));
+        let (left, right) = (
+            a.voxels().remaining_strength(i, j, k),
+            b.voxels().remaining_strength(size - 1 - i, size - 1 - j, size - 1 - k),
+        );
         // Sums run in opposite orders: rounding only.
         assert!((left - right).abs() < 1e-9, "{left} {right}");
     }
@@ -345,15 +354,17 @@ fn limits_are_bounded_and_reported() {
     for tick in 0..200 {
         let force = if tick < 20 { 100.0 } else { 0.0 };
         let report = field.grind(&hu, &BurrState { normal_force_n: force, ..burr }, 1.0e-3).unwrap();
-        assert!(report.removed_count <= 10 && field.removed_this_tick().len() == report.removed_count);
+        assert!(
+            report.removed_count <= 10 && field.voxels().removed_this_tick().len() == report.removed_count
+        );
         waited = waited.max(report.waiting_count);
-        removed.extend_from_slice(field.removed_this_tick());
+        removed.extend_from_slice(field.voxels().removed_this_tick());
     }
     removed.sort_unstable();
     let unique = removed.windows(2).all(|pair| pair[0] != pair[1]);
-    assert!(unique && waited > 100 && removed.len() as u64 == field.removed_total());
-    assert_eq!(removed.len() + field.solid_count(), geometry.voxel_count());
-    assert!(removed.iter().all(|index| !field.is_solid_index(*index as usize)));
+    assert!(unique && waited > 100 && removed.len() as u64 == field.voxels().removed_total());
+    assert_eq!(removed.len() + field.voxels().solid_count(), geometry.voxel_count());
+    assert!(removed.iter().all(|index| !field.voxels().is_solid_index(*index)));
 
     // One pool block: cutting goes on inside it, the rest is counted.
     let mut field =
@@ -361,7 +372,7 @@ fn limits_are_bounded_and_reported() {
             .unwrap();
     let report = field.grind(&hu, &burr, 1.0e-3).unwrap();
     assert!(report.refused_count > 0 && report.cut_count > 0);
-    assert_eq!(field.pool_usage(), (1, 1));
+    assert_eq!(field.voxels().pool_usage(), (1, 1));
 
     for bad in [
         BurrState { radius_m: 1.0, ..burr },
@@ -398,7 +409,7 @@ fn material_law_follows_its_formula() {
 fn removed_by(removal: Removal, voxel_m: f64, hu: i16, ticks: usize, speed: f64) -> Vec<usize> {
     let mut block = block([9e-3, 9e-3, 9e-3], voxel_m, proportional(), |_| hu).unwrap();
     let parameters = BoneParameters { removal, material: proportional(), ..BoneParameters::default() };
-    block.field = BoneField::new(*block.field.geometry(), &block.hu, parameters).unwrap();
+    block.field = BoneField::new(*block.field.voxels().geometry(), &block.hu, parameters).unwrap();
     let burr = BurrState {
         centre_m: Vector3::new(4.5e-3, 4.4e-3, block.top_m + RADIUS_M - 0.2e-3),
         radius_m: RADIUS_M,
@@ -439,25 +450,25 @@ fn a_dose_shows_as_strength_and_not_as_a_receded_surface() {
     let mut block = block([9e-3, 9e-3, 9e-3], 0.5e-3, proportional(), |_| 2000).unwrap();
     let parameters =
         BoneParameters { removal: Removal::Decrement, material: proportional(), ..BoneParameters::default() };
-    block.field = BoneField::new(*block.field.geometry(), &block.hu, parameters).unwrap();
+    block.field = BoneField::new(*block.field.voxels().geometry(), &block.hu, parameters).unwrap();
     let centre_m = Vector3::new(4.25e-3, 4.25e-3, block.top_m + RADIUS_M);
     let burr = BurrState { centre_m, radius_m: RADIUS_M, speed_rad_s: RULE_SPEED_RAD_S, normal_force_n: 1.0 };
     let gap = |field: &BoneField| {
         let mut buffer = ContactBuffer::with_capacity(8);
-        field.contact_planes(0, &centre_m, RADIUS_M, 1e-3, &mut buffer);
+        field.voxels().contact_planes(0, &centre_m, RADIUS_M, 1e-3, &mut buffer);
         buffer.planes()[0].gap_m
     };
     let before = gap(&block.field);
     (0..75).for_each(|_| {
         block.field.grind(&block.hu, &burr, 1e-3).unwrap();
     });
-    let top = block.field.geometry().dims[2] - 2;
-    let left = block.field.remaining_strength(8, 8, top);
+    let top = block.field.voxels().geometry().dims[2] - 2;
+    let left = block.field.voxels().remaining_strength(8, 8, top);
     println!("strength {left:.6} after 75 of 150 ticks, gap {:.1e} m farther", gap(&block.field) - before);
     assert!((left - 0.5).abs() < 1e-9 && (gap(&block.field) - before).abs() < 1e-9);
-    let saved = block.field.snapshot();
+    let saved = block.field.voxels().snapshot();
     block.field.reset();
-    assert_eq!(block.field.remaining_strength(8, 8, top), 1.0);
+    assert_eq!(block.field.voxels().remaining_strength(8, 8, top), 1.0);
     block.field.restore(&saved).unwrap();
-    assert_eq!(block.field.remaining_strength(8, 8, top), left);
+    assert_eq!(block.field.voxels().remaining_strength(8, 8, top), left);
 }

@@ -35,7 +35,7 @@ fn field_of(
 
 fn planes(field: &BoneField, centre: Vector3<f64>, radius_m: f64) -> Vec<ContactPlane> {
     let mut buffer = ContactBuffer::with_capacity(16);
-    field.contact_planes(7, &centre, radius_m, MARGIN_M, &mut buffer);
+    field.voxels().contact_planes(7, &centre, radius_m, MARGIN_M, &mut buffer);
     assert_eq!(buffer.dropped(), 0);
     buffer.planes().to_vec()
 }
@@ -244,18 +244,18 @@ fn what_does_not_fit_is_refused_or_counted() {
     assert!(matches!(new(bad, &[0; 64]), Err(BoneError::Grid(GridError::Spacing { .. }))));
     let field = new(geometry, &[1000; 64]).unwrap();
     let mut buffer = ContactBuffer::with_capacity(0);
-    field.contact_planes(0, &Vector3::repeat(1e-3), 1e-3, 0.0, &mut buffer);
+    field.voxels().contact_planes(0, &Vector3::repeat(1e-3), 1e-3, 0.0, &mut buffer);
     assert_eq!((buffer.planes().len(), buffer.dropped()), (0, 1));
 }
 
 /// Distance from a point to the nearest solid voxel box, by trying all of them.
 fn brute_force_distance(field: &BoneField, point: &Vector3<f64>) -> f64 {
-    let geometry = field.geometry();
+    let geometry = field.voxels().geometry();
     let [nx, ny, nz] = geometry.dims;
     let mut best = f64::INFINITY;
     for index in 0..nx * ny * nz {
         let voxel = [index % nx, (index / nx) % ny, index / (nx * ny)];
-        if field.is_solid(voxel[0], voxel[1], voxel[2]) {
+        if field.voxels().is_solid(voxel[0], voxel[1], voxel[2]) {
             let square: f64 = (0..3)
                 .map(|a| {
                     let h = geometry.spacing_m[a];
@@ -288,7 +288,7 @@ proptest! {
         let local = Vector3::from_fn(|a, _| place[a] * dims[a] as f64 * spacing[a]);
         let exact = brute_force_distance(&field, &local);
         let mut buffer = ContactBuffer::with_capacity(8);
-        field.contact_planes(0, &geometry.point_to_world(&local), radius_m, MARGIN_M, &mut buffer);
+        field.voxels().contact_planes(0, &geometry.point_to_world(&local), radius_m, MARGIN_M, &mut buffer);
         let nearest = buffer.planes().iter().map(|p| p.gap_m).fold(f64::INFINITY, f64::min);
         if exact < radius_m + MARGIN_M - 1e-9 {
             prop_assert!(!buffer.planes().is_empty(), "distance {exact}, no plane");

@@ -1,23 +1,39 @@
-//! What contact queries and drilling remember changes no bit, whatever moves and whatever is drilled.
+//! The caches of contact and drilling change no bit, whatever moves and whatever is drilled.
 
+#![allow(clippy::unwrap_used, reason = "a world that cannot be built or stepped fails the test")]
+
+mod common;
+
+use std::sync::OnceLock;
+
+use messages::{ARM_MOVE_CP, BURR_SPEED, Command, Latched, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
 use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
 use simulation::bone::{
     BoneField, BoneParameters, BurrState, ContactBuffer, ContactKind, GridGeometry, Removal,
 };
+use simulation::{CtView, Simulation};
 
 const DIMS: [usize; 3] = [26, 24, 22];
 const MARGIN_M: f64 = 0.2e-3;
+/// Ticks of [`hash_chain`]: enough that the burr removes voxels.
+const TICKS: usize = 800;
+/// The chain of a simulation that keeps its caches.
+static KEPT: OnceLock<Vec<[u64; 2]>> = OnceLock::new();
 
 /// What happens in a tick.
 #[derive(Debug, Clone, Copy)]
 enum Event {
     /// The spheres move by this, m.
     Move([f64; 3]),
-    /// A burr cuts for a tick where sphere 0 is.
+    /// A burr cuts where sphere 0 is, for some ticks without a query between them, and then does not press for some.
     Drill {
         force_n: f64,
+        ticks: usize,
+        idle_ticks: usize,
     },
+    /// The caches are made afresh.
+    Rebuild,
     Save,
     Restore,
     Reset,
@@ -31,7 +47,12 @@ fn event() -> impl Strategy<Value = Event> {
         (size, prop::array::uniform3(-1.0..1.0f64)).prop_map(|(size, d)| Event::Move(d.map(|x| x * size)));
     prop_oneof![
         20 => step,
-        10 => (0.1..40.0f64).prop_map(|force_n| Event::Drill { force_n }),
+        10 => (0.1..40.0f64, 1..4usize, 0..3usize).prop_map(|(force_n, ticks, idle_ticks)| Event::Drill {
+            force_n,
+            ticks,
+            idle_ticks,
+        }),
+        1 => Just(Event::Rebuild),
         1 => Just(Event::Save),
         1 => Just(Event::Restore),
         1 => Just(Event::Reset),
@@ -88,17 +109,24 @@ proptest! {
         let mut centre = local(place);
         field.predrill_capsule(&entry, &centre, radius_m + 0.1e-3);
         let along = (entry - centre).normalize();
-        let mut saved = field.snapshot();
+        let mut saved = field.voxels().snapshot();
         let (mut tracked, mut fresh) = (ContactBuffer::with_capacity(32), ContactBuffer::with_capacity(32));
         for event in events {
             match event {
                 Event::Move(step) => centre += Vector3::from(step),
-                Event::Drill { force_n } => {
-                    let burr = BurrState { centre_m: centre, radius_m, speed_rad_s: 800.0, normal_force_n: force_n };
+                Event::Drill { force_n, ticks, idle_ticks } => {
+                    let mut burr = BurrState { centre_m: centre, radius_m, speed_rad_s: 800.0, normal_force_n: force_n };
                     // A tenth of a second in one tick: voxels go within a few events.
-                    field.grind(&hu, &burr, 0.1).unwrap();
+                    for _ in 0..ticks {
+                        field.grind(&hu, &burr, 0.1).unwrap();
+                    }
+                    burr.normal_force_n = 0.0;
+                    for _ in 0..idle_ticks {
+                        field.grind(&hu, &burr, 0.1).unwrap();
+                    }
                 }
-                Event::Save => saved = field.snapshot(),
+                Event::Rebuild => field.rebuild_caches(),
+                Event::Save => saved = field.voxels().snapshot(),
                 Event::Restore => {
                     // Refused after another pilot hole; nothing has changed then.
                     let _ = field.restore(&saved);
@@ -114,7 +142,7 @@ proptest! {
                 let centre = centre + along * (1.3e-3 * sphere as f64);
                 let margin_m = MARGIN_M + 1.0e-6 * sphere as f64;
                 field.contact_planes_tracked(sphere, &centre, radius_m, margin_m, &mut tracked);
-                field.contact_planes(sphere, &centre, radius_m, margin_m, &mut fresh);
+                field.voxels().contact_planes(sphere, &centre, radius_m, margin_m, &mut fresh);
             }
             prop_assert_eq!(bits(&tracked), bits(&fresh));
         }
@@ -133,17 +161,21 @@ proptest! {
         let mut centre = geometry.point_to_world(
             &Vector3::from_fn(|a, _| place[a] * DIMS[a] as f64 * spacing[a]),
         );
-        let mut saved = fields[0].snapshot();
+        let mut saved = fields[0].voxels().snapshot();
         let mut speed_rad_s = 800.0;
         for event in events {
             let force_n = match event {
-                Event::Drill { force_n } => force_n,
+                Event::Drill { force_n, .. } => force_n,
+                Event::Rebuild => {
+                    fields[0].rebuild_caches();
+                    continue;
+                }
                 Event::Move(step) => {
                     centre += Vector3::from(step);
                     1.0
                 }
                 Event::Save => {
-                    saved = fields[0].snapshot();
+                    saved = fields[0].voxels().snapshot();
                     continue;
                 }
                 Event::Restore => {
@@ -163,12 +195,61 @@ proptest! {
                 }
             };
             let burr = BurrState { centre_m: centre, radius_m, speed_rad_s, normal_force_n: force_n };
-            let fresh = fields[1].snapshot();
+            let fresh = fields[1].voxels().snapshot();
             fields[1].restore(&fresh).unwrap();
             let reports = fields.each_mut().map(|field| field.grind(&hu, &burr, 0.02).unwrap());
             prop_assert_eq!(reports[0], reports[1]);
-            prop_assert_eq!(fields[0].removed_this_tick(), fields[1].removed_this_tick());
-            prop_assert!(fields[0].snapshot() == fields[1].snapshot());
+            prop_assert_eq!(fields[0].voxels().removed_this_tick(), fields[1].voxels().removed_this_tick());
+            prop_assert!(fields[0].voxels().snapshot() == fields[1].voxels().snapshot());
         }
+    }
+}
+
+/// 3 mm/s along +z with the burr on and 3 N on tendon 0; the state's hash after every tick. `rebuilds` says for each tick whether the
+/// caches are made afresh before it.
+fn hash_chain(bone: &(GridGeometry, Vec<i16>), ticks: usize, rebuilds: &[bool]) -> Vec<[u64; 2]> {
+    let ct = CtView { geometry: bone.0, hu: &bone.1 };
+    let mut simulation = Simulation::new(&common::scene(common::TUNNEL), Some(ct)).unwrap();
+    let mut goal = simulation.state().t_world_flange;
+    goal.position_m[2] += 0.02;
+    let command = Command {
+        sequence: 1,
+        tendon_mode: TENDON_SERVO_JF,
+        tendon_force_n: [3.0, 0.0, 0.0, 0.0],
+        arm_mode: ARM_MOVE_CP,
+        t_world_base: goal,
+        arm_speed_m_per_s: 3e-3,
+        burr_mode: BURR_SPEED,
+        burr_speed_rad_per_s: 800.0,
+        ..Command::zeroed()
+    };
+    let mut hashes = Vec::with_capacity(ticks);
+    for tick in 0..ticks {
+        if rebuilds.get(tick).is_some_and(|rebuild| *rebuild) {
+            simulation.rebuild_caches();
+        }
+        let mut latched = Latched { tick: tick as u64, controller_count: 1, ..Latched::zeroed() };
+        latched.commands[0].command = command;
+        latched.commands[0].source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
+        simulation.step(&latched).unwrap();
+        hashes.push(simulation.state().hash);
+    }
+    assert!(simulation.state().removed_total > 50, "{} voxels", simulation.state().removed_total);
+    hashes
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    /// Caches that are dropped at random ticks, from nearly never to nearly always.
+    #[test]
+    fn a_simulation_without_its_caches_has_the_same_hash_chain(
+        rebuilds in (0.01..0.99f64).prop_flat_map(|share| prop::collection::vec(prop::bool::weighted(share), TICKS)),
+    ) {
+        let bone = common::bone();
+        let kept = KEPT.get_or_init(|| hash_chain(&bone, TICKS, &[]));
+        let dropped = hash_chain(&bone, TICKS, &rebuilds);
+        let first = kept.iter().zip(&dropped).position(|(kept, dropped)| kept != dropped);
+        prop_assert_eq!(first, None, "the first tick that differs");
     }
 }

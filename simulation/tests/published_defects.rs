@@ -267,9 +267,9 @@ fn s6_strength_follows_density_and_a_reset_restores_it() {
     (0..20).for_each(|_| {
         field.grind(&hu, &burr, DT_S).unwrap();
     });
-    let cut: Vec<f64> = (0..4).map(|i| field.remaining_strength(i, 0, 0)).collect();
+    let cut: Vec<f64> = (0..4).map(|i| field.voxels().remaining_strength(i, 0, 0)).collect();
     field.reset();
-    let again: Vec<f64> = (0..4).map(|i| field.remaining_strength(i, 0, 0)).collect();
+    let again: Vec<f64> = (0..4).map(|i| field.voxels().remaining_strength(i, 0, 0)).collect();
     println!("strength after 20 ticks {cut:?}, after the reset {again:?}");
     assert!(cut[0] < 1.0 && again == [1.0; 4]);
 }
@@ -352,7 +352,7 @@ fn s10_a_ct_keeps_its_hounsfield_units() {
     let field = BoneField::new(geometry, &hu, parameters).unwrap();
     println!("through 8 bits: up to {far} HU off, {count} values on the wrong side of the threshold");
     assert!(far >= 8 && count > 0);
-    assert_eq!(field.solid_count(), all.len());
+    assert_eq!(field.voxels().solid_count(), all.len());
     assert!(energies(threshold + 1) > energies(threshold));
 }
 
@@ -434,7 +434,7 @@ fn nothing_tunnels_at_a_metre_a_second() {
             buffer.clear();
             for (index, sphere) in m.proxy_spheres().iter().enumerate() {
                 let margin = 1e-4 + sphere.velocity_m_per_s.norm() * DT_S;
-                field.contact_planes(index, &sphere.centre_m, sphere.radius_m, margin, &mut buffer);
+                field.voxels().contact_planes(index, &sphere.centre_m, sphere.radius_m, margin, &mut buffer);
             }
             m.step(DT_S, &StepInput { base: place(z), ..pull([0.0; 2], buffer.planes()) }).unwrap();
             most = most.max(front(&m));
@@ -464,7 +464,7 @@ fn a_tool_that_starts_inside_bone_stays_finite() {
         for _ in 0..300 {
             buffer.clear();
             for (index, sphere) in m.proxy_spheres().iter().enumerate() {
-                field.contact_planes(index, &sphere.centre_m, sphere.radius_m, 1e-4, &mut buffer);
+                field.voxels().contact_planes(index, &sphere.centre_m, sphere.radius_m, 1e-4, &mut buffer);
             }
             let report = m.step(DT_S, &pull([10.0, 0.0], buffer.planes())).unwrap();
             active = active.max(report.active_contact_count);

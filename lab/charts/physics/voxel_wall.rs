@@ -44,7 +44,7 @@ fn resting_height_m(field: &BoneField, x: f64, y: f64, wall_m: f64) -> f64 {
     for _ in 0..50 {
         let middle = 0.5 * (low + high);
         buffer.clear();
-        field.contact_planes(0, &Vector3::new(x, y, middle), radius_m, radius_m, &mut buffer);
+        field.voxels().contact_planes(0, &Vector3::new(x, y, middle), radius_m, radius_m, &mut buffer);
         let gap_m = buffer.planes().iter().fold(f64::INFINITY, |least, plane| least.min(plane.gap_m));
         if gap_m > 0.0 { high = middle } else { low = middle }
     }

@@ -2,22 +2,19 @@
 
 use nalgebra::Vector3;
 
-use super::field::BoneField;
+use super::gather::Sphere;
+use super::voxels::Voxels;
 
 /// A smoothed normal farther than this (cosine) from the axis of the exit is not trusted.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 
-impl BoneField {
+impl Voxels {
     /// The plane that leads out of bone: a point on it and its normal in the grid's metric frame, and the gap, which is
     /// minus the sphere's radius minus the depth of its centre. The exit is the nearest one along the six grid directions
     /// (the end of the grid is one), the normal that of the smoothed surface there. Exact for walls along the grid.
-    pub(super) fn way_out(
-        &self,
-        centre: &Vector3<f64>,
-        centre_voxel: [i64; 3],
-        radius_m: f64,
-    ) -> (Vector3<f64>, Vector3<f64>, f64) {
-        let spacing = self.geometry.spacing_m;
+    pub(super) fn way_out(&self, sphere: &Sphere) -> (Vector3<f64>, Vector3<f64>, f64) {
+        let Sphere { centre, voxel: centre_voxel, radius_m, .. } = *sphere;
+        let spacing = self.geometry().spacing_m;
         let thinnest = spacing.iter().fold(f64::INFINITY, |low, h| low.min(*h));
         let mut best: Option<(f64, Vector3<f64>)> = None;
         let mut step = 1;

@@ -22,13 +22,10 @@ use nalgebra::Vector3;
 use pulp::Arch;
 
 use super::BoneError;
-use super::field::{BoneField, check_volume};
-use super::gather::widening;
-use super::grid::GridGeometry;
-use super::reach::{Press, Reach};
-use super::remembered::Change;
+use super::reach::{Press, ReachedVoxels};
 use super::removal::Removal;
-use super::strength::{NO_PLACE, block_of};
+use super::strength::Place;
+use super::voxels::{Drilling, Voxels, check_volume};
 
 /// Rounds of sharing the energy; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
@@ -105,6 +102,34 @@ pub struct BurrState {
     pub normal_force_n: f64,
 }
 
+impl BurrState {
+    fn check(&self, max_burr_radius_m: f64) -> Result<(), BoneError> {
+        let refuse =
+            |name, value, expected| Err(BoneError::Burr { name, value, expected, max_burr_radius_m });
+        if let Some(value) = self.centre_m.iter().find(|x| !x.is_finite()) {
+            return refuse("centre_m", *value, "finite coordinates");
+        }
+        if !(self.radius_m > 0.0 && self.radius_m <= max_burr_radius_m) {
+            return refuse("radius_m", self.radius_m, "above 0 and not above the largest");
+        }
+        if !self.speed_rad_s.is_finite() {
+            return refuse("speed_rad_s", self.speed_rad_s, "a finite number");
+        }
+        if !(self.normal_force_n.is_finite() && self.normal_force_n >= 0.0) {
+            return refuse("normal_force_n", self.normal_force_n, "a finite number of at least 0");
+        }
+        Ok(())
+    }
+}
+
+fn check_time_step(dt_s: f64, max_burr_radius_m: f64) -> Result<(), BoneError> {
+    if dt_s.is_finite() && dt_s > 0.0 {
+        return Ok(());
+    }
+    let expected = "a finite number of seconds above 0";
+    Err(BoneError::Burr { name: "time step", value: dt_s, expected, max_burr_radius_m })
+}
+
 /// What one tick of drilling did.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct GrindReport {
@@ -124,7 +149,7 @@ pub struct GrindReport {
     pub energy_shed_j: f64,
 }
 
-/// Working memory of [`BoneField::grind`], reserved for the largest burr.
+/// Working memory of a tick, reserved for the largest burr.
 #[derive(Debug, Clone)]
 pub(super) struct DrillScratch {
     /// Weights of the voxels that the burr presses on, in their order, and what each can take in this tick, J; then zeros up to a
@@ -227,136 +252,114 @@ fn is_ended(spent: f64) -> bool {
     spent > 1.0 - 1e-12
 }
 
-/// Most voxels that a cube of half edge `half_m` can meet.
-pub(super) fn voxels_in_cube(geometry: &GridGeometry, half_m: f64) -> usize {
-    (0..3).fold(1usize, |count, axis| {
-        let along = (2.0 * half_m / geometry.spacing_m[axis]) as usize + 2;
-        count.saturating_mul(along.min(geometry.dims[axis]))
-    })
+/// What drilling remembers of the burr's surroundings, and its working memory: see [`super::reach`].
+#[derive(Debug)]
+pub(super) struct DrillCache {
+    reached: ReachedVoxels,
+    scratch: DrillScratch,
+    /// Edits of the voxels that `reached` has seen.
+    seen: u64,
 }
 
-impl BoneField {
-    /// One tick of drilling. `hu` is the CT that the field was built from. The removed voxels are then in
-    /// [`BoneField::removed_this_tick`]. On an error nothing has changed.
-    pub fn grind(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64) -> Result<GrindReport, BoneError> {
-        check_volume(&self.geometry, hu)?;
-        self.check_burr(burr, dt_s)?;
-        let mut report = GrindReport::default();
-        self.removed.clear();
-        let mut change = Change::NOTHING;
-        report.energy_offered_j = self.parameters.cutting.power_w(burr) * dt_s;
-        if report.energy_offered_j > 0.0 {
-            self.collect(hu, &self.press(burr, dt_s), &mut report, &mut change);
-            match self.parameters.removal {
-                Removal::Energy => {
-                    let level = self.scratch.share(self.arch, report.energy_offered_j);
-                    report.energy_used_j = level.taken_j;
-                    self.apply(level.level_j, &mut report);
-                }
-                rule => {
-                    report.energy_offered_j = 0.0;
-                    self.remove_by_rule(rule, hu, burr.speed_rad_s.abs(), &mut report);
-                }
+impl DrillCache {
+    /// Of voxels about which nothing is remembered yet.
+    pub fn new(voxels: &Voxels) -> Self {
+        let reached = ReachedVoxels::new(voxels.geometry(), voxels.parameters());
+        let scratch = DrillScratch::new(reached.capacity());
+        Self { reached, scratch, seen: voxels.journal().edits() }
+    }
+
+    /// One tick of drilling: see [`BoneField::grind`](super::BoneField::grind).
+    pub fn grind(
+        &mut self,
+        voxels: &mut Voxels,
+        arch: Arch,
+        hu: &[i16],
+        burr: &BurrState,
+        dt_s: f64,
+    ) -> Result<GrindReport, BoneError> {
+        let parameters = *voxels.parameters();
+        check_volume(voxels.geometry(), hu)?;
+        burr.check(parameters.max_burr_radius_m)?;
+        check_time_step(dt_s, parameters.max_burr_radius_m)?;
+        if self.seen != voxels.journal().edits() {
+            self.reached.forget();
+        }
+        let press = Press::new(voxels, burr, dt_s);
+        let energy_j = parameters.cutting.power_w(burr) * dt_s;
+        let any_sliver = energy_j > 0.0 && self.reached.bring(voxels, arch, hu, &press);
+        let edit = voxels.drill(press.cut_ball(voxels.geometry()));
+        self.seen = edit.journal().edits();
+        let report = GrindReport::default();
+        let mut tick = DrillTick { reached: &mut self.reached, scratch: &mut self.scratch, edit, report };
+        if energy_j > 0.0 {
+            if any_sliver {
+                tick.shed_slivers(&press);
+            }
+            tick.collect();
+            match parameters.removal {
+                Removal::Energy => tick.spend(arch, energy_j),
+                rule => tick.remove_by_rule(rule, hu, burr.speed_rad_s.abs()),
             }
         }
-        self.remove_spent(&mut report, &mut change);
-        if change != Change::NOTHING {
-            self.changes.note(change);
-        }
-        Ok(report)
+        Ok(tick.finish())
     }
+}
 
-    fn press(&self, burr: &BurrState, dt_s: f64) -> Press {
-        let cutting = &self.parameters.cutting;
-        Press {
-            centre: self.geometry.point_to_grid(&burr.centre_m),
-            reach: Reach::of_burr(burr.radius_m, &self.geometry, cutting),
-            recession_m: cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s
-                / core::f64::consts::TAU,
-        }
-    }
+/// One tick of drilling under way: what the burr reaches, the voxels, and what was done so far.
+pub(super) struct DrillTick<'t> {
+    pub reached: &'t mut ReachedVoxels,
+    pub scratch: &'t mut DrillScratch,
+    pub edit: Drilling<'t>,
+    pub report: GrindReport,
+}
 
-    fn check_burr(&self, burr: &BurrState, dt_s: f64) -> Result<(), BoneError> {
-        let max_burr_radius_m = self.parameters.max_burr_radius_m;
-        let refuse =
-            |name, value, expected| Err(BoneError::Burr { name, value, expected, max_burr_radius_m });
-        if let Some(value) = burr.centre_m.iter().find(|x| !x.is_finite()) {
-            return refuse("centre_m", *value, "finite coordinates");
-        }
-        if !(burr.radius_m > 0.0 && burr.radius_m <= max_burr_radius_m) {
-            return refuse("radius_m", burr.radius_m, "above 0 and not above the largest");
-        }
-        if !burr.speed_rad_s.is_finite() {
-            return refuse("speed_rad_s", burr.speed_rad_s, "a finite number");
-        }
-        if !(burr.normal_force_n.is_finite() && burr.normal_force_n >= 0.0) {
-            return refuse("normal_force_n", burr.normal_force_n, "a finite number of at least 0");
-        }
-        if !(dt_s.is_finite() && dt_s > 0.0) {
-            return refuse("time step", dt_s, "a finite number of seconds above 0");
-        }
-        Ok(())
-    }
-
-    /// Lists the voxels that the burr presses on, and sheds slivers that it has left behind.
-    fn collect(&mut self, hu: &[i16], press: &Press, report: &mut GrindReport, change: &mut Change) {
-        if self.reach(hu, press) {
-            self.shed_slivers(press, report, change);
-        }
+impl DrillTick<'_> {
+    /// Lists the voxels that the burr presses on.
+    fn collect(&mut self) {
         for voxel in 0..self.reached.place.len() {
-            if self.reached.place[voxel] == NO_PLACE && self.reached.depth[voxel] > 0.0 && !self.claim(voxel)
-            {
-                self.reached.depth[voxel] = 0.0;
-                report.refused_count += 1;
+            if self.reached.place[voxel] == Place::NONE && self.reached.depth[voxel] > 0.0 {
+                match self.edit.claim(self.reached.index[voxel]) {
+                    Some(place) => self.reached.place[voxel] = place,
+                    None => {
+                        self.reached.depth[voxel] = 0.0;
+                        self.report.refused_count += 1;
+                    }
+                }
             }
         }
         self.scratch.keep(&self.reached.depth, &self.reached.room_j);
-        if self.scratch.count > 0 {
-            // A surface in reach lies in a box in reach.
-            (change.centre, change.reach_m) =
-                (press.centre, press.reach.cut_m + widening(self.geometry.spacing_m));
-        }
     }
 
-    fn shed_slivers(&mut self, press: &Press, report: &mut GrindReport, change: &mut Change) {
+    /// Drops slivers that the burr has left behind.
+    fn shed_slivers(&mut self, press: &Press) {
+        let sliver_fraction = self.edit.parameters().cutting.sliver_fraction;
         for voxel in 0..self.reached.index.len() {
-            let sliver = self.reached.is_sliver(voxel, press, self.parameters.cutting.sliver_fraction);
-            if sliver && self.waiting.len() < self.waiting.capacity() {
-                report.energy_shed_j += (1.0 - self.reached.spent[voxel]) * self.reached.full_j[voxel];
-                self.set_spent(voxel, 1.0);
-                let index = self.reached.index[voxel];
-                self.waiting.push(index);
-                change.voxels = change.voxels.with(self.voxel_of_index(index as usize).map(|x| x as i64));
+            if self.reached.is_sliver(voxel, press, sliver_fraction) && self.edit.has_room() {
+                self.report.energy_shed_j += (1.0 - self.reached.spent[voxel]) * self.reached.full_j[voxel];
+                self.reached.spent[voxel] = 1.0;
+                self.edit.shed(self.reached.index[voxel], self.reached.place[voxel]);
             }
         }
-    }
-
-    /// Finds a voxel in reach the place where its spent fraction is kept, taking a block; false if the pool is full.
-    fn claim(&mut self, voxel: usize) -> bool {
-        let [i, j, k] = self.voxel_of_index(self.reached.index[voxel] as usize);
-        let used = self.pool.used();
-        let Some(place) = self.pool.claim(i, j, k) else { return false };
-        self.reached.place[voxel] = place;
-        if self.pool.used() > used {
-            self.tracks.forget_box(&block_of([i, j, k]));
-        }
-        true
     }
 
     /// Sets the spent fraction of a voxel in reach that has a place.
     pub(super) fn set_spent(&mut self, voxel: usize, spent: f64) {
         self.reached.spent[voxel] = spent;
-        self.pool.set(self.reached.place[voxel], spent);
+        self.edit.set_spent(self.reached.place[voxel], spent);
     }
 
-    /// Books the energy and queues the voxels that are spent.
-    fn apply(&mut self, level_j: f64, report: &mut GrindReport) {
-        report.cut_count = self.scratch.count;
+    /// Shares the energy among the voxels, books what they take, and queues those that are spent.
+    fn spend(&mut self, arch: Arch, energy_j: f64) {
+        let level = self.scratch.share(arch, energy_j);
+        self.report.energy_offered_j = energy_j;
+        self.report.energy_used_j = level.taken_j;
+        self.report.cut_count = self.scratch.count;
         let mut any_ended = false;
-        let reached = self.reached.spend(self.arch, level_j);
+        let reached = self.reached.spend(arch, level.level_j);
         for ((place, spent), depth) in reached.place.iter().zip(&reached.spent).zip(&reached.depth) {
             if *depth > 0.0 {
-                self.pool.set(*place, *spent);
+                self.edit.set_spent(*place, *spent);
                 any_ended |= is_ended(*spent);
             }
         }
@@ -365,9 +368,9 @@ impl BoneField {
         }
         for voxel in 0..self.reached.index.len() {
             if self.reached.depth[voxel] > 0.0 && is_ended(self.reached.spent[voxel]) {
-                let waits = self.waiting.len() < self.waiting.capacity();
+                let waits = self.edit.has_room();
                 if waits {
-                    self.waiting.push(self.reached.index[voxel]);
+                    self.edit.queue(self.reached.index[voxel]);
                 }
                 // Without room even to wait it keeps a trace of strength and ends in a later tick.
                 self.set_spent(voxel, if waits { 1.0 } else { 1.0 - 1e-9 });
@@ -376,20 +379,10 @@ impl BoneField {
     }
 
     /// Takes spent voxels out of the bone, as many as the tick's list holds.
-    fn remove_spent(&mut self, report: &mut GrindReport, change: &mut Change) {
-        let count = self.waiting.len().min(self.parameters.removed_per_tick);
-        for place in 0..count {
-            let index = self.waiting[place];
-            let [i, j, k] = self.voxel_of_index(index as usize);
-            self.occupancy.set(i, j, k, false);
-            let voxel = [i, j, k].map(|x| x as i64);
-            change.voxels = change.voxels.with(voxel);
-            self.tracks.forget_near(self.voxel_position(voxel), self.geometry.spacing_m);
-            self.removed.push(index);
-        }
-        self.waiting.drain(..count);
-        self.removed_total += count as u64;
-        report.removed_count = count;
-        report.waiting_count = self.waiting.len();
+    fn finish(mut self) -> GrindReport {
+        self.edit.remove_queued();
+        self.report.removed_count = self.edit.removed_this_tick().len();
+        self.report.waiting_count = self.edit.waiting_count();
+        self.report
     }
 }

@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use super::field::BoneField;
 use super::grid::floor_to_i64;
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
+use super::voxels::Voxels;
 
 /// Voxels of a row examined at once: a window less one on either side for the neighbours along x.
 const COLUMNS: i64 = WINDOW_VOXELS - 2;
@@ -20,7 +20,10 @@ pub(super) fn widening([hx, hy, hz]: [f64; 3]) -> f64 {
 /// A sphere in the grid's metric frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sphere {
+    /// Which of the tool's spheres it is.
+    pub index: usize,
     pub centre: Vector3<f64>,
+    pub radius_m: f64,
     /// The voxel that holds the centre, possibly outside the grid.
     pub voxel: [i64; 3],
     /// Radius plus margin in metres.
@@ -56,26 +59,27 @@ impl Columns {
     }
 }
 
-impl BoneField {
+impl Voxels {
     /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no neighbour between itself and the
     /// centre, and possibly with some that are farther by rounding; slices outermost, x fastest. Returns the voxels that the
     /// result depends on, or `None` if none is in the grid.
     #[inline]
     pub(super) fn gather(&self, sphere: &Sphere, mut visit: impl FnMut([i64; 3])) -> Option<VoxelBox> {
-        let [hx, hy, hz] = self.geometry.spacing_m;
-        let reach = sphere.reach + widening(self.geometry.spacing_m);
-        let voxels = self.occupancy.voxels_around(sphere.centre.into(), reach, self.geometry.spacing_m)?;
-        if !self.occupancy.any_in(&voxels) {
+        let (occupancy, geometry) = (self.occupancy(), self.geometry());
+        let [hx, hy, hz] = geometry.spacing_m;
+        let reach = sphere.reach + widening(geometry.spacing_m);
+        let voxels = occupancy.voxels_around(sphere.centre.into(), reach, geometry.spacing_m)?;
+        if !occupancy.any_in(&voxels) {
             return Some(voxels);
         }
-        let [_, ny, nz] = self.geometry.dims;
-        let (row_stride, slice_stride) = (self.occupancy.row_stride(), self.occupancy.slice_stride());
+        let [_, ny, nz] = geometry.dims;
+        let (row_stride, slice_stride) = (occupancy.row_stride(), occupancy.slice_stride());
         let per_hy = 1.0 / hy;
         let reach2 = reach * reach;
         for start in (voxels.low[0]..=voxels.high[0]).step_by(COLUMNS as usize) {
             let count = (voxels.high[0] - start + 1).min(COLUMNS);
             let columns = Columns::new(start, count, sphere.voxel[0]);
-            let place = self.occupancy.window_place(start - 1);
+            let place = occupancy.window_place(start - 1);
             for k in voxels.low[2]..=voxels.high[2] {
                 let to_z = outside(sphere.centre.z - k as f64 * hz, hz);
                 let room_z = reach2 - to_z * to_z;
@@ -89,13 +93,13 @@ impl BoneField {
                 let (slice, next_slice) = (k as usize * slice_stride, next_k * slice_stride);
                 for j in low..high + 1 {
                     let row = j as usize * row_stride;
-                    let exposed = columns.exposed(self.occupancy.window_at(place, slice + row));
+                    let exposed = columns.exposed(occupancy.window_at(place, slice + row));
                     if exposed == 0 {
                         continue;
                     }
                     let (next_j, mask_y) = towards(j, sphere.voxel[1], ny);
-                    let above = self.occupancy.window_at(place, next_slice + row);
-                    let beside = self.occupancy.window_at(place, slice + next_j * row_stride);
+                    let above = occupancy.window_at(place, next_slice + row);
+                    let beside = occupancy.window_at(place, slice + next_j * row_stride);
                     let mut bits = exposed & !(above & mask_z) & !(beside & mask_y);
                     while bits != 0 {
                         let i = start - 1 + i64::from(bits.trailing_zeros());

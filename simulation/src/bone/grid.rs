@@ -1,9 +1,57 @@
 //! Where the voxels of a CT lie: dimensions, spacing, direction and origin, in the patient frame.
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 use voxel_grid::VoxelGrid;
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::BoneError;
+
+/// Number of a voxel in the order of memory, x fastest: what messages and keyframes call a voxel by.
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    FromBytes,
+    IntoBytes,
+    Immutable,
+    KnownLayout,
+)]
+#[repr(transparent)]
+pub struct VoxelIndex(u32);
+
+const _: () = assert!(voxel_grid::MAX_VOXELS <= u32::MAX as usize, "every voxel of a volume has a number");
+
+impl VoxelIndex {
+    /// The voxel of this number.
+    pub fn new(number: u32) -> Self {
+        Self(number)
+    }
+
+    /// The number.
+    #[inline]
+    pub fn number(self) -> u32 {
+        self.0
+    }
+
+    /// Where the voxel's value lies in the CT.
+    #[inline]
+    pub fn at(self) -> usize {
+        self.0 as usize
+    }
+
+    /// The numbers of many.
+    pub fn numbers(many: &[Self]) -> &[u32] {
+        zerocopy::transmute_ref!(many)
+    }
+}
 
 /// A uniform voxel grid in the world (patient frame, LPS, metres). Voxel (i, j, k) is the box of size `spacing_m` about
 /// its centre `origin + direction * (i dx, j dy, k dz)`; x runs fastest in memory.
@@ -43,6 +91,26 @@ impl GridGeometry {
     /// Linear index of a voxel, x fastest.
     pub fn linear_index(&self, i: usize, j: usize, k: usize) -> usize {
         (k * self.dims[1] + j) * self.dims[0] + i
+    }
+
+    /// Number of a voxel of the grid.
+    #[inline]
+    pub fn index(&self, [i, j, k]: [usize; 3]) -> VoxelIndex {
+        VoxelIndex(self.linear_index(i, j, k) as u32)
+    }
+
+    /// The voxel of a number.
+    #[inline]
+    pub fn voxel(&self, index: VoxelIndex) -> [usize; 3] {
+        let [nx, ny, _] = self.dims;
+        let index = index.at();
+        [index % nx, (index / nx) % ny, index / (nx * ny)]
+    }
+
+    /// Centre of a voxel in the grid's metric frame, metres.
+    #[inline]
+    pub(super) fn voxel_position(&self, voxel: [i64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|a| voxel[a] as f64 * self.spacing_m[a])
     }
 
     /// World position of a voxel's centre in metres.

@@ -2,10 +2,10 @@
 
 use nalgebra::Vector3;
 
-use super::field::BoneField;
 use super::gather::{Sphere, outside};
 use super::query::{ContactKind, VoxelEnd};
-use super::strength::NO_PLACE;
+use super::strength::Place;
+use super::voxels::Voxels;
 
 /// Voxels kept a sphere.
 pub(super) const MAX_NEAR: usize = 256;
@@ -21,13 +21,13 @@ pub(super) struct NearVoxels {
     /// Centres along each grid axis, metres.
     position: [[f64; MAX_NEAR]; 3],
     /// Where each one's spent fraction is kept.
-    place: [usize; MAX_NEAR],
+    place: [Place; MAX_NEAR],
     any_place: bool,
 }
 
 impl NearVoxels {
     pub fn new() -> Self {
-        Self { count: 0, position: [[0.0; MAX_NEAR]; 3], place: [NO_PLACE; MAX_NEAR], any_place: false }
+        Self { count: 0, position: [[0.0; MAX_NEAR]; 3], place: [Place::NONE; MAX_NEAR], any_place: false }
     }
 
     pub fn clear(&mut self) {
@@ -37,7 +37,7 @@ impl NearVoxels {
 
     /// Adds a voxel; false if there is no room.
     #[inline]
-    pub fn push(&mut self, position: [f64; 3], place: usize) -> bool {
+    pub fn push(&mut self, position: [f64; 3], place: Place) -> bool {
         let room = self.count < MAX_NEAR;
         if room {
             self.put(self.count, position, place);
@@ -47,7 +47,7 @@ impl NearVoxels {
     }
 
     /// Adds a voxel, in the place of the one whose box is farthest if there is no room.
-    pub fn push_nearest(&mut self, sphere: &Sphere, spacing: &[f64; 3], position: [f64; 3], place: usize) {
+    pub fn push_nearest(&mut self, sphere: &Sphere, spacing: &[f64; 3], position: [f64; 3], place: Place) {
         if self.push(position, place) {
             return;
         }
@@ -68,12 +68,12 @@ impl NearVoxels {
     }
 
     #[inline]
-    fn put(&mut self, voxel: usize, position: [f64; 3], place: usize) {
+    fn put(&mut self, voxel: usize, position: [f64; 3], place: Place) {
         for (along, position) in self.position.iter_mut().zip(position) {
             along[voxel] = position;
         }
         self.place[voxel] = place;
-        self.any_place |= place != NO_PLACE;
+        self.any_place |= place != Place::NONE;
     }
 }
 
@@ -113,7 +113,7 @@ impl Candidates {
 
     /// Notes what is spent of the near voxels, for [`Self::see_surfaces`].
     #[inline(always)]
-    fn note_spent(&mut self, near: &NearVoxels, spent_at: impl Fn(usize) -> f64) {
+    fn note_spent(&mut self, near: &NearVoxels, spent_at: impl Fn(Place) -> f64) {
         let places = &near.place[..near.count];
         self.spent.iter_mut().zip(places).for_each(|(spent, place)| *spent = spent_at(*place));
     }
@@ -159,7 +159,7 @@ impl Candidates {
     }
 
     /// Distances to voxels that are balls of the given radius, less what is spent of it on either side.
-    fn see_balls(&mut self, near: &NearVoxels, sphere: &Sphere, radius_m: f64, spent: impl Fn(usize) -> f64) {
+    fn see_balls(&mut self, near: &NearVoxels, sphere: &Sphere, radius_m: f64, spent: impl Fn(Place) -> f64) {
         self.count = near.count;
         for voxel in 0..near.count {
             let offset = sphere.centre - Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));
@@ -217,18 +217,18 @@ impl Candidates {
     }
 }
 
-impl BoneField {
+impl Voxels {
     /// How far the near voxels' surfaces are from a sphere; those out of its reach do not count.
     #[inline(always)]
     pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
-        let spacing = self.geometry.spacing_m;
-        if self.parameters.contact == ContactKind::VoxelBalls {
-            let radius_m = 0.5 * self.geometry.smallest_spacing_m();
-            candidates.see_balls(near, sphere, radius_m, |place| self.pool.spent_at(place));
+        let spacing = self.geometry().spacing_m;
+        if self.parameters().contact == ContactKind::VoxelBalls {
+            let radius_m = 0.5 * self.geometry().smallest_spacing_m();
+            candidates.see_balls(near, sphere, radius_m, |place| self.pool().spent_at(place));
             return;
         }
         let touching = if near.any_place {
-            candidates.note_spent(near, |place| self.pool.spent_at(place));
+            candidates.note_spent(near, |place| self.pool().spent_at(place));
             candidates.see_surfaces::<true>(near, sphere, spacing)
         } else {
             candidates.see_surfaces::<false>(near, sphere, spacing)
@@ -245,7 +245,7 @@ impl BoneField {
                 let position = Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));
                 let offset = self.face_direction(&(sphere.centre - position));
                 // A voxel that is more than half cut and holds the centre at its middle has no direction to push in.
-                let pushes = self.pool.spent_at(near.place[voxel]) <= 0.5;
+                let pushes = self.pool().spent_at(near.place[voxel]) <= 0.5;
                 let distance2 = if pushes { 0.0 } else { f64::INFINITY };
                 candidates.put(voxel, &Seed { offset, length2: 1.0, distance2 });
             }
@@ -254,7 +254,7 @@ impl BoneField {
 
     /// Unit vector along the axis on which an offset from a voxel's centre is largest in voxels.
     fn face_direction(&self, from_centre: &Vector3<f64>) -> Vector3<f64> {
-        let in_voxels = [0, 1, 2].map(|a| (from_centre[a] / self.geometry.spacing_m[a]).abs());
+        let in_voxels = [0, 1, 2].map(|a| (from_centre[a] / self.geometry().spacing_m[a]).abs());
         let mut axis = 0;
         for other in 1..3 {
             if in_voxels[other] > in_voxels[axis] {

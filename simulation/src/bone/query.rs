@@ -18,12 +18,12 @@ use nalgebra::{Unit, Vector3};
 
 use crate::contact_plane::ContactPlane;
 
-use super::field::BoneField;
 use super::gather::{Sphere, outside};
 use super::grid::floor_to_i64;
 use super::near::{Candidates, NearVoxels};
 use super::remembered::RememberedCells;
 use super::surface::TentSizes;
+use super::voxels::Voxels;
 
 /// What a voxel is to a sphere that touches it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -125,7 +125,7 @@ impl VoxelEnd {
     }
 }
 
-impl BoneField {
+impl Voxels {
     /// Adds up to four planes that the sphere (world centre, radius) touches or is nearer to than `margin_m`. A sphere whose
     /// centre is inside bone gets the one plane that leads out. Nothing is added for values that are not finite or a radius
     /// that is not above 0.
@@ -137,9 +137,10 @@ impl BoneField {
         margin_m: f64,
         out: &mut ContactBuffer,
     ) {
-        let Some(sphere) = self.sphere(centre_world_m, radius_m, margin_m) else { return };
-        if !self.lead_out(sphere_index, &sphere, radius_m, out) {
-            self.planes_of_search(sphere_index, &sphere, radius_m, out);
+        if let Some(sphere) = self.sphere(sphere_index, centre_world_m, radius_m, margin_m)
+            && !self.lead_out(&sphere, out)
+        {
+            self.planes_of_search(&sphere, out);
         }
     }
 
@@ -147,6 +148,7 @@ impl BoneField {
     #[inline]
     pub(super) fn sphere(
         &self,
+        index: usize,
         centre_world_m: &Vector3<f64>,
         radius_m: f64,
         margin_m: f64,
@@ -156,51 +158,33 @@ impl BoneField {
         if !finite || radius_m <= 0.0 || margin_m < 0.0 {
             return None;
         }
-        let centre = self.geometry.point_to_grid(centre_world_m);
-        let voxel = [0, 1, 2].map(|a| floor_to_i64(centre[a] / self.geometry.spacing_m[a] + 0.5));
-        Some(Sphere { centre, voxel, reach })
+        let centre = self.geometry().point_to_grid(centre_world_m);
+        let voxel = [0, 1, 2].map(|a| floor_to_i64(centre[a] / self.geometry().spacing_m[a] + 0.5));
+        Some(Sphere { index, centre, radius_m, voxel, reach })
     }
 
     /// Whether the centre is inside bone; then the one plane that leads out is added.
     #[inline]
-    pub(super) fn lead_out(
-        &self,
-        sphere_index: usize,
-        sphere: &Sphere,
-        radius_m: f64,
-        out: &mut ContactBuffer,
-    ) -> bool {
+    pub(super) fn lead_out(&self, sphere: &Sphere, out: &mut ContactBuffer) -> bool {
         let inside = self.is_mostly_solid(sphere.voxel);
         if inside {
-            let (point, normal, gap_m) = self.way_out(&sphere.centre, sphere.voxel, radius_m);
-            out.push(self.world_plane(sphere_index, &point, &normal, gap_m));
+            let (point, normal, gap_m) = self.way_out(sphere);
+            out.push(self.world_plane(sphere.index, &point, &normal, gap_m));
         }
         inside
     }
 
     /// The planes of a sphere whose centre is not inside bone, by a search of all voxels in reach.
-    pub(super) fn planes_of_search(
-        &self,
-        sphere_index: usize,
-        sphere: &Sphere,
-        radius_m: f64,
-        out: &mut ContactBuffer,
-    ) {
+    pub(super) fn planes_of_search(&self, sphere: &Sphere, out: &mut ContactBuffer) {
         let ContactBuffer { near, candidates, .. } = out;
         near.clear();
         self.gather(sphere, |voxel| {
-            let place = self.pool.place(voxel.map(|x| x as usize));
-            near.push_nearest(sphere, &self.geometry.spacing_m, self.voxel_position(voxel), place);
+            let place = self.pool().place(voxel.map(|x| x as usize));
+            let position = self.geometry().voxel_position(voxel);
+            near.push_nearest(sphere, &self.geometry().spacing_m, position, place);
         });
         self.see(near, sphere, candidates);
-        self.cluster(sphere_index, &sphere.centre, radius_m, out, None);
-    }
-
-    /// Whether a voxel is bone and at least half of it is left.
-    #[inline]
-    pub(super) fn is_mostly_solid(&self, voxel: [i64; 3]) -> bool {
-        self.occupancy.is_solid_at(voxel)
-            && self.pool.spent(voxel[0] as usize, voxel[1] as usize, voxel[2] as usize) <= 0.5
+        self.cluster(sphere, out, None);
     }
 
     #[inline(always)]
@@ -213,29 +197,22 @@ impl BoneField {
     ) -> ContactPlane {
         ContactPlane {
             sphere_index,
-            point_m: self.geometry.point_to_world(point),
+            point_m: self.geometry().point_to_world(point),
             // A turned unit vector.
-            normal: Unit::new_unchecked(self.geometry.direction_world_grid * normal),
+            normal: Unit::new_unchecked(self.geometry().direction_world_grid * normal),
             gap_m,
         }
-    }
-
-    /// Centre of a voxel in the grid's metric frame, metres.
-    #[inline]
-    pub(super) fn voxel_position(&self, voxel: [i64; 3]) -> [f64; 3] {
-        [0, 1, 2].map(|a| voxel[a] as f64 * self.geometry.spacing_m[a])
     }
 
     /// Turns candidates into planes, nearest first; `cells` are what is remembered of the same sphere.
     #[inline(always)]
     pub(super) fn cluster(
         &self,
-        sphere_index: usize,
-        centre: &Vector3<f64>,
-        radius_m: f64,
+        sphere: &Sphere,
         out: &mut ContactBuffer,
         mut cells: Option<&mut RememberedCells>,
     ) {
+        let Sphere { index: sphere_index, centre, radius_m, .. } = *sphere;
         let tent = self.tent_sizes(radius_m);
         let mut normals = [Vector3::zeros(); MAX_PLANES];
         let mut count = 0;
@@ -243,7 +220,7 @@ impl BoneField {
             let Some(seed) = out.candidates.nearest() else { break };
             let direction = seed.offset * (1.0 / seed.length2.sqrt());
             let seed_distance = seed.distance2.sqrt();
-            let (normal, stands_out) = match self.parameters.contact {
+            let (normal, stands_out) = match self.parameters().contact {
                 ContactKind::Planes => {
                     let point = centre - direction * seed_distance;
                     self.smoothed(&point, &direction, &tent, cells.as_deref_mut())
@@ -279,7 +256,7 @@ impl BoneField {
         let steepness = sample.outward_per_m.norm();
         let smooth = sample.outward_per_m * (1.0 / steepness.max(1e-300));
         if steepness > 0.0 && smooth.dot(direction) > NORMAL_AGREEMENT_COSINE {
-            let most = 0.5 * self.geometry.smallest_spacing_m();
+            let most = 0.5 * self.geometry().smallest_spacing_m();
             (smooth, ((0.5 - sample.level) / steepness).clamp(0.0, most))
         } else {
             (*direction, 0.0)

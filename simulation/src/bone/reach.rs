@@ -10,12 +10,14 @@
 use nalgebra::Vector3;
 use pulp::Arch;
 
-use super::drilling::{CuttingLaw, voxels_in_cube};
-use super::field::BoneField;
-use super::gather::outside;
-use super::grid::{GridGeometry, floor_to_i64};
+use super::drilling::{BurrState, CuttingLaw};
+use super::gather::{outside, widening};
+use super::grid::{GridGeometry, VoxelIndex, floor_to_i64};
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
+use super::parameters::BoneParameters;
 use super::query::VoxelEnd;
+use super::strength::Place;
+use super::voxels::{Ball, Voxels};
 
 /// How much wider the remembered reach is, in voxels of the smallest spacing. A burr fed at 1.5 mm/s in voxels of 0.5 mm is
 /// searched every 33 ticks.
@@ -54,17 +56,48 @@ pub(super) struct Press {
     pub recession_m: f64,
 }
 
+impl Press {
+    /// Of a burr in a tick.
+    pub fn new(voxels: &Voxels, burr: &BurrState, dt_s: f64) -> Self {
+        let cutting = &voxels.parameters().cutting;
+        Self {
+            centre: voxels.geometry().point_to_grid(&burr.centre_m),
+            reach: Reach::of_burr(burr.radius_m, voxels.geometry(), cutting),
+            recession_m: cutting.feed_per_revolution_max_m * burr.speed_rad_s.abs() * dt_s
+                / core::f64::consts::TAU,
+        }
+    }
+
+    /// Where it cuts: a surface in reach lies in a box in reach.
+    pub fn cut_ball(&self, geometry: &GridGeometry) -> Ball {
+        Ball { centre_m: self.centre, radius_m: self.reach.cut_m + widening(geometry.spacing_m) }
+    }
+}
+
+/// The most voxels that a search about the largest burr can find.
+pub(super) fn most_voxels(geometry: &GridGeometry, parameters: &BoneParameters) -> usize {
+    let reach = Reach::of_burr(parameters.max_burr_radius_m, geometry, &parameters.cutting);
+    voxels_in_cube(geometry, reach.outer_m + geometry.smallest_spacing_m())
+}
+
+/// Most voxels that a cube of half edge `half_m` can meet.
+fn voxels_in_cube(geometry: &GridGeometry, half_m: f64) -> usize {
+    (0..3).fold(1usize, |count, axis| {
+        let along = (2.0 * half_m / geometry.spacing_m[axis]) as usize + 2;
+        count.saturating_mul(along.min(geometry.dims[axis]))
+    })
+}
+
 /// The voxels in reach, in the order of the grid, x fastest; numbers side by side, for loops without branches.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug)]
 pub(super) struct ReachedVoxels {
     /// The burr's centre and reach at the search. `None`: nothing is remembered.
     searched: Option<(Vector3<f64>, Reach)>,
     /// Centres along each grid axis, metres.
     position: [Vec<f64>; 3],
-    /// Linear indices.
-    pub index: Vec<u32>,
+    pub index: Vec<VoxelIndex>,
     /// Where each one's spent fraction is kept, if anywhere, and the fraction.
-    pub place: Vec<usize>,
+    pub place: Vec<Place>,
     pub spent: Vec<f64>,
     /// Energy that the whole voxel takes, J.
     pub full_j: Vec<f64>,
@@ -79,9 +112,8 @@ pub(super) struct ReachedVoxels {
 
 impl ReachedVoxels {
     /// Room for every voxel that a search about the largest burr can find, reserved here.
-    pub fn new(geometry: &GridGeometry, max_burr_radius_m: f64, cutting: &CuttingLaw) -> Self {
-        let reach = Reach::of_burr(max_burr_radius_m, geometry, cutting);
-        let capacity = voxels_in_cube(geometry, reach.outer_m + geometry.smallest_spacing_m());
+    pub fn new(geometry: &GridGeometry, parameters: &BoneParameters) -> Self {
+        let capacity = most_voxels(geometry, parameters);
         let numbers = || Vec::with_capacity(capacity);
         Self {
             searched: None,
@@ -231,40 +263,33 @@ impl pulp::WithSimd for Spend<'_> {
     }
 }
 
-impl BoneField {
-    /// Brings `reached` to this tick; returns whether there may be slivers in it.
-    pub(super) fn reach(&mut self, hu: &[i16], press: &Press) -> bool {
+impl ReachedVoxels {
+    /// Brings the lists to this tick; returns whether there may be slivers in them.
+    pub fn bring(&mut self, voxels: &Voxels, arch: Arch, hu: &[i16], press: &Press) -> bool {
         let (centre, reach) = (&press.centre, &press.reach);
-        let slack_m = SLACK_VOXELS * self.geometry.smallest_spacing_m();
-        if !self.reached.holds(centre, reach, slack_m) {
-            let mut reached = core::mem::take(&mut self.reached);
-            self.search_reach(hu, centre, reach, slack_m, &mut reached);
-            reached.searched = Some((*centre, *reach));
-            self.reached = reached;
+        let geometry = voxels.geometry();
+        let slack_m = SLACK_VOXELS * geometry.smallest_spacing_m();
+        if !self.holds(centre, reach, slack_m) {
+            self.search(voxels, hu, press, slack_m);
+            self.searched = Some((*centre, *reach));
         }
-        let sliver_fraction = self.parameters.cutting.sliver_fraction;
-        self.reached.measure(self.arch, press, self.geometry.spacing_m, sliver_fraction)
+        self.measure(arch, press, geometry.spacing_m, voxels.parameters().cutting.sliver_fraction)
     }
 
-    fn search_reach(
-        &self,
-        hu: &[i16],
-        centre: &Vector3<f64>,
-        reach: &Reach,
-        slack_m: f64,
-        reached: &mut ReachedVoxels,
-    ) {
-        reached.clear();
-        let spacing = self.geometry.spacing_m;
+    fn search(&mut self, voxels: &Voxels, hu: &[i16], press: &Press, slack_m: f64) {
+        self.clear();
+        let Press { centre, reach, .. } = press;
+        let (occupancy, geometry) = (voxels.occupancy(), voxels.geometry());
+        let spacing = geometry.spacing_m;
         // Wider by what rounding can take: each tick's own distances decide.
-        let rounding_m = 1e-6 * self.geometry.smallest_spacing_m();
+        let rounding_m = 1e-6 * geometry.smallest_spacing_m();
         let outer = reach.outer_m + slack_m + rounding_m;
         let widest = reach.cut_m + slack_m + rounding_m;
-        let Some(voxels) = self.occupancy.voxels_around((*centre).into(), outer, spacing) else { return };
-        if !self.occupancy.any_in(&voxels) {
+        let Some(around) = occupancy.voxels_around((*centre).into(), outer, spacing) else { return };
+        if !occupancy.any_in(&around) {
             return;
         }
-        let VoxelBox { low, high } = voxels;
+        let VoxelBox { low, high } = around;
         for k in low[2]..=high[2] {
             let dz = centre.z - k as f64 * spacing[2];
             for j in low[1]..=high[1] {
@@ -278,23 +303,22 @@ impl BoneField {
                 let inner = widest * widest - to_z * to_z - to_y * to_y;
                 for start in (low[0]..=high[0]).step_by(WINDOW_VOXELS as usize) {
                     let count = (high[0] - start + 1).min(WINDOW_VOXELS);
-                    let window = self.occupancy.window_place(start);
-                    let mut bits =
-                        self.occupancy.window(window, j as usize, k as usize) & ((1u64 << count) - 1);
+                    let window = occupancy.window_place(start);
+                    let mut bits = occupancy.window(window, j as usize, k as usize) & ((1u64 << count) - 1);
                     if bits == 0 {
                         continue;
                     }
                     let within = columns_within(centre.x, inner, spacing[0], start);
                     if bits & !within != 0 {
-                        bits &= within | self.pool.partial_bits(start, count, j as usize, k as usize);
+                        bits &= within | voxels.pool().partial_bits(start, count, j as usize, k as usize);
                     }
                     while bits != 0 {
                         let i = start + i64::from(bits.trailing_zeros());
                         bits &= bits - 1;
                         let dx = centre.x - i as f64 * spacing[0];
                         let cut = within >> (i - start) & 1 == 1;
-                        if dx * dx <= room && (cut || self.may_be_sliver([i, j, k])) {
-                            self.push_reached(hu, [i, j, k], reached);
+                        if dx * dx <= room && (cut || may_be_sliver(voxels, [i, j, k])) {
+                            self.push(voxels, hu, [i, j, k]);
                         }
                     }
                 }
@@ -302,26 +326,24 @@ impl BoneField {
         }
     }
 
-    /// Whether so little is left of a voxel of the grid that it falls off when the burr has left it behind.
-    fn may_be_sliver(&self, voxel: [i64; 3]) -> bool {
-        let [i, j, k] = voxel.map(|x| x as usize);
-        1.0 - self.pool.spent(i, j, k) < self.parameters.cutting.sliver_fraction
-    }
-
-    fn push_reached(&self, hu: &[i16], voxel: [i64; 3], reached: &mut ReachedVoxels) {
+    fn push(&mut self, voxels: &Voxels, hu: &[i16], voxel: [i64; 3]) {
         let inside = voxel.map(|x| x as usize);
-        let index = self.geometry.linear_index(inside[0], inside[1], inside[2]);
-        for (along, position) in reached.position.iter_mut().zip(self.voxel_position(voxel)) {
+        let index = voxels.geometry().index(inside);
+        for (along, position) in self.position.iter_mut().zip(voxels.geometry().voxel_position(voxel)) {
             along.push(position);
         }
-        reached.index.push(index as u32);
-        let place = self.pool.place(inside);
-        reached.place.push(place);
-        reached.spent.push(self.pool.spent_at(place));
-        reached
-            .full_j
-            .push(self.cutting_table.specific_energy_j_m3(hu[index]) * self.geometry.voxel_volume_m3());
+        self.index.push(index);
+        let place = voxels.pool().place(inside);
+        self.place.push(place);
+        self.spent.push(voxels.pool().spent_at(place));
+        self.full_j.push(voxels.full_energy_j(hu[index.at()]));
     }
+}
+
+/// Whether so little is left of a voxel of the grid that it falls off when the burr has left it behind.
+fn may_be_sliver(voxels: &Voxels, voxel: [i64; 3]) -> bool {
+    let [i, j, k] = voxel.map(|x| x as usize);
+    1.0 - voxels.pool().spent(i, j, k) < voxels.parameters().cutting.sliver_fraction
 }
 
 /// The voxels of a window that starts at `start` whose slabs along x are within the root of `distance2` of `x`, as bits.

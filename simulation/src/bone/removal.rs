@@ -3,8 +3,8 @@
 //! The baselines act on the voxels that the energy rule would cut: those within the burr's reach while it turns and presses.
 //! None of them knows force, energy or the length of a tick, so what they drill depends on voxel size and dt.
 
-use super::drilling::GrindReport;
-use super::field::BoneField;
+use super::drilling::DrillTick;
+use super::grid::VoxelIndex;
 
 /// The rule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -34,71 +34,69 @@ pub const RULE_SPEED_RAD_S: f64 = 235.619_449_019_234_5;
 /// recedes by less than a nanometre before it goes.
 const DOSE_SCALE: f64 = 1.0 / (1u64 << 30) as f64;
 
-impl BoneField {
+impl Removal {
+    /// Fraction of a voxel's strength left that the pool's entry stands for.
+    pub(super) fn strength_left(self, spent: f64) -> f64 {
+        let dose = self == Removal::Decrement && spent < 1.0;
+        if dose { (1.0 - spent / DOSE_SCALE).max(0.0) } else { 1.0 - spent }
+    }
+}
+
+impl DrillTick<'_> {
     /// Removes, or weakens, the voxels in reach that the burr touches; they have a place in the pool.
-    pub(super) fn remove_by_rule(
-        &mut self,
-        rule: Removal,
-        hu: &[i16],
-        speed_rad_s: f64,
-        report: &mut GrindReport,
-    ) {
+    pub(super) fn remove_by_rule(&mut self, rule: Removal, hu: &[i16], speed_rad_s: f64) {
         let speed = speed_rad_s / RULE_SPEED_RAD_S;
         self.scratch.kept.clear();
         let touched = self.reached.depth.iter().enumerate().filter(|(_, depth)| **depth > 0.0);
         self.scratch.kept.extend(touched.map(|(voxel, _)| voxel as u32));
         match rule {
             Removal::Energy => {}
-            Removal::Naive => self.end_first(usize::MAX, report),
+            Removal::Naive => self.end_first(usize::MAX),
             Removal::Capped => {
                 // Equal depths in an order that follows no axis: the order of the grid would push the burr aside.
-                let mixed =
-                    |index: u32| index.wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca6b);
+                let mixed = |index: VoxelIndex| {
+                    let number = index.number();
+                    number.wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca6b)
+                };
                 let (depth, index) = (&self.reached.depth, &self.reached.index);
                 self.scratch.kept.sort_unstable_by(|a, b| {
                     let [a, b] = [*a, *b].map(|voxel| voxel as usize);
                     depth[b].total_cmp(&depth[a]).then(mixed(index[a]).cmp(&mixed(index[b])))
                 });
-                self.end_first((CAP_PER_TICK * speed + 0.5) as usize, report);
+                self.end_first((CAP_PER_TICK * speed + 0.5) as usize);
             }
-            Removal::Decrement => self.weaken(hu, speed, report),
+            Removal::Decrement => self.weaken(hu, speed),
         }
     }
 
     /// Ends the first `count` of the listed voxels.
-    fn end_first(&mut self, count: usize, report: &mut GrindReport) {
+    fn end_first(&mut self, count: usize) {
         for place in 0..self.scratch.kept.len().min(count) {
             let voxel = self.scratch.kept[place] as usize;
-            if self.waiting.len() == self.waiting.capacity() {
+            if !self.edit.has_room() {
                 return;
             }
             self.set_spent(voxel, 1.0);
-            self.waiting.push(self.reached.index[voxel]);
-            report.cut_count += 1;
+            self.edit.queue(self.reached.index[voxel]);
+            self.report.cut_count += 1;
         }
     }
 
     /// Takes one tick's dose from each listed voxel.
-    fn weaken(&mut self, hu: &[i16], speed: f64, report: &mut GrindReport) {
-        let law = self.parameters.material;
+    fn weaken(&mut self, hu: &[i16], speed: f64) {
+        let law = self.edit.parameters().material;
         for place in 0..self.scratch.kept.len() {
             let voxel = self.scratch.kept[place] as usize;
             let index = self.reached.index[voxel];
-            let strength = law.density_kg_m3(hu[index as usize]) / law.density_ref_kg_m3;
+            let strength = law.density_kg_m3(hu[index.at()]) / law.density_ref_kg_m3;
             let dose = self.reached.spent[voxel] + DOSE_SCALE * speed / (DECREMENT_TICKS * strength);
             // Rounding of the sum of equal doses.
-            let ended = dose >= DOSE_SCALE * (1.0 - 1e-9) && self.waiting.len() < self.waiting.capacity();
+            let ended = dose >= DOSE_SCALE * (1.0 - 1e-9) && self.edit.has_room();
             self.set_spent(voxel, if ended { 1.0 } else { dose });
             if ended {
-                self.waiting.push(index);
+                self.edit.queue(index);
             }
-            report.cut_count += 1;
+            self.report.cut_count += 1;
         }
-    }
-
-    /// Fraction of a voxel's strength left that the pool's entry stands for.
-    pub(super) fn strength_left(&self, spent: f64) -> f64 {
-        let dose = self.parameters.removal == Removal::Decrement && spent < 1.0;
-        if dose { (1.0 - spent / DOSE_SCALE).max(0.0) } else { 1.0 - spent }
     }
 }

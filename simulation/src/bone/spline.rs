@@ -10,9 +10,9 @@ use core::ops::{Add, Mul, Range, Sub};
 
 use nalgebra::Vector3;
 
-use super::field::BoneField;
 use super::strength::{BLOCK_EDGE, BlocksAbout};
 use super::surface::SurfaceSample;
+use super::voxels::Voxels;
 
 /// Voxels along an axis.
 pub(super) const SPLINE_VOXELS: usize = 7;
@@ -120,20 +120,20 @@ impl SplineCell {
     }
 }
 
-impl BoneField {
+impl Voxels {
     /// The smoothed surface about the voxels `start..start + 7` of each axis.
     #[inline(always)]
     pub(super) fn spline_cell(&self, start: [i64; 3]) -> SplineCell {
         let mut slices = [[0; 3]; SPLINE_VOXELS];
         let mut rows = [[0u8; SPLINE_VOXELS]; SPLINE_VOXELS];
-        self.occupancy.cube(start, &mut rows);
+        self.occupancy().cube(start, &mut rows);
         for (slice, rows) in slices.iter_mut().zip(&rows) {
             *slice = combine(rows.map(|bits| ROW_SUMS[usize::from(bits & 0x7f)]));
         }
         let by_y = [0, 1, 2].map(|y_power| combine(slices.map(|slice| slice[y_power])));
         let mut cell =
             SplineCell { coefficients: [0, 1, 2].map(|z_power| by_y.map(|words| fields(words[z_power]))) };
-        if let Some(blocks) = self.pool.blocks_about(start, SPLINE_VOXELS as i64 - 1) {
+        if let Some(blocks) = self.pool().blocks_about(start, SPLINE_VOXELS as i64 - 1) {
             self.take_spent(start, &blocks, &rows, &mut cell);
         }
         cell
@@ -158,7 +158,7 @@ impl BoneField {
                 let mut counted_rows = [[0.0; BLOCK_EDGE]; SPLINE_VOXELS];
                 let mut any_in_slice = false;
                 for y_side in 0..2 {
-                    let Some(block) = self.pool.block(blocks, [side, y_side, z / BLOCK_EDGE]) else {
+                    let Some(block) = self.pool().block(blocks, [side, y_side, z / BLOCK_EDGE]) else {
                         continue;
                     };
                     for row in voxels_in_block(within[1], y_side) {
@@ -242,16 +242,17 @@ mod tests {
         };
         let report = field.grind(&hu, &burr, 0.05).unwrap();
         assert!(report.cut_count > 100 && report.removed_count == 0);
-        let tent = field.tent_sizes(3.0e-3);
+        let voxels = field.voxels();
+        let tent = voxels.tent_sizes(3.0e-3);
         let mut worst: f64 = 0.0;
         for _ in 0..2000 {
             let position = dims.map(|n| (n as f64 + 10.0) * next() - 5.0);
             let mut point = Vector3::from(position);
-            point.iter_mut().zip(field.geometry.spacing_m).for_each(|(x, spacing)| *x *= spacing);
-            let fast = field.sample_surface(&point, &tent, None);
-            let mut slow = field.sample_tents(position, &tent);
+            point.iter_mut().zip(geometry.spacing_m).for_each(|(x, spacing)| *x *= spacing);
+            let fast = voxels.sample_surface(&point, &tent, None);
+            let mut slow = voxels.sample_tents(position, &tent);
             for axis in 0..3 {
-                slow.outward_per_m[axis] -= fast.outward_per_m[axis] * field.geometry.spacing_m[axis];
+                slow.outward_per_m[axis] -= fast.outward_per_m[axis] * geometry.spacing_m[axis];
             }
             worst = worst.max(slow.outward_per_m.norm()).max((slow.level - fast.level).abs());
         }

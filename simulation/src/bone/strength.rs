@@ -11,20 +11,21 @@ pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 const BLOCK_ROWS: usize = BLOCK_EDGE * BLOCK_EDGE;
 /// Table entry of a block that nothing has touched.
 const UNTOUCHED: u32 = u32::MAX;
-/// Place of a voxel in a block that nothing has touched.
-pub(super) const NO_PLACE: usize = usize::MAX;
 
-/// The voxels of the block that holds a voxel, those beyond the grid included.
-pub(super) fn block_of(voxel: [usize; 3]) -> VoxelBox {
-    let low = voxel.map(|x| (x >> BLOCK_SHIFT << BLOCK_SHIFT) as i64);
-    VoxelBox { low, high: low.map(|x| x + BLOCK_EDGE as i64 - 1) }
+/// Where the pool keeps a voxel's spent fraction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Place(usize);
+
+impl Place {
+    /// Of a voxel in a block that nothing has touched.
+    pub const NONE: Self = Self(usize::MAX);
 }
 
 /// The blocks in use about a small cube of voxels, two along each axis at most, looked up once.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlocksAbout {
-    /// First place of each block by z, y, x; [`NO_PLACE`] if nothing has touched it.
-    place: [[[usize; 2]; 2]; 2],
+    /// First place of each block by z, y, x; [`Place::NONE`] if nothing has touched it.
+    place: [[[Place; 2]; 2]; 2],
 }
 
 /// The fractions of a block.
@@ -109,23 +110,23 @@ impl SpentPool {
 
     /// Where the fraction of a voxel of the grid is kept now, for [`Self::spent_at`].
     #[inline]
-    pub fn place(&self, [i, j, k]: [usize; 3]) -> usize {
+    pub fn place(&self, [i, j, k]: [usize; 3]) -> Place {
         let (block, offset) = self.locate(i, j, k);
         match self.table[block] {
-            UNTOUCHED => NO_PLACE,
-            slot => slot as usize * BLOCK_VOXELS + offset,
+            UNTOUCHED => Place::NONE,
+            slot => Place(slot as usize * BLOCK_VOXELS + offset),
         }
     }
 
     /// The fraction at a place that [`Self::place`] returned since the last block was taken.
     #[inline]
-    pub fn spent_at(&self, place: usize) -> f64 {
+    pub fn spent_at(&self, place: Place) -> f64 {
         // A whole voxel has no place.
-        self.spent.get(place).copied().unwrap_or(0.0)
+        self.spent.get(place.0).copied().unwrap_or(0.0)
     }
 
     /// Where the voxel's fraction is kept, taking a block if needed; `None` if the pool is full.
-    pub fn claim(&mut self, i: usize, j: usize, k: usize) -> Option<usize> {
+    pub fn claim(&mut self, [i, j, k]: [usize; 3]) -> Option<Place> {
         let (block, offset) = self.locate(i, j, k);
         if self.table[block] == UNTOUCHED {
             if self.owners.len() == self.capacity {
@@ -134,11 +135,12 @@ impl SpentPool {
             self.table[block] = self.owners.len() as u32;
             self.owners.push(block as u32);
         }
-        Some(self.table[block] as usize * BLOCK_VOXELS + offset)
+        Some(Place(self.table[block] as usize * BLOCK_VOXELS + offset))
     }
 
     /// Sets the fraction at a place that [`Self::claim`] returned.
-    pub fn set(&mut self, place: usize, spent: f64) {
+    #[inline]
+    pub fn set(&mut self, Place(place): Place, spent: f64) {
         let kept = &mut self.spent[place];
         // The bit stays once it is set.
         if *kept == 0.0 && spent > 0.0 {
@@ -182,7 +184,7 @@ impl SpentPool {
             let reaches = block <= (low[axis] + extent) >> BLOCK_SHIFT;
             (reaches && block >= 0 && block < self.block_dims[axis] as i64).then_some(block as usize)
         };
-        let mut place = [[[NO_PLACE; 2]; 2]; 2];
+        let mut place = [[[Place::NONE; 2]; 2]; 2];
         let mut any = false;
         for (z, slices) in place.iter_mut().enumerate() {
             let Some(k) = inside(2, z) else { continue };
@@ -192,7 +194,7 @@ impl SpentPool {
                     let Some(i) = inside(0, x) else { continue };
                     let slot = self.table[(k * self.block_dims[1] + j) * self.block_dims[0] + i];
                     if slot != UNTOUCHED {
-                        *place = slot as usize * BLOCK_VOXELS;
+                        *place = Place(slot as usize * BLOCK_VOXELS);
                         any = true;
                     }
                 }
@@ -204,7 +206,7 @@ impl SpentPool {
     /// One of the blocks about a cube, by its side along x, y, z; `None` if nothing has touched it.
     #[inline(always)]
     pub fn block(&self, blocks: &BlocksAbout, [x, y, z]: [usize; 3]) -> Option<Block<'_>> {
-        let place = blocks.place[z][y][x];
+        let Place(place) = blocks.place[z][y][x];
         let spent = self.spent.get(place..)?.first_chunk()?;
         let partial = self.partial.get(place / BLOCK_EDGE..)?.first_chunk()?;
         Some(Block { spent, partial })
@@ -231,14 +233,36 @@ impl SpentPool {
         (&self.owners, &self.spent[..self.owners.len() * BLOCK_VOXELS])
     }
 
-    /// Voxel `offset` of slot `slot`, or `None` if that part of the block lies outside the grid.
-    pub fn voxel_of(&self, slot: usize, offset: usize) -> Option<[usize; 3]> {
-        let block = self.owners[slot] as usize;
+    /// Calls `visit` with every voxel of the grid in the blocks in use and its spent fraction, block by block in order of first
+    /// touch, x fastest within a block.
+    pub fn for_each(&self, mut visit: impl FnMut([usize; 3], f64)) {
+        for (place, spent) in self.contents().1.iter().enumerate() {
+            if let Some(voxel) = self.voxel_of(place / BLOCK_VOXELS, place % BLOCK_VOXELS) {
+                visit(voxel, *spent);
+            }
+        }
+    }
+
+    /// The voxels of the blocks taken since `before` of them were in use, those beyond the grid included.
+    pub fn blocks_since(&self, before: usize) -> impl Iterator<Item = VoxelBox> + '_ {
+        self.owners.get(before..).unwrap_or_default().iter().map(|block| {
+            let low = self.corner_of(*block as usize).map(|x| x as i64);
+            VoxelBox { low, high: low.map(|x| x + BLOCK_EDGE as i64 - 1) }
+        })
+    }
+
+    /// First voxel of a block.
+    fn corner_of(&self, block: usize) -> [usize; 3] {
         let [bx, by, _] = self.block_dims;
-        let corner = [block % bx, (block / bx) % by, block / (bx * by)];
+        [block % bx, (block / bx) % by, block / (bx * by)].map(|block| block * BLOCK_EDGE)
+    }
+
+    /// Voxel `offset` of slot `slot`, or `None` if that part of the block lies outside the grid.
+    fn voxel_of(&self, slot: usize, offset: usize) -> Option<[usize; 3]> {
+        let corner = self.corner_of(self.owners[slot] as usize);
         let mask = BLOCK_EDGE - 1;
         let inner = [offset & mask, (offset >> BLOCK_SHIFT) & mask, offset >> (2 * BLOCK_SHIFT)];
-        let voxel = [0, 1, 2].map(|a| corner[a] * BLOCK_EDGE + inner[a]);
+        let voxel = [0, 1, 2].map(|a| corner[a] + inner[a]);
         (0..3).all(|a| voxel[a] < self.dims[a]).then_some(voxel)
     }
 
@@ -265,7 +289,7 @@ impl SpentPool {
                 self.table[*block as usize] = slot as u32;
             }
             for (place, spent) in spent.iter().enumerate() {
-                self.set(place, *spent);
+                self.set(Place(place), *spent);
             }
         }
         fits

@@ -8,10 +8,10 @@ use core::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::field::BoneField;
 use super::grid::floor_to_i64;
 use super::occupancy::WindowPlace;
 use super::remembered::RememberedCells;
+use super::voxels::Voxels;
 
 /// Tent half width in voxels: at most this, less for spheres of a few voxels so that a corner's two walls stay apart. With 3
 /// the normal on a slanted wall is within 2 degrees (slope 0.3 and more), with 2 within 9; measured in `tests/bone_query.rs`.
@@ -75,11 +75,11 @@ impl AxisTent {
     }
 }
 
-impl BoneField {
+impl Voxels {
     /// The tent for spheres of radius `radius_m`.
     #[inline]
     pub(super) fn tent_sizes(&self, radius_m: f64) -> TentSizes {
-        let per_spacing = self.geometry.spacing_m.map(|spacing| 1.0 / spacing);
+        let per_spacing = self.geometry().spacing_m.map(|spacing| 1.0 / spacing);
         let half_width =
             per_spacing.map(|inverse| (0.8 * radius_m * inverse).clamp(TENT_MIN_VOXELS, TENT_MAX_VOXELS));
         TentSizes { per_spacing, half_width, per_half_width: half_width.map(|half| 1.0 / half) }
@@ -99,7 +99,7 @@ impl BoneField {
             let start = position.map(|position| floor_to_i64(position - TENT_MAX_VOXELS + 0.5));
             let behind = [0, 1, 2].map(|axis| start[axis] as f64 + TENT_MAX_VOXELS + 0.5 - position[axis]);
             match remembered {
-                Some(remembered) => self.remembered_cell(remembered, start).sample(behind),
+                Some(remembered) => remembered.cell(self, start).sample(behind),
                 None => self.spline_cell(start).sample(behind),
             }
         } else {
@@ -115,7 +115,7 @@ impl BoneField {
     pub(super) fn sample_tents(&self, position: [f64; 3], tent: &TentSizes) -> SurfaceSample {
         let [x, y, z] = [0, 1, 2]
             .map(|axis| AxisTent::new(position[axis], tent.half_width[axis], tent.per_half_width[axis]));
-        let place = self.occupancy.window_place(x.start);
+        let place = self.occupancy().window_place(x.start);
         let (rows_y, rows_z) = (self.rows_inside(&y, 1), self.rows_inside(&z, 2));
         let (mut level, mut outward) = (0.0, Vector3::zeros());
         for row_z in rows_z {
@@ -139,7 +139,7 @@ impl BoneField {
     fn rows_inside(&self, tent: &AxisTent, axis: usize) -> Range<usize> {
         let first = (-tent.start).clamp(0, tent.count as i64) as usize;
         let end =
-            (self.geometry.dims[axis] as i64 - tent.start).clamp(first as i64, tent.count as i64) as usize;
+            (self.geometry().dims[axis] as i64 - tent.start).clamp(first as i64, tent.count as i64) as usize;
         first..end
     }
 
@@ -147,7 +147,7 @@ impl BoneField {
     #[inline]
     fn row_sums(&self, x: &AxisTent, place: WindowPlace, j: usize, k: usize) -> (f64, f64) {
         const FULL: u64 = (1 << TENT_VOXELS) - 1;
-        let solid = self.occupancy.window(place, j, k) & FULL;
+        let solid = self.occupancy().window(place, j, k) & FULL;
         if solid == 0 {
             return (0.0, 0.0);
         }
@@ -160,11 +160,11 @@ impl BoneField {
             value += x.integral[to] - x.integral[from];
             rise += x.tent[to] - x.tent[from];
         }
-        let mut partial = solid & u64::from(self.pool.partial_window(x.start, j, k));
+        let mut partial = solid & u64::from(self.pool().partial_window(x.start, j, k));
         while partial != 0 {
             let voxel = partial.trailing_zeros() as usize;
             partial &= partial - 1;
-            let spent = self.pool.spent((x.start + voxel as i64) as usize, j, k);
+            let spent = self.pool().spent((x.start + voxel as i64) as usize, j, k);
             let (weight, weight_rise) = x.voxel(voxel);
             value -= weight * spent;
             rise -= weight_rise * spent;

@@ -1,20 +1,20 @@
 //! Contact queries of spheres that move little between ticks.
 //!
 //! Which voxels can be nearest to a sphere depends only on the bone about it and on the voxel that holds its centre. So the
-//! field remembers for each sphere the voxels that [`BoneField::gather`] finds within a reach that is a little wider
+//! cache remembers for each sphere the voxels that [`Voxels::gather`] finds within a reach that is a little wider
 //! ([`SLACK_VOXELS`]). As long as the centre stays in its voxel and the query's reach about it lies within the remembered one,
 //! and no voxel within it is removed, the remembered voxels contain all that count, in the order of a fresh search; their
-//! distances are always computed afresh. The planes are those of [`BoneField::contact_planes`] bit for bit, so what is
+//! distances are always computed afresh. The planes are those of [`Voxels::contact_planes`] bit for bit, so what is
 //! remembered is no part of the state.
 
-use nalgebra::Vector3;
+use pulp::Arch;
 
-use super::field::BoneField;
 use super::gather::{Sphere, outside, widening};
 use super::near::NearVoxels;
 use super::occupancy::VoxelBox;
 use super::query::ContactBuffer;
 use super::remembered::RememberedCells;
+use super::voxels::Voxels;
 
 /// Spheres with a memory; those of a higher index are searched afresh.
 const TRACKED_SPHERES: usize = 64;
@@ -42,63 +42,111 @@ impl Track {
             && room >= 0.0
             && (sphere.centre - searched.centre).norm_squared() <= room * room
     }
+
+    /// For a voxel that is removed. It uncovers only voxels that are no nearer to a sphere than itself, so a sphere that does
+    /// not reach it sees no change.
+    fn forget_near(&mut self, position: [f64; 3], spacing: [f64; 3]) {
+        let reached = self.sphere.is_some_and(|sphere| {
+            let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
+            let distance2 = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
+            // Twice what the search itself is widened by.
+            let reach = sphere.reach + 2.0 * widening(spacing);
+            distance2 <= reach * reach
+        });
+        if reached {
+            self.sphere = None;
+        }
+    }
+
+    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have much surface).
+    fn bring(&mut self, voxels: &Voxels, sphere: &Sphere) -> Option<&mut Self> {
+        if self.holds(sphere) {
+            return Some(self);
+        }
+        let slack_m = SLACK_VOXELS * voxels.geometry().smallest_spacing_m();
+        let widened = Sphere { reach: sphere.reach + slack_m, ..*sphere };
+        let near = &mut self.near;
+        near.clear();
+        let mut fits = true;
+        let searched = voxels.gather(&widened, |voxel| {
+            let place = voxels.pool().place(voxel.map(|x| x as usize));
+            fits &= near.push(voxels.geometry().voxel_position(voxel), place);
+        });
+        // Outside the grid nothing ever changes.
+        self.box_searched = searched.unwrap_or(VoxelBox::NOTHING);
+        self.sphere = fits.then_some(widened);
+        fits.then_some(self)
+    }
 }
 
-/// The memory of all spheres, reserved once.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Tracks {
-    items: Vec<Track>,
+/// What is remembered of all spheres, reserved once.
+#[derive(Debug)]
+pub(super) struct ContactCache {
+    tracks: Vec<Track>,
+    /// Edits of the voxels that the tracks have seen.
+    seen: u64,
 }
 
-impl Tracks {
-    pub fn new() -> Self {
+impl ContactCache {
+    /// Of voxels about which nothing is remembered yet.
+    pub fn new(voxels: &Voxels) -> Self {
         let empty = || Track {
             sphere: None,
             box_searched: VoxelBox::NOTHING,
             near: NearVoxels::new(),
             cells: RememberedCells::new(),
         };
-        Self { items: (0..TRACKED_SPHERES).map(|_| empty()).collect() }
+        Self { tracks: (0..TRACKED_SPHERES).map(|_| empty()).collect(), seen: voxels.journal().edits() }
     }
 
-    /// For any change of the bone.
-    pub fn forget_all(&mut self) {
-        self.items.iter_mut().for_each(|track| track.sphere = None);
-    }
-
-    /// For a voxel that is removed. It uncovers only voxels that are no nearer to a sphere than itself, so a sphere that does
-    /// not reach it sees no change.
-    pub fn forget_near(&mut self, position: [f64; 3], spacing: [f64; 3]) {
-        for track in &mut self.items {
-            let reached = track.sphere.is_some_and(|sphere| {
-                let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
-                let distance2 = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
-                // Twice what the search itself is widened by.
-                let reach = sphere.reach + 2.0 * widening(spacing);
-                distance2 <= reach * reach
-            });
-            if reached {
-                track.sphere = None;
-            }
+    /// Adds the sphere's planes: those of [`Voxels::contact_planes`], bit for bit.
+    pub fn planes(&mut self, voxels: &Voxels, arch: Arch, sphere: &Sphere, out: &mut ContactBuffer) {
+        if voxels.lead_out(sphere, out) {
+            return;
+        }
+        self.forget_what_changed(voxels);
+        match self.tracks.get_mut(sphere.index).and_then(|track| track.bring(voxels, sphere)) {
+            Some(track) => arch.dispatch(PlanesOfTrack { voxels, sphere, track, out }),
+            None => voxels.planes_of_search(sphere, out),
         }
     }
 
-    /// For voxels whose spent fractions are now kept elsewhere.
-    pub fn forget_box(&mut self, voxels: &VoxelBox) {
-        for track in &mut self.items {
-            if track.box_searched.meets(voxels) {
-                track.sphere = None;
+    /// Forgets what the voxels' edits since the last query may have made wrong.
+    #[inline]
+    fn forget_what_changed(&mut self, voxels: &Voxels) {
+        let edits = voxels.journal().edits();
+        if edits != self.seen {
+            if edits == self.seen + 1 {
+                self.forget_last_tick(voxels);
+            } else {
+                self.tracks.iter_mut().for_each(|track| track.sphere = None);
             }
+            self.seen = edits;
+        }
+    }
+
+    /// For one tick of drilling.
+    fn forget_last_tick(&mut self, voxels: &Voxels) {
+        // Voxels whose spent fractions are now kept elsewhere.
+        for block in voxels.pool().blocks_since(voxels.journal().blocks_before()) {
+            for track in &mut self.tracks {
+                if track.box_searched.meets(&block) {
+                    track.sphere = None;
+                }
+            }
+        }
+        let geometry = voxels.geometry();
+        for removed in voxels.removed_this_tick() {
+            let position = geometry.voxel_position(geometry.voxel(*removed).map(|x| x as i64));
+            self.tracks.iter_mut().for_each(|track| track.forget_near(position, geometry.spacing_m));
         }
     }
 }
 
 /// The planes among a track's voxels, compiled for each instruction set; no bit depends on it, as no operation is reordered or fused.
 struct PlanesOfTrack<'a> {
-    field: &'a BoneField,
-    sphere_index: usize,
+    voxels: &'a Voxels,
     sphere: &'a Sphere,
-    radius_m: f64,
     track: &'a mut Track,
     out: &'a mut ContactBuffer,
 }
@@ -108,61 +156,8 @@ impl pulp::WithSimd for PlanesOfTrack<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Self { field, sphere_index, sphere, radius_m, track, out } = self;
-        field.see(&track.near, sphere, &mut out.candidates);
-        field.cluster(sphere_index, &sphere.centre, radius_m, out, Some(&mut track.cells));
-    }
-}
-
-impl BoneField {
-    /// The planes of [`BoneField::contact_planes`], bit for bit, in a fraction of the time for a sphere of the same index
-    /// that has moved little since its last query.
-    pub fn contact_planes_tracked(
-        &mut self,
-        sphere_index: usize,
-        centre_world_m: &Vector3<f64>,
-        radius_m: f64,
-        margin_m: f64,
-        out: &mut ContactBuffer,
-    ) {
-        let Some(sphere) = self.sphere(centre_world_m, radius_m, margin_m) else { return };
-        if self.lead_out(sphere_index, &sphere, radius_m, out) {
-            return;
-        }
-        let mut tracks = core::mem::take(&mut self.tracks);
-        let track = tracks.items.get_mut(sphere_index);
-        if let Some(track) = track.and_then(|track| self.bring(track, &sphere)) {
-            self.arch.dispatch(PlanesOfTrack {
-                field: self,
-                sphere_index,
-                sphere: &sphere,
-                radius_m,
-                track,
-                out,
-            });
-        } else {
-            self.planes_of_search(sphere_index, &sphere, radius_m, out);
-        }
-        self.tracks = tracks;
-    }
-
-    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have much surface).
-    fn bring<'t>(&self, track: &'t mut Track, sphere: &Sphere) -> Option<&'t mut Track> {
-        if track.holds(sphere) {
-            return Some(track);
-        }
-        let slack_m = SLACK_VOXELS * self.geometry.smallest_spacing_m();
-        let widened = Sphere { reach: sphere.reach + slack_m, ..*sphere };
-        let near = &mut track.near;
-        near.clear();
-        let mut fits = true;
-        let searched = self.gather(&widened, |voxel| {
-            let place = self.pool.place(voxel.map(|x| x as usize));
-            fits &= near.push(self.voxel_position(voxel), place);
-        });
-        // Outside the grid nothing ever changes.
-        track.box_searched = searched.unwrap_or(VoxelBox::NOTHING);
-        track.sphere = fits.then_some(widened);
-        fits.then_some(track)
+        let Self { voxels, sphere, track, out } = self;
+        voxels.see(&track.near, sphere, &mut out.candidates);
+        voxels.cluster(sphere, out, Some(&mut track.cells));
     }
 }

@@ -62,7 +62,7 @@ impl Simulation<'_> {
             Bytes(self.state.as_bytes()),
             (self.arm.snapshot(), self.compliance.as_ref().map(Compliance::state)),
             self.manipulator.state(),
-            self.bone.as_ref().map(|bone| bone.field.serialised()),
+            self.bone.as_ref().map(|bone| bone.field.voxels().serialised()),
             self.rigid.as_ref().map(RigidScene::serialised),
             self.tendon.snapshot(),
             (self.burr_speed_rad_per_s, self.cutting_energy_j),

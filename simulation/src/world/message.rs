@@ -24,7 +24,7 @@ impl Simulation<'_> {
         }
         state.sim_time_s = state.tick as f64 * self.dt_s;
         state.removed_in_tick = removed as u32;
-        state.removed_total = self.bone.as_ref().map_or(0, |bone| bone.field.removed_total());
+        state.removed_total = self.bone.as_ref().map_or(0, |bone| bone.field.voxels().removed_total());
         state.burr_speed_rad_per_s = self.burr_speed_rad_per_s;
         state.cutting_energy_j = self.cutting_energy_j;
         state.controller_count = latched.controller_count;

@@ -24,7 +24,7 @@ use xxhash_rust::xxh3::Xxh3;
 use zerocopy::IntoBytes;
 
 use crate::arm::{Arm, ArmError, ArmSnapshot, Compliance, ComplianceState};
-use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry};
+use crate::bone::{BoneError, BoneField, BoneSnapshot, BurrState, ContactBuffer, GridGeometry, VoxelIndex};
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::{
     AnyManipulator, AnyManipulatorState, BaseMotion, ManipulatorError, ManipulatorModel, SphereKind,
@@ -133,6 +133,13 @@ impl<'v> Simulation<'v> {
         }
     }
 
+    /// Makes the caches of bone afresh. Changes no result; for tests of just that.
+    pub fn rebuild_caches(&mut self) {
+        if let Some(bone) = &mut self.bone {
+            bone.field.rebuild_caches();
+        }
+    }
+
     /// The state after the last tick.
     pub fn state(&self) -> &State {
         &self.state
@@ -140,7 +147,8 @@ impl<'v> Simulation<'v> {
 
     /// Voxels that the last tick drilled, by linear index.
     pub fn removed(&self) -> &[u32] {
-        self.bone.as_ref().map_or(&[], |bone| bone.field.removed_this_tick())
+        let removed = self.bone.as_ref().map_or(&[][..], |bone| bone.field.voxels().removed_this_tick());
+        VoxelIndex::numbers(removed)
     }
 
     /// Voxels that the scene predrills, by linear index, ascending: gone from tick 0 on.
@@ -151,11 +159,12 @@ impl<'v> Simulation<'v> {
     /// Voxels of bone that are gone in the present state, by linear index, ascending. Looks at every voxel; not for the loop.
     pub fn gone(&self) -> Vec<u32> {
         let Some(bone) = &self.bone else { return Vec::new() };
-        let threshold_hu = bone.field.parameters().threshold_hu;
-        let was_solid = bone.hu.iter().enumerate().filter(|(_, hu)| **hu >= threshold_hu);
+        let voxels = bone.field.voxels();
+        let threshold_hu = voxels.parameters().threshold_hu;
+        let was_solid = (0..).zip(bone.hu).filter(|(_, hu)| **hu >= threshold_hu);
         was_solid
-            .filter(|(index, _)| !bone.field.is_solid_index(*index))
-            .map(|(index, _)| index as u32)
+            .map(|(number, _)| number)
+            .filter(|number| !voxels.is_solid_index(VoxelIndex::new(*number)))
             .collect()
     }
 
@@ -272,7 +281,7 @@ impl<'v> Simulation<'v> {
             arm: self.arm.snapshot(),
             compliance: self.compliance.as_ref().map(|compliance| *compliance.state()),
             manipulator: self.manipulator.snapshot(),
-            bone: self.bone.as_ref().map(|bone| bone.field.snapshot()),
+            bone: self.bone.as_ref().map(|bone| bone.field.voxels().snapshot()),
             rigid: self.rigid.as_ref().map(RigidScene::snapshot),
             tendon: self.tendon.snapshot(),
             burr_speed_rad_per_s: self.burr_speed_rad_per_s,

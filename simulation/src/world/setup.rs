@@ -10,7 +10,7 @@ use scene::{
 use super::tendon_drive::TendonDrive;
 use super::{Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
-use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry, Removal};
+use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry, Removal, VoxelIndex};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
     ManipulatorParameters, Rung,
@@ -243,7 +243,8 @@ fn bone<'v>(
     let mut predrilled = Vec::new();
     for hole in &scene.predrill {
         let [from, to] = [hole.from_mm, hole.to_mm].map(|end| Vector3::from(end) * 1e-3);
-        predrilled.extend(field.predrill_capsule(&from, &to, hole.diameter_mm * 0.5e-3));
+        let removed = field.predrill_capsule(&from, &to, hole.diameter_mm * 0.5e-3);
+        predrilled.extend(removed.into_iter().map(VoxelIndex::number));
     }
     predrilled.sort_unstable();
     Ok((Bone { hu: ct.hu, field, contacts: ContactBuffer::with_capacity(MAX_CONTACTS) }, predrilled))

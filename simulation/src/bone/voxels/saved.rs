@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
-use super::field::{BoneField, BoneSnapshot};
-use super::strength::BLOCK_VOXELS;
+use super::{BoneSnapshot, Voxels};
+use crate::bone::grid::VoxelIndex;
+use crate::bone::strength::BLOCK_VOXELS;
 
 const WORDS: usize = BLOCK_VOXELS / 64;
 
@@ -48,7 +49,7 @@ impl Serialize for Partial<'_> {
     }
 }
 
-struct Blocks<'a>(&'a BoneField);
+struct Blocks<'a>(&'a Voxels);
 
 impl Serialize for Blocks<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -58,8 +59,8 @@ impl Serialize for Blocks<'_> {
     }
 }
 
-impl BoneField {
-    /// What [`BoneField::snapshot`] holds, to be serialised without a copy; it reads back as a [`BoneSnapshot`].
+impl Voxels {
+    /// What [`Voxels::snapshot`] holds, to be serialised without a copy; it reads back as a [`BoneSnapshot`].
     pub fn serialised(&self) -> impl Serialize + '_ {
         let voxels = self.geometry.voxel_count() as u64;
         let lists = (&self.removed, &self.waiting);
@@ -70,10 +71,10 @@ impl BoneField {
 impl<'de> Deserialize<'de> for BoneSnapshot {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<BoneSnapshot, D::Error> {
         type Block = (u32, [u64; WORDS], [u64; WORDS], Vec<f64>);
-        type Whole = (u64, u64, Vec<Block>, (Vec<u32>, Vec<u32>), u64);
+        type Whole = (u64, u64, Vec<Block>, (Vec<VoxelIndex>, Vec<VoxelIndex>), u64);
         let (voxels, predrilled_count, saved, (removed, waiting), removed_total) =
             Whole::deserialize(deserializer)?;
-        let inside = |index: &u32| u64::from(*index) < voxels;
+        let inside = |voxel: &VoxelIndex| u64::from(voxel.number()) < voxels;
         if !removed.iter().chain(&waiting).all(inside) {
             return Err(D::Error::custom("a removed voxel outside the grid"));
         }

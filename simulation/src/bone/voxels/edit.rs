@@ -1,0 +1,151 @@
+//! Changing voxels. Every way to do so is in this file and leaves a note in the journal.
+
+use super::journal::{Ball, Region};
+use super::{BoneSnapshot, Voxels};
+use crate::bone::BoneError;
+use crate::bone::grid::VoxelIndex;
+use crate::bone::occupancy::VoxelBox;
+use crate::bone::strength::Place;
+
+/// A tick of drilling. When it is dropped, the journal holds what it changed.
+pub(in crate::bone) struct Drilling<'v> {
+    voxels: &'v mut Voxels,
+    /// Where voxels may be cut, and whether any was.
+    ball: Ball,
+    cut: bool,
+    /// What has changed outside the ball.
+    changed: VoxelBox,
+}
+
+impl core::ops::Deref for Drilling<'_> {
+    type Target = Voxels;
+
+    fn deref(&self) -> &Voxels {
+        self.voxels
+    }
+}
+
+impl Drop for Drilling<'_> {
+    fn drop(&mut self) {
+        let ball = self.cut.then_some(self.ball);
+        self.voxels.journal.end(Region { ball, voxels: self.changed });
+    }
+}
+
+impl Drilling<'_> {
+    /// The place of a voxel's spent fraction, taking a block if needed; `None` if the pool is full.
+    pub fn claim(&mut self, voxel: VoxelIndex) -> Option<Place> {
+        self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
+    }
+
+    /// Sets the spent fraction of a voxel whose box meets the edit's ball.
+    #[inline]
+    pub fn set_spent(&mut self, place: Place, spent: f64) {
+        self.cut = true;
+        self.voxels.pool.set(place, spent);
+    }
+
+    /// Whether another voxel may wait to be removed.
+    pub fn has_room(&self) -> bool {
+        self.voxels.waiting.len() < self.voxels.waiting_limit
+    }
+
+    /// Queues a spent voxel for removal, if [`Self::has_room`].
+    pub fn queue(&mut self, voxel: VoxelIndex) {
+        self.voxels.waiting.push(voxel);
+    }
+
+    /// Spends all that is left of a voxel, wherever it is, and queues it for removal.
+    pub fn shed(&mut self, voxel: VoxelIndex, place: Place) {
+        self.voxels.pool.set(place, 1.0);
+        self.queue(voxel);
+        self.note(voxel);
+    }
+
+    /// Removes queued voxels, as many as a tick may.
+    pub fn remove_queued(&mut self) {
+        let count = self.voxels.waiting.len().min(self.voxels.parameters.removed_per_tick);
+        for place in 0..count {
+            let voxel = self.voxels.waiting[place];
+            let [i, j, k] = self.voxels.geometry.voxel(voxel);
+            self.voxels.occupancy.set(i, j, k, false);
+            self.note(voxel);
+            self.voxels.removed.push(voxel);
+        }
+        self.voxels.waiting.drain(..count);
+        self.voxels.removed_total += count as u64;
+    }
+
+    fn note(&mut self, voxel: VoxelIndex) {
+        let voxel = self.voxels.geometry.voxel(voxel).map(|x| x as i64);
+        self.changed = self.changed.with(voxel);
+    }
+}
+
+impl Voxels {
+    /// Begins a tick of drilling that cuts voxels whose boxes meet `ball`.
+    pub(in crate::bone) fn drill(&mut self, ball: Ball) -> Drilling<'_> {
+        self.journal.begin(self.pool.used());
+        self.removed.clear();
+        Drilling { voxels: self, ball, cut: false, changed: VoxelBox::NOTHING }
+    }
+
+    /// Takes voxels out of the bone for good.
+    pub(super) fn take_out(&mut self, voxels: &[[usize; 3]]) {
+        for [i, j, k] in voxels {
+            self.occupancy.set(*i, *j, *k, false);
+            self.pool.forget(*i, *j, *k);
+        }
+        self.predrilled_count += voxels.len() as u64;
+        self.journal.note_everything();
+    }
+
+    /// Undoes all drilling: voxels and their strength, back to the start of the run. Pilot holes stay.
+    pub(in crate::bone) fn reset(&mut self) {
+        let Self { pool, occupancy, .. } = self;
+        // Only bone absorbs energy, so whatever did was bone.
+        pool.for_each(|[i, j, k], spent| {
+            if spent > 0.0 {
+                occupancy.set(i, j, k, true);
+            }
+        });
+        self.pool.clear();
+        self.removed.clear();
+        self.waiting.clear();
+        self.removed_total = 0;
+        self.journal.note_everything();
+    }
+
+    /// Goes back, or forward, to a snapshot of a field of the same CT, parameters and pilot holes; continues bit for bit.
+    pub(in crate::bone) fn restore(&mut self, snapshot: &BoneSnapshot) -> Result<(), BoneError> {
+        if snapshot.voxel_count != self.geometry.voxel_count() {
+            return Err(BoneError::Snapshot { reason: "it has another number of voxels" });
+        }
+        if snapshot.predrilled_count != self.predrilled_count {
+            return Err(BoneError::Snapshot { reason: "it has other pilot holes" });
+        }
+        if snapshot.removed.len() > self.parameters.removed_per_tick
+            || snapshot.waiting.len() > self.waiting_limit
+        {
+            return Err(BoneError::Snapshot { reason: "its removed voxels exceed this field's capacity" });
+        }
+        self.reset();
+        if !self.pool.load(&snapshot.blocks, &snapshot.spent) {
+            return Err(BoneError::Snapshot { reason: "its partly cut blocks exceed this field's pool" });
+        }
+        self.removed.extend_from_slice(&snapshot.removed);
+        self.waiting.extend_from_slice(&snapshot.waiting);
+        self.removed_total = snapshot.removed_total;
+        let Self { pool, occupancy, .. } = self;
+        pool.for_each(|[i, j, k], spent| {
+            if spent >= 1.0 {
+                occupancy.set(i, j, k, false);
+            }
+        });
+        for voxel in &self.waiting {
+            let [i, j, k] = self.geometry.voxel(*voxel);
+            self.occupancy.set(i, j, k, true);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,112 @@
+//! Which voxels changed of late, for whoever keeps something that follows from them.
+//!
+//! A cache notes how many edits it has seen ([`Journal::edits`]). What happened since then tells it which of its entries still hold; if
+//! that is no longer recorded, none do. So a cache cannot miss a change: nobody has to remember to tell it.
+
+use nalgebra::Vector3;
+
+use crate::bone::occupancy::VoxelBox;
+use crate::bone::spline::SPLINE_VOXELS;
+
+/// Regions that are kept. A sphere that rests on bone asks in every tick.
+const KEPT_REGIONS: usize = 8;
+
+/// Where a tick of drilling changed bone: in the voxels whose boxes meet the ball, and in the box of voxels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::bone) struct Region {
+    pub ball: Option<Ball>,
+    pub voxels: VoxelBox,
+}
+
+/// A ball in the grid's metric frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::bone) struct Ball {
+    pub centre_m: Vector3<f64>,
+    pub radius_m: f64,
+}
+
+impl Region {
+    /// No voxel.
+    pub const NOTHING: Self = Self { ball: None, voxels: VoxelBox::NOTHING };
+
+    /// Whether it may meet one of the voxels `start..start + 7` of each axis.
+    fn meets_cell(&self, start: [i64; 3], spacing_m: [f64; 3]) -> bool {
+        let last = start.map(|x| x + SPLINE_VOXELS as i64 - 1);
+        if self.voxels.meets(&VoxelBox { low: start, high: last }) {
+            return true;
+        }
+        let Some(ball) = &self.ball else { return false };
+        let mut distance2 = 0.0;
+        for axis in 0..3 {
+            let low = (start[axis] as f64 - 0.5) * spacing_m[axis] - ball.centre_m[axis];
+            let high = ball.centre_m[axis] - (last[axis] as f64 + 0.5) * spacing_m[axis];
+            let outside = low.max(high).max(0.0);
+            distance2 += outside * outside;
+        }
+        distance2 <= ball.radius_m * ball.radius_m
+    }
+}
+
+/// The newest changes.
+#[derive(Debug, Clone)]
+pub(in crate::bone) struct Journal {
+    /// Edits ever, those included that changed nothing.
+    edits: u64,
+    newest: [Region; KEPT_REGIONS],
+    /// Regions ever. An edit that changes nothing adds none.
+    regions: u64,
+    /// Blocks of the pool that were in use before the last edit.
+    blocks_before: usize,
+}
+
+impl Journal {
+    pub(super) fn new() -> Self {
+        Self { edits: 0, newest: [Region::NOTHING; KEPT_REGIONS], regions: 0, blocks_before: 0 }
+    }
+
+    /// Begins an edit by drilling.
+    pub(super) fn begin(&mut self, blocks_in_use: usize) {
+        self.edits += 1;
+        self.blocks_before = blocks_in_use;
+    }
+
+    /// Ends it: it changed these voxels.
+    pub(super) fn end(&mut self, region: Region) {
+        if region != Region::NOTHING {
+            self.newest[(self.regions % KEPT_REGIONS as u64) as usize] = region;
+            self.regions += 1;
+        }
+    }
+
+    /// Any edit but drilling: whatever was known before may be wrong.
+    pub(super) fn note_everything(&mut self) {
+        // More than are kept, so nothing looks one edit old.
+        self.edits += 2;
+        self.regions += KEPT_REGIONS as u64 + 1;
+    }
+
+    /// Number of edits so far.
+    #[inline]
+    pub fn edits(&self) -> u64 {
+        self.edits
+    }
+
+    /// Number of regions so far, for [`Self::cell_is_unchanged`].
+    #[inline]
+    pub fn regions(&self) -> u64 {
+        self.regions
+    }
+
+    /// Blocks of the pool that were in use before the last edit.
+    pub fn blocks_before(&self) -> usize {
+        self.blocks_before
+    }
+
+    /// Whether no region from number `seen` on can have met the voxels `start..start + 7` of each axis.
+    #[inline]
+    pub fn cell_is_unchanged(&self, seen: u64, start: [i64; 3], spacing_m: [f64; 3]) -> bool {
+        let place = |number: u64| (number % KEPT_REGIONS as u64) as usize;
+        self.regions - seen <= KEPT_REGIONS as u64
+            && !(seen..self.regions).any(|number| self.newest[place(number)].meets_cell(start, spacing_m))
+    }
+}

@@ -1,0 +1,205 @@
+//! The bone itself: everything about it that decides a result or belongs into a keyframe.
+//!
+//! Nothing outside this folder can change a voxel but through `edit.rs`, which notes every change in the journal. Caches
+//! ([`super::tracked`], [`super::reach`]) read the voxels and the journal and are no part of this.
+
+mod edit;
+mod journal;
+mod predrill;
+mod saved;
+
+use super::BoneError;
+use super::grid::{GridGeometry, VoxelIndex};
+use super::material::CuttingTable;
+use super::occupancy::Occupancy;
+use super::parameters::BoneParameters;
+use super::reach;
+use super::strength::SpentPool;
+
+pub(super) use edit::Drilling;
+pub(super) use journal::{Ball, Journal};
+
+/// Bone of one CT: which voxels are bone, and how much of each is left.
+#[derive(Debug)]
+pub struct Voxels {
+    geometry: GridGeometry,
+    parameters: BoneParameters,
+    cutting_table: CuttingTable,
+    occupancy: Occupancy,
+    pool: SpentPool,
+    /// Voxels removed before the run; no reset brings them back.
+    predrilled_count: u64,
+    /// Voxels removed in this tick.
+    removed: Vec<VoxelIndex>,
+    /// Voxels spent but not yet removed, first in, first out; at most `waiting_limit`.
+    waiting: Vec<VoxelIndex>,
+    waiting_limit: usize,
+    removed_total: u64,
+    journal: Journal,
+}
+
+/// What drilling has changed in a field: enough to continue bit for bit in a field of the same CT and scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BoneSnapshot {
+    voxel_count: usize,
+    predrilled_count: u64,
+    blocks: Vec<u32>,
+    spent: Vec<f64>,
+    removed: Vec<VoxelIndex>,
+    waiting: Vec<VoxelIndex>,
+    removed_total: u64,
+}
+
+impl Voxels {
+    pub(super) fn new(
+        geometry: GridGeometry,
+        hu: &[i16],
+        parameters: BoneParameters,
+    ) -> Result<Self, BoneError> {
+        let geometry = geometry.validated()?;
+        check_volume(&geometry, hu)?;
+        parameters.cutting.check()?;
+        let cutting_table = CuttingTable::new(&parameters.material, parameters.threshold_hu)?;
+        parameters.check()?;
+        let waiting_limit = reach::most_voxels(&geometry, &parameters);
+        Ok(Self {
+            geometry,
+            parameters,
+            cutting_table,
+            occupancy: Occupancy::from_threshold(geometry.dims, hu, parameters.threshold_hu),
+            pool: SpentPool::new(geometry.dims, parameters.pool_blocks),
+            predrilled_count: 0,
+            removed: Vec::with_capacity(parameters.removed_per_tick),
+            waiting: Vec::with_capacity(waiting_limit),
+            waiting_limit,
+            removed_total: 0,
+            journal: Journal::new(),
+        })
+    }
+
+    /// The grid, its axes perpendicular.
+    #[inline]
+    pub fn geometry(&self) -> &GridGeometry {
+        &self.geometry
+    }
+
+    /// The parameters the field was built with.
+    #[inline]
+    pub fn parameters(&self) -> &BoneParameters {
+        &self.parameters
+    }
+
+    #[inline]
+    pub(super) fn occupancy(&self) -> &Occupancy {
+        &self.occupancy
+    }
+
+    #[inline]
+    pub(super) fn pool(&self) -> &SpentPool {
+        &self.pool
+    }
+
+    #[inline]
+    pub(super) fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    /// Whether voxel (i, j, k) is bone; outside the grid nothing is.
+    pub fn is_solid(&self, i: usize, j: usize, k: usize) -> bool {
+        self.occupancy.is_solid_at([i as i64, j as i64, k as i64])
+    }
+
+    /// Whether the voxel of this number is bone.
+    pub fn is_solid_index(&self, voxel: VoxelIndex) -> bool {
+        let [i, j, k] = self.geometry.voxel(voxel);
+        self.is_solid(i, j, k)
+    }
+
+    /// Whether a voxel is bone and at least half of it is left.
+    #[inline]
+    pub(super) fn is_mostly_solid(&self, voxel: [i64; 3]) -> bool {
+        self.occupancy.is_solid_at(voxel)
+            && self.pool.spent(voxel[0] as usize, voxel[1] as usize, voxel[2] as usize) <= 0.5
+    }
+
+    /// Number of voxels that are bone.
+    pub fn solid_count(&self) -> usize {
+        self.occupancy.solid_count()
+    }
+
+    /// Fraction of the voxel's strength that is left: 1 whole bone, 0 removed or no bone.
+    pub fn remaining_strength(&self, i: usize, j: usize, k: usize) -> f64 {
+        if self.is_solid(i, j, k) {
+            self.parameters.removal.strength_left(self.pool.spent(i, j, k))
+        } else {
+            0.0
+        }
+    }
+
+    /// The voxels that the last tick of drilling removed, in no particular order.
+    pub fn removed_this_tick(&self) -> &[VoxelIndex] {
+        &self.removed
+    }
+
+    /// Number of voxels that are spent and wait for their removal.
+    pub(super) fn waiting_count(&self) -> usize {
+        self.waiting.len()
+    }
+
+    /// Number of voxels removed by drilling since construction or reset.
+    pub fn removed_total(&self) -> u64 {
+        self.removed_total
+    }
+
+    /// Pool blocks in use and in all.
+    pub fn pool_usage(&self) -> (usize, usize) {
+        (self.pool.used(), self.pool.capacity())
+    }
+
+    /// Energy in J that cutting a whole voxel of the CT takes.
+    #[inline]
+    pub(super) fn full_energy_j(&self, hu: i16) -> f64 {
+        self.cutting_table.specific_energy_j_m3(hu) * self.geometry.voxel_volume_m3()
+    }
+
+    /// Energy in J that drilling has put into bone so far (removed and partly cut voxels), summed afresh over the pool.
+    /// What was shed as slivers ([`CuttingLaw::sliver_fraction`](super::CuttingLaw::sliver_fraction)) counts as absorbed.
+    ///
+    /// # Errors
+    /// `hu` does not have one value a voxel.
+    pub fn absorbed_energy_j(&self, hu: &[i16]) -> Result<f64, BoneError> {
+        check_volume(&self.geometry, hu)?;
+        let volume = self.geometry.voxel_volume_m3();
+        let mut sum_j = 0.0;
+        self.pool.for_each(|[i, j, k], spent| {
+            if spent > 0.0 {
+                let hu = hu[self.geometry.linear_index(i, j, k)];
+                sum_j += spent * volume * self.cutting_table.specific_energy_j_m3(hu);
+            }
+        });
+        Ok(sum_j)
+    }
+
+    /// What drilling has changed so far. Allocates; not for the 1 kHz step.
+    pub fn snapshot(&self) -> BoneSnapshot {
+        let (blocks, spent) = self.pool.contents();
+        BoneSnapshot {
+            voxel_count: self.geometry.voxel_count(),
+            predrilled_count: self.predrilled_count,
+            blocks: blocks.to_vec(),
+            spent: spent.to_vec(),
+            removed: self.removed.clone(),
+            waiting: self.waiting.clone(),
+            removed_total: self.removed_total,
+        }
+    }
+}
+
+/// Refuses a CT that is not the grid's.
+pub(super) fn check_volume(geometry: &GridGeometry, hu: &[i16]) -> Result<(), BoneError> {
+    if hu.len() == geometry.voxel_count() {
+        Ok(())
+    } else {
+        Err(BoneError::VolumeSize { given: hu.len(), expected: geometry.voxel_count() })
+    }
+}
