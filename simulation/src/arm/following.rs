@@ -1,0 +1,171 @@
+//! One tick of the motion that the arm follows: in joints, or along a path.
+
+use super::motion::{JointMotion, Motion, NextPath, PathMotion};
+use super::path::{JointsOnPath, Path, PathFollower};
+use super::{Arm, ArmCommand, ArmError, ArmMode, AxisLimits, AxisState, Goal, LinkFrames, Segment};
+
+/// A path is given up where a joint would run at this many times its velocity limit.
+const PATH_FAULT_FACTOR: f64 = 1.5;
+
+impl Arm {
+    pub(super) fn follower(&self) -> PathFollower<'_> {
+        PathFollower {
+            geometry: &self.parameters.geometry,
+            joint_limits: &self.parameters.joint_limits,
+            cartesian_limits: &self.parameters.cartesian_limits,
+        }
+    }
+
+    pub(super) fn joint_state(&self) -> AxisState<6> {
+        AxisState {
+            position: self.state.q_rad,
+            velocity: self.state.qd_rad_s,
+            acceleration: self.state.qdd_rad_s2,
+        }
+    }
+
+    pub(super) fn joint_axis_limits(&self, speed_fraction: f64) -> AxisLimits<6> {
+        let limits = &self.parameters.joint_limits;
+        AxisLimits {
+            velocity: limits.velocity_rad_s.map(|v| v * speed_fraction),
+            acceleration: limits.acceleration_rad_s2,
+            jerk: limits.jerk_rad_s3,
+        }
+    }
+
+    pub(super) fn time_s(&self, tick: u64) -> f64 {
+        tick as f64 * self.parameters.dt_s
+    }
+
+    pub(super) fn step_joints(&mut self, mut motion: JointMotion) {
+        if let Goal::Velocity(rates) = motion.segment.goal {
+            return self.step_rates(motion, rates);
+        }
+        motion.tick += 1;
+        let time_s = self.time_s(motion.tick);
+        let ended = time_s >= motion.duration_s;
+        let joints = if ended {
+            AxisState::at_rest(match motion.segment.goal {
+                Goal::Independent(goal) | Goal::StraightLine(goal) => goal,
+                Goal::Standstill | Goal::Velocity(_) => self.joint_planner.sample(motion.duration_s).position,
+            })
+        } else {
+            self.joint_planner.sample(time_s)
+        };
+        self.publish(&self.parameters.geometry.frames(&joints.position), &joints);
+        self.motion = Motion::Joint(motion);
+        if ended {
+            self.begin(motion.next);
+        }
+    }
+
+    pub(super) fn step_path(&mut self, mut motion: PathMotion) {
+        motion.tick += 1;
+        let time_s = self.time_s(motion.tick);
+        let ended = time_s >= motion.duration_s;
+        let parameter = match motion.segment.goal {
+            Goal::Independent(goal) | Goal::StraightLine(goal) if ended => AxisState::at_rest(goal),
+            Goal::Standstill if ended => {
+                AxisState::at_rest(self.path_planner.sample(motion.duration_s).position)
+            }
+            _ => self.path_planner.sample(time_s),
+        };
+        match self.next_on_path(&motion.path, &parameter) {
+            Ok(on_path) => {
+                let (rate, change) = (parameter.velocity[0], parameter.acceleration[0]);
+                let mut joints = AxisState::at_rest(on_path.q_rad);
+                for i in 0..6 {
+                    joints.velocity[i] = on_path.first[i] * rate;
+                    joints.acceleration[i] = on_path.first[i] * change + on_path.second[i] * rate * rate;
+                }
+                self.publish(&on_path.frames, &joints);
+                self.motion = Motion::Path(motion);
+                if ended {
+                    self.begin(motion.next);
+                }
+            }
+            Err(error) => self.give_up(error),
+        }
+    }
+
+    /// The joints at the path's parameter, unless one of them would jump or run at more than 1.5 times its limit there.
+    fn next_on_path(&self, path: &Path, parameter: &AxisState<1>) -> Result<JointsOnPath, ArmError> {
+        let [fraction] = parameter.position;
+        let on_path = self
+            .follower()
+            .joints_at(path, fraction, &self.state.q_rad)
+            .map_err(|reason| ArmError::PathUnreachable { fraction, reason })?;
+        let swings = (0..6).any(|i| {
+            let most = PATH_FAULT_FACTOR * self.parameters.joint_limits.velocity_rad_s[i];
+            let step_rad = on_path.q_rad[i] - self.state.q_rad[i];
+            step_rad.abs() > most * self.parameters.dt_s
+                || (on_path.first[i] * parameter.velocity[0]).abs() > most
+        });
+        if swings {
+            let manipulability_m3 = self.parameters.geometry.manipulability_m3(&on_path.q_rad);
+            return Err(ArmError::PathSingular { fraction, manipulability_m3 });
+        }
+        Ok(on_path)
+    }
+
+    /// At rest: starts the path that waited for it, or stays.
+    pub(super) fn begin(&mut self, next: Option<NextPath>) {
+        self.motion = Motion::Rest;
+        if let Some(next) = next {
+            match self.plan_path(next.path, AxisState::at_rest([0.0]), 1.0, next.limits) {
+                Ok(motion) => {
+                    self.path_planner.commit();
+                    self.motion = Motion::Path(motion);
+                }
+                Err(error) => self.give_up(error),
+            }
+        }
+        self.state.done = matches!(self.motion, Motion::Rest);
+    }
+
+    /// Leaves a motion that cannot be continued: a stop of the joints from velocities and accelerations cut to their limits
+    /// (near a singularity they may be far beyond), and the reason in the state.
+    pub(super) fn give_up(&mut self, reason: ArmError) {
+        self.state.fault = Some(reason);
+        self.insertion = None;
+        self.state.mode = ArmMode::Hold;
+        self.last_command = ArmCommand::Hold;
+        let limits = self.joint_axis_limits(1.0);
+        let mut start = self.joint_state();
+        for i in 0..6 {
+            start.velocity[i] = start.velocity[i].clamp(-limits.velocity[i], limits.velocity[i]);
+            start.acceleration[i] =
+                start.acceleration[i].clamp(-limits.acceleration[i], limits.acceleration[i]);
+        }
+        let segment = Segment { start, goal: Goal::Standstill, limits };
+        match self.joint_planner.plan(&segment) {
+            Ok(duration_s) => {
+                self.joint_planner.commit();
+                self.step_joints(JointMotion { segment, duration_s, tick: 0, next: None });
+            }
+            Err(_) => {
+                let stand = AxisState::at_rest(self.state.q_rad);
+                self.publish(&self.parameters.geometry.frames(&stand.position), &stand);
+                self.begin(None);
+            }
+        }
+    }
+
+    /// Writes joints and tool base into the state.
+    pub(super) fn publish(&mut self, frames: &LinkFrames, joints: &AxisState<6>) {
+        let base = &self.parameters.t_world_arm_base;
+        let jacobian = frames.jacobian();
+        let velocity = jacobian * nalgebra::Vector6::from(joints.velocity);
+        let acceleration = jacobian * nalgebra::Vector6::from(joints.acceleration)
+            + frames.bias_acceleration(&joints.velocity);
+        let state = &mut self.state;
+        state.q_rad = joints.position;
+        state.qd_rad_s = joints.velocity;
+        state.qdd_rad_s2 = joints.acceleration;
+        state.t_world_tool = base * frames.t_base_link(6);
+        state.linear_velocity_m_s = base.rotation * velocity.fixed_rows::<3>(0).into_owned();
+        state.angular_velocity_rad_s = base.rotation * velocity.fixed_rows::<3>(3).into_owned();
+        state.linear_acceleration_m_s2 = base.rotation * acceleration.fixed_rows::<3>(0).into_owned();
+        state.angular_acceleration_rad_s2 = base.rotation * acceleration.fixed_rows::<3>(3).into_owned();
+    }
+}
