@@ -14,3 +14,10 @@ pub struct ContactPlane {
     /// Distance between the sphere and the plane, negative when they overlap, m.
     pub gap_m: f64,
 }
+
+impl ContactPlane {
+    /// Whether the gap is finite and the normal, which `Unit::new_unchecked` may have made of anything, of length 1.
+    pub(crate) fn is_usable(&self) -> bool {
+        self.gap_m.is_finite() && (self.normal.norm_squared() - 1.0).abs() < 1e-6
+    }
+}

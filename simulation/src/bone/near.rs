@@ -14,6 +14,8 @@ const LANES: usize = 4;
 /// Seeds nearer than this angle (its cosine) to a plane or its seed belong to that plane: 60 degrees.
 const SAME_PLANE_COSINE: f64 = 0.5;
 
+const _: () = assert!(MAX_NEAR.is_multiple_of(LANES), "the lanes' padding has room");
+
 /// Voxels, in the order in which they were found.
 #[derive(Debug, Clone)]
 pub(super) struct NearVoxels {

@@ -10,6 +10,9 @@ const ROW_PADDING: usize = 8;
 /// Voxels that a window shows: 64 less the 7 that a start within a byte can cost.
 pub(super) const WINDOW_VOXELS: i64 = 57;
 
+const _: () = assert!(WINDOW_VOXELS == 64 - 7, "a word less the bits before a window's first");
+const _: () = assert!(64 << (2 * CELL_SHIFT) <= u16::MAX as usize, "a cell's count fits its type");
+
 /// Bit rows along x, as bytes, so that a window is one unaligned load. Eight zero bytes lie before every row, and more than a
 /// row of them behind the last, so that a window may run past either end of a row.
 #[derive(Debug, Clone)]
@@ -113,18 +116,23 @@ impl Occupancy {
         inside && self.is_solid(index[0] as usize, index[1] as usize, index[2] as usize)
     }
 
-    /// Sets one voxel's bit and keeps the counts.
-    pub fn set(&mut self, i: usize, j: usize, k: usize, solid: bool) {
+    /// Makes a voxel bone.
+    pub fn fill(&mut self, [i, j, k]: [usize; 3]) {
         let (byte, bit) = self.byte_and_bit(i, j, k);
-        if (self.bytes[byte] & bit != 0) == solid {
-            return;
-        }
-        let cell = self.cell_index(i >> 6, j, k);
-        self.bytes[byte] ^= bit;
-        if solid {
+        if self.bytes[byte] & bit == 0 {
+            let cell = self.cell_index(i >> 6, j, k);
+            self.bytes[byte] |= bit;
             self.cell_counts[cell] += 1;
             self.solid_count += 1;
-        } else {
+        }
+    }
+
+    /// Makes a voxel empty.
+    pub fn empty(&mut self, [i, j, k]: [usize; 3]) {
+        let (byte, bit) = self.byte_and_bit(i, j, k);
+        if self.bytes[byte] & bit != 0 {
+            let cell = self.cell_index(i >> 6, j, k);
+            self.bytes[byte] &= !bit;
             self.cell_counts[cell] -= 1;
             self.solid_count -= 1;
         }

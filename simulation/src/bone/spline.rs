@@ -32,6 +32,10 @@ const WEIGHT_18_F64: [[f64; 3]; SPLINE_VOXELS] = {
 };
 /// Bits of a field. The largest sum, of 7 x 7 x 7 products, is below 2^15.
 const FIELD_BITS: u32 = 21;
+
+const _: () = assert!(3 * FIELD_BITS < i64::BITS, "three fields fit one word");
+const _: () = assert!(SPLINE_VOXELS <= BLOCK_EDGE, "a cell lies in two blocks of an axis at most");
+
 /// Inverse of 18 cubed.
 const PER_18_CUBED: f64 = 1.0 / 5832.0;
 

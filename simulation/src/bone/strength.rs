@@ -9,6 +9,9 @@ pub(super) const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
 pub(super) const BLOCK_VOXELS: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 /// Rows along x in a block.
 const BLOCK_ROWS: usize = BLOCK_EDGE * BLOCK_EDGE;
+
+const _: () = assert!(BLOCK_EDGE == u8::BITS as usize, "one byte says which voxels of a block's row are cut");
+
 /// Table entry of a block that nothing has touched.
 const UNTOUCHED: u32 = u32::MAX;
 
@@ -221,7 +224,7 @@ impl SpentPool {
     }
 
     /// Forgets what a voxel absorbed, if anything.
-    pub fn forget(&mut self, i: usize, j: usize, k: usize) {
+    pub fn forget(&mut self, [i, j, k]: [usize; 3]) {
         let (block, offset) = self.locate(i, j, k);
         if self.table[block] != UNTOUCHED {
             self.spent[self.table[block] as usize * BLOCK_VOXELS + offset] = 0.0;

@@ -9,8 +9,9 @@ use core::ops::Range;
 use nalgebra::Vector3;
 
 use super::grid::floor_to_i64;
-use super::occupancy::WindowPlace;
+use super::occupancy::{WINDOW_VOXELS, WindowPlace};
 use super::remembered::RememberedCells;
+use super::spline::SPLINE_VOXELS;
 use super::voxels::Voxels;
 
 /// Tent half width in voxels: at most this, less for spheres of a few voxels so that a corner's two walls stay apart. With 3
@@ -20,6 +21,11 @@ const TENT_MAX_VOXELS: f64 = 3.0;
 const TENT_MIN_VOXELS: f64 = 1.0;
 /// Voxels that a tent can meet along an axis: 2 * TENT_MAX_VOXELS + 1 for the partial ends, rounded up to a byte.
 const TENT_VOXELS: usize = 8;
+
+const _: () = assert!(2.0 * TENT_MAX_VOXELS + 1.0 <= TENT_VOXELS as f64, "the widest tent fits");
+const _: () = assert!(TENT_MIN_VOXELS < TENT_MAX_VOXELS && TENT_VOXELS as i64 <= WINDOW_VOXELS);
+const _: () =
+    assert!(SPLINE_VOXELS as f64 == 2.0 * TENT_MAX_VOXELS + 1.0, "the polynomial is the widest tent's");
 
 /// The smoothed field at a point, in the grid's metric frame.
 #[derive(Debug, Clone, Copy)]

@@ -18,6 +18,12 @@ use super::voxels::Voxels;
 
 /// Spheres with a memory; those of a higher index are searched afresh.
 const TRACKED_SPHERES: usize = 64;
+
+const _: () = assert!(
+    TRACKED_SPHERES >= crate::manipulator::MAX_JOINTS + crate::manipulator::MAX_SHAFT_SPHERES + 1,
+    "every sphere of the planar tool has a memory"
+);
+
 /// How much wider the remembered reach is, in voxels of the smallest spacing. A tool fed at 1.5 mm/s in voxels of 0.5 mm is
 /// searched every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;

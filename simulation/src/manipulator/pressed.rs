@@ -5,9 +5,7 @@
 //! the contact solver a tool that stands on all its stops would not converge. Where the velocities found would have a stop pull, the
 //! step is solved once more with that stop as a row.
 
-use super::contact::STOP_RETURN_RAD_PER_S;
 use super::parameters::ManipulatorParameters;
-use super::row::target;
 
 /// The pressed stops, by freedom.
 #[derive(Debug, Clone)]
@@ -36,14 +34,13 @@ impl PressedStops {
     /// The stops that bore the torques `last` (N m), of flexures at `q` (rad).
     pub fn collect(&mut self, p: &ManipulatorParameters, dt: f64, q: &[f64], last: &[f64]) {
         self.clear();
-        let stiffness = p.joint_stop_stiffness_nm_per_rad;
+        let law = p.stop_law();
         for i in (0..self.drive.len()).filter(|i| last[*i] != 0.0) {
             let sign = last[i].signum();
-            let explained = last[i].abs() / stiffness;
-            let speed = target(p.joint_limit_rad + sign * q[i], explained, STOP_RETURN_RAD_PER_S, dt);
+            let speed = law.target(dt, sign, q[i], last[i].abs());
             self.any = true;
-            self.stiffness[i] = stiffness;
-            self.drive[i] = sign * stiffness * dt * speed;
+            self.stiffness[i] = law.stiffness_nm_per_rad;
+            self.drive[i] = sign * law.stiffness_nm_per_rad * dt * speed;
         }
     }
 

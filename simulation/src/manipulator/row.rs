@@ -2,6 +2,8 @@
 
 use nalgebra::Vector3;
 
+use super::parameters::ManipulatorParameters;
+
 /// Steps of the secular equation of one sliding contact.
 const CONE_STEPS: usize = 8;
 
@@ -51,6 +53,54 @@ pub(super) const EMPTY_ROW: Row = Row {
     before: [0.0; 3],
     direction: [0.0; 3],
 };
+
+/// A flexure enters the solver when the free step would bring it beyond this share of its stop.
+const STOP_SHARE: f64 = 0.9;
+/// Fastest return of a flexure that is past its stop, rad/s.
+const STOP_RETURN_RAD_PER_S: f64 = 5.0;
+
+/// The two stops of a flexure, at plus and minus the same angle.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StopLaw {
+    pub limit_rad: f64,
+    pub stiffness_nm_per_rad: f64,
+}
+
+impl StopLaw {
+    /// The stop near which a free step of `dt` s brings a flexure at `q_rad` that turns at `rate_rad_per_s`; `last_nm` is the torque
+    /// of its stops in the last step.
+    pub fn near(&self, dt: f64, q_rad: f64, rate_rad_per_s: f64, last_nm: f64) -> Option<Stop> {
+        let predicted = q_rad + dt * rate_rad_per_s;
+        if predicted.abs().max(q_rad.abs()) <= STOP_SHARE * self.limit_rad {
+            return None;
+        }
+        let sign = if predicted > 0.0 { -1.0 } else { 1.0 };
+        let last = (sign * last_nm).max(0.0);
+        Some(Stop {
+            sign,
+            compliance: 1.0 / (self.stiffness_nm_per_rad * dt * dt),
+            target: self.target(dt, sign, q_rad, last),
+            impulse: last * dt,
+            ..EMPTY_STOP
+        })
+    }
+
+    /// Velocity toward the free range that the stop on the side of `sign` asks for after it bore `last_nm`, rad/s.
+    pub fn target(&self, dt: f64, sign: f64, q_rad: f64, last_nm: f64) -> f64 {
+        let explained = last_nm / self.stiffness_nm_per_rad;
+        target(self.limit_rad + sign * q_rad, explained, STOP_RETURN_RAD_PER_S, dt)
+    }
+}
+
+impl ManipulatorParameters {
+    /// The flexures' stops.
+    pub(super) fn stop_law(&self) -> StopLaw {
+        StopLaw {
+            limit_rad: self.joint_limit_rad,
+            stiffness_nm_per_rad: self.joint_stop_stiffness_nm_per_rad,
+        }
+    }
+}
 
 /// One joint stop: `sign` is +1 at the lower stop and -1 at the upper.
 #[derive(Debug, Clone, Copy)]
@@ -124,6 +174,20 @@ impl Stop {
         *residual = residual.max(change.abs() / self.inverse);
         self.sign * change
     }
+}
+
+/// The share of the last direction of search to go on by: the ratio of the squared gradients, 0 after a step that made things worse.
+#[inline(always)]
+pub(super) fn search_share(squared: f64, last: f64) -> f64 {
+    if last > 0.0 && squared <= last { squared / last } else { 0.0 }
+}
+
+/// Moves a value that a sweep has changed from `before` on along the direction of search, and updates that direction.
+#[inline(always)]
+pub(super) fn search_on(share: f64, value: &mut f64, before: f64, direction: &mut f64) {
+    let change = *value - before;
+    *value += share * *direction;
+    *direction = share * *direction + change;
 }
 
 /// 4-vector dot product in the order (omega, x, z, y).

@@ -7,7 +7,7 @@
 use nalgebra::{Point3, Vector3};
 
 use super::articulated::{Generalised, Spatial};
-use super::contact::{BaseDrive, Outcome};
+use super::contact::{BaseDrive, ContactStep, Outcome};
 use super::error::{ManipulatorError, check, check_all};
 use super::geometry::SphereKind;
 use super::loads::{Frame, Loads};
@@ -23,7 +23,26 @@ pub(super) const FREE_SHARE: f64 = 0.9;
 /// Most solutions of one step of linearly implicit Euler: each gives up what the one before took for granted wrongly.
 pub(super) const MAX_ROUNDS: usize = 4;
 /// A Rosenbrock step needs every contact candidate to stay farther than this at the present velocity, m.
-pub(super) const CLEARANCE_M: f64 = 50.0e-6;
+const CLEARANCE_M: f64 = 50.0e-6;
+
+/// Which configuration a stage of a step is evaluated in.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Stage {
+    /// That at the start of the step.
+    Start,
+    /// That at the end of the first Rosenbrock stage.
+    Trial,
+}
+
+impl Stage {
+    /// Its configuration of the two.
+    pub fn of<'c, C>(self, start: &'c C, trial: &'c C) -> &'c C {
+        match self {
+            Stage::Start => start,
+            Stage::Trial => trial,
+        }
+    }
+}
 
 /// Diagonals of the operator: elastic stiffness and damping of flexures and mount.
 #[derive(Debug, Clone)]
@@ -100,10 +119,10 @@ impl Manipulator {
         f
     }
 
-    /// Factors M + h D + h^2 K with its coupling in the start (`trial` false) or trial configuration.
-    fn factor(&mut self, h: f64, d: &Diagonals, trial: bool) {
+    /// Factors M + h D + h^2 K with its coupling.
+    fn factor(&mut self, h: f64, d: &Diagonals, at: Stage) {
         let diagonal = Generalised::ZERO.plus(h, &d.damping).plus(h * h, &d.stiffness);
-        let configuration = if trial { &self.trial } else { &self.configuration };
+        let configuration = at.of(&self.configuration, &self.trial);
         self.articulated.factor(&self.layout, configuration, &diagonal);
         self.coupling.update(&self.articulated, &self.tendon, h * h);
     }
@@ -124,7 +143,7 @@ impl Manipulator {
     ) -> Generalised {
         let (q, v) = (self.positions(), self.velocities());
         self.pressed.collect(&self.parameters, dt, &q.joint, &self.state.stop_torque_nm);
-        let mut d = self.stage((&q, &v), dt, input, frame, false);
+        let mut d = self.stage((&q, &v), dt, input, frame, Stage::Start);
         let (mut round, mut expected) = (1, v);
         let after = loop {
             let free = self.free_velocity(dt, (&q, &v), &d);
@@ -137,7 +156,7 @@ impl Manipulator {
             if turned {
                 expected = after;
             }
-            d = self.factored_with_tendons((&q, &expected), dt, input, false);
+            d = self.factored_with_tendons((&q, &expected), dt, input, Stage::Start);
             round += 1;
         };
         self.store_results(dt, drive, &after, report);
@@ -168,7 +187,7 @@ impl Manipulator {
     ) -> Generalised {
         let solver = &mut self.contact;
         solver.collect(&self.layout, &self.configuration, input.contacts);
-        solver.collect_stops(&self.parameters, dt, (&self.state, &self.pressed), &free);
+        solver.collect_stops(&self.parameters, dt, &self.state, &self.pressed, &free);
         report.refused_contact_count = solver.refused;
         report.contact_count = solver.row_count;
         report.max_overlap_m = solver.max_overlap_m;
@@ -176,10 +195,10 @@ impl Manipulator {
             return free;
         }
         solver.delassus.assemble(&mut self.articulated, &self.coupling, self.layout.joints);
-        let settings = (dt, drive, self.articulated.lateral);
-        solver.prepare(&self.parameters, &self.layout, settings, input.contacts, &self.state);
-        let limits = (self.parameters.contact.max_iterations, self.parameters.contact.tolerance_m_per_s);
-        let Outcome { iterations, residual } = solver.solve(&self.articulated, &free, limits);
+        let parameters = &self.parameters.contact;
+        let step = ContactStep { dt, drive, planes: input.contacts, parameters };
+        solver.prepare(&step, &self.layout, self.articulated.lateral, &self.state);
+        let Outcome { iterations, residual } = solver.solve(&self.articulated, &free, parameters);
         report.iterations = iterations;
         report.residual_m_per_s = residual;
         let mut force: [Spatial; MAX_JOINTS + 1] = [[0.0; 3]; MAX_JOINTS + 1];
@@ -212,14 +231,15 @@ impl Manipulator {
     /// A ROS2 step in free motion; its error estimate. `Err` leaves the state alone: not wanted (estimate 0), not free,
     /// or the estimate is above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame) -> Result<(Generalised, f64), f64> {
-        let wanted = self.parameters.integrator == Integrator::Hybrid && self.contacts_far(dt, input);
+        let wanted =
+            self.parameters.integrator == Integrator::Hybrid && contacts_far(&self.spheres, dt, input);
         let (q, v) = (self.positions(), self.velocities());
         if !wanted || self.near_stop(&q) {
             return Err(0.0);
         }
         self.pressed.clear();
         let h = GAMMA * dt;
-        let d = self.stage((&q, &v), h, input, frame, false);
+        let d = self.stage((&q, &v), h, input, frame, Stage::Start);
         if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
             return Err(0.0);
         }
@@ -232,7 +252,7 @@ impl Manipulator {
         let (q2, v2) = (q.plus(dt, &kq1), v.plus(dt, &kv1));
         self.trial.update(&self.layout, &q2.joint, &q2.mount);
         let slid = self.tendon.slides_on;
-        let d = self.stage((&q2, &v2), h, input, frame, true);
+        let d = self.stage((&q2, &v2), h, input, frame, Stage::Trial);
         if self.tendon.slides_on != slid {
             return Err(0.0);
         }
@@ -266,10 +286,10 @@ impl Manipulator {
         h: f64,
         input: &StepInput,
         frame: &Frame,
-        trial: bool,
+        at: Stage,
     ) -> Diagonals {
-        let d = self.factored_with_tendons((q, v), h, input, trial);
-        let configuration = if trial { &self.trial } else { &self.configuration };
+        let d = self.factored_with_tendons((q, v), h, input, at);
+        let configuration = at.of(&self.configuration, &self.trial);
         self.loads.evaluate(&self.layout, configuration, &v.joint, (&q.mount, &v.mount), frame);
         d
     }
@@ -280,9 +300,9 @@ impl Manipulator {
         (q, v): (&Generalised, &Generalised),
         h: f64,
         input: &StepInput,
-        trial: bool,
+        at: Stage,
     ) -> Diagonals {
-        let configuration = if trial { &self.trial } else { &self.configuration };
+        let configuration = at.of(&self.configuration, &self.trial);
         self.tendon.evaluate(
             &self.parameters.tendon,
             &self.layout,
@@ -291,23 +311,13 @@ impl Manipulator {
             &self.state.tendon,
         );
         let d = self.diagonals();
-        self.factor(h, &d, trial);
+        self.factor(h, &d, at);
         d
     }
 
     fn near_stop(&self, q: &Generalised) -> bool {
         let reach = FREE_SHARE * self.parameters.joint_limit_rad;
         q.joint.iter().any(|q| q.abs() > reach)
-    }
-
-    /// Whether no sphere reaches its plane within the step at its present velocity. A contact that is not usable counts
-    /// as near, so that the Euler step refuses and counts it.
-    fn contacts_far(&self, dt: f64, input: &StepInput) -> bool {
-        input.contacts.iter().all(|c| {
-            let sphere = self.spheres.get(c.sphere_index);
-            let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
-            c.gap_m > CLEARANCE_M && sphere.is_some_and(far)
-        })
     }
 
     /// Whether every sphere is still clear of its plane in configuration `next`. Leaves it in the trial configuration.
@@ -334,8 +344,8 @@ impl Manipulator {
         report: &mut StepReport,
     ) {
         let change = after.plus(-1.0, before);
-        let second_stage = report.integrator == Integrator::Hybrid;
-        let configuration = if second_stage { &self.trial } else { &self.configuration };
+        let last = if report.integrator == Integrator::Hybrid { Stage::Trial } else { Stage::Start };
+        let configuration = last.of(&self.configuration, &self.trial);
         let mut motions: [Spatial; MAX_JOINTS + 1] = [[0.0; 3]; MAX_JOINTS + 1];
         self.articulated.link_motions(&change, &mut motions);
         let lateral = (self.state.mount_displacement_m[1], change.mount[1]);
@@ -391,6 +401,15 @@ pub(super) fn base_motion(
         },
     };
     Ok((drive, frame))
+}
+
+/// Whether no sphere reaches its plane within the step at its present velocity. A contact that is not usable counts
+/// as near, so that the Euler step refuses and counts it.
+pub(super) fn contacts_far(spheres: &[ProxySphere], dt: f64, input: &StepInput) -> bool {
+    input.contacts.iter().all(|c| {
+        let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
+        c.gap_m > CLEARANCE_M && spheres.get(c.sphere_index).is_some_and(far)
+    })
 }
 
 fn largest(values: &[f64; MAX_JOINTS]) -> f64 {

@@ -67,8 +67,7 @@ impl Drilling<'_> {
         let count = self.voxels.waiting.len().min(self.voxels.parameters.removed_per_tick);
         for place in 0..count {
             let voxel = self.voxels.waiting[place];
-            let [i, j, k] = self.voxels.geometry.voxel(voxel);
-            self.voxels.occupancy.set(i, j, k, false);
+            self.voxels.occupancy.empty(self.voxels.geometry.voxel(voxel));
             self.note(voxel);
             self.voxels.removed.push(voxel);
         }
@@ -92,9 +91,9 @@ impl Voxels {
 
     /// Takes voxels out of the bone for good.
     pub(super) fn take_out(&mut self, voxels: &[[usize; 3]]) {
-        for [i, j, k] in voxels {
-            self.occupancy.set(*i, *j, *k, false);
-            self.pool.forget(*i, *j, *k);
+        for voxel in voxels {
+            self.occupancy.empty(*voxel);
+            self.pool.forget(*voxel);
         }
         self.predrilled_count += voxels.len() as u64;
         self.journal.note_everything();
@@ -104,9 +103,9 @@ impl Voxels {
     pub(in crate::bone) fn reset(&mut self) {
         let Self { pool, occupancy, .. } = self;
         // Only bone absorbs energy, so whatever did was bone.
-        pool.for_each(|[i, j, k], spent| {
+        pool.for_each(|voxel, spent| {
             if spent > 0.0 {
-                occupancy.set(i, j, k, true);
+                occupancy.fill(voxel);
             }
         });
         self.pool.clear();
@@ -137,14 +136,13 @@ impl Voxels {
         self.waiting.extend_from_slice(&snapshot.waiting);
         self.removed_total = snapshot.removed_total;
         let Self { pool, occupancy, .. } = self;
-        pool.for_each(|[i, j, k], spent| {
+        pool.for_each(|voxel, spent| {
             if spent >= 1.0 {
-                occupancy.set(i, j, k, false);
+                occupancy.empty(voxel);
             }
         });
         for voxel in &self.waiting {
-            let [i, j, k] = self.geometry.voxel(*voxel);
-            self.occupancy.set(i, j, k, true);
+            self.occupancy.fill(self.geometry.voxel(*voxel));
         }
         Ok(())
     }

@@ -15,11 +15,12 @@ use super::MAX_TENDONS;
 use super::error::ManipulatorError;
 use super::geometry::{SphereLayout, link_lengths_m, spheres};
 use super::parameters::ManipulatorParameters;
+use super::row::Stop;
 use super::state::{BaseMotion, ContactResult, ProxySphere, StepReport, Wrench, places_from};
 use super::tendon::{Channels, TendonMemory};
 use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
 use arc::Arc;
-use step::{Row, Stop};
+use step::Row;
 
 /// Most contacts of a step, four a sphere; further ones are refused and counted.
 const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);

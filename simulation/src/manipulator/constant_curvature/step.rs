@@ -3,11 +3,11 @@
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 use super::{ConstantCurvature, mass_matrix};
-use crate::manipulator::contact::{BaseDrive, STOP_RETURN_RAD_PER_S, STOP_SHARE, previous};
+use crate::manipulator::contact::{BaseDrive, ContactStep, LastContacts};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::geometry::SphereKind;
 use crate::manipulator::loads::Frame;
-use crate::manipulator::row::{cone, tangents, target};
+use crate::manipulator::row::{Stop, StopLaw, cone, tangents};
 use crate::manipulator::state::{ContactResult, StepInput, StepReport, TendonCommand, Wrench};
 use crate::manipulator::step::{base_motion, validate};
 use crate::manipulator::tendon::{base_tension, sign};
@@ -27,15 +27,6 @@ pub(super) struct Row {
     target: f64,
     impulse: [f64; 3],
     shift: f64,
-}
-
-/// The bend's stop.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Stop {
-    sign: f64,
-    compliance: f64,
-    target: f64,
-    impulse: f64,
 }
 
 /// Forces of tendons on the bend, and the operator's part of them.
@@ -199,7 +190,7 @@ impl ConstantCurvature {
             let mut residual = 0.0f64;
             self.rows.iter_mut().for_each(|row| row.relax(&mut velocity, &mut residual));
             if let Some(stop) = &mut self.stop {
-                stop.relax(&stop_response, &mut velocity, &mut residual);
+                relax_stop(stop, &stop_response, &mut velocity, &mut residual);
             }
             report.residual_m_per_s = residual;
             if residual <= contact.tolerance_m_per_s {
@@ -218,11 +209,14 @@ impl ConstantCurvature {
         self.rows.clear();
         self.used.fill(false);
         let contact = self.parameters.contact;
+        let step = ContactStep { dt, drive, planes: input.contacts, parameters: &contact };
+        let results = &self.state.results[..self.state.result_count];
+        let mut last = LastContacts { results, used: &mut self.used };
+        let considered = input.contacts.iter().take(last.used.len());
         let q = &self.state.position;
-        for (index, plane) in input.contacts.iter().take(self.used.len()).enumerate() {
-            let unit = (plane.normal.norm_squared() - 1.0).abs() < 1e-6;
+        for (index, plane) in considered.enumerate() {
             let Some(sphere) = self.sphere_layout.get(plane.sphere_index) else { continue };
-            if !(unit && plane.gap_m.is_finite()) {
+            if !plane.is_usable() {
                 continue;
             }
             let normal = drive.rotation.inverse_transform_vector(plane.normal.as_ref());
@@ -235,32 +229,21 @@ impl ConstantCurvature {
             let direction = [normal, t0, t1];
             let jacobian = direction.map(|d| Vector4::new(d.x, d.y, d.z, d.dot(&per_bend)));
             let base_velocity = drive.linear + drive.angular.cross(&point);
-            let mut row = Row {
+            let (target, impulse) = last.start(&step, plane, &[t0, t1]);
+            let row = Row {
                 contact: index,
                 sphere: plane.sphere_index,
                 point,
                 direction,
                 jacobian,
                 response: jacobian.map(|j| inverse * j),
-                friction: match sphere.kind {
-                    SphereKind::Burr => contact.burr_friction_coefficient,
-                    _ => contact.friction_coefficient,
-                },
+                friction: contact.friction_of(sphere.kind),
                 drive: direction.map(|d| d.dot(&base_velocity)),
-                compliance: 1.0 / (contact.stiffness_n_per_m * dt * dt),
-                target: 0.0,
-                impulse: [0.0; 3],
+                compliance: step.compliance(),
+                target,
+                impulse,
                 shift: 0.0,
             };
-            let mut last = 0.0;
-            let results = &self.state.results[..self.state.result_count];
-            if let Some(old) = previous(results, &mut self.used, row.sphere, plane.normal.as_ref()) {
-                let friction = drive.rotation.inverse_transform_vector(&old.friction_force_n);
-                last = old.normal_force_n;
-                row.impulse = [last * dt, friction.dot(&t0) * dt, friction.dot(&t1) * dt];
-            }
-            let explained = last / contact.stiffness_n_per_m;
-            row.target = target(plane.gap_m, explained, contact.push_out_speed_m_per_s, dt);
             report.max_overlap_m = report.max_overlap_m.max(-plane.gap_m);
             self.rows.push(row);
         }
@@ -270,17 +253,8 @@ impl ConstantCurvature {
     }
 
     fn collect_stop(&mut self, dt: f64, free: &Vector4<f64>) {
-        let bend = self.state.position[3];
-        let predicted = bend + dt * free[3];
-        let near = predicted.abs().max(bend.abs()) > STOP_SHARE * self.limit_rad;
-        let (sign, stiffness) = (if predicted > 0.0 { -1.0 } else { 1.0 }, self.stop_stiffness_nm_per_rad);
-        let last = (sign * self.state.stop_torque_nm).max(0.0);
-        self.stop = near.then(|| Stop {
-            sign,
-            compliance: 1.0 / (stiffness * dt * dt),
-            target: target(self.limit_rad + sign * bend, last / stiffness, STOP_RETURN_RAD_PER_S, dt),
-            impulse: last * dt,
-        });
+        let law = StopLaw { limit_rad: self.limit_rad, stiffness_nm_per_rad: self.stop_stiffness_nm_per_rad };
+        self.stop = law.near(dt, self.state.position[3], free[3], self.state.stop_torque_nm);
     }
 
     fn store(&mut self, dt: f64, drive: &BaseDrive, (moment, report): (&mut Vector3<f64>, &mut StepReport)) {
@@ -368,14 +342,13 @@ impl Row {
     }
 }
 
-impl Stop {
-    fn relax(&mut self, response: &Vector4<f64>, velocity: &mut Vector4<f64>, residual: &mut f64) {
-        let whole = response[3] + self.compliance;
-        let speed = self.sign * velocity[3] + self.compliance * self.impulse;
-        let impulse = (self.impulse + (self.target - speed) / whole).max(0.0);
-        let change = impulse - self.impulse;
-        self.impulse = impulse;
-        *velocity += response * (self.sign * change);
-        *residual = residual.max(change.abs() * whole);
-    }
+/// Relaxes the bend's stop; `response` is the change of the velocities that a unit impulse of the bend causes.
+fn relax_stop(stop: &mut Stop, response: &Vector4<f64>, velocity: &mut Vector4<f64>, residual: &mut f64) {
+    let whole = response[3] + stop.compliance;
+    let speed = stop.sign * velocity[3] + stop.compliance * stop.impulse;
+    let impulse = (stop.impulse + (stop.target - speed) / whole).max(0.0);
+    let change = impulse - stop.impulse;
+    stop.impulse = impulse;
+    *velocity += response * (stop.sign * change);
+    *residual = residual.max(change.abs() * whole);
 }

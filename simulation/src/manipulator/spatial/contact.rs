@@ -14,11 +14,10 @@ use super::layout::{Configuration, SpatialLayout};
 use super::state::SpatialState;
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::MAX_TENDONS;
-use crate::manipulator::contact::{BaseDrive, Outcome, STOP_RETURN_RAD_PER_S, STOP_SHARE, previous};
-use crate::manipulator::geometry::SphereKind;
-use crate::manipulator::parameters::ManipulatorParameters;
+use crate::manipulator::contact::{ContactStep, LastContacts, Outcome};
+use crate::manipulator::parameters::{ContactParameters, ManipulatorParameters};
 use crate::manipulator::pressed::PressedStops;
-use crate::manipulator::row::{cone, tangents, target};
+use crate::manipulator::row::{Stop, cone, search_on, search_share, tangents};
 use crate::manipulator::state::ContactResult;
 
 /// One contact.
@@ -47,35 +46,18 @@ pub(super) struct Row {
 
 /// One stop of a bending or lateral freedom.
 #[derive(Debug, Clone, Copy)]
-struct Stop {
+struct FreedomStop {
     freedom: usize,
-    sign: f64,
-    compliance: f64,
-    target: f64,
-    inverse: f64,
+    stop: Stop,
+    /// Motion of the freedom's link that a unit impulse of the freedom causes.
     response: Spatial,
-    impulse: f64,
-    before: f64,
-    direction_of_search: f64,
 }
-
-const EMPTY_STOP: Stop = Stop {
-    freedom: 0,
-    sign: 1.0,
-    compliance: 0.0,
-    target: 0.0,
-    inverse: 0.0,
-    response: ZERO,
-    impulse: 0.0,
-    before: 0.0,
-    direction_of_search: 0.0,
-};
 
 /// Workspace of the contact solver.
 #[derive(Debug, Clone)]
 pub(super) struct ContactSolver {
     pub row: Vec<Row>,
-    stop: Vec<Stop>,
+    stop: Vec<FreedomStop>,
     pub refused: usize,
     pub max_overlap_m: f64,
     used: Vec<bool>,
@@ -119,9 +101,8 @@ impl ContactSolver {
         self.max_overlap_m = 0.0;
         let considered = &contacts[..contacts.len().min(self.row.capacity())];
         for (index, contact) in considered.iter().enumerate() {
-            let unit = (contact.normal.norm_squared() - 1.0).abs() < 1e-6;
             let Some(sphere) = layout.spheres.get(contact.sphere_index) else { continue };
-            if !(unit && contact.gap_m.is_finite()) {
+            if !contact.is_usable() {
                 continue;
             }
             let normal = rotation.inverse_transform_vector(contact.normal.as_ref());
@@ -158,28 +139,18 @@ impl ContactSolver {
         p: &ManipulatorParameters,
         layout: &SpatialLayout<D>,
         dt: f64,
-        (state, pressed): (&SpatialState, &PressedStops),
+        state: &SpatialState,
+        pressed: &PressedStops,
         free: &[f64],
     ) {
-        let (limit, stiffness) = (p.joint_limit_rad, p.joint_stop_stiffness_nm_per_rad);
+        let law = p.stop_law();
         for joint in 0..layout.joints {
             let bend = layout.bend(joint);
             for k in bend..=if D > 1 { bend + 1 } else { bend } {
-                let q = state.position[k];
-                let predicted = q + dt * free[k];
-                if predicted.abs().max(q.abs()) <= STOP_SHARE * limit || pressed.has(k) {
-                    continue;
+                let near = law.near(dt, state.position[k], free[k], state.stop_torque[k]);
+                if let Some(stop) = near.filter(|_| !pressed.has(k)) {
+                    self.stop.push(FreedomStop { freedom: k, stop, response: ZERO });
                 }
-                let sign = if predicted > 0.0 { -1.0 } else { 1.0 };
-                let last = (sign * state.stop_torque[k]).max(0.0);
-                self.stop.push(Stop {
-                    freedom: k,
-                    sign,
-                    compliance: 1.0 / (stiffness * dt * dt),
-                    target: target(limit + sign * q, last / stiffness, STOP_RETURN_RAD_PER_S, dt),
-                    impulse: last * dt,
-                    ..EMPTY_STOP
-                });
             }
         }
     }
@@ -192,24 +163,21 @@ impl ContactSolver {
     /// Completes the rows once the mobilities are known, with the impulses of the last tick as the start.
     pub fn prepare<const D: usize>(
         &mut self,
-        p: &ManipulatorParameters,
+        step: &ContactStep,
         layout: &SpatialLayout<D>,
-        (dt, drive): (f64, &BaseDrive),
-        contacts: &[ContactPlane],
-        (state, articulated, coupling): (&SpatialState, &Articulated, &Coupling),
+        state: &SpatialState,
+        articulated: &Articulated,
+        coupling: &Coupling,
     ) {
         self.used.fill(false);
-        let stiffness = p.contact.stiffness_n_per_m;
+        let mut last = LastContacts { results: &state.results[..state.result_count], used: &mut self.used };
         for row in &mut self.row {
             let sphere = &layout.spheres[row.sphere];
-            let contact = &contacts[row.contact];
-            let base_velocity = drive.linear + drive.angular.cross(&row.point);
+            let plane = &step.planes[row.contact];
+            let base_velocity = step.drive.linear + step.drive.angular.cross(&row.point);
             row.drive = row.direction.map(|d| d.dot(&base_velocity));
-            row.friction = match sphere.kind {
-                SphereKind::Burr => p.contact.burr_friction_coefficient,
-                _ => p.contact.friction_coefficient,
-            };
-            row.compliance = 1.0 / (stiffness * dt * dt);
+            row.friction = step.parameters.friction_of(sphere.kind);
+            row.compliance = step.compliance();
             let mobility = articulated.mobility(layout.freedoms_of(row.link).end);
             let response = row.force.map(|f| times(mobility, &f));
             let along = row.force.map(|f| coupling.takes_up(row.link, &f));
@@ -223,21 +191,14 @@ impl ContactSolver {
             };
             row.inverse = 1.0 / (entry(0, 0) + row.compliance);
             row.tangential = [entry(1, 1), entry(1, 2), entry(2, 2)];
-            let mut last = 0.0;
-            let results = &state.results[..state.result_count];
-            if let Some(old) = previous(results, &mut self.used, row.sphere, contact.normal.as_ref()) {
-                let friction = drive.rotation.inverse_transform_vector(&old.friction_force_n);
-                last = old.normal_force_n;
-                row.impulse =
-                    [last * dt, friction.dot(&row.direction[1]) * dt, friction.dot(&row.direction[2]) * dt];
-            }
-            row.target = target(contact.gap_m, last / stiffness, p.contact.push_out_speed_m_per_s, dt);
+            let [_, t0, t1] = row.direction;
+            (row.target, row.impulse) = last.start(step, plane, &[t0, t1]);
         }
         for stop in &mut self.stop {
             let (rate, response) = articulated.unit_response(stop.freedom);
             let z = coupling.freedom_response(stop.freedom);
             let w = if coupling.active { coupling.weigh(&z) } else { [0.0; MAX_TENDONS] };
-            stop.inverse = 1.0 / (coupling.less(rate, &z, &w) + stop.compliance);
+            stop.stop.inverse = 1.0 / (coupling.less(rate, &z, &w) + stop.stop.compliance);
             stop.response = response;
         }
     }
@@ -247,10 +208,12 @@ impl ContactSolver {
     pub fn solve<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
-        (articulated, coupling): (&mut Articulated, &Coupling),
+        articulated: &mut Articulated,
+        coupling: &Coupling,
         free: &[f64],
-        (max_iterations, tolerance): (usize, f64),
+        parameters: &ContactParameters,
     ) -> Outcome {
+        let (max_iterations, tolerance) = (parameters.max_iterations, parameters.tolerance_m_per_s);
         self.velocity_direction.fill(0.0);
         self.respond(layout, articulated, coupling, free);
         let mut outcome = Outcome { iterations: 0, residual: 0.0 };
@@ -285,7 +248,7 @@ impl ContactSolver {
             }
         }
         for stop in &self.stop {
-            self.generalised[stop.freedom] += stop.sign * stop.impulse;
+            self.generalised[stop.freedom] += stop.stop.sign * stop.stop.impulse;
         }
         articulated.solve(layout, Some(&self.link_impulse), &self.generalised, &mut self.velocity);
         coupling.correct(&mut self.velocity);
@@ -297,7 +260,7 @@ impl ContactSolver {
 
     fn keep(&mut self) {
         self.row.iter_mut().for_each(|row| row.before = row.impulse);
-        self.stop.iter_mut().for_each(|stop| stop.before = stop.impulse);
+        self.stop.iter_mut().for_each(|FreedomStop { stop, .. }| stop.before = stop.impulse);
         self.velocity_before.copy_from_slice(&self.velocity);
     }
 
@@ -321,7 +284,7 @@ impl ContactSolver {
                 if stop < self.stop.len() && self.stop[stop].freedom == k {
                     let z = coupling.freedom_response(k);
                     let rate = coupling.less(self.velocity[k] + rate, &z, &weight);
-                    let change = self.stop[stop].relax(rate, residual);
+                    let change = self.stop[stop].stop.relax(rate, residual);
                     add_scaled(&mut carried, change, &self.stop[stop].response);
                     moving |= change != 0.0;
                     if coupling.active {
@@ -364,27 +327,22 @@ impl ContactSolver {
                 squared += weight[j] * change * change;
             }
         }
-        for stop in &self.stop {
+        for FreedomStop { stop, .. } in &self.stop {
             let change = stop.impulse - stop.before;
             squared += change * change / stop.inverse;
         }
-        let beta = if last > 0.0 && squared <= last { squared / last } else { 0.0 };
+        let share = search_share(squared, last);
         for row in &mut self.row {
             for j in 0..3 {
-                let change = row.impulse[j] - row.before[j];
-                row.impulse[j] += beta * row.direction_of_search[j];
-                row.direction_of_search[j] = beta * row.direction_of_search[j] + change;
+                search_on(share, &mut row.impulse[j], row.before[j], &mut row.direction_of_search[j]);
             }
         }
-        for stop in &mut self.stop {
-            let change = stop.impulse - stop.before;
-            stop.impulse += beta * stop.direction_of_search;
-            stop.direction_of_search = beta * stop.direction_of_search + change;
+        for FreedomStop { stop, .. } in &mut self.stop {
+            search_on(share, &mut stop.impulse, stop.before, &mut stop.direction);
         }
         for k in 0..self.velocity.len() {
-            let change = self.velocity[k] - self.velocity_before[k];
-            self.velocity[k] += beta * self.velocity_direction[k];
-            self.velocity_direction[k] = beta * self.velocity_direction[k] + change;
+            let direction = &mut self.velocity_direction[k];
+            search_on(share, &mut self.velocity[k], self.velocity_before[k], direction);
         }
         squared
     }
@@ -405,10 +363,10 @@ impl ContactSolver {
     /// Stop torques of the solution, for the next warm start; returns how many stops carry torque.
     pub fn stop_torques(&self, dt: f64, torque: &mut [f64]) -> usize {
         torque.fill(0.0);
-        for stop in &self.stop {
-            torque[stop.freedom] = stop.sign * stop.impulse / dt;
+        for FreedomStop { freedom, stop, .. } in &self.stop {
+            torque[*freedom] = stop.sign * stop.impulse / dt;
         }
-        self.stop.iter().filter(|stop| stop.impulse > 0.0).count()
+        self.stop.iter().filter(|stop| stop.stop.impulse > 0.0).count()
     }
 }
 
@@ -437,17 +395,5 @@ impl Row {
             add_scaled(&mut force, self.impulse[j] - old[j], &self.force[j]);
         }
         force
-    }
-}
-
-impl Stop {
-    /// Relaxes the stop at velocity `rate` of its freedom; the change of the freedom's impulse.
-    fn relax(&mut self, rate: f64, residual: &mut f64) -> f64 {
-        let velocity = self.sign * rate + self.compliance * self.impulse;
-        let impulse = (self.impulse + (self.target - velocity) * self.inverse).max(0.0);
-        let change = impulse - self.impulse;
-        self.impulse = impulse;
-        *residual = residual.max(change.abs() / self.inverse);
-        self.sign * change
     }
 }

@@ -5,13 +5,13 @@ use nalgebra::Vector3;
 use super::SpatialChain;
 use super::algebra::{Spatial, ZERO};
 use super::layout::SpatialLayout;
-use crate::manipulator::contact::{BaseDrive, Outcome};
+use crate::manipulator::contact::{BaseDrive, ContactStep, Outcome};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::geometry::SphereKind;
 use crate::manipulator::loads::Frame;
 use crate::manipulator::parameters::Integrator;
-use crate::manipulator::state::{ProxySphere, StepInput, StepReport, Wrench};
-use crate::manipulator::step::{CLEARANCE_M, FREE_SHARE, GAMMA, MAX_ROUNDS, base_motion, validate};
+use crate::manipulator::state::{StepInput, StepReport, Wrench};
+use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, base_motion, contacts_far, validate};
 use crate::manipulator::tendon::turns;
 
 /// Vectors over the freedoms that a step needs.
@@ -101,11 +101,11 @@ impl<const D: usize> SpatialChain<D> {
         (q, v): (&[f64], &[f64]),
         h: f64,
         (input, frame): (&StepInput, &Frame),
-        trial: bool,
+        at: Stage,
         operator: (&mut [f64], &mut [f64]),
     ) {
-        self.factor_with_tendons((q, v), h, input, trial, operator);
-        let configuration = if trial { &self.trial } else { &self.configuration };
+        self.factor_with_tendons((q, v), h, input, at, operator);
+        let configuration = at.of(&self.configuration, &self.trial);
         self.loads.evaluate(&self.layout, configuration, v, frame);
     }
 
@@ -115,10 +115,10 @@ impl<const D: usize> SpatialChain<D> {
         (q, v): (&[f64], &[f64]),
         h: f64,
         input: &StepInput,
-        trial: bool,
+        at: Stage,
         (stiffness, diagonal): (&mut [f64], &mut [f64]),
     ) {
-        let configuration = if trial { &self.trial } else { &self.configuration };
+        let configuration = at.of(&self.configuration, &self.trial);
         let parameters = &self.parameters.tendon;
         self.tendon.evaluate(parameters, &self.layout, (q, v), &input.tendon, &self.state.tendon);
         let stops = self.pressed.stiffness();
@@ -161,7 +161,7 @@ impl<const D: usize> SpatialChain<D> {
             self.pressed.collect(&self.parameters, dt, &q, &self.state.stop_torque);
         }
         let Work { before, expected, stiffness, diagonal, .. } = &mut *work;
-        self.stage((&q, before), h, (input, frame), false, (stiffness, diagonal));
+        self.stage((&q, before), h, (input, frame), Stage::Start, (stiffness, diagonal));
         expected.copy_from_slice(before);
         self.state.position = q;
         let mut round = 1;
@@ -179,7 +179,7 @@ impl<const D: usize> SpatialChain<D> {
                 expected.copy_from_slice(after);
             }
             let q = core::mem::take(&mut self.state.position);
-            self.factor_with_tendons((&q, expected), h, input, false, (stiffness, diagonal));
+            self.factor_with_tendons((&q, expected), h, input, Stage::Start, (stiffness, diagonal));
             self.state.position = q;
             round += 1;
         }
@@ -210,8 +210,7 @@ impl<const D: usize> SpatialChain<D> {
     ) {
         let solver = &mut self.contact;
         solver.collect(&self.layout, &self.configuration, &drive.rotation, input.contacts);
-        let stops = (&self.state, &self.pressed);
-        solver.collect_stops(&self.parameters, &self.layout, dt, stops, velocity);
+        solver.collect_stops(&self.parameters, &self.layout, dt, &self.state, &self.pressed, velocity);
         report.refused_contact_count = solver.refused;
         report.contact_count = solver.row.len();
         report.max_overlap_m = solver.max_overlap_m;
@@ -219,11 +218,11 @@ impl<const D: usize> SpatialChain<D> {
             return;
         }
         self.articulated.update_mobility();
-        let model = (&self.state, &self.articulated, &self.coupling);
-        solver.prepare(&self.parameters, &self.layout, (dt, drive), input.contacts, model);
-        let limits = (self.parameters.contact.max_iterations, self.parameters.contact.tolerance_m_per_s);
+        let parameters = &self.parameters.contact;
+        let step = ContactStep { dt, drive, planes: input.contacts, parameters };
+        solver.prepare(&step, &self.layout, &self.state, &self.articulated, &self.coupling);
         let Outcome { iterations, residual } =
-            solver.solve(&self.layout, (&mut self.articulated, &self.coupling), velocity, limits);
+            solver.solve(&self.layout, &mut self.articulated, &self.coupling, velocity, parameters);
         report.iterations = iterations;
         report.residual_m_per_s = residual;
         velocity.copy_from_slice(&solver.velocity);
@@ -251,7 +250,8 @@ impl<const D: usize> SpatialChain<D> {
     /// A ROS2 step in free motion into `work.next` and `work.after`; its error estimate. `Err`: not wanted, or not smooth
     /// (estimate 0), not free, or the estimate is above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
-        let wanted = self.parameters.integrator == Integrator::Hybrid && self.contacts_far(dt, input);
+        let wanted =
+            self.parameters.integrator == Integrator::Hybrid && contacts_far(&self.spheres, dt, input);
         if !wanted || self.near_stop(&self.state.position) {
             return Err(0.0);
         }
@@ -277,7 +277,7 @@ impl<const D: usize> SpatialChain<D> {
     ) -> Option<f64> {
         let h = GAMMA * dt;
         let Work { before, after, next, stiffness, diagonal, rhs, y, kv1, kq1, q2, v2, kv2, .. } = work;
-        self.stage((q, before), h, (input, frame), false, (&mut *stiffness, &mut *diagonal));
+        self.stage((q, before), h, (input, frame), Stage::Start, (&mut *stiffness, &mut *diagonal));
         if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
             return None;
         }
@@ -292,7 +292,7 @@ impl<const D: usize> SpatialChain<D> {
         fill(q2, |i| q[i] + dt * kq1[i]);
         fill(v2, |i| before[i] + dt * kv1[i]);
         self.trial.update(&self.layout, q2);
-        self.stage((q2, v2), h, (input, frame), true, (&mut *stiffness, &mut *diagonal));
+        self.stage((q2, v2), h, (input, frame), Stage::Trial, (&mut *stiffness, &mut *diagonal));
         if self.tendon.slides_on != slid {
             return None;
         }
@@ -327,14 +327,6 @@ impl<const D: usize> SpatialChain<D> {
         (0..self.layout.joints).any(|joint| {
             let bend = self.layout.bend(joint);
             q[bend].abs() > reach || (D > 1 && q[bend + 1].abs() > reach)
-        })
-    }
-
-    /// Whether no sphere reaches its plane within the step at its present velocity.
-    fn contacts_far(&self, dt: f64, input: &StepInput) -> bool {
-        input.contacts.iter().all(|c| {
-            let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
-            c.gap_m > CLEARANCE_M && self.spheres.get(c.sphere_index).is_some_and(far)
         })
     }
 
