@@ -2,101 +2,12 @@
 //! that change at any tick.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use simulation::arm::{
-    Arm, ArmCommand, ArmError, ArmMode, ArmParameters, ArmState, COMFORTABLE_Q_RAD, Joints, place_base_for,
-};
-use std::f64::consts::{PI, TAU};
+mod common;
 
-const DT_S: f64 = 1e-3;
-
-/// SplitMix64: a fixed stream of uniform numbers.
-struct Uniform(u64);
-
-impl Uniform {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn vector(&mut self, range: f64) -> Vector3<f64> {
-        Vector3::from_fn(|_, _| self.between(-range, range))
-    }
-}
-
-/// Where the tool's base sits on the flange in these tests: beside it, and turned.
-fn t_flange_tool() -> Isometry3<f64> {
-    Isometry3::new(Vector3::new(0.02, -0.01, 0.09), Vector3::new(0.3, -0.2, 0.5))
-}
-
-/// A UR5 that holds its tool comfortably at a pose of the patient frame.
-fn arm() -> Arm {
-    let mut parameters = ArmParameters::ur5(DT_S);
-    parameters.geometry.t_flange_tool = Some(t_flange_tool());
-    let wanted = Isometry3::new(Vector3::new(0.1, -0.2, 0.3), Vector3::new(0.4, 0.5, -0.6));
-    parameters.t_world_arm_base = place_base_for(&parameters.geometry, &wanted, &COMFORTABLE_Q_RAD);
-    Arm::new(parameters, &COMFORTABLE_Q_RAD).unwrap()
-}
-
-/// Greatest shares of the joint limits used between two ticks: position excess (rad), velocity, acceleration, jerk.
-#[derive(Default, Debug)]
-struct Used {
-    beyond_rad: f64,
-    velocity: f64,
-    acceleration: f64,
-    jerk: f64,
-}
-
-impl Used {
-    fn add(&mut self, arm: &Arm, before: &ArmState) {
-        let limits = &arm.parameters().joint_limits;
-        let s = arm.state();
-        for i in 0..6 {
-            let beyond = (s.q_rad[i] - limits.upper_rad[i]).max(limits.lower_rad[i] - s.q_rad[i]);
-            self.beyond_rad = self.beyond_rad.max(beyond);
-            self.velocity = self.velocity.max(s.qd_rad_s[i].abs() / limits.velocity_rad_s[i]);
-            self.acceleration = self.acceleration.max(s.qdd_rad_s2[i].abs() / limits.acceleration_rad_s2[i]);
-            let jerk = (s.qdd_rad_s2[i] - before.qdd_rad_s2[i]).abs() / DT_S;
-            self.jerk = self.jerk.max(jerk / limits.jerk_rad_s3[i]);
-        }
-    }
-
-    /// Within the limits but for Ruckig's own tolerance (1e-8, 1e-10, 1e-12 of the end state; the last tick may change
-    /// the acceleration by as much over 1 ms).
-    fn check(&self) {
-        assert!(self.beyond_rad <= 1e-8, "{self:?}");
-        assert!(
-            self.velocity <= 1.0 + 1e-8 && self.acceleration <= 1.0 + 1e-8 && self.jerk <= 1.0 + 1e-4,
-            "{self:?}"
-        );
-    }
-}
-
-/// Steps until done and looks at every state; returns the ticks it took.
-fn finish(arm: &mut Arm, mut look: impl FnMut(&ArmState)) -> usize {
-    let mut used = Used::default();
-    for ticks in 1..400_000 {
-        let before = *arm.state();
-        arm.step();
-        used.add(arm, &before);
-        look(arm.state());
-        assert_eq!(arm.state().fault, None);
-        if arm.state().done {
-            used.check();
-            return ticks;
-        }
-    }
-    panic!("the motion does not end");
-}
-
-fn run(arm: &mut Arm, ticks: usize) {
-    for _ in 0..ticks {
-        arm.step();
-    }
-}
+use common::arm::{DT_S, Uniform, Used, about_pivot, finish_looking, guided_arm, run, t_flange_tool};
+use nalgebra::{Isometry3, Point3, Vector3};
+use simulation::arm::{Arm, ArmCommand, ArmError, ArmMode};
+use std::f64::consts::PI;
 
 /// Distance of a pivot from the tool's axis.
 fn off_axis_m(t_world_tool: &Isometry3<f64>, pivot_world_m: &Vector3<f64>) -> f64 {
@@ -104,21 +15,9 @@ fn off_axis_m(t_world_tool: &Isometry3<f64>, pivot_world_m: &Vector3<f64>) -> f6
     in_tool.x.hypot(in_tool.y)
 }
 
-/// The tool's base `before_m` before the pivot, turned by `turn` about it.
-fn about_pivot(
-    from: &Isometry3<f64>,
-    pivot_m: &Vector3<f64>,
-    turn: Vector3<f64>,
-    before_m: f64,
-) -> Isometry3<f64> {
-    let rotation = UnitQuaternion::from_scaled_axis(turn) * from.rotation;
-    let origin = pivot_m - rotation * Vector3::z() * before_m;
-    Isometry3::from_parts(Translation3::from(origin), rotation)
-}
-
 #[test]
 fn the_tool_stands_at_the_flange_through_its_transform() {
-    let arm = arm();
+    let arm = guided_arm();
     let flange = arm.t_world_flange();
     let apart = (flange * t_flange_tool()).inverse() * arm.state().t_world_tool;
     assert!(apart.translation.vector.norm() < 1e-15 && apart.rotation.angle() < 1e-15);
@@ -134,7 +33,7 @@ fn the_tool_stands_at_the_flange_through_its_transform() {
 
 #[test]
 fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
-    let mut arm = arm();
+    let mut arm = guided_arm();
     let rates = [0.4, -0.3, 0.9, 0.0, -0.2, 1.1];
     arm.command(ArmCommand::ServoJv { qd_rad_s: rates }).unwrap();
     let mut used = Used::default();
@@ -160,7 +59,7 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     assert!(state.q_rad[2] <= PI && state.q_rad[2] > PI - 0.9e-3 * 1.01);
     assert_eq!(state.qd_rad_s, [0.4, -0.3, 0.0, 0.0, -0.2, 1.1], "the others go on");
     assert_eq!(state.mode, ArmMode::ServoJv);
-    used.check();
+    used.check(1e-8);
 
     // Outward again: it stays. Back: it goes. Zero: it stops and is done.
     arm.command(ArmCommand::ServoJv { qd_rad_s: [0.0, 0.0, 0.5, 0.0, 0.0, 0.0] }).unwrap();
@@ -170,7 +69,7 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
     run(&mut arm, 1_000);
     assert!(arm.state().q_rad[2] < PI - 0.4 && arm.state().fault.is_none());
     arm.command(ArmCommand::ServoJv { qd_rad_s: [0.0; 6] }).unwrap();
-    finish(&mut arm, |_| ());
+    finish_looking(&mut arm, |_| ());
     assert_eq!(arm.state().qd_rad_s, [0.0; 6]);
 
     let mut fast = [0.0; 6];
@@ -186,13 +85,13 @@ fn rates_are_reached_and_kept_and_a_joint_stops_at_the_end_of_its_range() {
 fn an_insertion_keeps_its_line_its_orientation_and_its_feed() {
     let (mut off_m, mut off_rad) = (0.0f64, 0.0f64);
     for feed_m_s in [0.05e-3, 0.1e-3, 0.15e-3] {
-        let mut arm = arm();
+        let mut arm = guided_arm();
         let start = arm.state().t_world_tool;
         let axis_world = (start.rotation * Vector3::new(0.1, -0.2, 1.0)).normalize();
         let mut go = |arm: &mut Arm, depth_m: f64| {
             arm.command(ArmCommand::Insert { axis_world, depth_m, feed_m_s }).unwrap();
             let mut fastest = 0.0f64;
-            let ticks = finish(arm, |state| {
+            let ticks = finish_looking(arm, |state| {
                 let moved = state.t_world_tool.translation.vector - start.translation.vector;
                 off_m = off_m.max((moved - axis_world * moved.dot(&axis_world)).norm());
                 off_rad = off_rad.max(state.t_world_tool.rotation.angle_to(&start.rotation));
@@ -218,7 +117,7 @@ fn an_insertion_keeps_its_line_its_orientation_and_its_feed() {
 
 #[test]
 fn an_insertion_can_be_deepened_paused_and_slowed_on_its_way() {
-    let mut arm = arm();
+    let mut arm = guided_arm();
     let start = arm.state().t_world_tool;
     let axis_world = start.rotation * Vector3::z();
     let insert = |depth_m, feed_m_s| ArmCommand::Insert { axis_world, depth_m, feed_m_s };
@@ -238,20 +137,20 @@ fn an_insertion_can_be_deepened_paused_and_slowed_on_its_way() {
     run(&mut arm, 500);
     assert_eq!(depth(&arm), paused_m);
     arm.command(insert(8e-3, 2e-3)).unwrap();
-    finish(&mut arm, |_| ());
+    finish_looking(&mut arm, |_| ());
     assert!((depth(&arm) - 8e-3).abs() < 1e-12);
     // An axis that is rounded anew is the same one: it began an insertion of its own, whose depth counted from here.
     let rounded = axis_world + Vector3::new(1e-9, -2e-9, 1e-9);
     arm.command(ArmCommand::Insert { axis_world: rounded, depth_m: 9e-3, feed_m_s: 2e-3 }).unwrap();
-    finish(&mut arm, |_| ());
+    finish_looking(&mut arm, |_| ());
     let moved = arm.state().t_world_tool.translation.vector - start.translation.vector;
     assert!((moved - axis_world * 9e-3).norm() < 1e-12, "{moved}");
     arm.command(insert(8e-3, 2e-3)).unwrap();
-    finish(&mut arm, |_| ());
+    finish_looking(&mut arm, |_| ());
     // Another axis: a new insertion from here.
     let sideways = start.rotation * Vector3::x();
     arm.command(ArmCommand::Insert { axis_world: sideways, depth_m: 1e-3, feed_m_s: 2e-3 }).unwrap();
-    finish(&mut arm, |_| ());
+    finish_looking(&mut arm, |_| ());
     assert!((depth(&arm) - 8e-3).abs() < 1e-12);
 
     for (axis_world, depth_m, feed_m_s) in [
@@ -272,7 +171,7 @@ fn the_pivot_stays_on_the_axis_of_the_tool() {
     let mut uniform = Uniform(21);
     let (mut off_m, mut fastest, mut accepted) = (0.0f64, 0.0f64, 0);
     for _ in 0..15 {
-        let mut arm = arm();
+        let mut arm = guided_arm();
         let start = arm.state().t_world_tool;
         let pivot_world_m = start.translation.vector + start.rotation * Vector3::z() * 0.06;
         for _ in 0..2 {
@@ -283,7 +182,7 @@ fn the_pivot_stays_on_the_axis_of_the_tool() {
                 continue;
             }
             accepted += 1;
-            finish(&mut arm, |state| {
+            finish_looking(&mut arm, |state| {
                 off_m = off_m.max(off_axis_m(&state.t_world_tool, &pivot_world_m));
                 fastest = fastest.max(state.linear_velocity_m_s.norm());
             });
@@ -301,7 +200,7 @@ fn the_pivot_stays_on_the_axis_of_the_tool() {
 /// A stop on the way keeps the pivot, and so does the next goal; axes that miss the pivot are refused with the distance.
 #[test]
 fn a_motion_about_a_pivot_can_be_changed_on_its_way_and_needs_the_pivot_on_the_axis() {
-    let mut arm = arm();
+    let mut arm = guided_arm();
     let start = arm.state().t_world_tool;
     let pivot_world_m = start.translation.vector + start.rotation * Vector3::z() * 0.05;
     let rcm = |turn, before_m| ArmCommand::Rcm {
@@ -316,7 +215,7 @@ fn a_motion_about_a_pivot_can_be_changed_on_its_way_and_needs_the_pivot_on_the_a
     }
     assert!(!arm.state().done);
     arm.command(rcm(Vector3::new(-0.2, 0.2, 0.0), 0.06)).unwrap();
-    finish(&mut arm, |state| assert!(off_axis_m(&state.t_world_tool, &pivot_world_m) < 1e-12));
+    finish_looking(&mut arm, |state| assert!(off_axis_m(&state.t_world_tool, &pivot_world_m) < 1e-12));
     assert_eq!(arm.state().mode, ArmMode::Rcm);
 
     let beside = pivot_world_m + start.rotation * Vector3::x() * 2e-6;
@@ -337,172 +236,4 @@ fn a_motion_about_a_pivot_can_be_changed_on_its_way_and_needs_the_pivot_on_the_a
         max_speed_m_s: None,
     });
     assert!(refused.is_err());
-}
-
-/// A command of any kind; half of them near, so that many are accepted.
-fn any_command(uniform: &mut Uniform, arm: &Arm) -> ArmCommand {
-    let state = arm.state();
-    let reach = if uniform.between(0.0, 1.0) < 0.5 { 0.3 } else { 3.0 };
-    let range = |i: usize| if i == 2 { TAU / 2.0 } else { TAU };
-    let q_rad: Joints =
-        std::array::from_fn(|i| (state.q_rad[i] + uniform.between(-reach, reach)).clamp(-range(i), range(i)));
-    let speed_fraction = uniform.between(0.05, 1.0);
-    let shift = Translation3::from(uniform.vector(0.08));
-    let turn = UnitQuaternion::from_scaled_axis(uniform.vector(0.3));
-    let pose = state.t_world_tool * Isometry3::from_parts(shift, turn);
-    let along = state.t_world_tool.rotation * Vector3::z();
-    match uniform.between(0.0, 9.0) as usize {
-        0 => ArmCommand::Hold,
-        1 => ArmCommand::ServoJp { q_rad, speed_fraction },
-        2 => ArmCommand::MoveJp { q_rad, speed_fraction },
-        3 | 4 => {
-            let fastest = arm.parameters().joint_limits.velocity_rad_s;
-            ArmCommand::ServoJv { qd_rad_s: std::array::from_fn(|i| uniform.between(-1.0, 1.0) * fastest[i]) }
-        }
-        5 => ArmCommand::ServoCp { t_world_tool: pose, speed_fraction },
-        6 => ArmCommand::MoveCp {
-            t_world_tool: pose,
-            max_speed_m_s: Some(uniform.between(1e-3, 0.1)),
-            max_angular_speed_rad_s: None,
-        },
-        7 => ArmCommand::Insert {
-            axis_world: along,
-            depth_m: uniform.between(-0.05, 0.05),
-            feed_m_s: uniform.between(1e-3, 0.1),
-        },
-        _ => {
-            let pivot_world_m = state.t_world_tool.translation.vector + along * 0.05;
-            let goal = about_pivot(&state.t_world_tool, &pivot_world_m, uniform.vector(0.3), 0.04);
-            ArmCommand::Rcm { t_world_tool: goal, pivot_world_m, max_speed_m_s: None }
-        }
-    }
-}
-
-/// Greatest shares of the tool base's limits used on its paths: speed, acceleration, jerk; turning rate and acceleration.
-#[derive(Default, Debug)]
-struct UsedByTool {
-    /// The arm follows a path, and has come to rest before it if it began in joint motion.
-    on_path: bool,
-    shares: [f64; 5],
-    ticks: usize,
-}
-
-impl UsedByTool {
-    /// A command has been accepted.
-    fn command(&mut self, state: &ArmState, was_at_rest: bool) {
-        let path = matches!(state.mode, ArmMode::MoveCp | ArmMode::Insert | ArmMode::Rcm);
-        self.on_path = path && (was_at_rest || self.on_path);
-    }
-
-    fn add(&mut self, arm: &Arm, before: &ArmState) {
-        let (limits, state) = (&arm.parameters().cartesian_limits, arm.state());
-        // A motion that is given up stops in the joints.
-        self.on_path &= state.fault.is_none();
-        if !self.on_path {
-            return;
-        }
-        let jerk = (state.linear_acceleration_m_s2 - before.linear_acceleration_m_s2) / DT_S;
-        let shares = [
-            state.linear_velocity_m_s.norm() / limits.speed_m_s,
-            state.linear_acceleration_m_s2.norm() / limits.acceleration_m_s2,
-            jerk.norm() / limits.jerk_m_s3,
-            state.angular_velocity_rad_s.norm() / limits.angular_speed_rad_s,
-            state.angular_acceleration_rad_s2.norm() / limits.angular_acceleration_rad_s2,
-        ];
-        self.shares.iter_mut().zip(shares).for_each(|(most, share)| *most = most.max(share));
-        self.ticks += 1;
-    }
-}
-
-#[test]
-fn ten_thousand_accepted_targets_of_every_kind_at_any_tick_exceed_no_limit() {
-    let mut uniform = Uniform(22);
-    let mut used = Used::default();
-    let mut tool = UsedByTool::default();
-    let mut accepted = [0usize; 8];
-    let mut refused = 0;
-    let mut arm = arm();
-    for count in 0.. {
-        if accepted.iter().sum::<usize>() == 10_000 {
-            break;
-        }
-        // Where the arm has run into a corner that refuses most targets, another one takes over.
-        if count % 500 == 0 {
-            arm = self::arm();
-            tool.on_path = false;
-        }
-        let mut command = any_command(&mut uniform, &arm);
-        if matches!(command, ArmCommand::Rcm { .. }) {
-            // From motion the arm would first stop with its axis beside the pivot.
-            arm.command(ArmCommand::Hold).unwrap();
-            finish(&mut arm, |_| ());
-            command = std::iter::repeat_with(|| any_command(&mut uniform, &arm))
-                .find(|command| matches!(command, ArmCommand::Rcm { .. }))
-                .unwrap();
-        }
-        let at_rest = arm.state().qd_rad_s.iter().all(|rate| rate.abs() < 1e-12);
-        match arm.command(command) {
-            Ok(()) => {
-                accepted[arm.state().mode as usize] += 1;
-                tool.command(arm.state(), at_rest);
-            }
-            Err(_) => refused += 1,
-        }
-        for _ in 0..(uniform.between(1.0, 20.0) as usize) {
-            let before = *arm.state();
-            arm.step();
-            used.add(&arm, &before);
-            tool.add(&arm, &before);
-        }
-    }
-    println!("accepted by mode {accepted:?}, refused {refused}; used {used:?}; on paths {tool:?}");
-    used.check();
-    // Ruckig's own tolerance, as above, and the rounding of 1 ms steps.
-    assert!(tool.ticks > 5_000 && tool.shares.iter().all(|share| *share <= 1.0 + 1e-4), "{tool:?}");
-    assert!(accepted.iter().all(|count| *count > 100), "every kind is tried");
-}
-
-/// Ruckig's crate carries a cloud client for waypoints. Whatever the arm is told, this process opens no socket.
-#[test]
-#[cfg(target_os = "linux")]
-fn motion_of_every_kind_opens_no_socket() {
-    let sockets = || {
-        let links = std::fs::read_dir("/proc/self/fd").unwrap();
-        let targets = links.filter_map(|link| std::fs::read_link(link.unwrap().path()).ok());
-        targets.filter(|target| target.to_string_lossy().starts_with("socket:")).count()
-    };
-    let before = sockets();
-    let mut uniform = Uniform(23);
-    let mut arm = arm();
-    for _ in 0..500 {
-        let command = any_command(&mut uniform, &arm);
-        let _ = arm.command(command);
-        for _ in 0..5 {
-            arm.step();
-        }
-        assert_eq!(sockets(), before);
-    }
-}
-
-/// A snapshot amid rates, an insertion and a pivot continues bit for bit.
-#[test]
-fn a_restored_arm_continues_its_guided_motion_bit_for_bit() {
-    let mut uniform = Uniform(24);
-    let (mut original, mut copy) = (arm(), arm());
-    for _ in 0..150 {
-        let command = any_command(&mut uniform, &original);
-        let _ = original.command(command);
-        run(&mut original, uniform.between(1.0, 60.0) as usize);
-        let _ = copy.command(any_command(&mut uniform, &copy));
-        copy.step();
-        copy.restore(&original.snapshot()).unwrap();
-        for tick in 0..40 {
-            if tick == 20 {
-                let command = any_command(&mut uniform, &original);
-                assert_eq!(original.command(command), copy.command(command));
-            }
-            assert_eq!(original.step(), copy.step());
-            assert_eq!(original.snapshot(), copy.snapshot());
-        }
-    }
 }

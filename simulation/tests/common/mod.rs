@@ -1,6 +1,10 @@
 //! Scenes and bone that tests share.
 #![allow(dead_code, reason = "each test takes some of it")]
-#![allow(clippy::unwrap_used, reason = "a scene that cannot be read is a failed test")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a scene that cannot be read is a failed test")]
+
+pub mod arm;
+pub mod block;
+pub mod tool;
 
 use std::path::Path;
 
