@@ -32,6 +32,7 @@ pub use trajectory::{AxisLimits, AxisState, Goal, Planner, Segment, TrajectoryEr
 
 use motion::Motion;
 use nalgebra::{Isometry3, Vector3};
+use path::PathSpeed;
 use planning::{Aim, Insertion, PathGoal, check_speed};
 use serde::{Deserialize, Serialize};
 
@@ -152,13 +153,15 @@ impl Arm {
             }
             ArmCommand::MoveCp { t_world_tool, max_speed_m_s, max_angular_speed_rad_s } => {
                 let limits = &self.parameters.cartesian_limits;
-                let linear = check_speed("max_speed_m_s", max_speed_m_s, limits.speed_m_s)?;
-                let angular = check_speed(
-                    "max_angular_speed_rad_s",
-                    max_angular_speed_rad_s,
-                    limits.angular_speed_rad_s,
-                )?;
-                self.go_straight(&self.t_base_tool(&t_world_tool)?, (linear, angular))?;
+                let speed = PathSpeed {
+                    linear_m_s: check_speed("max_speed_m_s", max_speed_m_s, limits.speed_m_s)?,
+                    angular_rad_s: check_speed(
+                        "max_angular_speed_rad_s",
+                        max_angular_speed_rad_s,
+                        limits.angular_speed_rad_s,
+                    )?,
+                };
+                self.go_straight(&self.t_base_tool(&t_world_tool)?, speed)?;
                 ArmMode::MoveCp
             }
             ArmCommand::Insert { axis_world, depth_m, feed_m_s } => {
@@ -167,10 +170,10 @@ impl Arm {
             }
             ArmCommand::Rcm { t_world_tool, pivot_world_m, max_speed_m_s } => {
                 let limits = &self.parameters.cartesian_limits;
-                let speed = (
-                    check_speed("max_speed_m_s", max_speed_m_s, limits.speed_m_s)?,
-                    limits.angular_speed_rad_s,
-                );
+                let speed = PathSpeed {
+                    linear_m_s: check_speed("max_speed_m_s", max_speed_m_s, limits.speed_m_s)?,
+                    angular_rad_s: limits.angular_speed_rad_s,
+                };
                 let pivot = self
                     .parameters
                     .t_world_arm_base

@@ -36,6 +36,15 @@ pub(super) struct Path {
     course: Course,
 }
 
+/// The greatest speed of the tool's base on a path.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PathSpeed {
+    /// Of its origin, m/s.
+    pub(super) linear_m_s: f64,
+    /// Of its turn, rad/s.
+    pub(super) angular_rad_s: f64,
+}
+
 impl Path {
     /// From `start` straight to `goal`, by the shorter turn.
     pub(super) fn straight(start: &Isometry3<f64>, goal: &Isometry3<f64>) -> Self {
@@ -139,7 +148,7 @@ impl PathFollower<'_> {
     }
 
     /// Looks at the path from parameter `from` to `to`, refuses it if the arm cannot follow it, and returns limits of the
-    /// path parameter that keep the tool's base within its limits and `speed` (m/s, rad/s), and the joints within theirs.
+    /// path parameter that keep the tool's base within its limits and `speed`, and the joints within theirs.
     ///
     /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's acceleration limit is
     /// shared half and half, its jerk limit in thirds; likewise those of the tool base's origin where its way is curved.
@@ -149,7 +158,7 @@ impl PathFollower<'_> {
         path: &Path,
         (from, to): (f64, f64),
         q_start_rad: &Joints,
-        speed: (f64, f64),
+        speed: PathSpeed,
     ) -> Result<AxisLimits<1>, ArmError> {
         let bend = self.bend_along(path, (from, to), q_start_rad)?;
         let ([length_m, curve_m, twist_m], angle_rad) = (bend.origin_m, path.rotation_rad.norm());
@@ -157,7 +166,7 @@ impl PathFollower<'_> {
         let (half, third) = if curve_m > 0.0 { (0.5, 1.0 / 3.0) } else { (1.0, 1.0) };
         let cap =
             |ceiling: f64, linear: f64, angular: f64| ceiling.min(linear / length_m).min(angular / angle_rad);
-        let mut velocity = cap(PARAMETER_CEILING[0], speed.0, speed.1)
+        let mut velocity = cap(PARAMETER_CEILING[0], speed.linear_m_s, speed.angular_rad_s)
             .min(libm::sqrt(half * c.acceleration_m_s2 / curve_m))
             .min(libm::cbrt(third * c.jerk_m_s3 / twist_m));
         let mut acceleration =

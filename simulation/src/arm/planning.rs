@@ -4,10 +4,10 @@
 use super::inverse;
 use super::kinematics::Joints;
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
-use super::path::Path;
+use super::path::{Path, PathSpeed};
 use super::trajectory::{AxisLimits, AxisState, Goal, Segment};
 use super::{Arm, ArmError};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Farthest that an insertion may lead either way.
@@ -18,11 +18,11 @@ const RETARGET_SAMPLES: usize = 64;
 /// The axis of the tool may miss the pivot by this at the ends of a motion about it.
 const PIVOT_TOLERANCE_M: f64 = 1e-6;
 
-/// Where a path shall lead, and at what speed (m/s, rad/s). Base frame.
+/// Where a path leads, and how fast. Base frame.
 #[derive(Clone, Copy)]
 pub(super) struct PathGoal {
     pub(super) aim: Aim,
-    pub(super) speed: (f64, f64),
+    pub(super) speed: PathSpeed,
 }
 
 /// The ways to say where.
@@ -32,8 +32,8 @@ pub(super) enum Aim {
     Pose(Isometry3<f64>),
     /// To a pose, the tool's axis through a pivot all the way.
     About { t_base_tool: Isometry3<f64>, pivot_m: Vector3<f64> },
-    /// Along a unit vector by a length from where the arm stands.
-    Along { axis: Vector3<f64>, depth_m: f64 },
+    /// Along an axis by a length from where the arm stands.
+    Along { axis: Unit<Vector3<f64>>, depth_m: f64 },
 }
 
 /// Two axes that differ by less, each coordinate, are one: what a program computes anew each tick is rounded anew.
@@ -65,17 +65,21 @@ impl Arm {
             return Err(ArmError::InvalidInsertion { axis_length: length, depth_m, maximum_m: MAX_DEPTH_M });
         }
         let limits = self.parameters.cartesian_limits;
-        let speed = (check_speed("feed_m_s", Some(feed_m_s), limits.speed_m_s)?, limits.angular_speed_rad_s);
+        let speed = PathSpeed {
+            linear_m_s: check_speed("feed_m_s", Some(feed_m_s), limits.speed_m_s)?,
+            angular_rad_s: limits.angular_speed_rad_s,
+        };
         let base = &self.parameters.t_world_arm_base;
         let same = |insertion: &Insertion| (insertion.axis_world - axis_world).amax() <= SAME_AXIS;
         let standing = self.insertion.filter(same);
         // The axis that it began with: on another the depth would lead to another line.
         let along = standing.map_or(*axis_world, |insertion| insertion.axis_world);
-        let axis = base.rotation.inverse_transform_vector(&along) / along.norm();
+        // A turned unit vector.
+        let axis = Unit::new_unchecked(base.rotation.inverse_transform_vector(&along) / along.norm());
         match standing {
             Some(insertion) => {
                 let mut goal = insertion.start;
-                goal.translation.vector += axis * depth_m;
+                goal.translation.vector += axis.into_inner() * depth_m;
                 self.go_straight(&goal, speed)?;
             }
             None => {
@@ -175,7 +179,7 @@ impl Arm {
             }
             Aim::Along { axis, depth_m } => {
                 let mut end = start;
-                end.translation.vector += axis * *depth_m;
+                end.translation.vector += axis.into_inner() * *depth_m;
                 Path::straight(&start, &end)
             }
         };
@@ -187,7 +191,7 @@ impl Arm {
     pub(super) fn go_straight(
         &mut self,
         t_base_tool: &Isometry3<f64>,
-        speed: (f64, f64),
+        speed: PathSpeed,
     ) -> Result<(), ArmError> {
         if let Motion::Path(old) = self.motion {
             let start = self.path_planner.sample(self.time_s(old.tick));
@@ -208,7 +212,7 @@ impl Arm {
         old: &PathMotion,
         start: AxisState<1>,
         goal: &Isometry3<f64>,
-        speed: (f64, f64),
+        speed: PathSpeed,
     ) -> Result<Option<PathMotion>, ArmError> {
         let from = start.position[0];
         let Some(to) = old.path.parameter_of(goal, from) else { return Ok(None) };

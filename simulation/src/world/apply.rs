@@ -7,7 +7,7 @@ use messages::{
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-use super::Simulation;
+use super::{ArmDriver, Simulation};
 use crate::arm::ArmCommand;
 use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
 
@@ -21,7 +21,8 @@ impl Simulation<'_> {
             }
             let outcomes = [self.apply_tendon(&entry.command), self.apply_arm(&entry.command)];
             if entry.command.arm_mode != ARM_NONE && outcomes[1].is_ok() {
-                self.arm_driver = (entry.controller_index, entry.command.sequence);
+                self.arm_driver =
+                    ArmDriver { controller_index: entry.controller_index, sequence: entry.command.sequence };
             }
             if entry.command.burr_mode == BURR_SPEED {
                 self.burr_speed_rad_per_s = entry.command.burr_speed_rad_per_s;
@@ -100,7 +101,7 @@ impl Simulation<'_> {
         }
         self.arm_fault = fault;
         if let Some(cause) = fault {
-            let (controller_index, sequence) = self.arm_driver;
+            let ArmDriver { controller_index, sequence } = self.arm_driver;
             let reason = format!("arm: stopped on its way: {cause}");
             self.refusals.push(Refusal { controller_index, sequence, reason, stopped_later: true });
         }

@@ -21,7 +21,7 @@ use crate::rigid::{RigidScene, RigidSnapshot};
 /// Why a keyframe cannot be written or read.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum KeyframeError {
-    /// The buffer is too short: very much has been drilled.
+    /// The buffer is too short because a great many voxels have been drilled.
     #[error("it needs more than the {given} bytes given; there is none at this tick")]
     TooLong {
         /// Bytes given.
@@ -33,7 +33,7 @@ pub enum KeyframeError {
         /// Where reading stopped.
         cause: String,
     },
-    /// Another scene's.
+    /// The keyframe is from another scene.
     #[error("{what} are not those of this scene; use the scene that it was made with")]
     OtherScene {
         /// What does not fit.
@@ -41,7 +41,7 @@ pub enum KeyframeError {
     },
 }
 
-/// Bytes in one piece.
+/// Serialises bytes as one block.
 struct Bytes<'a>(&'a [u8]);
 
 impl Serialize for Bytes<'_> {
@@ -75,7 +75,7 @@ impl Simulation<'_> {
     /// in this process or another one. After an error the simulation is not to be used.
     ///
     /// # Errors
-    /// Bytes that are none, or another scene's.
+    /// Not a keyframe, or from another scene.
     pub fn restore_keyframe(&mut self, bytes: &[u8]) -> Result<(), SimulationError> {
         type Whole<'b> = (
             &'b [u8],

@@ -66,7 +66,7 @@ pub enum SimulationError {
     /// The rigid bodies'.
     #[error("rigid bodies: {0}")]
     Rigid(#[from] RigidError),
-    /// Bytes that are no keyframe of this scene.
+    /// The bytes are not a keyframe of this scene.
     #[error("keyframe: {0}")]
     Keyframe(#[from] KeyframeError),
 }
@@ -100,11 +100,19 @@ pub struct Simulation<'v> {
     state: State,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
-    /// Controller and sequence number of the last arm command.
-    arm_driver: (u32, u64),
+    /// Who drove the arm last.
+    arm_driver: ArmDriver,
     /// The arm's fault that has been reported.
     arm_fault: Option<ArmError>,
     initial: Option<Box<SimulationSnapshot>>,
+}
+
+/// The sender of an arm command.
+#[derive(Debug, Clone, Copy, Default)]
+struct ArmDriver {
+    controller_index: u32,
+    /// Number of the command.
+    sequence: u64,
 }
 
 struct Bone<'v> {
@@ -125,7 +133,7 @@ impl<'v> Simulation<'v> {
         Ok(simulation)
     }
 
-    /// Goes on without vector instructions: slower, and the same bits.
+    /// Stops using vector instructions: slower, same bits.
     pub fn use_plain_instructions(&mut self) {
         self.manipulator.use_plain_instructions();
         if let Some(bone) = &mut self.bone {
@@ -133,7 +141,7 @@ impl<'v> Simulation<'v> {
         }
     }
 
-    /// Makes the caches of bone afresh. Changes no result; for tests of just that.
+    /// Drops the caches of the bone. Changes no result, which tests verify by calling it.
     pub fn rebuild_caches(&mut self) {
         if let Some(bone) = &mut self.bone {
             bone.field.rebuild_caches();
@@ -156,7 +164,7 @@ impl<'v> Simulation<'v> {
         &self.predrilled
     }
 
-    /// Voxels of bone that are gone in the present state, by linear index, ascending. Looks at every voxel; not for the loop.
+    /// Voxels of bone that are gone in the present state, by linear index, ascending. Visits every voxel; not for the real-time loop.
     pub fn gone(&self) -> Vec<u32> {
         let Some(bone) = &self.bone else { return Vec::new() };
         let voxels = bone.field.voxels();
@@ -173,10 +181,10 @@ impl<'v> Simulation<'v> {
         &self.refusals
     }
 
-    /// Makes tick k, whose u_k is `latched`.
+    /// Computes tick k from its commands u_k, `latched`.
     ///
     /// # Errors
-    /// A part refuses its input; a state that a valid scene and valid commands do not reach.
+    /// A part refuses its input. A valid scene and valid commands never lead there.
     pub fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
         if latched.reset != 0 {
             self.reset()?;
@@ -275,7 +283,7 @@ impl<'v> Simulation<'v> {
         self.state.hash = [hash as u64, (hash >> 64) as u64];
     }
 
-    /// Everything that a tick changes. Allocates; not for the loop.
+    /// Everything that a tick changes. Allocates memory; not for the real-time loop.
     pub fn snapshot(&self) -> SimulationSnapshot {
         SimulationSnapshot {
             arm: self.arm.snapshot(),

@@ -8,7 +8,7 @@ use scene::{
 };
 
 use super::tendon_drive::TendonDrive;
-use super::{Bone, CtView, Simulation, SimulationError};
+use super::{ArmDriver, Bone, CtView, Simulation, SimulationError};
 use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, ComplianceParameters, place_base_for};
 use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry, Removal, VoxelIndex};
 use crate::manipulator::{
@@ -59,7 +59,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
         state: State::zeroed(),
         predrilled,
         refusals: Vec::with_capacity(messages::MAX_CONTROLLERS + 1),
-        arm_driver: (0, 0),
+        arm_driver: ArmDriver::default(),
         arm_fault: None,
         initial: None,
     })
