@@ -1,13 +1,16 @@
-//! The manipulator, its contact with bone, drilling and the arm: a pure library that steps.
+//! Simulates a continuum manipulator on a robot arm that drills bone, one fixed time step at a time.
 //!
-//! [`Simulation`] is x_{k+1} = step(x_k, u_k). The physics process gives it the commands that the hub has latched and publishes what
-//! comes out; a replay gives it those of a log.
+//! [`Simulation`] computes x_{k+1} = step(x_k, u_k): the state after tick k from the state before it and the commands of that tick. The
+//! physics process passes in the commands that the hub has latched and publishes the new state; a replay passes in the commands of a log.
 //!
-//! **Boundary:** no clock, no randomness, no file, no process. A CT is lent to it, wherever it lies.
+//! **Boundary:** no clock, no randomness, no files, no other processes. The CT is borrowed and never copied.
 //!
-//! **Invariants:** the same scene, CT and commands give the same bits, with and without vector instructions, and after a keyframe or a
-//! reset as without. A step allocates nothing, but for Ruckig while the arm moves and Rapier where there are free bodies. What is refused
-//! changes nothing.
+//! **Invariants**
+//!
+//! - The same scene, CT and commands give the same bits: with or without vector instructions, after a keyframe or a reset, and whether
+//!   caches are kept or dropped.
+//! - A step allocates no memory, except in Ruckig while the arm moves and in Rapier if there are free bodies.
+//! - A refused command changes nothing.
 //!
 //! ```
 //! use std::path::Path;
@@ -46,13 +49,13 @@
 //! assert!(simulation.state().bend_rad > 0.3);
 //! ```
 //!
-//! | module | what it holds |
+//! | module | contents |
 //! |---|---|
-//! | [`manipulator`] | four rungs of one ladder, tendons, contact impulses |
-//! | [`bone`] | the voxel field: contact planes, drilling |
+//! | [`manipulator`] | the tool: four models of increasing detail, tendons, contact impulses |
+//! | [`bone`] | the voxels: contact planes, drilling |
 //! | [`arm`] | UR5 kinematics, jerk-limited motion, elastic joints |
 //! | [`rigid`] | free and fixed bodies in Rapier |
-//! | [`baselines`] | methods of others, for charts only |
+//! | [`baselines`] | published methods, for comparison in charts only |
 
 pub mod arm;
 pub mod baselines;

@@ -252,17 +252,17 @@ fn is_ended(spent: f64) -> bool {
     spent > 1.0 - 1e-12
 }
 
-/// What drilling remembers of the burr's surroundings, and its working memory: see [`super::reach`].
+/// The drilling cache (the voxels that the burr can reach, see [`super::reach`]) and working memory.
 #[derive(Debug)]
 pub(super) struct DrillCache {
     reached: ReachedVoxels,
     scratch: DrillScratch,
-    /// Edits of the voxels that `reached` has seen.
+    /// Number of edits of the voxels that `reached` has seen.
     seen: u64,
 }
 
 impl DrillCache {
-    /// Of voxels about which nothing is remembered yet.
+    /// An empty cache of these voxels.
     pub fn new(voxels: &Voxels) -> Self {
         let reached = ReachedVoxels::new(voxels.geometry(), voxels.parameters());
         let scratch = DrillScratch::new(reached.capacity());

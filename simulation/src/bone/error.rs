@@ -3,7 +3,7 @@
 /// Why a bone field refuses what it was given.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BoneError {
-    /// The voxels lie on no grid that a volume may have.
+    /// The grid is not one that a volume may have.
     #[error("the volume has {0}")]
     Grid(#[from] voxel_grid::GridError),
     /// The CT does not have as many values as the grid has voxels.

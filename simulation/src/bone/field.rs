@@ -1,4 +1,4 @@
-//! The bone with its caches.
+//! The voxels together with their caches.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -11,10 +11,10 @@ use super::query::ContactBuffer;
 use super::tracked::ContactCache;
 use super::voxels::{BoneSnapshot, Voxels};
 
-/// Bone of one CT, to be touched and drilled: the [`Voxels`], and what contact and drilling remember of them.
+/// The bone of one CT, for contact queries and drilling: the [`Voxels`] and a cache for each of the two.
 ///
-/// The caches are made of the voxels alone and look into the voxels' journal before they are used, so they decide how fast an answer
-/// comes and never which one.
+/// The caches are built from the voxels alone and check the voxels' journal before they are used, so they change the speed of an answer
+/// and never the answer.
 #[derive(Debug)]
 pub struct BoneField {
     voxels: Voxels,
@@ -41,13 +41,13 @@ impl BoneField {
         &self.voxels
     }
 
-    /// Makes the caches afresh. Changes no result; for tests of just that.
+    /// Drops both caches and starts with empty ones. Changes no result, which tests verify by calling it.
     pub fn rebuild_caches(&mut self) {
         self.contact_cache = ContactCache::new(&self.voxels);
         self.drill_cache = DrillCache::new(&self.voxels);
     }
 
-    /// Goes on without vector instructions: slower, and the same bits.
+    /// Stops using vector instructions: slower, same bits.
     pub fn use_plain_instructions(&mut self) {
         self.arch = Arch::Scalar;
     }

@@ -1,14 +1,18 @@
-//! Bone as a voxel field: what a sphere touches, and what a burr takes away.
+//! Bone as voxels: what a sphere touches, and what a burr cuts away.
 //!
-//! The CT stays where it is (shared memory) and is lent to the calls that need it. The field keeps one bit a voxel
-//! ("bone": at least the threshold and not removed) and, in sparse blocks from a fixed pool, the fraction of each touched
-//! voxel's cutting energy that is already spent.
+//! [`Voxels`] is the ground truth: one bit per voxel ("bone": at least the threshold and not removed) and, in sparse blocks from a
+//! fixed pool, the fraction of each touched voxel's cutting energy that is already spent. The CT itself stays in shared memory and is
+//! borrowed by the calls that need it.
+//!
+//! [`BoneField`] adds two caches: which voxels are near each sphere of the tool, and which the burr can reach. Both are built from
+//! the voxels alone. Every change of a voxel is recorded in a journal; before a cache is used it reads the journal and drops the
+//! entries that may be out of date. So a cache decides how fast an answer comes, never what it is.
 //!
 //! A voxel with spent fraction s holds the fraction 1 - s of its volume: its surface has receded by s voxel widths. Contact
-//! and drilling use the same measure of where that surface is ([`query`], [`drilling`]), so a burr that rests on bone always
-//! overlaps what it rests on, and neither the contact nor the drilled depth jumps when a voxel vanishes.
+//! and drilling use the same definition of that surface ([`query`], [`drilling`]), so a burr that rests on bone always
+//! overlaps the voxels it rests on, and neither the contact nor the drilled depth jumps when a voxel is removed.
 //!
-//! Nothing here allocates after construction, except snapshots, `predrill_capsule` and construction itself.
+//! Only construction, snapshots and [`BoneField::predrill_capsule`] allocate memory.
 
 mod buried;
 pub mod drilling;

@@ -1,7 +1,7 @@
-//! Contact queries of spheres that move little between ticks.
+//! The contact cache: makes queries fast for spheres that move little between ticks.
 //!
-//! Which voxels can be nearest to a sphere depends only on the bone about it and on the voxel that holds its centre. So the
-//! cache remembers for each sphere the voxels that [`Voxels::gather`] finds within a reach that is a little wider
+//! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains its centre. So the
+//! cache stores for each sphere the voxels that [`Voxels::gather`] finds within a reach that is a little wider
 //! ([`SLACK_VOXELS`]). As long as the centre stays in its voxel and the query's reach about it lies within the remembered one,
 //! and no voxel within it is removed, the remembered voxels contain all that count, in the order of a fresh search; their
 //! distances are always computed afresh. The planes are those of [`Voxels::contact_planes`] bit for bit, so what is
@@ -85,16 +85,16 @@ impl Track {
     }
 }
 
-/// What is remembered of all spheres, reserved once.
+/// The nearby voxels of every sphere. All memory is reserved at construction.
 #[derive(Debug)]
 pub(super) struct ContactCache {
     tracks: Vec<Track>,
-    /// Edits of the voxels that the tracks have seen.
+    /// Number of edits of the voxels that the tracks have seen.
     seen: u64,
 }
 
 impl ContactCache {
-    /// Of voxels about which nothing is remembered yet.
+    /// An empty cache of these voxels.
     pub fn new(voxels: &Voxels) -> Self {
         let empty = || Track {
             sphere: None,

@@ -1,4 +1,4 @@
-//! Changing voxels. Every way to do so is in this file and leaves a note in the journal.
+//! Changing voxels: every function that does is in this file and records the change in the journal.
 
 use super::journal::{Ball, Region};
 use super::{BoneSnapshot, Voxels};
@@ -7,7 +7,7 @@ use crate::bone::grid::VoxelIndex;
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::strength::Place;
 
-/// A tick of drilling. When it is dropped, the journal holds what it changed.
+/// One tick of drilling. Dropping it records in the journal what changed.
 pub(in crate::bone) struct Drilling<'v> {
     voxels: &'v mut Voxels,
     /// Where voxels may be cut, and whether any was.

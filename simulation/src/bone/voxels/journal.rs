@@ -1,17 +1,17 @@
-//! Which voxels changed of late, for whoever keeps something that follows from them.
+//! Records which voxels changed recently, so that caches can tell which of their entries are still valid.
 //!
-//! A cache notes how many edits it has seen ([`Journal::edits`]). What happened since then tells it which of its entries still hold; if
-//! that is no longer recorded, none do. So a cache cannot miss a change: nobody has to remember to tell it.
+//! A cache remembers the number of edits it has seen ([`Journal::edits`]). The journal tells it what changed since; if that is too long
+//! ago to be recorded, the cache drops everything. A cache therefore cannot miss a change: it asks, and nobody has to notify it.
 
 use nalgebra::Vector3;
 
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::spline::SPLINE_VOXELS;
 
-/// Regions that are kept. A sphere that rests on bone asks in every tick.
+/// Number of regions kept. A sphere that rests on bone asks in every tick, so few are enough.
 const KEPT_REGIONS: usize = 8;
 
-/// Where a tick of drilling changed bone: in the voxels whose boxes meet the ball, and in the box of voxels.
+/// Where one tick of drilling may have changed bone: voxels that intersect the ball, and voxels in the box.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(in crate::bone) struct Region {
     pub ball: Option<Ball>,
@@ -50,10 +50,10 @@ impl Region {
 /// The newest changes.
 #[derive(Debug, Clone)]
 pub(in crate::bone) struct Journal {
-    /// Edits ever, those included that changed nothing.
+    /// Number of edits so far, including those that changed nothing.
     edits: u64,
     newest: [Region; KEPT_REGIONS],
-    /// Regions ever. An edit that changes nothing adds none.
+    /// Number of regions so far. An edit that changes nothing adds none.
     regions: u64,
     /// Blocks of the pool that were in use before the last edit.
     blocks_before: usize,
@@ -70,7 +70,7 @@ impl Journal {
         self.blocks_before = blocks_in_use;
     }
 
-    /// Ends it: it changed these voxels.
+    /// Ends the edit, which changed voxels in this region.
     pub(super) fn end(&mut self, region: Region) {
         if region != Region::NOTHING {
             self.newest[(self.regions % KEPT_REGIONS as u64) as usize] = region;
@@ -78,9 +78,9 @@ impl Journal {
         }
     }
 
-    /// Any edit but drilling: whatever was known before may be wrong.
+    /// Records an edit that may have changed any voxel: everything cached is out of date.
     pub(super) fn note_everything(&mut self) {
-        // More than are kept, so nothing looks one edit old.
+        // Two edits and more regions than are kept: no cache takes itself for only one edit behind.
         self.edits += 2;
         self.regions += KEPT_REGIONS as u64 + 1;
     }

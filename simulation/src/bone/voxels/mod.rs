@@ -1,7 +1,7 @@
 //! The bone itself: everything about it that decides a result or belongs into a keyframe.
 //!
-//! Nothing outside this folder can change a voxel but through `edit.rs`, which notes every change in the journal. Caches
-//! ([`super::tracked`], [`super::reach`]) read the voxels and the journal and are no part of this.
+//! Voxels change only through the functions in `edit.rs`, which record every change in the journal. The caches
+//! ([`super::tracked`], [`super::reach`]) only read the voxels and the journal.
 
 mod edit;
 mod journal;
