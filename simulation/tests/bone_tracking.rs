@@ -18,6 +18,8 @@ const DIMS: [usize; 3] = [26, 24, 22];
 const MARGIN_M: f64 = 0.2e-3;
 /// Ticks of [`hash_chain`]: enough that the burr removes voxels.
 const TICKS: usize = 800;
+/// Ticks that begin with a reset: the burr has cut a little by then, and has not moved far enough to be searched for again.
+const RESETS: [usize; 3] = [8, 20, 45];
 /// The chain of a simulation that keeps its caches.
 static KEPT: OnceLock<Vec<[u64; 2]>> = OnceLock::new();
 
@@ -229,8 +231,10 @@ fn hash_chain(bone: &(GridGeometry, Vec<i16>), ticks: usize, rebuilds: &[bool]) 
             simulation.rebuild_caches();
         }
         let mut latched = Latched { tick: tick as u64, controller_count: 1, ..Latched::zeroed() };
+        latched.reset = u32::from(RESETS.contains(&tick));
         latched.commands[0].command = command;
-        latched.commands[0].source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
+        let fresh = tick == 0 || latched.reset != 0;
+        latched.commands[0].source = if fresh { SOURCE_FRESH } else { SOURCE_HELD };
         simulation.step(&latched).unwrap();
         hashes.push(simulation.state().hash);
     }

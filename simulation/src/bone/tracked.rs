@@ -20,8 +20,8 @@ use super::voxels::Voxels;
 const TRACKED_SPHERES: usize = 64;
 
 const _: () = assert!(
-    TRACKED_SPHERES >= crate::manipulator::MAX_JOINTS + crate::manipulator::MAX_SHAFT_SPHERES + 1,
-    "every sphere of the planar tool has a memory"
+    TRACKED_SPHERES >= crate::manipulator::MAX_SPHERES,
+    "every sphere of the planar tool has a track"
 );
 
 /// How much wider the remembered reach is, in voxels of the smallest spacing. A tool fed at 1.5 mm/s in voxels of 0.5 mm is

@@ -68,7 +68,7 @@ pub const MAX_TENDONS: usize = 4;
 /// Most proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
 /// Shaft, one a segment, burr.
-const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
+pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
 /// Most contacts of a step, four a sphere; further ones are refused and counted.
 pub const MAX_CONTACTS: usize = 4 * MAX_SPHERES;
 /// Rows of the contact solver: three a sphere, one a stop.
