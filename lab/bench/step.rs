@@ -6,11 +6,11 @@ use controllers::{Controller, built_in};
 use drr_proc::ThisMachine;
 use hub::in_process::{Answer, InProcess};
 use ipc_types::messages::{Latched, State, Volume as VolumeMessage};
-use ipc_types::scene::{Drr, Mode, Notch, Scene};
+use ipc_types::scene::{Drr, Mode, Notch, Scene, ToolRadii};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
 use simulation::{CtView, Simulation, ct_geometry};
 use xray::frame::{Job, Rendered, render_job};
-use xray::from_scene::{burr_radius_m, renderer_parameters, scene_c_arm};
+use xray::from_scene::{renderer_parameters, scene_c_arm};
 use xray::message::volume_view;
 use xray::{CArm, DrrRenderer, VolumeView};
 use zerocopy::IntoBytes;
@@ -138,7 +138,7 @@ struct XRay<'v> {
     c_arm: CArm,
     threads: usize,
     noise_seed: u64,
-    burr_radius_m: f64,
+    radii: ToolRadii,
     notch: Option<Notch>,
     removed: Vec<u32>,
     shown: u64,
@@ -167,7 +167,7 @@ impl<'v> XRay<'v> {
             c_arm: scene_c_arm(drr).map_err(Failure::bad_input)?,
             threads: drr.threads,
             noise_seed: scene.run.seed,
-            burr_radius_m: burr_radius_m(scene),
+            radii: scene.manipulator.radii(),
             notch: drr.notch,
             removed: predrilled.to_vec(),
             shown: 0,
@@ -210,7 +210,7 @@ impl<'v> XRay<'v> {
             isocentre_m: [0.0; 3],
             notch: self.notch,
             noise_seed: self.noise_seed,
-            burr_radius_m: self.burr_radius_m,
+            radii: self.radii,
         };
         let began = Instant::now();
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;

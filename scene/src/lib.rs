@@ -36,11 +36,13 @@ mod drr;
 mod model;
 pub mod reference;
 mod tolerance;
+mod tool;
 
 pub use check::SceneError;
 pub use drr::*;
 pub use model::*;
 pub use tolerance::Tolerance;
+pub use tool::{STANDARD_RADII, ToolRadii};
 
 use std::path::Path;
 

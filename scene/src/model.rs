@@ -303,16 +303,6 @@ pub struct Manipulator {
     pub integrator: Option<Integrator>,
 }
 
-/// Radius of the burr of the standard manipulator: 6.5 mm in diameter.
-pub const STANDARD_BURR_RADIUS_M: f64 = 3.25e-3;
-
-impl Manipulator {
-    /// Radius of the burr.
-    pub fn burr_radius_m(&self) -> f64 {
-        self.burr_diameter_mm.map_or(STANDARD_BURR_RADIUS_M, |diameter_mm| diameter_mm * 0.5e-3)
-    }
-}
-
 /// A tendon in its channel along the whole flexible length.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -154,8 +154,8 @@ fn tool_shape(scene: &Scene) -> ToolShape {
         Err(_) => ToolShape {
             joint_positions_m: Vec::new(),
             tip_offset_m: 0.0,
-            outer_radius_m: 3.0e-3,
-            burr_radius_m: 3.25e-3,
+            outer_radius_m: scene.manipulator.radii().tube_outer_m,
+            burr_radius_m: scene.manipulator.radii().burr_m,
         },
     }
 }

@@ -6,7 +6,7 @@ use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
 use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
 use xray::frame::{Job, render_job};
-use xray::from_scene::{burr_radius_m, renderer_parameters, scene_isocentre_m};
+use xray::from_scene::{renderer_parameters, scene_isocentre_m};
 use xray::message::{c_arm_of, volume_view};
 use xray::{DrrRenderer, VolumeView};
 use zerocopy::IntoBytes;
@@ -104,7 +104,7 @@ impl<'l> FrameReplay<'l> {
             aside: false,
             isocentre_m: scene_isocentre_m(&self.log.scene),
             noise_seed: self.log.scene.run.seed,
-            burr_radius_m: burr_radius_m(&self.log.scene),
+            radii: self.log.scene.manipulator.radii(),
             notch: self.log.scene.drr.as_ref().and_then(|drr| drr.notch),
         };
         let rendered = render_job(&mut self.renderer, &self.view, &job).map_err(failed)?;

@@ -95,7 +95,7 @@ fn drilled_voxels_are_gone_in_the_frames() {
             isocentre_m: scene_isocentre_m(&scene),
             notch: drr.notch,
             noise_seed: scene.run.seed,
-            burr_radius_m: 3.25e-3,
+            radii: ipc_types::scene::STANDARD_RADII,
         };
         let mut renderer =
             DrrRenderer::new(&view, renderer_parameters(drr, scene.tolerance.as_ref()), &ThisMachine)

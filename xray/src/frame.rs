@@ -1,7 +1,7 @@
 //! One frame: from the state, the removed voxels and the C-arm to the bytes of its message.
 
 use messages::{Frame, ImagePrefix, State};
-use scene::Notch as SceneNotch;
+use scene::{Notch as SceneNotch, ToolRadii};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
@@ -30,8 +30,8 @@ pub struct Job {
     pub isocentre_m: [f64; 3],
     /// The scene's seed.
     pub noise_seed: u64,
-    /// Radius of the burr.
-    pub burr_radius_m: f64,
+    /// The tool's radii.
+    pub radii: ToolRadii,
     /// Notches of the links.
     pub notch: Option<SceneNotch>,
 }
@@ -74,7 +74,7 @@ pub fn render_job(
         renderer.restore_all(view)?;
     }
     renderer.remove(view, &job.removed)?;
-    let tool = tool_of(&job.state, job.burr_radius_m, job.notch.as_ref());
+    let tool = tool_of(&job.state, &job.radii, job.notch.as_ref());
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
     let report = if job.aside {

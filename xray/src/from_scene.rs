@@ -128,9 +128,3 @@ fn given_c_arm(drr: &Drr) -> Result<Option<CArm>, DrrError> {
 pub fn scene_isocentre_m(scene: &Scene) -> [f64; 3] {
     scene.drr.as_ref().map_or([0.0; 3], |drr| drr.isocentre_mm.map(|x| x * 1e-3))
 }
-
-/// Radius of the scene's burr.
-pub fn burr_radius_m(scene: &Scene) -> f64 {
-    // The standard burr has 6.5 mm.
-    scene.manipulator.burr_diameter_mm.unwrap_or(6.5) * 0.5e-3
-}

@@ -1,18 +1,13 @@
 //! The manipulator and its burr as X-ray sees them.
 
 use messages::{Pose, State};
-use scene::Notch as SceneNotch;
+use scene::{Notch as SceneNotch, ToolRadii};
 
 use crate::{Material, Notch, Tool, ToolPart};
 
-/// Outer and inner radius of the notched nitinol tube (6 / 4 mm), and of the drive cable in its lumen.
-const TUBE_OUTER_RADIUS_M: f64 = 3.0e-3;
-const TUBE_INNER_RADIUS_M: f64 = 2.0e-3;
-const CABLE_RADIUS_M: f64 = 1.0e-3;
-
 /// Shaft and links as nitinol tubes with a steel cable inside, and the burr as a steel ball. With `notch`, every link between two
 /// flexures has a notch in its middle, on alternating sides of the bending plane.
-pub fn tool_of(state: &State, burr_radius_m: f64, notch: Option<&SceneNotch>) -> Tool {
+pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> Tool {
     let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let origins = core::iter::once(&state.t_world_base).chain(links);
     let ends = links.iter().chain(core::iter::once(&state.t_world_burr));
@@ -24,7 +19,7 @@ pub fn tool_of(state: &State, burr_radius_m: f64, notch: Option<&SceneNotch>) ->
         }
         // The first part is the rigid shaft.
         let cut = notch.filter(|_| number > 0).and_then(|notch| notch_between(notch, number, start, end));
-        let (outer_radius_m, inner_radius_m) = (TUBE_OUTER_RADIUS_M, TUBE_INNER_RADIUS_M);
+        let (outer_radius_m, inner_radius_m) = (radii.tube_outer_m, radii.tube_inner_m);
         let material = Material::Nitinol;
         parts.push(match cut {
             None => ToolPart::HollowCylinder { start_m, end_m, outer_radius_m, inner_radius_m, material },
@@ -35,12 +30,12 @@ pub fn tool_of(state: &State, burr_radius_m: f64, notch: Option<&SceneNotch>) ->
         parts.push(ToolPart::Cylinder {
             start_m,
             end_m,
-            radius_m: CABLE_RADIUS_M,
+            radius_m: radii.drive_cable_m,
             material: Material::Steel316L,
         });
     }
     let centre_m = state.t_world_burr.position_m;
-    parts.push(ToolPart::Sphere { centre_m, radius_m: burr_radius_m, material: Material::Steel316L });
+    parts.push(ToolPart::Sphere { centre_m, radius_m: radii.burr_m, material: Material::Steel316L });
     Tool { parts }
 }
 

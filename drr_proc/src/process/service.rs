@@ -12,9 +12,9 @@ use ipc_types::messages::{
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Notch, Scene};
+use ipc_types::scene::{Mode, Notch, Scene, ToolRadii};
 use xray::frame::{Job, Rendered, render_job};
-use xray::from_scene::{burr_radius_m, scene_isocentre_m};
+use xray::from_scene::scene_isocentre_m;
 use xray::message::{c_arm_message, c_arm_of};
 use xray::{CArm, DrrError, DrrRenderer, VolumeView};
 use zerocopy::FromBytes;
@@ -74,7 +74,7 @@ struct Service {
     isocentre_m: [f64; 3],
     notch: Option<Notch>,
     noise_seed: u64,
-    burr_radius_m: f64,
+    radii: ToolRadii,
     jobs: SyncSender<Job>,
     outcomes: Receiver<Outcome>,
     in_flight: usize,
@@ -102,7 +102,7 @@ impl Service {
             isocentre_m: scene_isocentre_m(scene),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
             noise_seed: scene.run.seed,
-            burr_radius_m: burr_radius_m(scene),
+            radii: scene.manipulator.radii(),
             jobs,
             outcomes,
             in_flight: 0,
@@ -304,7 +304,7 @@ impl Service {
             isocentre_m: self.isocentre_m,
             notch: self.notch,
             noise_seed: self.noise_seed,
-            burr_radius_m: self.burr_radius_m,
+            radii: self.radii,
         };
         self.in_flight += 1;
         loop {

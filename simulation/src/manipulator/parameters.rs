@@ -1,6 +1,7 @@
 //! Dimensions, stiffnesses, masses and solver settings of a manipulator, and the checks on them.
 
 use nalgebra::Vector3;
+use scene::STANDARD_RADII;
 use serde::{Deserialize, Serialize};
 
 use super::error::{ManipulatorError, check, check_all};
@@ -181,7 +182,7 @@ impl ManipulatorParameters {
             joint_stop_stiffness_nm_per_rad: 100.0,
             tip_offset_m: 4.0e-3,
             linear_density_kg_per_m: density,
-            tube_radii_m: [3.0e-3, 2.0e-3],
+            tube_radii_m: [STANDARD_RADII.tube_outer_m, STANDARD_RADII.tube_inner_m],
             burr_mass_kg: 1.0e-3,
             shaft_mass_kg: density * shaft_length,
             shaft_centre_m: 0.5 * shaft_length,
@@ -191,9 +192,9 @@ impl ManipulatorParameters {
             gravity_m_per_s2: Vector3::zeros(),
             shaft_sphere_count: 6,
             shaft_sphere_span_m: [0.0, 35.0e-3],
-            shaft_sphere_radius_m: 3.0e-3,
-            segment_sphere_radius_m: 3.0e-3,
-            burr_radius_m: scene::STANDARD_BURR_RADIUS_M,
+            shaft_sphere_radius_m: STANDARD_RADII.tube_outer_m,
+            segment_sphere_radius_m: STANDARD_RADII.tube_outer_m,
+            burr_radius_m: STANDARD_RADII.burr_m,
             tendon: TendonParameters {
                 offset_m: 2.5e-3,
                 gap_m: 0.0,

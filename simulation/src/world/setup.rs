@@ -110,7 +110,7 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
     if let Some(stiffness) = overrides.mount_stiffness_n_per_m {
         parameters.mount_stiffness_n_per_m = [stiffness; 3];
     }
-    parameters.burr_radius_m = overrides.burr_radius_m();
+    parameters.burr_radius_m = overrides.radii().burr_m;
     parameters.gravity_m_per_s2 = Vector3::from(scene.gravity_m_per_s2);
     parameters.integrator = match overrides.integrator.unwrap_or_default() {
         SceneIntegrator::LinearlyImplicitEuler => Integrator::LinearlyImplicitEuler,
