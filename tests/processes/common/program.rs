@@ -46,7 +46,7 @@ pub fn wait_for<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
         if let Some(value) = found() {
             return value;
         }
-        assert!(Instant::now() < end, "{what} did not happen within {LIMIT:?}");
+        assert!(Instant::now() < end, "{what} did not happen within {LIMIT:?}\n{}", threads_of_children());
         std::thread::sleep(LOOK);
     }
 }
@@ -260,9 +260,14 @@ pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
     parts
 }
 
+/// What each thread of what this test program has started waits for.
+fn threads_of_children() -> String {
+    threads_of(std::process::id())
+}
+
 /// What each thread of a process and of its descendants waits for, as the kernel says it.
-fn threads_of(launcher: u32) -> String {
-    let root = Pid::from_raw(launcher as i32).unwrap();
+fn threads_of(root: u32) -> String {
+    let root = Pid::from_raw(root as i32).unwrap();
     let mut text = String::new();
     for pid in std::iter::once(root).chain(descendants(root)) {
         let process = PathBuf::from(format!("/proc/{}", pid.as_raw_nonzero()));
