@@ -1,4 +1,4 @@
-//! What bone, or any obstacle, tells the manipulator about a contact.
+//! The contact plane: how bone and other obstacles describe a contact to the manipulator.
 
 use nalgebra::{Unit, Vector3};
 
@@ -16,7 +16,7 @@ pub struct ContactPlane {
 }
 
 impl ContactPlane {
-    /// Whether the gap is finite and the normal, which `Unit::new_unchecked` may have made of anything, of length 1.
+    /// True if the gap is finite and the normal has unit length, which `Unit::new_unchecked` does not guarantee.
     pub(crate) fn is_usable(&self) -> bool {
         self.gap_m.is_finite() && (self.normal.norm_squared() - 1.0).abs() < 1e-6
     }

@@ -1,10 +1,10 @@
 //! O(n) factorisation of the chain's implicit operator.
 //!
-//! `H = M(q) + diag` is factored by the articulated-body recursion (Featherstone 2008, ch. 7), in the bending plane
-//! and with every spatial quantity referred to the base origin, so that no transform stands between two links. A
-//! planar motion is (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z). The mobility of a link to a
-//! force on itself follows from base to tip (the operational-space recursion of Kreutz-Delgado, Jain and Rodriguez
-//! 1992), and to a force on an earlier link by going on outward.
+//! `H = M(q) + diag` is factored by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 7) in the
+//! bending plane. All spatial quantities are expressed at the base origin, so no transforms between links are needed. A planar motion is
+//! (omega_y, v_x, v_z) at the origin, a planar force (m_y, f_x, f_z). The mobility of each link to a force on itself follows in a
+//! base-to-tip pass (the operational-space recursion of Kreutz-Delgado, Jain and Rodriguez 1992); the response of more distal links to
+//! that force follows by continuing outward.
 
 use super::MAX_JOINTS;
 use super::geometry::{Configuration, Layout, Planar};
@@ -37,22 +37,22 @@ fn add_outer(m: &mut Symmetric, scale: f64, a: &Spatial) {
     m[5] += scale * a[2] * a[2];
 }
 
-/// Velocity at the base origin of a unit rotation about a flexure at `p`.
+/// Spatial velocity at the base origin for a unit joint rate of a flexure at `p`.
 pub(super) fn joint_axis(p: &Planar) -> Spatial {
     [1.0, -p[1], p[0]]
 }
 
-/// The force (at a point `p`) and moment, moved to the base origin.
+/// Planar spatial force at the base origin of a force at `p` plus a moment.
 pub(super) fn force_at(p: &Planar, moment: f64, force: &Planar) -> Spatial {
     [moment + p[1] * force[0] - p[0] * force[1], force[0], force[1]]
 }
 
-/// The velocity of a point `p` of a body with planar motion `v`.
+/// Velocity of the point `p` of a body with planar motion `v`.
 pub(super) fn velocity_at(p: &Planar, v: &Spatial) -> Planar {
     [v[1] + v[0] * p[1], v[2] - v[0] * p[0]]
 }
 
-/// A vector of generalised velocities or impulses: the flexures, and the mount along base x, y, z.
+/// Generalised velocities or impulses: the flexures, then the mount along base x, y, z.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Generalised {
     pub joint: [f64; MAX_JOINTS],
@@ -181,7 +181,7 @@ impl Articulated {
         times(&self.mobility[link], force)
     }
 
-    /// Joint velocity and motion of the link behind `joint` under a unit torque in that joint.
+    /// Joint velocity, and motion of the link distal to `joint`, under a unit torque in that joint.
     pub fn joint_response(&self, joint: usize) -> (f64, Spatial) {
         let inverse = self.inverse[joint];
         let mut v = times(&self.mobility[joint], &self.bias[joint]).map(|x| -x * inverse);
@@ -192,7 +192,7 @@ impl Articulated {
         (rate, v)
     }
 
-    /// Carries a motion caused inward of `joint` across it: the joint's velocity; `v` becomes the next link's motion.
+    /// Propagates a proximal motion across `joint`: returns the joint velocity and turns `v` into the next link's motion.
     pub fn carry_outward(&self, joint: usize, v: &mut Spatial) -> f64 {
         let rate = -dot(&self.bias[joint], v) * self.inverse[joint];
         for k in 0..3 {

@@ -1,9 +1,9 @@
-//! Contacts and joint stops: block Gauss-Seidel on accumulated impulses, in probe space, sped up by conjugate gradients.
+//! Contacts and joint stops: block Gauss-Seidel on accumulated impulses in probe space, accelerated by conjugate gradients.
 //!
-//! A normal row asks for `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may use up its gap within the step
-//! (speculative contact), and at rest the overlap is force / k_c. An overlap that the contact's last force does not
-//! explain is pushed out at a bounded speed. Friction is Coulomb's cone, solved exactly per contact: the impulse is
-//! what stops the sliding, or lies on the circle mu P_n against the sliding that remains.
+//! A normal row requires `v_n + P / (k_c dt^2) >= -gap / dt`: the sphere may close its gap within the step (speculative contact), and at
+//! rest the overlap equals force / k_c. Any overlap beyond what the last contact force explains is pushed out at a bounded speed. Coulomb
+//! friction is solved exactly per contact: the impulse either stops the sliding or lies on the circle mu P_n and opposes the remaining
+//! sliding.
 
 mod sweep;
 
@@ -19,14 +19,13 @@ use super::state::{ContactResult, ManipulatorState};
 use super::{MAX_CONTACTS, MAX_JOINTS, MAX_ROWS, MAX_SPHERES};
 use crate::contact_plane::ContactPlane;
 
-/// Contacts of the last tick continue those of this one if their sphere is the same and the normals' cosine is above
-/// this.
+/// A contact inherits the last tick's impulses if it is on the same sphere and the cosine between the two normals exceeds this.
 const SAME_NORMAL_COSINE: f64 = 0.9;
 
-/// How the base frame moves in this step, base axes.
+/// Motion of the base frame in this step, base axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BaseDrive {
-    /// World from base before the step.
+    /// R_world_base before the step.
     pub rotation: UnitQuaternion<f64>,
     /// Mean velocity of the base origin, m/s.
     pub linear: Vector3<f64>,
@@ -34,7 +33,7 @@ pub(super) struct BaseDrive {
     pub angular: Vector3<f64>,
 }
 
-/// What all contacts of a step have in common.
+/// Quantities shared by all contacts of a step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ContactStep<'a> {
     /// Time step, s.
@@ -61,7 +60,7 @@ impl ContactParameters {
     }
 }
 
-/// How the solver ended.
+/// How the contact solve ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Outcome {
     pub iterations: usize,
@@ -87,7 +86,7 @@ pub(super) struct ContactSolver {
     lateral_direction: f64,
     impulse: [f64; MAX_ROWS],
     pub lateral_impulse: f64,
-    /// The machine's vector instructions.
+    /// SIMD support of this CPU.
     pub arch: pulp::Arch,
 }
 
@@ -113,7 +112,7 @@ impl ContactSolver {
         }
     }
 
-    /// Accepts the usable contacts, ordered by sphere (then by input order), with their probes.
+    /// Takes the usable contacts with their probes, ordered by sphere, then by input order.
     pub fn collect(&mut self, layout: &Layout, configuration: &Configuration, contacts: &[ContactPlane]) {
         self.delassus.clear();
         self.row_count = 0;
@@ -151,7 +150,7 @@ impl ContactSolver {
         self.first_row[self.delassus.sphere_count] = accepted;
     }
 
-    /// Adds a stop row for every flexure that the free motion would bring near its stop, if that is not pressed.
+    /// Adds a stop row for every flexure that the free motion would bring near its stop, unless the stop is already pressed.
     pub fn collect_stops(
         &mut self,
         p: &ManipulatorParameters,
@@ -174,8 +173,7 @@ impl ContactSolver {
         self.row_count == 0 && self.delassus.joint_count == 0
     }
 
-    /// Completes the rows once R is known, with the impulses of the last tick as the start. `lateral` is the mobility out of the
-    /// bending plane, 1/kg.
+    /// Completes the rows once R is known, warm-started with the last tick's impulses. `lateral` is the out-of-plane mobility, 1/kg.
     pub fn prepare(&mut self, step: &ContactStep, layout: &Layout, lateral: f64, state: &ManipulatorState) {
         let drive = step.drive;
         let mut used = [false; MAX_CONTACTS];
@@ -210,7 +208,7 @@ impl ContactSolver {
         }
     }
 
-    /// a' R b at one sphere, the out-of-plane mobility included.
+    /// a' R b at one sphere, including the out-of-plane mobility.
     fn mobility(&self, probe: usize, lateral: f64, a: &[f64; 4], b: &[f64; 4]) -> f64 {
         let mut sum = lateral * a[3] * b[3];
         for i in 0..3 {
@@ -222,7 +220,7 @@ impl ContactSolver {
         sum
     }
 
-    /// Link and joint impulses of the solution; the out-of-plane one is `lateral_impulse`.
+    /// Link and joint impulses of the solution; `lateral_impulse` is the out-of-plane component.
     pub fn impulses(&self, force: &mut [Spatial; MAX_JOINTS + 1], joint: &mut [f64; MAX_JOINTS]) {
         self.delassus.scatter(&self.impulse, force, joint);
     }
@@ -254,7 +252,7 @@ impl ContactSolver {
         (result, point)
     }
 
-    /// Stop torques of the solution, for the next warm start; returns how many stops carry torque.
+    /// Writes the solution's stop torques for the next warm start; returns how many stops carry torque.
     pub fn stop_torques(&self, dt: f64, torque: &mut [f64; MAX_JOINTS]) -> usize {
         let mut count = 0;
         torque.fill(0.0);
@@ -266,7 +264,7 @@ impl ContactSolver {
     }
 }
 
-/// The contacts of the last tick, and which of them this tick's have continued.
+/// The last tick's contacts, and which of them a contact of this tick has already inherited.
 pub(super) struct LastContacts<'s> {
     /// Ordered by sphere.
     pub results: &'s [ContactResult],
@@ -274,7 +272,7 @@ pub(super) struct LastContacts<'s> {
 }
 
 impl LastContacts<'_> {
-    /// Target velocity and first impulse (normal and along the tangents, base axes) of a contact.
+    /// Target velocity and warm-start impulse of a contact (normal, and along the tangents, base axes).
     pub fn start(
         &mut self,
         step: &ContactStep,
@@ -292,7 +290,7 @@ impl LastContacts<'_> {
         (target(plane.gap_m, explained, parameters.push_out_speed_m_per_s, step.dt), impulse)
     }
 
-    /// The result of the last tick that this contact continues, each used once.
+    /// The last tick's result that this contact inherits. Each result is used once.
     fn continued_by(&mut self, plane: &ContactPlane) -> Option<&ContactResult> {
         let sphere = plane.sphere_index;
         let start = self.results.partition_point(|r| r.sphere_index < sphere);

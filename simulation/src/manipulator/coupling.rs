@@ -1,9 +1,9 @@
-//! The part of the implicit operator that couples all joints: elastic tendons held by displacement, and friction.
+//! The part of the implicit operator that couples all joints: elastic tendons under displacement control, and tendon friction.
 //!
-//! Per tendon it is the rank-one matrix `a g'` with `g = dl/dq` and `a = -d torque / dl`. Friction makes `a` not
-//! parallel to `g`. Contact needs a symmetric operator, so `a` is replaced by `alpha g` with `alpha = (g' H^-1 a) /
-//! (g' H^-1 g)`: the take-up l, the only stiff direction, responds as it does under the exact operator. Statics do not
-//! depend on the replacement. The inverse follows by Woodbury's identity.
+//! Per tendon it is the rank-one matrix `a g'` with `g = dl/dq` and `a = -d torque / dl`. With friction, `a` is not parallel to `g`.
+//! Contact needs a symmetric operator, so `a` is replaced by `alpha g` with `alpha = (g' H^-1 a) / (g' H^-1 g)`. The take-up l, the only
+//! stiff direction, then responds as under the exact operator, and statics are unaffected. The inverse follows from the Woodbury
+//! identity.
 
 use super::articulated::{Articulated, Generalised, Spatial};
 use super::tendon::TendonLoad;
@@ -12,7 +12,7 @@ use super::{MAX_JOINTS, MAX_TENDONS};
 /// `A = H + sum_t c_t g_t g_t'` and its inverse.
 #[derive(Debug, Clone)]
 pub(super) struct Coupling {
-    /// Whether there is anything to couple.
+    /// True if any tendon couples the joints.
     pub active: bool,
     /// alpha of each tendon, N/m.
     pub alpha: [f64; MAX_TENDONS],
@@ -24,7 +24,7 @@ pub(super) struct Coupling {
     pub kernel: Kernel,
 }
 
-/// Symmetric kernel of Woodbury's identity: A^-1 = H^-1 - Z kernel Z', the columns of Z being H^-1 g_t.
+/// Symmetric kernel of the Woodbury identity: A^-1 = H^-1 - Z kernel Z', where the columns of Z are H^-1 g_t.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kernel {
     pub entry: [[f64; MAX_TENDONS]; MAX_TENDONS],
@@ -34,7 +34,7 @@ pub(super) struct Kernel {
 impl Kernel {
     pub const NONE: Self = Self { entry: [[0.0; MAX_TENDONS]; MAX_TENDONS], count: 0 };
 
-    /// Of the weights c and the products s = G' H^-1 G: the first two in closed form, each further one by bordering.
+    /// From the weights c and the products s = G' H^-1 G: the first two tendons in closed form, each further one by bordering.
     pub fn new(count: usize, c: &[f64; MAX_TENDONS], s: &[[f64; MAX_TENDONS]; MAX_TENDONS]) -> Self {
         let mut k = [[0.0; MAX_TENDONS]; MAX_TENDONS];
         let determinant = (1.0 + c[0] * s[0][0]) * (1.0 + c[1] * s[1][1]) - c[0] * c[1] * s[0][1] * s[0][1];
@@ -43,7 +43,7 @@ impl Kernel {
         k[1][0] = k[0][1];
         k[1][1] = c[1] * (1.0 + c[0] * s[0][0]) / determinant;
         for t in 2..count {
-            // A^-1 g_t = z_t - Z u with u = kernel s_t; then Sherman and Morrison.
+            // A^-1 g_t = z_t - Z u with u = kernel s_t; then the Sherman-Morrison formula.
             let mut u = [0.0; MAX_TENDONS];
             let mut own = s[t][t];
             for i in 0..t {
@@ -65,7 +65,7 @@ impl Kernel {
         Self { entry: k, count: count.max(2) }
     }
 
-    /// Kernel times a vector.
+    /// Multiplies the kernel by a vector.
     pub fn weigh(&self, p: &[f64; MAX_TENDONS]) -> [f64; MAX_TENDONS] {
         let mut out = [0.0; MAX_TENDONS];
         for i in 0..self.count {
@@ -98,7 +98,7 @@ impl Coupling {
         }
     }
 
-    /// Sets up the coupling for a factored H; the rank-one stiffness enters with weight `scale` (dt^2 of the method).
+    /// Sets up the coupling for a factored H. `scale` weighs the rank-one stiffness (dt^2 for the method in use).
     pub fn update(&mut self, articulated: &Articulated, load: &TendonLoad, scale: f64) {
         self.count = load.channels.count;
         self.active = load.coupled[..self.count].contains(&true);

@@ -1,25 +1,25 @@
-//! Contact-space mobility `R = B A^-1 B'` of the chain's implicit operator.
+//! Contact-space mobility (Delassus operator) `R = B A^-1 B'` of the chain's implicit operator.
 //!
-//! A probe is a sphere centre (three rows: omega_y, v_x, v_z) or a flexure at its stop (one row: its velocity). All
-//! contacts of one sphere share its probe, so that R grows with the spheres in contact and not with the contacts. The
-//! out-of-plane direction is one scalar for the whole tool.
+//! A probe is a sphere centre (three rows: omega_y, v_x, v_z) or a flexure at its stop (one row: its velocity). All contacts of a sphere
+//! share its probe, so R grows with the number of spheres in contact, not the number of contacts. The out-of-plane direction is one
+//! scalar for the whole tool.
 
 use super::articulated::{Articulated, Generalised, Spatial, joint_axis, velocity_at};
 use super::coupling::Coupling;
 use super::geometry::{Configuration, Layout, Planar};
 use super::{MAX_JOINTS, MAX_ROWS, MAX_SPHERES, MAX_TENDONS};
 
-/// The probes of one step and their mobility.
+/// The probes of one step and their mobility matrix.
 #[derive(Debug, Clone)]
 pub(super) struct Delassus {
-    /// Link of each sphere probe; never decreases.
+    /// Link of each sphere probe, in non-decreasing order.
     link: [usize; MAX_SPHERES],
     centre: [Planar; MAX_SPHERES],
     pub sphere_count: usize,
     /// Joint of each stop probe, ascending.
     pub joint: [usize; MAX_JOINTS],
     pub joint_count: usize,
-    /// Row of each joint's stop probe, or none.
+    /// Row of each joint's stop probe, if it has one.
     joint_row: [Option<usize>; MAX_JOINTS],
     /// Row-major, `rows` x `rows`.
     matrix: Vec<f64>,
@@ -74,7 +74,7 @@ impl Delassus {
         self.centre[probe]
     }
 
-    /// Column `row` of R (a row as well: R is symmetric).
+    /// Column `row` of R, which is also its row because R is symmetric.
     pub fn column(&self, row: usize) -> &[f64] {
         let rows = self.rows();
         &self.matrix[row * rows..(row + 1) * rows]
@@ -94,7 +94,7 @@ impl Delassus {
         }
     }
 
-    /// Responses to unit moment, force x and force z at a sphere centre, from its link outward.
+    /// Propagates the responses to unit moment, force x and force z at a sphere centre outward from its link.
     fn sweep_sphere(&mut self, articulated: &Articulated, joints: usize, probe: usize) {
         let rows = self.rows();
         let c = self.centre[probe];
@@ -112,7 +112,7 @@ impl Delassus {
         }
     }
 
-    /// Responses to a unit torque in a flexure, from there outward.
+    /// Propagates the response to a unit torque in a flexure outward from it.
     fn sweep_joint(&mut self, articulated: &Articulated, joints: usize, k: usize) {
         let rows = self.rows();
         let source = 3 * self.sphere_count + k;
@@ -130,8 +130,8 @@ impl Delassus {
         }
     }
 
-    /// Writes the motions `x` (one a source row from `source` on) of the sphere probes from `next` on that sit on
-    /// `link`; returns the first probe beyond them.
+    /// Writes the motions `x` (one per source row, starting at `source`) of all sphere probes on `link`, starting at probe `next`;
+    /// returns the first probe beyond them.
     fn write_spheres(&mut self, mut next: usize, link: usize, source: usize, x: &[Spatial]) -> usize {
         let rows = self.rows();
         while next < self.sphere_count && self.link[next] == link {
@@ -186,7 +186,7 @@ impl Delassus {
         }
     }
 
-    /// B' p: link and joint impulses of probe impulses `p`.
+    /// B' p: link and joint impulses for probe impulses `p`.
     pub fn scatter(
         &self,
         p: &[f64; MAX_ROWS],

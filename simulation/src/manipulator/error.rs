@@ -1,19 +1,19 @@
-//! What construction and a step refuse.
+//! Errors of construction and stepping.
 
 /// Why [`super::Manipulator::new`] or [`super::Manipulator::step`] refused its input. A refused step changes nothing.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ManipulatorError {
-    /// A scalar lies outside the range that the model accepts.
+    /// A scalar is out of range.
     #[error("manipulator `{field}` is {value}, expected {allowed}; correct it where the value is set")]
     OutOfRange {
         /// Name of the field.
         field: &'static str,
-        /// The value that was given.
+        /// The given value.
         value: f64,
-        /// The range that is accepted, in words.
+        /// The accepted range, in words.
         allowed: &'static str,
     },
-    /// An entry of a per-joint list lies outside the range that the model accepts.
+    /// An entry of a per-joint list is out of range.
     #[error(
         "manipulator `{field}[{index}]` is {value}, expected {allowed}; correct it where the list is set"
     )]
@@ -22,19 +22,19 @@ pub enum ManipulatorError {
         field: &'static str,
         /// Index of the offending entry.
         index: usize,
-        /// The value that was given.
+        /// The given value.
         value: f64,
-        /// The range that is accepted, in words.
+        /// The accepted range, in words.
         allowed: &'static str,
     },
-    /// A per-joint list has another length than the list of joints, or there are too few or too many joints.
+    /// A per-joint list does not match the joint list in length, or there are too few or too many joints.
     #[error("manipulator `{field}` has {given} entries, expected {expected}; give one entry per flexure")]
     Length {
         /// Name of the list.
         field: &'static str,
-        /// How many entries were given.
+        /// Number of entries given.
         given: usize,
-        /// How many are accepted, in words.
+        /// Number of entries accepted, in words.
         expected: &'static str,
     },
 }

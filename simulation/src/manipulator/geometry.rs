@@ -1,4 +1,4 @@
-//! Fixed layout of the chain (bodies, spheres) and its planar configuration.
+//! Constant layout of the chain (bodies, spheres) and its planar configuration.
 
 use super::MAX_JOINTS;
 use super::parameters::ManipulatorParameters;
@@ -6,24 +6,24 @@ use super::parameters::ManipulatorParameters;
 /// A point or vector in the bending plane, base axes: (x, z).
 pub(super) type Planar = [f64; 2];
 
-/// What a proxy sphere stands for.
+/// Which part of the tool a proxy sphere represents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SphereKind {
-    /// On the rigid shaft before the first flexure.
+    /// The rigid shaft proximal to the first flexure.
     Shaft,
-    /// In the middle of the segment behind this flexure.
+    /// Midpoint of the segment distal to this flexure.
     Segment(usize),
     /// The burr at the tip.
     Burr,
 }
 
-/// A sphere fixed to a link. Link 0 is the shaft, link i + 1 follows flexure i.
+/// A sphere fixed to a link. Link 0 is the shaft; link i + 1 is distal to flexure i.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SphereLayout {
     pub kind: SphereKind,
     pub radius_m: f64,
     pub link: usize,
-    /// Distance along the link's axis: from the base origin for the shaft, else from the link's flexure.
+    /// Distance along the link axis, from the base origin (shaft) or from the link's flexure.
     pub along_m: f64,
 }
 
@@ -37,21 +37,21 @@ pub(super) struct LinkBody {
     pub inertia_kg_m2: f64,
 }
 
-/// What never changes after construction.
+/// Everything that is constant after construction.
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
     pub joints: usize,
     pub first_joint_m: f64,
-    /// Length of the link behind each flexure (the last ends at the burr centre).
+    /// Length of the link distal to each flexure (the last ends at the burr centre).
     pub length_m: [f64; MAX_JOINTS],
-    /// Bodies: the shaft, then one a flexure.
+    /// Bodies: the shaft, then one per flexure.
     pub body: [LinkBody; MAX_JOINTS + 1],
     pub spheres: Vec<SphereLayout>,
     pub total_mass_kg: f64,
 }
 
 impl Layout {
-    /// Links, masses and spheres of validated parameters.
+    /// Links, masses and spheres from validated parameters.
     pub fn new(p: &ManipulatorParameters) -> Self {
         let n = p.joint_positions_m.len();
         let mut length_m = [0.0; MAX_JOINTS];
@@ -64,13 +64,13 @@ impl Layout {
     }
 }
 
-/// Length of the link behind each flexure, m.
+/// Length of the link distal to each flexure, m.
 pub(super) fn link_lengths_m(p: &ManipulatorParameters) -> Vec<f64> {
     let z = &p.joint_positions_m;
     z.windows(2).map(|pair| pair[1] - pair[0]).chain([p.tip_offset_m]).collect()
 }
 
-/// The shaft, then one body a flexure, the burr joined to the last.
+/// The shaft, then one body per flexure; the burr is part of the last.
 pub(super) fn link_bodies(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<LinkBody> {
     let transverse = 0.25 * (p.tube_radii_m[0] * p.tube_radii_m[0] + p.tube_radii_m[1] * p.tube_radii_m[1]);
     let mut body =
@@ -85,7 +85,7 @@ pub(super) fn link_bodies(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<Li
     body
 }
 
-/// The last link's tube joined with the burr, a solid sphere at the tip.
+/// Adds the burr, a solid sphere at the tip, to the last link's tube.
 fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
     let mass = tube.mass_kg + p.burr_mass_kg;
     let centre = (tube.mass_kg * tube.centre_m + p.burr_mass_kg * p.tip_offset_m) / mass;
@@ -95,7 +95,7 @@ fn with_burr(tube: LinkBody, p: &ManipulatorParameters) -> LinkBody {
     LinkBody { mass_kg: mass, centre_m: centre, inertia_kg_m2: inertia }
 }
 
-/// Shaft spheres at equal spacing, one sphere a segment, the burr: link indices never decrease.
+/// Shaft spheres at equal spacing, one sphere per segment, the burr. Link indices are non-decreasing.
 pub(super) fn spheres(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<SphereLayout> {
     let n = p.joint_positions_m.len();
     let mut list = Vec::with_capacity(p.shaft_sphere_count + n + 1);
@@ -111,7 +111,7 @@ pub(super) fn spheres(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<Sphere
         });
     }
     for i in 0..n {
-        // The last segment is as long as the one before it; the rest of the last link is the burr's shank.
+        // The last segment is as long as the one before it; the remainder of the last link is the shank of the burr.
         let segment = if i + 1 == n && n > 1 { length_m[i - 1].min(length_m[i]) } else { length_m[i] };
         list.push(SphereLayout {
             kind: SphereKind::Segment(i),
@@ -129,16 +129,16 @@ pub(super) fn spheres(p: &ManipulatorParameters, length_m: &[f64]) -> Vec<Sphere
     list
 }
 
-/// Where the links are, in base axes, for one set of joint angles and one mount displacement.
+/// Link poses in base axes for one set of joint angles and one mount displacement.
 #[derive(Debug, Clone)]
 pub(super) struct Configuration {
-    /// sin and cos of half of each joint angle.
+    /// Sine of half of each joint angle.
     pub half_sin: [f64; MAX_JOINTS],
-    /// See `half_sin`.
+    /// Cosine of half of each joint angle.
     pub half_cos: [f64; MAX_JOINTS],
     /// Origin of each link: the displaced base origin, then the flexure centres.
     pub origin: [Planar; MAX_JOINTS + 1],
-    /// Axis of each link, (sin, cos) of its angle to base z.
+    /// Direction of each link, (sin, cos) of its angle to base z.
     pub axis: [Planar; MAX_JOINTS + 1],
 }
 
@@ -153,7 +153,7 @@ impl Configuration {
         }
     }
 
-    /// Sets every link for joint angles `q` (rad) and mount displacement `mount` (base axes x, y, z, m).
+    /// Updates every link from joint angles `q` (rad) and mount displacement `mount` (base axes x, y, z, m).
     pub fn update(&mut self, layout: &Layout, q: &[f64; MAX_JOINTS], mount: &[f64; 3]) {
         self.origin[0] = [mount[0], mount[2]];
         let mut origin = [mount[0], mount[2] + layout.first_joint_m];

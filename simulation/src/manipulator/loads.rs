@@ -1,4 +1,4 @@
-//! Gravity, inertia of the moving base, velocity products and the tip load, as planar forces on the links.
+//! Gravity, base acceleration, velocity-product terms and the tip load, as planar forces on the links.
 
 use nalgebra::Vector3;
 
@@ -7,7 +7,7 @@ use super::articulated::{Spatial, force_at};
 use super::geometry::{Configuration, Layout};
 use super::state::Wrench;
 
-/// The base frame's motion as inertia sees it, all in base axes.
+/// Loads that the base frame's motion and the tip wrench impose, all in base axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Frame {
     /// Gravity minus the base origin's acceleration, m/s^2.
@@ -18,14 +18,14 @@ pub(super) struct Frame {
     pub tip_wrench: Wrench,
 }
 
-/// Forces on the links, and their sum for the flange.
+/// Forces on the links, and their resultant at the flange.
 #[derive(Debug, Clone)]
 pub(super) struct Loads {
-    /// Planar force on each link at the base origin (index 0: the shaft).
+    /// Planar force on each link, expressed at the base origin (index 0: the shaft).
     pub force: [Spatial; MAX_JOINTS + 1],
-    /// Out-of-plane force on the whole tool, N.
+    /// Total out-of-plane force on the tool, N.
     pub lateral: f64,
-    /// Moment of all forces about the base origin, base axes, N m.
+    /// Total moment about the base origin, base axes, N m.
     pub moment: Vector3<f64>,
 }
 
@@ -36,8 +36,7 @@ impl Loads {
 
     /// Evaluates all loads for joint velocities `rate` and mount displacement and velocity `mount`.
     ///
-    /// The gyroscopic moment of a link whose base turns about two axes at once is left out: it is of the order
-    /// I omega^2 = 1e-9 N m at 1 rad/s.
+    /// Neglects the gyroscopic moment of a link whose base turns about two axes at once: about I omega^2 = 1e-9 N m at 1 rad/s.
     pub fn evaluate(
         &mut self,
         layout: &Layout,
@@ -51,7 +50,7 @@ impl Loads {
         self.lateral = 0.0;
         self.moment = Vector3::zeros();
         let mut omega = 0.0;
-        // Velocity and velocity-product acceleration of the link's origin, (x, z).
+        // Velocity and velocity-product acceleration of the link origin, (x, z).
         let mut v = [mount_rate[0], mount_rate[2]];
         let mut a = [0.0; 2];
         for link in 0..=layout.joints {
@@ -101,7 +100,7 @@ impl Loads {
         self.moment += position.cross(&wrench.force_n) + wrench.torque_nm;
     }
 
-    /// The moment about the base origin that a change of motion `x` (velocities, links in `motions`) takes.
+    /// The moment about the base origin that produces a change of motion `x` (generalised velocities; link motions in `motions`).
     pub fn momentum_moment(
         layout: &Layout,
         configuration: &Configuration,

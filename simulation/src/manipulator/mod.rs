@@ -1,20 +1,19 @@
-//! The planar rung of the manipulator ladder: a chain of flexures in reduced coordinates, stepped implicitly, with
-//! tendons, contact and joint stops inside the same velocity solve.
+//! The planar rung of the model ladder: a chain of flexures in reduced coordinates, stepped implicitly; tendons, contacts and joint stops
+//! are part of the same velocity solve.
 //!
 //! # Frames
 //!
-//! World is the patient frame (LPS, metres). The base frame sits at the flange: +z is the insertion axis along the
-//! straight tool, +x the bending direction toward tendon 0, and every flexure turns about +y, so that positive angles
-//! bend toward +x. The tool hangs on the base by a translational mount (three springs along the base axes), which
-//! carries axial and out-of-plane loads; the chain itself bends only in the x-z plane. Link 0 is the rigid shaft, link
-//! i + 1 follows flexure i; the tip frame is that of the last link, with its origin at the burr centre.
+//! World is the patient frame (LPS, metres). The base frame is at the flange: +z is the insertion axis along the straight tool, +x the
+//! bending direction toward tendon 0. Every flexure turns about +y, so positive angles bend toward +x. A translational mount (three
+//! springs along the base axes) connects the tool to the base and carries axial and out-of-plane loads; the chain itself bends only in
+//! the x-z plane. Link 0 is the rigid shaft; link i + 1 is distal to flexure i. The tip frame is that of the last link, with its origin
+//! at the burr centre.
 //!
 //! # Method
 //!
-//! Flexures are hinges at the flexure centres, so that the chain's error against the continuum is O(1/n^2). The
-//! operator `M + dt D + dt^2 K` is factored in O(n) (`articulated`); tendons act along their channels (`tendon`);
-//! contact is solved by Gauss-Seidel on accumulated impulses on the mobility of that very operator (`delassus`,
-//! `contact`). Nothing is allocated after [`Manipulator::new`].
+//! Hinges sit at the flexure centres, which makes the error against the continuum O(1/n^2). The operator `M + dt D + dt^2 K` is factored
+//! in O(n) (`articulated`). Tendons act along their channels (`tendon`). Contact is solved by Gauss-Seidel on accumulated impulses, using
+//! the mobility of the same operator (`delassus`, `contact`). Nothing is allocated after [`Manipulator::new`].
 
 #![expect(
     clippy::needless_range_loop,
@@ -59,19 +58,19 @@ pub use state::{
     BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, TendonCommand, Wrench,
 };
 
-/// Most flexures of the planar rung.
+/// Maximum number of flexures of the planar rung.
 pub const MAX_JOINTS: usize = 32;
-/// Most flexures of the spatial rungs.
+/// Maximum number of flexures of the spatial rungs.
 pub const MAX_LINKS: usize = 64;
-/// Most tendons.
+/// Maximum number of tendons.
 pub const MAX_TENDONS: usize = 4;
-/// Most proxy spheres on the shaft.
+/// Maximum number of proxy spheres on the shaft.
 pub const MAX_SHAFT_SPHERES: usize = 8;
-/// Shaft, one a segment, burr.
+/// Shaft, one per segment, burr.
 pub(crate) const MAX_SPHERES: usize = MAX_SHAFT_SPHERES + MAX_JOINTS + 1;
-/// Most contacts of a step, four a sphere; further ones are refused and counted.
+/// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
 pub const MAX_CONTACTS: usize = 4 * MAX_SPHERES;
-/// Rows of the contact solver: three a sphere, one a stop.
+/// Rows of the contact solver: three per sphere, one per stop.
 const MAX_ROWS: usize = 3 * MAX_SPHERES + MAX_JOINTS;
 
 /// A continuum manipulator.
@@ -84,11 +83,11 @@ pub struct Manipulator {
     mount_damping: [f64; 3],
     first_frequency_rad_per_s: f64,
     state: ManipulatorState,
-    /// Follows from `state`.
+    /// Derived from `state`.
     configuration: Configuration,
-    /// Follows from `state`.
+    /// Derived from `state`.
     spheres: Vec<ProxySphere>,
-    /// Workspace from here on.
+    /// The fields from here on are workspace.
     trial: Configuration,
     articulated: Articulated,
     tendon: TendonLoad,
@@ -146,7 +145,7 @@ impl Manipulator {
         Ok(manipulator)
     }
 
-    /// Goes on without vector instructions: slower, and the same bits.
+    /// Disables SIMD: slower, same bits.
     pub fn use_plain_instructions(&mut self) {
         self.contact.arch = pulp::Arch::Scalar;
     }
@@ -158,7 +157,7 @@ impl Manipulator {
         let (pose, y, mount) =
             (&state.base.t_world_base, state.mount_displacement_m[1], &state.mount_velocity_m_per_s);
         let rotation = pose.rotation.to_rotation_matrix();
-        // Rate and origin velocity (x, z) of the link the sphere sits on; spheres come by ascending link.
+        // Rate and origin velocity (x, z) of the link that carries the sphere; spheres come in ascending link order.
         let (mut link, mut omega, mut v) = (0, 0.0, [mount[0], mount[2]]);
         for (sphere, fixed) in self.spheres.iter_mut().zip(&self.layout.spheres) {
             while link < fixed.link {
@@ -196,7 +195,7 @@ impl Manipulator {
         self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }
 
-    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    /// Proxy spheres in the current configuration: shaft, segments, burr.
     pub fn proxy_spheres(&self) -> &[ProxySphere] {
         &self.spheres
     }
@@ -216,14 +215,14 @@ impl Manipulator {
         self.joint_positions_rad().iter().sum()
     }
 
-    /// Pose of link `link` (0 is the shaft at the base origin, i + 1 sits at flexure i), z along the link. A link past
-    /// the last is the last.
+    /// Pose of link `link` (0 is the shaft at the base origin, i + 1 sits at flexure i), z along the link. An index past the last link
+    /// returns the last link.
     pub fn t_world_link(&self, link: usize) -> Isometry3<f64> {
         let link = link.min(self.layout.joints);
         self.t_world_point(link, 0.0)
     }
 
-    /// Poses of all links, the shaft first.
+    /// Poses of all links, starting with the shaft.
     pub fn link_poses(&self) -> impl Iterator<Item = Isometry3<f64>> + '_ {
         (0..=self.layout.joints).map(|link| self.t_world_point(link, 0.0))
     }
@@ -247,7 +246,7 @@ impl Manipulator {
         &self.state.base
     }
 
-    /// Puts the tool elsewhere at once, shape and relative motion kept: for scene set-up, not for motion.
+    /// Teleports the base and keeps shape and relative motion. For scene set-up, not for motion.
     pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
         step::validate_base(base)?;
         self.state.base = *base;
@@ -255,17 +254,17 @@ impl Manipulator {
         Ok(())
     }
 
-    /// Tension of each tendon at its base end after the last step, N.
+    /// Tension of each tendon at its proximal end after the last step, N.
     pub fn tendon_tensions_n(&self) -> [f64; MAX_TENDONS] {
         self.state.report.tendon_tension_n
     }
 
-    /// Pulled length of each tendon after the last step, its stretch included, m.
+    /// Pulled length of each tendon after the last step, including its stretch, m.
     pub fn tendon_displacements_m(&self) -> [f64; MAX_TENDONS] {
         self.state.report.tendon_displacement_m
     }
 
-    /// What the tool exerted on the flange in the last step: world axes, torque about the base origin.
+    /// Wrench of the tool on the flange in the last step: world axes, torque about the base origin.
     pub fn flange_wrench(&self) -> Wrench {
         self.state.report.flange_wrench
     }
@@ -315,17 +314,17 @@ impl Manipulator {
         energy
     }
 
-    /// The whole dynamic state.
+    /// The complete dynamic state.
     pub(crate) fn state(&self) -> &ManipulatorState {
         &self.state
     }
 
-    /// A copy of the whole dynamic state.
+    /// A copy of the complete dynamic state.
     pub fn snapshot(&self) -> ManipulatorState {
         self.state.clone()
     }
 
-    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    /// Continues bit for bit from a snapshot of a tool with the same parameters.
     pub fn restore(&mut self, state: &ManipulatorState) {
         self.state.clone_from(state);
         self.update_configuration();

@@ -2,8 +2,8 @@
 
 use super::geometry::LinkBody;
 
-/// Angular frequency of the first mode, rad/s: inverse iteration on `K x = omega^2 M x`. `length_m` and `stiffness` hold
-/// one entry a flexure, `body` the shaft and then one a flexure.
+/// Angular frequency of the first mode, rad/s, by inverse iteration on `K x = omega^2 M x`. `length_m` and `stiffness` have one entry per
+/// flexure; `body` has the shaft, then one per flexure.
 pub(super) fn first_frequency_rad_per_s(
     first_joint_m: f64,
     length_m: &[f64],
@@ -33,7 +33,7 @@ pub(super) fn first_frequency_rad_per_s(
     libm::sqrt(squared)
 }
 
-/// Joint-space mass matrix of the straight tool, row by row.
+/// Joint-space mass matrix of the straight tool, row-major.
 fn mass_matrix(first_joint_m: f64, length_m: &[f64], body: &[LinkBody]) -> Vec<f64> {
     let n = length_m.len();
     let mut z = vec![0.0; n];

@@ -10,24 +10,24 @@ use super::spatial::{SpatialChain, SpatialState};
 use super::state::{BaseMotion, ContactResult, ManipulatorState, ProxySphere, StepInput, StepReport, Wrench};
 use super::{MAX_JOINTS, MAX_TENDONS, Manipulator};
 
-/// The rungs, from the cheapest to the richest.
+/// The rungs of the ladder, from cheapest to most detailed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Rung {
-    /// An arc of one curvature.
+    /// One arc of constant curvature.
     ConstantCurvature,
     /// A chain that bends in one plane.
     Planar,
-    /// A chain that bends, bends laterally and twists.
+    /// A chain that bends in two planes and twists.
     Spatial,
-    /// A chain whose flexures have all six freedoms.
+    /// A chain with six degrees of freedom per flexure.
     Full,
 }
 
 impl Rung {
-    /// All of them.
+    /// All rungs, in order.
     pub const ALL: [Rung; 4] = [Rung::ConstantCurvature, Rung::Planar, Rung::Spatial, Rung::Full];
 
-    /// As scenes and tables write it.
+    /// Name in scenes and tables.
     pub fn name(self) -> &'static str {
         match self {
             Rung::ConstantCurvature => "constant_curvature",
@@ -38,24 +38,24 @@ impl Rung {
     }
 }
 
-/// What every rung does. The meaning of each function, and its errors, are those of [`Manipulator`].
+/// Common interface of all rungs. [`Manipulator`] documents each function and its errors.
 pub trait ManipulatorModel {
-    /// The whole dynamic state.
+    /// The complete dynamic state.
     type State: Clone + PartialEq + core::fmt::Debug;
 
     /// Advances by `dt_s`.
     ///
     /// # Errors
-    /// Input that is not finite or absurd; nothing has changed.
+    /// The input is not finite or out of range. A refused step changes nothing.
     fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError>;
-    /// A copy of the whole dynamic state.
+    /// A copy of the complete dynamic state.
     fn snapshot(&self) -> Self::State;
-    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    /// Continues bit for bit from a snapshot of a tool with the same parameters.
     fn restore(&mut self, state: &Self::State);
-    /// Puts the tool elsewhere at once.
+    /// Teleports the base.
     ///
     /// # Errors
-    /// A base that is not one.
+    /// The base motion is not finite, not a rotation, or out of range.
     fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError>;
     /// The parameters the tool was built from.
     fn parameters(&self) -> &ManipulatorParameters;
@@ -67,7 +67,7 @@ pub trait ManipulatorModel {
     fn joint_positions_rad(&self) -> &[f64];
     /// Bending rates, base to tip, rad/s.
     fn joint_velocities_rad_per_s(&self) -> &[f64];
-    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    /// Proxy spheres in the current configuration: shaft, segments, burr.
     fn proxy_spheres(&self) -> &[ProxySphere];
     /// Contacts of the last step, ordered by sphere.
     fn contact_results(&self) -> &[ContactResult];
@@ -92,17 +92,17 @@ pub trait ManipulatorModel {
         self.parameters().tendon_count()
     }
 
-    /// Tension of each tendon at its base end after the last step, N.
+    /// Tension of each tendon at its proximal end after the last step, N.
     fn tendon_tensions_n(&self) -> [f64; MAX_TENDONS] {
         self.last_report().tendon_tension_n
     }
 
-    /// Pulled length of each tendon after the last step, its stretch included, m.
+    /// Pulled length of each tendon after the last step, including its stretch, m.
     fn tendon_displacements_m(&self) -> [f64; MAX_TENDONS] {
         self.last_report().tendon_displacement_m
     }
 
-    /// What the tool exerted on the flange in the last step.
+    /// Wrench of the tool on the flange in the last step.
     fn flange_wrench(&self) -> Wrench {
         self.last_report().flange_wrench
     }
@@ -165,7 +165,7 @@ pub enum AnyManipulator {
     ConstantCurvature(ConstantCurvature),
     /// See [`Manipulator`].
     Planar(Manipulator),
-    /// The planar rung with more flexures than [`Manipulator`] holds.
+    /// The planar rung with more flexures than [`Manipulator`] supports.
     LongPlanar(SpatialChain<1>),
     /// See [`SpatialChain`].
     Spatial(SpatialChain<3>),
@@ -176,15 +176,15 @@ pub enum AnyManipulator {
 /// The state of an [`AnyManipulator`].
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub enum AnyManipulatorState {
-    /// Of the arc.
+    /// State of the arc.
     ConstantCurvature(ConstantCurvatureState),
-    /// Of the planar chain.
+    /// State of the planar chain.
     Planar(Box<ManipulatorState>),
-    /// Of a spatial chain, the long planar one among them.
+    /// State of a spatial chain, including the long planar one.
     Spatial(SpatialState),
 }
 
-/// An [`AnyManipulatorState`] in its place, to be written without a copy: the variants are the same.
+/// Borrowed [`AnyManipulatorState`], so that serialising needs no copy. The variants are the same.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub(crate) enum AnyManipulatorStateRef<'a> {
     ConstantCurvature(&'a ConstantCurvatureState),
@@ -196,7 +196,7 @@ impl AnyManipulator {
     /// A straight tool at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter that is refused, by name.
+    /// A parameter is out of range; the error names it.
     pub fn new(
         rung: Rung,
         parameters: ManipulatorParameters,
@@ -213,14 +213,14 @@ impl AnyManipulator {
         })
     }
 
-    /// Goes on without vector instructions where there are any: slower, and the same bits.
+    /// Disables SIMD where it is used: slower, same bits.
     pub fn use_plain_instructions(&mut self) {
         if let Self::Planar(tool) = self {
             tool.use_plain_instructions();
         }
     }
 
-    /// The whole dynamic state.
+    /// The complete dynamic state.
     pub(crate) fn state(&self) -> AnyManipulatorStateRef<'_> {
         match self {
             Self::ConstantCurvature(tool) => AnyManipulatorStateRef::ConstantCurvature(tool.state()),
@@ -231,7 +231,7 @@ impl AnyManipulator {
         }
     }
 
-    /// Whether a state that was read back is of this rung and size.
+    /// True if a deserialised state belongs to this rung and size.
     pub(crate) fn fits(&self, state: &AnyManipulatorState) -> bool {
         match (self, state) {
             (Self::ConstantCurvature(_), AnyManipulatorState::ConstantCurvature(_))
@@ -243,7 +243,7 @@ impl AnyManipulator {
         }
     }
 
-    /// Which rung it is.
+    /// The rung in use.
     pub fn rung(&self) -> Rung {
         match self {
             Self::ConstantCurvature(_) => Rung::ConstantCurvature,
@@ -289,7 +289,7 @@ impl ManipulatorModel for AnyManipulator {
         }
     }
 
-    /// A snapshot of another rung is not one of a tool with the same parameters; it is left alone.
+    /// Ignores a snapshot of another rung: it does not come from a tool with the same parameters.
     fn restore(&mut self, state: &AnyManipulatorState) {
         match (self, state) {
             (Self::ConstantCurvature(tool), AnyManipulatorState::ConstantCurvature(state)) => {

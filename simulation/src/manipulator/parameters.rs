@@ -1,4 +1,4 @@
-//! Dimensions, stiffnesses, masses and solver settings of a manipulator, and the checks on them.
+//! Dimensions, stiffnesses, masses and solver settings of a manipulator, with validation.
 
 use nalgebra::Vector3;
 use scene::STANDARD_RADII;
@@ -10,17 +10,16 @@ use super::{MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
 /// How a step is integrated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Integrator {
-    /// First order, damps what the step does not resolve, never blew up in the stress matrix.
+    /// First order. Damps modes that the step does not resolve, and never diverged in the stress matrix.
     LinearlyImplicitEuler,
-    /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2) in free
-    /// motion; a step with a contact or joint-stop candidate, in which a tendon with friction turns, begins or ceases to
-    /// slide, or whose embedded error estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`], is taken by linearly
-    /// implicit Euler.
+    /// Second-order Rosenbrock (ROS2, Verwer et al. 1999, SIAM J. Sci. Comput. 20(4), gamma = 1 - 1/sqrt 2) in free motion. Linearly
+    /// implicit Euler takes the step instead if there is a contact or joint-stop candidate, if a tendon with friction reverses, starts or
+    /// stops sliding, or if the embedded error estimate exceeds [`ManipulatorParameters::hybrid_tolerance_rad`].
     Hybrid,
 }
 
-/// What all tendons have in common, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends toward
-/// +x (positive joint angles), tendon 1 on the -x side.
+/// Parameters shared by all tendons, and the antagonist pair: tendon 0 runs on the +x side of the base frame and bends toward +x
+/// (positive joint angles), tendon 1 runs on the -x side.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TendonParameters {
     /// Distance of the pair's channels from the tool axis, m.
@@ -32,8 +31,8 @@ pub struct TendonParameters {
     pub stiffness_n_per_m: f64,
     /// Capstan friction coefficient between tendon and channel; 0 is frictionless.
     pub friction_coefficient: f64,
-    /// Sliding distance over which friction goes from none to full (Dahl pre-sliding), m. Capstan friction changes
-    /// its sign over twice this distance.
+    /// Sliding distance over which friction builds up from zero to full (Dahl pre-sliding), m. A reversal of capstan friction takes twice
+    /// this distance.
     pub presliding_m: f64,
 }
 
@@ -42,20 +41,20 @@ pub struct TendonParameters {
 pub struct ContactParameters {
     /// Coulomb coefficient of the shaft and segment spheres.
     pub friction_coefficient: f64,
-    /// Coulomb coefficient of the burr. A turning burr slides around its own axis, so that dry friction has nothing
-    /// left for the directions of feed: 0 unless a scene says otherwise.
+    /// Coulomb coefficient of the burr. A spinning burr slides about its own axis, which leaves no dry friction to resist the feed: 0
+    /// unless a scene overrides it.
     pub burr_friction_coefficient: f64,
     /// Stiffness of one contact, N/m: the overlap at rest is force / stiffness.
     pub stiffness_n_per_m: f64,
-    /// Largest speed at which an overlap that the contact force does not explain is pushed out, m/s.
+    /// Maximum speed at which overlap beyond what the contact force explains is pushed out, m/s.
     pub push_out_speed_m_per_s: f64,
-    /// Bound on the sweeps of the impulse solver.
+    /// Maximum number of sweeps of the impulse solver.
     pub max_iterations: usize,
-    /// A sweep in which no row changed its velocity by more than this ends the solver, m/s.
+    /// The solver stops after a sweep in which no row changed its velocity by more than this, m/s.
     pub tolerance_m_per_s: f64,
 }
 
-/// Everything that defines a continuum manipulator, for every rung. SI units.
+/// Complete definition of a continuum manipulator, for every rung. SI units.
 ///
 /// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0, and in the
 /// planar rungs every flexure turns about +y. The origin is the flange.
@@ -65,13 +64,14 @@ pub struct ManipulatorParameters {
     pub joint_positions_m: Vec<f64>,
     /// Bending stiffness of each flexure, N m/rad.
     pub joint_stiffness_nm_per_rad: Vec<f64>,
-    /// Stiffness of each flexure across the bending plane over that in it. The spatial rungs use it.
+    /// Lateral stiffness of each flexure divided by its in-plane bending stiffness. Used by the spatial rungs only.
     pub lateral_stiffness_ratio: f64,
-    /// Torsional over bending stiffness of each flexure: 1 / (1 + nu) for a round section. The spatial rungs use it.
+    /// Torsional stiffness of each flexure divided by its bending stiffness: 1 / (1 + nu) for a round section. Used by the spatial rungs
+    /// only.
     pub torsion_stiffness_ratio: f64,
-    /// Poisson's ratio nu, for the shear stiffness of the rung with six freedoms a flexure.
+    /// Poisson's ratio nu, for the shear stiffness of the rung with six degrees of freedom per flexure.
     pub poisson_ratio: f64,
-    /// Stop of each flexure, symmetric, rad.
+    /// Joint stop of each flexure, symmetric, rad.
     pub joint_limit_rad: f64,
     /// Stiffness of the stop, N m/rad.
     pub joint_stop_stiffness_nm_per_rad: f64,
@@ -79,8 +79,8 @@ pub struct ManipulatorParameters {
     pub tip_offset_m: f64,
     /// Mass per length of the flexible tube, kg/m.
     pub linear_density_kg_per_m: f64,
-    /// Outer and inner radius of the tube, m. They enter the rotary inertia and, in the rung with six freedoms a flexure, the stiffness
-    /// along and across the tube.
+    /// Outer and inner radius of the tube, m. They set the links' rotary inertia and, in the rung with six degrees of freedom per
+    /// flexure, the axial and shear stiffness. Bending stiffness is given separately in `joint_stiffness_nm_per_rad`.
     pub tube_radii_m: [f64; 2],
     /// Mass of the burr, a solid sphere, kg.
     pub burr_mass_kg: f64,
@@ -92,11 +92,11 @@ pub struct ManipulatorParameters {
     pub damping_ratio: f64,
     /// Stiffness of the tool mount along base x, y and z, N/m.
     pub mount_stiffness_n_per_m: [f64; 3],
-    /// Damping ratio of the whole tool's mass on the mount, 1 = critical.
+    /// Damping ratio of the tool's total mass on the mount, 1 = critical.
     pub mount_damping_ratio: f64,
     /// Gravity in world axes, m/s^2.
     pub gravity_m_per_s2: Vector3<f64>,
-    /// How many proxy spheres the shaft carries.
+    /// Number of proxy spheres on the shaft.
     pub shaft_sphere_count: usize,
     /// z of the first and of the last shaft sphere, in the base frame, m.
     pub shaft_sphere_span_m: [f64; 2],
@@ -108,14 +108,14 @@ pub struct ManipulatorParameters {
     pub burr_radius_m: f64,
     /// The tendons.
     pub tendon: TendonParameters,
-    /// Channel of each tendon, (x, y) from the tool axis in the base frame, m; none: the antagonist pair. Only the spatial
-    /// rungs bend along y.
+    /// Channel of each tendon, (x, y) from the tool axis in the base frame, m; empty for the antagonist pair. Only the spatial rungs bend
+    /// along y.
     pub tendon_channels_m: Vec<[f64; 2]>,
     /// The contact model.
     pub contact: ContactParameters,
     /// How a step is integrated.
     pub integrator: Integrator,
-    /// Error per joint and step above which [`Integrator::Hybrid`] repeats the step with linearly implicit Euler, rad.
+    /// Error per joint and step, rad, above which [`Integrator::Hybrid`] repeats the step with linearly implicit Euler.
     pub hybrid_tolerance_rad: f64,
 }
 
@@ -127,7 +127,7 @@ const JHU_JOINTS_MM: [f64; 27] = [
     60.68872, 61.82167, 62.95139, 64.08112, 65.21084, 66.34056, 67.47028,
 ];
 
-/// Finite-element flexure stiffnesses of the same tool, N m/degree, base to tip (`replace_cm_joint_properties.py`).
+/// Finite-element flexure stiffnesses of the same tool, N m/degree, proximal to distal (`replace_cm_joint_properties.py`).
 const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
     0.013685109,
     0.013281173,
@@ -161,11 +161,11 @@ const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
 impl ManipulatorParameters {
     /// The 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm, burr 6.5 mm.
     ///
-    /// Geometry and stiffness are the tables above; masses are those of a solid nitinol tube (6450 kg/m^3, 0.101
-    /// kg/m). `tendon.gap_m` is 0, as in the published prediction (8.65 degrees per newton): the notch width is not
-    /// published, and a gap of a whole pitch bends about 1 % more. Lateral and torsional stiffness are not published
-    /// either: the ratios are those of a round nitinol tube (nu = 0.33). Tendon stiffness (a 0.35 mm steel cable of 0.3 m),
-    /// damping ratio, stop stiffness and friction are assumptions; override them where you know better.
+    /// Geometry and stiffness come from the tables above; masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m). `tendon.gap_m` is
+    /// 0, as in the published prediction (8.65 degrees per newton): the notch width is not published, and a gap of one full pitch bends
+    /// about 1 % more. Lateral and torsional stiffness are not published either; the ratios are those of a round nitinol tube (nu =
+    /// 0.33). Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop stiffness and friction are assumptions: override
+    /// them with measured values if you have them.
     pub fn jhu_27() -> Self {
         let joints: Vec<f64> = JHU_JOINTS_MM.iter().map(|z| z * 1e-3).collect();
         let stiffness =
@@ -216,9 +216,9 @@ impl ManipulatorParameters {
         }
     }
 
-    /// A uniform beam of `length_m` and rigidity `rigidity_nm2` (EI) as `joints` equal links, flexures at their
-    /// centres, so half a link stands before the first flexure and after the last. No shaft, no burr mass, stops out
-    /// of reach; everything else as in [`Self::jhu_27`].
+    /// A uniform beam of `length_m` and flexural rigidity `rigidity_nm2` (EI) as `joints` equal links with flexures at their centres:
+    /// half a link precedes the first flexure and follows the last. No shaft, no burr mass, stops out of reach; everything else as in
+    /// [`Self::jhu_27`].
     pub fn uniform_beam(joints: usize, length_m: f64, rigidity_nm2: f64) -> Self {
         let pitch = length_m / joints as f64;
         Self {
@@ -234,15 +234,14 @@ impl ManipulatorParameters {
         }
     }
 
-    /// The same tool as `links` equal links over its flexible length, 1 to 64.
+    /// The same tool with `links` equal links over its flexible length, 1 to 64.
     ///
-    /// The flexible length goes from half a pitch before the first flexure to half a pitch behind the last. Each
-    /// flexure's compliance is spread evenly over its own cell between the middles to its neighbours; a new flexure has
-    /// the compliance of its link, and stands at that compliance's centroid, so that a small end load moves the tip as
-    /// it did.
+    /// The flexible length extends half a pitch beyond the first and the last flexure. Each original flexure's compliance is spread
+    /// evenly over its cell, which reaches halfway to both neighbours. A new flexure gets the compliance of its link and sits at that
+    /// compliance's centroid, so a small tip load moves the tip as before.
     ///
     /// # Errors
-    /// A number of links that is not accepted, or parameters that are refused.
+    /// The number of links or a parameter is out of range.
     pub fn with_links(&self, links: usize) -> Result<Self, ManipulatorError> {
         self.validate()?;
         if !(1..=MAX_LINKS).contains(&links) {
@@ -270,7 +269,7 @@ impl ManipulatorParameters {
             stiffness.push(1.0 / compliance);
         }
         let tip_offset_m = burr - positions[links - 1];
-        // A stop and the tendon's gap belong to a length of tube.
+        // Joint stop and tendon gap scale with the length of tube.
         let pitch_ratio = n as f64 / links as f64;
         let mut tendon = self.tendon;
         tendon.gap_m *= pitch_ratio;
@@ -290,7 +289,7 @@ impl ManipulatorParameters {
         if self.tendon_channels_m.is_empty() { 2 } else { self.tendon_channels_m.len() }
     }
 
-    /// Ends of the cells of tube that the flexures stand for, one more than flexures, m.
+    /// Boundaries of the cells of tube that the flexures represent, one more than there are flexures, m.
     pub(super) fn cell_edges_m(&self) -> Vec<f64> {
         let z = &self.joint_positions_m;
         let n = z.len();
@@ -303,7 +302,7 @@ impl ManipulatorParameters {
         edges
     }
 
-    /// Checks every field; the error names the first that is wrong, its value and what is allowed.
+    /// Checks every field. The error names the first invalid one, its value and the accepted range.
     pub fn validate(&self) -> Result<(), ManipulatorError> {
         self.validate_chain()?;
         self.validate_body()?;

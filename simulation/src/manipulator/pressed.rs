@@ -1,16 +1,16 @@
-//! Joint stops that flexures press on, as springs of the implicit operator.
+//! Joint stops under load, treated as springs of the implicit operator.
 //!
-//! A stop that bore a torque in the last step is taken to bear one in this step: its unilateral law, `torque = k dt (target - v)`
-//! toward the free range, then holds as an equation, and the operator solves it exactly together with the flexures. As rows of
-//! the contact solver a tool that stands on all its stops would not converge. Where the velocities found would have a stop pull, the
-//! step is solved once more with that stop as a row.
+//! A stop that carried torque in the last step is assumed to carry torque in this one. Its unilateral law, `torque = k dt (target - v)`
+//! toward the free range, then becomes an equation that the operator solves exactly together with the flexures. If these stops were rows
+//! of the contact solver, a tool pressed against all its stops would not converge. If the solution makes a stop pull, the step is solved
+//! again with that stop as a contact row.
 
 use super::parameters::ManipulatorParameters;
 
-/// The pressed stops, by freedom.
+/// The pressed stops, one entry per degree of freedom.
 #[derive(Debug, Clone)]
 pub(super) struct PressedStops {
-    /// Of the spring, 0 where no stop is pressed, N m/rad.
+    /// Spring stiffness, 0 where no stop is pressed, N m/rad.
     stiffness: Vec<f64>,
     /// Torque at rest, N m.
     drive: Vec<f64>,
@@ -22,7 +22,7 @@ impl PressedStops {
         Self { stiffness: vec![0.0; freedoms], drive: vec![0.0; freedoms], any: false }
     }
 
-    /// No stop is pressed.
+    /// Releases all stops.
     pub fn clear(&mut self) {
         if self.any {
             self.stiffness.fill(0.0);
@@ -31,7 +31,7 @@ impl PressedStops {
         }
     }
 
-    /// The stops that bore the torques `last` (N m), of flexures at `q` (rad).
+    /// Collects the stops that carried the torques `last` (N m), for flexures at `q` (rad).
     pub fn collect(&mut self, p: &ManipulatorParameters, dt: f64, q: &[f64], last: &[f64]) {
         self.clear();
         let law = p.stop_law();
@@ -44,7 +44,7 @@ impl PressedStops {
         }
     }
 
-    /// Gives up the stops that would pull at velocities `v` (rad/s); whether there were any.
+    /// Releases the stops that would pull at velocities `v` (rad/s); true if there were any.
     pub fn release(&mut self, dt: f64, v: &[f64], last: &[f64]) -> bool {
         let mut released = false;
         if self.any {
@@ -58,7 +58,7 @@ impl PressedStops {
         released
     }
 
-    /// Writes the torques of the pressed stops at velocities `v` over those of `out`; their number.
+    /// Overwrites `out` with the torques of the pressed stops at velocities `v`; returns how many there are.
     pub fn store(&self, dt: f64, v: &[f64], out: &mut [f64]) -> usize {
         let all = if self.any { self.drive.len() } else { 0 };
         let pressed = (0..all).filter(|i| self.has(*i));
@@ -69,7 +69,7 @@ impl PressedStops {
         self.drive[i] - self.stiffness[i] * dt * v[i]
     }
 
-    /// Whether the stop of freedom `i` is pressed.
+    /// True if the stop of coordinate `i` is pressed.
     pub fn has(&self, i: usize) -> bool {
         self.stiffness[i] != 0.0
     }

@@ -1,10 +1,10 @@
-//! One contact and one joint stop: Coulomb's law and the unilateral law, each solved exactly for its own row.
+//! Rows of the contact solver: Coulomb's law for a contact, the unilateral law for a joint stop, each solved exactly.
 
 use nalgebra::Vector3;
 
 use super::parameters::ManipulatorParameters;
 
-/// Steps of the secular equation of one sliding contact.
+/// Newton iterations on the secular equation of one sliding contact.
 const CONE_STEPS: usize = 8;
 
 /// One contact in probe space. Directions have the components (omega_y, x, z, y).
@@ -16,11 +16,11 @@ pub(super) struct Row {
     pub friction: f64,
     pub normal: [f64; 4],
     pub tangent: [[f64; 4]; 2],
-    /// Velocity of the contact point due to the base alone, along normal and tangents.
+    /// Velocity of the contact point due to the base motion alone, along normal and tangents.
     pub drive: [f64; 3],
     /// 1 / (k_c dt^2).
     pub compliance: f64,
-    /// Velocity that normal velocity + compliance * impulse must reach.
+    /// Lower bound for normal velocity + compliance * impulse, m/s.
     pub target: f64,
     /// 1 / (R_nn + compliance).
     pub inverse: f64,
@@ -32,7 +32,7 @@ pub(super) struct Row {
     pub shift: f64,
     /// Impulse before the sweep.
     pub before: [f64; 3],
-    /// Direction of the conjugate gradients.
+    /// Conjugate-gradient search direction.
     pub direction: [f64; 3],
 }
 
@@ -54,9 +54,9 @@ pub(super) const EMPTY_ROW: Row = Row {
     direction: [0.0; 3],
 };
 
-/// A flexure enters the solver when the free step would bring it beyond this share of its stop.
+/// A flexure enters the solver if the free step would take it beyond this fraction of its stop.
 const STOP_SHARE: f64 = 0.9;
-/// Fastest return of a flexure that is past its stop, rad/s.
+/// Maximum return rate of a flexure that is past its stop, rad/s.
 const STOP_RETURN_RAD_PER_S: f64 = 5.0;
 
 /// The two stops of a flexure, at plus and minus the same angle.
@@ -67,8 +67,8 @@ pub(super) struct StopLaw {
 }
 
 impl StopLaw {
-    /// The stop near which a free step of `dt` s brings a flexure at `q_rad` that turns at `rate_rad_per_s`; `last_nm` is the torque
-    /// of its stops in the last step.
+    /// The stop that a free step of `dt` s approaches, for a flexure at `q_rad` turning at `rate_rad_per_s`; `last_nm` is its stop torque
+    /// in the last step.
     pub fn near(&self, dt: f64, q_rad: f64, rate_rad_per_s: f64, last_nm: f64) -> Option<Stop> {
         let predicted = q_rad + dt * rate_rad_per_s;
         if predicted.abs().max(q_rad.abs()) <= STOP_SHARE * self.limit_rad {
@@ -85,7 +85,7 @@ impl StopLaw {
         })
     }
 
-    /// Velocity toward the free range that the stop on the side of `sign` asks for after it bore `last_nm`, rad/s.
+    /// Velocity toward the free range that the stop on side `sign` requires after carrying `last_nm`, rad/s.
     pub fn target(&self, dt: f64, sign: f64, q_rad: f64, last_nm: f64) -> f64 {
         let explained = last_nm / self.stiffness_nm_per_rad;
         target(self.limit_rad + sign * q_rad, explained, STOP_RETURN_RAD_PER_S, dt)
@@ -118,7 +118,7 @@ pub(super) const EMPTY_STOP: Stop =
     Stop { sign: 1.0, compliance: 0.0, target: 0.0, inverse: 0.0, impulse: 0.0, before: 0.0, direction: 0.0 };
 
 impl Row {
-    /// Sets the directions for a normal in base axes; returns the two tangents.
+    /// Sets the directions from a normal in base axes; returns the two tangents.
     pub fn orient(&mut self, normal: &Vector3<f64>, radius_m: f64) -> [Vector3<f64>; 2] {
         let lever = normal * -radius_m;
         let tangents = tangents(normal);
@@ -127,15 +127,15 @@ impl Row {
         tangents
     }
 
-    /// Probe impulse of normal and tangential impulses `p`.
+    /// Probe impulse for normal and tangential impulses `p`.
     #[inline(always)]
     pub fn combined(&self, p: &[f64; 3]) -> [f64; 4] {
         let [t0, t1] = &self.tangent;
         [0, 1, 2, 3].map(|j| self.normal[j] * p[0] + t0[j] * p[1] + t1[j] * p[2])
     }
 
-    /// Relaxes the contact at the sphere's velocity `local` (omega_y, x, z, y): normal, then friction within the cone of
-    /// the new normal impulse. Raises `residual` to the largest velocity change.
+    /// Relaxes the contact at sphere velocity `local` (omega_y, x, z, y): the normal impulse first, then friction within its Coulomb
+    /// cone. Raises `residual` to the largest velocity change.
     #[inline(always)]
     pub fn relax(&mut self, local: &[f64; 4], residual: &mut f64) {
         let velocity = dot4(&self.normal, local) + self.drive[0];
@@ -164,7 +164,7 @@ impl Row {
 }
 
 impl Stop {
-    /// Relaxes the stop at joint velocity `rate`; returns the change of the joint's impulse.
+    /// Relaxes the stop at joint velocity `rate`; returns the change in joint impulse.
     #[inline(always)]
     pub fn relax(&mut self, rate: f64, residual: &mut f64) -> f64 {
         let velocity = self.sign * rate + self.compliance * self.impulse;
@@ -176,13 +176,13 @@ impl Stop {
     }
 }
 
-/// The share of the last direction of search to go on by: the ratio of the squared gradients, 0 after a step that made things worse.
+/// Conjugate-gradient beta: the ratio of the squared gradients, 0 after a step that increased the gradient.
 #[inline(always)]
 pub(super) fn search_share(squared: f64, last: f64) -> f64 {
     if last > 0.0 && squared <= last { squared / last } else { 0.0 }
 }
 
-/// Moves a value that a sweep has changed from `before` on along the direction of search, and updates that direction.
+/// Extrapolates a value that a sweep changed from `before` along the search direction, and updates that direction.
 #[inline(always)]
 pub(super) fn search_on(share: f64, value: &mut f64, before: f64, direction: &mut f64) {
     let change = *value - before;
@@ -196,8 +196,8 @@ fn dot4(a: &[f64; 4], b: &[f64; 4]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }
 
-/// Velocity a unilateral row must reach: the whole gap may be used up; of an overlap, what the last force explains is
-/// kept and the rest is pushed out no faster than `fastest`.
+/// Target velocity of a unilateral row: the whole gap may close within the step. Overlap that the last force explains stays; the rest is
+/// pushed out at `fastest` at most.
 pub(super) fn target(gap: f64, explained: f64, fastest: f64, dt: f64) -> f64 {
     if gap >= 0.0 { -gap / dt } else { explained / dt + ((-gap - explained) / dt).min(fastest) }
 }
@@ -214,9 +214,9 @@ pub(super) fn tangents(normal: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [first, normal.cross(&first)]
 }
 
-/// Coulomb's law for one contact: the impulse p with |p| <= radius such that v = free + W p vanishes, or |p| = radius
-/// and v points against p. On the circle (W + shift 1) p = -free; the shift is found by Newton's method on 1/|p|
-/// (More and Sorensen 1983, eq. 3.10).
+/// Coulomb's law for one contact: the impulse p with |p| <= radius such that v = free + W p vanishes, or |p| = radius and v opposes p. On
+/// the circle, (W + shift 1) p = -free; Newton's method on 1/|p| finds the shift (More and Sorensen 1983, "Computing a trust region
+/// step", SIAM J. Sci. Stat. Comput. 4(3), eq. 3.10).
 #[inline(always)]
 pub(super) fn cone(w: &[f64; 3], free: &[f64; 2], radius: f64, shift: &mut f64) -> [f64; 2] {
     let solve = |s: f64, b: &[f64; 2]| {

@@ -1,4 +1,4 @@
-//! What goes into a step, what comes out, and the state between steps.
+//! Input and output of a step, and the state between steps.
 
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
@@ -35,10 +35,10 @@ impl BaseMotion {
 /// How the tendons are driven.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TendonCommand {
-    /// Tension of the first two at the base end, N; the others are slack. A negative tension counts as 0.
+    /// Tension of the first two at the proximal end, N; the others are slack. A negative tension counts as 0.
     Force([f64; 2]),
-    /// Length of the first two pulled out at the base from the straight tool's slackless length, m; the others are not
-    /// pulled. The tension follows from the tendon's stiffness; a slack tendon does not push.
+    /// Length of the first two pulled out at the base, measured from the just-taut straight tool, m; the others are not pulled. The
+    /// tension follows from the tendon's stiffness; a slack tendon does not push.
     Displacement([f64; 2]),
     /// Tension of each, N (`servo_jf`).
     EachForce([f64; MAX_TENDONS]),
@@ -55,7 +55,7 @@ impl TendonCommand {
         }
     }
 
-    /// Whether the pulled length is given, so that the tension depends on the shape.
+    /// True if the pulled length is commanded, so that the tension depends on the shape.
     pub(super) fn is_displacement(&self) -> bool {
         matches!(self, TendonCommand::Displacement(_) | TendonCommand::EachDisplacement(_))
     }
@@ -77,21 +77,21 @@ impl Wrench {
     }
 }
 
-/// Everything that drives one step.
+/// All inputs of one step.
 #[derive(Debug, Clone, Copy)]
 pub struct StepInput<'a> {
-    /// Base motion at the end of the step. Contact sees the mean velocity between the last pose and this one; inertia
-    /// sees the change of the stated velocities.
+    /// Base motion at the end of the step. Contact uses the mean velocity between the last pose and this one; inertia uses the change of
+    /// the stated velocities.
     pub base: BaseMotion,
-    /// Held through the step.
+    /// Constant during the step.
     pub tendon: TendonCommand,
-    /// External load on the burr centre (dead load), held through the step.
+    /// External load on the burr centre (dead load), constant during the step.
     pub tip_wrench: Wrench,
-    /// Contact candidates in the configuration before the step; those past [`super::MAX_CONTACTS`] are refused.
+    /// Contact candidates in the configuration before the step; those beyond [`super::MAX_CONTACTS`] are refused.
     pub contacts: &'a [ContactPlane],
 }
 
-/// A sphere that stands for the tool's surface in contact queries.
+/// A sphere that approximates the tool's surface in contact queries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProxySphere {
     /// World, m.
@@ -100,27 +100,27 @@ pub struct ProxySphere {
     pub velocity_m_per_s: Vector3<f64>,
     /// m.
     pub radius_m: f64,
-    /// What the sphere stands for.
+    /// Which part of the tool the sphere represents.
     pub kind: SphereKind,
 }
 
-/// Outcome of one contact in the last step.
+/// Result of one contact in the last step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ContactResult {
     /// Index into [`StepInput::contacts`].
     pub contact_index: usize,
-    /// Sphere the plane belongs to.
+    /// The contact's sphere.
     pub sphere_index: usize,
     /// World, from the obstacle to the sphere.
     pub normal: Vector3<f64>,
-    /// Mean normal force on the tool over the step, N, never negative. Times dt it is the impulse.
+    /// Mean normal force on the tool over the step, N, never negative. Multiply by dt for the impulse.
     pub normal_force_n: f64,
     /// Mean friction force on the tool over the step, world axes, N.
     pub friction_force_n: Vector3<f64>,
 }
 
 impl ContactResult {
-    /// Filler for unused places.
+    /// Fills unused entries.
     pub(super) fn none() -> Self {
         Self {
             contact_index: 0,
@@ -135,17 +135,17 @@ impl ContactResult {
 /// Summary of one step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StepReport {
-    /// The method that took the step.
+    /// The method that took this step.
     pub integrator: Integrator,
-    /// Error estimate of a Rosenbrock step, largest joint, rad; 0 if none was tried.
+    /// Error estimate of a Rosenbrock step, largest joint, rad; 0 if none was attempted.
     pub error_estimate_rad: f64,
     /// Contacts that entered the solver.
     pub contact_count: usize,
     /// Contacts that carried force.
     pub active_contact_count: usize,
-    /// Contacts refused: unknown sphere, not finite, or past the limit.
+    /// Contacts refused: unknown sphere, not finite, or over the limit.
     pub refused_contact_count: usize,
-    /// Flexures that pressed on their stop.
+    /// Flexures pressing on their stop.
     pub stopped_joint_count: usize,
     /// Sweeps of the impulse solver.
     pub iterations: usize,
@@ -153,18 +153,18 @@ pub struct StepReport {
     pub residual_m_per_s: f64,
     /// Deepest overlap among the contacts that entered, m.
     pub max_overlap_m: f64,
-    /// Sum of the normal forces on the burr, world axes, N.
+    /// Total normal force on the burr, world axes, N.
     pub burr_normal_force_n: Vector3<f64>,
-    /// What the tool exerts on the flange: force, and torque about the base origin.
+    /// Wrench of the tool on the flange; torque about the base origin.
     pub flange_wrench: Wrench,
-    /// Tension of each tendon at the base end, at the end of the step, N.
+    /// Tension of each tendon at the proximal end, at the end of the step, N.
     pub tendon_tension_n: [f64; MAX_TENDONS],
-    /// Pulled length of each tendon at the end of the step, its stretch included, m.
+    /// Pulled length of each tendon at the end of the step, including its stretch, m.
     pub tendon_displacement_m: [f64; MAX_TENDONS],
 }
 
 impl StepReport {
-    /// A report before any step.
+    /// The report before the first step.
     pub(super) fn none() -> Self {
         Self {
             integrator: Integrator::LinearlyImplicitEuler,
@@ -184,24 +184,24 @@ impl StepReport {
     }
 }
 
-/// The whole dynamic state, bit for bit: [`super::Manipulator::restore`] continues as if nothing had happened.
+/// The complete dynamic state: [`super::Manipulator::restore`] continues from it bit for bit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ManipulatorState {
-    /// Joint angles, rad; entries past the number of joints stay 0.
+    /// Joint angles, rad; entries past the last joint stay 0.
     pub joint_position_rad: [f64; MAX_JOINTS],
     /// Joint velocities, rad/s.
     pub joint_velocity_rad_per_s: [f64; MAX_JOINTS],
-    /// Displacement of the tool on its mount, base axes, m.
+    /// Displacement of the tool relative to the base, base axes, m.
     pub mount_displacement_m: [f64; 3],
-    /// Velocity of the tool on its mount, base axes, m/s.
+    /// Velocity of the tool relative to the base, base axes, m/s.
     pub mount_velocity_m_per_s: [f64; 3],
     /// Base motion at the end of the last step.
     pub base: BaseMotion,
     pub(super) tendon: [TendonMemory; MAX_TENDONS],
-    /// Torque of each joint stop in the last step, positive toward positive angles, N m: the warm start.
+    /// Torque of each joint stop in the last step, positive toward positive angles, N m. Warm-starts the next step.
     pub(super) stop_torque_nm: [f64; MAX_JOINTS],
     pub(super) result_count: usize,
-    /// Results of the last step, ordered by sphere: output and warm start.
+    /// Results of the last step, ordered by sphere. Output, and warm start of the next step.
     pub(super) results: [ContactResult; MAX_CONTACTS],
     pub(super) report: StepReport,
 }
@@ -224,14 +224,14 @@ impl ManipulatorState {
     }
 }
 
-/// `count` places for results, the first taken by `used`; `None` if there are not so many.
+/// `count` result entries, the first ones from `used`; `None` if there is no room for that many.
 pub(super) fn places_from(used: &[ContactResult], count: usize) -> Option<Vec<ContactResult>> {
     let mut places = vec![ContactResult::none(); count];
     places.get_mut(..used.len())?.copy_from_slice(used);
     Some(places)
 }
 
-/// The used part of the results only: what lies behind it is left over from earlier steps.
+/// Writes only the used results: entries past the count are left over from earlier steps.
 impl Serialize for ManipulatorState {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let motion = (&self.joint_position_rad, &self.joint_velocity_rad_per_s);

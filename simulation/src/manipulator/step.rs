@@ -1,8 +1,8 @@
 //! One step of the chain.
 //!
-//! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, with the contact impulses P found inside
-//! this velocity solve, then `q += dt v`. A state at rest under contact is an exact equilibrium. ROS2 (see
-//! [`Integrator::Hybrid`]) solves the same operator twice with dt replaced by gamma dt.
+//! Linearly implicit Euler: `(M + dt D + dt^2 K) dv = dt (f - dt K v) + J' P`, where the contact impulses P come from the same velocity
+//! solve, then `q += dt v`. A state at rest in contact is an exact equilibrium. ROS2 (see [`Integrator::Hybrid`]) solves the same
+//! operator twice, with gamma dt in place of dt.
 
 use nalgebra::{Point3, Vector3};
 
@@ -16,26 +16,26 @@ use super::state::{BaseMotion, ProxySphere, StepInput, StepReport, Wrench};
 use super::tendon::turns;
 use super::{MAX_JOINTS, Manipulator};
 
-/// 1 - 1/sqrt 2: the L-stable choice of ROS2.
+/// 1 - 1/sqrt 2, the choice that makes ROS2 L-stable.
 pub(super) const GAMMA: f64 = 1.0 - core::f64::consts::FRAC_1_SQRT_2;
-/// A Rosenbrock step needs every flexure within this share of its stop.
+/// A Rosenbrock step requires every flexure to be within this fraction of its stop.
 pub(super) const FREE_SHARE: f64 = 0.9;
-/// Most solutions of one step of linearly implicit Euler: each gives up what the one before took for granted wrongly.
+/// Maximum solves per step of linearly implicit Euler. Each one drops the assumptions that the previous one violated.
 pub(super) const MAX_ROUNDS: usize = 4;
-/// A Rosenbrock step needs every contact candidate to stay farther than this at the present velocity, m.
+/// A Rosenbrock step requires every contact candidate to stay farther away than this at the current velocity, m.
 const CLEARANCE_M: f64 = 50.0e-6;
 
-/// Which configuration a stage of a step is evaluated in.
+/// The configuration in which a stage of a step is evaluated.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Stage {
-    /// That at the start of the step.
+    /// At the start of the step.
     Start,
-    /// That at the end of the first Rosenbrock stage.
+    /// At the end of the first Rosenbrock stage.
     Trial,
 }
 
 impl Stage {
-    /// Its configuration of the two.
+    /// Selects the configuration of this stage.
     pub fn of<'c, C>(self, start: &'c C, trial: &'c C) -> &'c C {
         match self {
             Stage::Start => start,
@@ -52,8 +52,8 @@ struct Diagonals {
 }
 
 impl Manipulator {
-    /// Advances by `dt_s` (1e-7 to 0.1 s). Refused input is an error and changes nothing; single unusable contacts are
-    /// left out and counted in the report.
+    /// Advances by `dt_s` (1e-7 to 0.1 s). Refused input is an error and changes nothing. Unusable contacts are skipped and counted in
+    /// the report.
     pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
         validate(dt_s, input)?;
         let (drive, frame) = base_motion(&self.state.base, &self.parameters.gravity_m_per_s2, dt_s, input)?;
@@ -85,7 +85,7 @@ impl Manipulator {
         Generalised { joint: self.state.joint_position_rad, mount: self.state.mount_displacement_m }
     }
 
-    /// Stiffness with the tendons' own part (never below zero) and that of pressed stops, and damping.
+    /// Damping, and stiffness including pressed stops and the tendons' diagonal part (never below zero).
     fn diagonals(&self) -> Diagonals {
         let mut stiffness =
             Generalised { joint: self.stiffness, mount: self.parameters.mount_stiffness_n_per_m };
@@ -208,7 +208,7 @@ impl Manipulator {
         free.plus(1.0, &self.coupling.correct(self.articulated.solve(&force, &impulse)))
     }
 
-    /// Keeps the impulses for the next step, and adds the contact moments to the loads.
+    /// Stores the impulses for the next step and adds the contact moments to the loads.
     fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &Generalised, report: &mut StepReport) {
         let torque = &mut self.state.stop_torque_nm;
         report.stopped_joint_count = self.contact.stop_torques(dt, torque);
@@ -228,8 +228,8 @@ impl Manipulator {
         }
     }
 
-    /// A ROS2 step in free motion; its error estimate. `Err` leaves the state alone: not wanted (estimate 0), not free,
-    /// or the estimate is above the tolerance.
+    /// Takes a ROS2 step in free motion; returns its error estimate. `Err` leaves the state unchanged: ROS2 is off (estimate 0), the
+    /// motion is not free, or the estimate is above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame) -> Result<(Generalised, f64), f64> {
         let wanted =
             self.parameters.integrator == Integrator::Hybrid && contacts_far(&self.spheres, dt, input);
@@ -256,7 +256,7 @@ impl Manipulator {
         if self.tendon.slides_on != slid {
             return Err(0.0);
         }
-        // With x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the right side.
+        // Substituting x = kv2 + 2 kv1: A x = f2 + 2 (h D + h^2 K) kv1 - h K (v2 - 2 kq1); M drops out of the right-hand side.
         let y = Generalised::ZERO.plus(h, &v2.plus(-2.0, &kq1)).plus(-2.0 * h * h, &kv1);
         let mut f = self.elastic_forces(&q2, &v2, &y, &d);
         for i in 0..self.layout.joints {
@@ -294,7 +294,7 @@ impl Manipulator {
         d
     }
 
-    /// Tendons at `q` that move as with `v`, and the operator factored with them.
+    /// Evaluates the tendons at `q`, assuming velocities `v`, and factors the operator with them.
     fn factored_with_tendons(
         &mut self,
         (q, v): (&Generalised, &Generalised),
@@ -320,7 +320,7 @@ impl Manipulator {
         q.joint.iter().any(|q| q.abs() > reach)
     }
 
-    /// Whether every sphere is still clear of its plane in configuration `next`. Leaves it in the trial configuration.
+    /// True if every sphere still clears its plane in configuration `next`. Leaves `next` in the trial configuration.
     fn contacts_clear(&mut self, next: &Generalised, input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;
@@ -335,7 +335,7 @@ impl Manipulator {
         })
     }
 
-    /// Reaction at the flange, then everything that follows from the new state.
+    /// Computes the flange reaction, then updates everything that depends on the new state.
     fn finish(
         &mut self,
         dt: f64,
@@ -373,7 +373,7 @@ impl Manipulator {
     }
 }
 
-/// Mean base velocity over the step, and the frame's acceleration from the stated velocities.
+/// Mean base velocity over the step, and the base acceleration from the stated velocities.
 pub(super) fn base_motion(
     old: &BaseMotion,
     gravity_m_per_s2: &Vector3<f64>,
@@ -403,8 +403,8 @@ pub(super) fn base_motion(
     Ok((drive, frame))
 }
 
-/// Whether no sphere reaches its plane within the step at its present velocity. A contact that is not usable counts
-/// as near, so that the Euler step refuses and counts it.
+/// True if no sphere reaches its plane within the step at its current velocity. An unusable contact counts as near, so that the Euler
+/// step refuses and counts it.
 pub(super) fn contacts_far(spheres: &[ProxySphere], dt: f64, input: &StepInput) -> bool {
     input.contacts.iter().all(|c| {
         let far = |s: &ProxySphere| c.gap_m + dt * s.velocity_m_per_s.dot(&c.normal) > CLEARANCE_M;
@@ -413,11 +413,11 @@ pub(super) fn contacts_far(spheres: &[ProxySphere], dt: f64, input: &StepInput) 
 }
 
 fn largest(values: &[f64; MAX_JOINTS]) -> f64 {
-    // A NaN must win: it marks a step that failed.
+    // Let a NaN win: it marks a failed step.
     values.iter().fold(0.0, |m, x| if x.abs() > m || x.is_nan() { x.abs() } else { m })
 }
 
-/// Refuses input that is not finite or absurd.
+/// Refuses input that is not finite or out of range.
 pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorError> {
     check("dt_s", dt, "1e-7 to 0.1 s", |x| (1e-7..=0.1).contains(&x))?;
     validate_base(&input.base)?;
@@ -432,7 +432,7 @@ pub(super) fn validate(dt: f64, input: &StepInput) -> Result<(), ManipulatorErro
     check_all("tip_wrench.torque_nm", wrench.torque_nm.as_slice(), "-1e5 to 1e5 N m", |x| x.abs() <= 1e5)
 }
 
-/// Refuses a base motion that is not finite, not a rotation, or absurd.
+/// Refuses a base motion that is not finite, not a rotation, or out of range.
 pub(super) fn validate_base(base: &BaseMotion) -> Result<(), ManipulatorError> {
     let pose = &base.t_world_base;
     check_all("base translation", pose.translation.vector.as_slice(), "-1000 to 1000 m", |x| x.abs() <= 1e3)?;

@@ -1,18 +1,17 @@
 //! Tendons, routed hole to hole, as joint torques.
 //!
-//! A tendon in a channel at (d, e) from the axis, with a free gap g, spans a flexure bent by q with the chord
-//! `g cos(q/2) - 2 d sin(q/2)`; here, in the plane, e does not count. The antagonist pair lies at d and -d. The tool takes up
-//! `l = sum (g - chord)` of tendon, so that a tension T exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`.
+//! A tendon in a channel at (d, e) from the axis, with free gap g, spans a flexure bent by q with the chord `g cos(q/2) - 2 d sin(q/2)`;
+//! in the planar rung e has no effect. The antagonist pair lies at d and -d. The tool takes up `l = sum (g - chord)` of tendon, so a
+//! tension T exerts the joint torque `T dl/dq = T (d cos(q/2) + g/2 sin(q/2))`.
 //!
-//! Capstan friction lets the tension fall along the channel, `T_i = T_0 exp(-mu s phi_i)` with the wrap angle `phi_i =
-//! sum_{j<i} |q_j| + |q_i| / 2`: the tendon turns by half the joint angle at each of the two holes beside a flexure, so
-//! that the discrete law is second order against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is
-//! Dahl's play operator on the take-up: it moves by dl / presliding and saturates at +1 (tendon pulled in) and -1 (tendon
-//! let out), which gives the hysteresis loop.
+//! Capstan friction reduces the tension along the channel, `T_i = T_0 exp(-mu s phi_i)`, with the wrap angle `phi_i = sum_{j<i} |q_j| +
+//! |q_i| / 2`. The tendon turns by half the joint angle at each of the two holes of a flexure, which makes the discrete law second-order
+//! accurate against the continuous channel `dT = -mu T dphi`. The sliding state s in [-1, 1] is Dahl's play operator on the take-up: it
+//! moves by dl / presliding and saturates at +1 (tendon pulled in) and -1 (tendon let out), which gives the hysteresis loop.
 //!
-//! At saturation the friction changes only if the tendon turns, so that the implicit operator needs to know where a step goes
-//! before it is taken. The step takes every saturated tendon to slide on as it did, and is solved once more where the velocities
-//! found turn one ([`turns`]): the friction's stiffness, of rank one, makes that turn smaller and does not undo it.
+//! At saturation the friction changes only if the tendon reverses, so the implicit operator needs the sliding direction before the step
+//! is taken. The step assumes that every saturated tendon keeps sliding, and is solved again if the resulting velocities reverse one
+//! ([`turns`]). The rank-one stiffness of friction makes that reversal smaller but does not undo it.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,22 +20,22 @@ use super::parameters::{ManipulatorParameters, TendonParameters};
 use super::state::TendonCommand;
 use super::{MAX_JOINTS, MAX_TENDONS};
 
-/// Largest capstan exponent at which a Rosenbrock step is taken. The operator leaves out how the wrap of one flexure changes the
-/// friction in those behind it; at 10 ms that feeds swings from an exponent of 1.5 on.
+/// Largest capstan exponent at which a Rosenbrock step is taken. The operator ignores how the wrap of one flexure changes the friction in
+/// more distal ones; at 10 ms this excites oscillations from an exponent of 1.5 upward.
 const MAX_CAPSTAN_EXPONENT: f64 = 1.25;
 
-/// Where the tendons run.
+/// Routing of the tendons.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Channels {
     pub count: usize,
     /// From the tool axis along base x and y, m.
     pub offset_m: [[f64; 2]; MAX_TENDONS],
-    /// Bend of the whole tool under an end moment, rad/(N m).
+    /// Total bend of the tool per end moment, rad/(N m).
     compliance_rad_per_nm: f64,
 }
 
 impl Channels {
-    /// Those given, or the antagonist pair.
+    /// The channels from the parameters, or the antagonist pair.
     pub fn of(parameters: &ManipulatorParameters) -> Self {
         let mut offset_m = [[0.0; 2]; MAX_TENDONS];
         let given = &parameters.tendon_channels_m;
@@ -51,8 +50,8 @@ impl Channels {
         Self { count: parameters.tendon_count(), offset_m, compliance_rad_per_nm }
     }
 
-    /// Whether friction is too strong for a Rosenbrock step: by the capstan exponent mu phi, where phi is the sum of the bends that
-    /// the tensions would each give the tool without friction and stops, rad.
+    /// True if friction is too strong for a Rosenbrock step. The measure is the capstan exponent mu phi, with phi the sum of the bends,
+    /// rad, that each tension alone would cause without friction and stops.
     pub fn bind(&self, parameters: &TendonParameters, tension_n: &[f64; MAX_TENDONS]) -> bool {
         let moment = |t: usize| tension_n[t] * libm::hypot(self.offset_m[t][0], self.offset_m[t][1]);
         let bend_rad = self.compliance_rad_per_nm * (0..self.count).map(moment).sum::<f64>();
@@ -60,10 +59,10 @@ impl Channels {
     }
 }
 
-/// What a tendon remembers between ticks.
+/// Tendon state carried from tick to tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct TendonMemory {
-    /// Take-up at the last tick, m.
+    /// Take-up at the end of the last tick, m.
     pub take_up_m: f64,
     /// Sliding state, -1 to 1.
     pub sliding: f64,
@@ -75,7 +74,7 @@ impl TendonMemory {
         (self.sliding + (take_up_m - self.take_up_m) / parameters.presliding_m).clamp(-1.0, 1.0)
     }
 
-    /// Carries the memory of tendon `t` over to a new take-up; returns its tension (N) and displacement (m).
+    /// Advances the sliding state of tendon `t` to a new take-up; returns its tension (N) and displacement (m).
     pub fn advance(
         &mut self,
         take_up_m: f64,
@@ -94,7 +93,7 @@ impl TendonMemory {
     }
 }
 
-/// Torques of all tendons in one configuration, and how they change.
+/// Joint torques of all tendons in one configuration, and their derivatives.
 #[derive(Debug, Clone)]
 pub(super) struct TendonLoad {
     pub channels: Channels,
@@ -106,11 +105,11 @@ pub(super) struct TendonLoad {
     pub slope: [[f64; MAX_JOINTS]; MAX_TENDONS],
     /// -d torque_i / d take-up of each tendon, N m/m.
     pub gradient: [[f64; MAX_JOINTS]; MAX_TENDONS],
-    /// Whether the gradient of each tendon is not zero.
+    /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
-    /// Whether each tendon's friction is taken not to change: it slid at the velocity given, and slides on.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
-    /// Tension at the base end, N.
+    /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
 }
 
@@ -128,8 +127,7 @@ impl TendonLoad {
         }
     }
 
-    /// Evaluates all tendons. `rate` is the joint velocity, which tells a saturated sliding state whether it is
-    /// about to turn.
+    /// Evaluates all tendons. `rate`, the joint velocities, tells whether a saturated sliding state is about to reverse.
     pub fn evaluate(
         &mut self,
         parameters: &TendonParameters,
@@ -199,7 +197,7 @@ impl TendonLoad {
         slope_rate
     }
 
-    /// Length of tendon `t` that the bent tool has taken up, m.
+    /// Length of tendon `t` taken up by the bent tool, m.
     fn take_up(
         &self,
         parameters: &TendonParameters,
@@ -215,7 +213,7 @@ impl TendonLoad {
         sum
     }
 
-    /// Carries the memory over to a new configuration; returns tension (N) and displacement (m) of each tendon there.
+    /// Advances the sliding states to a new configuration; returns tension (N) and displacement (m) of each tendon there.
     pub fn advance(
         &self,
         parameters: &TendonParameters,
@@ -233,7 +231,7 @@ impl TendonLoad {
     }
 }
 
-/// Whether velocities `after` turn a tendon that was taken to slide on as with `before`; `slope` is d take-up / dq of each.
+/// True if velocities `after` reverse a tendon that was assumed to keep sliding as with `before`; `slope` is d take-up / dq of each.
 pub(super) fn turns<S: AsRef<[f64]>>(
     slides_on: &[bool; MAX_TENDONS],
     slope: &[S; MAX_TENDONS],
@@ -246,12 +244,12 @@ pub(super) fn turns<S: AsRef<[f64]>>(
         .any(|(slides_on, slope)| *slides_on && rate(slope, before) * rate(slope, after) < 0.0)
 }
 
-/// d|x| / dx, and 0 at 0.
+/// d|x| / dx, taken as 0 at 0.
 pub(super) fn sign(x: f64) -> f64 {
     if x == 0.0 { 0.0 } else { x.signum() }
 }
 
-/// Tension at the base end: as commanded, or what the pull stretches; a slack tendon does not push.
+/// Tension at the proximal end: as commanded, or from the stretch under the commanded pull. A slack tendon does not push.
 pub(super) fn base_tension(
     parameters: &TendonParameters,
     command: &TendonCommand,

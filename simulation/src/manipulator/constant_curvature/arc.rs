@@ -1,8 +1,8 @@
-//! The closed form: a rigid piece, an arc of one curvature, a rigid piece.
+//! Closed-form kinematics: a rigid piece, an arc of constant curvature, a rigid piece.
 
 use crate::manipulator::parameters::ManipulatorParameters;
 
-/// Below this bend the arc's functions come from their power series, which the closed forms lose to cancellation, rad.
+/// Below this bend the arc functions use their power series, because the closed forms lose digits to cancellation, rad.
 const SERIES_BELOW_RAD: f64 = 0.3;
 /// Terms of the series: 0.3^(2 k + 1) / (2 k + 2)! is below rounding from k = 6 on.
 const TERMS: usize = 7;
@@ -14,13 +14,13 @@ pub(super) struct Arc {
     pub length_m: f64,
 }
 
-/// A point of the tool's axis in the bending plane, (x, z), and its derivatives by the bend.
+/// A point on the tool axis in the bending plane, (x, z), and its derivatives with respect to the bend.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place {
     pub point: [f64; 2],
     pub first: [f64; 2],
     pub second: [f64; 2],
-    /// Angle of the axis there over the bend.
+    /// Axis angle at this point divided by the bend.
     pub share: f64,
 }
 
@@ -31,7 +31,7 @@ impl Arc {
         Self { start_m, length_m: edges[edges.len() - 1] - start_m }
     }
 
-    /// The point that lies at `z_m` on the straight tool, bent by `bend_rad`.
+    /// The point at `z_m` on the straight tool, after bending by `bend_rad`.
     pub fn place(&self, z_m: f64, bend_rad: f64) -> Place {
         let along = z_m - self.start_m;
         if along <= 0.0 {
@@ -61,7 +61,7 @@ impl Arc {
     }
 }
 
-/// ((1 - cos a t) / t, sin(a t) / t) and its first two derivatives by t.
+/// ((1 - cos a t) / t, sin(a t) / t) and its first two derivatives with respect to t.
 fn unit_arc(a: f64, t: f64) -> ([f64; 2], [f64; 2], [f64; 2]) {
     if t.abs() < SERIES_BELOW_RAD {
         return unit_arc_series(a, t);
@@ -100,7 +100,7 @@ mod tests {
         for a in [0.1, 0.5, 1.0] {
             let (below, above) = (unit_arc_series(a, 0.3), unit_arc(a, 0.3));
             for (s, c) in [(below.0, above.0), (below.1, above.1), (below.2, above.2)] {
-                // Two divisions by t = 0.3 of a difference of ones.
+                // The closed form divides a difference of numbers near 1 by t = 0.3 twice.
                 assert!((s[0] - c[0]).abs() < 1e-13 && (s[1] - c[1]).abs() < 1e-13, "{s:?} {c:?}");
             }
         }

@@ -1,9 +1,9 @@
-//! The cheapest rung: the flexible length is an arc of one curvature, in closed form.
+//! The cheapest rung: the flexible length is one arc of constant curvature, in closed form.
 //!
-//! Four freedoms: the mount along base x, y, z and the bend. Exact under a pure end moment and, for a uniform tool, under
-//! its frictionless tendons; under a tip force or in a tunnel it is what one curvature allows. The bend's stiffness is the
-//! end moment per bend of the flexures in series, `1 / sum(1/k)`. Frames, tendons, contact laws and mount are those of the
-//! planar rung (see [`crate::manipulator`]); every step is taken by linearly implicit Euler.
+//! Four degrees of freedom: the mount along base x, y, z, and the bend. Exact under a pure end moment and, for a uniform tool, under its
+//! frictionless tendons. Under a tip force or in a tunnel it is the best that one curvature can do. The bending stiffness is that of the
+//! flexures in series, `1 / sum(1/k)`. Frames, tendons, contact laws and mount are those of the planar rung (see [`crate::manipulator`]).
+//! Every step uses linearly implicit Euler.
 
 mod arc;
 mod step;
@@ -22,9 +22,9 @@ use super::{MAX_LINKS, MAX_SHAFT_SPHERES};
 use arc::Arc;
 use step::Row;
 
-/// Most contacts of a step, four a sphere; further ones are refused and counted.
+/// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
 const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
-/// Nodes and weights of the five-point Gauss rule on (0, 1): masses along the arc.
+/// Nodes and weights of five-point Gauss quadrature on (0, 1), used for the mass along the arc.
 const GAUSS: [(f64, f64); 5] = [
     (0.046_910_077_030_668_0, 0.118_463_442_528_094_5),
     (0.230_765_344_947_158_45, 0.239_314_335_249_683_24),
@@ -33,17 +33,17 @@ const GAUSS: [(f64, f64); 5] = [
     (0.953_089_922_969_332, 0.118_463_442_528_094_5),
 ];
 
-/// A mass on the axis.
+/// A lumped mass on the axis.
 #[derive(Debug, Clone, Copy)]
 struct Lump {
     mass_kg: f64,
-    /// Where it lies on the straight tool, m.
+    /// Position on the straight tool, m.
     z_m: f64,
-    /// About itself, axis y.
+    /// About its own centre, axis y.
     inertia_kg_m2: f64,
 }
 
-/// The dynamic state, bit for bit.
+/// The complete dynamic state; restoring it reproduces the run bit for bit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConstantCurvatureState {
     /// Mount displacement (m) and bend (rad), and their velocities.
@@ -51,14 +51,14 @@ pub struct ConstantCurvatureState {
     velocity: Vector4<f64>,
     base: BaseMotion,
     tendon: [TendonMemory; MAX_TENDONS],
-    /// Torque of the stop in the last step, N m.
+    /// Torque of the joint stop in the last step, N m.
     stop_torque_nm: f64,
     result_count: usize,
     results: Vec<ContactResult>,
     report: StepReport,
 }
 
-/// The used part of the results only: what lies behind it is left over from earlier steps.
+/// Writes only the used results: entries past the count are left over from earlier steps.
 impl Serialize for ConstantCurvatureState {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let results = &self.results[..self.result_count];
@@ -88,12 +88,12 @@ impl<'de> Deserialize<'de> for ConstantCurvatureState {
     }
 }
 
-/// A continuum manipulator of one curvature.
+/// A continuum manipulator bent to one curvature.
 #[derive(Debug, Clone)]
 pub struct ConstantCurvature {
     parameters: ManipulatorParameters,
     arc: Arc,
-    /// Mount and bend.
+    /// Of the mount (N/m) and the bend (N m/rad).
     stiffness: Vector4<f64>,
     damping: Vector4<f64>,
     limit_rad: f64,
@@ -101,13 +101,13 @@ pub struct ConstantCurvature {
     first_frequency_rad_per_s: f64,
     lumps: Vec<Lump>,
     sphere_layout: Vec<SphereLayout>,
-    /// Where each sphere lies on the straight tool, m.
+    /// Position of each sphere on the straight tool, m.
     sphere_z_m: Vec<f64>,
-    /// Ends of the flexures' cells, m.
+    /// Boundaries of the flexures' cells, m.
     edges_m: Vec<f64>,
     state: ConstantCurvatureState,
     spheres: Vec<ProxySphere>,
-    /// Bending angles and rates as the flexures would have them.
+    /// Per-flexure bending angles (rad) and rates (rad/s), for callers that expect flexures.
     bend: [Vec<f64>; 2],
     rows: Vec<Row>,
     used: Vec<bool>,
@@ -119,7 +119,7 @@ impl ConstantCurvature {
     /// A straight tool at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter that is refused, by name.
+    /// A parameter is out of range; the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         parameters.validate()?;
         super::step::validate_base(base)?;
@@ -153,7 +153,7 @@ impl ConstantCurvature {
             stiffness,
             damping,
             limit_rad: joints as f64 * p.joint_limit_rad,
-            // The flexures' stops in series.
+            // The stops of the flexures act in series.
             stop_stiffness_nm_per_rad: p.joint_stop_stiffness_nm_per_rad / joints as f64,
             first_frequency_rad_per_s: first,
             sphere_z_m: sphere_layout.iter().map(along).collect(),
@@ -202,7 +202,7 @@ impl ConstantCurvature {
         }
     }
 
-    /// Number of flexures that the arc stands for.
+    /// Number of flexures that the arc replaces.
     pub fn joint_count(&self) -> usize {
         self.bend[0].len()
     }
@@ -212,12 +212,12 @@ impl ConstantCurvature {
         &self.parameters
     }
 
-    /// The bending mode of the straight tool on a rigid mount, Hz.
+    /// First bending mode of the straight tool on a rigid mount, Hz.
     pub fn first_natural_frequency_hz(&self) -> f64 {
         self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }
 
-    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    /// Proxy spheres in the current configuration: shaft, segments, burr.
     pub fn proxy_spheres(&self) -> &[ProxySphere] {
         &self.spheres
     }
@@ -232,8 +232,8 @@ impl ConstantCurvature {
         &self.bend[1]
     }
 
-    /// Pose at flexure `link` - 1 with z along the axis behind its cell; link 0 is the shaft at the base origin. A link
-    /// past the last is the last.
+    /// Pose at flexure `link` - 1, z along the axis distal to its cell; link 0 is the shaft at the base origin. An index past the last
+    /// link returns the last link.
     pub fn t_world_link(&self, link: usize) -> Isometry3<f64> {
         let joints = self.joint_count();
         match link.min(joints) {
@@ -264,10 +264,10 @@ impl ConstantCurvature {
         &self.state.base
     }
 
-    /// Puts the tool elsewhere at once, shape and relative motion kept: for scene set-up, not for motion.
+    /// Teleports the base and keeps shape and relative motion. For scene set-up, not for motion.
     ///
     /// # Errors
-    /// A base that is not one.
+    /// The base motion is not finite, not a rotation, or out of range.
     pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
         super::step::validate_base(base)?;
         self.state.base = *base;
@@ -297,30 +297,30 @@ impl ConstantCurvature {
         0.5 * (elastic + v.dot(&(mass_matrix(&self.lumps, &self.arc, q[3]) * v)))
     }
 
-    /// A copy of the whole dynamic state.
+    /// A copy of the complete dynamic state.
     pub fn snapshot(&self) -> ConstantCurvatureState {
         self.state.clone()
     }
 
-    /// The whole dynamic state.
+    /// The complete dynamic state.
     pub(crate) fn state(&self) -> &ConstantCurvatureState {
         &self.state
     }
 
-    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    /// Continues bit for bit from a snapshot of a tool with the same parameters.
     pub fn restore(&mut self, state: &ConstantCurvatureState) {
         self.state.clone_from(state);
         self.update_configuration();
     }
 }
 
-/// Shaft, Gauss points of the arc, the tube behind it, the burr.
+/// Lumped masses: shaft, Gauss points of the arc, the tube distal to it, the burr.
 fn lumps(p: &ManipulatorParameters, arc: &Arc) -> Vec<Lump> {
     let [outer, inner] = p.tube_radii_m;
     let gyration = 0.25 * (outer * outer + inner * inner);
     let density = p.linear_density_kg_per_m;
     let mut lumps = vec![Lump { mass_kg: p.shaft_mass_kg, z_m: p.shaft_centre_m, inertia_kg_m2: 0.0 }];
-    // The tube begins at the first flexure; what stands before the arc there moves with the shaft.
+    // The tube's mass starts at the first flexure; the part of the arc proximal to it moves with the shaft.
     let first = p.joint_positions_m[0];
     let moving = arc.length_m - (first - arc.start_m).max(0.0);
     for (node, weight) in GAUSS {

@@ -1,4 +1,4 @@
-//! One step of the arc: linearly implicit Euler on four freedoms, contacts by Gauss-Seidel on accumulated impulses.
+//! One step of the arc: linearly implicit Euler on four degrees of freedom, contacts by Gauss-Seidel on accumulated impulses.
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
@@ -12,7 +12,7 @@ use crate::manipulator::state::{ContactResult, StepInput, StepReport, TendonComm
 use crate::manipulator::step::{base_motion, validate};
 use crate::manipulator::tendon::{base_tension, sign};
 
-/// One contact: rows of normal and tangents over the four freedoms.
+/// One contact: Jacobian rows of normal and tangents.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Row {
     contact: usize,
@@ -29,20 +29,19 @@ pub(super) struct Row {
     shift: f64,
 }
 
-/// Forces of tendons on the bend, and the operator's part of them.
+/// Generalised force of the tendons on the bend, and their contribution to the implicit operator.
 struct TendonTorque {
     torque_nm: f64,
     stiffness_nm_per_rad: f64,
-    /// Whether a tendon's friction is taken not to change: it slid at the rate given, and slides on.
+    /// True if the step assumes that a tendon's friction does not change: it was sliding at the given rate and keeps sliding.
     slides_on: bool,
 }
 
 impl ConstantCurvature {
-    /// Advances by `dt_s` (1e-7 to 0.1 s). Refused input is an error and changes nothing; single unusable contacts are
-    /// left out and counted in the report.
+    /// Advances by `dt_s` (1e-7 to 0.1 s). Unusable contacts are skipped and counted in the report.
     ///
     /// # Errors
-    /// Input that is not finite or absurd.
+    /// The input is not finite or out of range. A refused step changes nothing.
     pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
         validate(dt_s, input)?;
         let gravity = &self.parameters.gravity_m_per_s2;
@@ -67,7 +66,7 @@ impl ConstantCurvature {
         Ok(report)
     }
 
-    /// Velocities after the step without contacts, and the inverse of the operator.
+    /// Velocities after the step without contacts, and the inverse of the implicit operator.
     fn free_velocity(
         &self,
         dt: f64,
@@ -81,7 +80,7 @@ impl ConstantCurvature {
         for k in 0..4 {
             operator[(k, k)] += dt * self.damping[k] + dt * dt * stiffness[k];
         }
-        // Positive definite: the masses are, and no stiffness is negative.
+        // Positive definite, because all masses are positive and no stiffness is negative.
         let inverse = operator.try_inverse().unwrap_or_else(Matrix4::zeros);
         let elastic = -self.stiffness.component_mul(q)
             - self.damping.component_mul(before)
@@ -90,9 +89,9 @@ impl ConstantCurvature {
         (before + inverse * (loads + elastic) * dt, inverse)
     }
 
-    /// The closed form of the channel: the take-up is `side d bend`, the tension falls as `exp(-mu s phi)`, and its mean
-    /// over the arc, `(1 - exp(-x)) / x` with `x = mu s |bend|`, bends. `rate` of the bend tells a saturated
-    /// sliding state whether it is about to turn.
+    /// Closed form of the channel: the take-up is `side d bend`. The tension falls as `exp(-mu s phi)` along the arc, and the bend sees
+    /// its mean, `(1 - exp(-x)) / x` with `x = mu s |bend|`. `rate`, the bend rate, tells whether a saturated sliding state is about to
+    /// reverse.
     fn tendon_torque(&self, rate: f64, command: &TendonCommand) -> TendonTorque {
         let p = &self.parameters.tendon;
         let bend = self.state.position[3];
@@ -152,7 +151,7 @@ impl ConstantCurvature {
         (loads, moment + position.cross(force) + torque)
     }
 
-    /// The moment about the base origin that a change of the velocities takes.
+    /// The moment about the base origin that changes the velocities by `change`.
     fn momentum_moment(&self, q: &Vector4<f64>, change: &Vector4<f64>) -> Vector3<f64> {
         let mut sum = Vector3::zeros();
         for lump in &self.lumps {
@@ -280,7 +279,7 @@ impl ConstantCurvature {
         report.stopped_joint_count = usize::from(self.state.stop_torque_nm != 0.0) * self.bend[0].len();
     }
 
-    /// Reaction at the flange, then everything that follows from the new state.
+    /// Computes the flange reaction, then updates everything that depends on the new state.
     fn finish(
         &mut self,
         input: &StepInput,
@@ -315,7 +314,7 @@ fn mean_share_slope(x: f64) -> f64 {
 }
 
 impl Row {
-    /// Relaxes the contact: normal, then friction within the cone of the new normal impulse.
+    /// Relaxes the contact: the normal impulse first, then friction within its Coulomb cone.
     fn relax(&mut self, velocity: &mut Vector4<f64>, residual: &mut f64) {
         let mobility = |a: usize, b: usize, row: &Row| row.jacobian[a].dot(&row.response[b]);
         let old = self.impulse;
@@ -328,7 +327,7 @@ impl Row {
         let radius = self.friction * normal;
         let mut new = [0.0; 2];
         if radius > 0.0 {
-            // Along its bend the arc has one freedom only: what keeps the tangents' mobility regular is the mount.
+            // The arc has a single bending coordinate, so only the mount keeps the tangential mobility regular.
             let w = [mobility(1, 1, self), mobility(1, 2, self), mobility(2, 2, self)];
             let free = [1, 2].map(|k| self.jacobian[k].dot(velocity) + self.drive[k]);
             let free = [free[0] - w[0] * old[1] - w[1] * old[2], free[1] - w[1] * old[1] - w[2] * old[2]];
@@ -342,7 +341,7 @@ impl Row {
     }
 }
 
-/// Relaxes the bend's stop; `response` is the change of the velocities that a unit impulse of the bend causes.
+/// Relaxes the joint stop. `response` is the velocity change caused by a unit impulse on the bend.
 fn relax_stop(stop: &mut Stop, response: &Vector4<f64>, velocity: &mut Vector4<f64>, residual: &mut f64) {
     let whole = response[3] + stop.compliance;
     let speed = stop.sign * velocity[3] + stop.compliance * stop.impulse;

@@ -1,4 +1,4 @@
-//! The sweeps of the contact solver, and the conjugate gradients between them.
+//! Gauss-Seidel sweeps of the contact solver, with conjugate-gradient acceleration between them.
 
 use super::{ContactSolver, Outcome};
 use crate::manipulator::MAX_ROWS;
@@ -6,7 +6,7 @@ use crate::manipulator::articulated::{Articulated, Generalised};
 use crate::manipulator::parameters::ContactParameters;
 use crate::manipulator::row::{search_on, search_share};
 
-/// [`ContactSolver::solve`], compiled for each instruction set; no bit depends on it, as no operation is reordered or fused.
+/// [`ContactSolver::solve`], compiled for each instruction set. No operation is reordered or fused, so the result is the same to the bit.
 struct Solve<'a> {
     solver: &'a mut ContactSolver,
     articulated: &'a Articulated,
@@ -24,7 +24,7 @@ impl pulp::WithSimd for Solve<'_> {
 }
 
 impl ContactSolver {
-    /// Sweeps until no row changes its velocity by more than the tolerance, at most as many times as the parameters allow.
+    /// Sweeps until no row changes its velocity by more than the tolerance, or the parameters' iteration limit is reached.
     pub fn solve(
         &mut self,
         articulated: &Articulated,
@@ -69,7 +69,7 @@ impl ContactSolver {
         outcome
     }
 
-    /// Applies the start impulses to the probe velocities.
+    /// Applies the warm-start impulses to the probe velocities.
     #[inline(always)]
     fn apply_start(&mut self, lateral: f64) {
         self.accumulate();
@@ -82,7 +82,7 @@ impl ContactSolver {
         self.lateral_velocity += lateral * self.lateral_impulse;
     }
 
-    /// Sums the row impulses by probe.
+    /// Sums the row impulses per probe.
     #[inline(always)]
     fn accumulate(&mut self) {
         let rows = self.delassus.rows();
@@ -100,7 +100,7 @@ impl ContactSolver {
         }
     }
 
-    /// Remembers impulses and velocities before a sweep.
+    /// Saves impulses and velocities before a sweep.
     #[inline(always)]
     fn keep(&mut self) {
         for row in &mut self.row[..self.row_count] {
@@ -114,9 +114,9 @@ impl ContactSolver {
         self.lateral_before = self.lateral_velocity;
     }
 
-    /// Goes on along the last sweeps' direction: nonsmooth nonlinear conjugate gradients on the sweep (Silcowitz,
-    /// Niebe, Erleben 2010, "A nonsmooth nonlinear conjugate gradient method for interactive contact force problems",
-    /// Visual Computer 26). `last` is the squared gradient of the sweep before, 0 at the start; returns this one's.
+    /// Extrapolates along the last sweeps' direction: nonsmooth nonlinear conjugate gradients on the sweep (Silcowitz, Niebe, Erleben
+    /// 2010, "A nonsmooth nonlinear conjugate gradient method for interactive contact force problems", Visual Computer 26). `last` is the
+    /// previous sweep's squared gradient, 0 at the start; returns this sweep's.
     #[inline(always)]
     fn accelerate(&mut self, last: f64) -> f64 {
         let mut squared = 0.0;

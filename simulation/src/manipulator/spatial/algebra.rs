@@ -1,4 +1,4 @@
-//! Spatial vectors (Featherstone 2008, ch. 2) in base axes, every one referred to the base origin.
+//! Spatial vectors (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 2) in base axes, all expressed at the base origin.
 
 use nalgebra::Vector3;
 
@@ -23,7 +23,7 @@ pub(super) fn add_scaled(a: &mut Spatial, scale: f64, b: &Spatial) {
 
 /// m v.
 pub(super) fn times(m: &Operator, v: &Spatial) -> Spatial {
-    // Columns, because m is symmetric: six lanes without a horizontal sum.
+    // Accumulates columns, which equal rows in a symmetric m: six SIMD lanes without a horizontal sum.
     let mut out = ZERO;
     for (row, x) in m.iter().zip(v) {
         add_scaled(&mut out, *x, row);
@@ -42,49 +42,49 @@ fn join(upper: Vector3<f64>, lower: Vector3<f64>) -> Spatial {
     [upper.x, upper.y, upper.z, lower.x, lower.y, lower.z]
 }
 
-/// The part that turns: angular velocity, or moment.
+/// Angular part: angular velocity, or moment.
 pub(super) fn upper(a: &Spatial) -> Vector3<f64> {
     Vector3::new(a[0], a[1], a[2])
 }
 
-/// The other part: velocity of the base origin, or force.
+/// Linear part: velocity of the base origin, or force.
 pub(super) fn lower(a: &Spatial) -> Vector3<f64> {
     Vector3::new(a[3], a[4], a[5])
 }
 
-/// A unit turn about `axis` through `p`.
+/// Unit rotation about `axis` through `p`.
 pub(super) fn turn_about(p: &Vector3<f64>, axis: &Vector3<f64>) -> Spatial {
     join(*axis, p.cross(axis))
 }
 
-/// A unit translation along `axis`.
+/// Unit translation along `axis`.
 pub(super) fn shift_along(axis: &Vector3<f64>) -> Spatial {
     join(Vector3::zeros(), *axis)
 }
 
-/// A force at `p` with a moment of its own.
+/// A force at `p` plus a moment.
 pub(super) fn force_at(p: &Vector3<f64>, moment: &Vector3<f64>, force: &Vector3<f64>) -> Spatial {
     join(moment + p.cross(force), *force)
 }
 
-/// Velocity of the point `p` of a body that moves with `v`.
+/// Velocity of point `p` of a body with motion `v`.
 pub(super) fn velocity_at(p: &Vector3<f64>, v: &Spatial) -> Vector3<f64> {
     lower(v) + upper(v).cross(p)
 }
 
-/// Rate of change of a motion vector that moves with `v`.
+/// v x s: rate of change of a motion vector that moves with `v`.
 pub(super) fn cross_motion(v: &Spatial, s: &Spatial) -> Spatial {
     let (w, o) = (upper(v), lower(v));
     join(w.cross(&upper(s)), w.cross(&lower(s)) + o.cross(&upper(s)))
 }
 
-/// Rate of change of a momentum that moves with `v`.
+/// v x* f: rate of change of a force vector that moves with `v`.
 pub(super) fn cross_force(v: &Spatial, f: &Spatial) -> Spatial {
     let (w, o) = (upper(v), lower(v));
     join(w.cross(&upper(f)) + o.cross(&lower(f)), w.cross(&lower(f)))
 }
 
-/// Adds the inertia of a body of revolution: mass, centre, unit axis, moments about the centre across and along it.
+/// Adds the inertia of a body of revolution: mass, centre, unit axis, moments of inertia about the centre across and along the axis.
 pub(super) fn add_body(
     m: &mut Operator,
     (mass, across, along): (f64, f64, f64),
@@ -99,7 +99,7 @@ pub(super) fn add_body(
         }
         m[i + 3][i + 3] += mass;
     }
-    // m c x, upper right; its transpose, lower left.
+    // m c x in the upper right block, its transpose in the lower left.
     let skew = [[0.0, -c.z, c.y], [c.z, 0.0, -c.x], [-c.y, c.x, 0.0]];
     for i in 0..3 {
         for j in 0..3 {

@@ -1,8 +1,8 @@
 //! O(n) factorisation of a spatial chain's implicit operator.
 //!
-//! `H = M(q) + diag` by the articulated-body recursion (Featherstone 2008, ch. 7), one elementary freedom at a time: a
-//! flexure of three or six freedoms is as many joints without mass between them, which the positive diagonal permits.
-//! Mobilities as in the planar rung (Kreutz-Delgado, Jain and Rodriguez 1992).
+//! `H = M(q) + diag` by the articulated-body algorithm (Featherstone 2008, Rigid Body Dynamics Algorithms, ch. 7), one single-DoF joint
+//! at a time: a flexure with three or six degrees of freedom is that many joints with massless bodies between them, which the positive
+//! diagonal allows. Mobilities follow the planar rung (Kreutz-Delgado, Jain and Rodriguez 1992).
 
 use super::algebra::{Operator, Spatial, ZERO, add_body, add_outer, add_scaled, dot, times};
 use super::layout::{Configuration, SpatialLayout};
@@ -15,7 +15,7 @@ pub(super) struct Articulated {
     pub bias: Vec<Spatial>,
     /// 1 / (axis . bias + diagonal).
     pub inverse: Vec<f64>,
-    /// Mobility inward of each freedom, and at the end that of the last link.
+    /// Mobility proximal to each joint; the last entry is that of the last link.
     mobility: Vec<Operator>,
     torque: Vec<f64>,
 }
@@ -55,7 +55,7 @@ impl Articulated {
         }
     }
 
-    /// Solves H x = `generalised` + sum over links of `force` (at the base origin; index 0 is the shaft).
+    /// Solves H x = `generalised` + sum over links of `force` (expressed at the base origin; index 0 is the shaft).
     pub fn solve<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -82,7 +82,7 @@ impl Articulated {
         }
     }
 
-    /// Mobilities; needed before [`Self::mobility`] and [`Self::unit_response`].
+    /// Updates the mobilities; needed before [`Self::mobility`] and [`Self::unit_response`].
     pub fn update_mobility(&mut self) {
         self.mobility[0] = [ZERO; 6];
         for k in 0..self.axis.len() {
@@ -101,12 +101,12 @@ impl Articulated {
         }
     }
 
-    /// Mobility of the link behind the first `freedoms` freedoms to a force on itself.
+    /// Mobility, to a force on itself, of the link distal to the first `freedoms` joints.
     pub fn mobility(&self, freedoms: usize) -> &Operator {
         &self.mobility[freedoms]
     }
 
-    /// Velocity of freedom `k`, and motion of what is outward of it, under a unit force in it.
+    /// Velocity of joint `k` and motion of everything distal to it, under a unit force in it.
     pub fn unit_response(&self, k: usize) -> (f64, Spatial) {
         let inverse = self.inverse[k];
         let mut v = times(&self.mobility[k], &self.bias[k]).map(|x| -x * inverse);
@@ -115,7 +115,7 @@ impl Articulated {
         (rate, v)
     }
 
-    /// Carries a motion caused inward of freedom `k` across it: its velocity; `v` becomes the motion outward.
+    /// Propagates a proximal motion across joint `k`: returns its velocity and turns `v` into the distal motion.
     pub fn carry_outward(&self, k: usize, v: &mut Spatial) -> f64 {
         let rate = -dot(&self.bias[k], v) * self.inverse[k];
         add_scaled(v, rate, &self.axis[k]);

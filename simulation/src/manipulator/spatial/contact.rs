@@ -1,9 +1,8 @@
-//! Contacts and joint stops of a spatial chain: Gauss-Seidel on accumulated impulses that runs along the chain.
+//! Contacts and joint stops of a spatial chain: Gauss-Seidel on accumulated impulses, swept along the chain.
 //!
-//! The laws of a row are those of the planar rung (`manipulator::contact`). No contact matrix is formed: a sweep goes
-//! from base to tip, carries the motion that its own impulses cause across each freedom, and relaxes the rows of a link
-//! when it comes by; what they cause inward follows by one solve at the end of the sweep. A sweep so costs O(n), however
-//! many contacts there are.
+//! Each row obeys the same laws as in the planar rung (`manipulator::contact`). No contact matrix is formed: a sweep runs from base to
+//! tip, propagates the motion caused by its own impulses across each joint, and relaxes the rows of each link as it passes. One solve at
+//! the end of the sweep propagates the effect back toward the base. A sweep therefore costs O(n), whatever the number of contacts.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -32,7 +31,7 @@ pub(super) struct Row {
     /// Unit forces along them at the contact point.
     force: [Spatial; 3],
     friction: f64,
-    /// Velocity of the contact point due to the base alone.
+    /// Velocity of the contact point due to the base motion alone.
     drive: [f64; 3],
     compliance: f64,
     target: f64,
@@ -44,12 +43,12 @@ pub(super) struct Row {
     direction_of_search: [f64; 3],
 }
 
-/// One stop of a bending or lateral freedom.
+/// Stop of a bending or lateral coordinate.
 #[derive(Debug, Clone, Copy)]
 struct FreedomStop {
     freedom: usize,
     stop: Stop,
-    /// Motion of the freedom's link that a unit impulse of the freedom causes.
+    /// Motion of the distal link caused by a unit impulse in the joint.
     response: Spatial,
 }
 
@@ -64,7 +63,7 @@ pub(super) struct ContactSolver {
     /// Generalised impulses of the stops, link impulses of the contacts.
     generalised: Vec<f64>,
     link_impulse: Vec<Spatial>,
-    /// Generalised velocities under the impulses of now, before the sweep, and their direction of search.
+    /// Generalised velocities under the current impulses, before the sweep, and their search direction.
     pub velocity: Vec<f64>,
     velocity_before: Vec<f64>,
     velocity_direction: Vec<f64>,
@@ -88,7 +87,7 @@ impl ContactSolver {
         }
     }
 
-    /// Accepts the usable contacts, ordered by sphere (then by input order).
+    /// Takes the usable contacts, ordered by sphere, then by input order.
     pub fn collect<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -133,7 +132,7 @@ impl ContactSolver {
         self.row.sort_unstable_by_key(|row| (row.sphere, row.contact));
     }
 
-    /// Adds a stop for every bending or lateral freedom that the free motion would bring near its limit.
+    /// Adds a stop for every bending or lateral coordinate that the free motion would bring near its limit.
     pub fn collect_stops<const D: usize>(
         &mut self,
         p: &ManipulatorParameters,
@@ -160,7 +159,7 @@ impl ContactSolver {
         self.row.is_empty() && self.stop.is_empty()
     }
 
-    /// Completes the rows once the mobilities are known, with the impulses of the last tick as the start.
+    /// Completes the rows once the mobilities are known, warm-started with the last tick's impulses.
     pub fn prepare<const D: usize>(
         &mut self,
         step: &ContactStep,
@@ -203,8 +202,8 @@ impl ContactSolver {
         }
     }
 
-    /// Sweeps until no row changes its velocity by more than the tolerance, at most so many times. Afterwards
-    /// `velocity` is the solution.
+    /// Sweeps until no row changes its velocity by more than the tolerance, or the iteration limit is reached. The solution is in
+    /// `velocity` afterwards.
     pub fn solve<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -232,7 +231,7 @@ impl ContactSolver {
         }
     }
 
-    /// Velocities under the present impulses.
+    /// Velocities under the current impulses.
     fn respond<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -264,7 +263,7 @@ impl ContactSolver {
         self.velocity_before.copy_from_slice(&self.velocity);
     }
 
-    /// One sweep from base to tip; `motion` and `velocity` are those before it.
+    /// One sweep from base to tip; `motion` and `velocity` hold the values before it.
     fn sweep<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -317,7 +316,7 @@ impl ContactSolver {
         }
     }
 
-    /// Goes on along the last sweeps' direction by nonsmooth nonlinear conjugate gradients (see the planar rung).
+    /// Extrapolates along the last sweeps' direction by nonsmooth nonlinear conjugate gradients (see the planar rung).
     fn accelerate(&mut self, last: f64) -> f64 {
         let mut squared = 0.0;
         for row in &self.row {
@@ -360,7 +359,7 @@ impl ContactSolver {
         }
     }
 
-    /// Stop torques of the solution, for the next warm start; returns how many stops carry torque.
+    /// Writes the solution's stop torques for the next warm start; returns how many stops carry torque.
     pub fn stop_torques(&self, dt: f64, torque: &mut [f64]) -> usize {
         torque.fill(0.0);
         for FreedomStop { freedom, stop, .. } in &self.stop {
@@ -371,7 +370,7 @@ impl ContactSolver {
 }
 
 impl Row {
-    /// Relaxes the contact on a link that moves with `motion`; the change of its impulse as a force on the link.
+    /// Relaxes the contact on a link that moves with `motion`; returns the impulse change as a force on the link.
     fn relax(&mut self, motion: &Spatial, residual: &mut f64) -> Spatial {
         let old = self.impulse;
         let velocity = dot(&self.force[0], motion) + self.drive[0];

@@ -1,4 +1,4 @@
-//! The tendons' rank-one stiffnesses in the implicit operator of a spatial chain: the method of `manipulator::coupling`.
+//! The tendons' rank-one stiffnesses in a spatial chain's implicit operator, by the method of `manipulator::coupling`.
 
 use super::algebra::Spatial;
 use super::articulated::Articulated;
@@ -10,7 +10,7 @@ use crate::manipulator::coupling::Kernel;
 /// `A = H + sum_t c_t g_t g_t'` and its inverse.
 #[derive(Debug, Clone)]
 pub(super) struct Coupling {
-    /// Whether there is anything to couple.
+    /// True if any tendon couples the joints.
     pub active: bool,
     /// alpha of each tendon, N/m.
     alpha: [f64; MAX_TENDONS],
@@ -44,7 +44,7 @@ impl Coupling {
         }
     }
 
-    /// Sets up the coupling for a factored H; the rank-one stiffness enters with weight `scale` (dt^2 of the method).
+    /// Sets up the coupling for a factored H. `scale` weighs the rank-one stiffness (dt^2 for the method in use).
     pub fn update<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -83,7 +83,7 @@ impl Coupling {
         self.kernel = Kernel::new(self.count, &c, &s);
     }
 
-    /// Adds minus the rank-one stiffnesses times the velocities `rate` to `rhs`.
+    /// Subtracts the rank-one stiffnesses times the velocities `rate` from `rhs`.
     pub fn subtract_stiffness(&self, rate: &[f64], rhs: &mut [f64]) {
         if !self.active {
             return;
@@ -96,12 +96,12 @@ impl Coupling {
         }
     }
 
-    /// Kernel times a vector.
+    /// Multiplies the kernel by a vector.
     pub fn weigh(&self, p: &[f64; MAX_TENDONS]) -> [f64; MAX_TENDONS] {
         self.kernel.weigh(p)
     }
 
-    /// Entries of `p` times those of `w`, summed over the tendons.
+    /// Dot product of `p` and `w` over the tendons.
     pub fn product(&self, p: &[f64; MAX_TENDONS], w: &[f64; MAX_TENDONS]) -> f64 {
         let mut sum = p[0] * w[0] + p[1] * w[1];
         for t in 2..self.count {
@@ -110,7 +110,7 @@ impl Coupling {
         sum
     }
 
-    /// `value` less the products of the entries, tendon by tendon.
+    /// `value` minus the products of the entries, subtracted tendon by tendon.
     pub fn less(&self, value: f64, p: &[f64; MAX_TENDONS], w: &[f64; MAX_TENDONS]) -> f64 {
         let mut rest = value - p[0] * w[0] - p[1] * w[1];
         for t in 2..self.count {
@@ -119,7 +119,7 @@ impl Coupling {
         rest
     }
 
-    /// What each tendon takes up under a force on a link.
+    /// Take-up of each tendon under a force on a link.
     pub fn takes_up(&self, link: usize, force: &Spatial) -> [f64; MAX_TENDONS] {
         let mut out = [0.0; MAX_TENDONS];
         for t in 0..self.count {

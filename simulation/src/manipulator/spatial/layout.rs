@@ -1,8 +1,8 @@
-//! Fixed layout of a spatial chain and its configuration in space.
+//! Constant layout of a spatial chain, and its configuration in space.
 //!
-//! A flexure is a row of elementary joints. Freedoms come in the order: three of the mount (base x, y, z), then for each
-//! flexure those of its rung. One freedom: bending (about the link's y). Three: bending, lateral bending (about the x so
-//! turned), torsion (about the z so turned). Six: first the displacements along x, y and z of the link before it.
+//! A flexure is a series of single-DoF joints. The generalised coordinates are ordered: three of the mount (base x, y, z), then those of
+//! each flexure. With one: bending (about the link's y). With three: bending, lateral bending (about the rotated x), torsion (about the
+//! rotated z). With six: displacements along x, y and z of the proximal link come first.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,17 +10,17 @@ use super::algebra::{Spatial, shift_along, turn_about};
 use crate::manipulator::geometry::{LinkBody, SphereLayout, link_bodies, link_lengths_m, spheres};
 use crate::manipulator::parameters::ManipulatorParameters;
 
-/// Freedoms of the mount.
+/// Degrees of freedom of the mount.
 pub(super) const MOUNT: usize = 3;
 
-/// What never changes after construction.
+/// Everything that is constant after construction.
 #[derive(Debug, Clone)]
 pub(super) struct SpatialLayout<const D: usize> {
     pub joints: usize,
     pub first_joint_m: f64,
-    /// Length of the link behind each flexure.
+    /// Length of the link distal to each flexure.
     pub length_m: Vec<f64>,
-    /// The shaft, then one a flexure. Moments of inertia across the axis.
+    /// The shaft, then one per flexure. Moments of inertia are transverse to the axis.
     pub body: Vec<LinkBody>,
     /// Moments of inertia along the axis, kg m^2.
     pub axial_inertia_kg_m2: Vec<f64>,
@@ -29,7 +29,7 @@ pub(super) struct SpatialLayout<const D: usize> {
 }
 
 impl<const D: usize> SpatialLayout<D> {
-    /// Freedoms before the bending of a flexure.
+    /// Number of coordinates before bending within a flexure.
     pub const BEND: usize = if D == 6 { 3 } else { 0 };
 
     pub fn new(p: &ManipulatorParameters) -> Self {
@@ -51,30 +51,30 @@ impl<const D: usize> SpatialLayout<D> {
         }
     }
 
-    /// All freedoms.
+    /// Total number of degrees of freedom.
     pub fn freedoms(&self) -> usize {
         MOUNT + self.joints * D
     }
 
-    /// The freedoms that move `link` against the one before it (the mount moves link 0).
+    /// Coordinates that move `link` relative to the previous one (the mount moves link 0).
     pub fn freedoms_of(&self, link: usize) -> core::ops::Range<usize> {
         if link == 0 { 0..MOUNT } else { MOUNT + (link - 1) * D..MOUNT + link * D }
     }
 
-    /// Index of the bending freedom of flexure `joint`.
+    /// Index of the bending coordinate of flexure `joint`.
     pub fn bend(&self, joint: usize) -> usize {
         MOUNT + joint * D + Self::BEND
     }
 }
 
-/// Where the links are, base axes.
+/// Link poses in base axes.
 #[derive(Debug, Clone)]
 pub(super) struct Configuration<const D: usize> {
-    /// Origin of each link: the displaced base origin, then the flexures behind their displacement.
+    /// Origin of each link: the displaced base origin, then the flexures after their displacement.
     pub origin: Vec<Vector3<f64>>,
     /// Axes of each link as columns.
     pub rotation: Vec<Matrix3<f64>>,
-    /// Motion of everything outward of a freedom per unit of its velocity.
+    /// Motion of everything distal to a joint per unit of its velocity.
     pub axis: Vec<Spatial>,
 }
 
@@ -88,7 +88,7 @@ impl<const D: usize> Configuration<D> {
         }
     }
 
-    /// Sets every link for the freedoms `q`.
+    /// Updates every link from the coordinates `q`.
     pub fn update(&mut self, layout: &SpatialLayout<D>, q: &[f64]) {
         let mut r = Matrix3::identity();
         let mut p = Vector3::new(q[0], q[1], q[2]);
@@ -132,7 +132,7 @@ impl<const D: usize> Configuration<D> {
     }
 }
 
-/// Turns column `a` toward column `b` of a rotation by `angle`: a turn about the third column.
+/// Rotates columns `a` and `b` of a rotation matrix by `angle` from `a` toward `b`: a turn about the third column.
 fn turn_columns(r: &mut Matrix3<f64>, (a, b): (usize, usize), angle: f64) {
     let (sin, cos) = libm::sincos(angle);
     let (u, v) = (r.column(a).into_owned(), r.column(b).into_owned());

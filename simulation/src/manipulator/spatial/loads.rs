@@ -1,4 +1,4 @@
-//! Gravity, inertia of the moving base, velocity products and the tip load, as spatial forces on the links.
+//! Gravity, base acceleration, velocity-product terms and the tip load, as spatial forces on the links.
 
 use nalgebra::Vector3;
 
@@ -8,14 +8,14 @@ use super::algebra::{
 use super::layout::{Configuration, SpatialLayout};
 use crate::manipulator::loads::Frame;
 
-/// Forces on the links and their moment on the flange.
+/// Forces on the links and their total moment at the flange.
 #[derive(Debug, Clone)]
 pub(super) struct Loads {
     /// Force on each link (index 0: the shaft).
     pub force: Vec<Spatial>,
-    /// Inertia of each link at the base origin.
+    /// Inertia of each link, expressed at the base origin.
     inertia: Vec<Operator>,
-    /// Moment of all forces about the base origin, base axes, N m.
+    /// Total moment about the base origin, base axes, N m.
     pub moment: Vector3<f64>,
 }
 
@@ -26,9 +26,9 @@ impl Loads {
 
     /// Evaluates all loads for the velocities `v`.
     ///
-    /// The recursion of Featherstone 2008, table 5.1, in an inertial frame that the base frame passes through at this
-    /// instant and that moves with its origin: `f = -(I a + V x* I V)` with the accelerations that remain when every
-    /// freedom's is zero.
+    /// Recursive Newton-Euler (Featherstone 2008, Rigid Body Dynamics Algorithms, table 5.1), in an inertial frame that coincides with
+    /// the base frame at this instant and moves with its origin: `f = -(I a + V x* I V)`, with `a` the accelerations at zero joint
+    /// acceleration.
     pub fn evaluate<const D: usize>(
         &mut self,
         layout: &SpatialLayout<D>,
@@ -66,7 +66,7 @@ impl Loads {
         self.moment += upper(&load);
     }
 
-    /// The moment about the base origin that a change of the links' motions takes.
+    /// The moment about the base origin that produces a change of the links' motions.
     pub fn momentum_moment(&self, change: &[Spatial]) -> Vector3<f64> {
         self.inertia.iter().zip(change).map(|(inertia, v)| upper(&times(inertia, v))).sum()
     }

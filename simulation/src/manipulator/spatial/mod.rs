@@ -1,13 +1,13 @@
-//! The spatial rungs: a chain of flexures with one, three or six freedoms each, in reduced coordinates.
+//! The spatial rungs: a chain of flexures with one, three or six degrees of freedom each, in reduced coordinates.
 //!
-//! [`SpatialChain<3>`] bends, bends laterally and twists; [`SpatialChain<6>`] also stretches and shears, as a Timoshenko
-//! beam does; [`SpatialChain<1>`] is the planar chain again, with up to 64 links. Frames, tendons, contact laws, mount and
-//! integrators are those of the planar rung (see [`crate::manipulator`]). Every flexure has freedom coordinates of its
-//! own whose springs are `k q`, so that forces come from one potential, whatever the angles.
+//! [`SpatialChain<3>`] bends in two planes and twists. [`SpatialChain<6>`] also stretches and shears, like a Timoshenko beam.
+//! [`SpatialChain<1>`] is the planar chain again, with up to 64 links. Frames, tendons, contact laws, mount and integrators are those of
+//! the planar rung (see [`crate::manipulator`]). Each coordinate of a flexure has its own spring `k q`, so the forces derive from one
+//! potential at any angle.
 //!
-//! Stiffness follows from the bending stiffness k of a flexure: lateral and torsional by the ratios of the parameters,
-//! axial `k A/I` and shear `k kappa (G/E) A/I` with A/I = 4 / (r_o^2 + r_i^2) of the tube and Cowper's coefficient of a
-//! thin tube, `kappa G/E = 1 / (4 + 3 nu)` (Cowper 1966, J. Appl. Mech. 33).
+//! All stiffnesses scale with the bending stiffness k of a flexure: lateral and torsional by the ratios in the parameters, axial `k A/I`
+//! and shear `k kappa (G/E) A/I`, with A/I = 4 / (r_o^2 + r_i^2) of the tube and Cowper's shear coefficient of a thin tube, `kappa G/E =
+//! 1 / (4 + 3 nu)` (Cowper 1966, J. Appl. Mech. 33).
 
 mod algebra;
 mod articulated;
@@ -37,28 +37,28 @@ use tendon::TendonLoad;
 
 pub use state::SpatialState;
 
-/// Most contacts of a step, four a sphere; further ones are refused and counted.
+/// Maximum contacts per step, four per sphere; excess contacts are refused and counted.
 const MAX_CONTACTS: usize = 4 * (MAX_SHAFT_SPHERES + MAX_LINKS + 1);
 
-/// A continuum manipulator whose flexures have D freedoms: 1, 3 or 6.
+/// A continuum manipulator whose flexures have D degrees of freedom: 1, 3 or 6.
 #[derive(Debug, Clone)]
 pub struct SpatialChain<const D: usize> {
     parameters: ManipulatorParameters,
     layout: SpatialLayout<D>,
-    /// Of each freedom.
+    /// Per degree of freedom.
     stiffness: Vec<f64>,
     damping: Vec<f64>,
     first_frequency_rad_per_s: f64,
-    /// Baseline: springs and dampers as forces only.
+    /// Baseline: springs and dampers enter as explicit forces only.
     explicit: bool,
     state: SpatialState,
-    /// Follows from `state`.
+    /// Derived from `state`.
     configuration: Configuration<D>,
-    /// Follows from `state`.
+    /// Derived from `state`.
     spheres: Vec<ProxySphere>,
-    /// Bending angles and rates, a copy out of `state`.
+    /// Bending angles and rates, copied from `state`.
     bend: [Vec<f64>; 2],
-    /// Workspace from here on.
+    /// The fields from here on are workspace.
     trial: Configuration<D>,
     articulated: Articulated,
     tendon: TendonLoad,
@@ -75,7 +75,7 @@ impl<const D: usize> SpatialChain<D> {
     /// A straight tool at rest on `base`, with slack tendons.
     ///
     /// # Errors
-    /// A parameter that is refused, by name.
+    /// A parameter is out of range; the error names it.
     pub fn new(parameters: ManipulatorParameters, base: &BaseMotion) -> Result<Self, ManipulatorError> {
         let () = Self::SUPPORTED;
         parameters.validate()?;
@@ -124,7 +124,7 @@ impl<const D: usize> SpatialChain<D> {
         Ok(chain)
     }
 
-    /// Baseline: semi-implicit Euler, springs and dampers enter as forces and not the operator.
+    /// Baseline: semi-implicit Euler; springs and dampers enter as forces, not through the operator.
     pub(crate) fn with_explicit_springs(mut self) -> Self {
         self.explicit = true;
         self.parameters.integrator = super::Integrator::LinearlyImplicitEuler;
@@ -178,7 +178,7 @@ impl<const D: usize> SpatialChain<D> {
         self.first_frequency_rad_per_s / (2.0 * core::f64::consts::PI)
     }
 
-    /// Proxy spheres in the present configuration: shaft, segments, burr.
+    /// Proxy spheres in the current configuration: shaft, segments, burr.
     pub fn proxy_spheres(&self) -> &[ProxySphere] {
         &self.spheres
     }
@@ -193,13 +193,13 @@ impl<const D: usize> SpatialChain<D> {
         &self.bend[1]
     }
 
-    /// All freedoms: three of the mount (m), then those of the flexures (displacements in m, bending, lateral bending and
+    /// All generalised coordinates: three of the mount (m), then those of the flexures (displacements in m; bending, lateral bending and
     /// torsion in rad).
     pub fn freedoms(&self) -> &[f64] {
         &self.state.position
     }
 
-    /// Pose of link `link` (0 is the shaft), z along the link. A link past the last is the last.
+    /// Pose of link `link` (0 is the shaft), z along the link. An index past the last link returns the last link.
     pub fn t_world_link(&self, link: usize) -> Isometry3<f64> {
         self.t_world_point(link.min(self.layout.joints), 0.0)
     }
@@ -222,10 +222,10 @@ impl<const D: usize> SpatialChain<D> {
         &self.state.base
     }
 
-    /// Puts the tool elsewhere at once, shape and relative motion kept: for scene set-up, not for motion.
+    /// Teleports the base and keeps shape and relative motion. For scene set-up, not for motion.
     ///
     /// # Errors
-    /// A base that is not one.
+    /// The base motion is not finite, not a rotation, or out of range.
     pub fn place_base(&mut self, base: &BaseMotion) -> Result<(), ManipulatorError> {
         super::step::validate_base(base)?;
         self.state.base = *base;
@@ -233,7 +233,7 @@ impl<const D: usize> SpatialChain<D> {
         Ok(())
     }
 
-    /// What the tool exerted on the flange in the last step.
+    /// Wrench of the tool on the flange in the last step.
     pub fn flange_wrench(&self) -> Wrench {
         self.state.report.flange_wrench
     }
@@ -268,30 +268,30 @@ impl<const D: usize> SpatialChain<D> {
         energy
     }
 
-    /// A copy of the whole dynamic state.
+    /// A copy of the complete dynamic state.
     pub fn snapshot(&self) -> SpatialState {
         self.state.clone()
     }
 
-    /// The whole dynamic state.
+    /// The complete dynamic state.
     pub(crate) fn state(&self) -> &SpatialState {
         &self.state
     }
 
-    /// Whether a state that was read back has this chain's freedoms.
+    /// True if a deserialised state has as many degrees of freedom as this chain.
     pub(crate) fn fits(&self, state: &SpatialState) -> bool {
         let freedoms = self.state.position.len();
         [&state.position, &state.velocity, &state.stop_torque].iter().all(|list| list.len() == freedoms)
     }
 
-    /// Continues from a snapshot of a tool with the same parameters, bit for bit.
+    /// Continues bit for bit from a snapshot of a tool with the same parameters.
     pub fn restore(&mut self, state: &SpatialState) {
         self.state.clone_from(state);
         self.update_configuration();
     }
 }
 
-/// Stiffness of each freedom, N/m and N m/rad.
+/// Stiffness per degree of freedom, N/m and N m/rad.
 fn stiffnesses<const D: usize>(p: &ManipulatorParameters) -> Vec<f64> {
     let [outer, inner] = p.tube_radii_m;
     let area_over_moment = 4.0 / (outer * outer + inner * inner);

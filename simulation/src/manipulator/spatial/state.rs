@@ -8,17 +8,17 @@ use crate::manipulator::tendon::TendonMemory;
 
 use super::MAX_CONTACTS;
 
-/// The whole dynamic state, bit for bit.
+/// The complete dynamic state; restoring it reproduces the run bit for bit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpatialState {
     pub(super) position: Vec<f64>,
     pub(super) velocity: Vec<f64>,
     pub(super) base: BaseMotion,
     pub(super) tendon: [TendonMemory; MAX_TENDONS],
-    /// Torque of each stop in the last step by freedom, N m: the warm start.
+    /// Torque of each stop in the last step, per degree of freedom, N m. Warm-starts the next step.
     pub(super) stop_torque: Vec<f64>,
     pub(super) result_count: usize,
-    /// Results of the last step, ordered by sphere: output and warm start.
+    /// Results of the last step, ordered by sphere. Output, and warm start of the next step.
     pub(super) results: Vec<ContactResult>,
     pub(super) report: StepReport,
 }
@@ -38,7 +38,7 @@ impl SpatialState {
     }
 }
 
-/// The used part of the results only: what lies behind it is left over from earlier steps.
+/// Writes only the used results: entries past the count are left over from earlier steps.
 impl Serialize for SpatialState {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let results = &self.results[..self.result_count];

@@ -14,15 +14,15 @@ use crate::manipulator::state::{StepInput, StepReport, Wrench};
 use crate::manipulator::step::{FREE_SHARE, GAMMA, MAX_ROUNDS, Stage, base_motion, contacts_far, validate};
 use crate::manipulator::tendon::turns;
 
-/// Vectors over the freedoms that a step needs.
+/// Work vectors of a step, one entry per degree of freedom.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Work {
     before: Vec<f64>,
     after: Vec<f64>,
-    /// Velocities that the tendons were taken to move with.
+    /// Velocities assumed for the tendons.
     expected: Vec<f64>,
     next: Vec<f64>,
-    /// Stiffness with the tendons' own part.
+    /// Stiffness including the tendons' diagonal part.
     stiffness: Vec<f64>,
     diagonal: Vec<f64>,
     rhs: Vec<f64>,
@@ -57,7 +57,7 @@ impl Work {
     }
 }
 
-/// out = f(i) for every freedom.
+/// out[i] = f(i) for every degree of freedom.
 fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
     for (i, out) in out.iter_mut().enumerate() {
         *out = f(i);
@@ -65,16 +65,15 @@ fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
 }
 
 impl<const D: usize> SpatialChain<D> {
-    /// Advances by `dt_s` (1e-7 to 0.1 s). Refused input is an error and changes nothing; single unusable contacts are
-    /// left out and counted in the report.
+    /// Advances by `dt_s` (1e-7 to 0.1 s). Unusable contacts are skipped and counted in the report.
     ///
     /// # Errors
-    /// Input that is not finite or absurd.
+    /// The input is not finite or out of range. A refused step changes nothing.
     pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
         validate(dt_s, input)?;
         let gravity = &self.parameters.gravity_m_per_s2;
         let (drive, frame) = base_motion(&self.state.base, gravity, dt_s, input)?;
-        // Taken out and put back: no allocation.
+        // Moved out and back so that the step does not allocate.
         let mut work = core::mem::take(&mut self.work);
         work.before.copy_from_slice(&self.state.velocity);
         let mut report = StepReport::none();
@@ -109,7 +108,7 @@ impl<const D: usize> SpatialChain<D> {
         self.loads.evaluate(&self.layout, configuration, v, frame);
     }
 
-    /// Tendons at `q` that move as with `v`, and the operator factored with them.
+    /// Evaluates the tendons at `q`, assuming velocities `v`, and factors the operator with them.
     fn factor_with_tendons(
         &mut self,
         (q, v): (&[f64], &[f64]),
@@ -199,7 +198,7 @@ impl<const D: usize> SpatialChain<D> {
         }
     }
 
-    /// Turns the free velocities into those under contact and stop impulses.
+    /// Adds the contact and stop impulses to the free velocities.
     fn with_contacts(
         &mut self,
         dt: f64,
@@ -228,7 +227,7 @@ impl<const D: usize> SpatialChain<D> {
         velocity.copy_from_slice(&solver.velocity);
     }
 
-    /// Keeps the impulses for the next step, and adds the contact moments to the loads.
+    /// Stores the impulses for the next step and adds the contact moments to the loads.
     fn store_results(&mut self, dt: f64, drive: &BaseDrive, after: &[f64], report: &mut StepReport) {
         let torque = &mut self.state.stop_torque;
         report.stopped_joint_count = self.contact.stop_torques(dt, torque);
@@ -247,8 +246,8 @@ impl<const D: usize> SpatialChain<D> {
         }
     }
 
-    /// A ROS2 step in free motion into `work.next` and `work.after`; its error estimate. `Err`: not wanted, or not smooth
-    /// (estimate 0), not free, or the estimate is above the tolerance.
+    /// Takes a ROS2 step in free motion into `work.next` and `work.after`; returns its error estimate. `Err`: ROS2 is off, or the motion
+    /// is not smooth (estimate 0), not free, or above the tolerance.
     fn rosenbrock(&mut self, dt: f64, input: &StepInput, frame: &Frame, work: &mut Work) -> Result<f64, f64> {
         let wanted =
             self.parameters.integrator == Integrator::Hybrid && contacts_far(&self.spheres, dt, input);
@@ -267,7 +266,7 @@ impl<const D: usize> SpatialChain<D> {
         Ok(error)
     }
 
-    /// The error estimate; none where a tendon begins or ceases to slide on within the step, or binds.
+    /// The error estimate; `None` if a tendon binds, or starts or stops sliding within the step.
     fn rosenbrock_stages(
         &mut self,
         (q, dt): (&[f64], f64),
@@ -296,7 +295,7 @@ impl<const D: usize> SpatialChain<D> {
         if self.tendon.slides_on != slid {
             return None;
         }
-        // As in the planar rung: with x = kv2 + 2 kv1 the mass drops out of the right side.
+        // As in the planar rung: substituting x = kv2 + 2 kv1 removes the mass from the right-hand side.
         fill(y, |i| h * (v2[i] - 2.0 * kq1[i]) - 2.0 * h * h * kv1[i]);
         self.elastic_forces((q2, v2, y), stiffness, rhs);
         for i in 0..rhs.len() {
@@ -315,7 +314,7 @@ impl<const D: usize> SpatialChain<D> {
             for i in bend..bend + D - SpatialLayout::<D>::BEND {
                 let kq2 = v2[i] - 2.0 * kq1[i] + h * kv2[i];
                 let own = (0.5 * dt * (kq1[i] + kq2)).abs();
-                // A NaN must win: it marks a step that failed.
+                // Let a NaN win: it marks a failed step.
                 error = if own > error || own.is_nan() { own } else { error };
             }
         }
@@ -330,7 +329,7 @@ impl<const D: usize> SpatialChain<D> {
         })
     }
 
-    /// Whether every sphere is still clear of its plane in configuration `next`.
+    /// True if every sphere still clears its plane in configuration `next`.
     fn contacts_clear(&mut self, next: &[f64], input: &StepInput) -> bool {
         if input.contacts.is_empty() {
             return true;
@@ -345,7 +344,7 @@ impl<const D: usize> SpatialChain<D> {
         })
     }
 
-    /// Reaction at the flange, then everything that follows from the new state.
+    /// Computes the flange reaction, then updates everything that depends on the new state.
     fn finish(&mut self, dt: f64, input: &StepInput, work: &mut Work, report: &mut StepReport) {
         let Work { before, after, next, y, motions, .. } = work;
         fill(y, |i| after[i] - before[i]);

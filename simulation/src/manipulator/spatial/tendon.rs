@@ -1,9 +1,9 @@
 //! Tendons on a spatial chain.
 //!
-//! The law of the planar rung (see `manipulator::tendon`) with lateral bending and, in the full rung, compression: a
-//! flexure bent by q and laterally by p (about x, so toward -y), its links pushed together by u, takes up of a tendon in the
-//! channel (d, e) `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e sin(p/2) + u`. A tension exerts `T dl` on every
-//! freedom. That torsion winds the channels is of second order in the angle of one flexure and left out.
+//! The law of the planar rung (see `manipulator::tendon`), extended by lateral bending and, in the full rung, compression. A flexure bent
+//! by q, bent laterally by p (about x, so toward -y) and compressed by u takes up `l = g (1 - cos(q/2) cos(p/2)) + 2 d sin(q/2) - 2 e
+//! sin(p/2) + u` of a tendon in the channel (d, e). A tension T exerts the generalised force `T dl` on every coordinate. Torsion also
+//! winds the channels; this is second order in the angle of one flexure and neglected.
 
 use super::layout::SpatialLayout;
 use crate::manipulator::MAX_TENDONS;
@@ -11,11 +11,11 @@ use crate::manipulator::parameters::TendonParameters;
 use crate::manipulator::state::TendonCommand;
 use crate::manipulator::tendon::{Channels, TendonMemory, base_tension};
 
-/// Generalised forces of all tendons in one configuration, and how they change.
+/// Generalised forces of all tendons in one configuration, and their derivatives.
 #[derive(Debug, Clone)]
 pub(super) struct TendonLoad {
     pub channels: Channels,
-    /// Force on each freedom, N m (N).
+    /// Generalised force per coordinate, N m (N for displacements).
     pub torque: Vec<f64>,
     /// -d force_i / d q_i at constant tension and sliding state.
     pub stiffness: Vec<f64>,
@@ -23,21 +23,21 @@ pub(super) struct TendonLoad {
     pub slope: [Vec<f64>; MAX_TENDONS],
     /// -d force_i / d take-up of each tendon.
     pub gradient: [Vec<f64>; MAX_TENDONS],
-    /// Whether the gradient of each tendon is not zero.
+    /// True for each tendon whose gradient is not zero.
     pub coupled: [bool; MAX_TENDONS],
-    /// Tension at the base end, N.
+    /// Tension at the proximal end, N.
     pub tension_n: [f64; MAX_TENDONS],
-    /// Whether each tendon's friction is taken not to change: it slid at the velocity given, and slides on.
+    /// True if the step assumes that this tendon's friction does not change: it was sliding at the given velocity and keeps sliding.
     pub slides_on: [bool; MAX_TENDONS],
 }
 
-/// How a flexure takes up a tendon: length, slopes (bending, lateral), curvatures (bending, lateral), turn of the channel.
+/// Take-up of one flexure: length, slopes (bending, lateral), curvatures (bending, lateral), wrap angle of the channel.
 struct TakeUp {
     length_m: f64,
     slope: [f64; 2],
     curvature: [f64; 2],
     turn_rad: f64,
-    /// d turn / d (bending, lateral), 0 where the flexure is straight.
+    /// d wrap / d (bending, lateral), 0 where the flexure is straight.
     turn_slope: [f64; 2],
 }
 
@@ -81,7 +81,7 @@ impl TendonLoad {
         }
     }
 
-    /// Evaluates all tendons at `q`; the velocities `v` tell a saturated sliding state whether it is about to turn.
+    /// Evaluates all tendons at `q`. The velocities `v` tell whether a saturated sliding state is about to reverse.
     pub fn evaluate<const D: usize>(
         &mut self,
         p: &TendonParameters,
@@ -158,7 +158,7 @@ impl TendonLoad {
         (length_m, rate)
     }
 
-    /// Carries the memory over to `q`; returns tension (N) and displacement (m) of each tendon there.
+    /// Advances the sliding states to `q`; returns tension (N) and displacement (m) of each tendon there.
     pub fn advance<const D: usize>(
         &self,
         p: &TendonParameters,
