@@ -1,25 +1,24 @@
-//! Elastic joints: a spring and a damper between each gear and its link, for scenes whose question needs them.
+//! Elastic joints: a spring and a damper between each gearbox and its link. Optional, for scenes that depend on arm compliance.
 //!
-//! The links move by `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`: d and v deflection of the joints and its rate, q̈ the commanded
-//! acceleration, w the tool's wrench on its base, M the mass matrix of the UR5's links. One step is linearly implicit
-//! Euler, as the manipulator's: `(M + A + h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`.
-//! At rest `d = K⁻¹ Jᵀ w`, and to first order the tool's base has moved by `J K⁻¹ Jᵀ w`.
+//! The links obey `M(q) (v̇ + q̈) + D v + K d = Jᵀ w`, with joint deflection d and its rate v, commanded acceleration q̈, the tool's
+//! wrench w on its base, and the mass matrix M of the UR5's links. One step is linearly implicit Euler, as in the manipulator: `(M + A +
+//! h D + h² K) Δv = h (Jᵀ w - K (d + h v) - D v - M q̈)`, `d += h (v + Δv)`. At rest `d = K⁻¹ Jᵀ w`; to first order the tool's base has
+//! then moved by `J K⁻¹ Jᵀ w`.
 //!
-//! The manipulator's own implicit solve takes the base's motion as given and answers with w in the same tick; the links
-//! see it one tick later. The mass `A = h² Jᵀ Z J` makes that exchange stable: a force that follows a displacement by one
-//! tick with stiffness Z is stable in this scheme if the mass is at least h² Z / 4. Z is what the tool can answer with at
-//! most: its mount (stiffness and damping) and a contact, at its base and at its tip. A vanishes with h² and does not
-//! enter statics.
+//! The manipulator's implicit solve takes the base motion as given and returns w in the same tick; the links see w one tick later. The
+//! added mass `A = h² Jᵀ Z J` keeps that exchange stable: a force that lags a displacement by one tick with stiffness Z is stable in this
+//! scheme if the mass is at least h² Z / 4. Z is the stiffest response possible from the tool: its mount (stiffness and damping) and a
+//! contact, at its base and at its tip. A vanishes with h² and does not affect statics.
 //!
-//! Left out: gravity on the links (the commanded angles are those of the loaded arm), and velocity products, of the order
-//! of 1e-4 of the acceleration terms at the speeds of drilling.
+//! Neglected: gravity on the links (the commanded angles are those of the loaded arm), and velocity products, about 1e-4 of the
+//! acceleration terms at drilling speeds.
 
 use super::kinematics::{Joints, LinkFrames, UrGeometry, stack};
 use super::{Arm, ArmError};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about its axes there.
+/// A link: mass, centre of mass in its Denavit-Hartenberg frame, and inertia about that frame's axes through the centre of mass.
 struct Link {
     mass_kg: f64,
     centre_m: [f64; 3],
@@ -30,8 +29,8 @@ const fn link(mass_kg: f64, centre_m: [f64; 3], inertia_kg_m2: [f64; 3]) -> Link
     Link { mass_kg, centre_m, inertia_kg_m2 }
 }
 
-/// Links 1 to 6 of the UR5: Universal_Robots_ROS2_Description, `config/ur5/physical_parameters.yaml`. Masses and centres
-/// are Universal Robots' own, inertias that file's approximation by cylinders; its axes are turned to ours.
+/// Links 1 to 6 of the UR5, from Universal_Robots_ROS2_Description, `config/ur5/physical_parameters.yaml`. Masses and centres of mass are
+/// Universal Robots' figures; the inertias are that file's cylinder approximations, rotated into the axes used here.
 const UR5_LINKS: [Link; 6] = [
     link(3.7, [0.0, -0.02561, 0.00193], [0.014_972_358, 0.010_406_25, 0.014_972_358]),
     link(8.393, [0.2125, 0.0, 0.11336], [0.015_107_4, 0.133_885_835, 0.133_885_835]),
@@ -48,7 +47,7 @@ pub struct ComplianceParameters {
     pub stiffness_nm_per_rad: Joints,
     /// Damping of each joint, N m s/rad.
     pub damping_nms_per_rad: Joints,
-    /// Most that the tool answers a displacement with: its mount and a contact, N/m.
+    /// Upper bound of the tool's stiffness toward its base: its mount and a contact, N/m.
     pub tool_stiffness_n_per_m: f64,
     /// Damping of the tool's mount, N s/m.
     pub tool_damping_n_s_per_m: f64,
@@ -59,7 +58,7 @@ pub struct ComplianceParameters {
 /// Deflection of the joints and its rate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ComplianceState {
-    /// Deflection, in the sense of the joint angle, rad.
+    /// Deflection, positive in the direction of the joint angle, rad.
     pub deflection_rad: Joints,
     /// Its rate, rad/s.
     pub rate_rad_s: Joints,
@@ -84,10 +83,10 @@ pub struct Compliance {
 }
 
 impl Compliance {
-    /// Joints at rest without deflection.
+    /// Undeflected joints at rest.
     ///
     /// # Errors
-    /// A stiffness that is not positive, or a damping or a figure of the tool that is negative.
+    /// A stiffness is not positive, or a damping or tool parameter is negative.
     pub fn new(parameters: ComplianceParameters) -> Result<Self, ArmError> {
         let check = |name: &'static str, values: &[f64], least: f64| match values
             .iter()
@@ -114,11 +113,11 @@ impl Compliance {
         self.state = *state;
     }
 
-    /// Takes one tick of the arm's length after [`Arm::step`], under the tool's force (N) and torque (N m) on its base,
-    /// about the base's origin, patient axes.
+    /// Advances by one tick of the arm, after [`Arm::step`], under the tool's force (N) and torque (N m) on its base, about the base
+    /// origin, patient axes.
     ///
     /// # Errors
-    /// The mass matrix cannot be factored: the state is not finite.
+    /// The mass matrix cannot be factored because the state is not finite.
     pub fn step(
         &mut self,
         arm: &Arm,
@@ -148,7 +147,7 @@ impl Compliance {
         Ok(self.base(arm))
     }
 
-    /// Motion of the tool's base with the present deflection.
+    /// Motion of the tool's base, including the current deflection.
     pub fn base(&self, arm: &Arm) -> DeflectedBase {
         let frames = self.frames(arm);
         let base = &arm.parameters().t_world_arm_base;
@@ -161,7 +160,7 @@ impl Compliance {
         }
     }
 
-    /// Angles of the links: commanded ones plus deflection.
+    /// Link angles: commanded angles plus deflection.
     fn joints(&self, arm: &Arm) -> Joints {
         std::array::from_fn(|i| arm.state().q_rad[i] + self.state.deflection_rad[i])
     }
@@ -170,7 +169,7 @@ impl Compliance {
         arm.parameters().geometry.frames(&self.joints(arm))
     }
 
-    /// h² Jᵀ Z J: the tool's greatest answer at its base and at its tip.
+    /// h² Jᵀ Z J, for the tool's stiffest response at its base and at its tip.
     fn added_mass(&self, frames: &LinkFrames, jacobian: &Matrix6<f64>, h: f64) -> Matrix6<f64> {
         let p = &self.parameters;
         let mass_kg = h * h * p.tool_stiffness_n_per_m + h * p.tool_damping_n_s_per_m;
@@ -181,7 +180,7 @@ impl Compliance {
     }
 }
 
-/// Mass matrix of the UR5's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. The tool is not in it.
+/// Mass matrix of the UR5's links, kg m²: the sum of `m Jvᵀ Jv + Jωᵀ I Jω`. Excludes the tool.
 pub fn mass_matrix(geometry: &UrGeometry, q_rad: &Joints) -> Matrix6<f64> {
     let frames = UrGeometry { t_flange_tool: None, ..*geometry }.frames(q_rad);
     let mut mass = Matrix6::zeros();

@@ -1,10 +1,10 @@
-//! One tick of the motion that the arm follows: in joints, or along a path.
+//! One tick of the motion in progress: in joint space or along a path.
 
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
 use super::path::{JointsOnPath, Path, PathFollower};
 use super::{Arm, ArmCommand, ArmError, ArmMode, AxisLimits, AxisState, Goal, LinkFrames, Segment};
 
-/// A path is given up where a joint would run at this many times its velocity limit.
+/// The arm abandons a path if a joint would exceed its velocity limit by this factor.
 const PATH_FAULT_FACTOR: f64 = 1.5;
 
 impl Arm {
@@ -88,7 +88,7 @@ impl Arm {
         }
     }
 
-    /// The joints at the path's parameter, unless one of them would jump or run at more than 1.5 times its limit there.
+    /// The joints at the path parameter. An error if one of them would jump or exceed 1.5 times its velocity limit.
     fn next_on_path(&self, path: &Path, parameter: &AxisState<1>) -> Result<JointsOnPath, ArmError> {
         let [fraction] = parameter.position;
         let on_path = self
@@ -108,7 +108,7 @@ impl Arm {
         Ok(on_path)
     }
 
-    /// At rest: starts the path that waited for it, or stays.
+    /// At rest: starts the pending path, or stays at rest.
     pub(super) fn begin(&mut self, next: Option<NextPath>) {
         self.motion = Motion::Rest;
         if let Some(next) = next {
@@ -123,8 +123,8 @@ impl Arm {
         self.state.done = matches!(self.motion, Motion::Rest);
     }
 
-    /// Leaves a motion that cannot be continued: a stop of the joints from velocities and accelerations cut to their limits
-    /// (near a singularity they may be far beyond), and the reason in the state.
+    /// Abandons a motion that cannot continue: stops the joints and puts the reason into the state. The stop starts from velocities and
+    /// accelerations clamped to their limits, which they may far exceed near a singularity.
     pub(super) fn give_up(&mut self, reason: ArmError) {
         self.state.fault = Some(reason);
         self.insertion = None;

@@ -1,52 +1,52 @@
 //! Analytic inverse kinematics of the Universal Robots arms: up to eight branches.
 //!
-//! The geometry is that of Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013):
-//! the shoulder is left or right (2), the wrist up or down (2), the elbow up or down (2).
+//! The derivation follows Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013): shoulder left or right,
+//! wrist up or down, elbow up or down.
 
 use super::kinematics::{Joints, UrGeometry};
 use nalgebra::{Isometry3, Vector3};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use thiserror::Error;
 
-/// Below this `|sin q5|` wrist 3 is undefined: its angle would be decided by rounding.
+/// Below this `|sin q5|` wrist 3 is undefined: rounding would decide its angle.
 const WRIST_SINGULAR_SIN: f64 = 1e-7;
 
-/// A cosine may exceed 1 by this much, from rounding, before a pose counts as out of reach (2e-10 rad² of joint angle).
+/// Rounding may push a cosine this far past 1 before a pose counts as out of reach (2e-10 rad² of joint angle).
 const COSINE_SLACK: f64 = 1e-10;
 
-/// Why a pose of the tool's base has no joint angles.
+/// Why a pose of the tool's base has no inverse kinematics solution.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum KinematicsError {
-    /// A number of the pose is NaN or infinite, or its quaternion is not of length one.
+    /// The pose has a NaN or infinite number, or its quaternion is not of unit length.
     #[error(
         "the pose has a number that is not finite or a quaternion that is not of length 1; send a valid pose"
     )]
     InvalidPose,
-    /// The wrist would be inside the cylinder around the base's axis that the arm cannot reach.
+    /// The wrist would be inside the unreachable cylinder around the base axis.
     #[error(
         "the wrist would be {distance_m} m from the base's axis, the arm needs at least {minimum_m} m; \
          move the goal away from the base's axis or place the base elsewhere"
     )]
     TooCloseToBase {
-        /// Distance of wrist 2 from the base's axis.
+        /// Distance of wrist 2 from the base axis.
         distance_m: f64,
         /// The smallest possible distance (d4).
         minimum_m: f64,
     },
-    /// The wrist would be too far from the shoulder, or too near to it.
+    /// The wrist would be too far from the shoulder, or too close to it.
     #[error(
         "the wrist would be {distance_m} m from the shoulder, the arm reaches {minimum_m} m to {maximum_m} m; \
          move the goal or place the base elsewhere"
     )]
     OutOfReach {
-        /// Distance of wrist 1 from the shoulder in the arm's plane; the closest miss of all branches.
+        /// Distance of wrist 1 from the shoulder in the arm's plane, for the branch that misses by least.
         distance_m: f64,
         /// Folded arm, `||a2| - |a3||`.
         minimum_m: f64,
         /// Stretched arm, `|a2| + |a3|`.
         maximum_m: f64,
     },
-    /// Wrists 1 and 3 turn about the same line: infinitely many solutions.
+    /// Wrists 1 and 3 turn about the same line: there are infinitely many solutions.
     #[error(
         "wrist singularity: |sin q5| = {sin_q5}, at least {minimum} is needed to tell wrist 1 from wrist 3; \
          tilt the goal or use a joint command"
@@ -57,35 +57,34 @@ pub enum KinematicsError {
         /// The smallest accepted value.
         minimum: f64,
     },
-    /// Every branch breaks a joint limit.
+    /// Every branch violates a joint limit.
     #[error(
         "all {branches} solutions of the pose lie outside the joint limits; move the goal or place the base elsewhere"
     )]
     OutsideJointLimits {
-        /// Number of solutions that were tried.
+        /// Number of solutions tried.
         branches: usize,
     },
 }
 
-/// The solutions of one pose, each joint in (-2 pi, 2 pi).
+/// The solutions for one pose, each joint in (-2 pi, 2 pi).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InverseSolutions {
     q_rad: [Joints; 8],
     count: usize,
-    /// Shoulder angle and |sin q5| of a shoulder branch that has no solution because its wrist is singular.
+    /// Shoulder angle and |sin q5| of a shoulder branch without solution because of its singular wrist.
     wrist_singular: Option<(f64, f64)>,
 }
 
 impl InverseSolutions {
-    /// The solutions, in the fixed order of the branches (shoulder, wrist, elbow).
+    /// The solutions in fixed branch order (shoulder, wrist, elbow).
     pub fn as_slice(&self) -> &[Joints] {
         &self.q_rad[..self.count]
     }
 }
 
 impl UrGeometry {
-    /// All solutions (2 to 8) for the tool's base at `t_base_tool`, analytically. A shoulder branch in which the wrist is
-    /// singular is left out.
+    /// All analytic solutions (2 to 8) for the tool's base at `t_base_tool`. Omits a shoulder branch whose wrist is singular.
     pub fn inverse(&self, t_base_tool: &Isometry3<f64>) -> Result<InverseSolutions, KinematicsError> {
         check_pose(t_base_tool)?;
         let t_base_flange = match &self.t_flange_tool {
@@ -114,9 +113,9 @@ impl UrGeometry {
         }
     }
 
-    /// The solution nearest to `q_reference_rad` (least sum of squared joint differences, in radians) within the limits;
-    /// every joint is unwrapped by whole turns towards the reference. Refused as singular where the wrist is singular in
-    /// the shoulder branch that is nearer to the reference: the other shoulder's solutions would be a flip of the arm.
+    /// The solution within the limits that is nearest to `q_reference_rad` (least sum of squared joint differences, in radians). Unwraps
+    /// every joint by whole turns toward the reference. Refuses the pose as singular if the wrist is singular in the shoulder branch
+    /// nearer to the reference, because the other shoulder's solutions would flip the arm.
     pub fn inverse_nearest(
         &self,
         t_base_tool: &Isometry3<f64>,
@@ -153,7 +152,7 @@ impl UrGeometry {
         miss: &mut ClosestMiss,
     ) {
         let (sin1, cos1) = libm::sincos(q1);
-        // The shoulder's axis seen from the flange is (sin q5 cos q6, -sin q5 sin q6, cos q5).
+        // The shoulder axis in the flange frame is (sin q5 cos q6, -sin q5 sin q6, cos q5).
         let shoulder_axis = Vector3::new(sin1, -cos1, 0.0);
         let (along_x, along_y, along_z) =
             (shoulder_axis.dot(&flange.x), shoulder_axis.dot(&flange.y), shoulder_axis.dot(&flange.z));
@@ -176,7 +175,7 @@ impl UrGeometry {
         }
     }
 
-    /// The two elbow branches of one wrist branch: the planar two-link arm to `plane` (m, shoulder at the origin).
+    /// The two elbow branches of one wrist branch: planar two-link inverse kinematics for `plane` (m, shoulder at the origin).
     fn solve_elbow(
         &self,
         plane: [f64; 2],
@@ -203,7 +202,7 @@ impl UrGeometry {
     }
 }
 
-/// The flange's axes and the centre of wrist 2-3, in the base frame.
+/// The flange's axes and the intersection of wrist axes 2 and 3, in the base frame.
 struct FlangeAxes {
     x: Vector3<f64>,
     y: Vector3<f64>,
@@ -241,7 +240,7 @@ impl ClosestMiss {
     }
 }
 
-/// Refuses a pose with a number that is not finite or a quaternion whose length is off by more than 1e-6.
+/// Refuses a pose with a non-finite number or a quaternion whose length is off by more than 1e-6.
 pub(super) fn check_pose(pose: &Isometry3<f64>) -> Result<(), KinematicsError> {
     let finite = pose.translation.vector.iter().chain(pose.rotation.coords.iter()).all(|x| x.is_finite());
     if finite && (pose.rotation.coords.norm() - 1.0).abs() < 1e-6 {
@@ -251,7 +250,7 @@ pub(super) fn check_pose(pose: &Isometry3<f64>) -> Result<(), KinematicsError> {
     }
 }
 
-/// `q` plus whole turns, each joint as near to the reference as its limits allow; `None` if a joint has no such angle.
+/// `q` plus whole turns, each joint as close to the reference as its limits allow; `None` if a joint has no such angle.
 fn unwrap_towards(q: &Joints, reference: &Joints, lower: &Joints, upper: &Joints) -> Option<Joints> {
     let mut unwrapped = *q;
     for i in 0..6 {

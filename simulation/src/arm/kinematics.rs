@@ -1,19 +1,19 @@
 //! Forward and differential kinematics of the Universal Robots six-joint arms (UR3, UR5, UR10: one geometry).
 //!
-//! Standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`, frame 0 the arm's base,
-//! frame 6 the flange. The twists alpha are 90, 0, 0, 90, -90, 0 degrees; their sines and cosines are written as exact
-//! 0 and ±1, so that no rounding of pi/2 enters a pose.
+//! Standard Denavit-Hartenberg convention: `T_{i-1,i} = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frame 0 is the arm's base, frame 6 the
+//! flange. The twists alpha are 90, 0, 0, 90, -90, 0 degrees. Their sines and cosines are exact 0 and ±1 in the code, so no rounding of
+//! pi/2 enters a pose.
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
-/// Six values, one a joint, from the base to the wrist.
+/// Six values, one per joint, from base to wrist.
 pub type Joints = [f64; 6];
 
 /// Cosine and sine of the link twists alpha_1..alpha_6 (90, 0, 0, 90, -90, 0 degrees).
 const TWIST_COS_SIN: [(f64, f64); 6] =
     [(0.0, 1.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 0.0)];
 
-/// Lengths of a Universal Robots arm, standard Denavit-Hartenberg; the others are zero.
+/// Denavit-Hartenberg lengths of a Universal Robots arm (standard convention); all others are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UrGeometry {
     /// Height of the shoulder above the base (d1).
@@ -28,7 +28,7 @@ pub struct UrGeometry {
     pub d5_m: f64,
     /// Wrist 2 to the flange (d6).
     pub d6_m: f64,
-    /// Where the tool's base sits on the flange; `None`: in the flange's frame.
+    /// T_flange_tool: pose of the tool's base on the flange; `None` means identity.
     pub t_flange_tool: Option<Isometry3<f64>>,
 }
 
@@ -46,7 +46,7 @@ impl UrGeometry {
         }
     }
 
-    /// All link frames at the joint angles `q_rad`, the last one moved to the tool's base.
+    /// All link frames at joint angles `q_rad`; the last one is the tool's base.
     pub fn frames(&self, q_rad: &Joints) -> LinkFrames {
         let d = [self.d1_m, 0.0, 0.0, self.d4_m, self.d5_m, self.d6_m];
         let a = [0.0, self.a2_m, self.a3_m, 0.0, 0.0, 0.0];
@@ -71,15 +71,14 @@ impl UrGeometry {
         LinkFrames { rotation, origin_m }
     }
 
-    /// Pose of the tool's base in the arm's base frame, `T_base_tool`; without a tool transform that of the flange.
+    /// `T_base_tool`: pose of the tool's base in the arm's base frame; without a tool transform, of the flange.
     pub fn forward(&self, q_rad: &Joints) -> Isometry3<f64> {
         self.frames(q_rad).t_base_link(6)
     }
 
-    /// Three factors of the Jacobian's determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign:
-    /// `[sin q3, sin q5, a2 cos q2 + a3 cos q23 + d5 sin q234 (m)]`. A factor that is zero is a singularity, and the sign
-    /// of each is constant within one of the eight branches of the inverse.
-    /// (Determinant written out from the Denavit-Hartenberg chain; the tests compare it with the numeric one.)
+    /// The three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign: `[sin q3, sin q5, a2 cos q2
+    /// + a3 cos q23 + d5 sin q234 (m)]`. The arm is singular where a factor is zero, and the sign of each factor is constant within each
+    /// of the eight inverse branches. (Derived from the Denavit-Hartenberg chain; the tests compare it with the numeric determinant.)
     pub fn singularity_factors(&self, q_rad: &Joints) -> SingularityFactors {
         let q23 = q_rad[1] + q_rad[2];
         let shoulder_m = self.a2_m * libm::cos(q_rad[1])
@@ -98,11 +97,11 @@ impl UrGeometry {
 /// The factors of `det J`: see [`UrGeometry::singularity_factors`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingularityFactors {
-    /// sin q3: zero when the arm is stretched or folded.
+    /// sin q3: zero with the arm fully stretched or folded.
     pub elbow: f64,
-    /// sin q5: zero when the axes of wrists 1 and 3 are parallel.
+    /// sin q5: zero with the axes of wrists 1 and 3 parallel.
     pub wrist: f64,
-    /// Distance of the wrist from the base's axis, within the arm's plane: zero when it is above the base.
+    /// Distance of the wrist from the base axis in the arm's plane: zero with the wrist above the base.
     pub shoulder_m: f64,
 }
 
@@ -116,7 +115,7 @@ pub struct LinkFrames {
 }
 
 impl LinkFrames {
-    /// `T_base_link` of frame `index` (0 = base, 6 = tool's base); the tool's base for any larger index.
+    /// `T_base_link` of frame `index` (0 = base, 6 = tool's base); any larger index returns the tool's base.
     pub fn t_base_link(&self, index: usize) -> Isometry3<f64> {
         let i = index.min(6);
         let rotation =
@@ -129,8 +128,8 @@ impl LinkFrames {
         self.rotation[i].column(2).into_owned()
     }
 
-    /// Geometric Jacobian of the tool's base: rows 0..3 the linear velocity of its origin (m/rad), rows 3..6 the angular
-    /// velocity (rad/rad), both along the base frame's axes.
+    /// Geometric Jacobian of the tool's base, in base axes: rows 0..3 linear velocity of its origin (m/rad), rows 3..6 angular velocity
+    /// (rad/rad).
     pub fn jacobian(&self) -> Matrix6<f64> {
         let mut jacobian = Matrix6::zeros();
         for i in 0..6 {
@@ -143,8 +142,8 @@ impl LinkFrames {
         jacobian
     }
 
-    /// `J̇ q̇`: the tool base's spatial acceleration at joint velocities `qd_rad_s` when all joint accelerations are zero
-    /// (linear m/s², angular rad/s², base axes). Propagated link by link.
+    /// `J̇ q̇`: the tool base's acceleration at joint velocities `qd_rad_s` and zero joint acceleration (linear m/s², angular rad/s²,
+    /// base axes), propagated link by link.
     pub fn bias_acceleration(&self, qd_rad_s: &Joints) -> Vector6<f64> {
         let mut angular = Vector3::zeros();
         let mut angular_acceleration = Vector3::zeros();
@@ -160,12 +159,12 @@ impl LinkFrames {
     }
 }
 
-/// A linear and an angular part as one six-vector, linear first.
+/// Stacks a linear and an angular part into a six-vector, linear part first.
 pub(super) fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f64> {
     Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
 }
 
-/// Joint rates that give the tool's base the spatial velocity `twist` (base axes); `None` where the Jacobian is singular.
+/// Joint rates that give the tool's base the velocity `twist` (linear first, base axes); `None` if the Jacobian is singular.
 pub(super) fn solve_rates(jacobian: &Matrix6<f64>, twist: &Vector6<f64>) -> Option<Joints> {
     let rates = jacobian.lu().solve(twist)?;
     rates.iter().all(|x| x.is_finite()).then(|| rates.into())

@@ -1,13 +1,13 @@
 //! The arm that carries the tool: UR5 kinematics and jerk-limited motion, one tick at a time.
 //!
-//! An [`Arm`] is given [`ArmCommand`]s and stepped. After each tick its [`ArmState`] has the joints and the tool base's
-//! pose, velocity and acceleration in the patient frame; the velocity is the exact derivative of the pose's path (J q̇).
-//! The tool's base is the flange's frame moved by [`UrGeometry::t_flange_tool`]; every pose of a command is one of it.
-//! The arm follows its trajectory exactly: no drive dynamics. [`Compliance`] adds the deflection of its joints.
+//! An [`Arm`] takes [`ArmCommand`]s and steps. After each tick its [`ArmState`] holds the joints and the tool base's pose, velocity and
+//! acceleration in the patient frame; the velocity is the exact derivative of the pose (J q̇). The tool's base is the flange frame times
+//! [`UrGeometry::t_flange_tool`]; every commanded pose refers to it. The arm follows its trajectory exactly: there are no drive dynamics.
+//! [`Compliance`] adds joint deflection.
 //!
-//! The numeric core is pure: the state after n ticks is a function of the parameters, the commands and the ticks they
-//! came at. A motion is stored as its start, goal and age, never as an accumulated state, so errors do not grow with time
-//! and a snapshot continues bit for bit.
+//! The numeric core is pure: the state after n ticks is a function of the parameters and of the commands with their ticks. A motion is
+//! stored as its start, goal and age, never as an accumulated state, so errors do not grow over time and a snapshot continues bit for
+//! bit.
 
 mod compliance;
 mod following;
@@ -36,7 +36,7 @@ use path::PathSpeed;
 use planning::{Aim, Insertion, PathGoal, check_speed};
 use serde::{Deserialize, Serialize};
 
-/// All of an arm's state, as plain data: see [`Arm::snapshot`].
+/// The complete state of an arm as plain data: see [`Arm::snapshot`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArmSnapshot {
     motion: Motion,
@@ -47,7 +47,7 @@ pub struct ArmSnapshot {
 
 /// A UR arm that moves within velocity, acceleration and jerk limits.
 ///
-/// Not `Send`: Ruckig's objects stay on the thread that made them. Send an [`ArmSnapshot`] instead.
+/// Not `Send`: Ruckig's objects stay on the thread that created them. Send an [`ArmSnapshot`] instead.
 pub struct Arm {
     parameters: ArmParameters,
     joint_planner: Planner<6>,
@@ -88,12 +88,12 @@ impl Arm {
         Ok(arm)
     }
 
-    /// What the arm was built with.
+    /// The parameters that the arm was built from.
     pub fn parameters(&self) -> &ArmParameters {
         &self.parameters
     }
 
-    /// The arm after the last tick.
+    /// The state after the last tick.
     pub fn state(&self) -> &ArmState {
         &self.state
     }
@@ -106,8 +106,7 @@ impl Arm {
         }
     }
 
-    /// Geometric Jacobian at the current joint angles: rows linear velocity of the tool base's origin, angular velocity;
-    /// world axes.
+    /// Geometric Jacobian at the current joint angles, world axes: rows linear velocity of the tool base's origin, then angular velocity.
     pub fn jacobian(&self) -> nalgebra::Matrix6<f64> {
         let mut jacobian = self.parameters.geometry.frames(&self.state.q_rad).jacobian();
         let turn = self.parameters.t_world_arm_base.rotation;
@@ -120,8 +119,8 @@ impl Arm {
         jacobian
     }
 
-    /// Gives the arm a command, to be followed from the next tick on. A refused one leaves the motion as it was; one that
-    /// equals the last accepted one does nothing.
+    /// Commands the arm, effective from the next tick. A refused command leaves the motion unchanged; a repeat of the last accepted
+    /// command has no effect.
     pub fn command(&mut self, command: ArmCommand) -> Result<(), ArmError> {
         if command == self.last_command {
             return Ok(());
@@ -140,7 +139,7 @@ impl Arm {
                 ArmMode::ServoJv
             }
             ArmCommand::MoveJp { q_rad, speed_fraction } => {
-                // In proportion only from rest: a synchronised profile from motion could swing beyond a joint's range.
+                // Synchronise the joints only from rest: a synchronised profile from motion could overshoot a joint's range.
                 let from_rest = matches!(self.motion, Motion::Rest);
                 let goal = if from_rest { Goal::StraightLine(q_rad) } else { Goal::Independent(q_rad) };
                 self.go_to_joints(goal, &q_rad, speed_fraction)?;
@@ -194,7 +193,7 @@ impl Arm {
         Ok(())
     }
 
-    /// Takes one tick.
+    /// Advances by one tick.
     pub fn step(&mut self) -> &ArmState {
         match self.motion {
             Motion::Rest => {}
@@ -204,7 +203,7 @@ impl Arm {
         &self.state
     }
 
-    /// The whole state, motion in progress included.
+    /// The complete state, including the motion in progress.
     pub fn snapshot(&self) -> ArmSnapshot {
         ArmSnapshot {
             motion: self.motion,
@@ -214,7 +213,7 @@ impl Arm {
         }
     }
 
-    /// Continues from `snapshot`, bit for bit, on an arm of the same parameters.
+    /// Continues from `snapshot`, bit for bit, on an arm with the same parameters.
     pub fn restore(&mut self, snapshot: &ArmSnapshot) -> Result<(), ArmError> {
         match &snapshot.motion {
             Motion::Rest => {}
@@ -240,8 +239,8 @@ mod tests {
     use super::path::Path;
     use super::*;
 
-    /// A line that leaves the arm's reach, forced past the check that refuses it: the arm brakes within its acceleration
-    /// limit, stands, and says why.
+    /// A line that leaves the workspace and bypasses the check that would refuse it: the arm brakes within its acceleration limit, stops,
+    /// and reports why.
     #[test]
     fn a_line_that_breaks_on_the_way_ends_in_a_stop_and_a_fault() {
         let parameters = ArmParameters::ur5(1e-3);

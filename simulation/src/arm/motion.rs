@@ -1,4 +1,4 @@
-//! The motion in progress as plain data: with a tick count, all that a snapshot needs to continue bit for bit.
+//! The motion in progress as plain data. Together with the tick count, a snapshot needs nothing else to continue bit for bit.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,26 +8,26 @@ use super::trajectory::{AxisLimits, Segment};
 /// What the arm is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Motion {
-    /// Standing still.
+    /// At rest.
     Rest,
     /// The joints follow a jerk-limited segment.
     Joint(JointMotion),
-    /// The tool's base follows a path, its parameter a jerk-limited segment.
+    /// The tool's base follows a path whose parameter is a jerk-limited segment.
     Path(PathMotion),
 }
 
-/// A segment of the six joints.
+/// A joint-space segment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct JointMotion {
     pub(super) segment: Segment<6>,
     pub(super) duration_s: f64,
     /// Ticks since the segment's start.
     pub(super) tick: u64,
-    /// A path that begins at this segment's end.
+    /// A path to start at the end of this segment.
     pub(super) next: Option<NextPath>,
 }
 
-/// A segment of a path's parameter.
+/// A segment of the path parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct PathMotion {
     pub(super) path: Path,
@@ -35,11 +35,11 @@ pub(super) struct PathMotion {
     pub(super) duration_s: f64,
     /// Ticks since the segment's start.
     pub(super) tick: u64,
-    /// A path that begins at this segment's end.
+    /// A path to start at the end of this segment.
     pub(super) next: Option<NextPath>,
 }
 
-/// A path that waits for the arm to stand still at its start.
+/// A pending path: it starts once the arm is at rest at the path's start.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct NextPath {
     pub(super) path: Path,

@@ -1,4 +1,4 @@
-//! What an arm is made of, what it can be told, and why it may refuse.
+//! Arm parameters, commands and errors.
 
 use super::inverse::{KinematicsError, check_pose};
 use super::kinematics::{Joints, UrGeometry};
@@ -8,44 +8,44 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use thiserror::Error;
 
-/// Joint angles, velocities, accelerations and jerks that the arm keeps to.
+/// Joint limits: position, velocity, acceleration and jerk.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointLimits {
-    /// Least joint angle.
+    /// Minimum joint angle.
     pub lower_rad: Joints,
-    /// Greatest joint angle.
+    /// Maximum joint angle.
     pub upper_rad: Joints,
-    /// Greatest absolute joint velocity.
+    /// Maximum absolute joint velocity.
     pub velocity_rad_s: Joints,
-    /// Greatest absolute joint acceleration.
+    /// Maximum absolute joint acceleration.
     pub acceleration_rad_s2: Joints,
-    /// Greatest absolute joint jerk.
+    /// Maximum absolute joint jerk.
     pub jerk_rad_s3: Joints,
 }
 
 /// Limits of the tool's base on a path (`move_cp`, `insert`, `rcm`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CartesianLimits {
-    /// Greatest speed of its origin.
+    /// Maximum speed of its origin.
     pub speed_m_s: f64,
-    /// Greatest acceleration of its origin.
+    /// Maximum acceleration of its origin.
     pub acceleration_m_s2: f64,
-    /// Greatest jerk of its origin.
+    /// Maximum jerk of its origin.
     pub jerk_m_s3: f64,
-    /// Greatest turning rate.
+    /// Maximum angular speed.
     pub angular_speed_rad_s: f64,
-    /// Greatest angular acceleration.
+    /// Maximum angular acceleration.
     pub angular_acceleration_rad_s2: f64,
-    /// Greatest angular jerk.
+    /// Maximum angular jerk.
     pub angular_jerk_rad_s3: f64,
 }
 
-/// Everything that fixes an arm.
+/// Complete definition of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmParameters {
     /// Link lengths.
     pub geometry: UrGeometry,
-    /// Where the arm's base (Denavit-Hartenberg frame 0) stands in the patient frame.
+    /// T_world_arm_base: pose of the arm's base (Denavit-Hartenberg frame 0) in the patient frame.
     pub t_world_arm_base: Isometry3<f64>,
     /// Limits of the joints.
     pub joint_limits: JointLimits,
@@ -56,9 +56,9 @@ pub struct ArmParameters {
 }
 
 impl ArmParameters {
-    /// A UR5 at the world's origin. Angles ±360° (elbow ±180°) and 180°/s are Universal Robots' figures
-    /// (Universal_Robots_ROS2_Description, `config/ur5/joint_limits.yaml`); accelerations and jerks are not published:
-    /// 5 rad/s² and 50 rad/s³ here, reached in 0.1 s. The limits on a path are those of a careful insertion.
+    /// A UR5 at the world origin. Position limits ±360° (elbow ±180°) and 180°/s are Universal Robots' figures
+    /// (Universal_Robots_ROS2_Description, `config/ur5/joint_limits.yaml`). Acceleration and jerk limits are not published; 5 rad/s² and
+    /// 50 rad/s³ are used here, which reaches full acceleration in 0.1 s. The path limits suit a careful insertion.
     pub fn ur5(dt_s: f64) -> Self {
         let range_rad = [TAU, TAU, PI, TAU, TAU, TAU];
         Self {
@@ -127,10 +127,10 @@ impl ArmParameters {
 /// A comfortable configuration: far from every singularity and limit (manipulability 0.093 m³ for the UR5).
 pub const COMFORTABLE_Q_RAD: Joints = [0.0, -1.2, 1.8, -2.2, -FRAC_PI_2, 0.0];
 
-/// Stands the arm where it holds the tool's base at `t_world_tool` with the joint angles `q_rad`: `T_world_arm_base`.
+/// `T_world_arm_base` that puts the tool's base at `t_world_tool` with the joint angles `q_rad`.
 ///
-/// The base takes whatever orientation that needs: an arm on a cart, a wall or a ceiling. In the comfortable
-/// configuration the tool then moves 100 mm and more in every direction (tested).
+/// The arm's base takes whatever orientation that needs, as on a cart, a wall or a ceiling. In the comfortable configuration the tool can
+/// then move at least 100 mm in every direction (tested).
 pub fn place_base_for(
     geometry: &UrGeometry,
     t_world_tool: &Isometry3<f64>,
@@ -139,82 +139,82 @@ pub fn place_base_for(
     t_world_tool * geometry.forward(q_rad).inverse()
 }
 
-/// What the arm can be told, named after CRTK. `speed_fraction` in (0, 1] scales the joints' velocity limits.
+/// Arm commands, named after CRTK. `speed_fraction` in (0, 1] scales the joint velocity limits.
 ///
-/// A command equal to the last accepted one changes nothing, so a latched command may be given again every tick.
+/// A command equal to the last accepted one changes nothing, so a latched command may be repeated every tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ArmCommand {
-    /// Stop as soon as the jerk limits allow (on the path, if on one) and stay.
+    /// Stop as fast as the jerk limits allow (along the path, if on one) and stay.
     Hold,
-    /// Follow a joint target that may change every tick; each joint as early as its limits allow.
+    /// Follow a joint target that may change every tick; each joint moves in minimum time within its limits.
     ServoJp {
         /// Target angles.
         q_rad: Joints,
-        /// Share of the joints' velocity limits.
+        /// Fraction of the joint velocity limits.
         speed_fraction: f64,
     },
-    /// Turn the joints at these rates until told otherwise; a joint whose range ends stops there and the others go on.
+    /// Move the joints at these rates until the next command. A joint that reaches the end of its range stops there; the others continue.
     ServoJv {
         /// Target rates.
         qd_rad_s: Joints,
     },
-    /// Go to a joint goal and stay; from rest, all joints in proportion.
+    /// Move to a joint goal and stay; from rest, with all joints synchronised.
     MoveJp {
         /// Goal angles.
         q_rad: Joints,
-        /// Share of the joints' velocity limits.
+        /// Fraction of the joint velocity limits.
         speed_fraction: f64,
     },
-    /// Follow a target of the tool's base through the joints: the nearest solution of the inverse kinematics.
+    /// Follow a Cartesian target in joint space, by the nearest inverse kinematics solution.
     ServoCp {
-        /// Target of the tool's base in the patient frame.
+        /// Target pose of the tool's base in the patient frame.
         t_world_tool: Isometry3<f64>,
-        /// Share of the joints' velocity limits.
+        /// Fraction of the joint velocity limits.
         speed_fraction: f64,
     },
-    /// Move the tool's base on a straight line with a turn about a fixed axis. From motion, the arm stops first, except
-    /// along the line it is already on: then goal and speed change smoothly.
+    /// Move the tool's base along a straight line while turning about a fixed axis. An arm in motion stops first, unless the goal is on
+    /// the line it is already following: then goal and speed change smoothly.
     MoveCp {
-        /// Goal of the tool's base in the patient frame.
+        /// Goal pose of the tool's base in the patient frame.
         t_world_tool: Isometry3<f64>,
-        /// Speed of its origin, up to the arm's limit, which `None` stands for.
+        /// Speed of its origin, at most the arm's limit; `None` for the limit.
         max_speed_m_s: Option<f64>,
-        /// Turning rate, up to the arm's limit, which `None` stands for.
+        /// Angular speed, at most the arm's limit; `None` for the limit.
         max_angular_speed_rad_s: Option<f64>,
     },
-    /// Insert: move the tool's base along an axis without turning it. The depth counts from where the tool stood when the
-    /// insertion along this axis began; a later `Insert` along the same axis changes depth and feed on the same line, and
-    /// a `Hold` between them does not end it. From another motion, the arm stops first.
+    /// Insert: move the tool's base along an axis without rotation. Depth is measured from the tool's position when the insertion along
+    /// this axis began. A later `Insert` along the same axis changes depth and feed on the same line, and a `Hold` in between does not
+    /// end the insertion. An arm in any other motion stops first.
     Insert {
         /// Unit vector in the patient frame.
         axis_world: Vector3<f64>,
-        /// Depth to go to, ±0.5 m.
+        /// Goal depth, ±0.5 m.
         depth_m: f64,
-        /// Speed, above 0, up to the arm's limit.
+        /// Speed, greater than 0, at most the arm's limit.
         feed_m_s: f64,
     },
-    /// Move to a pose about a remote centre of motion: the tool's axis (its +z) goes through the pivot all the way. At the
-    /// start and at the goal it must do so within 1 µm. From motion, the arm stops first.
+    /// Move to a pose about a remote centre of motion: the tool axis (its +z) passes through the pivot throughout. At start and goal it
+    /// must do so within 1 µm. An arm in motion stops first.
     Rcm {
-        /// Goal of the tool's base in the patient frame.
+        /// Goal pose of the tool's base in the patient frame.
         t_world_tool: Isometry3<f64>,
         /// The pivot in the patient frame.
         pivot_world_m: Vector3<f64>,
-        /// Speed of the tool base's origin, up to the arm's limit, which `None` stands for.
+        /// Speed of the tool base's origin, at most the arm's limit; `None` for the limit.
         max_speed_m_s: Option<f64>,
     },
 }
 
-/// Why an arm cannot be built or a command is refused. A refused command leaves the motion as it was.
+/// Why an arm cannot be built or refused a command. A refused command leaves the motion unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ArmError {
-    /// The base's pose is not a pose.
+    /// The base pose is invalid.
     #[error("t_world_arm_base: {0}")]
     BasePose(KinematicsError),
-    /// A limit, a length or the tick is not a positive number.
+    /// A limit, a length or the tick is not a positive finite number.
     #[error("arm parameter {name} is {given}, a positive finite number is needed")]
     InvalidParameter {
-        /// Name of the parameter (its linear or its angular value).
+        /// Name of the parameter (its linear or angular part).
         name: &'static str,
         /// The value.
         given: f64,
@@ -252,7 +252,7 @@ pub enum ArmError {
         name: &'static str,
         /// Given value.
         given: f64,
-        /// Greatest accepted value.
+        /// Maximum accepted value.
         maximum: f64,
     },
     /// A joint rate is NaN or above its limit.
@@ -264,7 +264,7 @@ pub enum ArmError {
         joint: usize,
         /// Given rate.
         given_rad_s: f64,
-        /// Greatest rate.
+        /// Maximum rate.
         maximum_rad_s: f64,
     },
     /// A joint would leave its range before it can stop.
@@ -288,10 +288,10 @@ pub enum ArmError {
         axis_length: f64,
         /// Depth.
         depth_m: f64,
-        /// Greatest depth.
+        /// Maximum depth.
         maximum_m: f64,
     },
-    /// The tool's axis does not go through the pivot.
+    /// The tool axis misses the pivot.
     #[error(
         "at the {end} the tool's axis misses the pivot by {missed_m} m, allowed is {allowed_m} m; \
          align the tool with move_cp first, and send a goal whose +z axis goes through the pivot"
@@ -301,37 +301,37 @@ pub enum ArmError {
         end: &'static str,
         /// Distance of the pivot from the axis.
         missed_m: f64,
-        /// Greatest allowed distance.
+        /// Maximum allowed distance.
         allowed_m: f64,
     },
-    /// The goal pose has no joint angles.
+    /// The goal pose has no inverse kinematics solution.
     #[error("goal of the tool's base: {0}")]
     Goal(KinematicsError),
-    /// The path has a pose without joint angles.
+    /// A pose on the path has no inverse kinematics solution.
     #[error("at {fraction} of the path: {reason}")]
     PathUnreachable {
-        /// Share of the path, 0 to 1.
+        /// Fraction of the path, 0 to 1.
         fraction: f64,
         /// Why.
         reason: KinematicsError,
     },
-    /// The path passes a singularity, or so close to one that the joints would swing.
+    /// The path passes through a singularity, or so close to one that the joints would jump.
     #[error(
         "at {fraction} of the path the arm passes a singularity (manipulability {manipulability_m3} m³); \
          choose another path, go there by joints, or place the base elsewhere"
     )]
     PathSingular {
-        /// Share of the path, 0 to 1.
+        /// Fraction of the path, 0 to 1.
         fraction: f64,
         /// |det J| there.
         manipulability_m3: f64,
     },
-    /// The elastic joints' operator is not positive definite: a state that is not finite.
+    /// The elastic joints' operator is not positive definite because the state is not finite.
     #[error(
         "the elastic joints cannot be stepped: their state is not finite; make joints or tool softer, or dt shorter"
     )]
     ComplianceFailed,
-    /// No jerk-limited trajectory.
+    /// Ruckig found no jerk-limited trajectory.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),
 }

@@ -1,5 +1,5 @@
-//! Paths of the tool's base (a straight line, a turn about a pivot), and the limits of the path parameter that keep tool
-//! and joints within theirs.
+//! Cartesian paths of the tool's base (a straight line, a rotation about a pivot), and limits on the path parameter that keep the tool
+//! and the joints within their own limits.
 
 use super::inverse::KinematicsError;
 use super::kinematics::{Joints, LinkFrames, UrGeometry, solve_rates, stack};
@@ -8,27 +8,27 @@ use super::trajectory::AxisLimits;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
-/// Intervals in which a path is looked at before it is accepted.
+/// Number of intervals at which a path is checked before it is accepted.
 const PATH_INTERVALS: usize = 32;
 /// A path on which |det J| falls below this is refused as singular (UR5: typically 0.05 to 0.1 m³).
 const LEAST_MANIPULABILITY_M3: f64 = 1e-4;
-/// Joint angles at the next sample may differ by this from their trapezoidal prediction before the path counts as singular.
+/// The path counts as singular if the joint angles at the next sample differ by more than this from their trapezoidal prediction.
 const PREDICTION_TOLERANCE_RAD: f64 = 0.05;
-/// A goal this near to the extended line lies on it: 1e-9 m and 1e-9 rad, a thousandth of the promised micrometre.
+/// Tolerance for a goal to be on the extended line: 1e-9 m and 1e-9 rad, a thousandth of the promised micrometre.
 const SAME_LINE_TOLERANCE: f64 = 1e-9;
-/// Ceilings of the path parameter's rates (1/s, 1/s², 1/s³), so that a path of almost no length stays well-scaled.
+/// Upper limits of the path parameter's rates (1/s, 1/s², 1/s³), which keep very short paths well-scaled.
 const PARAMETER_CEILING: [f64; 3] = [1e4, 1e6, 1e8];
 
-/// How the tool's base goes along a path.
+/// Shape of a path.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 enum Course {
-    /// Its origin on a straight line.
+    /// The origin moves along a straight line.
     Straight { translation_m: Vector3<f64> },
-    /// A point of the tool stays at `pivot_m`; in the tool's frame it is first at `in_tool_m` and shifts by `shift_m`.
+    /// A point of the tool stays at `pivot_m`. In the tool's frame, this point starts at `in_tool_m` and moves by `shift_m`.
     Pivot { pivot_m: Vector3<f64>, in_tool_m: Vector3<f64>, shift_m: Vector3<f64> },
 }
 
-/// A translation and a turn about a fixed axis, in proportion to one parameter: 0 at the start, 1 at the goal. Base frame.
+/// A translation and a rotation about a fixed axis, both proportional to one parameter: 0 at the start, 1 at the goal. Base frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Path {
     start: Isometry3<f64>,
@@ -36,25 +36,25 @@ pub(super) struct Path {
     course: Course,
 }
 
-/// The greatest speed of the tool's base on a path.
+/// Maximum speed of the tool's base on a path.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathSpeed {
-    /// Of its origin, m/s.
+    /// Of the origin, m/s.
     pub(super) linear_m_s: f64,
-    /// Of its turn, rad/s.
+    /// Of the rotation, rad/s.
     pub(super) angular_rad_s: f64,
 }
 
 impl Path {
-    /// From `start` straight to `goal`, by the shorter turn.
+    /// Straight from `start` to `goal`, with the shorter rotation.
     pub(super) fn straight(start: &Isometry3<f64>, goal: &Isometry3<f64>) -> Self {
         let turn = goal.rotation * start.rotation.inverse();
         let translation_m = goal.translation.vector - start.translation.vector;
         Self { start: *start, rotation_rad: turn.scaled_axis(), course: Course::Straight { translation_m } }
     }
 
-    /// From `start` to `goal` about a pivot that the tool slides through. The pivot's place in the tool's frame goes in
-    /// proportion from that at the start to that at the goal.
+    /// From `start` to `goal` about a pivot through which the tool slides. The pivot's position in the tool frame is interpolated
+    /// linearly between start and goal.
     pub(super) fn about(start: &Isometry3<f64>, goal: &Isometry3<f64>, pivot_m: &Vector3<f64>) -> Self {
         let pivot = Point3::from(*pivot_m);
         let in_tool_m = start.inverse_transform_point(&pivot).coords;
@@ -64,7 +64,7 @@ impl Path {
         Self { start: *start, rotation_rad: turn.scaled_axis(), course }
     }
 
-    /// The tool base's pose at `parameter`, also beyond [0, 1].
+    /// The tool base's pose at `parameter`, which may lie outside [0, 1].
     pub(super) fn pose(&self, parameter: f64) -> Isometry3<f64> {
         let turn = UnitQuaternion::from_scaled_axis(self.rotation_rad * parameter);
         let rotation = turn * self.start.rotation;
@@ -77,7 +77,7 @@ impl Path {
         Isometry3::from_parts(Translation3::from(position), rotation)
     }
 
-    /// First and second derivative of the pose by the parameter (linear m, angular rad; base axes).
+    /// First and second derivative of the pose with respect to the parameter (linear m, angular rad; base axes).
     fn derivatives(&self, parameter: f64, pose: &Isometry3<f64>) -> (Vector6<f64>, Vector6<f64>) {
         let w = &self.rotation_rad;
         match &self.course {
@@ -92,7 +92,7 @@ impl Path {
         }
     }
 
-    /// The parameter at which this line, extended, passes `goal`; `None` if it does not, or is not straight.
+    /// The parameter at which this line, extended, reaches `goal`; `None` if it misses the goal or the path is not straight.
     pub(super) fn parameter_of(&self, goal: &Isometry3<f64>, now: f64) -> Option<f64> {
         let Course::Straight { translation_m } = &self.course else { return None };
         let here = self.pose(now);
@@ -107,18 +107,18 @@ impl Path {
     }
 }
 
-/// Joint angles on a path, with their first and second derivative by the path parameter.
+/// Joint angles on a path, with their first and second derivatives with respect to the path parameter.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct JointsOnPath {
     pub(super) q_rad: Joints,
     pub(super) first: Joints,
     pub(super) second: Joints,
     pub(super) frames: LinkFrames,
-    /// Derivatives of the origin of the tool's base by the path parameter, m.
+    /// Derivatives of the tool base's origin with respect to the path parameter, m.
     origin_m: [Vector3<f64>; 2],
 }
 
-/// What following a path needs to know about the arm.
+/// The arm's properties that path following needs.
 #[derive(Clone, Copy)]
 pub(super) struct PathFollower<'a> {
     pub(super) geometry: &'a UrGeometry,
@@ -127,7 +127,7 @@ pub(super) struct PathFollower<'a> {
 }
 
 impl PathFollower<'_> {
-    /// Joint angles that put the tool's base exactly on the path, on the branch nearest to `q_near_rad`.
+    /// Joint angles that put the tool's base exactly on the path, in the branch nearest to `q_near_rad`.
     pub(super) fn joints_at(
         &self,
         path: &Path,
@@ -147,12 +147,12 @@ impl PathFollower<'_> {
         Ok(JointsOnPath { q_rad, first, second, frames, origin_m })
     }
 
-    /// Looks at the path from parameter `from` to `to`, refuses it if the arm cannot follow it, and returns limits of the
-    /// path parameter that keep the tool's base within its limits and `speed`, and the joints within theirs.
+    /// Checks the path between the parameters `from` and `to`, refuses it if the arm cannot follow it, and returns limits on the path
+    /// parameter that keep the tool's base within its limits and `speed`, and the joints within theirs.
     ///
-    /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's acceleration limit is
-    /// shared half and half, its jerk limit in thirds; likewise those of the tool base's origin where its way is curved.
-    /// q''' is the difference quotient of q''.
+    /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's acceleration limit is split evenly
+    /// between its two terms, its jerk limit among its three; the same goes for the tool base's origin on a curved path. q''' is a finite
+    /// difference of q''.
     pub(super) fn limits_along(
         &self,
         path: &Path,
@@ -188,7 +188,7 @@ impl PathFollower<'_> {
         Ok(AxisLimits { velocity: [velocity], acceleration: [acceleration], jerk: [jerk] })
     }
 
-    /// The greatest derivatives of the joint angles and of the tool base's origin along the path.
+    /// Maximum derivatives of the joint angles and of the tool base's origin along the path.
     fn bend_along(
         &self,
         path: &Path,
@@ -217,7 +217,7 @@ impl PathFollower<'_> {
         Ok(bend)
     }
 
-    /// The signs that name a branch of the inverse kinematics.
+    /// The signs that identify an inverse kinematics branch.
     fn signs(&self, q_rad: &Joints) -> [bool; 3] {
         let f = self.geometry.singularity_factors(q_rad);
         [f.elbow > 0.0, f.wrist > 0.0, f.shoulder_m > 0.0]
@@ -225,7 +225,7 @@ impl PathFollower<'_> {
 }
 
 impl JointsOnPath {
-    /// Is `next` where the mean of both slopes leads in `step`?
+    /// True if the mean of both slopes over `step` predicts `next`.
     fn predicts(&self, next: &Self, step: f64) -> bool {
         (0..6).all(|i| {
             let predicted = self.q_rad[i] + 0.5 * step * (self.first[i] + next.first[i]);
@@ -234,12 +234,12 @@ impl JointsOnPath {
     }
 }
 
-/// Greatest absolute derivatives by the path parameter.
+/// Maximum absolute derivatives with respect to the path parameter.
 struct Bend {
     first: Joints,
     second: Joints,
     third: Joints,
-    /// First, second and third of the tool base's origin.
+    /// First, second and third derivative of the tool base's origin.
     origin_m: [f64; 3],
 }
 

@@ -1,5 +1,4 @@
-//! From a command to a motion: checks, inverse kinematics, stops before lines. Nothing is changed until all of it is
-//! known to work.
+//! From a command to a motion: checks, inverse kinematics, stops before lines. Changes nothing until the whole plan is known to work.
 
 use super::inverse;
 use super::kinematics::Joints;
@@ -10,40 +9,41 @@ use super::{Arm, ArmError};
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Farthest that an insertion may lead either way.
+/// Maximum insertion depth in either direction.
 const MAX_DEPTH_M: f64 = 0.5;
-/// Samples at which a changed goal on the same line is checked for turning back.
+/// Number of samples at which a changed goal on the same line is checked for reversal.
 const RETARGET_SAMPLES: usize = 64;
 
-/// The axis of the tool may miss the pivot by this at the ends of a motion about it.
+/// Maximum distance of the pivot from the tool axis at start and goal of an RCM motion.
 const PIVOT_TOLERANCE_M: f64 = 1e-6;
 
-/// Where a path leads, and how fast. Base frame.
+/// Goal and speed of a path. Base frame.
 #[derive(Clone, Copy)]
 pub(super) struct PathGoal {
     pub(super) aim: Aim,
     pub(super) speed: PathSpeed,
 }
 
-/// The ways to say where.
+/// Ways to specify a goal.
 #[derive(Clone, Copy)]
 pub(super) enum Aim {
     /// Straight to a pose.
     Pose(Isometry3<f64>),
-    /// To a pose, the tool's axis through a pivot all the way.
+    /// To a pose, with the tool axis through the pivot throughout.
     About { t_base_tool: Isometry3<f64>, pivot_m: Vector3<f64> },
-    /// Along an axis by a length from where the arm stands.
+    /// Along an axis, by a distance from the arm's position at rest.
     Along { axis: Unit<Vector3<f64>>, depth_m: f64 },
 }
 
-/// Two axes that differ by less, each coordinate, are one: what a program computes anew each tick is rounded anew.
+/// Axes whose coordinates differ by less than this are the same axis: a client that recomputes an axis every tick gets new rounding
+/// errors.
 const SAME_AXIS: f64 = 1e-6;
 
-/// The line of an insertion: kept while insertions along the same axis follow each other.
+/// The line of an insertion, kept through successive insertions along the same axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Insertion {
     axis_world: Vector3<f64>,
-    /// Where the depth is zero, base frame.
+    /// Pose at zero depth, base frame.
     start: Isometry3<f64>,
 }
 
@@ -53,7 +53,7 @@ impl Arm {
         Ok(self.parameters.t_world_arm_base.inv_mul(t_world_tool))
     }
 
-    /// Begins an insertion, or goes to another depth of the one that stands.
+    /// Starts an insertion, or changes the depth of the current one.
     pub(super) fn insert(
         &mut self,
         axis_world: &Vector3<f64>,
@@ -72,9 +72,9 @@ impl Arm {
         let base = &self.parameters.t_world_arm_base;
         let same = |insertion: &Insertion| (insertion.axis_world - axis_world).amax() <= SAME_AXIS;
         let standing = self.insertion.filter(same);
-        // The axis that it began with: on another the depth would lead to another line.
+        // Use the axis that the insertion started with: the depth along any other axis would be on another line.
         let along = standing.map_or(*axis_world, |insertion| insertion.axis_world);
-        // A turned unit vector.
+        // The norm division makes this a unit vector.
         let axis = Unit::new_unchecked(base.rotation.inverse_transform_vector(&along) / along.norm());
         match standing {
             Some(insertion) => {
@@ -119,7 +119,7 @@ impl Arm {
         Ok(())
     }
 
-    /// Stops: on the path if on a path, else in the joints. What comes after begins where the arm comes to rest: returned.
+    /// Stops along the path if on one, otherwise in joint space. Returns the joints at rest, where the next motion starts.
     pub(super) fn stop_then(
         &mut self,
         goal_after: Option<PathGoal>,
@@ -161,7 +161,7 @@ impl Arm {
         Ok(next.map(|next| next.path.pose(0.0)))
     }
 
-    /// A path from the tool base's pose at `q_rad`, looked at and found passable.
+    /// A path from the tool base's pose at `q_rad`, checked to be feasible.
     fn path_from(&self, q_rad: &Joints, goal: &PathGoal) -> Result<NextPath, ArmError> {
         let start = self.parameters.geometry.forward(q_rad);
         let path = match &goal.aim {
@@ -170,7 +170,7 @@ impl Arm {
                 for (end, pose) in [("start", &start), ("goal", t_base_tool)] {
                     let in_tool = pose.inverse_transform_point(&Point3::from(*pivot_m));
                     let missed_m = libm::hypot(in_tool.x, in_tool.y);
-                    // A NaN is in no range.
+                    // A NaN is in no range, so this refuses it too.
                     if !(0.0..=PIVOT_TOLERANCE_M).contains(&missed_m) {
                         return Err(ArmError::PivotMissed { end, missed_m, allowed_m: PIVOT_TOLERANCE_M });
                     }
@@ -187,7 +187,7 @@ impl Arm {
         Ok(NextPath { path, limits })
     }
 
-    /// Straight to `t_base_tool`; without a stop if it lies ahead on the line that the tool is on.
+    /// Straight to `t_base_tool`, without a stop if the goal is ahead on the line that the tool is following.
     pub(super) fn go_straight(
         &mut self,
         t_base_tool: &Isometry3<f64>,
@@ -204,9 +204,8 @@ impl Arm {
         self.stop_then(Some(PathGoal { aim: Aim::Pose(*t_base_tool), speed })).map(drop)
     }
 
-    /// The motion to a goal further along the line the tool is on; `None` if the goal lies elsewhere, or if the tool
-    /// would turn back on the way (goal nearer than the stopping distance, or a speed cut so sharp that Ruckig's braking
-    /// undershoots through zero).
+    /// The motion to a goal farther along the current line. `None` if the goal is elsewhere, or if the tool would reverse on the way
+    /// (goal nearer than the stopping distance, or a speed reduced so sharply that Ruckig's braking undershoots through zero).
     fn extend_path(
         &mut self,
         old: &PathMotion,
@@ -219,7 +218,7 @@ impl Arm {
         let direction = if to < from { -1.0 } else { 1.0 };
         let limits = self.follower().limits_along(&old.path, (from, to), &self.state.q_rad, speed)?;
         let motion = self.plan_path(old.path, start, to, limits)?;
-        // All braking, and so any turning back, is over after this time; a sample every few milliseconds finds it.
+        // All braking, and so any reversal, ends within this time; a sample every few milliseconds detects it.
         let (a, j) = (limits.acceleration[0], limits.jerk[0]);
         let brake_s = start.velocity[0].abs() / a + start.acceleration[0].abs() / j + 3.0 * a / j;
         let goes_on = (0..=RETARGET_SAMPLES).all(|i| {
@@ -230,7 +229,7 @@ impl Arm {
         Ok(goes_on.then_some(motion))
     }
 
-    /// Plans the parameter's way to `to` as the candidate of the path planner.
+    /// Plans the parameter's motion to `to` as the path planner's candidate.
     pub(super) fn plan_path(
         &mut self,
         path: Path,

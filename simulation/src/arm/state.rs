@@ -1,26 +1,26 @@
-//! What an arm tells after a tick.
+//! The arm's state after a tick.
 
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{ArmError, Joints};
 
-/// Which command the arm follows.
+/// The kind of command that the arm is following.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ArmMode {
-    /// Stopping or standing.
+    /// Stopping or at rest.
     Hold,
     /// Following a joint target.
     ServoJp,
-    /// Turning the joints at given rates.
+    /// Moving the joints at given rates.
     ServoJv,
-    /// Going to a joint goal.
+    /// Moving to a joint goal.
     MoveJp,
-    /// Following a target of the tool's base through the joints.
+    /// Following a Cartesian target in joint space.
     ServoCp,
-    /// Moving the tool's base on a straight line.
+    /// Moving the tool's base along a straight line.
     MoveCp,
-    /// Moving the tool's base along an axis without turning it.
+    /// Moving the tool's base along an axis without rotation.
     Insert,
     /// Moving the tool's base about a remote centre of motion.
     Rcm,
@@ -47,10 +47,10 @@ pub struct ArmState {
     pub angular_acceleration_rad_s2: Vector3<f64>,
     /// The command being followed.
     pub mode: ArmMode,
-    /// The goal is reached (for `Hold`: the arm stands) and the arm is at rest.
+    /// The arm is at rest at its goal (for `Hold`: at rest).
     pub done: bool,
-    /// Why an accepted motion was given up and the arm stopped, or why a joint of `ServoJv` stopped; `None` again with the
-    /// next accepted command. Nothing depends on it: it is not saved in bytes.
+    /// Why the arm abandoned an accepted motion, or why a joint of `ServoJv` stopped; cleared by the next accepted command. Not
+    /// serialised, because nothing depends on it.
     #[serde(skip)]
     pub fault: Option<ArmError>,
 }

@@ -1,15 +1,16 @@
-//! Jerk-limited point-to-point motion of N axes: the official Ruckig library behind a small, waypoint-free wall.
+//! Jerk-limited point-to-point motion of N axes: a thin wrapper around the official Ruckig library that rules out waypoints.
 //!
-//! Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021)
-//! is used offline: a [`Segment`] is planned once, then sampled at any time. The plan is a pure function of the segment,
-//! so a segment and a time are all that a snapshot needs.
+//! Ruckig (Berscheid and Kröger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) is used offline:
+//! a [`Segment`] is planned once, then sampled at any time. The plan is a pure function of the segment, so a snapshot needs only the
+//! segment and a time.
 //!
-//! **No waypoints, ever.** The crate is compiled with a cloud client that would send intermediate positions to a remote
-//! host. This file is the only one that touches Ruckig; it builds every object without room for waypoints (Ruckig then
-//! refuses them itself) and checks before each calculation that there are none.
+//! **No waypoints, ever.** The crate is compiled with a cloud client that would send intermediate positions to a remote host. This file
+//! is the only one that uses Ruckig. It creates every object without room for waypoints (Ruckig then refuses them itself) and checks
+//! before each calculation that there are none.
 //!
-//! Ruckig allocates: about eleven small C++ vectors in a plan, and three Rust and three C++ vectors in a sample.
-//! Ruckig takes `cbrt`, `acos`, `atan`, `sin` and `cos` from the platform's C library: plans are bit-identical on one
+//! Ruckig allocates: about eleven small C++ vectors per plan, and three Rust and three C++ vectors per sample. Ruckig takes `cbrt`,
+//! `acos`, `atan`, `sin` and `cos` from the platform's C library: plans are bit-identical on one machine and build, and between machines
+//! only if they have the same C library.
 //! machine and build, and between machines with the same C library only.
 
 use ruckig::{ControlInterface, InputParameter, Ruckig, Synchronization, Trajectory};
@@ -19,7 +20,7 @@ use thiserror::Error;
 /// Position, velocity and acceleration of N axes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AxisState<const N: usize> {
-    /// Position, in the axis' unit.
+    /// Position, in the axis's unit.
     #[serde(with = "serde_arrays")]
     pub position: [f64; N],
     /// First derivative by time in seconds.
@@ -37,41 +38,41 @@ impl<const N: usize> AxisState<N> {
     }
 }
 
-/// Where a segment ends: at rest, but for [`Goal::Velocity`].
+/// End condition of a segment: at rest, except for [`Goal::Velocity`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Goal<const N: usize> {
-    /// At rest at this position, every axis as early as it can. An axis that can stop within its range does so.
+    /// At rest at this position, each axis in minimum time. An axis that can stop within its range does so.
     Independent(#[serde(with = "serde_arrays")] [f64; N]),
-    /// At rest at this position, all axes in proportion: a straight line. Only from rest.
+    /// At rest at this position, all axes synchronised along a straight line. Only from rest.
     StraightLine(#[serde(with = "serde_arrays")] [f64; N]),
-    /// At rest anywhere, as soon as possible.
+    /// At rest anywhere, in minimum time.
     Standstill,
-    /// At these velocities, each as soon as possible, and on with them.
+    /// At these velocities, each in minimum time, then constant.
     Velocity(#[serde(with = "serde_arrays")] [f64; N]),
 }
 
 /// Symmetric limits of N axes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AxisLimits<const N: usize> {
-    /// Greatest absolute velocity.
+    /// Maximum absolute velocity.
     #[serde(with = "serde_arrays")]
     pub velocity: [f64; N],
-    /// Greatest absolute acceleration.
+    /// Maximum absolute acceleration.
     #[serde(with = "serde_arrays")]
     pub acceleration: [f64; N],
-    /// Greatest absolute jerk.
+    /// Maximum absolute jerk.
     #[serde(with = "serde_arrays")]
     pub jerk: [f64; N],
 }
 
-/// One jerk-limited motion from a state to rest.
+/// One jerk-limited motion from a start state to a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Segment<const N: usize> {
-    /// State at time zero; beyond the limits it is first brought back into them.
+    /// State at time zero. A state beyond the limits is first brought back within them.
     pub start: AxisState<N>,
-    /// The end.
+    /// The end condition.
     pub goal: Goal<N>,
-    /// Limits on the way.
+    /// Limits during the motion.
     pub limits: AxisLimits<N>,
 }
 
@@ -86,7 +87,7 @@ pub enum TrajectoryError {
         /// Its meaning.
         meaning: &'static str,
     },
-    /// The guard against Ruckig's cloud client.
+    /// The guard against Ruckig's cloud client found a waypoint.
     #[error(
         "{count} intermediate positions were set: Ruckig would send them to a remote host; plan point to point"
     )]
@@ -96,8 +97,7 @@ pub enum TrajectoryError {
     },
 }
 
-/// Plans and samples segments of N axes. Holds the active trajectory and a candidate, so that a refused plan leaves the
-/// active one as it was.
+/// Plans and samples segments of N axes. Holds the active trajectory and a candidate, so a refused plan leaves the active one unchanged.
 pub struct Planner<const N: usize> {
     ruckig: Ruckig,
     input: InputParameter,
@@ -106,7 +106,7 @@ pub struct Planner<const N: usize> {
 }
 
 impl<const N: usize> Planner<N> {
-    /// A planner that has no active trajectory yet.
+    /// A planner without an active trajectory.
     pub fn new() -> Self {
         Self {
             ruckig: Ruckig::new_direct_and_offline(N),
@@ -116,7 +116,7 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory stays.
+    /// Plans `segment` as the candidate and returns its duration in seconds. The active trajectory is unchanged.
     pub fn plan(&mut self, segment: &Segment<N>) -> Result<f64, TrajectoryError> {
         let input = &mut self.input;
         let (here, rest) = (segment.start.position, [0.0; N]);
@@ -144,17 +144,17 @@ impl<const N: usize> Planner<N> {
         std::mem::swap(&mut self.active, &mut self.candidate);
     }
 
-    /// State of the active trajectory `time_s` after its start; the end state from its duration on.
+    /// State of the active trajectory `time_s` after its start; the end state after its duration.
     pub fn sample(&self, time_s: f64) -> AxisState<N> {
         sample(&self.active, time_s)
     }
 
-    /// Like [`Self::sample`], of the candidate.
+    /// Like [`Self::sample`], for the candidate.
     pub fn sample_candidate(&self, time_s: f64) -> AxisState<N> {
         sample(&self.candidate, time_s)
     }
 
-    /// Calls Ruckig. The guard stands directly before the call: whatever set the input, no waypoint passes.
+    /// Calls Ruckig. The guard is directly before the call, so no waypoint passes, however the input was set.
     fn calculate(&mut self) -> Result<f64, TrajectoryError> {
         let count = self.input.intermediate_positions.len();
         if count != 0 {
@@ -202,7 +202,7 @@ fn meaning(result: &ruckig::Result) -> &'static str {
 mod tests {
     use super::*;
 
-    /// Even if someone sets a waypoint on the input, the call is refused before Ruckig sees it.
+    /// A waypoint set on the input: the call is refused before Ruckig sees it.
     #[test]
     fn waypoints_are_refused_before_ruckig_is_called() {
         let mut planner = Planner::<1>::new();
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!(planner.plan(&segment), Err(TrajectoryError::WaypointsRefused { count: 1 }));
     }
 
-    /// The Rust sources of all rooms.
+    /// Rust sources of all crates.
     fn sources(folder: &std::path::Path, found: &mut Vec<std::path::PathBuf>) {
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
@@ -229,7 +229,7 @@ mod tests {
         }
     }
 
-    /// Ruckig is named in this file only, waypoints in its guard only, and no object is built with room for them.
+    /// Only this file names Ruckig, only its guard names waypoints, and no object is created with room for them.
     #[test]
     fn no_other_file_reaches_ruckig_or_a_waypoint() {
         let mut found = Vec::new();

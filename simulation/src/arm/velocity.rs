@@ -1,18 +1,18 @@
-//! `servo_jv`: joints turned at given rates, each stopped in time at the end of its range.
+//! `servo_jv`: moves joints at given rates and stops each one in time at the end of its range.
 
 use super::kinematics::Joints;
 use super::motion::{JointMotion, Motion};
 use super::trajectory::{AxisState, Goal, Segment};
 use super::{Arm, ArmError};
 
-/// A joint may be this far beyond its range, from rounding.
+/// Rounding may push a joint this far beyond its range.
 const RANGE_SLACK_RAD: f64 = 1e-9;
 
 impl Arm {
     pub(super) fn turn_joints(&mut self, qd_rad_s: &Joints) -> Result<(), ArmError> {
         let limits = self.parameters.joint_limits.velocity_rad_s;
         for (i, (&given_rad_s, &maximum_rad_s)) in qd_rad_s.iter().zip(&limits).enumerate() {
-            // A NaN is in no range.
+            // A NaN is in no range, so this refuses it too.
             if !(-maximum_rad_s..=maximum_rad_s).contains(&given_rad_s) {
                 return Err(ArmError::JointRateOutsideLimits { joint: i + 1, given_rad_s, maximum_rad_s });
             }
@@ -23,13 +23,13 @@ impl Arm {
         Ok(())
     }
 
-    /// Refuses to leave a path by the joints where one of them could not stop within its range.
+    /// Refuses to switch from a path to joint space if a joint could not stop within its range.
     pub(super) fn check_stop(&self) -> Result<(), ArmError> {
         let now = self.joint_state();
         (0..6).try_for_each(|i| if self.overruns(&now, i) { Err(self.range_ends(i)) } else { Ok(()) })
     }
 
-    /// One tick at rates; a joint that could not stop any more after it stops now.
+    /// One tick at rates. A joint that could no longer stop in time after this tick starts its stop now.
     pub(super) fn step_rates(&mut self, mut motion: JointMotion, mut rates: Joints) {
         motion.tick += 1;
         let next = self.at_rates(&motion, &rates);
@@ -57,7 +57,7 @@ impl Arm {
         Ok(JointMotion { segment, duration_s, tick: 0, next: None })
     }
 
-    /// Joints at the motion's tick: on the plan, then on at the rates.
+    /// Joints at the motion's tick: on the plan until its end, then at constant rates.
     fn at_rates(&self, motion: &JointMotion, rates: &Joints) -> AxisState<6> {
         let time_s = self.time_s(motion.tick);
         let mut joints = self.joint_planner.sample(time_s);
@@ -71,7 +71,7 @@ impl Arm {
         joints
     }
 
-    /// Whether joint `i` leaves its range though it stops from here as soon as it can.
+    /// True if joint `i` leaves its range even when it stops from here in minimum time.
     fn overruns(&self, joints: &AxisState<6>, i: usize) -> bool {
         let limits = &self.parameters.joint_limits;
         let (least, most) = stop_range(
@@ -95,13 +95,13 @@ impl Arm {
     }
 }
 
-/// Least and greatest displacement of an axis that stops from velocity `v` and acceleration `a` as soon as its limits of
-/// acceleration and jerk allow.
+/// Minimum and maximum displacement of an axis that stops from velocity `v` and acceleration `a` in minimum time within its acceleration
+/// and jerk limits.
 ///
-/// The profile has jerk -j, perhaps constant deceleration, and jerk +j (signs as for a positive velocity). With peak
-/// deceleration p the velocity falls by (p² - a²)/2j, p T and p²/2j, in all by v.
+/// The profile has jerk -j, possibly constant deceleration, then jerk +j (signs for a positive velocity). With peak deceleration p these
+/// phases reduce the velocity by (p² - a²)/2j, p T and p²/2j, which add up to v.
 fn stop_range(v: f64, a: f64, most_a: f64, j: f64) -> (f64, f64) {
-    // The way round on which the velocity would end up if the acceleration were just let go.
+    // The sign of the velocity that would result from just ramping the acceleration to zero.
     let sign = if v + a * a.abs() / (2.0 * j) < 0.0 { -1.0 } else { 1.0 };
     let (v, a) = (sign * v, sign * a);
     let triangle = libm::sqrt((j * v + 0.5 * a * a).max(0.0));
@@ -128,7 +128,7 @@ mod tests {
     use super::*;
     use crate::arm::{AxisLimits, Planner};
 
-    /// Against Ruckig's own stop, sampled at 400 points: end within 1e-9, extremes within the samples' spacing.
+    /// Compared with Ruckig's own stop, sampled at 400 points: end within 1e-9, extremes within the sample spacing.
     #[test]
     fn the_stopping_range_is_that_of_ruckig() {
         let mut planner = Planner::<1>::new();
@@ -156,7 +156,7 @@ mod tests {
         }
         println!("Ruckig's stop leaves the range by {worst_outside:.1e}, fills it to {worst_inside:.1e}");
         assert!(worst_outside < 1e-9);
-        // Between two samples of a stop of at most a second or so: (T/400)²/8 times 8 rad/s².
+        // Error between two samples of a stop lasting at most about a second: (T/400)²/8 times 8 rad/s².
         assert!(worst_inside < 2e-5);
     }
 }

@@ -1,11 +1,11 @@
-//! Methods that others use, on the same tool: for charts and the stability map only.
+//! Published methods applied to the same tool: for charts and the stability map only.
 //!
 //! | method | what it is |
 //! |---|---|
-//! | [`explicit_chain`] | the chain with springs and dampers as forces: semi-implicit Euler |
+//! | [`explicit_chain`] | the chain with springs and dampers as explicit forces: semi-implicit Euler |
 //! | [`RapierChain`] of [`RapierJoints::Multibody`] | Rapier's multibody of hinges with implicit joint springs |
 //! | [`RapierChain`] of [`RapierJoints::Springs`] | rigid bodies held by six-axis spring joints, solved by impulses |
-//! | [`ProxyTool`] | a proxy of the burr that stays outside, to which the burr is set ([`ProxyDrive::Position`]) or pulled |
+//! | [`ProxyTool`] | a proxy of the burr stays outside the walls; the burr is set to it ([`ProxyDrive::Position`]) or pulled |
 
 mod proxy;
 pub mod published;
@@ -18,10 +18,10 @@ pub use proxy::{ProxyDrive, ProxyTool, proxy_of};
 pub use rapier_chain::{RapierChain, RapierJoints};
 pub use wall::Wall;
 
-/// The planar chain with explicit springs: stable only while dt is below 2 / omega of its highest mode.
+/// The planar chain with explicit springs: stable only for dt below 2 / omega of its highest mode.
 ///
 /// # Errors
-/// A parameter that is refused, by name.
+/// A parameter is out of range; the error names it.
 pub fn explicit_chain(
     parameters: ManipulatorParameters,
     base: &BaseMotion,

@@ -1,4 +1,4 @@
-//! The haptic method: a proxy (god object) that stays outside the walls, and a burr that is set to it or pulled to it.
+//! The haptic method: a proxy (god object) stays outside the walls, and the burr is set to it or pulled toward it.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -7,19 +7,19 @@ use crate::manipulator::{
     BaseMotion, Manipulator, ManipulatorError, ManipulatorParameters, StepInput, StepReport,
 };
 
-/// Rounds of projection on the walls, and of setting the joints.
+/// Iterations of the projection onto the walls, and of setting the joints.
 const ROUNDS: usize = 8;
 
-/// What the proxy does to the burr.
+/// How the proxy acts on the burr.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ProxyDrive {
-    /// The position is set to the proxy's, the velocity left alone: the published drilling simulators.
+    /// The burr's position is set to the proxy's and its velocity left unchanged, as in the published drilling simulators.
     Position,
-    /// A spring from the burr to the proxy, as a force of the next step: haptic rendering.
+    /// A spring from the burr to the proxy exerts a force in the next step, as in haptic rendering.
     Force,
 }
 
-/// Where the proxy of a sphere stands: the point nearest to its centre from which it touches no wall. World, m.
+/// Position of a sphere's proxy: the point nearest to the sphere's centre at which it penetrates no wall. World, m.
 pub fn proxy_of(walls: &[Wall], centre_m: &Vector3<f64>, radius_m: f64) -> Vector3<f64> {
     let mut proxy = *centre_m;
     for _ in 0..ROUNDS {
@@ -31,7 +31,7 @@ pub fn proxy_of(walls: &[Wall], centre_m: &Vector3<f64>, radius_m: f64) -> Vecto
     proxy
 }
 
-/// The planar tool with a proxy for its burr in place of contact.
+/// The planar tool with a proxy for its burr instead of contact.
 #[derive(Debug, Clone)]
 pub struct ProxyTool {
     tool: Manipulator,
@@ -40,10 +40,10 @@ pub struct ProxyTool {
 }
 
 impl ProxyTool {
-    /// A straight tool at rest before walls. The spring of [`ProxyDrive::Force`] has the stiffness of our contacts.
+    /// A straight tool at rest in front of walls. The spring of [`ProxyDrive::Force`] has the stiffness of the simulation's own contacts.
     ///
     /// # Errors
-    /// A parameter that is refused, by name.
+    /// A parameter is out of range; the error names it.
     pub fn new(
         drive: ProxyDrive,
         parameters: ManipulatorParameters,
@@ -58,7 +58,7 @@ impl ProxyTool {
         &self.tool
     }
 
-    /// Takes all walls away.
+    /// Removes all walls.
     pub fn remove_walls(&mut self) {
         self.walls.clear();
     }
@@ -69,10 +69,10 @@ impl ProxyTool {
         proxy_of(&self.walls, &burr, self.tool.parameters().burr_radius_m) - burr
     }
 
-    /// Advances by `dt_s`; contacts in the input are left out.
+    /// Advances by `dt_s`; ignores contacts in the input.
     ///
     /// # Errors
-    /// Input that is not finite or absurd.
+    /// The input is not finite or out of range.
     pub fn step(&mut self, dt_s: f64, input: &StepInput) -> Result<StepReport, ManipulatorError> {
         let mut tip_wrench = input.tip_wrench;
         if self.drive == ProxyDrive::Force {
@@ -87,7 +87,7 @@ impl ProxyTool {
         Ok(report)
     }
 
-    /// Moves the burr to its proxy by the smallest change of the joint angles; every velocity stays as it is.
+    /// Moves the burr to its proxy by the smallest change of the joint angles; leaves every velocity unchanged.
     fn set_to_proxy(&mut self) {
         let offset = self.tool.base().t_world_base.rotation.inverse() * self.offset_m();
         if offset.norm() < 1e-12 {
@@ -98,7 +98,7 @@ impl ProxyTool {
             base.inverse_transform_point(&point.into()).coords
         };
         let burr = place(self.tool.t_world_tip().translation.vector);
-        // A joint turns about +y: the burr moves by y x arm.
+        // A joint turns about +y, so the burr moves by y x arm.
         let columns: Vec<Vector2<f64>> = (0..self.tool.joint_count())
             .map(|i| burr - place(self.tool.t_world_link(i + 1).translation.vector))
             .map(|arm| Vector2::new(arm.z, -arm.x))

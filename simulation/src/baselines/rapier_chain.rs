@@ -1,4 +1,4 @@
-//! The tool in Rapier: links as rigid bodies, flexures as its joints, walls as its half-spaces.
+//! The tool in Rapier: links as rigid bodies, flexures as Rapier joints, walls as half-spaces.
 
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::prelude::{
@@ -11,7 +11,7 @@ use rapier3d_f64::prelude::{
 use super::wall::Wall;
 use crate::manipulator::{ManipulatorParameters, StepInput, TendonCommand};
 
-/// How the flexures are made.
+/// Joint model of the flexures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RapierJoints {
     /// Hinges of a multibody with `set_spring`, which is implicit.
@@ -42,7 +42,7 @@ const TOOL: Group = Group::GROUP_1;
 const WALLS: Group = Group::GROUP_2;
 
 impl RapierChain {
-    /// A straight tool on `t_world_base` before walls. `frequency_hz` is its first bending mode, for the dampers.
+    /// A straight tool on `t_world_base` in front of walls. `frequency_hz`, its first bending mode, sets the dampers.
     pub fn new(
         joints: RapierJoints,
         parameters: &ManipulatorParameters,
@@ -55,7 +55,7 @@ impl RapierChain {
         let settings = &mut world.integration_parameters;
         settings.length_unit = 0.01;
         settings.num_solver_iterations = if joints == RapierJoints::Multibody { 1 } else { 4 };
-        // As stiff as it gets: the default lets 10 N press millimetres into a wall.
+        // The stiffest setting that Rapier offers: with the default, 10 N press millimetres into a wall.
         settings.contact_softness = SpringCoefficients::new(1e5, 1.0);
         settings.static_contact_softness = SpringCoefficients::new(1e5, 1.0);
         let root = world.bodies.insert(RigidBodyBuilder::kinematic_position_based().pose(pose(t_world_base)));
@@ -180,7 +180,7 @@ impl RapierChain {
 
     fn set_hinge_dampings(&mut self) {
         self.set_targets(&[0.0; 2]);
-        // The root has its six freedoms until the first step: only then are the dampings those of the hinges.
+        // Until the first step the root has six degrees of freedom; only afterwards do the damping entries belong to the hinges.
         self.world.integration_parameters.dt = 1e-7;
         self.world.step();
         if let Some(Joint::Hinge(handle)) = self.joints.first()
@@ -208,8 +208,8 @@ impl RapierChain {
         angles
     }
 
-    /// The tendons as rest angles of the springs, which is exact at equilibrium: `T(d cos(q/2) + g/2 sin(q/2)) / k`, the
-    /// tension falling by the wrap of a tendon that slides inward.
+    /// Applies the tendons as rest angles of the springs, which is exact at equilibrium: `T(d cos(q/2) + g/2 sin(q/2)) / k`, with the
+    /// tension reduced by the wrap of a tendon that slides inward.
     fn set_targets(&mut self, tension_n: &[f64; 2]) {
         let (tendon, angles) = (self.parameters.tendon, self.joint_positions_rad());
         let mut wrap = 0.0;
@@ -228,7 +228,7 @@ impl RapierChain {
                     if let Some((multibody, id)) = self.world.multibody_joints.get_mut(*handle)
                         && let Some(link) = multibody.link_mut(id)
                     {
-                        // Axis 3: the first angular one, about which a revolute joint turns.
+                        // Axis 3 is the first angular axis, about which a revolute joint turns.
                         link.joint.set_spring(3, self.stiffness[i], target);
                     }
                 }
@@ -243,7 +243,7 @@ impl RapierChain {
         }
     }
 
-    /// Advances by `dt_s`. Contacts are Rapier's own; of the tendon commands it knows tensions only (displacements: 0).
+    /// Advances by `dt_s`. Uses Rapier's own contacts. Supports tendon tensions only (a displacement counts as 0).
     pub fn step(&mut self, dt_s: f64, input: &StepInput) {
         let tension = match input.tendon {
             TendonCommand::Force(tension_n) => tension_n,
@@ -264,7 +264,7 @@ impl RapierChain {
         self.world.step();
     }
 
-    /// Takes all walls away.
+    /// Removes all walls.
     pub fn remove_walls(&mut self) {
         for wall in self.walls.drain(..) {
             let world = &mut self.world;

@@ -1,11 +1,11 @@
-//! Half-spaces: the obstacles that every method can be given.
+//! Half-spaces: the obstacles that every method supports.
 
 use nalgebra::{Isometry3, Unit, Vector3};
 
 use crate::contact_plane::ContactPlane;
 use crate::manipulator::ProxySphere;
 
-/// What lies behind a plane is solid.
+/// A plane with a solid half-space behind it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wall {
     /// World, out of the solid.
@@ -20,12 +20,12 @@ impl Wall {
         Self { normal: Unit::new_normalize(normal), point_m }
     }
 
-    /// The same wall carried along.
+    /// The same wall, moved with a frame.
     pub fn moved(&self, by: &Isometry3<f64>) -> Self {
         Self { normal: by * self.normal, point_m: by.transform_point(&self.point_m.into()).coords }
     }
 
-    /// Contact planes of the spheres that come within `margin_m` (and what they travel in `dt_s`) of the wall.
+    /// Contact planes of the spheres that come within `margin_m` (plus their travel in `dt_s`) of the wall.
     pub fn planes(&self, spheres: &[ProxySphere], margin_m: f64, dt_s: f64, out: &mut Vec<ContactPlane>) {
         for (sphere_index, sphere) in spheres.iter().enumerate() {
             let distance = self.normal.dot(&(sphere.centre_m - self.point_m));

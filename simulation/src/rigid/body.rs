@@ -1,4 +1,4 @@
-//! A body's definition.
+//! Definition of a body.
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -29,13 +29,13 @@ pub enum BodyShape {
 /// Whether a body can move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BodyMotion {
-    /// Stands still: a clamp.
+    /// Stationary: a clamp.
     Fixed,
-    /// Moves by forces: a fragment.
+    /// Moves under forces: a fragment.
     Free,
 }
 
-/// Everything that defines a body.
+/// Complete definition of a body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyParameters {
     /// Name, for messages.
@@ -46,14 +46,14 @@ pub struct BodyParameters {
     pub t_world_body: Isometry3<f64>,
     /// Fixed or free.
     pub motion: BodyMotion,
-    /// Mass of a free body per volume of its shape, kg/m^3.
+    /// Density of a free body, kg/m^3.
     pub density_kg_per_m3: f64,
-    /// Coulomb coefficient against other bodies (two bodies: the mean). The tool's contacts have the tool's own.
+    /// Coulomb coefficient against other bodies; Rapier takes the mean of the two. The tool's contacts use the tool's coefficient.
     pub friction: f64,
 }
 
 impl BodyParameters {
-    /// Checks every number; the error names the first that is wrong.
+    /// Checks every number. The error names the first invalid one.
     ///
     /// # Errors
     /// [`RigidError::OutOfRange`].
@@ -89,7 +89,7 @@ impl BodyParameters {
         allowed: &'static str,
         accept: impl Fn(f64) -> bool,
     ) -> Result<(), RigidError> {
-        // A NaN is in no range.
+        // A NaN is in no range, so this refuses it too.
         if accept(value) {
             return Ok(());
         }

@@ -1,7 +1,7 @@
-//! Tool and bodies in one tick: the common motion.
+//! Tool and free bodies in one tick: finding their common motion.
 //!
-//! The tool is stepped against planes whose gap is shortened by what the bodies are thought to move, and exerts impulses;
-//! Rapier, given these, moves the bodies. [`Descent`] brings thought and motion together.
+//! The tool steps against planes whose gaps account for the assumed motion of the bodies, and exerts impulses. Rapier then moves the
+//! bodies under these impulses. [`Descent`] iterates until the assumed motion and the response agree.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,23 +13,23 @@ use crate::manipulator::{
 use super::descent::{Inertia, Motion};
 use super::scene::RigidScene;
 
-/// Largest difference between a plane's speed as the tool saw it and as the body made it that ends the iteration, m/s:
-/// ten times what the tool's contact solver leaves.
+/// Convergence threshold, m/s: the largest difference between a plane's speed as the tool assumed it and as the body produced it. Ten
+/// times the residual of the tool's contact solver.
 const TOLERANCE_M_PER_S: f64 = 1e-5;
-/// Bound on the evaluations in a tick.
+/// Maximum evaluations per tick.
 const MAX_EVALUATIONS: usize = 24;
 
-/// How tool and free bodies meet in a tick.
+/// How tool and free bodies interact in a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Coupling {
-    /// Iterated to the common motion.
+    /// Iterated until their motions agree.
     Iterated,
-    /// Baseline: the tool meets a body that goes on as before, then the body gets the impulse. A body lighter than the
-    /// tool is thrown off with more energy than the tool had.
+    /// Baseline: the tool meets a body that continues its last motion, then the body receives the impulse. A body lighter than the tool
+    /// bounces off with more energy than the tool had.
     Staggered,
 }
 
-/// What drives the tool through the tick.
+/// Inputs of the tool in this tick.
 #[derive(Debug, Clone, Copy)]
 pub struct ToolDrive {
     /// Motion of the flange.
@@ -40,14 +40,14 @@ pub struct ToolDrive {
     pub tip_wrench: Wrench,
 }
 
-/// How the coupling of a tick ended.
+/// Outcome of one tick's coupling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CouplingReport {
     /// Contact planes on free bodies.
     pub moving_planes: usize,
-    /// Steps of the tool and the bodies that were tried.
+    /// Number of trial steps of tool and bodies.
     pub evaluations: usize,
-    /// Largest difference between a plane's speed as the tool saw it and as the body made it, m/s.
+    /// Largest difference between a plane's speed as the tool assumed it and as the body produced it, m/s.
     pub residual_m_per_s: f64,
 }
 
@@ -63,17 +63,18 @@ pub(super) struct Moving {
     /// Index in the list of planes.
     plane: usize,
     body: usize,
-    /// Gap if the body stood still, m.
+    /// Gap for a body at rest, m.
     still_gap_m: f64,
-    /// Whether the tool pressed on it in the last evaluation.
+    /// True if the tool pressed on it in the last evaluation.
     pressed: bool,
 }
 
 impl RigidScene {
-    /// Steps the manipulator against `planes` (those of the last [`Self::find_contacts`] among them) and the bodies with
-    /// what it exerts on them. The planes' gaps are left as they were.
+    /// Steps the manipulator against `planes` (including those of the last [`Self::find_contacts`]), and the bodies under its reaction.
+    /// The planes' gaps are unchanged on return.
     ///
     /// # Errors
+    /// The manipulator refuses its input; nothing has changed.
     /// The manipulator refuses its input; nothing has changed.
     pub fn step(
         &mut self,
@@ -103,7 +104,7 @@ impl RigidScene {
         Ok(report)
     }
 
-    /// The planes on free bodies, and how these bodies move if they do as in the last tick.
+    /// Collects the planes on free bodies, and the motion of these bodies if they continue as in the last tick.
     fn collect_moving(&mut self, planes: &[ContactPlane]) {
         self.moving.clear();
         for (own, &body_index) in self.plane_body.iter().enumerate() {
@@ -127,7 +128,7 @@ impl RigidScene {
         }
     }
 
-    /// Finds the common motion; tool and trial world are those of the evaluation that ends it.
+    /// Finds the common motion. Afterwards, tool and trial world hold the result of the final evaluation.
     fn iterate(
         &mut self,
         manipulator: &mut impl ManipulatorModel,
@@ -168,7 +169,7 @@ impl RigidScene {
         Ok(report)
     }
 
-    /// Steps tool and trial world with the motion of the descent; its residual, and the largest of a plane's speed, m/s.
+    /// Steps tool and trial world with the descent's motion; returns the residual and the largest plane speed, m/s.
     fn evaluate(
         &mut self,
         manipulator: &mut impl ManipulatorModel,
@@ -199,7 +200,7 @@ impl RigidScene {
         Ok((report, self.residuals(planes)))
     }
 
-    /// Response minus motion; the largest difference of a plane's speeds, m/s.
+    /// Response minus assumed motion; returns the largest difference in plane speed, m/s.
     fn residuals(&mut self, planes: &[ContactPlane]) -> f64 {
         let mut largest = 0.0f64;
         for moving in &self.moving {
@@ -209,7 +210,7 @@ impl RigidScene {
             self.descent.residual[moving.body] = residual;
             let plane = &planes[moving.plane];
             let difference = residual.at(&(plane.point_m - body.centre_m)).dot(&plane.normal);
-            // A plane that no force holds and that recedes faster than the tool was told changes nothing.
+            // An unloaded plane that recedes faster than the tool assumed has no effect.
             if moving.pressed || difference > 0.0 {
                 largest = largest.max(difference.abs());
             }

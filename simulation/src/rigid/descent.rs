@@ -1,26 +1,25 @@
-//! Descent on a convex potential of the bodies' motions, by limited-memory BFGS with a line search.
+//! Descent on a convex potential of the bodies' motions: limited-memory BFGS with line search.
 //!
-//! Wanted is the motion x (a twist a body) at which the residual r(x) = response(x) - x vanishes: the response is how the
-//! bodies move under the impulses of a tool that was told x. Both sides are monotone (the faster a body comes at the tool,
-//! the larger the impulse that drives it away), so that -r is the gradient of a convex function in the metric of the
-//! bodies' inertia, piecewise quadratic: contacts open and close. Directions are those of Nocedal (1980, Math. Comp. 35,
-//! "Updating quasi-Newton matrices with limited storage") in that metric; the curvatures are kept from tick to tick,
-//! because the tool is then nearly the same. Along a direction d the slope <r, d> falls, and its root is found by secants
-//! within a bracket.
+//! Finds the motion x (one twist per body) at which the residual r(x) = response(x) - x vanishes. The response is how the bodies move
+//! under the impulses of a tool that assumed x. Both terms are monotone (the faster a body approaches the tool, the larger the impulse
+//! that repels it), so -r is the gradient of a convex function in the metric of the bodies' inertia. The function is piecewise quadratic
+//! because contacts open and close. Search directions follow Nocedal (1980, "Updating quasi-Newton matrices with limited storage", Math.
+//! Comp. 35) in that metric. The curvature pairs are kept from tick to tick, because the tool hardly changes between ticks. Along a
+//! direction d the slope <r, d> decreases; bracketed secant steps find its root.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Line search ends when the slope has fallen to this share.
+/// The line search ends when the slope has fallen to this fraction.
 const FLAT: f64 = 0.3;
-/// Bound on the evaluations of one line search.
+/// Maximum evaluations per line search.
 const MAX_LINE_EVALUATIONS: usize = 8;
-/// First step as a share of the residual where no curvature is known: so small that contacts do not open by it.
+/// First step as a fraction of the residual when no curvature is known: too small to open a contact.
 const FIRST_STEP: f64 = 1e-3;
-/// Pairs of motion and residual differences that are remembered.
+/// Number of stored curvature pairs.
 const MEMORY: usize = 8;
 
-/// A body's velocity through a tick, world axes: of its centre of mass, m/s, and angular, rad/s.
+/// A body's mean velocity over a tick, world axes: of its centre of mass, m/s, and angular, rad/s.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Motion {
     pub linear: Vector3<f64>,
@@ -37,13 +36,13 @@ impl Motion {
         Motion { linear: self.linear + other.linear * scale, angular: self.angular + other.angular * scale }
     }
 
-    /// Velocity at `arm` from the centre of mass.
+    /// Velocity at offset `arm` from the centre of mass.
     pub fn at(&self, arm: &Vector3<f64>) -> Vector3<f64> {
         self.linear + self.angular.cross(arm)
     }
 }
 
-/// A body's metric.
+/// Inertia of a body, which defines the metric.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(super) struct Inertia {
     pub mass_kg: f64,
@@ -52,13 +51,13 @@ pub(super) struct Inertia {
 }
 
 impl Inertia {
-    /// A body that takes no part.
+    /// A body that does not take part.
     pub fn none() -> Inertia {
         Inertia { mass_kg: 0.0, moment_kg_m2: Matrix3::zeros() }
     }
 }
 
-/// A step of the past: difference of motion and of the negative residual, and their inner product. A curvature.
+/// A curvature pair: differences of motion and of the negative residual, and their inner product.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Pair {
     step: Vec<Motion>,
@@ -67,30 +66,30 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    /// Number of bodies that it is about; none if its two halves disagree.
+    /// Number of bodies in the pair; `None` if its two vectors differ in length.
     pub fn bodies(&self) -> usize {
         if self.step.len() == self.change.len() { self.step.len() } else { 0 }
     }
 }
 
-/// The iteration's vectors, one entry a body.
+/// Vectors of the iteration, one entry per body.
 pub(super) struct Descent {
-    /// x, to be evaluated.
+    /// x, the motion to evaluate.
     pub motion: Vec<Motion>,
-    /// r(x), set by the evaluation.
+    /// r(x), set by the caller's evaluation.
     pub residual: Vec<Motion>,
     pub inertia: Vec<Inertia>,
     best: Vec<Motion>,
     start: Vec<Motion>,
     start_residual: Vec<Motion>,
     direction: Vec<Motion>,
-    /// Oldest first; `used` of them. State.
+    /// Oldest first; the first `used` are valid. Part of the state.
     pairs: Vec<Pair>,
     used: usize,
     line: Line,
 }
 
-/// A line search under way: steps and slopes.
+/// A line search in progress: steps and slopes.
 #[derive(Debug, Clone, Copy)]
 struct Line {
     first_slope: f64,
@@ -118,7 +117,7 @@ impl Descent {
         }
     }
 
-    /// The remembered curvatures.
+    /// The stored curvature pairs.
     pub fn memory(&self) -> &[Pair] {
         &self.pairs[..self.used]
     }
@@ -128,7 +127,7 @@ impl Descent {
         self.pairs[..self.used].clone_from_slice(&pairs[..self.used]);
     }
 
-    /// Forgets the curvatures: other bodies take part.
+    /// Discards the curvature pairs because other bodies take part.
     pub fn forget(&mut self) {
         self.used = 0;
     }
@@ -141,7 +140,7 @@ impl Descent {
         self.motion.clone_from(&self.best);
     }
 
-    /// After the first evaluation of a tick: the first line.
+    /// Starts the first line search, after the first evaluation of a tick.
     pub fn begin(&mut self) {
         self.direction.clone_from(&self.residual);
         let mut shares = [0.0; MEMORY];
@@ -176,7 +175,7 @@ impl Descent {
         self.place();
     }
 
-    /// After a further evaluation: along the line, or a new line.
+    /// Continues the line search, or starts a new one, after a further evaluation.
     pub fn advance(&mut self) {
         let slope = dot(&self.inertia, &self.residual, &self.direction);
         self.line.evaluations += 1;
@@ -189,7 +188,7 @@ impl Descent {
         self.place();
     }
 
-    /// Takes in the difference from the line's start to here, also when the tick ends here.
+    /// Stores the difference from the line's start to here; called also when the tick ends here.
     pub fn remember(&mut self) {
         if self.used == MEMORY {
             self.pairs.rotate_left(1);
@@ -202,7 +201,7 @@ impl Descent {
         }
         pair.product = dot(&self.inertia, &pair.step, &pair.change);
         let least = dot(&self.inertia, &pair.step, &pair.step);
-        // The bodies' own inertia is a curvature of 1; less than half of it is noise.
+        // The bodies' own inertia has curvature 1; anything below half of it is noise.
         if pair.product > 0.5 * least && least > 0.0 {
             self.used += 1;
         }
@@ -225,7 +224,7 @@ impl Line {
             self.high = Some(here);
         }
         let [before, low] = self.low;
-        // Straight on through the last two points with a positive slope.
+        // Extrapolate through the last two points with a positive slope.
         let fall = (before.1 - low.1) / (low.0 - before.0);
         let onward = low.0 + low.1 / fall;
         let Some(high) = self.high else {
@@ -237,13 +236,13 @@ impl Line {
             return onward;
         }
         let secant = low.0 + width * low.1 / (low.1 - high.1);
-        // A contact that opened within the bracket leaves hardly any slope on the high side.
+        // A contact that opened inside the bracket leaves almost no slope on the high side.
         let near = if low.0 == 0.0 { 0.1 * high.0 } else { low.0 + 0.5 * width };
         secant.min(near)
     }
 }
 
-/// Inner product in the bodies' inertia.
+/// Inner product weighted by the bodies' inertia.
 fn dot(inertia: &[Inertia], a: &[Motion], b: &[Motion]) -> f64 {
     let bodies = a.iter().zip(b).zip(inertia);
     let one = |((a, b), inertia): ((&Motion, &Motion), &Inertia)| {

@@ -1,28 +1,28 @@
-//! What the construction of a rigid scene refuses.
+//! Errors of building a rigid scene.
 
 /// Why [`super::RigidScene::new`] refused a body.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RigidError {
-    /// A number of a body is not finite or outside what the model accepts.
+    /// A number of a body is not finite or out of range.
     #[error("body `{body}`: `{field}` is {value}, expected {allowed}; correct it where the body is defined")]
     OutOfRange {
         /// The body's name.
         body: String,
         /// Name of the field.
         field: &'static str,
-        /// The value that was given.
+        /// The given value.
         value: f64,
-        /// The range that is accepted, in words.
+        /// The accepted range, in words.
         allowed: &'static str,
     },
-    /// The time step or gravity is not usable.
+    /// The time step or gravity is invalid.
     #[error("rigid scene: `{field}` is {value}, expected {allowed}")]
     Scene {
         /// Name of the field.
         field: &'static str,
-        /// The value that was given.
+        /// The given value.
         value: f64,
-        /// The range that is accepted, in words.
+        /// The accepted range, in words.
         allowed: &'static str,
     },
 }

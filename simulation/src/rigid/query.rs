@@ -1,4 +1,4 @@
-//! The plane that a convex shape shows to a sphere.
+//! The contact plane between a convex shape and a sphere.
 
 use nalgebra::{Isometry3, Unit, Vector3};
 use rapier3d_f64::math::Pose;
@@ -8,10 +8,10 @@ use rapier3d_f64::parry::shape::{Ball, Capsule, Cuboid};
 use super::body::BodyShape;
 use super::world::{from_vector, vector};
 
-/// A centre nearer to the surface than this has no reliable direction of its own, m.
+/// Closer to the surface than this, a sphere centre defines no reliable direction, m.
 const ON_SURFACE_M: f64 = 1e-10;
 
-/// A shape as Parry's point projection takes it.
+/// A shape in the form that Parry's point projection takes.
 #[derive(Debug, Clone)]
 pub(super) enum QueryShape {
     Box(Cuboid),
@@ -24,7 +24,7 @@ pub(super) enum QueryShape {
 pub(super) struct Nearest {
     pub point_m: Vector3<f64>,
     pub normal: Unit<Vector3<f64>>,
-    /// Of the query point from the surface, negative inside, m.
+    /// Signed distance from the surface to the query point, negative inside, m.
     pub distance_m: f64,
 }
 
@@ -39,7 +39,7 @@ impl QueryShape {
         }
     }
 
-    /// Radius of the sphere about the origin that holds the shape, m.
+    /// Radius of the bounding sphere about the origin, m.
     pub fn bounding_radius_m(&self) -> f64 {
         match self {
             QueryShape::Box(cuboid) => cuboid.half_extents.length(),
@@ -48,7 +48,7 @@ impl QueryShape {
         }
     }
 
-    /// The nearest point of the surface to `centre_m`.
+    /// The surface point nearest to `centre_m`.
     pub fn nearest(&self, t_world_body: &Isometry3<f64>, centre_m: &Vector3<f64>) -> Nearest {
         let (pose, centre) = (Pose::from(*t_world_body), vector(centre_m));
         let projection = match self {
@@ -64,7 +64,7 @@ impl QueryShape {
             let normal = Unit::new_unchecked(outward / length);
             return Nearest { point_m, normal, distance_m: side * length };
         }
-        // On the surface: away from the body's centre, a direction that leaves every convex shape.
+        // On the surface: point away from the body's centre, which leads out of every convex shape.
         let away = centre_m - t_world_body.translation.vector;
         let normal = Unit::try_new(away, ON_SURFACE_M).unwrap_or_else(Vector3::z_axis);
         Nearest { point_m, normal, distance_m: 0.0 }

@@ -1,4 +1,4 @@
-//! The bodies, what they show to the tool, and their state.
+//! The bodies, their contact planes for the tool, and their state.
 
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::dynamics::RigidBodyHandle;
@@ -17,13 +17,13 @@ pub(super) struct Body {
     pub handle: RigidBodyHandle,
     pub free: bool,
     shape: QueryShape,
-    /// Follows from the world.
+    /// Derived from the world.
     pub t_world_body: Isometry3<f64>,
-    /// Centre of mass, world, m. Follows from the world.
+    /// Centre of mass, world, m. Derived from the world.
     pub centre_m: Vector3<f64>,
-    /// Follows from the world.
+    /// Derived from the world.
     pub motion: Motion,
-    /// Mean through the last tick: where the next one's iteration begins. State.
+    /// Mean over the last tick, where the next tick's iteration starts. Part of the state.
     pub mean: Motion,
 }
 
@@ -43,7 +43,7 @@ impl core::fmt::Debug for RigidSnapshot {
     }
 }
 
-/// The means of the bodies' motions, in their order.
+/// The bodies' mean motions, in order.
 struct Means<'a>(&'a [Body]);
 
 impl Serialize for Means<'_> {
@@ -52,7 +52,7 @@ impl Serialize for Means<'_> {
     }
 }
 
-/// Free and fixed rigid bodies beside the manipulator; see [the module](super) for the method.
+/// Free and fixed rigid bodies next to the manipulator; [the module](super) describes the method.
 pub struct RigidScene {
     pub(super) dt_s: f64,
     pub(super) coupling: Coupling,
@@ -61,7 +61,7 @@ pub struct RigidScene {
     pub(super) world: World,
     /// Workspace: the world after a trial step.
     pub(super) trial: World,
-    /// Body of each plane that the last [`Self::find_contacts`] appended, and the index of the first of them.
+    /// Body of each plane that the last [`Self::find_contacts`] appended, and the index of the first such plane.
     pub(super) plane_body: Vec<usize>,
     pub(super) first_plane: usize,
     pub(super) moving: Vec<Moving>,
@@ -70,11 +70,11 @@ pub struct RigidScene {
 }
 
 impl RigidScene {
-    /// The bodies at rest at their start. `dt_s` is the tick; gravity is in world axes and acts on free bodies;
-    /// `sphere_count` is the number of the tool's proxy spheres.
+    /// The bodies at rest at their start poses. `dt_s` is the tick; gravity is in world axes and acts on free bodies; `sphere_count` is
+    /// the number of the tool's proxy spheres.
     ///
     /// # Errors
-    /// [`RigidError`]: a number is not usable.
+    /// [`RigidError`]: a number is invalid.
     pub fn new(
         bodies: &[BodyParameters],
         gravity_m_per_s2: &Vector3<f64>,
@@ -117,8 +117,8 @@ impl RigidScene {
         })
     }
 
-    /// Appends, for each sphere and body, the plane of the body's nearest surface point, if the gap could close within
-    /// the tick at the present velocities or is below `margin_m`. At most one plane a sphere and body.
+    /// For each sphere and body, appends the plane at the body's nearest surface point if the gap is below `margin_m` or could close
+    /// within the tick at the current velocities. At most one plane per sphere and body.
     pub fn find_contacts(&mut self, spheres: &[ProxySphere], margin_m: f64, planes: &mut Vec<ContactPlane>) {
         self.first_plane = planes.len();
         self.plane_body.clear();
@@ -147,7 +147,7 @@ impl RigidScene {
         }
     }
 
-    /// Chooses how tool and free bodies meet; a new scene iterates.
+    /// Selects the coupling between tool and free bodies; the default is iterated.
     pub fn set_coupling(&mut self, coupling: Coupling) {
         self.coupling = coupling;
     }
@@ -172,12 +172,12 @@ impl RigidScene {
         self.bodies.get(body).map(|body| self.world.body(body.handle).mass())
     }
 
-    /// Body of a plane of the last [`Self::find_contacts`], by its index in the list; `None` for another's plane.
+    /// Body of a plane of the last [`Self::find_contacts`], by index in the list; `None` if the plane has another source.
     pub fn body_of_plane(&self, plane: usize) -> Option<usize> {
         plane.checked_sub(self.first_plane).and_then(|own| self.plane_body.get(own)).copied()
     }
 
-    /// How the last step's coupling ended.
+    /// Outcome of the last step's coupling.
     pub fn last_report(&self) -> &CouplingReport {
         &self.report
     }
@@ -192,7 +192,7 @@ impl RigidScene {
         }
     }
 
-    /// A copy of the whole dynamic state. Allocates.
+    /// A copy of the complete dynamic state. Allocates.
     pub fn snapshot(&self) -> RigidSnapshot {
         RigidSnapshot {
             world: self.world.clone(),
@@ -203,13 +203,13 @@ impl RigidScene {
         }
     }
 
-    /// What [`Self::snapshot`] holds, to be serialised without a copy; it reads back as a [`RigidSnapshot`].
+    /// The contents of [`Self::snapshot`], serialisable without a copy; deserialises as a [`RigidSnapshot`].
     pub fn serialised(&self) -> impl Serialize + '_ {
         let mean = Means(&self.bodies);
         (&self.world, mean, self.descent.memory(), &self.descent.inertia, &self.report)
     }
 
-    /// Whether a snapshot that was read back is of a scene with these bodies.
+    /// True if a deserialised snapshot belongs to a scene with these bodies.
     pub fn fits(&self, snapshot: &RigidSnapshot) -> bool {
         let bodies = self.bodies.len();
         snapshot.world.holds(self.bodies.iter().map(|body| body.handle))
@@ -218,7 +218,7 @@ impl RigidScene {
             && snapshot.memory.iter().all(|pair| pair.bodies() == bodies)
     }
 
-    /// Continues from a snapshot of a scene with the same bodies, bit for bit. Allocates.
+    /// Continues bit for bit from a snapshot of a scene with the same bodies. Allocates.
     pub fn restore(&mut self, snapshot: &RigidSnapshot) {
         self.world = snapshot.world.clone();
         self.update_bodies();

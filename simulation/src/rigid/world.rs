@@ -13,14 +13,14 @@ use serde::{Deserialize, Serialize};
 use super::body::{BodyMotion, BodyParameters, BodyShape};
 use super::descent::{Inertia, Motion};
 
-/// Size of the bodies, m: Rapier's tolerances scale with it.
+/// Typical size of the bodies, m; Rapier's tolerances scale with it.
 const LENGTH_UNIT_M: f64 = 0.01;
-/// Contacts are found from this distance on, m: what a body at 2 m/s travels in 1 ms.
+/// Distance at which contact detection starts, m: a body at 2 m/s travels this far in 1 ms.
 const PREDICTION_M: f64 = 2e-3;
-/// Rapier clamps velocities to this, m/s; far above what a scene reaches, so that no momentum is lost.
+/// Velocity clamp in Rapier, m/s. Far above any velocity in a scene, so clamping never removes momentum.
 const FASTEST_M_PER_S: f64 = 1e4;
 
-/// Rapier's world as far as a step changes it: a clone continues bit for bit.
+/// The parts of Rapier's world that a step changes: a clone continues bit for bit.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct World {
     bodies: RigidBodySet,
@@ -30,7 +30,7 @@ pub(super) struct World {
     narrow_phase: NarrowPhase,
 }
 
-/// What a step needs besides the world: settings, empty sets and workspace, none of it state.
+/// What a step needs besides the world: settings, empty sets and workspace. None of it is state.
 pub(super) struct Stepper {
     gravity: Vector,
     parameters: IntegrationParameters,
@@ -43,7 +43,7 @@ pub(super) struct Stepper {
 
 impl Stepper {
     pub fn new(dt_s: f64, gravity_m_per_s2: &Vector3<f64>) -> Stepper {
-        // The default springs (30 Hz) let 10 N press a light body millimetres into its support; 1e5 Hz holds it.
+        // With the default springs (30 Hz), 10 N press a light body millimetres into its support; 1e5 Hz holds it.
         let stiff = SpringCoefficients::new(1e5, 1.0);
         let parameters = IntegrationParameters {
             dt: dt_s,
@@ -86,7 +86,7 @@ impl Stepper {
 }
 
 impl World {
-    /// The bodies at their start, in the order given, with their handles.
+    /// The bodies at their start poses, in the given order, with their handles.
     pub fn new(list: &[BodyParameters]) -> (World, Vec<RigidBodyHandle>) {
         let mut world = World {
             bodies: RigidBodySet::new(),
@@ -113,7 +113,7 @@ impl World {
         (world, handles)
     }
 
-    /// Whether it holds exactly these bodies, and nothing in it is not a number.
+    /// True if the world holds exactly these bodies and no NaN.
     pub fn holds(&self, handles: impl ExactSizeIterator<Item = RigidBodyHandle>) -> bool {
         let finite = |v: Vector| v.is_finite();
         let body_is_sound = |body: &RigidBody| finite(body.translation()) && finite(body.linvel());
@@ -139,7 +139,7 @@ impl World {
         from_vector(self.body(handle).center_of_mass())
     }
 
-    /// Mean motion of a body on its way from this world to `later`, `dt_s` after it.
+    /// Mean motion of a body between this world and `later`, which is `dt_s` after it.
     pub fn motion_to(&self, later: &World, handle: RigidBodyHandle, dt_s: f64) -> Motion {
         let turn = later.pose(handle).rotation * self.pose(handle).rotation.inverse();
         Motion {
@@ -157,7 +157,7 @@ impl World {
         Inertia { mass_kg: body.mass(), moment_kg_m2: axes * principal * axes.transpose() }
     }
 
-    /// Gives the body an impulse (N s) at a point, world axes.
+    /// Applies an impulse (N s) to the body at a point, world axes.
     pub fn apply_impulse(&mut self, handle: RigidBodyHandle, impulse: &Vector3<f64>, point_m: &Vector3<f64>) {
         self.bodies[handle].apply_impulse_at_point(vector(impulse), vector(point_m), true);
     }

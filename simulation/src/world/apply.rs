@@ -1,4 +1,4 @@
-//! What the latched commands do to the actuators.
+//! Applies the latched commands to the actuators.
 
 use messages::{
     ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JP,
@@ -12,7 +12,7 @@ use crate::arm::ArmCommand;
 use crate::manipulator::{MAX_TENDONS, ManipulatorModel};
 
 impl Simulation<'_> {
-    /// Applies the fresh commands and the safe ones; a held command acts on as it did.
+    /// Applies fresh and safe commands; a held command remains in effect.
     pub(super) fn apply(&mut self, latched: &Latched) {
         self.refusals.clear();
         for entry in latched.commands.iter().take(latched.controller_count as usize) {
@@ -39,7 +39,7 @@ impl Simulation<'_> {
     }
 
     fn apply_tendon(&mut self, command: &Command) -> Result<(), String> {
-        // A command has places for more tendons than a tool may have; the others do nothing.
+        // A command has room for more tendons than the tool may have; the extra entries are ignored.
         let mine = |all: &[f64; MAX_TENDONS]| {
             core::array::from_fn(|t| if t < self.manipulator.tendon_count() { all[t] } else { 0.0 })
         };
@@ -93,7 +93,7 @@ impl Simulation<'_> {
 }
 
 impl Simulation<'_> {
-    /// Says once why the arm gave a motion up or stopped a joint, to whoever drove it last.
+    /// Reports once, to the sender of the last arm command, why the arm abandoned a motion or stopped a joint.
     pub(super) fn report_arm_fault(&mut self) {
         let fault = self.arm.state().fault;
         if fault == self.arm_fault {
@@ -108,7 +108,7 @@ impl Simulation<'_> {
     }
 }
 
-/// A message's pose as a transform; the quaternion is normalised once more, its rounding removed.
+/// A message's pose as a transform; renormalises the quaternion to remove its rounding.
 fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let [px, py, pz] = pose.position_m;

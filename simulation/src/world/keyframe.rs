@@ -1,9 +1,9 @@
-//! The whole simulation as bytes: what a log's keyframe holds.
+//! The complete simulation state as bytes: the content of a log's keyframe.
 //!
-//! Everything that a tick changes and that a later tick depends on: the state message with its hash, the arm's motion (its
-//! segment and age, from which Ruckig plans the same trajectory again), joint angles, tendons, the contact solver's warm
-//! start, the strength of every touched voxel, the rigid bodies' world with its contacts. A new process that builds the
-//! same scene and reads these bytes makes the same ticks, bit for bit.
+//! A keyframe holds everything that a tick changes and that a later tick depends on: the state message with its hash, the arm's motion
+//! (segment and age, from which Ruckig replans the same trajectory), joint angles, tendons, the contact solver's warm start, the strength
+//! of every touched voxel, and the rigid bodies' world with its contacts. A new process that builds the same scene and reads these bytes
+//! computes the same ticks, bit for bit.
 //!
 //! The bytes are a function of the scene and of u_0 … u_k, so replay compares them too.
 
@@ -21,7 +21,7 @@ use crate::rigid::{RigidScene, RigidSnapshot};
 /// Why a keyframe cannot be written or read.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum KeyframeError {
-    /// The buffer is too short because a great many voxels have been drilled.
+    /// The buffer is too short because drilling has touched too many voxels.
     #[error("it needs more than the {given} bytes given; there is none at this tick")]
     TooLong {
         /// Bytes given.
@@ -51,8 +51,8 @@ impl Serialize for Bytes<'_> {
 }
 
 impl Simulation<'_> {
-    /// Writes the present state into `buffer` and returns the bytes used. Allocates nothing; takes time in proportion to
-    /// the blocks of voxels that drilling has touched.
+    /// Writes the current state into `buffer` and returns the number of bytes used. Allocates nothing; takes time in proportion to the
+    /// number of voxel blocks that drilling has touched.
     ///
     /// # Errors
     /// [`KeyframeError::TooLong`].
@@ -71,8 +71,8 @@ impl Simulation<'_> {
         Ok(written.len())
     }
 
-    /// Continues from the bytes that [`Simulation::write_keyframe`] left in a simulation of the same scene and volume,
-    /// in this process or another one. After an error the simulation is not to be used.
+    /// Continues from the bytes of [`Simulation::write_keyframe`], written by a simulation of the same scene and volume in this or
+    /// another process. After an error the simulation must not be used.
     ///
     /// # Errors
     /// Not a keyframe, or from another scene.

@@ -1,4 +1,4 @@
-//! The state as a message.
+//! Writes the state message.
 
 use messages::{
     ARM_DONE, ARM_FAULT, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_MOVING, ARM_RCM, ARM_SERVO_CP,
@@ -12,7 +12,7 @@ use crate::arm::ArmMode;
 use crate::manipulator::{ManipulatorModel, SphereKind};
 
 impl Simulation<'_> {
-    /// Writes the world into the message; the hash follows.
+    /// Writes the world into the message; the caller computes the hash afterwards.
     pub(super) fn update_state(&mut self, latched: &Latched, removed: usize) {
         self.write_tool();
         self.write_contacts();
@@ -120,7 +120,7 @@ impl Simulation<'_> {
     }
 }
 
-/// The command's `arm_mode` of what the arm follows.
+/// The `arm_mode` number of what the arm follows, as in commands.
 fn mode_number(mode: ArmMode) -> u32 {
     match mode {
         ArmMode::Hold => ARM_HOLD,

@@ -36,10 +36,10 @@ use tendon_drive::{TendonDrive, TendonDriveState};
 pub use keyframe::KeyframeError;
 pub use setup::{contact_kind, ct_geometry, manipulator_parameters, rung};
 
-/// Gap within which a contact plane takes part in a tick, beyond what the sphere can travel in it.
+/// A contact plane takes part in a tick if its gap is within the sphere's travel in the tick plus this margin, m.
 const CONTACT_MARGIN_M: f64 = 1.0e-4;
 
-/// The CT as a simulation sees it: geometry and Hounsfield units, x fastest, not copied.
+/// The simulation's view of the CT: geometry and Hounsfield units, x fastest, borrowed.
 #[derive(Debug, Clone, Copy)]
 pub struct CtView<'v> {
     /// Grid.
@@ -48,22 +48,22 @@ pub struct CtView<'v> {
     pub hu: &'v [i16],
 }
 
-/// Why a simulation cannot be built, or a tick cannot be made.
+/// Why a simulation cannot be built or a tick cannot be computed.
 #[derive(Debug, Error)]
 pub enum SimulationError {
-    /// The scene has a volume that the simulation was not given.
+    /// The scene has a volume, but the simulation was not given one.
     #[error("the scene has a `[volume]`, but no volume was given")]
     VolumeMissing,
-    /// The manipulator's parameters.
+    /// The manipulator refused its parameters or input.
     #[error("manipulator: {0}")]
     Manipulator(#[from] ManipulatorError),
-    /// The bone's.
+    /// The bone did.
     #[error("bone: {0}")]
     Bone(#[from] BoneError),
-    /// The arm's.
+    /// The arm did.
     #[error("arm: {0}")]
     Arm(#[from] ArmError),
-    /// The rigid bodies'.
+    /// The rigid bodies did.
     #[error("rigid bodies: {0}")]
     Rigid(#[from] RigidError),
     /// The bytes are not a keyframe of this scene.
@@ -71,7 +71,7 @@ pub enum SimulationError {
     Keyframe(#[from] KeyframeError),
 }
 
-/// Everything that a tick changes, bit for bit: see [`Simulation::snapshot`].
+/// Everything that a tick changes: see [`Simulation::snapshot`].
 #[derive(Debug, Clone)]
 pub struct SimulationSnapshot {
     arm: ArmSnapshot,
@@ -100,9 +100,9 @@ pub struct Simulation<'v> {
     state: State,
     predrilled: Vec<u32>,
     refusals: Vec<Refusal>,
-    /// Who drove the arm last.
+    /// The sender of the last arm command.
     arm_driver: ArmDriver,
-    /// The arm's fault that has been reported.
+    /// The arm fault that has already been reported.
     arm_fault: Option<ArmError>,
     initial: Option<Box<SimulationSnapshot>>,
 }
@@ -111,7 +111,7 @@ pub struct Simulation<'v> {
 #[derive(Debug, Clone, Copy, Default)]
 struct ArmDriver {
     controller_index: u32,
-    /// Number of the command.
+    /// Sequence number of the command.
     sequence: u64,
 }
 
@@ -125,7 +125,7 @@ impl<'v> Simulation<'v> {
     /// The world of a scene at tick 0.
     ///
     /// # Errors
-    /// Parameters that its parts refuse, by name.
+    /// A component refuses its parameters; the error names them.
     pub fn new(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulation<'v>, SimulationError> {
         let mut simulation = setup::build(scene, ct)?;
         simulation.update_state(&Latched::zeroed(), 0);
@@ -176,7 +176,7 @@ impl<'v> Simulation<'v> {
             .collect()
     }
 
-    /// What the last tick refused of its commands, and why.
+    /// Commands refused in the last tick, with reasons.
     pub fn refusals(&self) -> &[Refusal] {
         &self.refusals
     }
@@ -184,7 +184,7 @@ impl<'v> Simulation<'v> {
     /// Computes tick k from its commands u_k, `latched`.
     ///
     /// # Errors
-    /// A part refuses its input. A valid scene and valid commands never lead there.
+    /// A component refuses its input, which does not happen with a valid scene and valid commands.
     pub fn step(&mut self, latched: &Latched) -> Result<(), SimulationError> {
         if latched.reset != 0 {
             self.reset()?;
@@ -211,7 +211,7 @@ impl<'v> Simulation<'v> {
         Ok(())
     }
 
-    /// Moves the arm; where that carries the tool's base, the deflection of elastic joints included.
+    /// Moves the arm; returns the tool base's motion, including the deflection of elastic joints.
     fn move_arm(&mut self) -> Result<BaseMotion, SimulationError> {
         let arm = self.arm.step();
         let rigid = BaseMotion {
@@ -245,7 +245,7 @@ impl<'v> Simulation<'v> {
         }
     }
 
-    /// Normal force of the burr on the bone alone, N.
+    /// Normal force of the burr on bone only, N.
     fn burr_force_on_bone_n(&self, report: &StepReport) -> f64 {
         let Some(rigid) = &self.rigid else { return report.burr_normal_force_n.norm() };
         let spheres = self.manipulator.proxy_spheres();
@@ -298,10 +298,10 @@ impl<'v> Simulation<'v> {
         }
     }
 
-    /// Goes to a snapshot of a simulation of the same scene and volume; continues bit for bit.
+    /// Restores a snapshot of a simulation of the same scene and volume; continues bit for bit.
     ///
     /// # Errors
-    /// The snapshot is of another scene.
+    /// The snapshot is from another scene.
     pub fn restore(&mut self, snapshot: &SimulationSnapshot) -> Result<(), SimulationError> {
         self.arm.restore(&snapshot.arm)?;
         if let (Some(compliance), Some(saved)) = (&mut self.compliance, &snapshot.compliance) {
@@ -321,7 +321,7 @@ impl<'v> Simulation<'v> {
         Ok(())
     }
 
-    /// Back to the initial state; tick count and hash go on.
+    /// Returns to the initial state; tick count and hash continue.
     fn reset(&mut self) -> Result<(), SimulationError> {
         let Some(initial) = self.initial.take() else { return Ok(()) };
         let (tick, hash) = (self.state.tick, self.state.hash);
@@ -365,7 +365,7 @@ impl Plant for Simulation<'_> {
     }
 }
 
-/// A vector's three numbers.
+/// The components of a vector.
 fn numbers(vector: &Vector3<f64>) -> [f64; 3] {
     [vector.x, vector.y, vector.z]
 }

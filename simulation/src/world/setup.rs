@@ -1,4 +1,4 @@
-//! From a scene's units and keys to the parameters of the parts.
+//! Converts a scene's keys and units into the components' parameters.
 
 use messages::{State, Volume};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -23,7 +23,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
     let parameters = manipulator_parameters(scene)?;
     let t_world_base = tool_base(&scene.tool, &parameters);
     let arm = arm(scene, &t_world_base)?;
-    // The arm's own forward kinematics, so that tick 1 does not begin with a jump of one rounding.
+    // Use the arm's own forward kinematics, so that tick 1 does not start with a jump from rounding.
     let base = BaseMotion::at_rest(arm.state().t_world_tool);
     let max_burr_radius_m = parameters.burr_radius_m;
     let compliance = compliance(scene, &parameters)?;
@@ -65,7 +65,7 @@ pub(super) fn build<'v>(scene: &Scene, ct: Option<CtView<'v>>) -> Result<Simulat
     })
 }
 
-/// A scene's name of a rung of the manipulator ladder.
+/// The rung that a scene names.
 pub fn rung(name: ManipulatorRung) -> Rung {
     match name {
         ManipulatorRung::ConstantCurvature => Rung::ConstantCurvature,
@@ -78,7 +78,7 @@ pub fn rung(name: ManipulatorRung) -> Rung {
 /// The standard manipulator with the scene's overrides.
 ///
 /// # Errors
-/// A number of links that the manipulator does not accept.
+/// The manipulator refuses the number of links.
 pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, ManipulatorError> {
     let mut parameters = ManipulatorParameters::jhu_27();
     let overrides = &scene.manipulator;
@@ -125,7 +125,7 @@ pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, Ma
     Ok(parameters)
 }
 
-/// Base of the straight tool whose burr stands at the scene's start.
+/// Base pose of the straight tool whose burr is at the scene's start position.
 fn tool_base(tool: &Tool, parameters: &ManipulatorParameters) -> Isometry3<f64> {
     let along = Vector3::from(tool.direction).normalize();
     let toward = Vector3::from(tool.bend_toward);
@@ -147,7 +147,7 @@ fn body(body: &Body) -> BodyParameters {
             radius_m: capsule.radius_mm * 1e-3,
         }
     } else {
-        // A scene's body has one shape; a radius of 0 is refused.
+        // A scene body has exactly one shape; the rigid scene refuses a radius of 0.
         BodyShape::Ball { radius_m: body.ball.as_ref().map_or(0.0, |ball| ball.radius_mm * 1e-3) }
     };
     let turn_rad = Vector3::from(body.rotation_vector_deg) * RAD_PER_DEG;
@@ -193,7 +193,7 @@ fn arm(scene: &Scene, t_world_tool: &Isometry3<f64>) -> Result<Arm, SimulationEr
     Ok(Arm::new(parameters, &joints)?)
 }
 
-/// Contacts that may answer a displacement of the tool's base at once: two on either side of a tunnel.
+/// Number of contacts that may resist a displacement of the tool's base at once: two on either side of a tunnel.
 const CONTACTS_AT_ONCE: f64 = 4.0;
 
 fn compliance(scene: &Scene, tool: &ManipulatorParameters) -> Result<Option<Compliance>, SimulationError> {
@@ -250,7 +250,7 @@ fn bone<'v>(
     Ok((Bone { hu: ct.hu, field, contacts: ContactBuffer::with_capacity(MAX_CONTACTS) }, predrilled))
 }
 
-/// What a scene's `contact.voxels` means.
+/// The contact kind that a scene's `contact.voxels` selects.
 pub fn contact_kind(voxels: Option<SceneContactVoxels>) -> ContactKind {
     match voxels.unwrap_or_default() {
         SceneContactVoxels::Balls => ContactKind::VoxelBalls,

@@ -1,33 +1,33 @@
-//! The tendons' actuators: tension, displacement, or a displacement goal reached with limited jerk.
+//! Tendon actuators: tension control, displacement control, or jerk-limited motion to a displacement goal.
 
 use serde::{Deserialize, Serialize};
 
 use crate::arm::{AxisLimits, AxisState, Goal, Planner, Segment};
 use crate::manipulator::{MAX_TENDONS, TendonCommand};
 
-/// Limits of `move_jp`: a lead screw of moderate speed. m/s, m/s², m/s³.
+/// Limits of `move_jp`, those of a lead screw of moderate speed. m/s, m/s², m/s³.
 const LIMITS: AxisLimits<MAX_TENDONS> = AxisLimits {
     velocity: [0.005; MAX_TENDONS],
     acceleration: [0.05; MAX_TENDONS],
     jerk: [0.5; MAX_TENDONS],
 };
 
-/// What the actuators follow, as plain data.
+/// The actuators' setpoint as plain data.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[expect(
     clippy::large_enum_variant,
     reason = "one a simulation; a box would stand between the tick and its state"
 )]
 pub(super) enum TendonDriveState {
-    /// Tensions.
+    /// Tension setpoints, N.
     Force([f64; MAX_TENDONS]),
-    /// Displacements.
+    /// Displacement setpoints, m.
     Displacement([f64; MAX_TENDONS]),
-    /// On the way to a displacement.
+    /// Moving to a displacement goal.
     Move {
         /// The motion.
         segment: Segment<MAX_TENDONS>,
-        /// Ticks made of it.
+        /// Ticks since its start.
         ticks: u64,
     },
 }
@@ -64,7 +64,7 @@ impl TendonDrive {
         self.state = TendonDriveState::Displacement(displacement_m);
     }
 
-    /// Starts toward a displacement from where the tendons are; the goal already followed changes nothing.
+    /// Starts a motion from the current displacements to a goal; a repeat of the current goal has no effect.
     pub(super) fn move_to(
         &mut self,
         goal_m: [f64; MAX_TENDONS],
@@ -86,7 +86,7 @@ impl TendonDrive {
         Ok(())
     }
 
-    /// What the tendons are told in this tick.
+    /// The tendon command for this tick.
     pub(super) fn step(&mut self, dt_s: f64) -> TendonCommand {
         match &mut self.state {
             TendonDriveState::Force(tension_n) => TendonCommand::EachForce(*tension_n),
