@@ -1,22 +1,23 @@
-//! Drilling: a burr's cutting energy goes into the voxels that it presses on, and a voxel ends when its energy is spent.
+//! Drilling: the burr's cutting energy goes into the voxels that it presses on, and a voxel is removed once its energy is spent.
 //!
-//! **Energy.** In a tick the burr (radius r, speed omega, normal contact force F) cuts with
-//! `E = mu_cut F (omega 2r/3) dt` (Preston 1927: wear in proportion to pressure times sliding speed; 2r/3 is the mean
-//! distance from the spin axis over the front half of the ball, weighted by projected area).
+//! **Energy.** In one tick the burr (radius r, speed omega, normal contact force F) cuts with `E = mu_cut F (omega 2r/3) dt` (Preston
+//! 1927: wear is proportional to pressure times sliding speed; 2r/3 is the mean distance from the spin axis over the front half of the
+//! ball, weighted by projected area).
 //!
-//! **Who gets it.** Voxels whose surface (the measure of [`super::query`]) lies within the burr grown by `reach_m` share it
-//! by pressure times area, the pressure in proportion to the depth (an elastic foundation of thickness `reach_m`): weight =
-//! min(depth / width, 1), since all voxels have one volume. So soft bone recedes until the hard bone beside it carries the load.
+//! **Sharing.** The voxels whose surface (as defined in [`super::query`]) lies within the burr grown by `reach_m` share the energy by
+//! pressure times area. The pressure is proportional to the depth (an elastic foundation of thickness `reach_m`), so the weight is
+//! min(depth / width, 1), because all voxels have the same volume. Soft bone therefore recedes until the hard bone beside it carries the
+//! load.
 //!
-//! **What a voxel can take.** Its energy is `u(HU) x volume`. It loses at most the part that lies within the grown burr, and
-//! recedes no faster than `feed_per_revolution_max_m` a revolution. What a full voxel cannot take goes to the others; what
-//! nobody can take is reported (it heats).
+//! **Capacity.** A voxel's total energy is `u(HU) x volume`. In one tick it loses at most the part that lies within the grown burr, and
+//! recedes by at most `feed_per_revolution_max_m` per revolution. What a voxel cannot absorb goes to the others; what no voxel can absorb
+//! is reported as unused (in reality it heats the bone).
 //!
-//! So the removed volume is E / u, and the depth does not depend on voxel size or dt. Weights and shares do not depend on
-//! the order of the voxels; the order of summation is fixed, for bit-exact replay.
+//! The removed volume is therefore E / u, and the depth depends neither on voxel size nor on dt. Weights and shares do not depend on the
+//! order of the voxels; the order of summation is fixed, for bit-exact replay.
 //!
-//! **Slivers.** Beside the path, voxels are cut in part. Once the burr has withdrawn from a voxel by `reach_m`, what is left
-//! of it falls off if less than `sliver_fraction` remains: the hole in the voxels has on average the burr's size.
+//! **Slivers.** Voxels beside the path are only partly cut. Once the burr has withdrawn from a voxel by `reach_m`, the rest of it falls
+//! off if less than `sliver_fraction` remains. The hole in the voxels then has the burr's size on average.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -27,22 +28,22 @@ use super::removal::Removal;
 use super::strength::Place;
 use super::voxels::{Drilling, Voxels, check_volume};
 
-/// Rounds of sharing the energy; what remains after them is reported as unused.
+/// Iterations of the energy sharing; what remains after them is reported as unused.
 const SHARE_ROUNDS: usize = 8;
-/// Sums run side by side, in a fixed order.
+/// Number of parallel partial sums, added in a fixed order.
 const LANES: usize = 8;
 
 /// How a burr turns force and speed into cutting energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CuttingLaw {
-    /// Ratio of cutting power to normal force times sliding speed, mu_cut. No table for bone was found; 0.3 is an assumption.
+    /// Ratio mu_cut of cutting power to normal force times sliding speed. No table for bone was found; 0.3 is an assumption.
     pub cutting_friction: f64,
-    /// How far beyond its surface the burr cuts, in metres: compliance of the contact and run-out of the tool. The hole's
-    /// radius is the burr's plus this.
+    /// How far beyond its surface the burr cuts, in metres: contact compliance and tool run-out. The hole's radius is the burr's plus
+    /// this.
     pub reach_m: f64,
-    /// Greatest feed a revolution in metres: depth of the teeth.
+    /// Maximum feed per revolution in metres: the depth of the teeth.
     pub feed_per_revolution_max_m: f64,
-    /// Voxels beside the path fall off when less than this fraction is left; 0 keeps them.
+    /// Partly cut voxels beside the path fall off when less than this fraction is left; 0 keeps them.
     pub sliver_fraction: f64,
 }
 
@@ -58,13 +59,13 @@ impl Default for CuttingLaw {
 }
 
 impl CuttingLaw {
-    /// Cutting power in W of a burr: see the module.
+    /// Cutting power of a burr in W: see the module.
     pub fn power_w(&self, burr: &BurrState) -> f64 {
         self.cutting_friction * burr.normal_force_n * burr.speed_rad_s.abs() * burr.radius_m * (2.0 / 3.0)
     }
 
-    /// Steady feed in m/s of a burr under its force in bone of the given specific cutting energy, below the feed limit:
-    /// power / (u x cross-section of the hole). For calibration.
+    /// Steady feed in m/s of a burr under its force in bone of the given specific cutting energy, below the feed limit: power / (u x
+    /// cross-section of the hole). For calibration.
     pub fn steady_feed_m_s(&self, burr: &BurrState, specific_energy_j_m3: f64) -> f64 {
         let hole = burr.radius_m + self.reach_m;
         self.power_w(burr) / (specific_energy_j_m3 * core::f64::consts::PI * hole * hole)
@@ -130,43 +131,43 @@ fn check_time_step(dt_s: f64, max_burr_radius_m: f64) -> Result<(), BoneError> {
     Err(BoneError::Burr { name: "time step", value: dt_s, expected, max_burr_radius_m })
 }
 
-/// What one tick of drilling did.
+/// Result of one tick of drilling.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct GrindReport {
     /// Voxels removed in this tick.
     pub removed_count: usize,
-    /// Voxels whose energy is spent and that wait for room in the next tick's list.
+    /// Spent voxels that did not fit into this tick's list of removed voxels and wait for the next tick.
     pub waiting_count: usize,
-    /// Voxels that took energy.
+    /// Voxels that absorbed energy.
     pub cut_count: usize,
-    /// Voxels in reach that could take nothing because the pool of blocks is full.
+    /// Voxels in reach that could not absorb energy because the block pool is full.
     pub refused_count: usize,
     /// Cutting energy of the tick in J.
     pub energy_offered_j: f64,
-    /// Part of it that went into bone.
+    /// The part of it that bone absorbed.
     pub energy_used_j: f64,
-    /// Energy in J that slivers would still have needed when they fell off; not taken from the burr.
+    /// Energy in J that slivers would still have needed when they fell off; the burr did not spend it.
     pub energy_shed_j: f64,
 }
 
-/// Working memory of a tick, reserved for the largest burr.
+/// Working memory of a tick, sized for the largest burr.
 #[derive(Debug, Clone)]
 pub(super) struct DrillScratch {
-    /// Weights of the voxels that the burr presses on, in their order, and what each can take in this tick, J; then zeros up to a
-    /// multiple of [`LANES`]. Without the others between them, so that the sums do not depend on what else is near.
+    /// Weights of the voxels that the burr presses on, in order, and their capacities in this tick, J, padded with zeros to a multiple of
+    /// [`LANES`]. Other voxels are left out, so that the sums do not depend on what else is nearby.
     weight: Vec<f64>,
     room_j: Vec<f64>,
     count: usize,
-    /// The voxels themselves, by their place in the list of those in reach; for [`super::removal`] only.
+    /// The voxels themselves, by index in the list of voxels in reach; for [`super::removal`] only.
     pub(super) kept: Vec<u32>,
 }
 
-/// How the energy is shared.
+/// Result of sharing the energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Level {
-    /// Energy in J that a unit of weight is offered.
+    /// Energy in J offered per unit of weight.
     level_j: f64,
-    /// What all take of it, J.
+    /// Total energy absorbed, J.
     taken_j: f64,
 }
 
@@ -177,7 +178,7 @@ impl DrillScratch {
         Self { weight: numbers(), room_j: numbers(), count: 0, kept: Vec::with_capacity(capacity) }
     }
 
-    /// Takes over the voxels that have depth.
+    /// Selects the voxels with positive depth.
     fn keep(&mut self, depth: &[f64], room_j: &[f64]) {
         let mut out = self.weight.iter_mut().zip(&mut self.room_j);
         let mut count = 0;
@@ -193,14 +194,14 @@ impl DrillScratch {
         self.count = count;
     }
 
-    /// Shares the energy by weight; what exceeds a voxel's room goes to the others.
+    /// Shares the energy by weight; what exceeds a voxel's capacity goes to the others.
     fn share(&self, arch: Arch, energy_j: f64) -> Level {
         let padded = self.count.next_multiple_of(LANES);
         arch.dispatch(Share { energy_j, weight: &self.weight[..padded], room_j: &self.room_j[..padded] })
     }
 }
 
-/// The loops of [`DrillScratch::share`], compiled for each instruction set; the order of every sum is written out.
+/// The loops of [`DrillScratch::share`], compiled for each instruction set; the order of every sum is explicit.
 struct Share<'a> {
     energy_j: f64,
     weight: &'a [f64],
@@ -208,7 +209,7 @@ struct Share<'a> {
 }
 
 impl Share<'_> {
-    /// What all take at a level, and the weight of those that could take more.
+    /// Total energy absorbed at a level, and the weight of the voxels with capacity left.
     #[inline(always)]
     fn taken_at(&self, level_j: f64) -> (f64, f64) {
         let (mut taken, mut open) = ([0.0; LANES], [0.0; LANES]);
@@ -227,8 +228,8 @@ impl Share<'_> {
 impl pulp::WithSimd for Share<'_> {
     type Output = Level;
 
-    /// Newton's steps on the level at which all is taken. What is taken bends only where a voxel is full, so a step after which the
-    /// same voxels are open was the last.
+    /// Newton steps toward the level at which all energy is absorbed. The absorbed energy is piecewise linear in the level and bends only
+    /// where a voxel fills up, so the iteration has converged once a step leaves the same voxels unfilled.
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Level {
         let mut level_j = 0.0;
@@ -247,7 +248,7 @@ impl pulp::WithSimd for Share<'_> {
     }
 }
 
-/// Rounding of spent + (1 - spent): what is nearer to the end than 1e-12 is at the end.
+/// Rounding of spent + (1 - spent): a voxel within 1e-12 of its end counts as spent.
 fn is_ended(spent: f64) -> bool {
     spent > 1.0 - 1e-12
 }
@@ -257,12 +258,12 @@ fn is_ended(spent: f64) -> bool {
 pub(super) struct DrillCache {
     reached: ReachedVoxels,
     scratch: DrillScratch,
-    /// Number of edits of the voxels that `reached` has seen.
+    /// Number of voxel edits that `reached` has seen.
     seen: u64,
 }
 
 impl DrillCache {
-    /// An empty cache of these voxels.
+    /// An empty cache for these voxels.
     pub fn new(voxels: &Voxels) -> Self {
         let reached = ReachedVoxels::new(voxels.geometry(), voxels.parameters());
         let scratch = DrillScratch::new(reached.capacity());
@@ -306,7 +307,7 @@ impl DrillCache {
     }
 }
 
-/// One tick of drilling under way: what the burr reaches, the voxels, and what was done so far.
+/// A tick of drilling in progress: the voxels in reach, the voxels themselves, and the report so far.
 pub(super) struct DrillTick<'t> {
     pub reached: &'t mut ReachedVoxels,
     pub scratch: &'t mut DrillScratch,
@@ -331,7 +332,7 @@ impl DrillTick<'_> {
         self.scratch.keep(&self.reached.depth, &self.reached.room_j);
     }
 
-    /// Drops slivers that the burr has left behind.
+    /// Removes slivers that the burr has left behind.
     fn shed_slivers(&mut self, press: &Press) {
         let sliver_fraction = self.edit.parameters().cutting.sliver_fraction;
         for voxel in 0..self.reached.index.len() {
@@ -349,7 +350,7 @@ impl DrillTick<'_> {
         self.edit.set_spent(self.reached.place[voxel], spent);
     }
 
-    /// Shares the energy among the voxels, books what they take, and queues those that are spent.
+    /// Shares the energy among the voxels, records what they absorb, and queues the spent ones.
     fn spend(&mut self, arch: Arch, energy_j: f64) {
         let level = self.scratch.share(arch, energy_j);
         self.report.energy_offered_j = energy_j;
@@ -372,13 +373,13 @@ impl DrillTick<'_> {
                 if waits {
                     self.edit.queue(self.reached.index[voxel]);
                 }
-                // Without room even to wait it keeps a trace of strength and ends in a later tick.
+                // If even the queue is full, the voxel keeps a trace of strength and ends in a later tick.
                 self.set_spent(voxel, if waits { 1.0 } else { 1.0 - 1e-9 });
             }
         }
     }
 
-    /// Takes spent voxels out of the bone, as many as the tick's list holds.
+    /// Removes spent voxels from the bone, as many as the tick's list holds.
     fn finish(mut self) -> GrindReport {
         self.edit.remove_queued();
         self.report.removed_count = self.edit.removed_this_tick().len();

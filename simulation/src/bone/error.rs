@@ -1,9 +1,9 @@
-//! What can be wrong with the inputs of a bone field.
+//! Errors of a bone field.
 
-/// Why a bone field refuses what it was given.
+/// Why a bone field refused its input.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BoneError {
-    /// The grid is not one that a volume may have.
+    /// The grid is invalid.
     #[error("the volume has {0}")]
     Grid(#[from] voxel_grid::GridError),
     /// The CT does not have as many values as the grid has voxels.
@@ -23,7 +23,7 @@ pub enum BoneError {
         name: &'static str,
         /// Value given.
         value: f64,
-        /// What is allowed.
+        /// Accepted range.
         expected: &'static str,
     },
     /// A burr is not finite, or larger than the field was built for.
@@ -35,7 +35,7 @@ pub enum BoneError {
         name: &'static str,
         /// Value given.
         value: f64,
-        /// What is allowed.
+        /// Accepted range.
         expected: &'static str,
         /// Largest burr radius of this field in metres.
         max_burr_radius_m: f64,

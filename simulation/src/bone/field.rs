@@ -11,32 +11,31 @@ use super::query::ContactBuffer;
 use super::tracked::ContactCache;
 use super::voxels::{BoneSnapshot, Voxels};
 
-/// The bone of one CT, for contact queries and drilling: the [`Voxels`] and a cache for each of the two.
+/// The bone of one CT, for contact queries and drilling: the [`Voxels`] and one cache for each of the two.
 ///
-/// The caches are built from the voxels alone and check the voxels' journal before they are used, so they change the speed of an answer
-/// and never the answer.
+/// The caches are built from the voxels alone and check the voxels' journal before use. They affect only the speed of an answer, never
+/// the answer.
 #[derive(Debug)]
 pub struct BoneField {
     voxels: Voxels,
     contact_cache: ContactCache,
     drill_cache: DrillCache,
-    /// The machine's vector instructions.
+    /// SIMD support of this CPU.
     arch: Arch,
 }
 
 impl BoneField {
-    /// Builds the field of `hu`, which has `geometry.voxel_count()` values, x fastest. All memory that drilling needs is
-    /// reserved here.
+    /// Builds the field from `hu`, which has `geometry.voxel_count()` values, x fastest. Reserves all memory that drilling needs.
     ///
     /// # Errors
-    /// A grid that no volume may have, a CT of another size, a parameter out of its range.
+    /// An invalid grid, a CT of the wrong size, or a parameter out of range.
     pub fn new(geometry: GridGeometry, hu: &[i16], parameters: BoneParameters) -> Result<Self, BoneError> {
         let voxels = Voxels::new(geometry, hu, parameters)?;
         let (contact_cache, drill_cache) = (ContactCache::new(&voxels), DrillCache::new(&voxels));
         Ok(Self { voxels, contact_cache, drill_cache, arch: Arch::new() })
     }
 
-    /// The bone as it is.
+    /// The current bone.
     pub fn voxels(&self) -> &Voxels {
         &self.voxels
     }
@@ -52,8 +51,8 @@ impl BoneField {
         self.arch = Arch::Scalar;
     }
 
-    /// The planes of [`Voxels::contact_planes`], bit for bit, in a fraction of the time for a sphere of the same index
-    /// that has moved little since its last query.
+    /// The planes of [`Voxels::contact_planes`], bit for bit, but much faster for a sphere (by index) that has moved little since its
+    /// last query.
     pub fn contact_planes_tracked(
         &mut self,
         sphere_index: usize,
@@ -67,18 +66,18 @@ impl BoneField {
         }
     }
 
-    /// One tick of drilling, `dt_s` long. `hu` is the CT that the field was built from. The removed voxels are then in
-    /// [`Voxels::removed_this_tick`].
+    /// One tick of drilling, `dt_s` long. `hu` is the CT that the field was built from. [`Voxels::removed_this_tick`] then lists the
+    /// removed voxels.
     ///
     /// # Errors
-    /// A CT of another size, a burr that is not finite or too large; nothing has changed then.
+    /// A CT of the wrong size, or a burr that is not finite or too large; nothing has changed then.
     pub fn grind(&mut self, hu: &[i16], burr: &BurrState, dt_s: f64) -> Result<GrindReport, BoneError> {
         self.drill_cache.grind(&mut self.voxels, self.arch, hu, burr, dt_s)
     }
 
-    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres) and returns
-    /// their numbers, ascending. These voxels are part of the scene: no reset brings them back. For use before the
-    /// run; allocates. Nothing is removed for values that are not finite or a radius that is not above 0.
+    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres) and returns the voxel
+    /// numbers in ascending order. These voxels are part of the scene: a reset does not restore them. Use before the run; allocates.
+    /// Removes nothing for non-finite values or a radius that is not positive.
     pub fn predrill_capsule(
         &mut self,
         from_world_m: &Vector3<f64>,
@@ -94,10 +93,10 @@ impl BoneField {
         self.voxels.reset();
     }
 
-    /// Goes back, or forward, to a snapshot of a field of the same CT, parameters and pilot holes; continues bit for bit.
+    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes; continues bit for bit.
     ///
     /// # Errors
-    /// The snapshot is of another field.
+    /// The snapshot is from another field.
     pub fn restore(&mut self, snapshot: &BoneSnapshot) -> Result<(), BoneError> {
         self.voxels.restore(snapshot)
     }

@@ -1,4 +1,4 @@
-//! Which voxels can be nearest to a sphere: those within reach without bone beside them towards the centre.
+//! Finds the voxels that can be nearest to a sphere: those within reach with no bone next to them on the side of the centre.
 
 use nalgebra::Vector3;
 
@@ -6,10 +6,10 @@ use super::grid::floor_to_i64;
 use super::occupancy::{VoxelBox, WINDOW_VOXELS};
 use super::voxels::Voxels;
 
-/// Voxels of a row examined at once: a window less one on either side for the neighbours along x.
+/// Voxels of a row examined at once: one window, minus one voxel at each end for the neighbours along x.
 const COLUMNS: i64 = WINDOW_VOXELS - 2;
-/// What the reach is widened by for the rows and columns looked at, in voxels: far above the rounding of a coordinate, so
-/// that the caller's own distance alone decides which voxels count.
+/// Margin on the reach when selecting rows and columns, in voxels. It far exceeds coordinate rounding, so only the caller's own distance
+/// decides which voxels count.
 const ROUNDING_VOXELS: f64 = 1e-6;
 
 /// [`ROUNDING_VOXELS`] in metres.
@@ -20,23 +20,23 @@ pub(super) fn widening([hx, hy, hz]: [f64; 3]) -> f64 {
 /// A sphere in the grid's metric frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sphere {
-    /// Which of the tool's spheres it is.
+    /// Index of the sphere on the tool.
     pub index: usize,
     pub centre: Vector3<f64>,
     pub radius_m: f64,
-    /// The voxel that holds the centre, possibly outside the grid.
+    /// The voxel that contains the centre, possibly outside the grid.
     pub voxel: [i64; 3],
     /// Radius plus margin in metres.
     pub reach: f64,
 }
 
-/// The columns of voxels that a window shows. Bit 0 of the window is the voxel before the first wanted one.
+/// The columns of voxels in a window. Bit 0 of the window is the voxel before the first wanted one.
 struct Columns {
-    /// The wanted voxels before the centre's column; their neighbour towards the centre is the next one.
+    /// The wanted voxels before the centre's column; their neighbour toward the centre is the next one.
     before: u64,
     /// The centre's own column.
     own: u64,
-    /// The wanted voxels behind it.
+    /// The wanted voxels after it.
     behind: u64,
 }
 
@@ -52,7 +52,7 @@ impl Columns {
         }
     }
 
-    /// The wanted bone voxels without bone beside them towards the centre.
+    /// The wanted bone voxels with no bone next to them on the side of the centre.
     #[inline]
     fn exposed(&self, row: u64) -> u64 {
         row & ((self.before & !(row >> 1)) | self.own | (self.behind & !(row << 1)))
@@ -60,9 +60,9 @@ impl Columns {
 }
 
 impl Voxels {
-    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no neighbour between itself and the
-    /// centre, and possibly with some that are farther by rounding; slices outermost, x fastest. Returns the voxels that the
-    /// result depends on, or `None` if none is in the grid.
+    /// Calls `visit` with every voxel whose box is within `sphere.reach` and that has no neighbour between itself and the centre;
+    /// rounding may add a few slightly farther ones. Slices are outermost, x is fastest. Returns the voxels that the result depends on,
+    /// or `None` if none is in the grid.
     #[inline]
     pub(super) fn gather(&self, sphere: &Sphere, mut visit: impl FnMut([i64; 3])) -> Option<VoxelBox> {
         let (occupancy, geometry) = (self.occupancy(), self.geometry());
@@ -117,16 +117,16 @@ impl Voxels {
     }
 }
 
-/// Signed distance along one axis from a voxel's slab to a point whose offset from the slab's middle is `offset`; 0 inside.
+/// Signed distance along one axis from a voxel's slab to a point at `offset` from the slab's middle; 0 inside.
 #[inline]
 pub(super) fn outside(offset: f64, width: f64) -> f64 {
     let half = 0.5 * width;
-    // Without a branch: which side it is is unpredictable.
+    // Branch-free, because the side is unpredictable.
     let above = if offset > -half { offset } else { -half };
     offset - if above < half { above } else { half }
 }
 
-/// The index next to `from`, which is in `0..count`, towards `to`, and all ones; or `from` and 0 if there is no such index.
+/// The index next to `from`, which is in `0..count`, toward `to`, with an all-ones mask; or `from` and 0 if there is none.
 #[inline]
 fn towards(from: i64, to: i64, count: usize) -> (usize, u64) {
     let next = (from + i64::from(to > from) - i64::from(to < from)).clamp(0, count as i64 - 1);

@@ -1,4 +1,4 @@
-//! Where the voxels of a CT lie: dimensions, spacing, direction and origin, in the patient frame.
+//! Geometry of a CT's voxel grid: dimensions, spacing, direction and origin, in the patient frame.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use super::BoneError;
 
-/// Number of a voxel in the order of memory, x fastest: what messages and keyframes call a voxel by.
+/// Linear index of a voxel in memory order, x fastest. Messages and keyframes identify voxels by it.
 #[derive(
     Debug,
     Clone,
@@ -30,38 +30,38 @@ pub struct VoxelIndex(u32);
 const _: () = assert!(voxel_grid::MAX_VOXELS <= u32::MAX as usize, "every voxel of a volume has a number");
 
 impl VoxelIndex {
-    /// The voxel of this number.
+    /// The voxel with this index.
     pub fn new(number: u32) -> Self {
         Self(number)
     }
 
-    /// The number.
+    /// The index as a number.
     #[inline]
     pub fn number(self) -> u32 {
         self.0
     }
 
-    /// Where the voxel's value lies in the CT.
+    /// Position of the voxel's value in the CT.
     #[inline]
     pub fn at(self) -> usize {
         self.0 as usize
     }
 
-    /// The numbers of many.
+    /// A slice of indices as plain numbers.
     pub fn numbers(many: &[Self]) -> &[u32] {
         zerocopy::transmute_ref!(many)
     }
 }
 
-/// A uniform voxel grid in the world (patient frame, LPS, metres). Voxel (i, j, k) is the box of size `spacing_m` about
-/// its centre `origin + direction * (i dx, j dy, k dz)`; x runs fastest in memory.
+/// A uniform voxel grid in the world frame (patient frame, LPS, metres). Voxel (i, j, k) is the box of size `spacing_m` about its centre
+/// `origin + direction * (i dx, j dy, k dz)`; x is fastest in memory.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridGeometry {
     /// Number of voxels along x, y, z.
     pub dims: [usize; 3],
     /// Voxel size along x, y, z in metres.
     pub spacing_m: [f64; 3],
-    /// Direction cosines: column a is the world direction of grid axis a. Orthonormal; a mirrored grid is allowed.
+    /// R_world_grid: column a is the world direction of grid axis a. Orthonormal; a mirrored grid is allowed.
     pub direction_world_grid: Matrix3<f64>,
     /// World position of the centre of voxel (0, 0, 0) in metres.
     pub origin_world_m: Vector3<f64>,
@@ -93,13 +93,13 @@ impl GridGeometry {
         (k * self.dims[1] + j) * self.dims[0] + i
     }
 
-    /// Number of a voxel of the grid.
+    /// Linear index of a voxel of the grid, as a [`VoxelIndex`].
     #[inline]
     pub fn index(&self, [i, j, k]: [usize; 3]) -> VoxelIndex {
         VoxelIndex(self.linear_index(i, j, k) as u32)
     }
 
-    /// The voxel of a number.
+    /// Inverse of the linear index.
     #[inline]
     pub fn voxel(&self, index: VoxelIndex) -> [usize; 3] {
         let [nx, ny, _] = self.dims;
@@ -119,7 +119,7 @@ impl GridGeometry {
         self.point_to_world(&Vector3::new(i as f64 * dx, j as f64 * dy, k as f64 * dz))
     }
 
-    /// A world point in the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid, metres.
+    /// Transforms a world point into the grid's metric frame: origin at voxel (0, 0, 0), axes along the grid, metres.
     pub fn point_to_grid(&self, point_world_m: &Vector3<f64>) -> Vector3<f64> {
         self.direction_world_grid.tr_mul(&(point_world_m - self.origin_world_m))
     }
@@ -129,7 +129,7 @@ impl GridGeometry {
         self.origin_world_m + self.direction_world_grid * point_grid_m
     }
 
-    /// The grid as [`VoxelGrid`] takes it: checked, its axes perpendicular.
+    /// The grid after validation, with perpendicular axes, as [`VoxelGrid`] requires.
     pub(super) fn validated(self) -> Result<Self, BoneError> {
         let axes = [0, 1, 2].map(|axis| self.direction_world_grid.column(axis).into_owned().into());
         let grid = VoxelGrid::new(self.dims, self.spacing_m, self.origin_world_m.into(), axes)?;
@@ -148,7 +148,7 @@ impl From<&VoxelGrid> for GridGeometry {
     }
 }
 
-/// Largest integer not above `x`, saturating; `f64::floor` is a library call without SSE4.1.
+/// Floor as an integer, saturating. `f64::floor` is a library call without SSE4.1.
 #[inline]
 pub(super) fn floor_to_i64(x: f64) -> i64 {
     let truncated = x as i64;

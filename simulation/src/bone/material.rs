@@ -1,4 +1,4 @@
-//! From Hounsfield units to the energy that it takes to cut a volume of bone.
+//! From Hounsfield units to the energy needed to cut a volume of bone.
 
 use super::BoneError;
 
@@ -6,10 +6,10 @@ use super::BoneError;
 ///
 /// `rho(HU) = clamp(offset + slope HU, minimum, maximum)` and `u(rho) = u_ref (rho / rho_ref)^p`.
 ///
-/// Sources. The default density line, 131 + 1.067 HU kg/m3, is the apparent density of Rho, Hobatho and Ashman 1995 (Med.
-/// Eng. Phys. 17:347) as it is used in finite-element work; the exponent 2 is the one of compressive strength in Carter and
-/// Hayes 1977 (J. Bone Joint Surg. 59A:954), taken over for cutting energy; `u_ref` for cortical bone is the order of
-/// magnitude of orthogonal cutting, some 1e7 to 1e8 J/m3. They are defaults, not a calibration: a scene states its own.
+/// Sources. The default density line, 131 + 1.067 HU kg/m3, is the apparent density of Rho, Hobatho and Ashman 1995 (Med. Eng. Phys.
+/// 17:347) as used in finite-element work. The exponent 2 is that of compressive strength in Carter and Hayes 1977 (J. Bone Joint Surg.
+/// 59A:954), applied here to cutting energy. `u_ref` for cortical bone is the order of magnitude of orthogonal cutting, about 1e7 to 1e8
+/// J/m3. These are defaults, not a calibration: a scene gives its own values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MaterialLaw {
     /// Density at 0 HU in kg/m3.
@@ -86,7 +86,7 @@ impl MaterialLaw {
     }
 }
 
-/// The law as a table over all Hounsfield units from the bone threshold up, so that a tick computes no powers.
+/// The law tabulated over all Hounsfield units from the bone threshold up, so that a tick computes no powers.
 #[derive(Debug, Clone)]
 pub(super) struct CuttingTable {
     threshold_hu: i16,
@@ -101,7 +101,7 @@ impl CuttingTable {
         Ok(Self { threshold_hu, specific_energy_j_m3 })
     }
 
-    /// Specific cutting energy in J/m3; below the threshold that of the threshold.
+    /// Specific cutting energy in J/m3; values below the threshold return that of the threshold.
     #[inline]
     pub fn specific_energy_j_m3(&self, hu: i16) -> f64 {
         let steps = (i32::from(hu) - i32::from(self.threshold_hu)).max(0) as usize;

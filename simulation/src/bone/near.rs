@@ -1,4 +1,4 @@
-//! The voxels that may be nearest to a sphere, and how far they are: numbers side by side, for loops without branches.
+//! The voxels that may be nearest to a sphere, and their distances, stored as arrays for branch-free SIMD loops.
 
 use nalgebra::Vector3;
 
@@ -7,22 +7,22 @@ use super::query::{ContactKind, VoxelEnd};
 use super::strength::Place;
 use super::voxels::Voxels;
 
-/// Voxels kept a sphere.
+/// Maximum voxels stored per sphere.
 pub(super) const MAX_NEAR: usize = 256;
-/// Numbers compared at a time.
+/// Values compared at a time.
 const LANES: usize = 4;
-/// Seeds nearer than this angle (its cosine) to a plane or its seed belong to that plane: 60 degrees.
+/// A seed within this angle (cosine; 60 degrees) of a plane or its seed belongs to that plane.
 const SAME_PLANE_COSINE: f64 = 0.5;
 
 const _: () = assert!(MAX_NEAR.is_multiple_of(LANES), "the lanes' padding has room");
 
-/// Voxels, in the order in which they were found.
+/// Voxels, in the order found.
 #[derive(Debug, Clone)]
 pub(super) struct NearVoxels {
     count: usize,
     /// Centres along each grid axis, metres.
     position: [[f64; MAX_NEAR]; 3],
-    /// Where each one's spent fraction is kept.
+    /// Where the pool stores each voxel's spent fraction.
     place: [Place; MAX_NEAR],
     any_place: bool,
 }
@@ -48,7 +48,7 @@ impl NearVoxels {
         room
     }
 
-    /// Adds a voxel, in the place of the one whose box is farthest if there is no room.
+    /// Adds a voxel; if there is no room, replaces the voxel whose box is farthest.
     pub fn push_nearest(&mut self, sphere: &Sphere, spacing: &[f64; 3], position: [f64; 3], place: Place) {
         if self.push(position, place) {
             return;
@@ -79,7 +79,7 @@ impl NearVoxels {
     }
 }
 
-/// A voxel that is nearest.
+/// A nearest voxel.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seed {
     /// From the voxel to the sphere's centre, grid frame, metres.
@@ -90,13 +90,13 @@ pub(super) struct Seed {
     pub distance2: f64,
 }
 
-/// The voxels seen from the sphere. Squares, because few of them need their root.
+/// Distances of the voxels from the sphere. Stored squared, because only a few need their root.
 #[derive(Debug, Clone)]
 pub(super) struct Candidates {
     count: usize,
     offset: [[f64; MAX_NEAR]; 3],
     length2: [f64; MAX_NEAR],
-    /// Infinite for a voxel out of reach or dropped, and from `count` on up to a multiple of `LANES`.
+    /// Infinite for voxels out of reach or dropped, and as padding from `count` up to a multiple of `LANES`.
     distance2: [f64; MAX_NEAR],
     /// Spent fractions.
     spent: [f64; MAX_NEAR],
@@ -113,15 +113,15 @@ impl Candidates {
         }
     }
 
-    /// Notes what is spent of the near voxels, for [`Self::see_surfaces`].
+    /// Loads the spent fractions of the near voxels, for [`Self::see_surfaces`].
     #[inline(always)]
     fn note_spent(&mut self, near: &NearVoxels, spent_at: impl Fn(Place) -> f64) {
         let places = &near.place[..near.count];
         self.spent.iter_mut().zip(places).for_each(|(spent, place)| *spent = spent_at(*place));
     }
 
-    /// Distances to the voxels' surfaces; those of `sphere.reach` and more do not count. Returns whether the centre lies on one of
-    /// them or behind. Without `CUT` all voxels are whole, and the compiler leaves out what only cut ones need.
+    /// Distances to the voxels' surfaces; those at `sphere.reach` or beyond do not count. Returns true if the centre lies on a surface or
+    /// behind it. Without `CUT` all voxels are whole, and the compiler drops the code for cut ones.
     #[inline(always)]
     fn see_surfaces<const CUT: bool>(
         &mut self,
@@ -160,7 +160,7 @@ impl Candidates {
         self.distance2[self.count..self.count.next_multiple_of(LANES)].fill(f64::INFINITY);
     }
 
-    /// Distances to voxels that are balls of the given radius, less what is spent of it on either side.
+    /// Distances to voxels as balls of the given radius, reduced on both sides by what is spent.
     fn see_balls(&mut self, near: &NearVoxels, sphere: &Sphere, radius_m: f64, spent: impl Fn(Place) -> f64) {
         self.count = near.count;
         for voxel in 0..near.count {
@@ -183,7 +183,7 @@ impl Candidates {
         self.distance2[voxel] = seed.distance2;
     }
 
-    /// Drops the candidates that lie within 60 degrees of either direction.
+    /// Drops the candidates within 60 degrees of either direction.
     #[inline(always)]
     pub fn drop_near(&mut self, first: &Vector3<f64>, second: &Vector3<f64>) {
         const LIMIT: f64 = SAME_PLANE_COSINE * SAME_PLANE_COSINE;
@@ -199,7 +199,7 @@ impl Candidates {
         }
     }
 
-    /// The first of the nearest candidates.
+    /// The nearest candidate; the first one in case of a tie.
     #[inline(always)]
     pub fn nearest(&self) -> Option<Seed> {
         let padded = &self.distance2[..self.count.next_multiple_of(LANES)];
@@ -220,7 +220,7 @@ impl Candidates {
 }
 
 impl Voxels {
-    /// How far the near voxels' surfaces are from a sphere; those out of its reach do not count.
+    /// Distances of the near voxels' surfaces from a sphere; those out of its reach do not count.
     #[inline(always)]
     pub(super) fn see(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
         let spacing = self.geometry().spacing_m;
@@ -240,13 +240,13 @@ impl Voxels {
         }
     }
 
-    /// Voxels on whose boundary the centre lies exactly: out through the face it lies on.
+    /// Handles voxels with the centre exactly on their boundary: the direction is outward through that face.
     fn see_touching(&self, near: &NearVoxels, sphere: &Sphere, candidates: &mut Candidates) {
         for voxel in 0..near.count {
             if candidates.length2[voxel] <= 0.0 {
                 let position = Vector3::from([0, 1, 2].map(|a| near.position[a][voxel]));
                 let offset = self.face_direction(&(sphere.centre - position));
-                // A voxel that is more than half cut and holds the centre at its middle has no direction to push in.
+                // A voxel that is more than half cut and has the sphere's centre at its middle gives no direction to push in.
                 let pushes = self.pool().spent_at(near.place[voxel]) <= 0.5;
                 let distance2 = if pushes { 0.0 } else { f64::INFINITY };
                 candidates.put(voxel, &Seed { offset, length2: 1.0, distance2 });
@@ -254,7 +254,7 @@ impl Voxels {
         }
     }
 
-    /// Unit vector along the axis on which an offset from a voxel's centre is largest in voxels.
+    /// Unit vector along the axis on which an offset from a voxel's centre is largest in units of voxels.
     fn face_direction(&self, from_centre: &Vector3<f64>) -> Vector3<f64> {
         let in_voxels = [0, 1, 2].map(|a| (from_centre[a] / self.geometry().spacing_m[a]).abs());
         let mut axis = 0;

@@ -1,4 +1,4 @@
-//! Which voxels are bone: one bit a voxel in rows along x, with a coarse count that makes empty space cost nothing.
+//! Bone occupancy: one bit per voxel in rows along x, with coarse counts that skip empty space.
 
 use super::grid::floor_to_i64;
 
@@ -7,14 +7,14 @@ const CELL_SHIFT: usize = 3;
 /// Zero bytes before each row.
 const ROW_PADDING: usize = 8;
 
-/// Voxels that a window shows: 64 less the 7 that a start within a byte can cost.
+/// Voxels in a window: 64 minus up to 7 lost to a start within a byte.
 pub(super) const WINDOW_VOXELS: i64 = 57;
 
 const _: () = assert!(WINDOW_VOXELS == 64 - 7, "a word less the bits before a window's first");
 const _: () = assert!(64 << (2 * CELL_SHIFT) <= u16::MAX as usize, "a cell's count fits its type");
 
-/// Bit rows along x, as bytes, so that a window is one unaligned load. Eight zero bytes lie before every row, and more than a
-/// row of them behind the last, so that a window may run past either end of a row.
+/// Bit rows along x, stored as bytes, so that a window is one unaligned load. Eight zero bytes precede every row and more than a row of
+/// zeros follows the last one, so a window may run past either end of a row.
 #[derive(Debug, Clone)]
 pub(super) struct Occupancy {
     dims: [usize; 3],
@@ -33,16 +33,16 @@ pub(super) struct VoxelBox {
 }
 
 impl VoxelBox {
-    /// No voxels.
+    /// The empty box.
     pub const NOTHING: Self = Self { low: [i64::MAX; 3], high: [i64::MIN; 3] };
 
-    /// Whether the two have a voxel in common.
+    /// True if the two boxes overlap.
     #[inline]
     pub fn meets(&self, other: &Self) -> bool {
         (0..3).all(|a| self.low[a] <= other.high[a] && other.low[a] <= self.high[a])
     }
 
-    /// The smallest box with another voxel in it.
+    /// The smallest box that also contains `voxel`.
     pub fn with(&self, voxel: [i64; 3]) -> Self {
         Self {
             low: [0, 1, 2].map(|a| self.low[a].min(voxel[a])),
@@ -51,7 +51,7 @@ impl VoxelBox {
     }
 }
 
-/// Where a window lies within every row.
+/// Position of a window within every row.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WindowPlace {
     byte: usize,
@@ -59,7 +59,7 @@ pub(super) struct WindowPlace {
 }
 
 impl Occupancy {
-    /// Bone is every voxel of at least `threshold_hu`. `hu` has `dims[0] * dims[1] * dims[2]` values, x fastest.
+    /// Marks every voxel of at least `threshold_hu` as bone. `hu` has `dims[0] * dims[1] * dims[2]` values, x fastest.
     pub fn from_threshold(dims: [usize; 3], hu: &[i16], threshold_hu: i16) -> Self {
         let words_per_row = dims[0].div_ceil(64);
         let row_stride = (words_per_row + 1) * ROW_PADDING;
@@ -102,14 +102,14 @@ impl Occupancy {
         self.solid_count
     }
 
-    /// Whether the voxel is bone.
+    /// True if the voxel is bone.
     #[inline]
     pub fn is_solid(&self, i: usize, j: usize, k: usize) -> bool {
         let (byte, bit) = self.byte_and_bit(i, j, k);
         self.bytes[byte] & bit != 0
     }
 
-    /// Whether the voxel is bone; outside the grid is not.
+    /// True if the voxel is bone; false outside the grid.
     #[inline]
     pub fn is_solid_at(&self, index: [i64; 3]) -> bool {
         let inside = (0..3).all(|a| index[a] >= 0 && index[a] < self.dims[a] as i64);
@@ -138,16 +138,16 @@ impl Occupancy {
         }
     }
 
-    /// Where the window of [`WINDOW_VOXELS`] voxels from `start` on lies in a row, the same for all rows. A start farther
-    /// than 64 voxels outside is brought to where the window is as empty.
+    /// Position in a row, the same for all rows, of the window of [`WINDOW_VOXELS`] voxels starting at `start`. A start more than 64
+    /// voxels outside is moved to where the window is just as empty.
     #[inline]
     pub fn window_place(&self, start: i64) -> WindowPlace {
         let start = start.clamp(-64, self.dims[0] as i64) + 64;
         WindowPlace { byte: (start >> 3) as usize, shift: (start & 7) as u32 }
     }
 
-    /// The window of row (j, k), both inside the grid, as bits; voxels outside the grid are 0. Bits from
-    /// [`WINDOW_VOXELS`] on mean nothing.
+    /// The window of row (j, k), both inside the grid, as bits; voxels outside the grid are 0. Bits from [`WINDOW_VOXELS`] up are
+    /// undefined.
     #[inline]
     pub fn window(&self, place: WindowPlace, j: usize, k: usize) -> u64 {
         self.window_at(place, k * self.slice_stride() + j * self.row_stride)
@@ -162,7 +162,7 @@ impl Occupancy {
         }
     }
 
-    /// Eight voxels along x from `start` on as bits, for N rows of N slices; voxels outside the grid are 0.
+    /// Eight voxels along x from `start`, as bits, for N rows of N slices; voxels outside the grid are 0.
     #[inline]
     pub fn cube<const N: usize>(&self, start: [i64; 3], rows: &mut [[u8; N]; N]) {
         let place = self.window_place(start[0]);
@@ -175,13 +175,13 @@ impl Occupancy {
             let first =
                 k * self.slice_stride() + (start[1] + y.start as i64) as usize * self.row_stride + place.byte;
             let mut from = self.bytes.get(first..).unwrap_or_default().chunks_exact(self.row_stride);
-            // Two bytes hold eight voxels, wherever they start.
+            // Two bytes always contain eight consecutive voxels.
             let mut next = || match from.next() {
                 Some([low, high, ..]) => (u16::from_le_bytes([*low, *high]) >> place.shift) as u8,
                 _ => 0,
             };
             if y.len() == N {
-                // The rule; without the bounds it is unrolled.
+                // The common case; without the bounds check the compiler unrolls it.
                 rows[slice] = core::array::from_fn(|_| next());
             } else {
                 rows[slice][y.clone()].iter_mut().for_each(|row| *row = next());
@@ -189,19 +189,19 @@ impl Occupancy {
         }
     }
 
-    /// Bytes from a row to the next along y; row (j, k) starts at `k * slice_stride + j * row_stride`.
+    /// Bytes between neighbouring rows along y; row (j, k) starts at `k * slice_stride + j * row_stride`.
     #[inline]
     pub fn row_stride(&self) -> usize {
         self.row_stride
     }
 
-    /// Bytes from a row to the next along z.
+    /// Bytes between neighbouring rows along z.
     #[inline]
     pub fn slice_stride(&self) -> usize {
         self.row_stride * self.dims[1]
     }
 
-    /// Whether any coarse cell that meets the box holds bone.
+    /// True if any coarse cell that meets the box holds bone.
     pub fn any_in(&self, voxels: &VoxelBox) -> bool {
         let cells = |axis: usize, shift: usize| {
             (voxels.low[axis] as usize >> shift)..=(voxels.high[axis] as usize >> shift)
@@ -214,8 +214,8 @@ impl Occupancy {
         })
     }
 
-    /// The voxels whose boxes meet the axis-aligned cube of half edge `reach_m` about a point of the grid's metric
-    /// frame; `None` if there are none.
+    /// The voxels whose boxes meet the axis-aligned cube of half edge `reach_m` about a point in the grid's metric frame; `None` if there
+    /// are none.
     pub fn voxels_around(&self, centre: [f64; 3], reach_m: f64, spacing_m: [f64; 3]) -> Option<VoxelBox> {
         let (mut low, mut high) = ([0; 3], [0; 3]);
         for axis in 0..3 {

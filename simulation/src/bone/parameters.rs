@@ -1,4 +1,4 @@
-//! What a scene says about its bone.
+//! Bone parameters.
 
 use super::BoneError;
 use super::drilling::CuttingLaw;
@@ -6,7 +6,7 @@ use super::material::MaterialLaw;
 use super::query::ContactKind;
 use super::removal::Removal;
 
-/// What a scene says about its bone.
+/// A scene's bone parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoneParameters {
     /// A voxel of at least this value is bone.
@@ -15,16 +15,16 @@ pub struct BoneParameters {
     pub material: MaterialLaw,
     /// How a burr turns force and speed into cutting energy.
     pub cutting: CuttingLaw,
-    /// What a voxel is to a sphere: a part of a smoothed surface unless an experiment asks for the baseline.
+    /// Contact model of a voxel: part of a smoothed surface, unless an experiment asks for the baseline.
     pub contact: ContactKind,
-    /// How voxels end: by energy unless an experiment asks for a baseline.
+    /// Rule for removing voxels: by energy, unless an experiment asks for a baseline.
     pub removal: Removal,
-    /// Blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels. When all are taken, voxels in further blocks
+    /// Number of blocks of 8 x 8 x 8 voxels (4 KiB each) that may hold partly cut voxels. Once all are in use, voxels in further blocks
     /// cannot be cut; each tick's report counts them.
     pub pool_blocks: usize,
-    /// Voxels that can be removed in one tick; what exceeds it waits for the next tick.
+    /// Maximum voxels removed per tick; the excess waits for the next tick.
     pub removed_per_tick: usize,
-    /// Largest burr radius in metres; it sizes the drilling scratch.
+    /// Largest burr radius in metres; it determines the size of the drilling scratch memory.
     pub max_burr_radius_m: f64,
 }
 
@@ -44,7 +44,7 @@ impl Default for BoneParameters {
 }
 
 impl BoneParameters {
-    /// Whatever the cutting table does not check: that needs the material.
+    /// Checks everything that does not need the material; the cutting table checks the rest.
     pub(super) fn check(&self) -> Result<(), BoneError> {
         let value = self.max_burr_radius_m;
         if !(value.is_finite() && value > 0.0) {

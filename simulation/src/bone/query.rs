@@ -1,18 +1,18 @@
 //! The contact planes of a sphere against the voxels.
 //!
-//! **Where the surface is.** A whole voxel is its box. A voxel of which the fraction f is left ends at the distance
-//! `|c - x| - (f - 1/2) w` from the sphere's centre c, x being its centre and w its width along that direction: the box cut
-//! by a plane that leaves the fraction f. The distance to a voxel is the larger of that and the distance to its box. So a
-//! sphere on a flat wall of whole voxels has gap 0 exactly at the wall.
+//! **Where the surface is.** A whole voxel is its box. A voxel with the fraction f left ends at the distance `|c - x| - (f - 1/2) w` from
+//! the sphere's centre c, where x is the voxel's centre and w its width along that direction: the box, cut by a plane that leaves the
+//! fraction f. The distance to a voxel is the larger of this and the distance to its box. A sphere on a flat wall of whole voxels
+//! therefore has gap 0 exactly at the wall.
 //!
-//! **Staircases.** The corners of a slanted voxel wall stand out from the plane they approximate. The gap is widened by what
-//! the nearest point stands out from the smoothed surface (see `surface.rs`), at most half a voxel; it is never narrowed.
+//! **Staircases.** The corners of a slanted voxel wall protrude from the plane they approximate. The gap is widened by the nearest
+//! point's protrusion from the smoothed surface (see `surface.rs`), by at most half a voxel; it is never narrowed.
 //!
-//! **Which planes.** A voxel can be nearest only if no neighbour lies between it and the centre, which word operations find;
-//! one remains on a flat wall and a few dozen in a tunnel. The nearest of them gives the first plane, the nearest of those
-//! more than 60 degrees away the second, and so on up to four.
+//! **Which planes.** A voxel can be nearest only if no neighbour lies between it and the centre, which bitwise operations find. On a flat
+//! wall one candidate remains, in a tunnel a few dozen. The nearest candidate gives the first plane, the nearest one more than 60 degrees
+//! away from it the second, and so on, up to four.
 //!
-//! All of this is [`ContactKind::Planes`]; [`ContactKind::VoxelBalls`] is there for comparison.
+//! All of this describes [`ContactKind::Planes`]; [`ContactKind::VoxelBalls`] exists for comparison.
 
 use nalgebra::{Unit, Vector3};
 
@@ -25,33 +25,34 @@ use super::remembered::RememberedCells;
 use super::surface::TentSizes;
 use super::voxels::Voxels;
 
-/// What a voxel is to a sphere that touches it.
+/// Contact model of a voxel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ContactKind {
-    /// A part of the smoothed surface: see the [module](self).
+    /// Part of the smoothed surface: see the [module](self).
     #[default]
     Planes,
-    /// A ball about the voxel's centre, half its smallest edge in radius, without smoothing: what published simulators do
-    /// (Phalen et al. 2023). Normals turn from voxel to voxel, and a wall is a bed of balls.
+    /// A ball at the voxel's centre with half the smallest edge as radius and no smoothing, as in published simulators (Phalen et al.
+    /// 2023). Normals change from voxel to voxel, and a wall is a bed of balls.
     VoxelBalls,
 }
 
-/// Most planes a sphere can get.
+/// Maximum planes per sphere.
 pub const MAX_PLANES: usize = 4;
-/// Seeds of a sphere: each round drops at least its own; twice the planes bounds the rounds that end in a duplicate.
+/// Maximum seeds per sphere. Each round drops at least its own seed; twice the number of planes bounds the rounds that end in a
+/// duplicate.
 pub(super) const MAX_SEEDS: usize = 2 * MAX_PLANES;
-/// Planes whose smoothed normals are nearer than this (cosine, 37 degrees) are one.
+/// Planes whose smoothed normals have a larger cosine than this (37 degrees) count as one plane.
 const DUPLICATE_COSINE: f64 = 0.8;
-/// A smoothed normal farther than this (cosine) from the seed's direction is not trusted: thin sheets, single voxels.
+/// A smoothed normal whose cosine with the seed's direction is below this is not trusted: thin sheets, single voxels.
 const NORMAL_AGREEMENT_COSINE: f64 = 0.3;
 
-/// Contact planes of one tick and the query's working memory, reserved once.
+/// Contact planes of one tick and the query's working memory, allocated once.
 #[derive(Debug, Clone)]
 pub struct ContactBuffer {
     planes: Vec<ContactPlane>,
     capacity: usize,
     dropped: usize,
-    /// Room for a search.
+    /// Working memory of a search.
     near: Box<NearVoxels>,
     pub(super) candidates: Box<Candidates>,
 }
@@ -74,17 +75,17 @@ impl ContactBuffer {
         self.dropped = 0;
     }
 
-    /// The planes found so far, in the order of the queries, nearest first within a sphere.
+    /// The planes found so far, in query order, nearest first within a sphere.
     pub fn planes(&self) -> &[ContactPlane] {
         &self.planes
     }
 
-    /// Planes that found no room since the last [`Self::clear`].
+    /// Planes dropped for lack of room since the last [`Self::clear`].
     pub fn dropped(&self) -> usize {
         self.dropped
     }
 
-    /// Adds a plane, or counts it as dropped when the buffer is full.
+    /// Adds a plane, or counts it as dropped if the buffer is full.
     pub fn push(&mut self, plane: ContactPlane) {
         if self.planes.len() < self.capacity {
             self.planes.push(plane);
@@ -94,23 +95,23 @@ impl ContactBuffer {
     }
 }
 
-/// Where a voxel ends, seen from a point: see the [module](self).
+/// Surface of a voxel seen from a point: see the [module](self).
 #[derive(Clone, Copy)]
 pub(super) struct VoxelEnd {
-    /// From its box to the point, metres; 0 along an axis on which the point lies between two faces.
+    /// From the box to the point, metres; 0 along an axis on which the point lies between the faces.
     pub to_box: [f64; 3],
     /// Square of that, m².
     pub box2: f64,
-    /// Square of the distance from its centre to the point, m².
+    /// Square of the distance from the voxel's centre to the point, m².
     pub length2: f64,
-    /// Its width along that direction, metres; 0 where there is none.
+    /// The voxel's width along that direction, metres; 0 if the direction is undefined.
     pub width: f64,
-    /// From the point to the plane that cuts it, metres; 0 for a whole voxel.
+    /// From the point to the cutting plane, metres; 0 for a whole voxel.
     pub cut_distance: f64,
 }
 
 impl VoxelEnd {
-    /// `from_centre` leads from the voxel's centre to the point; `spacing` are the voxel's edges.
+    /// `from_centre` points from the voxel's centre to the point; `spacing` holds the voxel's edges.
     #[inline(always)]
     pub fn seen(from_centre: [f64; 3], spacing: [f64; 3], spent: f64) -> Self {
         let [[dx, dy, dz], [hx, hy, hz]] = [from_centre, spacing];
@@ -126,9 +127,8 @@ impl VoxelEnd {
 }
 
 impl Voxels {
-    /// Adds up to four planes that the sphere (world centre, radius) touches or is nearer to than `margin_m`. A sphere whose
-    /// centre is inside bone gets the one plane that leads out. Nothing is added for values that are not finite or a radius
-    /// that is not above 0.
+    /// Adds up to four planes that the sphere (world centre, radius) touches or that are closer than `margin_m`. A sphere whose centre is
+    /// inside bone gets the single plane that leads out. Adds nothing for non-finite values or a radius that is not positive.
     pub fn contact_planes(
         &self,
         sphere_index: usize,
@@ -144,7 +144,7 @@ impl Voxels {
         }
     }
 
-    /// The sphere in the grid's frame, or `None` for values that mean nothing.
+    /// The sphere in the grid's frame, or `None` for invalid values.
     #[inline]
     pub(super) fn sphere(
         &self,
@@ -163,7 +163,7 @@ impl Voxels {
         Some(Sphere { index, centre, radius_m, voxel, reach })
     }
 
-    /// Whether the centre is inside bone; then the one plane that leads out is added.
+    /// True if the centre is inside bone; adds the single plane that leads out.
     #[inline]
     pub(super) fn lead_out(&self, sphere: &Sphere, out: &mut ContactBuffer) -> bool {
         let inside = self.is_mostly_solid(sphere.voxel);
@@ -174,7 +174,7 @@ impl Voxels {
         inside
     }
 
-    /// The planes of a sphere whose centre is not inside bone, by a search of all voxels in reach.
+    /// The planes of a sphere whose centre is outside bone, by a search of all voxels in reach.
     pub(super) fn planes_of_search(&self, sphere: &Sphere, out: &mut ContactBuffer) {
         let ContactBuffer { near, candidates, .. } = out;
         near.clear();
@@ -198,13 +198,13 @@ impl Voxels {
         ContactPlane {
             sphere_index,
             point_m: self.geometry().point_to_world(point),
-            // A turned unit vector.
+            // A rotated unit vector keeps its length.
             normal: Unit::new_unchecked(self.geometry().direction_world_grid * normal),
             gap_m,
         }
     }
 
-    /// Turns candidates into planes, nearest first; `cells` are what is remembered of the same sphere.
+    /// Turns candidates into planes, nearest first; `cells` caches the smoothed surface for the same sphere.
     #[inline(always)]
     pub(super) fn cluster(
         &self,
@@ -243,7 +243,7 @@ impl Voxels {
         }
     }
 
-    /// Normal of the smoothed surface at a point, `direction` where it cannot be trusted, and what the point stands out of it.
+    /// Normal of the smoothed surface at a point, or `direction` where it is not trusted; and the point's protrusion from that surface.
     #[inline(always)]
     fn smoothed(
         &self,

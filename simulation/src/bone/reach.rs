@@ -1,11 +1,11 @@
-//! Which voxels a burr can reach, found once for a burr that moves little between ticks.
+//! Finds the voxels that a burr can reach, once for a burr that moves little between ticks.
 //!
-//! A voxel matters to a tick of drilling if its surface lies within the burr's reach, or if it is a sliver that the burr has
-//! left behind (see [`super::drilling`]). The list holds the voxels of both kinds about a burr whose reach is a little wider
-//! ([`SLACK_VOXELS`]). As long as the burr stays within that slack of where it was searched, the list contains all that count:
-//! bone never comes back in a tick, and what is out of reach and no sliver yet cannot become one. Distances
-//! are always taken afresh, drilling keeps the list's spent fractions as it keeps the field's, and the order is that of the grid
-//! whatever the burr's place, so the results are those of a fresh search bit for bit, and the list is no part of the state.
+//! A voxel matters to a tick of drilling if its surface lies within the burr's reach, or if it is a sliver that the burr has left behind
+//! (see [`super::drilling`]). The list holds the voxels of both kinds about a burr with a slightly wider reach ([`SLACK_VOXELS`]). While
+//! the burr stays within that slack of the search position, the list contains all voxels that matter: bone never comes back in a tick,
+//! and a voxel that is out of reach and no sliver yet cannot become one. Distances are always recomputed, drilling updates the list's
+//! spent fractions together with the field's, and the list follows grid order wherever the burr is. The results are therefore those of a
+//! new search, bit for bit, and the list is not part of the state.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -19,23 +19,23 @@ use super::query::VoxelEnd;
 use super::strength::Place;
 use super::voxels::{Ball, Voxels};
 
-/// How much wider the remembered reach is, in voxels of the smallest spacing. A burr fed at 1.5 mm/s in voxels of 0.5 mm is
-/// searched every 33 ticks.
+/// Extra reach of the cached search, in voxels of the smallest spacing. A burr fed at 1.5 mm/s through voxels of 0.5 mm needs a new
+/// search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
 
 /// The radii about a burr's centre that decide which voxels count, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reach {
-    /// Where a voxel's surface is cut: the burr's radius plus the law's reach.
+    /// Cutting radius: the burr's radius plus the cutting law's reach.
     pub cut_m: f64,
-    /// Beyond this a surface has been left behind.
+    /// A surface beyond this has been left behind.
     pub left_m: f64,
-    /// Voxels whose centres are farther are not looked at.
+    /// Voxels with centres beyond this are ignored.
     pub outer_m: f64,
 }
 
 impl Reach {
-    /// Of a burr of the given radius.
+    /// The radii for a burr of the given radius.
     pub fn of_burr(radius_m: f64, geometry: &GridGeometry, cutting: &CuttingLaw) -> Self {
         let [hx, hy, hz] = geometry.spacing_m;
         let cut_m = radius_m + cutting.reach_m;
@@ -46,18 +46,18 @@ impl Reach {
     }
 }
 
-/// What of a tick decides how deep a burr is in a voxel and what it can take there.
+/// The inputs that determine how deep the burr is in a voxel and how much energy the voxel can absorb in a tick.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Press {
     /// The burr's centre in the grid's metric frame.
     pub centre: Vector3<f64>,
     pub reach: Reach,
-    /// Farthest that a surface recedes in the tick, metres.
+    /// Maximum recession of a surface in the tick, metres.
     pub recession_m: f64,
 }
 
 impl Press {
-    /// Of a burr in a tick.
+    /// The inputs of one burr and tick.
     pub fn new(voxels: &Voxels, burr: &BurrState, dt_s: f64) -> Self {
         let cutting = &voxels.parameters().cutting;
         Self {
@@ -68,19 +68,19 @@ impl Press {
         }
     }
 
-    /// Where it cuts: a surface in reach lies in a box in reach.
+    /// The ball in which the burr cuts: a surface in reach belongs to a box in reach.
     pub fn cut_ball(&self, geometry: &GridGeometry) -> Ball {
         Ball { centre_m: self.centre, radius_m: self.reach.cut_m + widening(geometry.spacing_m) }
     }
 }
 
-/// The most voxels that a search about the largest burr can find.
+/// Maximum number of voxels that a search about the largest burr can find.
 pub(super) fn most_voxels(geometry: &GridGeometry, parameters: &BoneParameters) -> usize {
     let reach = Reach::of_burr(parameters.max_burr_radius_m, geometry, &parameters.cutting);
     voxels_in_cube(geometry, reach.outer_m + geometry.smallest_spacing_m())
 }
 
-/// Most voxels that a cube of half edge `half_m` can meet.
+/// Maximum number of voxels that a cube of half edge `half_m` can meet.
 fn voxels_in_cube(geometry: &GridGeometry, half_m: f64) -> usize {
     (0..3).fold(1usize, |count, axis| {
         let along = (2.0 * half_m / geometry.spacing_m[axis]) as usize + 2;
@@ -88,30 +88,30 @@ fn voxels_in_cube(geometry: &GridGeometry, half_m: f64) -> usize {
     })
 }
 
-/// The voxels in reach, in the order of the grid, x fastest; numbers side by side, for loops without branches.
+/// The voxels in reach, in grid order, x fastest, stored as arrays for branch-free SIMD loops.
 #[derive(Debug)]
 pub(super) struct ReachedVoxels {
-    /// The burr's centre and reach at the search. `None`: nothing is remembered.
+    /// The burr's centre and reach at the search; `None` if the cache is empty.
     searched: Option<(Vector3<f64>, Reach)>,
     /// Centres along each grid axis, metres.
     position: [Vec<f64>; 3],
     pub index: Vec<VoxelIndex>,
-    /// Where each one's spent fraction is kept, if anywhere, and the fraction.
+    /// Where the pool stores each spent fraction, if anywhere, and the fraction.
     pub place: Vec<Place>,
     pub spent: Vec<f64>,
-    /// Energy that the whole voxel takes, J.
+    /// Energy to cut the whole voxel, J.
     pub full_j: Vec<f64>,
-    /// Of this tick: distances from the burr's centre to the surfaces, m; how deep the burr is in each, as a fraction of its width;
-    /// what it can take, J.
+    /// This tick's distances from the burr's centre to the surfaces, m; the burr's depth in each voxel as a fraction of its width; the
+    /// voxel's capacity, J.
     pub surface: Vec<f64>,
     pub depth: Vec<f64>,
     pub room_j: Vec<f64>,
-    /// Room for all lists.
+    /// Capacity of all lists.
     capacity: usize,
 }
 
 impl ReachedVoxels {
-    /// Room for every voxel that a search about the largest burr can find, reserved here.
+    /// Reserves room for every voxel that a search about the largest burr can find.
     pub fn new(geometry: &GridGeometry, parameters: &BoneParameters) -> Self {
         let capacity = most_voxels(geometry, parameters);
         let numbers = || Vec::with_capacity(capacity);
@@ -129,12 +129,12 @@ impl ReachedVoxels {
         }
     }
 
-    /// Voxels that can be in the lists.
+    /// Maximum length of the lists.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// For any change of the bone but drilling.
+    /// Empties the cache; call after any bone change other than drilling.
     pub fn forget(&mut self) {
         self.searched = None;
     }
@@ -153,7 +153,7 @@ impl ReachedVoxels {
         })
     }
 
-    /// Surfaces, depths and rooms of all; whether there may be slivers among them.
+    /// Computes all surfaces, depths and capacities; returns true if there may be slivers among them.
     fn measure(&mut self, arch: Arch, press: &Press, spacing: [f64; 3], sliver_fraction: f64) -> bool {
         let count = self.index.len();
         for list in [&mut self.surface, &mut self.depth, &mut self.room_j] {
@@ -170,14 +170,14 @@ impl ReachedVoxels {
         })
     }
 
-    /// Takes the energy of a level from all that have depth.
+    /// Subtracts the energy of a level from all voxels with positive depth.
     pub fn spend(&mut self, arch: Arch, level_j: f64) -> &Self {
         let [depth, room_j, full_j] = [&self.depth, &self.room_j, &self.full_j];
         arch.dispatch(Spend { level_j, depth, room_j, full_j, spent: &mut self.spent });
         self
     }
 
-    /// Whether the burr has left a voxel behind of which less than `sliver_fraction` remains.
+    /// True if the burr has left the voxel behind and less than `sliver_fraction` of it remains.
     pub fn is_sliver(&self, voxel: usize, press: &Press, sliver_fraction: f64) -> bool {
         let offset = [0, 1, 2].map(|axis| press.centre[axis] - self.position[axis][voxel]);
         is_sliver(self.spent[voxel], self.surface[voxel], offset, &press.reach, sliver_fraction)
@@ -191,8 +191,8 @@ fn is_sliver(spent: f64, surface: f64, [dx, dy, dz]: [f64; 3], reach: &Reach, sl
     (spent > 0.0) & (left > 0.0) & (left < sliver_fraction) & (surface > reach.left_m) & near
 }
 
-/// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. None of them changes a bit: each number is worked out for
-/// itself, by operations that IEEE 754 rounds correctly.
+/// The loop of [`ReachedVoxels::measure`], compiled for each instruction set. The instruction set changes no bit: each value is computed
+/// on its own by operations that IEEE 754 rounds correctly.
 struct Measure<'a> {
     press: &'a Press,
     spacing: [f64; 3],
@@ -219,13 +219,13 @@ impl pulp::WithSimd for Measure<'_> {
             let end = VoxelEnd::seen(from, self.spacing, spent[voxel]);
             let box_distance = end.box2.sqrt();
             let distance = if end.cut_distance > box_distance { end.cut_distance } else { box_distance };
-            // A burr centred on a voxel has all of it in reach, whatever the direction.
+            // A burr centred on a voxel has the whole voxel in reach, whatever the direction.
             let per_width = 1.0 / if end.width > 0.0 { end.width } else { self.spacing[0] };
             let left = 1.0 - spent[voxel];
             let deep = (reach.cut_m - distance) * per_width;
             let deep = if deep > 0.0 && left > 0.0 { deep } else { 0.0 };
             let deep = if deep < 1.0 { deep } else { 1.0 };
-            // Not more than there is, and than the teeth take.
+            // Limited by what is left and by what the teeth can remove.
             let advance = recession_m * per_width;
             let room = if deep < left { deep } else { left };
             let room = if room < advance { room } else { advance };
@@ -264,7 +264,7 @@ impl pulp::WithSimd for Spend<'_> {
 }
 
 impl ReachedVoxels {
-    /// Brings the lists to this tick; returns whether there may be slivers in them.
+    /// Updates the lists for this tick; returns true if there may be slivers in them.
     pub fn bring(&mut self, voxels: &Voxels, arch: Arch, hu: &[i16], press: &Press) -> bool {
         let (centre, reach) = (&press.centre, &press.reach);
         let geometry = voxels.geometry();
@@ -281,7 +281,7 @@ impl ReachedVoxels {
         let Press { centre, reach, .. } = press;
         let (occupancy, geometry) = (voxels.occupancy(), voxels.geometry());
         let spacing = geometry.spacing_m;
-        // Wider by what rounding can take: each tick's own distances decide.
+        // Widened by more than rounding can cause; each tick's own distances decide.
         let rounding_m = 1e-6 * geometry.smallest_spacing_m();
         let outer = reach.outer_m + slack_m + rounding_m;
         let widest = reach.cut_m + slack_m + rounding_m;
@@ -298,7 +298,7 @@ impl ReachedVoxels {
                 if room < 0.0 {
                     continue;
                 }
-                // Bone takes part if its box is in reach; behind it only slivers do, which are cut in part.
+                // Bone takes part if its box is in reach; farther out only slivers do, which are partly cut.
                 let (to_y, to_z) = (outside(dy, spacing[1]), outside(dz, spacing[2]));
                 let inner = widest * widest - to_z * to_z - to_y * to_y;
                 for start in (low[0]..=high[0]).step_by(WINDOW_VOXELS as usize) {
@@ -340,13 +340,13 @@ impl ReachedVoxels {
     }
 }
 
-/// Whether so little is left of a voxel of the grid that it falls off when the burr has left it behind.
+/// True if so little of the voxel is left that it falls off once the burr has left it behind.
 fn may_be_sliver(voxels: &Voxels, voxel: [i64; 3]) -> bool {
     let [i, j, k] = voxel.map(|x| x as usize);
     1.0 - voxels.pool().spent(i, j, k) < voxels.parameters().cutting.sliver_fraction
 }
 
-/// The voxels of a window that starts at `start` whose slabs along x are within the root of `distance2` of `x`, as bits.
+/// The voxels of a window starting at `start` whose slabs along x are within sqrt(`distance2`) of `x`, as bits.
 #[inline]
 fn columns_within(x: f64, distance2: f64, spacing: f64, start: i64) -> u64 {
     if distance2 <= 0.0 {

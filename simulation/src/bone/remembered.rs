@@ -1,32 +1,32 @@
-//! Cells of the smoothed surface that are used again as long as nothing changes in them.
+//! Cached cells of the smoothed surface, reused as long as nothing changes in them.
 //!
-//! The voxels' journal says where drilling changed bone. A cell that is asked for again is compared with the changes since it
-//! was last found good, and made anew if one of them may have met it, or if there are more of them than are kept. So a remembered
-//! cell has the bits of a fresh one.
+//! The voxels' journal says where drilling changed bone. On each request, the cached cell is checked against the changes since it was
+//! last valid. It is recomputed if one of them may overlap it, or if there were more changes than the journal keeps. A cached cell
+//! therefore has the same bits as a new one.
 
 use super::query::MAX_SEEDS;
 use super::spline::SplineCell;
 use super::voxels::Voxels;
 
-/// Cells of a sphere: as many as it can have seeds, so that those of one tick are there in the next.
+/// Cells cached per sphere: as many as it can have seeds, so that one tick's cells are still there in the next.
 const KEPT_CELLS: usize = MAX_SEEDS;
 
-/// A cell, and when it was last known to be good.
+/// A cell, and when it was last known to be valid.
 #[derive(Debug, Clone, Copy)]
 struct RememberedCell {
     start: [i64; 3],
     cell: SplineCell,
-    /// Number of changed regions that it has seen; `None`: nothing is remembered.
+    /// Number of changed regions it was checked against; `None` if the entry is empty.
     seen: Option<u64>,
-    /// When it was last asked for.
+    /// Time of the last request.
     used: u64,
 }
 
-/// The cells that a sphere's contacts asked for last.
+/// The cells that a sphere's contacts requested most recently.
 #[derive(Debug, Clone)]
 pub(super) struct RememberedCells {
     cells: [RememberedCell; KEPT_CELLS],
-    /// How often one was asked for.
+    /// Number of requests so far.
     uses: u64,
 }
 
@@ -36,7 +36,7 @@ impl RememberedCells {
         Self { cells: [nothing; KEPT_CELLS], uses: 0 }
     }
 
-    /// The cell that starts at a voxel, or else the one that was not asked for the longest.
+    /// The cell that starts at a voxel, or else the least recently used one.
     #[inline(always)]
     fn at(&mut self, start: [i64; 3]) -> &mut RememberedCell {
         self.uses += 1;
@@ -54,7 +54,7 @@ impl RememberedCells {
         &mut self.cells[place]
     }
 
-    /// [`Voxels::spline_cell`], bit for bit.
+    /// Same as [`Voxels::spline_cell`], bit for bit.
     #[inline(always)]
     pub fn cell(&mut self, voxels: &Voxels, start: [i64; 3]) -> &SplineCell {
         let journal = voxels.journal();

@@ -1,10 +1,10 @@
-//! The smoothed surface for the widest tent, in whole numbers.
+//! The smoothed surface for the widest tent, in integer arithmetic.
 //!
-//! Over the seven voxels that a tent of half width 3 meets, the weights are quadratic polynomials of where the point lies
-//! between two faces, `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. So the smoothed occupancy is a polynomial in
-//! (u_x, u_y, u_z) whose 27 coefficients are sums of small whole numbers over the voxels that are bone: no rounding, and three
-//! coefficients fit one word. What is spent of voxels is then taken from the coefficients. They hold as long as nothing changes in
-//! the seven voxels of each axis and the point stays between the same faces ([`super::remembered`]).
+//! Over the seven voxels under a tent of half width 3, the weights are quadratic polynomials in the point's position between two faces,
+//! `u` in [0, 1] voxels: eighteenths of the rows of [`WEIGHT_18`]. The smoothed occupancy is therefore a polynomial in (u_x, u_y, u_z)
+//! with 27 coefficients. For whole voxels these are sums of small integers: no rounding, and three coefficients fit into one word. The
+//! spent fractions are then subtracted from the coefficients. The coefficients remain valid as long as nothing changes in the seven
+//! voxels per axis and the point stays between the same faces ([`super::remembered`]).
 
 use core::ops::{Add, Mul, Range, Sub};
 
@@ -14,13 +14,13 @@ use super::strength::{BLOCK_EDGE, BlocksAbout};
 use super::surface::SurfaceSample;
 use super::voxels::Voxels;
 
-/// Voxels along an axis.
+/// Voxels per axis.
 pub(super) const SPLINE_VOXELS: usize = 7;
-/// Eighteen times the integral of the tent over each voxel: coefficients of 1, u, u². From the tent's heights at the faces,
-/// u/3, (u+1)/3, (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
+/// Eighteen times the integral of the tent over each voxel: coefficients of 1, u, u². The tent's heights at the faces are u/3, (u+1)/3,
+/// (u+2)/3, (3-u)/3, (2-u)/3, (1-u)/3.
 const WEIGHT_18: [[i64; 3]; SPLINE_VOXELS] =
     [[0, 0, 1], [1, 2, 0], [3, 2, 0], [5, 2, -2], [5, -2, 0], [3, -2, 0], [1, -2, 1]];
-/// The same for sums with fractions.
+/// The same as floats, for sums with fractions.
 const WEIGHT_18_F64: [[f64; 3]; SPLINE_VOXELS] = {
     let mut weights = [[0.0; 3]; SPLINE_VOXELS];
     let mut place = 0;
@@ -30,7 +30,7 @@ const WEIGHT_18_F64: [[f64; 3]; SPLINE_VOXELS] = {
     }
     weights
 };
-/// Bits of a field. The largest sum, of 7 x 7 x 7 products, is below 2^15.
+/// Bits per field. The largest sum, of 7 x 7 x 7 products, is below 2^15.
 const FIELD_BITS: u32 = 21;
 
 const _: () = assert!(3 * FIELD_BITS < i64::BITS, "three fields fit one word");
@@ -39,7 +39,7 @@ const _: () = assert!(SPLINE_VOXELS <= BLOCK_EDGE, "a cell lies in two blocks of
 /// Inverse of 18 cubed.
 const PER_18_CUBED: f64 = 1.0 / 5832.0;
 
-/// Sums of the three coefficients along x, a field each, by which of seven voxels are bone.
+/// Sums of the three coefficients along x, one field each, indexed by which of seven voxels are bone.
 const ROW_SUMS: [i64; 1 << SPLINE_VOXELS] = {
     let mut sums = [0; 1 << SPLINE_VOXELS];
     let mut bits = 1usize;
@@ -51,7 +51,7 @@ const ROW_SUMS: [i64; 1 << SPLINE_VOXELS] = {
     sums
 };
 
-/// Sums over seven rows, or slices, by the power of u: the columns of WEIGHT_18.
+/// Sums over seven rows or slices by power of u: the columns of WEIGHT_18.
 #[inline(always)]
 fn combine<T>([p0, p1, p2, p3, p4, p5, p6]: [T; SPLINE_VOXELS]) -> [T; 3]
 where
@@ -81,17 +81,17 @@ fn slope(c: [f64; 3], u: f64) -> f64 {
     c[1] + 2.0 * u * c[2]
 }
 
-/// A smoothed surface between the faces of one cell: eighteenths cubed of the coefficients by the powers of u_z, u_y, u_x.
+/// The smoothed surface within one cell: eighteenths cubed of the coefficients, by powers of u_z, u_y, u_x.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SplineCell {
     coefficients: [[[f64; 3]; 3]; 3],
 }
 
 impl SplineCell {
-    /// Nothing but air.
+    /// Air only.
     pub const AIR: Self = Self { coefficients: [[[0.0; 3]; 3]; 3] };
 
-    /// Takes sums for a power of u_y by those of u_z, whose places in a row `place` gives for each voxel, if it is there.
+    /// Subtracts sums for a power of u_y from those of u_z; `place` gives each voxel's position in a row, if it is there.
     #[inline(always)]
     fn take_rows(
         &mut self,
@@ -109,7 +109,7 @@ impl SplineCell {
         }
     }
 
-    /// The smoothed occupancy and its slopes along u.
+    /// The smoothed occupancy and its slopes with respect to u.
     #[inline(always)]
     pub fn sample(&self, u: [f64; 3]) -> SurfaceSample {
         let (mut level, mut slope_x, mut slope_y) = ([0.0; 3], [0.0; 3], [0.0; 3]);
@@ -125,7 +125,7 @@ impl SplineCell {
 }
 
 impl Voxels {
-    /// The smoothed surface about the voxels `start..start + 7` of each axis.
+    /// The smoothed surface about the voxels `start..start + 7` per axis.
     #[inline(always)]
     pub(super) fn spline_cell(&self, start: [i64; 3]) -> SplineCell {
         let mut slices = [[0; 3]; SPLINE_VOXELS];
@@ -143,7 +143,7 @@ impl Voxels {
         cell
     }
 
-    /// Takes what is spent of the bone from a cell: block by block of the pool, eight voxels at a time.
+    /// Subtracts the spent fractions from a cell, block by block of the pool, eight voxels at a time.
     #[inline(always)]
     fn take_spent(
         &self,
@@ -154,7 +154,7 @@ impl Voxels {
     ) {
         let within = start.map(|x| (x & 7) as usize);
         for side in 0..2 {
-            // By the power of u_y.
+            // Indexed by the power of u_y.
             let mut slices = [[[0.0; BLOCK_EDGE]; SPLINE_VOXELS]; 3];
             let mut any = false;
             for slice in 0..SPLINE_VOXELS {
@@ -194,14 +194,14 @@ impl Voxels {
     }
 }
 
-/// The voxels of an axis that lie in its first or second block, if the first voxel is the one at `within` of the first block.
+/// The voxels of an axis that lie in its first or second block, given that the first voxel is at `within` in the first block.
 #[inline(always)]
 fn voxels_in_block(within: usize, side: usize) -> Range<usize> {
     let border = (BLOCK_EDGE - within).min(SPLINE_VOXELS);
     if side == 0 { 0..border } else { border..SPLINE_VOXELS }
 }
 
-/// The numbers whose bit is set, 0 for the others.
+/// The values whose bit is set, 0 for the others.
 #[inline(always)]
 fn set_where(bits: u8, numbers: &[f64; BLOCK_EDGE], out: &mut [f64; BLOCK_EDGE]) {
     for lane in 0..BLOCK_EDGE {
@@ -224,8 +224,8 @@ mod tests {
 
     use crate::bone::{BoneField, BoneParameters, BurrState, GridGeometry};
 
-    /// The polynomial against the sums of the tents, on scattered voxels cut in part, inside the grid and across its ends.
-    /// Tolerance 1e-12: rounding of some hundred terms below 1.
+    /// Compares the polynomial with the sums of the tents, on scattered, partly cut voxels, inside the grid and across its edges.
+    /// Tolerance 1e-12: rounding of a few hundred terms below 1.
     #[test]
     fn polynomial_is_the_sum_of_the_tents() {
         let dims = [19, 17, 15];

@@ -1,8 +1,8 @@
-//! How much of each voxel's cutting energy is spent: sparse blocks of 8 x 8 x 8 voxels from a pool reserved at the start.
+//! Spent cutting energy per voxel: sparse blocks of 8 x 8 x 8 voxels from a pool allocated at the start.
 
 use super::occupancy::VoxelBox;
 
-/// Edge of a block is `1 << BLOCK_SHIFT` voxels.
+/// The edge of a block is `1 << BLOCK_SHIFT` voxels.
 const BLOCK_SHIFT: usize = 3;
 pub(super) const BLOCK_EDGE: usize = 1 << BLOCK_SHIFT;
 /// Voxels in a block.
@@ -12,22 +12,22 @@ const BLOCK_ROWS: usize = BLOCK_EDGE * BLOCK_EDGE;
 
 const _: () = assert!(BLOCK_EDGE == u8::BITS as usize, "one byte says which voxels of a block's row are cut");
 
-/// Table entry of a block that nothing has touched.
+/// Table entry of an untouched block.
 const UNTOUCHED: u32 = u32::MAX;
 
-/// Where the pool keeps a voxel's spent fraction.
+/// Where the pool stores a voxel's spent fraction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place(usize);
 
 impl Place {
-    /// Of a voxel in a block that nothing has touched.
+    /// The place of any voxel in an untouched block.
     pub const NONE: Self = Self(usize::MAX);
 }
 
-/// The blocks in use about a small cube of voxels, two along each axis at most, looked up once.
+/// The blocks in use about a small cube of voxels, at most two along each axis, looked up once.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlocksAbout {
-    /// First place of each block by z, y, x; [`Place::NONE`] if nothing has touched it.
+    /// First place of each block by z, y, x; [`Place::NONE`] if the block is untouched.
     place: [[[Place; 2]; 2]; 2],
 }
 
@@ -39,12 +39,12 @@ pub(super) struct Block<'p> {
 }
 
 impl<'p> Block<'p> {
-    /// The row at (y, z), counted in the block or from the first of it and its neighbours: which of its voxels may have a spent
-    /// fraction above 0, and the fractions.
+    /// The row at (y, z), counted within the block or from the start of it and its neighbours: which voxels may have a spent fraction
+    /// above 0, and the fractions.
     #[inline(always)]
     pub fn row(&self, y: usize, z: usize) -> (u8, &'p [f64; BLOCK_EDGE]) {
         let row = ((z % BLOCK_EDGE) << BLOCK_SHIFT) + y % BLOCK_EDGE;
-        // A row of the block: there always is one.
+        // A row of the block, which always exists.
         (self.partial[row], self.spent[row * BLOCK_EDGE..].first_chunk().unwrap_or(&[0.0; BLOCK_EDGE]))
     }
 }
@@ -58,19 +58,19 @@ pub(super) struct SpentPool {
     table: Vec<u32>,
     /// Block of each slot in use, in the order of first touch.
     owners: Vec<u32>,
-    /// `BLOCK_VOXELS` fractions a slot.
+    /// `BLOCK_VOXELS` fractions per slot.
     spent: Vec<f64>,
-    /// One byte a row of 8 voxels: which of them may have a spent fraction above 0.
+    /// One byte per row of 8 voxels: bits of the voxels that may have a spent fraction above 0.
     partial: Vec<u8>,
     capacity: usize,
 }
 
 impl SpentPool {
-    /// A pool of `capacity` blocks for a grid of `dims` voxels; all memory is reserved here.
+    /// A pool of `capacity` blocks for a grid of `dims` voxels; allocates all memory here.
     pub fn new(dims: [usize; 3], capacity: usize) -> Self {
         let block_dims = dims.map(|n| n.div_ceil(BLOCK_EDGE));
         let blocks = block_dims[0] * block_dims[1] * block_dims[2];
-        // More slots than blocks could never be used.
+        // A grid never uses more slots than it has blocks.
         let capacity = capacity.min(blocks);
         Self {
             dims,
@@ -88,7 +88,7 @@ impl SpentPool {
         self.owners.len()
     }
 
-    /// Blocks there are.
+    /// Number of blocks in the pool.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
@@ -111,7 +111,7 @@ impl SpentPool {
         }
     }
 
-    /// Where the fraction of a voxel of the grid is kept now, for [`Self::spent_at`].
+    /// Where the fraction of a voxel is stored at present, for [`Self::spent_at`].
     #[inline]
     pub fn place(&self, [i, j, k]: [usize; 3]) -> Place {
         let (block, offset) = self.locate(i, j, k);
@@ -121,14 +121,14 @@ impl SpentPool {
         }
     }
 
-    /// The fraction at a place that [`Self::place`] returned since the last block was taken.
+    /// The fraction at a place from [`Self::place`], valid until the next block is taken.
     #[inline]
     pub fn spent_at(&self, place: Place) -> f64 {
         // A whole voxel has no place.
         self.spent.get(place.0).copied().unwrap_or(0.0)
     }
 
-    /// Where the voxel's fraction is kept, taking a block if needed; `None` if the pool is full.
+    /// Where the voxel's fraction is stored, taking a block if needed; `None` if the pool is full.
     pub fn claim(&mut self, [i, j, k]: [usize; 3]) -> Option<Place> {
         let (block, offset) = self.locate(i, j, k);
         if self.table[block] == UNTOUCHED {
@@ -141,18 +141,18 @@ impl SpentPool {
         Some(Place(self.table[block] as usize * BLOCK_VOXELS + offset))
     }
 
-    /// Sets the fraction at a place that [`Self::claim`] returned.
+    /// Sets the fraction at a place from [`Self::claim`].
     #[inline]
     pub fn set(&mut self, Place(place): Place, spent: f64) {
         let kept = &mut self.spent[place];
-        // The bit stays once it is set.
+        // A bit is never cleared once it is set.
         if *kept == 0.0 && spent > 0.0 {
             self.partial[place / BLOCK_EDGE] |= 1 << (place % BLOCK_EDGE);
         }
         *kept = spent;
     }
 
-    /// Bit b: voxel `start + b` of row (j, k), which lies in the grid, may have a spent fraction above 0.
+    /// Bit b is set if voxel `start + b` of row (j, k), which lies in the grid, may have a spent fraction above 0.
     #[inline]
     pub fn partial_window(&self, start: i64, j: usize, k: usize) -> u8 {
         if self.owners.is_empty() {
@@ -174,8 +174,8 @@ impl SpentPool {
         ((bits(first) | bits(first + 1) << 8) >> (start & 7)) as u8
     }
 
-    /// The blocks about the cube of voxels `low` to `low + extent`, at most eight along an axis, which may reach beyond the
-    /// grid; `None` if nothing has touched any.
+    /// The blocks about the cube of voxels `low` to `low + extent`, at most eight along an axis; it may extend beyond the grid. `None` if
+    /// all blocks are untouched.
     #[inline]
     pub fn blocks_about(&self, low: [i64; 3], extent: i64) -> Option<BlocksAbout> {
         if self.owners.is_empty() {
@@ -206,7 +206,7 @@ impl SpentPool {
         any.then_some(BlocksAbout { place })
     }
 
-    /// One of the blocks about a cube, by its side along x, y, z; `None` if nothing has touched it.
+    /// One of the blocks about a cube, by its side along x, y, z; `None` if it is untouched.
     #[inline(always)]
     pub fn block(&self, blocks: &BlocksAbout, [x, y, z]: [usize; 3]) -> Option<Block<'_>> {
         let Place(place) = blocks.place[z][y][x];
@@ -223,7 +223,7 @@ impl SpentPool {
             .fold(0, |bits, offset| bits | u64::from(self.partial_window(start + offset, j, k)) << offset)
     }
 
-    /// Forgets what a voxel absorbed, if anything.
+    /// Makes a voxel whole again.
     pub fn forget(&mut self, [i, j, k]: [usize; 3]) {
         let (block, offset) = self.locate(i, j, k);
         if self.table[block] != UNTOUCHED {
@@ -236,8 +236,8 @@ impl SpentPool {
         (&self.owners, &self.spent[..self.owners.len() * BLOCK_VOXELS])
     }
 
-    /// Calls `visit` with every voxel of the grid in the blocks in use and its spent fraction, block by block in order of first
-    /// touch, x fastest within a block.
+    /// Calls `visit` with the spent fraction of every grid voxel in the blocks in use, block by block in order of first touch, x fastest
+    /// within a block.
     pub fn for_each(&self, mut visit: impl FnMut([usize; 3], f64)) {
         for (place, spent) in self.contents().1.iter().enumerate() {
             if let Some(voxel) = self.voxel_of(place / BLOCK_VOXELS, place % BLOCK_VOXELS) {
@@ -246,7 +246,7 @@ impl SpentPool {
         }
     }
 
-    /// The voxels of the blocks taken since `before` of them were in use, those beyond the grid included.
+    /// The voxels of the blocks taken since only `before` were in use, including those beyond the grid.
     pub fn blocks_since(&self, before: usize) -> impl Iterator<Item = VoxelBox> + '_ {
         self.owners.get(before..).unwrap_or_default().iter().map(|block| {
             let low = self.corner_of(*block as usize).map(|x| x as i64);
@@ -260,7 +260,7 @@ impl SpentPool {
         [block % bx, (block / bx) % by, block / (bx * by)].map(|block| block * BLOCK_EDGE)
     }
 
-    /// Voxel `offset` of slot `slot`, or `None` if that part of the block lies outside the grid.
+    /// Voxel `offset` of slot `slot`; `None` if that part of the block lies outside the grid.
     fn voxel_of(&self, slot: usize, offset: usize) -> Option<[usize; 3]> {
         let corner = self.corner_of(self.owners[slot] as usize);
         let mask = BLOCK_EDGE - 1;
@@ -280,7 +280,7 @@ impl SpentPool {
         self.owners.clear();
     }
 
-    /// Replaces the contents by those of another pool's [`Self::contents`]; false if they do not fit.
+    /// Replaces the contents by another pool's [`Self::contents`]; false if they do not fit.
     pub fn load(&mut self, owners: &[u32], spent: &[f64]) -> bool {
         let fits = owners.len() <= self.capacity
             && spent.len() == owners.len() * BLOCK_VOXELS

@@ -1,8 +1,8 @@
-//! The bone surface smoothed over a few voxels: its normal and how far it lies from a point.
+//! The bone surface smoothed over a few voxels: its normal and its distance from a point.
 //!
 //! The sampled field is the exact convolution of the (fractional) occupancy with a tent along each axis. Its gradient is the
-//! sum of the exposed voxel faces weighted by the tent, which is exact for a wall along the axes and, because the faces of a
-//! staircase add up to the area of the plane it approximates, unbiased for a slanted one.
+//! tent-weighted sum of the exposed voxel faces. It is exact for axis-aligned walls. For slanted walls it is unbiased, because the faces
+//! of a staircase add up to the area of the plane that it approximates.
 
 use core::ops::Range;
 
@@ -14,12 +14,12 @@ use super::remembered::RememberedCells;
 use super::spline::SPLINE_VOXELS;
 use super::voxels::Voxels;
 
-/// Tent half width in voxels: at most this, less for spheres of a few voxels so that a corner's two walls stay apart. With 3
+/// Maximum tent half width in voxels; smaller for spheres of only a few voxels, so that the two walls of a corner stay separate. With 3
 /// the normal on a slanted wall is within 2 degrees (slope 0.3 and more), with 2 within 9; measured in `tests/bone_query.rs`.
 const TENT_MAX_VOXELS: f64 = 3.0;
-/// Smallest tent half width in voxels.
+/// Minimum tent half width in voxels.
 const TENT_MIN_VOXELS: f64 = 1.0;
-/// Voxels that a tent can meet along an axis: 2 * TENT_MAX_VOXELS + 1 for the partial ends, rounded up to a byte.
+/// Maximum voxels under a tent along an axis: 2 * TENT_MAX_VOXELS + 1 for the partial ends, rounded up to a byte.
 const TENT_VOXELS: usize = 8;
 
 const _: () = assert!(2.0 * TENT_MAX_VOXELS + 1.0 <= TENT_VOXELS as f64, "the widest tent fits");
@@ -32,11 +32,11 @@ const _: () =
 pub(super) struct SurfaceSample {
     /// Minus the gradient of the smoothed occupancy, 1/m: points out of the bone.
     pub outward_per_m: Vector3<f64>,
-    /// Smoothed occupancy; 0.5 on a plane surface.
+    /// Smoothed occupancy; 0.5 on a flat surface.
     pub level: f64,
 }
 
-/// The tent's sizes for a sphere.
+/// Tent sizes for a sphere.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TentSizes {
     /// Voxels per metre along each axis.
@@ -46,8 +46,8 @@ pub(super) struct TentSizes {
     per_half_width: [f64; 3],
 }
 
-/// The tent along one axis at the faces of the voxels `start..start + count`. A run of voxels has as weight the difference
-/// between its two ends.
+/// The tent along one axis at the faces of the voxels `start..start + count`. The weight of a run of voxels is the difference between its
+/// two ends.
 struct AxisTent {
     start: i64,
     count: usize,
@@ -74,7 +74,7 @@ impl AxisTent {
         axis
     }
 
-    /// Integral of the tent over one voxel, and its rise over it.
+    /// Integral of the tent over one voxel, and the tent's rise over it.
     #[inline]
     fn voxel(&self, voxel: usize) -> (f64, f64) {
         (self.integral[voxel + 1] - self.integral[voxel], self.tent[voxel + 1] - self.tent[voxel])
@@ -91,8 +91,8 @@ impl Voxels {
         TentSizes { per_spacing, half_width, per_half_width: half_width.map(|half| 1.0 / half) }
     }
 
-    /// Samples the smoothed surface at a point of the grid's metric frame; the cell that the point lies in is
-    /// looked for in `remembered`, and is there afterwards.
+    /// Samples the smoothed surface at a point in the grid's metric frame. Looks up the point's cell in `remembered`, and stores it
+    /// there.
     #[inline(always)]
     pub(super) fn sample_surface(
         &self,
@@ -141,7 +141,7 @@ impl Voxels {
         SurfaceSample { outward_per_m: outward, level }
     }
 
-    /// Which of a tent's voxels lie in the grid.
+    /// The voxels of a tent that lie in the grid.
     fn rows_inside(&self, tent: &AxisTent, axis: usize) -> Range<usize> {
         let first = (-tent.start).clamp(0, tent.count as i64) as usize;
         let end =

@@ -1,11 +1,10 @@
 //! The contact cache: makes queries fast for spheres that move little between ticks.
 //!
-//! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains its centre. So the
-//! cache stores for each sphere the voxels that [`Voxels::gather`] finds within a reach that is a little wider
-//! ([`SLACK_VOXELS`]). As long as the centre stays in its voxel and the query's reach about it lies within the remembered one,
-//! and no voxel within it is removed, the remembered voxels contain all that count, in the order of a fresh search; their
-//! distances are always computed afresh. The planes are those of [`Voxels::contact_planes`] bit for bit, so what is
-//! remembered is no part of the state.
+//! Which voxels can be nearest to a sphere depends only on the bone around it and on the voxel that contains its centre. For each sphere
+//! the cache stores the voxels that [`Voxels::gather`] finds within a slightly wider reach ([`SLACK_VOXELS`]). The stored voxels contain
+//! all that matter, in the order of a new search, while three conditions hold: the centre stays in its voxel, the query's reach lies
+//! within the stored one, and no voxel in it is removed. Distances are always recomputed. The planes equal those of
+//! [`Voxels::contact_planes`] bit for bit, so the cache is not part of the state.
 
 use pulp::Arch;
 
@@ -16,7 +15,7 @@ use super::query::ContactBuffer;
 use super::remembered::RememberedCells;
 use super::voxels::Voxels;
 
-/// Spheres with a memory; those of a higher index are searched afresh.
+/// Number of cached spheres; those with a higher index are searched every time.
 const TRACKED_SPHERES: usize = 64;
 
 const _: () = assert!(
@@ -24,19 +23,19 @@ const _: () = assert!(
     "every sphere of the planar tool has a track"
 );
 
-/// How much wider the remembered reach is, in voxels of the smallest spacing. A tool fed at 1.5 mm/s in voxels of 0.5 mm is
-/// searched every 33 ticks.
+/// Extra reach of the cached search, in voxels of the smallest spacing. A tool fed at 1.5 mm/s through voxels of 0.5 mm needs a new
+/// search every 33 ticks.
 const SLACK_VOXELS: f64 = 0.1;
 
-/// What is remembered for one sphere.
+/// Cache entry of one sphere.
 #[derive(Debug, Clone)]
 struct Track {
-    /// The sphere of the search; its reach is the widened one. `None`: nothing is remembered.
+    /// The sphere of the search, with its widened reach; `None` if the entry is empty.
     sphere: Option<Sphere>,
-    /// The voxels looked at.
+    /// The voxels searched.
     box_searched: VoxelBox,
     near: NearVoxels,
-    /// The smoothed surface where the nearest voxels are.
+    /// The smoothed surface at the nearest voxels.
     cells: RememberedCells,
 }
 
@@ -49,13 +48,13 @@ impl Track {
             && (sphere.centre - searched.centre).norm_squared() <= room * room
     }
 
-    /// For a voxel that is removed. It uncovers only voxels that are no nearer to a sphere than itself, so a sphere that does
-    /// not reach it sees no change.
+    /// Call for a removed voxel. Removal exposes only voxels that are no nearer to a sphere than the removed one, so a sphere that does
+    /// not reach that voxel sees no change.
     fn forget_near(&mut self, position: [f64; 3], spacing: [f64; 3]) {
         let reached = self.sphere.is_some_and(|sphere| {
             let to_box = [0, 1, 2].map(|a| outside(sphere.centre[a] - position[a], spacing[a]));
             let distance2 = to_box[0] * to_box[0] + to_box[1] * to_box[1] + to_box[2] * to_box[2];
-            // Twice what the search itself is widened by.
+            // Twice the margin of the search itself.
             let reach = sphere.reach + 2.0 * widening(spacing);
             distance2 <= reach * reach
         });
@@ -64,7 +63,7 @@ impl Track {
         }
     }
 
-    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have much surface).
+    /// The track with the voxels near a sphere; `None` if there is no room for them (scattered voxels have a lot of surface).
     fn bring(&mut self, voxels: &Voxels, sphere: &Sphere) -> Option<&mut Self> {
         if self.holds(sphere) {
             return Some(self);
@@ -78,7 +77,7 @@ impl Track {
             let place = voxels.pool().place(voxel.map(|x| x as usize));
             fits &= near.push(voxels.geometry().voxel_position(voxel), place);
         });
-        // Outside the grid nothing ever changes.
+        // Nothing ever changes outside the grid.
         self.box_searched = searched.unwrap_or(VoxelBox::NOTHING);
         self.sphere = fits.then_some(widened);
         fits.then_some(self)
@@ -89,12 +88,12 @@ impl Track {
 #[derive(Debug)]
 pub(super) struct ContactCache {
     tracks: Vec<Track>,
-    /// Number of edits of the voxels that the tracks have seen.
+    /// Number of voxel edits that the tracks have seen.
     seen: u64,
 }
 
 impl ContactCache {
-    /// An empty cache of these voxels.
+    /// An empty cache for these voxels.
     pub fn new(voxels: &Voxels) -> Self {
         let empty = || Track {
             sphere: None,
@@ -117,7 +116,7 @@ impl ContactCache {
         }
     }
 
-    /// Forgets what the voxels' edits since the last query may have made wrong.
+    /// Drops entries that edits since the last query may have invalidated.
     #[inline]
     fn forget_what_changed(&mut self, voxels: &Voxels) {
         let edits = voxels.journal().edits();
@@ -131,9 +130,9 @@ impl ContactCache {
         }
     }
 
-    /// For one tick of drilling.
+    /// Drops the entries that one tick of drilling invalidates.
     fn forget_last_tick(&mut self, voxels: &Voxels) {
-        // Voxels whose spent fractions are now kept elsewhere.
+        // The spent fractions of these voxels have moved to another place.
         for block in voxels.pool().blocks_since(voxels.journal().blocks_before()) {
             for track in &mut self.tracks {
                 if track.box_searched.meets(&block) {
@@ -149,7 +148,8 @@ impl ContactCache {
     }
 }
 
-/// The planes among a track's voxels, compiled for each instruction set; no bit depends on it, as no operation is reordered or fused.
+/// Finds the planes among a track's voxels, compiled for each instruction set. No operation is reordered or fused, so the result is the
+/// same to the bit.
 struct PlanesOfTrack<'a> {
     voxels: &'a Voxels,
     sphere: &'a Sphere,

@@ -1,4 +1,4 @@
-//! Changing voxels: every function that does is in this file and records the change in the journal.
+//! Changes voxels: every function that does so is in this file and records the change in the journal.
 
 use super::journal::{Ball, Region};
 use super::{BoneSnapshot, Voxels};
@@ -7,7 +7,7 @@ use crate::bone::grid::VoxelIndex;
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::strength::Place;
 
-/// One tick of drilling. Dropping it records in the journal what changed.
+/// One tick of drilling. On drop it records in the journal what changed.
 pub(in crate::bone) struct Drilling<'v> {
     voxels: &'v mut Voxels,
     /// Where voxels may be cut, and whether any was.
@@ -33,7 +33,7 @@ impl Drop for Drilling<'_> {
 }
 
 impl Drilling<'_> {
-    /// The place of a voxel's spent fraction, taking a block if needed; `None` if the pool is full.
+    /// Where the voxel's spent fraction is stored, taking a block if needed; `None` if the pool is full.
     pub fn claim(&mut self, voxel: VoxelIndex) -> Option<Place> {
         self.voxels.pool.claim(self.voxels.geometry.voxel(voxel))
     }
@@ -45,7 +45,7 @@ impl Drilling<'_> {
         self.voxels.pool.set(place, spent);
     }
 
-    /// Whether another voxel may wait to be removed.
+    /// True if another voxel may be queued for removal.
     pub fn has_room(&self) -> bool {
         self.voxels.waiting.len() < self.voxels.waiting_limit
     }
@@ -55,14 +55,14 @@ impl Drilling<'_> {
         self.voxels.waiting.push(voxel);
     }
 
-    /// Spends all that is left of a voxel, wherever it is, and queues it for removal.
+    /// Spends the rest of a voxel, whether or not it meets the ball, and queues it for removal.
     pub fn shed(&mut self, voxel: VoxelIndex, place: Place) {
         self.voxels.pool.set(place, 1.0);
         self.queue(voxel);
         self.note(voxel);
     }
 
-    /// Removes queued voxels, as many as a tick may.
+    /// Removes queued voxels, up to the tick's limit.
     pub fn remove_queued(&mut self) {
         let count = self.voxels.waiting.len().min(self.voxels.parameters.removed_per_tick);
         for place in 0..count {
@@ -89,7 +89,7 @@ impl Voxels {
         Drilling { voxels: self, ball, cut: false, changed: VoxelBox::NOTHING }
     }
 
-    /// Takes voxels out of the bone for good.
+    /// Removes voxels from the bone permanently.
     pub(super) fn take_out(&mut self, voxels: &[[usize; 3]]) {
         for voxel in voxels {
             self.occupancy.empty(*voxel);
@@ -102,7 +102,7 @@ impl Voxels {
     /// Undoes all drilling: voxels and their strength, back to the start of the run. Pilot holes stay.
     pub(in crate::bone) fn reset(&mut self) {
         let Self { pool, occupancy, .. } = self;
-        // Only bone absorbs energy, so whatever did was bone.
+        // Only bone absorbs energy, so every voxel with a spent fraction was bone.
         pool.for_each(|voxel, spent| {
             if spent > 0.0 {
                 occupancy.fill(voxel);
@@ -115,7 +115,7 @@ impl Voxels {
         self.journal.note_everything();
     }
 
-    /// Goes back, or forward, to a snapshot of a field of the same CT, parameters and pilot holes; continues bit for bit.
+    /// Restores a snapshot, earlier or later, of a field with the same CT, parameters and pilot holes; continues bit for bit.
     pub(in crate::bone) fn restore(&mut self, snapshot: &BoneSnapshot) -> Result<(), BoneError> {
         if snapshot.voxel_count != self.geometry.voxel_count() {
             return Err(BoneError::Snapshot { reason: "it has another number of voxels" });

@@ -1,14 +1,14 @@
 //! Records which voxels changed recently, so that caches can tell which of their entries are still valid.
 //!
-//! A cache remembers the number of edits it has seen ([`Journal::edits`]). The journal tells it what changed since; if that is too long
-//! ago to be recorded, the cache drops everything. A cache therefore cannot miss a change: it asks, and nobody has to notify it.
+//! A cache stores the number of edits it has seen ([`Journal::edits`]). The journal tells it what changed since then; if the journal no
+//! longer goes back that far, the cache drops everything. A cache therefore cannot miss a change: it asks, and nobody has to notify it.
 
 use nalgebra::Vector3;
 
 use crate::bone::occupancy::VoxelBox;
 use crate::bone::spline::SPLINE_VOXELS;
 
-/// Number of regions kept. A sphere that rests on bone asks in every tick, so few are enough.
+/// Number of regions kept. Few are enough, because a sphere that rests on bone asks in every tick.
 const KEPT_REGIONS: usize = 8;
 
 /// Where one tick of drilling may have changed bone: voxels that intersect the ball, and voxels in the box.
@@ -29,7 +29,7 @@ impl Region {
     /// No voxel.
     pub const NOTHING: Self = Self { ball: None, voxels: VoxelBox::NOTHING };
 
-    /// Whether it may meet one of the voxels `start..start + 7` of each axis.
+    /// True if the region may overlap one of the voxels `start..start + 7` per axis.
     fn meets_cell(&self, start: [i64; 3], spacing_m: [f64; 3]) -> bool {
         let last = start.map(|x| x + SPLINE_VOXELS as i64 - 1);
         if self.voxels.meets(&VoxelBox { low: start, high: last }) {
@@ -47,7 +47,7 @@ impl Region {
     }
 }
 
-/// The newest changes.
+/// The most recent changes.
 #[derive(Debug, Clone)]
 pub(in crate::bone) struct Journal {
     /// Number of edits so far, including those that changed nothing.
@@ -80,7 +80,7 @@ impl Journal {
 
     /// Records an edit that may have changed any voxel: everything cached is out of date.
     pub(super) fn note_everything(&mut self) {
-        // Two edits and more regions than are kept: no cache takes itself for only one edit behind.
+        // Two edits and more regions than are kept: every cache then finds itself more than one edit behind.
         self.edits += 2;
         self.regions += KEPT_REGIONS as u64 + 1;
     }
@@ -102,7 +102,7 @@ impl Journal {
         self.blocks_before
     }
 
-    /// Whether no region from number `seen` on can have met the voxels `start..start + 7` of each axis.
+    /// True if no region from number `seen` on can overlap the voxels `start..start + 7` per axis.
     #[inline]
     pub fn cell_is_unchanged(&self, seen: u64, start: [i64; 3], spacing_m: [f64; 3]) -> bool {
         let place = |number: u64| (number % KEPT_REGIONS as u64) as usize;

@@ -1,4 +1,4 @@
-//! The bone itself: everything about it that decides a result or belongs into a keyframe.
+//! The voxels themselves: all bone state that affects results or belongs in a keyframe.
 //!
 //! Voxels change only through the functions in `edit.rs`, which record every change in the journal. The caches
 //! ([`super::tracked`], [`super::reach`]) only read the voxels and the journal.
@@ -19,7 +19,7 @@ use super::strength::SpentPool;
 pub(super) use edit::Drilling;
 pub(super) use journal::{Ball, Journal};
 
-/// Bone of one CT: which voxels are bone, and how much of each is left.
+/// Bone of one CT: which voxels are bone, and how much of each remains.
 #[derive(Debug)]
 pub struct Voxels {
     geometry: GridGeometry,
@@ -27,18 +27,18 @@ pub struct Voxels {
     cutting_table: CuttingTable,
     occupancy: Occupancy,
     pool: SpentPool,
-    /// Voxels removed before the run; no reset brings them back.
+    /// Voxels removed before the run; a reset does not restore them.
     predrilled_count: u64,
     /// Voxels removed in this tick.
     removed: Vec<VoxelIndex>,
-    /// Voxels spent but not yet removed, first in, first out; at most `waiting_limit`.
+    /// Voxels spent but not yet removed, in FIFO order; at most `waiting_limit`.
     waiting: Vec<VoxelIndex>,
     waiting_limit: usize,
     removed_total: u64,
     journal: Journal,
 }
 
-/// What drilling has changed in a field: enough to continue bit for bit in a field of the same CT and scene.
+/// What drilling has changed in a field: enough to continue bit for bit in a field with the same CT and scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoneSnapshot {
     voxel_count: usize,
@@ -77,7 +77,7 @@ impl Voxels {
         })
     }
 
-    /// The grid, its axes perpendicular.
+    /// The grid, with perpendicular axes.
     #[inline]
     pub fn geometry(&self) -> &GridGeometry {
         &self.geometry
@@ -104,18 +104,18 @@ impl Voxels {
         &self.journal
     }
 
-    /// Whether voxel (i, j, k) is bone; outside the grid nothing is.
+    /// True if voxel (i, j, k) is bone; false outside the grid.
     pub fn is_solid(&self, i: usize, j: usize, k: usize) -> bool {
         self.occupancy.is_solid_at([i as i64, j as i64, k as i64])
     }
 
-    /// Whether the voxel of this number is bone.
+    /// True if the voxel with this index is bone.
     pub fn is_solid_index(&self, voxel: VoxelIndex) -> bool {
         let [i, j, k] = self.geometry.voxel(voxel);
         self.is_solid(i, j, k)
     }
 
-    /// Whether a voxel is bone and at least half of it is left.
+    /// True if a voxel is bone and at least half of it remains.
     #[inline]
     pub(super) fn is_mostly_solid(&self, voxel: [i64; 3]) -> bool {
         self.occupancy.is_solid_at(voxel)
@@ -127,7 +127,7 @@ impl Voxels {
         self.occupancy.solid_count()
     }
 
-    /// Fraction of the voxel's strength that is left: 1 whole bone, 0 removed or no bone.
+    /// Fraction of the voxel's strength that remains: 1 for whole bone, 0 for removed or no bone.
     pub fn remaining_strength(&self, i: usize, j: usize, k: usize) -> f64 {
         if self.is_solid(i, j, k) {
             self.parameters.removal.strength_left(self.pool.spent(i, j, k))
@@ -136,12 +136,12 @@ impl Voxels {
         }
     }
 
-    /// The voxels that the last tick of drilling removed, in no particular order.
+    /// The voxels removed by the last tick of drilling, in no particular order.
     pub fn removed_this_tick(&self) -> &[VoxelIndex] {
         &self.removed
     }
 
-    /// Number of voxels that are spent and wait for their removal.
+    /// Number of spent voxels waiting for removal.
     pub(super) fn waiting_count(&self) -> usize {
         self.waiting.len()
     }
@@ -151,22 +151,22 @@ impl Voxels {
         self.removed_total
     }
 
-    /// Pool blocks in use and in all.
+    /// Pool blocks in use, and in total.
     pub fn pool_usage(&self) -> (usize, usize) {
         (self.pool.used(), self.pool.capacity())
     }
 
-    /// Energy in J that cutting a whole voxel of the CT takes.
+    /// Energy in J to cut a whole voxel of the CT.
     #[inline]
     pub(super) fn full_energy_j(&self, hu: i16) -> f64 {
         self.cutting_table.specific_energy_j_m3(hu) * self.geometry.voxel_volume_m3()
     }
 
-    /// Energy in J that drilling has put into bone so far (removed and partly cut voxels), summed afresh over the pool.
-    /// What was shed as slivers ([`CuttingLaw::sliver_fraction`](super::CuttingLaw::sliver_fraction)) counts as absorbed.
+    /// Energy in J that bone has absorbed from drilling so far (removed and partly cut voxels), recomputed from the pool. Shed slivers
+    /// ([`CuttingLaw::sliver_fraction`](super::CuttingLaw::sliver_fraction)) count as fully absorbed.
     ///
     /// # Errors
-    /// `hu` does not have one value a voxel.
+    /// `hu` does not have one value per voxel.
     pub fn absorbed_energy_j(&self, hu: &[i16]) -> Result<f64, BoneError> {
         check_volume(&self.geometry, hu)?;
         let volume = self.geometry.voxel_volume_m3();
@@ -180,7 +180,7 @@ impl Voxels {
         Ok(sum_j)
     }
 
-    /// What drilling has changed so far. Allocates; not for the 1 kHz step.
+    /// What drilling has changed so far. Allocates; not for the real-time loop.
     pub fn snapshot(&self) -> BoneSnapshot {
         let (blocks, spent) = self.pool.contents();
         BoneSnapshot {
@@ -195,7 +195,7 @@ impl Voxels {
     }
 }
 
-/// Refuses a CT that is not the grid's.
+/// Refuses a CT whose size does not match the grid.
 pub(super) fn check_volume(geometry: &GridGeometry, hu: &[i16]) -> Result<(), BoneError> {
     if hu.len() == geometry.voxel_count() {
         Ok(())

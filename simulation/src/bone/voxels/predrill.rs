@@ -1,4 +1,4 @@
-//! Pilot holes: voxels taken out before the run.
+//! Pilot holes: voxels removed before the run.
 
 use nalgebra::Vector3;
 
@@ -6,9 +6,9 @@ use super::Voxels;
 use crate::bone::grid::VoxelIndex;
 
 impl Voxels {
-    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres) and returns
-    /// their numbers, ascending. These voxels are part of the scene: no reset brings them back. For use before the
-    /// run; allocates. Nothing is removed for values that are not finite or a radius that is not above 0.
+    /// Removes the bone whose voxel centres lie within `radius_m` of the segment `from`-`to` (world, metres) and returns the voxel
+    /// numbers in ascending order. These voxels are part of the scene: a reset does not restore them. Use before the run; allocates.
+    /// Removes nothing for non-finite values or a radius that is not positive.
     pub(in crate::bone) fn predrill_capsule(
         &mut self,
         from_world_m: &Vector3<f64>,

@@ -1,4 +1,4 @@
-//! The field's snapshot as bytes: per block which voxels are touched, which are spent, and the fractions between.
+//! The field's snapshot as bytes: per block, which voxels are touched, which are spent, and the fractions of the rest.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
@@ -26,7 +26,7 @@ impl Serialize for SavedBlock<'_> {
     }
 }
 
-/// The fractions of the voxels that are touched and not gone.
+/// The fractions of the touched voxels that are not fully spent.
 struct Partial<'a> {
     spent: &'a [f64],
     touched: &'a [u64; WORDS],
@@ -60,7 +60,7 @@ impl Serialize for Blocks<'_> {
 }
 
 impl Voxels {
-    /// What [`Voxels::snapshot`] holds, to be serialised without a copy; it reads back as a [`BoneSnapshot`].
+    /// The contents of [`Voxels::snapshot`], serialisable without a copy; deserialises as a [`BoneSnapshot`].
     pub fn serialised(&self) -> impl Serialize + '_ {
         let voxels = self.geometry.voxel_count() as u64;
         let lists = (&self.removed, &self.waiting);
