@@ -1,4 +1,4 @@
-//! Linear attenuation coefficients: materials by photon energy, and Hounsfield units to attenuation.
+//! Linear attenuation coefficients: of materials by photon energy, and of Hounsfield values.
 
 use crate::error::{DrrError, check_range};
 
@@ -7,9 +7,9 @@ const ENERGIES_KEV: [f64; 7] = [30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0];
 /// Lowest and highest energy that the table covers, keV.
 pub const ENERGY_RANGE_KEV: (f64, f64) = (30.0, 120.0);
 
-/// A homogeneous material. Mass attenuation coefficients: NIST X-ray mass attenuation tables (SRD 126, NISTIR 5632), elements mixed
-/// by mass fraction; at 120 keV, which they leave out, NIST's XCOM as xraylib 4.3 tabulates it. Densities as given for each. No
-/// material here has an absorption edge between 30 and 120 keV; between the table's energies they err by at most 2.1 % from XCOM.
+/// A homogeneous material. Mass attenuation coefficients: NIST X-ray mass attenuation tables (SRD 126, NISTIR 5632), elements mixed by
+/// mass fraction. Those tables have no 120 keV entry; there the values are NIST's XCOM as tabulated by xraylib 4.3. Each material gives
+/// its density. None has an absorption edge between 30 and 120 keV; interpolated values differ from XCOM by at most 2.1 %.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Material {
     /// Water, 1.0 g/cm3.
@@ -50,11 +50,11 @@ impl Material {
         }
     }
 
-    /// Linear attenuation coefficient at a photon energy, 1/m: interpolated linearly in log(mu) over log(energy) between
-    /// the table's energies.
+    /// Linear attenuation coefficient at a photon energy, 1/m. Interpolates log(mu) linearly over log(energy) between the table's
+    /// energies.
     ///
     /// # Errors
-    /// An energy outside 30 to 120 keV.
+    /// The energy is outside 30 to 120 keV.
     pub fn mu_per_m(self, energy_kev: f64) -> Result<f64, DrrError> {
         let (low, high) = ENERGY_RANGE_KEV;
         check_range("energy_kev", energy_kev, low, high, "30 to 120 keV")?;
@@ -64,7 +64,7 @@ impl Material {
     }
 }
 
-/// Interpolates a coefficient linearly in its logarithm over the logarithm of the energy, inside the table's range.
+/// Log-log interpolation of a coefficient over energy, within the table's range.
 pub(crate) fn log_log<const N: usize>(energies_kev: &[f64; N], values: &[f64; N], energy_kev: f64) -> f64 {
     let above = energies_kev.partition_point(|&e| e < energy_kev).clamp(1, N - 1);
     let (e0, e1) = (energies_kev[above - 1], energies_kev[above]);
@@ -73,33 +73,32 @@ pub(crate) fn log_log<const N: usize>(energies_kev: &[f64; N], values: &[f64; N]
     m0 * libm::exp(t * libm::log(m1 / m0))
 }
 
-/// How Hounsfield units become attenuation.
+/// How Hounsfield units convert to attenuation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum HuLaw {
-    /// `mu = mu_water (1 + HU/1000)`, the definition of the Hounsfield unit inverted: exact for water, and for any tissue
-    /// when the frame's energy is the CT's effective energy. Cortical bone errs by -12 % at 60 keV and +11 % at 80 keV for a CT
-    /// of 70 keV.
+    /// `mu = mu_water (1 + HU/1000)`, the inverse of the Hounsfield definition. Exact for water, and for any tissue if the frame's energy
+    /// equals the CT's effective energy. For a CT of 70 keV, cortical bone is off by -12 % at 60 keV and +11 % at 80 keV.
     WaterScaling,
-    /// Two straight lines: water scaling up to HU 0, then through the ICRU-44 cortical bone point of a CT taken at
-    /// `ct_energy_kev`: exact for mixtures of water and cortical bone at any energy.
+    /// Piecewise linear: water scaling up to HU 0, then through the ICRU-44 cortical bone point of a CT taken at `ct_energy_kev`. Exact
+    /// for mixtures of water and cortical bone at any energy.
     BoneCorrected {
         /// Effective photon energy of the CT, keV (about 70 for a 120 kV scan).
         ct_energy_kev: f64,
     },
 }
 
-/// Attenuation for every possible Hounsfield value, so that any law costs one load per voxel.
+/// Attenuation of every possible Hounsfield value, so that any law costs one load per voxel.
 #[derive(Debug, Clone)]
 pub struct MuTable {
     mu_per_m: Box<[f64; 65536]>,
 }
 
 impl MuTable {
-    /// Tabulates `law` at a photon energy. Values below `air_below_hu` are air and attenuate nothing, so that noisy
-    /// air and padding can be skipped; nothing is negative.
+    /// Tabulates `law` at a photon energy. Values below `air_below_hu` count as air and attenuate nothing, so that noisy air and padding
+    /// can be skipped. No entry is negative.
     ///
     /// # Errors
-    /// Energies outside 30 to 120 keV.
+    /// An energy is outside 30 to 120 keV.
     pub fn new(law: HuLaw, energy_kev: f64, air_below_hu: i16) -> Result<Self, DrrError> {
         let water = Material::Water.mu_per_m(energy_kev)?;
         let slope_above = match law {
@@ -117,7 +116,7 @@ impl MuTable {
         Ok(Self { mu_per_m })
     }
 
-    /// Tabulates any function of the Hounsfield value to integrate along rays; 0 below `air_below_hu`.
+    /// Tabulates any function of the Hounsfield value for integration along rays; 0 below `air_below_hu`.
     pub fn of(air_below_hu: i16, value: impl Fn(f64) -> f64) -> Self {
         let mut mu_per_m = Box::new([0.0; 65536]);
         for (hu, mu) in (i16::MIN..=i16::MAX).zip(mu_per_m.iter_mut()) {
@@ -129,7 +128,7 @@ impl MuTable {
     /// Linear attenuation coefficient of a Hounsfield value, 1/m.
     #[inline]
     pub fn mu_per_m(&self, hu: i16) -> f64 {
-        // The sign bit flipped maps -32768..=32767 to 0..=65535: no bounds check is left.
+        // Flipping the sign bit maps -32768..=32767 to 0..=65535, which removes the bounds check.
         self.mu_per_m[usize::from(hu as u16 ^ 0x8000)]
     }
 }
@@ -137,7 +136,7 @@ impl MuTable {
 /// Hounsfield value of ICRU-44 cortical bone in a CT of the given effective energy.
 ///
 /// # Errors
-/// An energy outside 30 to 120 keV.
+/// The energy is outside 30 to 120 keV.
 pub fn cortical_bone_hu(ct_energy_kev: f64) -> Result<f64, DrrError> {
     let water = Material::Water.mu_per_m(ct_energy_kev)?;
     Ok(1000.0 * (Material::CorticalBone.mu_per_m(ct_energy_kev)? / water - 1.0))

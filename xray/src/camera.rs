@@ -1,39 +1,40 @@
-//! C-arms in the conventions of other software: a pinhole camera (K, R, t), and DICOM positioner angles read back from any C-arm.
+//! C-arms in the conventions of other software: a pinhole camera (K, R, t) in both directions, and DICOM positioner angles from any
+//! C-arm.
 //!
-//! Camera: `s (u, v, 1) = K (R x + t)`, x in the world, z of the camera towards the detector, as in OpenCV and DeepDRR. OpenCV counts
-//! pixel centres as whole numbers, as [`CArm`] does; DeepDRR and nanodrr have them at +1/2 ([`PixelCentre::Half`]). A radiograph is
-//! usually seen from the detector's side, a mirror image of what a camera at the source sees: with a proper rotation that is a
-//! negative focal length, which DeepDRR writes too.
+//! Camera: `s (u, v, 1) = K (R x + t)`, x in the world, the camera's z toward the detector, as in OpenCV and DeepDRR. In OpenCV pixel
+//! centres are integers, as in [`CArm`]; in DeepDRR and nanodrr they are at +1/2 ([`PixelCentre::Half`]). A radiograph is usually viewed
+//! from the detector's side, which mirrors what a camera at the source sees. With a proper rotation that means a negative focal length,
+//! which DeepDRR also uses.
 
 use crate::carm::CArm;
 use crate::error::{DrrError, check_orthonormal, check_range};
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
-/// Largest deviation of R from a rotation.
+/// Tolerance on the orthonormality of R.
 const ROTATION_LIMIT: f64 = 1e-6;
 
-/// Where pixel centres are.
+/// Pixel-centre convention.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PixelCentre {
-    /// At whole numbers: the first is (0, 0), as in OpenCV, ITK and DICOM.
+    /// At integers: the first is (0, 0), as in OpenCV, ITK and DICOM.
     #[default]
     Whole,
-    /// At halves: the first is (0.5, 0.5), as in DeepDRR.
+    /// At half-integers: the first is (0.5, 0.5), as in DeepDRR.
     Half,
 }
 
 /// A pinhole camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
-    /// K in pixels, row by row: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`.
+    /// K in pixels, row-major: `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`.
     pub intrinsics: [[f64; 3]; 3],
-    /// R, row by row: rows are the camera's axes in the world.
+    /// R, row-major: its rows are the camera's axes in the world.
     pub rotation: [[f64; 3]; 3],
-    /// t: the world's origin in the camera.
+    /// t: the world origin in camera coordinates.
     pub translation_m: [f64; 3],
 }
 
-/// What DICOM's positioner module says of a C-arm (PS3.3 C.8.7.5).
+/// A C-arm's pose and distances as in DICOM's X-Ray Positioner module (PS3.3 C.8.7.5).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Positioner {
     /// (0018,1510), -pi to pi.
@@ -47,11 +48,11 @@ pub struct Positioner {
 }
 
 impl CArm {
-    /// The C-arm of a camera. K gives the detector's distance in pixels only; the pixel pitch along a row turns it into metres.
+    /// The C-arm of a camera. K gives the detector distance in pixels only; the pixel pitch along a row converts it to metres.
     ///
     /// # Errors
-    /// A number that is not finite, a skew, a last row that is not (0, 0, 1), a focal length of 0, an R that is not a rotation, and
-    /// everything that [`CArm::validate`] refuses.
+    /// A number is not finite, K has skew, a last row other than (0, 0, 1) or a focal length of 0, R is not a rotation, or
+    /// [`CArm::validate`] refuses the result.
     pub fn from_camera(
         camera: &Camera,
         centre: PixelCentre,
@@ -102,7 +103,7 @@ impl CArm {
         Ok(c_arm)
     }
 
-    /// The camera of a C-arm; fx is negative where the picture is seen from the detector's side.
+    /// The camera of a C-arm; fx is negative if the image is viewed from the detector's side.
     pub fn camera(&self, centre: PixelCentre) -> Camera {
         let (z, distance_m) = self.sight();
         let mirrored = dot(cross(self.row_axis, self.column_axis), z) < 0.0;
@@ -120,8 +121,8 @@ impl CArm {
         }
     }
 
-    /// The direction from source to detector as positioner angles, and distances, about an isocentre. The angles do
-    /// not say how the picture is rotated about that direction, and DICOM assumes that the central ray meets the picture's centre.
+    /// Positioner angles of the direction from source to detector, and distances, about an isocentre. The angles do not define the
+    /// image's rotation about that direction, and DICOM assumes that the central ray hits the image centre.
     pub fn positioner(&self, isocentre_m: [f64; 3]) -> Positioner {
         let (n, source_detector_m) = self.sight();
         Positioner {
@@ -132,7 +133,7 @@ impl CArm {
         }
     }
 
-    /// The detector's unit normal away from the source, and its distance.
+    /// The detector's unit normal, pointing away from the source, and the source-detector distance.
     fn sight(&self) -> (Vec3, f64) {
         let normal = cross(self.row_axis, self.column_axis);
         let distance = dot(sub(self.detector_centre_m, self.source_m), normal);

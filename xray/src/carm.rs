@@ -3,12 +3,12 @@
 use crate::error::{DrrError, check_orthonormal, check_range};
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
-/// Largest deviation of the detector axes from perpendicular unit vectors.
+/// Tolerance on the orthonormality of the detector axes.
 const AXES_LIMIT: f64 = 1e-6;
-/// Largest number of pixels along one side of the detector.
+/// Maximum number of pixels along one side of the detector.
 const MAX_SIDE: u32 = 8192;
 
-/// Size of the detector.
+/// Detector size.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectorFormat {
     /// Pixels in a row.
@@ -19,27 +19,26 @@ pub struct DetectorFormat {
     pub pixel_pitch_m: [f64; 2],
 }
 
-/// Positioner angles as DICOM PS3.3 C.8.7.5 defines them, in the patient's frame.
+/// Positioner angles as defined in DICOM PS3.3 C.8.7.5, in the patient frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PositionerAngles {
-    /// (0018,1510): 0 with the detector facing the chest, +90 degrees with it at the patient's left (LAO), -90 at the
-    /// right (RAO).
+    /// (0018,1510): 0 with the detector facing the chest, +90 degrees at the patient's left (LAO), -90 at the right (RAO).
     pub primary_rad: f64,
     /// (0018,1511): +90 degrees with the detector at the head (cranial), -90 caudal.
     pub secondary_rad: f64,
 }
 
 impl PositionerAngles {
-    /// Detector at the chest.
+    /// Anteroposterior: detector at the chest.
     pub const AP: Self = Self { primary_rad: 0.0, secondary_rad: 0.0 };
 
-    /// From degrees, as the DICOM fields hold them.
+    /// From degrees, the unit of the DICOM attributes.
     pub fn from_degrees(primary: f64, secondary: f64) -> Self {
         Self { primary_rad: primary.to_radians(), secondary_rad: secondary.to_radians() }
     }
 }
 
-/// A point source and a flat detector. Pixel (0, 0) is the first of the first row; pixel centres are at whole numbers, so
+/// A point source and a flat detector. Pixel (0, 0) is the first pixel of the first row. Pixel centres are at integers, so
 /// `detector_centre_m` is at column (columns - 1)/2, row (rows - 1)/2.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CArm {
@@ -47,9 +46,9 @@ pub struct CArm {
     pub source_m: [f64; 3],
     /// Centre of the detector's area.
     pub detector_centre_m: [f64; 3],
-    /// Unit vector along a row, towards growing column numbers.
+    /// Unit vector along a row, in the direction of increasing column index.
     pub row_axis: [f64; 3],
-    /// Unit vector along a column, towards growing row numbers (down in the picture).
+    /// Unit vector along a column, in the direction of increasing row index (down in the image).
     pub column_axis: [f64; 3],
     /// Distance between pixel centres along a row and along a column.
     pub pixel_pitch_m: [f64; 2],
@@ -59,26 +58,25 @@ pub struct CArm {
     pub rows: u32,
 }
 
-/// Where a point appears.
+/// Projection of a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projection {
-    /// Column coordinate, pixel centres at whole numbers.
+    /// Column coordinate; pixel centres are at integers.
     pub column: f64,
     /// Row coordinate.
     pub row: f64,
-    /// Distance from the source along the detector's normal.
+    /// Depth: distance from the source along the detector normal.
     pub depth_m: f64,
 }
 
 impl CArm {
-    /// A C-arm turned about its isocentre. The detector is at
-    /// `isocentre + (source_detector - source_isocentre) n`, the source at `isocentre - source_isocentre n`, with
-    /// `n = (sin p cos s, -cos p cos s, sin s)` for primary angle p and secondary angle s. The picture has the head up and
-    /// is seen from the detector, facing the patient: at AP the patient's right is on the left of the picture.
+    /// A C-arm rotated about its isocentre. The detector is at `isocentre + (source_detector - source_isocentre) n`, the source at
+    /// `isocentre - source_isocentre n`, with `n = (sin p cos s, -cos p cos s, sin s)` for primary angle p and secondary angle s. The
+    /// image has the head up and is viewed from the detector, facing the patient: at AP the patient's right is on the left of the image.
     ///
     /// # Errors
-    /// Distances outside 1 mm to 10 m, a detector on the source's side of the isocentre, and everything that
-    /// [`CArm::validate`] refuses.
+    /// A distance is outside 1 mm to 10 m, the detector is on the source's side of the isocentre, or [`CArm::validate`] refuses the
+    /// result.
     pub fn from_positioner_angles(
         isocentre_m: [f64; 3],
         angles: PositionerAngles,
@@ -116,7 +114,7 @@ impl CArm {
     /// Checks every field; the renderer calls this for each new C-arm.
     ///
     /// # Errors
-    /// The first field that is out of range, by name.
+    /// A field is out of range; the error names the first one.
     pub fn validate(&self) -> Result<(), DrrError> {
         let sides = "1 to 8192 pixels";
         check_range("columns", f64::from(self.columns), 1.0, f64::from(MAX_SIDE), sides)?;
@@ -141,11 +139,11 @@ impl CArm {
         )
     }
 
-    /// The same field of view with `factor` x `factor` pixels merged into one, for a cheap preview. Rows and columns that do not fill a
-    /// whole pixel are cut off on the right and at the bottom.
+    /// The same field of view with `factor` x `factor` pixels binned into one, for a cheap preview. Drops rows and columns on the right
+    /// and at the bottom that do not fill a whole pixel.
     ///
     /// # Errors
-    /// A factor of 0 or larger than the detector.
+    /// The factor is 0 or larger than the detector.
     pub fn binned(&self, factor: u32) -> Result<Self, DrrError> {
         let side = self.columns.min(self.rows);
         check_range(
@@ -170,19 +168,19 @@ impl CArm {
         self.columns as usize * self.rows as usize
     }
 
-    /// World position of a point of the detector, in pixel coordinates.
+    /// World position of pixel coordinates on the detector.
     pub fn pixel_m(&self, column: f64, row: f64) -> [f64; 3] {
         let u = (column - (f64::from(self.columns) - 1.0) / 2.0) * self.pixel_pitch_m[0];
         let v = (row - (f64::from(self.rows) - 1.0) / 2.0) * self.pixel_pitch_m[1];
         add_scaled(add_scaled(self.detector_centre_m, u, self.row_axis), v, self.column_axis)
     }
 
-    /// Where a world point appears; `None` for a point beside or behind the source.
+    /// Projects a world point; `None` for a point level with or behind the source.
     pub fn project(&self, point_m: [f64; 3]) -> Option<Projection> {
         self.pinhole().project(point_m)
     }
 
-    /// The projection with its constants computed once, for many points.
+    /// The projection with precomputed constants, for many points.
     pub fn pinhole(&self) -> Pinhole {
         let mut normal = self.normal();
         let offset = sub(self.detector_centre_m, self.source_m);
@@ -219,12 +217,12 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
-    /// Where a world point appears; `None` for a point beside or behind the source.
+    /// Projects a world point; `None` for a point level with or behind the source.
     pub fn project(&self, point_m: [f64; 3]) -> Option<Projection> {
         self.finish(self.homogeneous(point_m))
     }
 
-    /// Where the corners `centre + sum(+-half[i])` of a box appear; bit i of a corner's number is the sign of `half[i]`.
+    /// Projects the corners `centre + sum(+-half[i])` of a box; bit i of a corner's index is the sign of `half[i]`.
     pub(crate) fn corners(&self, centre_m: [f64; 3], half_m: &[[f64; 3]; 3]) -> [Option<Projection>; 8] {
         core::array::from_fn(|corner| {
             let sign = |axis: usize| if corner >> axis & 1 == 1 { 1.0 } else { -1.0 };
@@ -236,8 +234,8 @@ impl Pinhole {
         })
     }
 
-    /// Pixel rectangle that holds the projection of the convex hull of `centre + sum(+-half[i])`, clipped to the detector.
-    /// The whole detector if some corners lie beside or behind the source; `None` if all do, or if the rectangle is empty.
+    /// Bounding rectangle, in pixels, of the projected box `centre + sum(+-half[i])`, clipped to the detector. The whole detector if some
+    /// corners are level with or behind the source; `None` if all are, or if the rectangle is empty.
     pub fn bounds(
         &self,
         centre_m: [f64; 3],
@@ -290,12 +288,12 @@ pub struct PixelBox {
 }
 
 impl PixelBox {
-    /// Slack of a bounding box against rounding of the projection, in pixels.
+    /// Margin of the bounding rectangle against rounding in the projection, in pixels.
     const SLACK: f64 = 1e-3;
 
     pub(crate) fn covering(low: [f64; 2], high: [f64; 2], columns: u32, rows: u32) -> Option<Self> {
         let range = |a: f64, b: f64, n: u32| {
-            // `as` saturates: a box far outside becomes an empty range.
+            // `as` saturates, so a box far outside gives an empty range.
             let first = libm::ceil(a - Self::SLACK).max(0.0) as u32;
             let end = (libm::floor(b + Self::SLACK) + 1.0).clamp(0.0, f64::from(n)) as u32;
             (first < end).then_some((first, end))

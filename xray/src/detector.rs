@@ -1,29 +1,28 @@
-//! Line integrals to the share of photons that the detector sees: Beer-Lambert, seeded quantum noise, blur.
+//! From line integrals to the fraction of photons detected: Beer-Lambert, seeded quantum noise, blur.
 
 use std::sync::LazyLock;
 
 use crate::error::{DrrError, check_range};
 use crate::lane_math;
 
-/// Below this mean, photon numbers are drawn from the exact Poisson distribution; above it, from a normal one.
+/// Photon counts with a mean below this are drawn from the exact Poisson distribution, others from a normal one.
 pub const EXACT_POISSON_BELOW: f64 = 30.0;
 
 /// The detector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectorParameters {
-    /// Photons detected by a pixel with nothing between it and the source. A fluoroscopy pulse is of the order of 1e2 to 1e3 behind a
-    /// patient, a radiograph far above.
+    /// Photons that a pixel detects with nothing between it and the source. About 1e2 to 1e3 behind a patient for a fluoroscopy pulse,
+    /// far more for a radiograph.
     pub photons_per_pixel: f64,
-    /// Whether photon numbers fluctuate.
+    /// Adds photon noise.
     pub quantum_noise: bool,
-    /// Standard deviation of the spread of light in the scintillator, in pixels; 0 for none. It blurs the noise too, as in a real
-    /// detector.
+    /// Standard deviation of the light spread in the scintillator, in pixels; 0 for none. It blurs the noise too, as in a real detector.
     pub blur_sigma_px: f64,
     /// The readout is `min(gain * signal + offset, saturation)`, with a signal of 1 in the open field: 0.01 to 100.
     pub gain: f64,
-    /// Dark signal, a share of the open field's: 0 to 0.5.
+    /// Dark signal as a fraction of the open-field signal: 0 to 0.5.
     pub offset: f64,
-    /// Largest readout, 0.01 to 100; `None` for no limit.
+    /// Maximum readout, 0.01 to 100; `None` for no limit.
     pub saturation: Option<f64>,
 }
 
@@ -44,7 +43,7 @@ impl DetectorParameters {
     /// Checks every field.
     ///
     /// # Errors
-    /// The first field that is out of range, by name.
+    /// A field is out of range; the error names the first one.
     pub fn validate(&self) -> Result<(), DrrError> {
         check_range("photons_per_pixel", self.photons_per_pixel, 1.0, 1e9, "1 to 1e9 photons")?;
         check_range("blur_sigma_px", self.blur_sigma_px, 0.0, 20.0, "0 to 20 pixels")?;
@@ -53,7 +52,7 @@ impl DetectorParameters {
         self.saturation.map_or(Ok(()), |s| check_range("saturation", s, 0.01, 100.0, "0.01 to 100"))
     }
 
-    /// How the signal is read out.
+    /// The readout parameters.
     pub(crate) fn readout(&self) -> Readout {
         Readout { gain: self.gain, offset: self.offset, saturation: self.saturation.unwrap_or(f64::INFINITY) }
     }
@@ -68,7 +67,7 @@ pub(crate) struct Readout {
 }
 
 impl Readout {
-    /// Whether the signal passes as it is.
+    /// True if the readout leaves the signal unchanged.
     pub(crate) fn is_plain(self) -> bool {
         self == Self { gain: 1.0, offset: 0.0, saturation: f64::INFINITY }
     }
@@ -79,28 +78,28 @@ impl Readout {
     }
 }
 
-/// What the noise of a frame depends on: the run's seed and the frame's number (its tick).
+/// Seed of a frame's noise: the run's seed and the frame number (its tick).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FrameSeed {
     /// The run's seed.
     pub seed: u64,
-    /// The frame's number.
+    /// The frame number.
     pub frame: u64,
 }
 
 impl FrameSeed {
-    /// A counter-based random number of a pixel: no state, so any order and any number of threads give the same frame.
+    /// A counter-based random number for a pixel: stateless, so any pixel order and any number of threads give the same frame.
     pub fn hash(self, pixel: u64) -> u64 {
         self.key().word(pixel)
     }
 
-    /// The part that all pixels share.
+    /// The part of the hash that all pixels share.
     pub(crate) fn key(self) -> NoiseKey {
         NoiseKey(mix(mix(self.seed) ^ self.frame))
     }
 }
 
-/// Seed and frame, mixed.
+/// Seed and frame number, mixed.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NoiseKey(u64);
 
@@ -111,7 +110,8 @@ impl NoiseKey {
     }
 }
 
-/// The finaliser of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014; constants of D. Stafford's variant 13), with its increment.
+/// The finaliser of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014; constants of D.
+/// Stafford's variant 13), including its increment.
 #[inline(always)]
 fn mix(x: u64) -> u64 {
     let x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
@@ -120,13 +120,13 @@ fn mix(x: u64) -> u64 {
     x ^ x >> 31
 }
 
-/// A number between 0 and 1, both excluded.
+/// A uniform number in the open interval (0, 1).
 fn uniform(bits: u64) -> f64 {
     ((bits >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
 }
 
-/// A Poisson number of the given mean: exact below [`EXACT_POISSON_BELOW`], above it the nearest whole number to a normal deviate of
-/// the same mean and variance.
+/// A Poisson-distributed number: exact for means below [`EXACT_POISSON_BELOW`], otherwise a normal deviate of the same mean and variance,
+/// rounded.
 pub fn photon_number(mean: f64, random: u64) -> f64 {
     if mean < EXACT_POISSON_BELOW {
         return small_poisson(mean.max(0.0), random);
@@ -134,7 +134,7 @@ pub fn photon_number(mean: f64, random: u64) -> f64 {
     lane_math::round(mean + mean.sqrt() * lane_math::normal(random)).max(0.0)
 }
 
-/// Exact: the sum of two Poisson numbers, one with the whole part of the mean (from a table) and one with its fraction (by inversion).
+/// Exact: the sum of two Poisson numbers, one for the integer part of the mean (from a table) and one for its fraction (by inversion).
 fn small_poisson(mean: f64, random: u64) -> f64 {
     static TABLES: LazyLock<Vec<PoissonTable>> =
         LazyLock::new(|| (0..EXACT_POISSON_BELOW as usize).map(|m| PoissonTable::new(m as f64)).collect());
@@ -143,7 +143,7 @@ fn small_poisson(mean: f64, random: u64) -> f64 {
     first + poisson_by_inversion(mean - whole as f64, uniform(mix(random)))
 }
 
-/// Cumulative probabilities for one mean, and where to start the search for each 1/256 of the range of a uniform number.
+/// Cumulative probabilities for one mean, and where to start the search for each 1/256 of the uniform range.
 struct PoissonTable {
     cumulative: Vec<f64>,
     begin: [u8; 256],
@@ -153,7 +153,7 @@ impl PoissonTable {
     fn new(mean: f64) -> Self {
         let mut probability = libm::exp(-mean);
         let mut cumulative = vec![probability];
-        // With a mean below 30 the tail beyond 120 is far below the resolution of a uniform number.
+        // For a mean below 30 the tail beyond 120 is far below the resolution of the uniform number.
         for n in 1..120 {
             probability *= mean / f64::from(n);
             cumulative.push(cumulative[cumulative.len() - 1] + probability);
@@ -163,7 +163,7 @@ impl PoissonTable {
         Self { cumulative, begin }
     }
 
-    /// Smallest n whose cumulative probability is not below `u`.
+    /// Smallest n whose cumulative probability is at least `u`.
     fn number(&self, u: f64) -> f64 {
         let begin = usize::from(self.begin[(u * 256.0) as usize & 255]);
         let beyond = self.cumulative[begin..].iter().take_while(|&&c| c < u).count();
@@ -171,7 +171,7 @@ impl PoissonTable {
     }
 }
 
-/// Smallest n whose cumulative probability is not below `u`, for a mean below 1.
+/// Smallest n whose cumulative probability is at least `u`, for a mean below 1.
 fn poisson_by_inversion(mean: f64, u: f64) -> f64 {
     let mut probability = lane_math::exp(-mean);
     let mut cumulative = probability;
@@ -185,7 +185,7 @@ fn poisson_by_inversion(mean: f64, u: f64) -> f64 {
     n
 }
 
-/// Weights of a normalised Gaussian, cut at 3 sigma: `[w_-r, ..., w_0, ..., w_r]`. One weight of 1 for sigma 0.
+/// Normalised Gaussian weights, truncated at 3 sigma: `[w_-r, ..., w_0, ..., w_r]`; a single 1 for sigma 0.
 pub fn gaussian_weights(sigma_px: f64) -> Vec<f64> {
     let reach = libm::ceil(3.0 * sigma_px) as i32;
     let bell = |i: i32| libm::exp(-0.5 * f64::from(i * i) / (sigma_px * sigma_px).max(f64::MIN_POSITIVE));
@@ -195,7 +195,7 @@ pub fn gaussian_weights(sigma_px: f64) -> Vec<f64> {
     weights
 }
 
-/// One output row of a blur along rows: `out[c] = sum_i w_i row[c + i - r]`, the edge pixels repeated outside.
+/// One output row of a blur along rows: `out[c] = sum_i w_i row[c + i - r]`, with edge pixels repeated outside.
 #[inline(always)]
 pub fn blur_row(row: &[f32], weights: &[f32], out: &mut [f32]) {
     let (reach, width) = (weights.len() / 2, row.len());
@@ -218,7 +218,7 @@ pub fn blur_row(row: &[f32], weights: &[f32], out: &mut [f32]) {
     }
 }
 
-/// `out += weight * row`, as far as `out` reaches.
+/// `out += weight * row`, for the length of `out`.
 #[inline(always)]
 pub fn add_scaled_row(out: &mut [f32], weight: f32, row: &[f32]) {
     for (o, x) in out.iter_mut().zip(row) {

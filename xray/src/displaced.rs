@@ -1,6 +1,5 @@
-//! Anatomy in a short interval of a ray, as [`joseph::interval_integral`](crate::joseph::interval_integral) computes it, bit for bit, but
-//! without its divisions: the interval spans only a few planes, so checking its two ends is enough to know that all of it is inside the
-//! volume.
+//! Anatomy in a short interval of a ray. Same bits as [`joseph::interval_integral`](crate::joseph::interval_integral), but without its
+//! divisions: the interval spans only a few planes, so checking both ends is enough to know that all of it is inside the volume.
 
 use crate::joseph;
 use crate::ray::IndexRay;
@@ -8,7 +7,7 @@ use crate::removal::{AttenuationField, BLOCK_SHIFT, is_drilled, is_occupied};
 
 const ONE: f64 = 4_294_967_296.0;
 const FRACTION: f64 = 1.0 / ONE;
-/// Positions beyond this many voxels are left to the general routine.
+/// Positions beyond this many voxels go to the general routine.
 const FAR: f64 = 1e6;
 
 /// Line integral of attenuation between two parameters of the ray, 0 <= a <= b <= 1.
@@ -19,7 +18,7 @@ pub(crate) fn displaced_integral(field: &AttenuationField<'_>, ray: &IndexRay, r
     }
 }
 
-/// Planes `first..=last` of the dominant axis k, all of whose samples have four neighbours in the volume.
+/// Planes `first..=last` of the dominant axis k whose samples all have four neighbours in the volume.
 struct Interval {
     low: f64,
     high: f64,
@@ -34,7 +33,7 @@ struct Interval {
 }
 
 impl Interval {
-    /// `None` where a neighbour may be missing.
+    /// `None` if a neighbour may be missing.
     #[inline]
     fn new(field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> Option<Self> {
         let d = ray.direction.map(f64::abs);
@@ -50,11 +49,11 @@ impl Interval {
         let direction_k = ray.direction[k];
         let (a, b) = (ray.origin[k] + range.0 * direction_k, ray.origin[k] + range.1 * direction_k);
         let (low, high) = (a.min(b), a.max(b));
-        // Written so that a NaN goes to the general routine.
+        // Negated, so that a NaN goes to the general routine.
         if !(low > 0.5 && high < dims[k] as f64 - 1.5 && high < FAR) {
             return None;
         }
-        // Source and pixel must lie outside the interval's planes; otherwise some planes count only in part.
+        // Source and pixel must lie outside the interval's planes; otherwise some planes count only partly.
         let (from, to) = (ray.origin[k], ray.origin[k] + direction_k);
         if low - 1.0 < from.min(to) || high + 1.0 > from.max(to) {
             return None;
@@ -109,7 +108,7 @@ impl Interval {
         let voxel = position.map(|p| (p >> 32) as usize);
         let at = |stride: &[usize; 3], c: [usize; 3]| stride[0] * c[0] + stride[1] * c[1] + stride[2] * c[2];
         let block = at(&self.block_stride, voxel.map(|v| v >> BLOCK_SHIFT));
-        // A block covers all four neighbours of a position in it.
+        // A block includes all four neighbours of any position inside it.
         let flags = field.blocks.flags().get(block).copied().unwrap_or(u8::MAX);
         if !is_occupied(flags) {
             return 0.0;
@@ -130,7 +129,7 @@ impl Interval {
     }
 }
 
-/// As `libm::round(position * 2^32)`, half away from zero, for positions that fit.
+/// Same as `libm::round(position * 2^32)`, half away from zero, for positions in range.
 #[inline]
 fn fixed(position: f64) -> i64 {
     let scaled = position * ONE;

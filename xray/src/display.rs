@@ -1,37 +1,37 @@
-//! From what the detector sees to what a monitor shows.
+//! From the detector signal to the displayed image.
 //!
-//! Fluoroscopes show the logarithm of the signal: equal steps of attenuation are equal steps of grey. A window (lowest and
-//! highest attenuation shown) fixes the contrast.
+//! Fluoroscopes show the logarithm of the signal: equal steps of attenuation are equal steps of grey. A window (lowest and highest
+//! attenuation shown) sets the contrast.
 
 use crate::error::{DrrError, check_range};
 
-/// Whether bone is dark or bright.
+/// Grey-scale convention of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DisplayMode {
-    /// What a fluoroscope's intensifier shows: the more attenuation, the darker. Bone darker than soft tissue, the tool
-    /// black, a drilled path a lighter track.
+    /// As on a fluoroscope's intensifier: more attenuation is darker. Bone is darker than soft tissue, the tool is black, a drilled path
+    /// is a lighter track.
     #[default]
     BoneDark,
-    /// The radiograph's negative: the more attenuation, the brighter; bone and tool bright, a drilled path a darker track.
+    /// As on a radiograph: more attenuation is brighter. Bone and tool are bright, a drilled path is a darker track.
     BoneBright,
-    /// As `BoneBright` for the anatomy, with the tool laid over it in black (its noise-free transmission times the anatomy's
-    /// brightness). Not physical, but common in simulators.
+    /// The anatomy as in `BoneBright`, with the tool overlaid in black (its noise-free transmission times the anatomy's brightness). Not
+    /// physical, but common in simulators.
     BoneBrightToolBlack,
-    /// No logarithm and no window: 65535 times the share of photons detected. For algorithms, not for eyes.
+    /// No logarithm and no window: 65535 times the fraction of photons detected. For algorithms, not for viewing.
     Linear,
 }
 
-/// Which attenuations (-ln of the share of photons) the picture spans.
+/// Range of attenuation (-ln of the fraction of photons) that the image shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Window {
-    /// From the frame's own anatomy (without tool and noise): between two percentiles of the pixels behind the object, widened on the
-    /// dense side so that metal has room to be darker than any bone.
+    /// From the frame's own anatomy, without tool and noise: between two percentiles of the pixels behind the object, widened on the
+    /// dense side so that metal can be darker than any bone.
     Automatic {
-        /// Share of the object's pixels below the window, 0 to 0.5.
+        /// Fraction of the object's pixels below the window, 0 to 0.5.
         low_share: f64,
-        /// Share of the object's pixels above the densest anatomy considered, 0 to 0.5.
+        /// Fraction of the object's pixels above the densest anatomy considered, 0 to 0.5.
         high_share: f64,
-        /// Room for metal: the window's extent beyond the anatomy, as a share of the anatomy's range.
+        /// Extra range for metal, as a fraction of the anatomy's range.
         metal_room: f64,
     },
     /// Fixed limits.
@@ -43,12 +43,12 @@ pub enum Window {
     },
 }
 
-/// How frames are displayed.
+/// Display settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DisplayParameters {
-    /// Whether bone is dark or bright.
+    /// Grey-scale convention.
     pub mode: DisplayMode,
-    /// What they span.
+    /// Attenuation window.
     pub window: Window,
 }
 
@@ -63,7 +63,7 @@ impl DisplayParameters {
     /// Checks every field.
     ///
     /// # Errors
-    /// The first field that is out of range, by name.
+    /// A field is out of range; the error names the first one.
     pub fn validate(&self) -> Result<(), DrrError> {
         match self.window {
             Window::Automatic { low_share, high_share, metal_room } => {
@@ -79,15 +79,15 @@ impl DisplayParameters {
     }
 }
 
-/// Bins of the histogram behind the automatic window; each is [`BIN`] wide.
+/// Histogram bins for the automatic window; each is [`BIN`] wide.
 const BINS: usize = 2048;
 const BIN: f64 = 0.005;
-/// A pixel with less attenuation than this sees the source directly, beside the object.
+/// A pixel with less attenuation than this sees the source directly, past the object.
 const OPEN_FIELD: f64 = 0.02;
-/// Narrowest automatic window: a homogeneous object does not show its noise at full contrast.
+/// Minimum width of the automatic window, so that a homogeneous object does not show its noise at full contrast.
 const NARROWEST: f64 = 0.5;
 
-/// The window's limits for a frame whose anatomy has these line integrals.
+/// Window limits for a frame with these anatomy line integrals.
 pub fn window_limits(window: Window, anatomy: &[f64]) -> (f64, f64) {
     let (low_share, high_share, metal_room) = match window {
         Window::Fixed { low, high } => return (low, high),
@@ -108,7 +108,7 @@ pub fn window_limits(window: Window, anatomy: &[f64]) -> (f64, f64) {
     (low, low + range * (1.0 + metal_room))
 }
 
-/// Value below which `rank` of the counted pixels lie, linear inside a bin.
+/// Value with `rank` counted pixels below it, interpolated linearly within a bin.
 fn quantile(histogram: &[u32; BINS], rank: f64) -> f64 {
     let mut below = 0.0;
     for (bin, &count) in histogram.iter().enumerate() {
@@ -121,7 +121,7 @@ fn quantile(histogram: &[u32; BINS], rank: f64) -> f64 {
     BIN * BINS as f64
 }
 
-/// The linear map from a value (attenuation; in linear mode the readout) to a grey, 0 to 65535.
+/// The linear map from a value (attenuation, or the readout in linear mode) to a grey level, 0 to 65535.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scale {
     mode: DisplayMode,
@@ -131,10 +131,10 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// The scale of a mode and a window.
+    /// The scale for a mode and a window.
     pub fn new(mode: DisplayMode, (low, high): (f64, f64)) -> Self {
         let slope = 65535.0 / (high - low);
-        // 0.5 rounds.
+        // The 0.5 rounds to nearest.
         let (factor, constant) = match mode {
             DisplayMode::BoneDark => (-slope, high * slope + 0.5),
             DisplayMode::BoneBright | DisplayMode::BoneBrightToolBlack => (slope, 0.5 - low * slope),
@@ -148,14 +148,14 @@ impl Scale {
         self.mode
     }
 
-    /// The grey of a value.
+    /// Grey level of a value.
     #[inline(always)]
     pub fn grey(&self, value: f64) -> u16 {
-        // Clamped before the conversion, which then needs no checks of its own.
+        // Clamping first makes the conversion check-free.
         (value * self.factor + self.constant).clamp(0.0, 65535.0) as i32 as u16
     }
 
-    /// The greys of some values, as many as `out` takes.
+    /// Grey levels of values, for the length of `out`.
     #[inline(always)]
     pub(crate) fn to_greys(self, values: &[f64], out: &mut [u16]) {
         for (o, v) in out.iter_mut().zip(values) {
@@ -163,7 +163,7 @@ impl Scale {
         }
     }
 
-    /// `BoneBrightToolBlack`: the anatomy's grey times the share that the metal alone lets through.
+    /// For `BoneBrightToolBlack`: the anatomy's grey level times the transmission of the metal alone.
     pub fn under_metal(&self, attenuation: f64, metal_transmission: f64) -> u16 {
         let metal = metal_transmission.clamp(5e-7, 1.0);
         let anatomy = attenuation + libm::log(metal);
@@ -172,7 +172,7 @@ impl Scale {
     }
 }
 
-/// The upper byte of every pixel, for 8-bit picture files.
+/// The high byte of every pixel, for 8-bit image files.
 pub fn to_8_bit(image: &[u16]) -> Vec<u8> {
     image.iter().map(|&v| (v >> 8) as u8).collect()
 }

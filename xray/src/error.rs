@@ -1,11 +1,11 @@
-//! Errors: what was refused, and what to do about it.
+//! Errors: what was refused, and how to correct it.
 
 use thiserror::Error;
 
-/// Bytes of a GiB.
+/// Bytes per GiB.
 const GIB: f64 = (1_u64 << 30) as f64;
 
-/// A refused input. Nothing has changed when one of these comes back.
+/// A refused input. The call that returned it changed nothing.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum DrrError {
@@ -14,9 +14,9 @@ pub enum DrrError {
     OutOfRange {
         /// Name of the field, with its unit.
         field: &'static str,
-        /// What was given.
+        /// The given value.
         given: f64,
-        /// The range in words.
+        /// The accepted range, in words.
         expected: &'static str,
     },
     /// A buffer of the wrong length.
@@ -24,12 +24,12 @@ pub enum DrrError {
     Length {
         /// Name of the buffer.
         field: &'static str,
-        /// Its length.
+        /// Its actual length.
         given: usize,
-        /// The length it must have.
+        /// The required length.
         expected: usize,
     },
-    /// The voxels' grid is not one that a volume may have.
+    /// The grid is invalid.
     #[error("the volume has {0}")]
     Grid(#[from] voxel_grid::GridError),
     /// The voxels of a volume message cannot be read in place.
@@ -48,10 +48,10 @@ pub enum DrrError {
         field: &'static str,
         /// Largest deviation of their dot products from 0 or 1.
         error: f64,
-        /// The largest deviation accepted.
+        /// The accepted deviation.
         limit: f64,
     },
-    /// A removed voxel that the volume does not have. The whole batch is refused.
+    /// A removed voxel is outside the volume. The whole batch is refused.
     #[error(
         "removed voxel {given} at position {position} of the batch: the volume has {voxels} voxels; \
          send linear indices x + nx*(y + ny*z)"
@@ -59,12 +59,12 @@ pub enum DrrError {
     VoxelIndex {
         /// The offending index.
         given: u32,
-        /// Its place in the batch.
+        /// Its position in the batch.
         position: usize,
-        /// Number of voxels of the volume.
+        /// Number of voxels in the volume.
         voxels: usize,
     },
-    /// The view has another grid than the renderer was built for.
+    /// The view's grid differs from the one that the renderer was built for.
     #[error("the volume's grid differs from the one the renderer was built for: build a new renderer")]
     GridChanged,
     /// A tool part with impossible dimensions.
@@ -75,7 +75,7 @@ pub enum DrrError {
         /// What is wrong and what is expected.
         reason: &'static str,
     },
-    /// The re-ordered copy of the volume does not fit into the free memory.
+    /// The reordered copy of the volume does not fit into free memory.
     #[error(
         "the re-ordered copy of a volume of {} x {} x {} voxels needs {:.2} GiB ({bytes_each} B a voxel and 32 zeros between \
          rows), and {:.2} GiB are free: crop or resample the volume, or choose the projector `preview` or `joseph`",
@@ -84,7 +84,7 @@ pub enum DrrError {
     Memory {
         /// Voxels along each axis.
         dims: [usize; 3],
-        /// Bytes a voxel.
+        /// Bytes per voxel.
         bytes_each: usize,
         /// Bytes of the copy.
         needed_bytes: u64,
@@ -94,14 +94,14 @@ pub enum DrrError {
     /// The worker threads could not be started.
     #[error("cannot start {threads} render threads ({reason}): lower `threads` or raise the process limit")]
     Threads {
-        /// Number asked for.
+        /// Number requested.
         threads: usize,
         /// The system's reason.
         reason: String,
     },
 }
 
-/// Refuses a number that is not finite or not in `low..=high`.
+/// Refuses a number that is not finite or outside `low..=high`.
 pub(crate) fn check_range(
     field: &'static str,
     given: f64,
@@ -116,14 +116,14 @@ pub(crate) fn check_range(
     }
 }
 
-/// Refuses axes whose dot products are further than `limit` from those of perpendicular unit vectors.
+/// Refuses axes that deviate from orthonormal by more than `limit`.
 pub(crate) fn check_orthonormal(field: &'static str, axes: &[[f64; 3]], limit: f64) -> Result<(), DrrError> {
     let mut error = 0.0_f64;
     for (i, a) in axes.iter().enumerate() {
         for (j, b) in axes.iter().enumerate().take(i + 1) {
             let want = if i == j { 1.0 } else { 0.0 };
             let deviation = (crate::vector::dot(*a, *b) - want).abs();
-            // A NaN must not pass: `max` would drop it.
+            // Keep a NaN as infinity: `max` would drop it.
             error = if deviation.is_nan() { f64::INFINITY } else { error.max(deviation) };
         }
     }

@@ -1,8 +1,8 @@
-//! From line integrals to pixels: tool, Beer-Lambert, noise, blur, readout, display, in two passes over the image.
+//! From line integrals to pixels: tool, Beer-Lambert, noise, blur, readout and display, in two passes over the image.
 //!
-//! Pass 1, row by row: tool over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display.
-//! What is off is not computed; with noise and blur off the second pass does everything. The loops are vector code
-//! ([`crate::lane_math`]) for what the processor has, with the same bits on all.
+//! Pass 1, row by row: tool over anatomy, transmission, noise, blur along the row. Pass 2: blur along columns, readout, display. Disabled
+//! stages cost nothing; without noise and blur the second pass does everything. The loops ([`crate::lane_math`]) compile to the CPU's
+//! vector instructions, with the same bits on every CPU.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -17,15 +17,15 @@ use crate::lanes::lanes;
 use crate::spectrum::SpectrumTable;
 use crate::tool_layer::PlacedTool;
 
-/// Pixels that are processed at once; several such buffers fit into the first-level cache.
+/// Pixels processed at once; several such buffers fit into the L1 cache.
 const CHUNK: usize = 64;
 
-/// Where the pixels go.
+/// Destination of the pixels.
 #[derive(Debug)]
 pub enum Output<'a> {
-    /// The display's grey, 0 to 65535.
+    /// Grey levels, 0 to 65535.
     Mono16(&'a mut [u16]),
-    /// Without window and rounding: the readout in linear mode, its negative logarithm in the others.
+    /// No window and no rounding: the readout in linear mode, its negative logarithm in the other modes.
     Float32(&'a mut [f32]),
 }
 
@@ -38,7 +38,7 @@ impl Output<'_> {
         }
     }
 
-    /// Whether there are none.
+    /// True if there are none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -47,13 +47,13 @@ impl Output<'_> {
 /// The anatomy of a frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Anatomy<'a> {
-    /// Line integrals of attenuation, row by row; metres of tissue where a spectrum is used.
+    /// Line integrals of attenuation, row-major; metres of tissue if a spectrum is used.
     pub total: &'a [f64],
-    /// Metres of cortical bone, row by row, where a spectrum is used; else empty.
+    /// Metres of cortical bone, row-major, if a spectrum is used; otherwise empty.
     pub bone_m: &'a [f64],
 }
 
-/// Detector and display with their work space.
+/// Detector, display and their workspace.
 #[derive(Debug)]
 pub struct Exposure {
     detector: DetectorParameters,
@@ -67,7 +67,7 @@ pub struct Exposure {
     metal_blurred: Vec<f32>,
 }
 
-/// What the passes need besides the work space.
+/// The passes' inputs other than the workspace.
 #[derive(Clone, Copy)]
 struct Frame<'a> {
     anatomy: Anatomy<'a>,
@@ -78,7 +78,7 @@ struct Frame<'a> {
 }
 
 impl Exposure {
-    /// With no work space yet.
+    /// A stage with an empty workspace.
     pub fn new(
         detector: DetectorParameters,
         display: DisplayParameters,
@@ -103,7 +103,7 @@ impl Exposure {
         self.spectrum.as_ref()
     }
 
-    /// Fills the output on the threads of the pool that it is called in.
+    /// Fills the output on the threads of the current pool.
     pub(crate) fn expose(
         &mut self,
         anatomy: Anatomy<'_>,
@@ -153,7 +153,7 @@ impl Exposure {
         }
     }
 
-    /// -ln of what anatomy and tool let through, row by row.
+    /// -ln of the transmission through anatomy and tool, row-major.
     pub(crate) fn attenuations(&self, anatomy: Anatomy<'_>, tool: &PlacedTool, width: usize) -> Vec<f64> {
         let scale = Scale::new(DisplayMode::Linear, (0.0, 1.0));
         let frame = Frame { anatomy, tool, width, scale, key: FrameSeed::default().key() };
@@ -180,7 +180,7 @@ impl Exposure {
         }
     }
 
-    /// Tool, transmission, noise and the blur along rows, into `blurred` (`detected` without blur).
+    /// Tool, transmission, noise and blur along rows, into `blurred` (into `detected` without blur).
     fn first_pass(&mut self, frame: &Frame<'_>) {
         let (width, pixels) = (frame.width, frame.anatomy.total.len());
         let with_blur = self.weights.len() > 1;
@@ -207,7 +207,7 @@ impl Exposure {
         self.blurred = blurred;
     }
 
-    /// Share of photons detected in some pixels of a row.
+    /// Fraction of photons detected in a chunk of a row.
     fn expose_chunk(&self, frame: &Frame<'_>, row: usize, from: usize, out: &mut [f32]) {
         let mut values = [0.0; CHUNK];
         let first_pixel = (row * frame.width + from) as u64;
@@ -228,7 +228,7 @@ impl Exposure {
         }
     }
 
-    /// -ln of the share of photons that anatomy and tool let through.
+    /// -ln of the transmission through anatomy and tool.
     fn attenuation(
         &self,
         frame: &Frame<'_>,
@@ -253,7 +253,7 @@ impl Exposure {
         }
     }
 
-    /// The second pass without noise and blur: the attenuation as it is, unless the readout changes it.
+    /// The second pass without noise and blur: passes the attenuation on, unless the readout changes it.
     fn directly(&self, frame: &Frame<'_>, row: usize, from: usize, count: usize, values: &mut [f64; CHUNK]) {
         self.attenuation(frame, row, from, count, values);
         let (readout, mode) = (self.detector.readout(), self.display.mode);
@@ -284,7 +284,7 @@ impl Exposure {
         });
     }
 
-    /// Lays the tool over the anatomy's picture in black.
+    /// Overlays the tool on the anatomy's image in black.
     fn overlay(&self, frame: &Frame<'_>, row: usize, from: usize, values: &[f64; CHUNK], out: &mut [u16]) {
         let mut metal = [0.0_f32; CHUNK];
         column_blur(&self.metal_blurred, frame.width, row, from, &self.weights, &mut metal[..out.len()]);
@@ -295,21 +295,21 @@ impl Exposure {
 }
 
 lanes! {
-    /// The greys of a piece of a row.
+    /// Grey levels of a chunk of a row.
     ToGreys { scale: Scale, values: &'a [f64; CHUNK], out: &'a mut [u16] } -> () {
         scale.to_greys(values, out);
     }
 }
 
 lanes! {
-    /// A row blurred along itself.
+    /// Blurs a row along itself.
     BlurRow { line: &'a [f32], weights: &'a [f32], out: &'a mut [f32] } -> () {
         blur_row(line, weights, out);
     }
 }
 
 lanes! {
-    /// The share of photons that passes.
+    /// Fraction of photons transmitted.
     Transmit { values: &'a [f64; CHUNK], out: &'a mut [f32] } -> () {
         for (o, v) in out.iter_mut().zip(values) {
             *o = lane_math::exp(-v) as f32;
@@ -318,7 +318,7 @@ lanes! {
 }
 
 lanes! {
-    /// The share of photons that is counted, with noise; `values` become mean numbers of photons. Returns the least of them.
+    /// Fraction of photons detected, with noise; `values` become mean photon counts. Returns the smallest of them.
     Detect {
         photons: f64,
         key: NoiseKey,
@@ -386,7 +386,7 @@ lanes! {
     }
 }
 
-/// Blurs the pixels `from..` of a row along the columns; beyond the image the edge rows are repeated.
+/// Blurs the pixels `from..` of a row along the columns, with edge rows repeated outside the image.
 #[inline(always)]
 fn column_blur(image: &[f32], width: usize, row: usize, from: usize, weights: &[f32], out: &mut [f32]) {
     let (reach, last) = (weights.len() / 2, image.len() / width - 1);
@@ -396,7 +396,7 @@ fn column_blur(image: &[f32], width: usize, row: usize, from: usize, weights: &[
     }
 }
 
-/// -ln of the readout, which is clamped to half a photon in 1e6 so that no signal is black instead of infinite.
+/// -ln of the readout. The readout is clamped to half a photon in 1e6, so that no signal is black rather than infinite.
 #[inline(always)]
 fn to_attenuation(values: &mut [f64; CHUNK]) {
     for v in values.iter_mut() {

@@ -1,4 +1,4 @@
-//! One frame: from the state, the removed voxels and the C-arm to the bytes of its message.
+//! One frame: from the state, the removed voxels and the C-arm to the message bytes.
 
 use messages::{Frame, ImagePrefix, State};
 use scene::{Notch as SceneNotch, ToolRadii};
@@ -9,12 +9,12 @@ use crate::message::{c_arm_message, projection_message};
 use crate::tool_model::tool_of;
 use crate::{CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, RenderKind, VolumeView};
 
-/// What a frame is to show.
+/// Inputs of a frame.
 #[derive(Debug, Clone)]
 pub struct Job {
     /// State of the tick.
     pub state: Box<State>,
-    /// Whether all removed voxels are restored before `removed` is removed.
+    /// Restores all removed voxels before removing `removed`.
     pub restore_first: bool,
     /// Voxels removed since the last job.
     pub removed: Vec<u32>,
@@ -24,7 +24,7 @@ pub struct Job {
     pub request_id: u64,
     /// C-arm.
     pub c_arm: CArm,
-    /// Whether only this frame has the C-arm, so that the cache of the scene's C-arm is kept.
+    /// The C-arm applies to this frame only, so the cache of the scene's C-arm is kept.
     pub aside: bool,
     /// The scene's isocentre.
     pub isocentre_m: [f64; 3],
@@ -39,18 +39,18 @@ pub struct Job {
 /// A finished frame.
 #[derive(Debug, Clone)]
 pub struct Rendered {
-    /// What it shows.
+    /// The frame's metadata.
     pub frame: Frame,
-    /// Head of the image.
+    /// The image header.
     pub prefix: ImagePrefix,
-    /// Pixels, rows from top to bottom.
+    /// Pixels, row-major from top to bottom.
     pub pixels: Vec<u16>,
     /// How much was computed.
     pub report: FrameReport,
 }
 
 impl Rendered {
-    /// Whether all of the anatomy was computed anew.
+    /// True if all of the anatomy was recomputed.
     pub fn is_full(&self) -> bool {
         self.report.kind == RenderKind::Full
     }
@@ -61,9 +61,10 @@ impl Rendered {
     }
 }
 
-/// Renders one frame. The result depends only on this job and the removals of those before it.
+/// Renders one frame. The result depends only on this job and on the removals of the jobs before it.
 ///
 /// # Errors
+/// The renderer's.
 /// The renderer's.
 pub fn render_job(
     renderer: &mut DrrRenderer,

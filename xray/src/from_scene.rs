@@ -7,7 +7,7 @@ use crate::{
     DrrParameters, PixelCentre, PositionerAngles, Projector, Spectrum, ladder,
 };
 
-/// The projector of `[drr]`.
+/// The projector that `[drr]` selects.
 fn given_projector(drr: &Drr) -> Projector {
     match drr.projector {
         SceneProjector::Siddon => Projector::Siddon,
@@ -19,7 +19,7 @@ fn given_projector(drr: &Drr) -> Projector {
     }
 }
 
-/// What `tolerance.drr_rel` chooses, in words; `None` for a scene without it or without X-ray.
+/// The choice that `tolerance.drr_rel` leads to, in words; `None` for a scene without it or without X-ray.
 pub fn tolerance_text(scene: &Scene) -> Option<String> {
     let wanted = scene.drr.as_ref().and(scene.tolerance)?.drr_rel?;
     let rung = ladder::choose(wanted);
@@ -71,7 +71,7 @@ pub fn renderer_parameters(drr: &Drr, tolerance: Option<&Tolerance>) -> DrrParam
 /// The C-arm of a scene.
 ///
 /// # Errors
-/// A value out of range, by name.
+/// A value is out of range; the error names it.
 pub fn scene_c_arm(drr: &Drr) -> Result<CArm, DrrError> {
     if let Some(c_arm) = given_c_arm(drr)? {
         return Ok(c_arm);
@@ -92,7 +92,7 @@ pub fn scene_c_arm(drr: &Drr) -> Result<CArm, DrrError> {
     )
 }
 
-/// The C-arm of `[drr.carm]`; the scene's check has made sure that one of its two forms is complete.
+/// The C-arm of `[drr.carm]`; the scene's validation guarantees that one of its two forms is complete.
 fn given_c_arm(drr: &Drr) -> Result<Option<CArm>, DrrError> {
     let Some(given) = &drr.carm else { return Ok(None) };
     let (columns, rows, pitch_m) = (drr.columns, drr.rows, drr.pixel_pitch_mm * 1e-3);
@@ -124,7 +124,7 @@ fn given_c_arm(drr: &Drr) -> Result<Option<CArm>, DrrError> {
     Ok(Some(c_arm))
 }
 
-/// Point about which the scene's C-arm turns; the origin for a scene without one.
+/// The point about which the scene's C-arm rotates; the origin for a scene without one.
 pub fn scene_isocentre_m(scene: &Scene) -> [f64; 3] {
     scene.drr.as_ref().map_or([0.0; 3], |drr| drr.isocentre_mm.map(|x| x * 1e-3))
 }

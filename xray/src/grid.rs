@@ -5,7 +5,7 @@ use voxel_grid::VoxelGrid;
 use crate::error::DrrError;
 use crate::vector::{Vec3, add_scaled, cross, dot, scale, sub};
 
-/// Where the voxels are: voxel (i, j, k) has its centre at `origin_m + i s_x d_0 + j s_y d_1 + k s_z d_2` (world LPS).
+/// Voxel geometry: voxel (i, j, k) has its centre at `origin_m + i s_x d_0 + j s_y d_1 + k s_z d_2` (world LPS).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     dims: [usize; 3],
@@ -22,7 +22,7 @@ impl Grid {
     /// unit world vectors of the index axes. `origin_m` is the centre of voxel (0, 0, 0).
     ///
     /// # Errors
-    /// What [`VoxelGrid`] refuses.
+    /// [`VoxelGrid`] refuses the grid.
     pub fn new(
         dims: [usize; 3],
         spacing_m: [f64; 3],
@@ -41,7 +41,7 @@ impl Grid {
         Self::new(dims, spacing_m, origin_m, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     }
 
-    /// A grid along the world axes, centred on the world's origin.
+    /// A grid along the world axes, centred on the world origin.
     ///
     /// # Errors
     /// As [`Grid::new`].
@@ -154,7 +154,7 @@ impl<'a> VolumeView<'a> {
     /// Borrows `hu` as the voxels of `grid`.
     ///
     /// # Errors
-    /// A slice that does not have exactly one value per voxel.
+    /// The slice does not have exactly one value per voxel.
     pub fn new(grid: Grid, hu: &'a [i16]) -> Result<Self, DrrError> {
         if hu.len() != grid.voxels() {
             return Err(DrrError::Length { field: "hu", given: hu.len(), expected: grid.voxels() });

@@ -4,8 +4,8 @@
 //! The dominant axis is the one with the largest component in index space, so anisotropic voxels are handled correctly.
 //! Attenuation outside the volume is 0 and blends in over half a voxel beyond the outermost centres.
 //!
-//! Positions in a plane are 32.32 fixed point: no rounding call, no drift, and the planes where a ray is inside are
-//! found by exact integer division. The quantisation is below 1e-6 voxel.
+//! Positions in a plane are 32.32 fixed point: no rounding calls, no drift, and exact integer division finds the planes in which a ray is
+//! inside. The quantisation is below 1e-6 voxel.
 
 use crate::ray::IndexRay;
 use crate::removal::{AttenuationField, BLOCK_SHIFT, is_drilled, is_occupied};
@@ -13,7 +13,7 @@ use crate::removal::{AttenuationField, BLOCK_SHIFT, is_drilled, is_occupied};
 /// 2^32: one voxel in fixed point.
 const ONE: i64 = 1 << 32;
 const FRACTION: f64 = 1.0 / ONE as f64;
-/// Positions beyond this many voxels cannot re-enter a volume (65536 voxels a side at most, slope at most 1).
+/// A position this many voxels away cannot re-enter a volume (at most 65536 voxels per side, slope at most 1).
 const FAR: f64 = 1e6;
 
 /// Line integral of attenuation over the whole ray, dimensionless.
@@ -32,13 +32,13 @@ pub fn line_integral(field: &AttenuationField<'_>, ray: &IndexRay) -> f64 {
     sum * planes.metres_per_plane
 }
 
-/// The part of [`line_integral`] between two parameters of the ray, 0 <= a <= b <= 1: every plane stands for the ray half a plane
-/// to either side of it, and counts by how much of that lies in the interval.
+/// The part of [`line_integral`] between two parameters of the ray, 0 <= a <= b <= 1. Every plane represents the ray for half a plane
+/// spacing on either side and is weighted by how much of that lies in the interval.
 pub fn interval_integral(field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> f64 {
     let Some(planes) = Planes::new(field, ray) else { return 0.0 };
     let (a, b) = (planes.coordinate(range.0), planes.coordinate(range.1));
     let (low, high) = (a.min(b), a.max(b));
-    // The planes that the whole ray counts, widened to those that the interval touches.
+    // The planes of the whole ray, extended to those that the interval touches.
     let (all_first, all_last) = planes.span(0.0, 1.0);
     let first = all_first.max(libm::ceil(low - 0.5) as i64);
     let last = all_last.min(libm::floor(high + 0.5) as i64);
@@ -53,7 +53,7 @@ pub fn interval_integral(field: &AttenuationField<'_>, ray: &IndexRay, range: (f
     sum * planes.metres_per_plane
 }
 
-/// A ray in terms of its dominant axis k and the two minor axes u and v.
+/// A ray in terms of its dominant axis k and its minor axes u and v.
 struct Planes<'a> {
     field: &'a AttenuationField<'a>,
     /// Source and direction along k.
@@ -84,7 +84,7 @@ impl<'a> Planes<'a> {
         let direction_k = ray.direction[k];
         let slope = axes.map(|a| ray.direction[a] / direction_k);
         let at_zero = [0, 1].map(|m| ray.origin[axes[m]] - ray.origin[k] * slope[m]);
-        // Also false for a NaN from a ray without length.
+        // Also false for the NaN of a zero-length ray.
         if !at_zero.iter().chain(&slope).all(|p| p.abs() < FAR) {
             return None;
         }
@@ -185,8 +185,8 @@ impl<'a> Planes<'a> {
         sum
     }
 
-    /// Flags of all blocks that `count` planes from plane k read, joined by `|`. Slopes are at most 1, so the positions lie in
-    /// at most 2 x 2 blocks.
+    /// Flags, OR-ed, of all blocks that `count` planes from plane k on read. Slopes are at most 1, so the positions lie in at most 2 x 2
+    /// blocks.
     fn flags_along(&self, k: i64, p: [i64; 2], count: i64) -> u8 {
         let block = |position: i64| (position >> 32) as usize >> BLOCK_SHIFT;
         let q = [0, 1].map(|m| p[m] + (count - 1) * self.step[m]);
@@ -194,7 +194,7 @@ impl<'a> Planes<'a> {
         let [su, sv, _] = self.block_stride;
         let (u0, u1, v0, v1) = (block(p[0]) * su, block(q[0]) * su, block(p[1]) * sv, block(q[1]) * sv);
         let flags = self.field.blocks.flags();
-        // A missing block would be a bug here; it must not hide attenuation.
+        // A missing block would be a bug; it must not hide attenuation.
         let flag = |u: usize, v: usize| flags.get(base + u + v).copied().unwrap_or(u8::MAX);
         flag(u0, v0) | flag(u1, v0) | flag(u0, v1) | flag(u1, v1)
     }

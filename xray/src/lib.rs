@@ -3,19 +3,19 @@
 //! A frame is a pure function of the CT, the set of removed voxels, the tool's parts, the C-arm and the frame seed:
 //!
 //! 1. Anatomy: the line integral of attenuation along the ray to each pixel centre, by [`slice_ordered`], [`joseph`] or [`siddon`].
-//!    It is cached for a standing C-arm; after [`DrrRenderer::remove`] only what the removed voxels can reach is computed again.
-//! 2. Tool: closed-form chords of its parts ([`tool`]); the anatomy inside the union of their envelopes is taken out.
-//! 3. Detector ([`detector`]): Beer-Lambert, seeded quantum noise, blur. Then [`display`]: what a monitor shows, as mono16.
+//!    It is cached while the C-arm stands still; after [`DrrRenderer::remove`] only the pixels that see a removed voxel are recomputed.
+//! 2. Tool: closed-form chords of its parts ([`tool`]); anatomy inside the union of their envelopes is subtracted.
+//! 3. Detector ([`detector`]): Beer-Lambert, seeded quantum noise, blur. Then [`display`]: the monitor image, as mono16.
 //!
-//! The CT is a borrowed `&[i16]` of Hounsfield units and may lie in shared memory. The renderer keeps one bit a voxel for what is
-//! drilled and one byte a block of 8x8x8 voxels for what is empty; [`slice_ordered`] also keeps re-ordered copies.
+//! The CT is a borrowed `&[i16]` of Hounsfield units and may lie in shared memory. The renderer keeps one bit per voxel for what is
+//! drilled and one byte per block of 8x8x8 voxels for what is empty; [`slice_ordered`] also keeps reordered copies.
 //!
-//! **Boundary:** it computes only. It opens no file, reads no clock and starts no thread: the caller hands in a [`Machine`], which
-//! provides worker threads, memory and a clock. `drr_proc` has the one of the real machine, and the process around this crate.
-//! [`from_scene`] and [`message`] translate scenes and messages; [`frame`] renders what a frame message is to show.
+//! **Boundary:** this crate only computes. It opens no file, reads no clock and starts no thread: the caller passes in a [`Machine`],
+//! which provides worker threads, memory and a clock. `drr_proc` implements it for the real machine and runs the X-ray process.
+//! [`from_scene`] and [`message`] translate scenes and messages; [`frame`] renders the content of a frame message.
 //!
-//! **Invariants:** a frame's bits do not depend on the number of threads, the vector instructions found, the [`Machine`], or what was
-//! rendered before: a cached frame equals a full render bit for bit. What is refused changes nothing.
+//! **Invariants:** a frame's bits do not depend on the number of threads, the vector instructions, the [`Machine`], or earlier frames: a
+//! cached frame equals a full render bit for bit. A refused call changes nothing.
 //!
 //! ```
 //! use xray::{CArm, DetectorFormat, DrrParameters, DrrRenderer, FrameSeed, Grid, Machine, PositionerAngles, Tool, VolumeView};

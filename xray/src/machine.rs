@@ -1,29 +1,29 @@
-//! What the renderer needs of the machine that it runs on; its caller provides it.
+//! The renderer's interface to the machine, implemented by the caller.
 
 use zerocopy::{FromBytes, Immutable, IntoBytes};
 
-/// Threads, a clock and memory. None of them changes a bit of a frame: they decide only how long it takes, and whether a volume that is
+/// Threads, a clock and memory. None of them changes a bit of a frame. They affect only how long it takes, and whether a volume that is
 /// too large is refused.
 pub trait Machine: Sync {
-    /// A pool of this many worker threads.
+    /// A pool of `threads` worker threads.
     ///
     /// # Errors
-    /// Why they cannot be started, in the system's words.
+    /// The system's reason why they cannot be started.
     fn workers(&self, threads: usize) -> Result<rayon::ThreadPool, String>;
 
-    /// Monotonic time in nanoseconds, from any origin. It only decides whether an update or a full sum is expected to be faster; with a
-    /// clock that stands still, as here, it is always the update.
+    /// Monotonic time in nanoseconds, from any origin. Used only to predict whether an update or a full sum is faster; with a constant
+    /// clock, as in this default, the renderer always updates.
     fn now_ns(&self) -> u64 {
         0
     }
 
-    /// Bytes of memory that are free; `None`, as here, if that is unknown: then nothing is refused in advance.
+    /// Free memory in bytes; `None`, the default, if unknown: then nothing is refused in advance.
     fn available_bytes(&self) -> Option<u64> {
         None
     }
 
-    /// At least this many bytes of zeros, aligned to 64 bytes; `None` if there is not enough memory. Here they come from the heap; huge
-    /// pages make the sums faster.
+    /// At least this many zero bytes, aligned to 64 bytes; `None` if there is not enough memory. The default uses the heap; huge pages
+    /// make the sums faster.
     fn zeroed(&self, bytes: usize) -> Option<Box<dyn Memory>> {
         let (mut lines, count) = (Vec::new(), bytes.div_ceil(LINE));
         lines.try_reserve_exact(count).ok()?;
@@ -32,17 +32,17 @@ pub trait Machine: Sync {
     }
 }
 
-/// A block of bytes that is freed when it is dropped.
+/// A block of bytes, freed on drop.
 pub trait Memory: Send + Sync {
     /// The bytes.
     fn bytes(&self) -> &[u8];
-    /// The same, to be written.
+    /// The bytes, writable.
     fn bytes_mut(&mut self) -> &mut [u8];
 }
 
 const LINE: usize = 64;
 
-/// A cache line: its alignment is that of the widest vectors.
+/// A cache line: aligned for the widest vectors.
 #[derive(Clone, Copy, FromBytes, IntoBytes, Immutable)]
 #[repr(C, align(64))]
 struct Line([u8; LINE]);

@@ -1,4 +1,4 @@
-//! Volumes and C-arms from and to messages.
+//! Converts volumes and C-arms from and to messages.
 
 use messages::{CArmGeometry, CArmProjection, Volume};
 use zerocopy::FromBytes;
@@ -16,7 +16,7 @@ pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'
     VolumeView::new(grid, hu)
 }
 
-/// A C-arm as camera and positioner.
+/// A C-arm's camera and positioner as a message.
 pub fn projection_message(c_arm: &CArm, isocentre_m: [f64; 3]) -> CArmProjection {
     let camera = c_arm.camera(PixelCentre::Whole);
     let positioner = c_arm.positioner(isocentre_m);
@@ -45,10 +45,10 @@ pub fn c_arm_message(c_arm: &CArm) -> CArmGeometry {
     }
 }
 
-/// A message's C-arm, checked.
+/// A message's C-arm, validated.
 ///
 /// # Errors
-/// A value out of range, by name.
+/// A value is out of range; the error names it.
 pub fn c_arm_of(message: &CArmGeometry) -> Result<CArm, DrrError> {
     let c_arm = CArm {
         source_m: message.source_m,

@@ -15,7 +15,7 @@ pub struct WorldRay {
     pub length_m: f64,
 }
 
-/// The same ray in index coordinates (voxel centres at whole numbers), with the same parameter.
+/// The same ray in index coordinates (voxel centres at integers), with the same parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IndexRay {
     /// The source.
@@ -35,7 +35,7 @@ impl WorldRay {
 }
 
 impl IndexRay {
-    /// A world ray seen in a grid's index coordinates.
+    /// A world ray in a grid's index coordinates.
     pub fn new(grid: &Grid, ray: &WorldRay) -> Self {
         Self {
             origin: grid.world_to_index(ray.origin_m),
@@ -45,7 +45,7 @@ impl IndexRay {
     }
 }
 
-/// All rays of a C-arm through a grid. A ray costs a few additions and depends only on its pixel, not on the rays before it.
+/// All rays of a C-arm through a grid. A ray costs a few additions and depends only on its pixel, not on other rays.
 #[derive(Debug, Clone, Copy)]
 pub struct RayFan {
     source_m: Vec3,
@@ -76,14 +76,14 @@ impl RayFan {
         }
     }
 
-    /// The ray of a pixel in the world.
+    /// A pixel's ray in the world.
     pub fn world_ray(&self, column: u32, row: u32) -> WorldRay {
         let in_row = add_scaled(self.first_m, f64::from(column), self.column_step_m);
         let direction_m = add_scaled(in_row, f64::from(row), self.row_step_m);
         WorldRay { origin_m: self.source_m, direction_m, length_m: norm(direction_m) }
     }
 
-    /// World directions and lengths of the rays of a row from a column on: those of [`RayFan::world_ray`], bit for bit.
+    /// World directions and lengths of a row's rays, starting at a column: the same bits as [`RayFan::world_ray`].
     #[inline(always)]
     pub(crate) fn world_rays_of_row(
         &self,
@@ -101,12 +101,12 @@ impl RayFan {
         }
     }
 
-    /// The ray of a pixel in index coordinates.
+    /// A pixel's ray in index coordinates.
     pub fn index_ray(&self, column: u32, row: u32) -> IndexRay {
         self.index_ray_of(column, row, &self.world_ray(column, row))
     }
 
-    /// The ray of a pixel in index coordinates, given the same ray in the world.
+    /// A pixel's ray in index coordinates, given the same ray in the world.
     pub(crate) fn index_ray_of(&self, column: u32, row: u32, ray: &WorldRay) -> IndexRay {
         let direction = self.index_direction(column, row);
         IndexRay { origin: self.source_index, direction, length_m: ray.length_m }
@@ -135,13 +135,13 @@ impl RayFan {
         add_scaled(in_row, f64::from(row), self.row_step_index)
     }
 
-    /// Whether a volume with a margin of one voxel lies entirely on the source's side of the detector plane.
+    /// True if a volume with a margin of one voxel lies entirely on the source's side of the detector plane.
     pub(crate) fn is_before_detector(&self, dims: [usize; 3]) -> bool {
         let normal = cross(self.column_step_index, self.row_step_index);
         let plane = dot(self.first_index, normal);
         (0..8_u32).all(|corner| {
             let p = [0, 1, 2].map(|a| if corner >> a & 1 == 1 { dims[a] as f64 } else { -1.0 });
-            // The quotient is the ray parameter of the plane through the corner, parallel to the detector.
+            // The quotient is the ray parameter of the plane through the corner parallel to the detector.
             dot(sub(p, self.source_index), normal) / plane <= 1.0
         })
     }
@@ -157,7 +157,7 @@ impl RayFan {
         }
     }
 
-    /// Pixel coordinates (column, row) that a ray of this index direction meets; `None` beside or behind the source.
+    /// Pixel coordinates (column, row) of this index direction; `None` level with or behind the source.
     pub(crate) fn pixel_of(&self, direction: Vec3) -> Option<[f64; 2]> {
         let (c, r, f) = (self.column_step_index, self.row_step_index, self.first_index);
         let plane = dot(f, cross(c, r));
@@ -169,7 +169,7 @@ impl RayFan {
     }
 }
 
-/// The rays of one detector row: a column number gives index and world direction.
+/// The rays of one detector row; gives the index and world direction for each column.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RowRays {
     first_index: Vec3,

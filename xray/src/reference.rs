@@ -7,7 +7,7 @@ use crate::grid::Grid;
 use crate::ray::WorldRay;
 use crate::vector::{Vec3, add_scaled, dot, norm, scale, sub};
 
-/// An ellipsoid along the world axes that adds its Hounsfield units to those of whatever it lies in; the surroundings are air (-1000 HU).
+/// An ellipsoid along the world axes that adds Hounsfield units to whatever it overlaps; the surroundings are air (-1000 HU).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipsoid {
     /// Centre.
@@ -21,7 +21,7 @@ pub struct Ellipsoid {
 impl Ellipsoid {
     /// Length of the chord that the ray's line cuts.
     pub fn chord_m(&self, ray: &WorldRay) -> f64 {
-        // In the space scaled by the half axes the ellipsoid is the unit sphere.
+        // In space scaled by the half axes, the ellipsoid is the unit sphere.
         let [mut oo, mut od, mut dd] = [0.0; 3];
         for axis in 0..3 {
             let o = (ray.origin_m[axis] - self.centre_m[axis]) / self.semi_axes_m[axis];
@@ -41,8 +41,8 @@ impl Ellipsoid {
     }
 }
 
-/// A thigh about the world's origin: soft tissue, a head and a shaft with cortical shells and softer insides. At `size` 1 it fills a box
-/// of 240 x 200 x 320 mm.
+/// A thigh about the world origin: soft tissue, femoral head and shaft with cortical shells and softer interiors. At `size` 1 it fills a
+/// box of 240 x 200 x 320 mm.
 pub fn thigh(size: f64) -> Vec<Ellipsoid> {
     let ellipsoid = |centre_mm: [f64; 3], semi_axes_mm: [f64; 3], added_hu: f64| Ellipsoid {
         centre_m: centre_mm.map(|x| x * size * 1e-3),
@@ -80,12 +80,12 @@ pub fn voxelise(grid: &Grid, shapes: &[Ellipsoid], samples: usize) -> Vec<i16> {
         .collect()
 }
 
-/// Line integral of the ellipsoids, with the Hounsfield definition read backwards (`mu = mu_water (1 + HU/1000)`).
+/// Line integral of the ellipsoids, with the inverse Hounsfield definition (`mu = mu_water (1 + HU/1000)`).
 pub fn line_integral(shapes: &[Ellipsoid], ray: &WorldRay, mu_water_per_m: f64) -> f64 {
     shapes.iter().map(|s| mu_water_per_m * s.added_hu / 1000.0 * s.chord_m(ray)).sum()
 }
 
-/// A shape of [`Phantom`]: adds Hounsfield units to what it lies in.
+/// A shape of [`Phantom`]: adds Hounsfield units to whatever it overlaps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Solid {
     /// Along the world axes.
@@ -119,7 +119,7 @@ impl Solid {
         };
         let half_length = norm(half);
         let axis = scale(half, 1.0 / half_length);
-        // From the point of the line closest to the centre, so that no digits are lost.
+        // Measured from the point of the line closest to the centre, to avoid cancellation.
         let d = scale(ray.direction_m, 1.0 / ray.length_m);
         let o = sub(ray.origin_m, centre_m);
         let o = add_scaled(o, -dot(o, d), d);
@@ -169,7 +169,7 @@ impl Solid {
         }
     }
 
-    /// Half edges of its box along the world axes.
+    /// Half extents of the bounding box along the world axes.
     fn reach_m(&self) -> Vec3 {
         match self {
             Self::Ellipsoid(e) => e.semi_axes_m,
@@ -177,12 +177,12 @@ impl Solid {
         }
     }
 
-    /// Whether a ball about a point is inside; `None` if the surface may cut it.
+    /// True if a ball about a point is inside; `None` if the surface may intersect it.
     fn holds_ball(&self, p: Vec3, radius: f64) -> Option<bool> {
         let q = sub(p, self.centre_m());
         match self {
             Self::Ellipsoid(e) => {
-                // |q / s| changes by at most 1 / min(s) a metre.
+                // |q / s| changes by at most 1 / min(s) per metre.
                 let scaled: f64 =
                     (0..3).map(|i| (q[i] / e.semi_axes_m[i]) * (q[i] / e.semi_axes_m[i])).sum::<f64>().sqrt();
                 let slack = radius / e.semi_axes_m.into_iter().fold(f64::INFINITY, f64::min);
@@ -210,7 +210,7 @@ impl Solid {
     }
 }
 
-/// Ellipsoids and cylinders about the world's origin whose line integrals are closed.
+/// Ellipsoids and cylinders about the world origin with closed-form line integrals.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Phantom {
     /// The shapes; they add up.
@@ -219,7 +219,7 @@ pub struct Phantom {
 
 impl Phantom {
     /// A pelvis-like phantom in a box of 256 x 256 x 200 mm: a body, a shell, a femoral head and neck, a hollow oblique shaft, 80 small
-    /// ellipsoids (trabeculae) and a row of beads; places from a seeded hash.
+    /// ellipsoids (trabeculae) and a row of beads, placed by a seeded hash.
     pub fn pelvis(seed: u64) -> Self {
         let ellipsoid = |centre: [f64; 3], semi: [f64; 3], added_hu: f64| {
             let mm = |v: [f64; 3]| v.map(|x| x * 1e-3);
@@ -256,12 +256,12 @@ impl Phantom {
         Self { solids }
     }
 
-    /// Line integral, with the Hounsfield definition read backwards (`mu = mu_water (1 + HU/1000)`).
+    /// Line integral, with the inverse Hounsfield definition (`mu = mu_water (1 + HU/1000)`).
     pub fn line_integral(&self, ray: &WorldRay, mu_water_per_m: f64) -> f64 {
         self.solids.iter().map(|s| mu_water_per_m * s.added_hu() / 1000.0 * s.chord_m(ray)).sum()
     }
 
-    /// Hounsfield units on a grid along the world axes, x fastest; a voxel that a surface cuts is the mean of `samples`^3 points.
+    /// Hounsfield units on a grid along the world axes, x fastest; a voxel that a surface intersects is the mean of `samples`^3 points.
     pub fn voxelise(&self, grid: &Grid, samples: usize) -> Vec<i16> {
         let (dims, spacing) = (grid.dims(), grid.spacing_m());
         let mut hu = vec![-1000_i16; grid.voxels()];
@@ -303,7 +303,7 @@ fn add_to_slice(solid: &Solid, grid: &Grid, k: usize, samples: usize, spacing: V
     }
 }
 
-/// Share of `samples`^3 points of a voxel that lie inside.
+/// Fraction of a voxel's `samples`^3 points that lie inside.
 fn share_inside(solid: &Solid, centre: Vec3, spacing: Vec3, samples: usize) -> f64 {
     let offset = |i: usize, axis: usize| ((i as f64 + 0.5) / samples as f64 - 0.5) * spacing[axis];
     let mut count = 0_u32;

@@ -1,4 +1,4 @@
-//! What is drilled (one bit a voxel) and what is empty (one byte a block of 8x8x8 voxels).
+//! Tracks what is drilled (one bit per voxel) and what is empty (one byte per block of 8x8x8 voxels).
 
 use crate::attenuation::MuTable;
 use crate::error::DrrError;
@@ -30,7 +30,7 @@ impl RemovedVoxels {
         Self { words: vec![0; voxels.div_ceil(64)], voxels, count: 0 }
     }
 
-    /// Whether a voxel is removed; false outside the volume.
+    /// True if a voxel is removed; false outside the volume.
     #[inline]
     pub fn contains(&self, linear: usize) -> bool {
         self.words.get(linear >> 6).is_some_and(|w| w >> (linear & 63) & 1 == 1)
@@ -49,7 +49,7 @@ impl RemovedVoxels {
         self.count
     }
 
-    /// Refuses a batch that names a voxel the volume does not have.
+    /// Refuses a batch with a voxel outside the volume.
     ///
     /// # Errors
     /// The first such index.
@@ -62,7 +62,7 @@ impl RemovedVoxels {
         }
     }
 
-    /// Removes a voxel; false if it was removed already or lies outside.
+    /// Removes a voxel; false if it was already removed or lies outside.
     pub fn insert(&mut self, linear: usize) -> bool {
         let bit = 1_u64 << (linear & 63);
         match self.words.get_mut(linear >> 6) {
@@ -75,7 +75,7 @@ impl RemovedVoxels {
         }
     }
 
-    /// Puts all voxels back.
+    /// Restores all voxels.
     pub(crate) fn clear(&mut self) {
         self.words.fill(0);
         self.count = 0;
@@ -83,7 +83,7 @@ impl RemovedVoxels {
 }
 
 /// Flags of the blocks. Block (i, j, k) covers the voxels 8i..=8i+8 along each axis: one more than its own, so that it includes every
-/// voxel that an interpolation starting inside it reads.
+/// voxel read by an interpolation that starts inside it.
 #[derive(Debug, Clone)]
 pub struct BlockMap {
     flags: Vec<u8>,
@@ -134,19 +134,19 @@ impl BlockMap {
         &self.flags
     }
 
-    /// Number of blocks where something attenuates, and of all blocks.
+    /// Number of attenuating blocks, and of all blocks.
     pub fn occupancy(&self) -> (usize, usize) {
         (self.flags.iter().filter(|&&f| is_occupied(f)).count(), self.flags.len())
     }
 }
 
-/// Whether anything attenuates in a block (or in several whose flags were joined by `|`).
+/// True if anything attenuates in a block (or in several blocks with OR-ed flags).
 #[inline]
 pub(crate) fn is_occupied(flags: u8) -> bool {
     flags & OCCUPIED != 0
 }
 
-/// Whether anything is drilled in a block (or in several whose flags were joined by `|`).
+/// True if anything is drilled in a block (or in several blocks with OR-ed flags).
 #[inline]
 pub(crate) fn is_drilled(flags: u8) -> bool {
     flags & DRILLED != 0
@@ -171,7 +171,7 @@ fn block_is_occupied(view: &VolumeView<'_>, table: &MuTable, block: [usize; 3]) 
     false
 }
 
-/// The attenuation along rays: the CT without the removed voxels.
+/// The attenuation field: the CT without the removed voxels.
 #[derive(Debug, Clone, Copy)]
 pub struct AttenuationField<'a> {
     /// The CT.
@@ -182,7 +182,7 @@ pub struct AttenuationField<'a> {
     pub blocks: &'a BlockMap,
     /// Hounsfield units to attenuation.
     pub table: &'a MuTable,
-    /// Attenuation of what fills a removed voxel, 1/m.
+    /// Attenuation of the material that fills a removed voxel, 1/m.
     pub fill_mu_per_m: f64,
 }
 

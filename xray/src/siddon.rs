@@ -1,12 +1,12 @@
 //! Siddon's exact line integral through voxels of constant attenuation: the reference projector.
 //!
-//! R. L. Siddon, "Fast calculation of the exact radiological path for a three-dimensional CT array", Med. Phys. 12 (1985)
-//! 252. Every crossing is computed from its plane's number, not accumulated, so errors do not grow along the ray.
+//! R. L. Siddon, "Fast calculation of the exact radiological path for a three-dimensional CT array", Med. Phys. 12 (1985) 252. Each
+//! crossing is computed from its plane's index, not accumulated, so errors do not grow along the ray.
 
 use crate::ray::IndexRay;
 use crate::removal::AttenuationField;
 
-/// Line integral of attenuation over the ray's parameters `range` (0 source, 1 pixel), dimensionless. Voxel i fills the
+/// Line integral of attenuation over the parameter interval `range` of the ray (0 source, 1 pixel), dimensionless. Voxel i fills the
 /// interval [i - 1/2, i + 1/2] of its axis.
 pub fn line_integral(field: &AttenuationField<'_>, ray: &IndexRay, range: (f64, f64)) -> f64 {
     let grid = field.view.grid();
@@ -52,7 +52,7 @@ fn clip_to_volume(ray: &IndexRay, dims: [usize; 3], range: (f64, f64)) -> Option
     (enter < leave).then_some((enter, leave))
 }
 
-/// The cell that the ray is in, and where it crosses the next plane of each axis.
+/// The cell that contains the ray, and the ray's next plane crossing per axis.
 struct Walk {
     cell: [i64; 3],
     step: [i64; 3],
@@ -106,7 +106,7 @@ impl Walk {
         }
     }
 
-    /// The current cell; a negative coordinate becomes one that no volume has.
+    /// The current cell; a negative coordinate becomes an index outside any volume.
     fn voxel(&self) -> [usize; 3] {
         self.cell.map(|c| usize::try_from(c).unwrap_or(usize::MAX))
     }

@@ -1,41 +1,42 @@
-//! A spectrum of photon energies through tissue, bone and metal.
+//! A photon energy spectrum through tissue, bone and metal.
 //!
-//! Every voxel is a mixture of tissue (water's attenuation, scaled by density) and ICRU-44 cortical bone, so a ray is described by two
-//! lengths: tissue T and bone B, in metres of water and of cortical bone; the tool adds lengths of metal. The detector integrates energy:
+//! Every voxel is a mixture of tissue (water's attenuation, scaled by density) and ICRU-44 cortical bone. A ray is therefore described by
+//! two lengths: tissue T and bone B, in metres of water and of cortical bone; the tool adds lengths of metal. The detector integrates
+//! energy:
 //!
 //! `attenuation(T, B) = -ln( sum_E w_E exp(-(T mu_water(E) + B mu_bone(E))) )`, `w_E ~ E N(E)`
 //!
-//! with N(E) after Kramers (Philos. Mag. 46 (1923) 836), `V/E - 1`, behind aluminium. Coefficients: NIST ([`Material`]). Characteristic
-//! lines are left out, and so are energies below 30 keV, which hardly pass through a patient. The anatomy's pixels read a table of the
+//! with N(E) after Kramers (Philos. Mag. 46 (1923) 836), `V/E - 1`, filtered by aluminium. Coefficients: NIST ([`Material`]). The model
+//! neglects characteristic lines, and energies below 30 keV, which hardly penetrate a patient. Anatomy pixels look up a table of the
 //! attenuation over (T, B); the few pixels under metal, and those outside the table, sum over the energies.
 
 use crate::attenuation::{ENERGY_RANGE_KEV, Material, cortical_bone_hu, log_log};
 use crate::error::{DrrError, check_range};
 use crate::tool_layer::{ToolCell, ToolMaterials};
 
-/// Spacing of the energies in the sum.
+/// Energy spacing of the sum.
 const STEP_KEV: f64 = 2.0;
-/// Mass attenuation of aluminium, cm2/g, at these energies, keV; density 2.699 g/cm3. NIST SRD 126 (NISTIR 5632), table 3, Z = 13; at
-/// 120 keV, which it leaves out, NIST's XCOM as xraylib 4.3 tabulates it.
+/// Mass attenuation of aluminium, cm2/g, at these energies, keV; density 2.699 g/cm3. NIST SRD 126 (NISTIR 5632), table 3, Z = 13. That
+/// table has no 120 keV entry; there the value is NIST's XCOM as tabulated by xraylib 4.3.
 const ALUMINIUM_KEV: [f64; 8] = [30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 150.0];
 const ALUMINIUM: [f64; 8] = [1.128, 0.5685, 0.3681, 0.2778, 0.2018, 0.1704, 0.1533, 0.1378];
 const ALUMINIUM_G_PER_CM3: f64 = 2.699;
-/// Range and nodes of the table.
+/// Range and number of nodes of the table.
 const TISSUE_MAX_M: f64 = 0.5;
 const BONE_MAX_M: f64 = 0.16;
 const TISSUE_NODES: usize = 257;
 const BONE_NODES: usize = 257;
 
-/// A tube's spectrum and the CT's.
+/// Spectrum of the X-ray tube, and the CT's energy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spectrum {
     /// Tube voltage, 50 to 120 kV.
     pub tube_kv: f64,
     /// Total filtration, millimetres of aluminium, 0 to 20.
     pub aluminium_mm: f64,
-    /// Effective photon energy of the CT, keV (about 70 for a 120 kV scan): says which Hounsfield value is cortical bone.
+    /// Effective photon energy of the CT, keV (about 70 for a 120 kV scan): determines the Hounsfield value of cortical bone.
     pub ct_energy_kev: f64,
-    /// Above this a voxel holds bone, 0 to 1000 HU.
+    /// A voxel above this value contains bone, 0 to 1000 HU.
     pub bone_above_hu: f64,
 }
 
@@ -49,7 +50,7 @@ impl Spectrum {
     /// Checks every field.
     ///
     /// # Errors
-    /// The first field that is out of range, by name.
+    /// A field is out of range; the error names the first one.
     pub fn validate(&self) -> Result<(), DrrError> {
         check_range("tube_kv", self.tube_kv, 50.0, 120.0, "50 to 120 kV")?;
         check_range("aluminium_mm", self.aluminium_mm, 0.0, 20.0, "0 to 20 mm")?;
@@ -58,7 +59,7 @@ impl Spectrum {
         check_range("bone_above_hu", self.bone_above_hu, 0.0, 1000.0, "0 to 1000 HU")
     }
 
-    /// Energies, keV, and the share of the detector's open-field signal that each contributes.
+    /// Energies, keV, and the fraction of the open-field signal that each contributes.
     pub fn weights(&self) -> Vec<(f64, f64)> {
         let lowest = ENERGY_RANGE_KEV.0;
         let count = ((self.tube_kv - lowest) / STEP_KEV).max(1.0) as usize;
@@ -76,10 +77,10 @@ impl Spectrum {
         weights
     }
 
-    /// Shares of tissue (relative to water) and of cortical bone in a voxel.
+    /// Fractions of tissue (relative to water) and of cortical bone in a voxel.
     ///
     /// # Errors
-    /// A CT energy outside 30 to 120 keV.
+    /// The CT energy is outside 30 to 120 keV.
     pub fn mixture(&self) -> Result<Mixture, DrrError> {
         Ok(Mixture {
             bone_above_hu: self.bone_above_hu,
@@ -88,18 +89,18 @@ impl Spectrum {
     }
 }
 
-/// Tissue and bone of a Hounsfield value: tissue of density 1 + HU/1000 up to `bone_above_hu`, from there on a mixture of that
-/// densest tissue and cortical bone, all bone at `cortical_hu`.
+/// Tissue and bone of a Hounsfield value: tissue of density 1 + HU/1000 up to `bone_above_hu`, then a mixture of that densest tissue and
+/// cortical bone, pure bone at `cortical_hu`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mixture {
-    /// HU above which a voxel holds bone.
+    /// HU above which a voxel contains bone.
     pub bone_above_hu: f64,
     /// HU of cortical bone in the CT.
     pub cortical_hu: f64,
 }
 
 impl Mixture {
-    /// (tissue relative to water, share of cortical bone); enamel and metal in the CT count as more than 1 of bone.
+    /// (tissue relative to water, fraction of cortical bone); for enamel and metal in the CT the bone fraction exceeds 1.
     pub fn of(&self, hu: f64) -> (f64, f64) {
         if hu <= self.bone_above_hu {
             return ((1.0 + hu / 1000.0).max(0.0), 0.0);
@@ -109,13 +110,13 @@ impl Mixture {
     }
 }
 
-/// Coefficients of one energy.
+/// Coefficients at one energy.
 #[derive(Debug, Clone, Copy)]
 struct Line {
     weight: f64,
     water: f64,
     bone: f64,
-    /// By [`Material::index`].
+    /// Indexed by [`Material::index`].
     materials: [f64; Material::COUNT],
 }
 
@@ -157,12 +158,12 @@ impl SpectrumTable {
         Ok(table)
     }
 
-    /// How Hounsfield units become tissue and bone.
+    /// Conversion of Hounsfield units to tissue and bone.
     pub fn mixture(&self) -> Mixture {
         self.mixture
     }
 
-    /// The sum over the energies, for lengths of tissue, bone and, by [`Material::index`], of anything else, in metres.
+    /// The sum over energies, for metres of tissue, of bone and, by [`Material::index`], of other materials.
     pub fn exact(&self, tissue_m: f64, bone_m: f64, materials_m: &[f64; Material::COUNT]) -> f64 {
         let mut sum = 0.0;
         for line in &self.lines {

@@ -1,4 +1,4 @@
-//! Draws the tool over the anatomy, row by row, and visits only the pixels inside the projected outlines of its parts.
+//! Draws the tool over the anatomy, row by row, visiting only pixels inside the projected outlines of its parts.
 
 use pulp::Arch;
 use rayon::prelude::*;
@@ -15,9 +15,9 @@ use crate::siddon;
 use crate::tool::{PreparedPart, SeenPart, Tool, join_intervals};
 use crate::tool_row::{Crossings, RowOfRays};
 
-/// Margin of an outline against rounding of the projection, in pixels.
+/// Margin of an outline against rounding in the projection, in pixels.
 const SLACK: f64 = 1e-3;
-/// Number of parts over one pixel up to which no memory is allocated.
+/// Up to this number of parts over one pixel, nothing is allocated.
 const AT_ONCE: usize = 16;
 
 /// A part seen from the frame's source, and its attenuation at the frame's energy.
@@ -31,35 +31,35 @@ struct PlacedPart {
 /// The effect of the tool on one pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct ToolCell {
-    /// Line integral of the anatomy where the tool is; metres of tissue where a spectrum is used.
+    /// Line integral of the displaced anatomy; metres of tissue if a spectrum is used.
     pub(crate) displaced: f64,
     /// Line integral of the metal at the frame's energy.
     pub(crate) metal: f64,
 }
 
-/// What a spectrum also needs for the same pixel.
+/// Additional data for the same pixel if a spectrum is used.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct ToolMaterials {
-    /// Metres of cortical bone where the tool is.
+    /// Metres of displaced cortical bone.
     pub(crate) displaced_bone_m: f64,
     /// Metres of each material, by [`Material::index`].
     pub(crate) lengths_m: [f64; Material::COUNT],
 }
 
 impl ToolCell {
-    /// Whether the tool covers the pixel.
+    /// True if the tool covers the pixel.
     fn is_covered(&self) -> bool {
         self.metal > 0.0 || self.displaced > 0.0
     }
 
-    /// The anatomy's line integral with the tool in it.
+    /// The anatomy's line integral with the tool inserted.
     pub(crate) fn over(&self, anatomy: f64) -> f64 {
-        // What is left of a fully displaced anatomy may be a rounding error below 0.
+        // What is left of fully displaced anatomy may be slightly negative from rounding.
         (anatomy - self.displaced).max(0.0) + self.metal
     }
 }
 
-/// Columns `first..end` of a row, in which a part can cover pixels.
+/// Columns `first..end` of a row in which a part can cover pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 struct Span {
     row: u32,
@@ -68,7 +68,7 @@ struct Span {
     end: u32,
 }
 
-/// The parts of the tool that a C-arm sees, by image row. Reused from frame to frame, so that placing allocates nothing.
+/// The tool's parts in a C-arm's view, by image row. Reused from frame to frame, so that placing allocates nothing.
 #[derive(Debug, Default)]
 pub(crate) struct PlacedTool {
     parts: Vec<PlacedPart>,
@@ -79,9 +79,9 @@ pub(crate) struct PlacedTool {
     first_row: u32,
     unsorted: Vec<Span>,
     outline: Outline,
-    /// Columns of a row's cells, by row: those from the first to the last span.
+    /// Columns of each row's cells: those from the first to the last span.
     segments: Vec<(u32, u32)>,
-    /// Cells of row `first_row + i` begin at `i * stride`.
+    /// The cells of row `first_row + i` start at `i * stride`.
     cells: Vec<ToolCell>,
     /// Like `cells`; empty without a spectrum.
     materials: Vec<ToolMaterials>,
@@ -110,7 +110,7 @@ impl PlacedTool {
         Ok(())
     }
 
-    /// Counting sort by row: keeps the parts' order within a row until that is sorted by column.
+    /// Counting sort by row; keeps the parts' order within a row until it is sorted by column.
     fn sort_spans(&mut self) {
         let first = self.unsorted.iter().map(|s| s.row).min().unwrap_or(0);
         let end = self.unsorted.iter().map(|s| s.row + 1).max().unwrap_or(0);
@@ -125,7 +125,7 @@ impl PlacedTool {
         }
         self.spans.clear();
         self.spans.resize(self.unsorted.len(), Span::default());
-        // Filling a row from its start moves that start to its end, which is the next row's start: shifted back below.
+        // Filling a row moves its start to its end, which is the next row's start; shifted back below.
         for span in &self.unsorted {
             let at = &mut self.row_starts[(span.row - first) as usize];
             self.spans[*at] = *span;
@@ -138,12 +138,12 @@ impl PlacedTool {
         }
     }
 
-    /// Whether the tool, as drawn, covers a pixel.
+    /// True if the tool, as drawn, covers any pixel.
     pub(crate) fn covers_any(&self) -> bool {
         self.covered > 0
     }
 
-    /// Computes the cells; returns how many pixels the tool covers. `anatomy` gives what is displaced.
+    /// Computes the cells; returns the number of pixels that the tool covers. `anatomy` provides what is displaced.
     pub(crate) fn draw(&mut self, fan: &RayFan, anatomy: &DisplacedBy<'_>) -> usize {
         self.segments.clear();
         for row in self.row_starts.windows(2) {
@@ -202,10 +202,10 @@ impl PlacedTool {
     }
 }
 
-/// Turns a part's projected box into spans.
+/// Converts a part's projected box to spans.
 #[derive(Debug, Default)]
 struct Outline {
-    /// Lowest and highest column of the box in each row of the image; [`NOWHERE`] in all between two parts.
+    /// Lowest and highest column of the box per image row; [`NOWHERE`] in all rows between parts.
     rows: Vec<(f64, f64)>,
 }
 
@@ -228,7 +228,7 @@ impl Outline {
             return;
         }
         if !corners.iter().all(Option::is_some) {
-            // Around or beside the source: it may cover any pixel.
+            // Around or level with the source: it may cover any pixel.
             let whole = |row| Span { row, first: 0, part: number, end: c_arm.columns };
             out.extend((0..c_arm.rows).map(whole));
             return;
@@ -236,7 +236,7 @@ impl Outline {
         let corner = |i: usize| corners[i].map_or((0.0, 0.0), |p| (p.column, p.row));
         self.rows.resize(c_arm.rows as usize, NOWHERE);
         let (mut first, mut end) = (c_arm.rows, 0);
-        // The outline of a convex body's projection is made of its edges' projections.
+        // The outline of a convex body's projection consists of projected edges.
         for i in 0..8_usize {
             for axis in [1, 2, 4] {
                 if i & axis == 0 {
@@ -247,7 +247,7 @@ impl Outline {
         }
         for row in first..end {
             let (low, high) = core::mem::replace(&mut self.rows[row as usize], NOWHERE);
-            // `as` saturates: what is far outside becomes an empty range.
+            // `as` saturates, so anything far outside gives an empty range.
             let from = libm::ceil(low - SLACK).max(0.0) as u32;
             let to = (libm::floor(high + SLACK) + 1.0).clamp(0.0, f64::from(c_arm.columns)) as u32;
             if from < to {
@@ -256,7 +256,7 @@ impl Outline {
         }
     }
 
-    /// Widens the rows that an edge between two image points (column, row) crosses; returns their range.
+    /// Extends the rows that an edge between two image points (column, row) crosses; returns their range.
     fn add_edge(&mut self, p: (f64, f64), q: (f64, f64)) -> (u32, u32) {
         let (a, b) = if p.1 <= q.1 { (p, q) } else { (q, p) };
         let first = libm::ceil(a.1 - SLACK).max(0.0) as u32;
@@ -273,12 +273,12 @@ impl Outline {
     }
 }
 
-/// The anatomy around the tool.
+/// The anatomy that the tool displaces.
 pub(crate) struct DisplacedBy<'a> {
     pub(crate) projector: Projector,
-    /// What `ToolCell::displaced` integrates.
+    /// Integrand of `ToolCell::displaced`.
     pub(crate) tissue: &'a AttenuationField<'a>,
-    /// What `ToolMaterials::displaced_bone_m` integrates, with a spectrum.
+    /// Integrand of `ToolMaterials::displaced_bone_m`, with a spectrum.
     pub(crate) bone: Option<&'a AttenuationField<'a>>,
 }
 
@@ -294,7 +294,7 @@ impl DisplacedBy<'_> {
     }
 }
 
-/// What drawing the tool needs.
+/// Inputs of drawing the tool.
 struct Painter<'a> {
     tool: &'a PlacedTool,
     fan: &'a RayFan,
@@ -302,12 +302,12 @@ struct Painter<'a> {
     arch: Arch,
 }
 
-/// Work space of a row.
+/// Workspace of a row.
 #[derive(Debug, Default)]
 struct RowWork {
     rays: RowOfRays,
     crossings: Crossings,
-    /// Where each span's crossings begin.
+    /// Start of each span's crossings.
     starts: Vec<usize>,
 }
 
@@ -315,7 +315,7 @@ struct RowWork {
 #[derive(Debug, Clone, Copy)]
 struct Active {
     span: Span,
-    /// Where its crossings begin.
+    /// Start of its crossings.
     start: usize,
 }
 
@@ -353,7 +353,7 @@ impl Painter<'_> {
                 column = column.max(next.first);
             }
             while let Some((span, start)) = waiting.next_if(|(span, _)| span.first <= column) {
-                // In the tool's order, which is the order of the sums.
+                // In the tool's order, which determines the order of the sums.
                 let at = active.partition_point(|other| other.span.part < span.part);
                 active.insert(at, Active { span: *span, start: *start });
             }

@@ -1,12 +1,12 @@
-//! The manipulator and its burr as X-ray sees them.
+//! X-ray model of the manipulator and its burr.
 
 use messages::{Pose, State};
 use scene::{Notch as SceneNotch, ToolRadii};
 
 use crate::{Material, Notch, Tool, ToolPart};
 
-/// Shaft and links as nitinol tubes with a steel cable inside, and the burr as a steel ball. With `notch`, every link between two
-/// flexures has a notch in its middle, on alternating sides of the bending plane.
+/// Shaft and links as nitinol tubes around a steel cable, the burr as a steel ball. With `notch`, every link between two flexures has a
+/// notch at its middle, on alternating sides of the bending plane.
 pub fn tool_of(state: &State, radii: &ToolRadii, notch: Option<&SceneNotch>) -> Tool {
     let links = &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())];
     let origins = core::iter::once(&state.t_world_base).chain(links);
@@ -46,7 +46,7 @@ fn notch_between(notch: &SceneNotch, number: usize, start: &Pose, end: &Pose) ->
         return None;
     }
     let axis: [f64; 3] = core::array::from_fn(|i| (end.position_m[i] - start.position_m[i]) / length_m);
-    // +x of the link points toward tendon 0; its component along the axis is subtracted.
+    // +x of the link points toward tendon 0; remove its component along the axis.
     let x = x_axis(&start.orientation_xyzw);
     let along: f64 = axis.iter().zip(&x).map(|(a, b)| a * b).sum();
     let across: [f64; 3] = core::array::from_fn(|i| x[i] - along * axis[i]);

@@ -1,5 +1,5 @@
-//! The rays of one image row, and how they cross one part of the tool, all at once. For tubes this is done without branches, so that the
-//! loops become vector code; the bits are those of [`SeenPart::cross`].
+//! Intersects all rays of one image row with one part of the tool. Branch-free for tubes, so that the loops vectorise; same bits as
+//! [`SeenPart::cross`].
 
 use core::ops::Range;
 
@@ -18,7 +18,7 @@ pub(crate) struct RowOfRays {
 }
 
 impl RowOfRays {
-    /// Takes the rays of `count` pixels, starting at `from` (column, row).
+    /// Computes the rays of `count` pixels, starting at `from` (column, row).
     pub(crate) fn aim(&mut self, arch: Arch, fan: &RayFan, from: (u32, u32), count: usize) {
         self.length_m.resize(count, 0.0);
         let direction_m = self.direction_m.each_mut().map(|values| {
@@ -37,16 +37,16 @@ impl RowOfRays {
     }
 }
 
-/// Crossings of parts with rays, one list after the other.
+/// Crossings of parts with rays, as concatenated lists.
 #[derive(Debug, Default)]
 pub(crate) struct Crossings {
-    /// Parameters of the ray inside the envelope; a ray that misses enters after it has left.
+    /// Parameters of the ray inside the envelope; for a miss the entry is after the exit.
     enter: Vec<f64>,
     leave: Vec<f64>,
     metal_m: Vec<f64>,
 }
 
-/// Entry and exit of a ray that misses.
+/// Entry and exit for a miss.
 const MISS: (f64, f64) = (1.0, 0.0);
 
 impl Crossings {
@@ -57,14 +57,14 @@ impl Crossings {
         self.metal_m.clear();
     }
 
-    /// One of them; `None` for a ray that misses.
+    /// One crossing; `None` if the ray misses.
     #[inline]
     pub(crate) fn at(&self, i: usize) -> Option<Crossing> {
         let envelope = (self.enter[i], self.leave[i]);
         (envelope.0 < envelope.1).then(|| Crossing { envelope, metal_m: self.metal_m[i] })
     }
 
-    /// Appends the crossings of some rays with a part; returns where they begin.
+    /// Appends the crossings of rays with a part; returns the start index.
     pub(crate) fn append(
         &mut self,
         arch: Arch,
@@ -113,7 +113,7 @@ lanes! {
     }
 }
 
-/// A solid or hollow cylinder without a notch, as one source sees it.
+/// A solid or hollow cylinder without a notch, with precomputed constants for one source.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Tube {
     axis: Vec3,
@@ -138,8 +138,8 @@ impl Tube {
         }
     }
 
-    /// As [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel or perpendicular to the axis: then
-    /// [`SeenPart::cross`] has to be used.
+    /// Same as [`SeenPart::cross`], operation by operation. False if a ray is exactly parallel or perpendicular to the axis: use
+    /// [`SeenPart::cross`] then.
     #[inline(always)]
     fn cross(&self, direction_m: [&[f64]; 3], length_m: &[f64], out: [&mut [f64]; 3]) -> bool {
         let count = length_m.len();

@@ -1,4 +1,4 @@
-//! Three-vectors as `[f64; 3]`, with the order of every sum written out.
+//! Three-vectors as `[f64; 3]`; the order of every sum is explicit.
 
 pub(crate) type Vec3 = [f64; 3];
 

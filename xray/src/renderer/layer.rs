@@ -1,4 +1,4 @@
-//! One quantity that rays are integrated over: attenuation, or with a spectrum the metres of one kind of tissue.
+//! A layer: one quantity integrated along rays. Attenuation or, with a spectrum, metres of one tissue type.
 
 use super::{DrrParameters, RenderKind};
 use crate::attenuation::MuTable;
@@ -17,19 +17,19 @@ pub(super) struct Computed {
 }
 
 impl Computed {
-    /// The larger of the two; `self` if they are equal.
+    /// The more complete of the two; `self` if they are equal.
     pub fn or_more(self, other: Self) -> Self {
         if other.pixels > self.pixels { other } else { self }
     }
 }
 
-/// The quantity, and what speeds up its integration.
+/// The quantity, and the data that speeds up its integration.
 pub(super) struct Layer {
     table: MuTable,
     fill_per_m: f64,
     blocks: BlockMap,
     intact_blocks: BlockMap,
-    /// The sums over slices, where the projector is of that kind.
+    /// The sums over slices, if the projector uses them.
     pub slices: Option<SliceOrdered>,
 }
 
@@ -60,7 +60,7 @@ impl Layer {
         }
     }
 
-    /// Takes in a removed voxel; returns whether that changes the quantity there.
+    /// Removes a voxel; returns true if that changes the quantity there.
     pub fn remove(
         &mut self,
         view: &VolumeView<'_>,
@@ -83,7 +83,7 @@ impl Layer {
         }
     }
 
-    /// Updates `image` by sums over slices; `None`, and nothing written, if rays have to be traced one by one.
+    /// Updates `image` by sums over slices; `None`, with nothing written, if rays must be traced individually.
     pub fn project(
         &mut self,
         view: &VolumeView<'_>,

@@ -1,4 +1,4 @@
-//! The renderer: the cached anatomy of a standing C-arm, the tool of the frame, and their exposure.
+//! The renderer: the cached anatomy of a stationary C-arm, the tool of the frame, and the exposure of both.
 
 mod layer;
 mod parameters;
@@ -23,7 +23,7 @@ use crate::tool_layer::{DisplacedBy, PlacedTool};
 use layer::{Computed, Layer};
 use standing::{DirtyMarker, Standing};
 
-/// Renders frames of one CT. Holds small data derived from it, the removed voxels, and the cache of the C-arm.
+/// Renders frames of one CT. Holds small data derived from the CT, the removed voxels, and the C-arm's cache.
 pub struct DrrRenderer {
     parameters: DrrParameters,
     grid: Grid,
@@ -42,7 +42,7 @@ impl DrrRenderer {
     /// Reads the CT once to find its empty blocks; keeps no copy of it.
     ///
     /// # Errors
-    /// A parameter out of range, by name; worker threads that cannot be started.
+    /// A parameter is out of range (the error names it), or worker threads cannot be started.
     pub fn new(
         view: &VolumeView<'_>,
         parameters: DrrParameters,
@@ -65,7 +65,7 @@ impl DrrRenderer {
                 (tissue, Some(MuTable::of(air, |hu| mixture.of(hu).1)), Some(table))
             }
         };
-        // One Hounsfield unit of water scaling: that law is stored without rounding. A spectrum's shares lie near 1.
+        // One Hounsfield unit of water scaling, so that this law is stored without rounding. A spectrum's fractions are near 1.
         let unit_per_m = match spectrum {
             None => Material::Water.mu_per_m(parameters.energy_kev)? / 1000.0,
             Some(_) => 1e-3,
@@ -84,10 +84,10 @@ impl DrrRenderer {
         })
     }
 
-    /// Makes the re-ordered copy of the volume that frames of this C-arm need, so that the first frame does not wait for it.
+    /// Creates the reordered copy of the volume that this C-arm needs, so that the first frame does not wait for it.
     ///
     /// # Errors
-    /// A view of another grid, a bad C-arm, a volume whose copy does not fit into the free memory.
+    /// The view has another grid, the C-arm is invalid, or the copy does not fit into free memory.
     pub fn prepare(&mut self, view: &VolumeView<'_>, c_arm: &CArm) -> Result<(), DrrError> {
         self.check_view(view)?;
         c_arm.validate()?;
@@ -98,8 +98,8 @@ impl DrrRenderer {
         Ok(())
     }
 
-    /// Bytes of the re-ordered copies and the intermediate image; all 0 where rays are traced one by one. With a spectrum, bone has as
-    /// much again.
+    /// Bytes of the reordered copies and the intermediate image; all 0 if rays are traced individually. With a spectrum, bone needs the
+    /// same amount again.
     pub fn slice_ordered_memory(&self) -> SliceOrderedMemory {
         self.tissue.slices.as_ref().map(SliceOrdered::memory).unwrap_or_default()
     }
@@ -114,23 +114,23 @@ impl DrrRenderer {
         &self.removed
     }
 
-    /// Line integrals of the anatomy behind the last frame, row by row; empty before the first.
+    /// Line integrals of the anatomy in the last frame, row-major; empty before the first.
     pub fn anatomy(&self) -> &[f64] {
         self.standing.as_ref().map_or(&[], |s| &s.anatomy)
     }
 
-    /// Attenuation (-ln of the share that passes) of anatomy and tool behind the last frame, row by row; empty before the first.
+    /// Attenuation (-ln of the transmission) of anatomy and tool in the last frame, row-major; empty before the first.
     pub fn line_integrals(&self) -> Vec<f64> {
         let attenuation =
             |s: &Standing| self.exposure.attenuations(s.images(), &self.tool, s.c_arm.columns as usize);
         self.standing.as_ref().map_or(Vec::new(), attenuation)
     }
 
-    /// Removes voxels by linear index; those already removed are ignored. Returns how many are new. The order and the grouping into
-    /// batches do not matter.
+    /// Removes voxels by linear index; ignores those already removed. Returns the number of newly removed voxels. Order and grouping into
+    /// batches do not affect the result.
     ///
     /// # Errors
-    /// A view of another grid, or an index outside the volume: then the whole batch is refused.
+    /// The view has another grid, or an index is outside the volume; then the whole batch is refused.
     pub fn remove(&mut self, view: &VolumeView<'_>, batch: &[u32]) -> Result<usize, DrrError> {
         self.check_view(view)?;
         self.removed.check(batch)?;
@@ -159,7 +159,7 @@ impl DrrRenderer {
     /// Restores all removed voxels; the next frame is rendered in full.
     ///
     /// # Errors
-    /// A view of another grid.
+    /// The view has another grid.
     pub fn restore_all(&mut self, view: &VolumeView<'_>) -> Result<(), DrrError> {
         self.check_view(view)?;
         self.removed.clear();
@@ -170,10 +170,10 @@ impl DrrRenderer {
         Ok(())
     }
 
-    /// Renders a frame into `image` (rows from top to bottom, one u16 a pixel).
+    /// Renders a frame into `image` (rows from top to bottom, one u16 per pixel).
     ///
     /// # Errors
-    /// A view of another grid, a bad C-arm or tool, an image of another size. The cache survives.
+    /// The view has another grid, the C-arm or tool is invalid, or the image has the wrong size. The cache remains valid.
     pub fn render(
         &mut self,
         view: &VolumeView<'_>,
@@ -185,10 +185,10 @@ impl DrrRenderer {
         self.render_to(view, c_arm, tool, seed, Output::Mono16(image))
     }
 
-    /// As [`DrrRenderer::render`], for any kind of pixel.
+    /// Same as [`DrrRenderer::render`], for any pixel type.
     ///
     /// # Errors
-    /// The same.
+    /// As [`DrrRenderer::render`].
     pub fn render_to(
         &mut self,
         view: &VolumeView<'_>,
@@ -228,11 +228,11 @@ impl DrrRenderer {
         Ok(FrameReport { kind, rays_traced, tool_pixels, window })
     }
 
-    /// As [`DrrRenderer::render`] for a C-arm that is used for one frame only: the cache of the standing C-arm is kept, so that its next
+    /// Same as [`DrrRenderer::render`], for a C-arm used for one frame only. Keeps the cache of the stationary C-arm, so that its next
     /// frame costs no more than without this one.
     ///
     /// # Errors
-    /// The same.
+    /// As [`DrrRenderer::render`].
     pub fn render_aside(
         &mut self,
         view: &VolumeView<'_>,
@@ -260,7 +260,7 @@ impl DrrRenderer {
         if *view.grid() == self.grid { Ok(()) } else { Err(DrrError::GridChanged) }
     }
 
-    /// Brings the anatomy's line integrals up to date.
+    /// Updates the anatomy's line integrals.
     fn update_anatomy(
         &mut self,
         view: &VolumeView<'_>,

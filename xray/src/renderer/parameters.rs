@@ -1,4 +1,4 @@
-//! What frames are rendered with, and how much of each was computed.
+//! Rendering parameters and the report of a frame.
 
 use crate::attenuation::HuLaw;
 use crate::detector::DetectorParameters;
@@ -7,25 +7,25 @@ use crate::error::{DrrError, check_range};
 use crate::slice_ordered::SliceOrderedOptions;
 use crate::spectrum::Spectrum;
 
-/// How the anatomy's line integrals are computed, from the most exact to the fastest.
+/// Projector for the anatomy's line integrals, from most exact to fastest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Projector {
-    /// Exact for voxels of constant attenuation ([`siddon`](crate::siddon)): the reference, a thousand times slower than the default.
+    /// Exact for voxels of constant attenuation ([`siddon`](crate::siddon)). The reference, a thousand times slower than the default.
     Siddon,
-    /// Bilinear interpolation plane by plane, ray by ray ([`joseph`](crate::joseph)).
+    /// Bilinear interpolation per plane, ray by ray ([`joseph`](crate::joseph)).
     Joseph,
-    /// All slices summed in the volume's own order, then warped ([`slice_ordered`](crate::slice_ordered)): its
-    /// difference from Joseph is small compared with the error of the voxels themselves. Keeps a copy of the volume for each of two orders,
-    /// made when a frame needs it.
+    /// Sums all slices in memory order, then warps the result ([`slice_ordered`](crate::slice_ordered)). Its difference from Joseph is
+    /// small compared with the discretisation error of the voxels. Keeps a copy of the volume for each of two orders, created when a
+    /// frame needs it.
     SliceOrdered {
-        /// Samples for each voxel of the farthest slice, 0.8 to 4: more are slower, and closer to Joseph.
+        /// Samples per voxel of the farthest slice, 0.8 to 4: more samples are slower and closer to Joseph.
         oversampling: f64,
-        /// Whether the image is sharpened against the blur of the interpolation.
+        /// Sharpens the image to compensate for the blur of interpolation.
         sharpen: bool,
     },
-    /// As `SliceOrdered`, on a volume of block means stored in bytes.
+    /// Same as `SliceOrdered`, on a volume of block means stored as bytes.
     Preview {
-        /// Voxels along each axis that are merged into one, 2 to 8.
+        /// Voxels per axis averaged into one, 2 to 8.
         reduction: u32,
     },
 }
@@ -33,13 +33,13 @@ pub enum Projector {
 impl Projector {
     /// One sample per voxel, sharpened.
     pub const SLICE_ORDERED: Self = Self::SliceOrdered { oversampling: 1.0, sharpen: true };
-    /// Two voxels merged into one along each axis.
+    /// Two voxels per axis averaged into one.
     pub const PREVIEW: Self = Self::Preview { reduction: 2 };
 
-    /// Options of the sum over slices; `None` if rays are traced one by one.
+    /// Options of the sum over slices; `None` if rays are traced individually.
     ///
     /// # Errors
-    /// An oversampling or a reduction out of range.
+    /// The oversampling or the reduction is out of range.
     pub(super) fn slice_ordered(self) -> Result<Option<SliceOrderedOptions>, DrrError> {
         let options = match self {
             Self::Siddon | Self::Joseph => return Ok(None),
@@ -62,22 +62,22 @@ impl Default for Projector {
     }
 }
 
-/// How frames are rendered: everything but the volume, the C-arm and the tool.
+/// Rendering parameters: everything except the volume, the C-arm and the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DrrParameters {
-    /// How line integrals are computed.
+    /// Projector for the line integrals.
     pub projector: Projector,
     /// Photon energy, 30 to 120 keV. 60 is about the mean of a 90 kV beam.
     pub energy_kev: f64,
-    /// Hounsfield units to attenuation.
+    /// Law from Hounsfield units to attenuation.
     pub hu_law: HuLaw,
-    /// Many energies instead of one; `energy_kev` and `hu_law` then have no effect.
+    /// A spectrum instead of one energy; `energy_kev` and `hu_law` then have no effect.
     pub spectrum: Option<Spectrum>,
-    /// Below this the CT is air and attenuates nothing.
+    /// CT values below this count as air and attenuate nothing.
     pub air_below_hu: i16,
-    /// What fills a removed voxel: air by default, about 0 for irrigation.
+    /// Hounsfield value that fills a removed voxel: air by default, about 0 for irrigation.
     pub fill_hu: i16,
-    /// Worker threads, 1 to 64. The frame does not depend on it.
+    /// Worker threads, 1 to 64. The number does not affect the frame.
     pub threads: usize,
     /// The detector.
     pub detector: DetectorParameters,
@@ -101,26 +101,26 @@ impl Default for DrrParameters {
     }
 }
 
-/// How much of the anatomy was computed for a frame.
+/// How much of the anatomy was recomputed for a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RenderKind {
-    /// All of it: a new C-arm, or so many removed voxels that this is faster.
+    /// All of it: a new C-arm, or so many removed voxels that a full render is faster.
     Full,
-    /// What newly removed voxels change.
+    /// The pixels that newly removed voxels change.
     Incremental,
     /// Nothing had changed.
     Cached,
 }
 
-/// How much of a frame was computed.
+/// Work done for a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameReport {
-    /// How much of the anatomy was computed.
+    /// How much of the anatomy was recomputed.
     pub kind: RenderKind,
-    /// Pixels whose anatomy was computed.
+    /// Pixels with recomputed anatomy.
     pub rays_traced: usize,
     /// Pixels that the tool covers.
     pub tool_pixels: usize,
-    /// Attenuations at the two ends of the display's scale.
+    /// Attenuation at the two ends of the display scale.
     pub window: (f64, f64),
 }

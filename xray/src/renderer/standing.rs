@@ -1,4 +1,4 @@
-//! The cached anatomy of one C-arm, and which of its pixels removed voxels can reach.
+//! The cached anatomy of one C-arm, and the pixels that removed voxels affect.
 
 use super::Projector;
 use crate::carm::{CArm, Pinhole};
@@ -7,7 +7,7 @@ use crate::grid::Grid;
 use crate::ray::RayFan;
 use crate::vector::scale;
 
-/// Largest distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for rounding.
+/// Maximum distance from a voxel's centre at which it still affects a ray, in voxels, with a margin for rounding.
 const REACH_JOSEPH: f64 = 1.0 + 1e-3;
 const REACH_SIDDON: f64 = 0.5 + 1e-3;
 
@@ -15,13 +15,13 @@ const REACH_SIDDON: f64 = 0.5 + 1e-3;
 pub(super) struct Standing {
     pub c_arm: CArm,
     pub fan: RayFan,
-    /// Whether rays are traced one by one, so that `dirty` counts.
+    /// True if rays are traced individually; only then is `dirty` used.
     pub traced: bool,
-    /// Line integrals of the anatomy (with a spectrum, metres of tissue), row by row.
+    /// Line integrals of the anatomy (with a spectrum, metres of tissue), row-major.
     pub anatomy: Vec<f64>,
     /// Metres of cortical bone, with a spectrum.
     pub bone_m: Vec<f64>,
-    /// Whether a pixel is in `dirty_list`.
+    /// True for pixels in `dirty_list`.
     pub dirty: Vec<bool>,
     pub dirty_list: Vec<u32>,
     pub window: (f64, f64),
@@ -47,7 +47,7 @@ impl Standing {
     }
 }
 
-/// Marks the pixels that removed voxels can reach.
+/// Marks the pixels that removed voxels affect.
 pub(super) struct DirtyMarker<'a> {
     dirty: &'a mut [bool],
     list: &'a mut Vec<u32>,

@@ -11,7 +11,7 @@ use crate::ray::{IndexRay, RayFan};
 use crate::removal::AttenuationField;
 use crate::{joseph, siddon};
 
-/// Fewer rays than this are traced without waking the worker threads.
+/// Below this number of rays, the calling thread traces them without waking the workers.
 const PARALLEL_FROM: usize = 256;
 
 impl DrrRenderer {
@@ -22,7 +22,7 @@ impl DrrRenderer {
         }
     }
 
-    /// Brings the anatomy's line integrals up to date.
+    /// Updates the anatomy's line integrals.
     pub(super) fn trace_anatomy(&self, view: &VolumeView<'_>, standing: &mut Standing) -> Computed {
         let tissue = self.tissue.field(view, &self.removed);
         let bone = self.bone.as_ref().map(|layer| layer.field(view, &self.removed));
@@ -37,7 +37,7 @@ impl DrrRenderer {
             return Computed { kind: RenderKind::Cached, pixels: 0 };
         }
         let mut list = core::mem::take(&mut standing.dirty_list);
-        // Neighbouring rays one after the other share cache lines; the result does not depend on the order.
+        // Neighbouring rays in sequence share cache lines; the order does not affect the result.
         list.sort_unstable();
         let (columns, fan) = (standing.c_arm.columns, standing.fan);
         self.trace_list(&tissue, columns, &fan, &list, &mut standing.anatomy);

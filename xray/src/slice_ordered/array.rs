@@ -1,5 +1,5 @@
-//! A large array in memory from the [`Machine`]. It is read from one end to the other, many rows at a time, so ordinary pages cost
-//! time for their address translation; huge pages do not.
+//! A large array in memory from the [`Machine`]. It is read end to end, many rows at a time, so address translation costs time with
+//! ordinary pages but not with huge pages.
 
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
@@ -8,7 +8,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes};
 
 use crate::machine::{Machine, Memory};
 
-/// An array that begins as zeros.
+/// A zero-initialised array.
 pub(crate) struct Array<T> {
     memory: Box<dyn Memory>,
     bytes: usize,
@@ -16,11 +16,11 @@ pub(crate) struct Array<T> {
 }
 
 impl<T: FromBytes + IntoBytes + Immutable> Array<T> {
-    /// `length` elements; `None` if the machine has no memory for them.
+    /// `length` elements; `None` if the machine has too little memory.
     pub fn zeroed(machine: &dyn Machine, length: usize) -> Option<Self> {
         let bytes = length.checked_mul(size_of::<T>())?;
         let memory = machine.zeroed(bytes)?;
-        // Memory that is too short or not aligned would later read as empty.
+        // Without this check, memory that is too short or misaligned would later read as empty.
         let fits = memory.bytes().get(..bytes).is_some_and(|bytes| <[T]>::ref_from_bytes(bytes).is_ok());
         fits.then_some(Self { memory, bytes, of: PhantomData })
     }

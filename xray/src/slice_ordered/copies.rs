@@ -1,8 +1,7 @@
 //! The volume in the orders in which slices are read: rows of cells of 32 small integers, aligned for vector loads.
 //!
-//! Two copies are enough for all three axes: slices across z and across y are read in rows along x, slices across x in rows
-//! along y. A copy is made when the first frame needs it. A row is a whole number of cells, and each cell has one bit that says
-//! whether there is anything in it.
+//! Two copies serve all three axes: slices across z and across y are read in rows along x, slices across x in rows along y. A copy is
+//! created when the first frame needs it. A row is a whole number of cells, and one bit per cell tells whether it holds anything.
 
 use rayon::prelude::*;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
@@ -10,15 +9,15 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 use super::Machine;
 use super::array::Array;
 
-/// Voxels of a cell.
+/// Voxels per cell.
 pub(crate) const CELL: usize = 32;
-/// Side of the squares that are transposed at a time.
+/// Side of the squares transposed at a time.
 const SQUARE: usize = 32;
-/// Cells of 16-bit voxels in a page of 4096 bytes, and by how many cells the start of each plane is shifted within a page. Rows of
-/// consecutive planes are read at the same time and must not fall into the same cache sets.
+/// Cells of 16-bit voxels per page of 4096 bytes, and the number of cells by which each plane's start is shifted within a page. Rows of
+/// consecutive planes are read at the same time and must not map to the same cache sets.
 const PAGE_CELLS: usize = 64;
 const PLANE_SHIFT: usize = 5;
-/// Bits by which a byte is shifted, so that rounding between two rows is small compared with its steps.
+/// Left shift applied to byte values, so that rounding between two rows is small compared with the byte's resolution.
 const BYTE_SHIFT: u32 = 4;
 
 /// 32 voxels of 16 bits.
@@ -31,17 +30,17 @@ pub(crate) struct Cell16(pub [i16; CELL]);
 #[repr(C, align(32))]
 pub(crate) struct Cell8(pub [u8; CELL]);
 
-/// How a voxel is stored.
+/// Storage format of a voxel.
 pub(crate) trait Voxel:
     Copy + Default + Send + Sync + PartialEq + FromBytes + IntoBytes + Immutable + 'static
 {
-    /// 32 of them.
+    /// A cell of 32 voxels.
     type Cell: Copy + Default + PartialEq + Send + Sync + FromBytes + IntoBytes + Immutable;
-    /// What one unit of the stored values is multiplied with by [`Voxel::widen`].
+    /// Factor that [`Voxel::widen`] applies to stored values.
     const UNIT: i16;
-    /// A cell as the 16-bit numbers that are summed.
+    /// A cell as 16-bit integers, ready for summing.
     fn widen(cell: &Self::Cell) -> [i16; CELL];
-    /// Stores a value that is in range.
+    /// Stores a value, which must be in range.
     fn store(value: i16) -> Self;
     /// The value.
     fn value(self) -> i16;
@@ -75,7 +74,7 @@ impl Voxel for u8 {
     }
     #[inline(always)]
     fn store(value: i16) -> Self {
-        // The renderer's unit keeps previews within 0..=255.
+        // The renderer's unit keeps preview values within 0..=255.
         value.clamp(0, 255) as Self
     }
     #[inline(always)]
@@ -84,10 +83,10 @@ impl Voxel for u8 {
     }
 }
 
-/// The voxels of cells, one after the other.
+/// The voxels of consecutive cells.
 #[inline(always)]
 pub(crate) fn voxels<T: Voxel>(cells: &[T::Cell]) -> &[T] {
-    // Cells are aligned more strictly than voxels and a whole number of them: this cannot fail.
+    // Cannot fail: cells have stricter alignment than voxels and hold a whole number of them.
     <[T]>::ref_from_bytes(cells.as_bytes()).unwrap_or(&[])
 }
 
@@ -96,22 +95,22 @@ fn voxels_mut<T: Voxel>(cells: &mut [T::Cell]) -> &mut [T] {
     <[T]>::mut_from_bytes(cells.as_mut_bytes()).unwrap_or(&mut [])
 }
 
-/// One order of the volume.
+/// One ordering of the volume.
 pub(crate) struct Copy3<T: Voxel> {
-    /// A row of zeros, used for all rows beyond the volume; then the planes of equal z.
+    /// A row of zeros, which stands in for all rows outside the volume; then the planes of equal z.
     data: Array<T::Cell>,
     dims: [usize; 3],
     /// The axis along which rows are contiguous.
     fast: usize,
-    /// Cells of a row, and cells from plane to plane.
+    /// Cells per row, and cells between planes.
     row_cells: usize,
     plane_cells: usize,
-    /// One bit for each cell of each row: set if something in it attenuates, or did before it was removed.
+    /// One bit per cell of each row: set if anything in the cell attenuates, or did before it was removed.
     occupancy: Vec<u64>,
     words_per_row: usize,
 }
 
-/// Cells of a row and of a plane of a copy with rows along `fast`.
+/// Cells per row and per plane of a copy with rows along `fast`.
 fn extents(dims: [usize; 3], fast: usize) -> (usize, usize) {
     let row = dims[fast].div_ceil(CELL);
     let used = row * dims[1 - fast];
@@ -125,8 +124,8 @@ pub(crate) fn copy_elements(dims: [usize; 3], fast: usize) -> u64 {
 }
 
 impl<T: Voxel> Copy3<T> {
-    /// Makes the copy with rows along `fast` (0 or 1). `fill_row(y, z, row)` writes the voxels of a row along x.
-    /// `None` if the machine has no memory for it.
+    /// Creates the copy with rows along `fast` (0 or 1). `fill_row(y, z, row)` writes the voxels of a row along x. `None` if the machine
+    /// has too little memory.
     pub fn new(
         machine: &dyn Machine,
         dims: [usize; 3],
@@ -174,13 +173,13 @@ impl<T: Voxel> Copy3<T> {
         bits
     }
 
-    /// Largest value.
+    /// The largest value.
     pub fn largest(&self) -> i16 {
         let largest = |cells: &[T::Cell]| voxels::<T>(cells).iter().map(|v| v.value()).max().unwrap_or(0);
         self.data.par_chunks(1 << 11).map(largest).max().unwrap_or(0)
     }
 
-    /// Number of the cell of `data` that a voxel lies in.
+    /// Index in `data` of the cell that contains a voxel.
     #[inline(always)]
     fn cell_of(&self, voxel: [usize; 3]) -> usize {
         let row = voxel[1 - self.fast] * self.row_cells + voxel[self.fast] / CELL;
@@ -202,7 +201,7 @@ impl<T: Voxel> Copy3<T> {
         }
     }
 
-    /// The value of a voxel as it is summed.
+    /// The value of a voxel as used in sums.
     #[inline(always)]
     pub fn wide(&self, voxel: [usize; 3]) -> i16 {
         let cell = self.data.get(self.cell_of(voxel)..).and_then(|cells| cells.first_chunk::<1>());
@@ -210,7 +209,7 @@ impl<T: Voxel> Copy3<T> {
         voxel.map_or(0, |v| v.value() * T::UNIT)
     }
 
-    /// The same, 0 beyond the volume.
+    /// The same; 0 outside the volume.
     #[inline(always)]
     pub fn wide_or_zero(&self, voxel: [usize; 3]) -> i16 {
         if (0..3).all(|axis| voxel[axis] < self.dims[axis]) { self.wide(voxel) } else { 0 }
@@ -222,13 +221,13 @@ impl<T: Voxel> Copy3<T> {
         &self.data
     }
 
-    /// Cells of a row.
+    /// Number of cells per row.
     #[inline(always)]
     pub fn row_cells(&self) -> usize {
         self.row_cells
     }
 
-    /// First cell of a row of slice `k` across `slow`, or of zeros beyond the volume; and its occupancy.
+    /// First cell of a row of slice `k` across `slow` (of zeros outside the volume), and the row's occupancy.
     #[inline(always)]
     pub fn row(&self, slow: usize, k: usize, v_axis: usize, v: i64) -> (usize, &[u64]) {
         if v < 0 || v >= self.dims[v_axis] as i64 {
@@ -241,7 +240,7 @@ impl<T: Voxel> Copy3<T> {
         (first, self.occupancy.get(bits..bits + self.words_per_row).unwrap_or(&[]))
     }
 
-    /// Words of a row's occupancy.
+    /// Words of occupancy per row.
     pub fn words_per_row(&self) -> usize {
         self.words_per_row
     }
@@ -251,7 +250,7 @@ impl<T: Voxel> Copy3<T> {
         size_of_val(&*self.data) + self.occupancy.len() * 8
     }
 
-    /// Share of the cells in which something attenuates.
+    /// Fraction of cells in which something attenuates.
     pub fn occupied_share(&self) -> f64 {
         let cells = self.occupancy.len() / self.words_per_row * self.row_cells;
         let set: u64 = self.occupancy.iter().map(|w| u64::from(w.count_ones())).sum();

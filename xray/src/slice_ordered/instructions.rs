@@ -1,10 +1,10 @@
-//! The instruction set of the sum, chosen at run time; all of them give the same bits.
+//! Instruction sets for the sum, selected at run time; all give the same bits.
 
 use super::copies::{Copy3, Voxel};
 use super::kernel::{Scalar, Work, sum_tiles};
 use super::plan::Plan;
 
-/// An instruction set that this machine has.
+/// An instruction set that this CPU supports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Instructions(Set);
 
@@ -29,7 +29,7 @@ impl Instructions {
     /// No special instructions.
     pub const SCALAR: Self = Self(Set::Scalar);
 
-    /// All that this machine has, the fastest first.
+    /// All instruction sets that this CPU supports, fastest first.
     pub fn available() -> Vec<Self> {
         let mut all = Vec::new();
         #[cfg(target_arch = "x86_64")]
@@ -41,7 +41,7 @@ impl Instructions {
         all
     }
 
-    /// The fastest.
+    /// The fastest supported instruction set.
     pub fn best() -> Self {
         Self::available().first().copied().unwrap_or(Self::SCALAR)
     }
@@ -57,7 +57,7 @@ impl Instructions {
         }
     }
 
-    /// Runs plain code that the compiler turns into vector code of this instruction set.
+    /// Runs plain code that the compiler vectorises for this instruction set.
     pub(super) fn run<C: Plain>(self, code: C) {
         match self.0 {
             Set::Scalar => code.run(),
@@ -68,7 +68,7 @@ impl Instructions {
         }
     }
 
-    /// Sums some tiles.
+    /// Sums a group of tiles.
     pub(super) fn sum_tiles<T: Voxel>(
         self,
         copy: &Copy3<T>,
@@ -89,9 +89,9 @@ impl Instructions {
     }
 }
 
-/// Code for [`Instructions::run`]. A closure would not be inlined into the function that enables the instructions.
+/// Code for [`Instructions::run`]. A closure would not be inlined into the function that enables the instruction set.
 pub(super) trait Plain {
-    /// Marked `#[inline(always)]` by its implementations.
+    /// Implementations must be `#[inline(always)]`.
     fn run(self);
 }
 
@@ -124,7 +124,7 @@ impl<T: Voxel> Tiles<'_, T> {
     }
 }
 
-/// A call that must be inlined into the function that enables the instructions.
+/// A call that must be inlined into the function that enables the instruction set.
 #[cfg(target_arch = "x86_64")]
 struct With<'a, L, T: Voxel>(L, Tiles<'a, T>);
 

@@ -1,10 +1,9 @@
 //! The sum over slices, eight rows of the intermediate image at a time.
 //!
-//! In each slice the rows of voxels are first blended into the eight rows that the image has there, as 16-bit integers, 32 voxels at a
-//! time; then groups of 16 samples are interpolated along these rows and added to 32-bit sums, which are moved into 64-bit ones
-//! before they can overflow. Cells in which nothing attenuates are skipped. What the tile reads in the next slice is prefetched
-//! between the groups of this one ([`Ahead`]). [`Lanes`] is the part that differs between instruction sets; all of them compute the
-//! same integers.
+//! In each slice, the voxel rows are first blended into the slice's eight image rows as 16-bit integers, 32 voxels at a time. Groups of
+//! 16 samples are then interpolated along these rows and added to 32-bit sums, which are flushed into 64-bit ones before they can
+//! overflow. Cells in which nothing attenuates are skipped. Between the groups of one slice, the data for the next slice are prefetched
+//! ([`Ahead`]). Only [`Lanes`] differs between instruction sets; all of them compute the same integers.
 
 use super::copies::{CELL, Cell16, Copy3, Voxel, voxels};
 use super::plan::{
@@ -14,31 +13,31 @@ use super::plan::{
 /// 32-bit sums of one group: eight rows of 16 samples.
 pub(crate) type GroupSums = [[i32; GROUP]; TILE_ROWS];
 
-/// Tiles that are summed together, and the number of slices that are summed into one of them before the next.
+/// Number of tiles summed together, and number of slices summed into one tile before the next.
 pub(crate) const TILES: usize = 4;
 const BLOCK_SLICES: usize = 32;
-/// Runs separated by at most this many empty cells are joined, so that a group of samples reads only one run.
+/// Runs separated by at most this many empty cells are merged, so that a group of samples reads only one run.
 const JOINED: usize = 2;
-/// Number of voxels in a group's window, which starts at the voxel in which the group begins.
+/// Number of voxels in a group's window, which starts at the group's first voxel.
 pub(crate) const WINDOW: usize = 32;
 
-/// One group of samples in a slice: the blended voxel and the 27-bit fraction at which it begins.
+/// Start of one group of samples in a slice: the blended voxel and a 27-bit fraction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GroupPlace {
     pub first: usize,
     pub fraction: u32,
 }
 
-/// The blended rows of a tile, one after the other.
+/// The blended rows of a tile, concatenated.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BlendedRows<'a> {
     voxels: &'a [i16],
-    /// Voxels of a row, at least 1. The same for all, so that the compiler compares a group's place with it only once.
+    /// Voxels per row, at least 1. The same for all rows, so that the compiler emits only one bounds check per group.
     length: usize,
 }
 
 impl<'a> BlendedRows<'a> {
-    /// The windows of a group. Because of the cells before and behind the rows, there always is one.
+    /// The windows of a group. The cells before and after the rows guarantee that it exists.
     #[inline(always)]
     pub fn windows(self, first: usize) -> impl Iterator<Item = &'a [i16; WINDOW]> {
         self.voxels
@@ -49,13 +48,13 @@ impl<'a> BlendedRows<'a> {
 
 /// An instruction set.
 pub(crate) trait Lanes: Copy {
-    /// Constants of a slice, kept in registers.
+    /// Constants of a slice, held in registers.
     type PerSlice: Copy;
     /// Computes the constants of a slice.
     fn per_slice(self, lane_step: u32) -> Self::PerSlice;
-    /// Writes the row at a 15-bit fraction between two rows of voxels.
+    /// Interpolates the row at a 15-bit fraction between two voxel rows.
     fn blend<T: Voxel>(self, upper: &[T::Cell], lower: &[T::Cell], fraction: i16, out: &mut [Cell16]);
-    /// Adds one group of samples of eight rows to its sums.
+    /// Adds one group of samples from eight rows to its sums.
     fn add_group(
         self,
         constants: Self::PerSlice,
@@ -67,7 +66,7 @@ pub(crate) trait Lanes: Copy {
     fn prefetch<T>(self, data: &[T], offset: usize);
 }
 
-/// A voxel between two rows: `a + (b - a) fraction`, rounded to the nearest integer, halves up.
+/// Interpolates between two rows: `a + (b - a) fraction`, rounded to nearest, halves up.
 #[inline(always)]
 pub(crate) fn between(a: i16, b: i16, fraction: i16) -> i16 {
     // Values are 0 to 32767, so the difference fits.
@@ -104,7 +103,7 @@ impl Lanes for Scalar {
         for lane in 0..GROUP {
             let position = place.fraction + lane as u32 * lane_step;
             let fraction = (position >> (LANE_BITS - WEIGHT_BITS)) & FRACTION_MASK;
-            // Always within the window; `min` tells the compiler so.
+            // Always within the window; `min` proves it to the compiler.
             offsets[lane] = ((position >> LANE_BITS) as usize).min(GROUP_REACH as usize);
             weights[lane] = [(1 << WEIGHT_BITS) - fraction as i32, fraction as i32];
         }
@@ -120,29 +119,29 @@ impl Lanes for Scalar {
     fn prefetch<T>(self, _data: &[T], _offset: usize) {}
 }
 
-/// A run of cells that are summed at once, and the groups that read them, both half open.
+/// A run of cells summed at once, and the groups that read them; both half-open.
 #[derive(Debug, Clone, Copy)]
 struct Run {
     cells: (usize, usize),
     groups: (usize, usize),
 }
 
-/// Where a tile's rows lie in a slice, and which of their cells hold anything.
+/// Position of a tile's rows in a slice, and which of their cells are occupied.
 #[derive(Debug, Default)]
 struct TileRows {
-    /// For each image row its first line, and the 15-bit fraction to the next.
+    /// For each image row, its first voxel line and the 15-bit fraction to the next.
     line: [usize; TILE_ROWS],
     fraction: [i16; TILE_ROWS],
     /// First cells of the lines in the copy.
     offsets: [usize; MAX_LINES],
     lines: usize,
-    /// Cells of the lines, one bit each: whether one of them holds anything.
+    /// Occupancy of the lines' cells, one bit each: set if any line's cell is occupied.
     occupied: Vec<u64>,
     runs: Vec<Run>,
 }
 
 impl TileRows {
-    /// Finds the lines of voxels that the tile reads in a slice; false if nothing attenuates in them.
+    /// Finds the voxel lines that the tile reads in a slice; false if nothing attenuates in them.
     #[inline(always)]
     fn place<T: Voxel>(&mut self, copy: &Copy3<T>, plan: &Plan, slice: &Slice, first_row: usize) -> bool {
         self.runs.clear();
@@ -179,12 +178,12 @@ impl TileRows {
     }
 }
 
-/// Prefetches what the tile reads in the next slice, a few cells at a time, so that loading and summing overlap.
+/// Prefetches the tile's data of the next slice, a few cells at a time, so that loading and summing overlap.
 struct Ahead<'a> {
     rows: &'a TileRows,
     run: usize,
     cell: usize,
-    /// Columns of cells to prefetch, and groups that are summed meanwhile.
+    /// Columns of cells to prefetch, and number of groups summed meanwhile.
     cells: usize,
     groups: usize,
     due: usize,
@@ -198,7 +197,7 @@ impl<'a> Ahead<'a> {
         Self { rows, run: 0, cell: rows.runs.first().map_or(0, |run| run.cells.0), cells, groups, due: 0 }
     }
 
-    /// Called for each group that is summed.
+    /// Call for each group summed.
     #[inline(always)]
     fn group<T: Voxel, L: Lanes>(&mut self, lanes: L, data: &[T::Cell]) {
         self.due += self.cells;
@@ -221,17 +220,17 @@ impl<'a> Ahead<'a> {
 #[derive(Clone)]
 struct TileSums {
     groups: Vec<GroupSums>,
-    /// Slices in them, and groups that are not zero.
+    /// Number of slices summed so far, and the groups that are not zero.
     summed: usize,
     touched: (usize, usize),
 }
 
-/// Work space of a thread.
+/// Per-thread workspace.
 pub(crate) struct Work {
     sums: Vec<TileSums>,
-    /// Eight rows of cells, with one of zeros on either side.
+    /// Eight rows of cells, with one zero cell at either end.
     blended: Vec<Cell16>,
-    /// Of the slice that is summed, and of the one after it.
+    /// Of the current slice and of the next one.
     rows: [TileRows; 2],
 }
 
@@ -253,10 +252,10 @@ impl Work {
     }
 }
 
-/// Sums all slices into the tiles of eight rows from image row `first_row` on; `out` are the tiles, row by row.
-/// `flush_after` slices at most are summed in 32 bits.
+/// Sums all slices into the tiles of eight rows starting at image row `first_row`; `out` holds the tiles, row-major. Sums at most
+/// `flush_after` slices in 32 bits.
 ///
-/// Some slices are summed into all of the tiles before the next ones are: a line of voxels that two tiles read comes from memory once.
+/// Processes a few slices for all tiles before the next few, so that a voxel line that two tiles read is loaded from memory once.
 #[inline(always)]
 pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     lanes: L,
@@ -299,7 +298,7 @@ pub(crate) fn sum_tiles<T: Voxel, L: Lanes>(
     }
 }
 
-/// The first run of occupied cells from `from` on, half open.
+/// The first run of occupied cells at or after `from`, half-open.
 #[inline(always)]
 fn next_run(occupied: &[u64], from: usize) -> Option<(usize, usize)> {
     let next = |from: usize, wanted: bool| {
@@ -358,7 +357,7 @@ fn sum_slice<T: Voxel, L: Lanes>(
         let groups = sums.groups.get_mut(low..high).unwrap_or(&mut []);
         for (n, sums) in groups.iter_mut().enumerate() {
             let start = slice.group(low + n);
-            // One cell of zeros lies before the row.
+            // One zero cell precedes the row.
             let place = GroupPlace { first: (start.voxel + CELL as i64) as usize, fraction: start.fraction };
             lanes.add_group(constants, lines, place, sums);
             ahead.group::<T, L>(lanes, data);
@@ -368,7 +367,7 @@ fn sum_slice<T: Voxel, L: Lanes>(
     sums.summed += 1;
 }
 
-/// Moves the 32-bit sums into the 64-bit ones.
+/// Flushes the 32-bit sums into the 64-bit ones.
 #[inline(always)]
 fn flush(sums: &mut TileSums, columns: usize, out: &mut [i64]) {
     for group in sums.touched.0..sums.touched.1 {
@@ -378,7 +377,7 @@ fn flush(sums: &mut TileSums, columns: usize, out: &mut [i64]) {
             let Some(out) = out.get_mut(start..).and_then(|rest| rest.first_chunk_mut::<GROUP>()) else {
                 continue;
             };
-            // Reading both before writing lets the compiler use vector code.
+            // Reading both before writing lets the compiler vectorise.
             let (before, new) = (*out, *sums);
             *out = core::array::from_fn(|n| before[n] + i64::from(new[n]));
             *sums = [0; GROUP];

@@ -1,17 +1,17 @@
-//! Line integrals in the memory order of the volume: all slices, as seen from the source, are summed into an intermediate image of
-//! integers, which is then warped once onto the detector (shear-warp).
+//! Line integrals in the volume's memory order (shear-warp): all slices, as seen from the source, are summed into an intermediate image
+//! of integers, which is then warped once onto the detector.
 //!
-//! - Every sample is Joseph's (bilinear in a slice): two rows of voxels are blended into one row of 16-bit integers, with rounding, and two
-//!   neighbours in it are added with 14-bit weights whose sum is exactly 2^14. Everything is an integer, so neither the instruction set
-//!   nor the number of threads nor the order changes a bit.
-//! - A sample depends on four voxels. A removed voxel changes the sums by the difference that it makes to the samples around it, and the
-//!   image then equals that of a full render of the drilled volume.
-//! - Values are multiples of a thousandth of water's attenuation (clamped at 32767 of them); previews use coarser multiples
-//!   that fit a byte, on a volume of block means.
-//! - The line integral begins at the source: what lies behind it, or within one slice of it, is not in the picture. A source inside
-//!   the volume, or inside bone, is therefore no error.
+//! - Every sample is Joseph's (bilinear in a slice): two voxel rows are blended into one row of 16-bit integers, with rounding, and two
+//!   neighbours in it are added with 14-bit weights whose sum is exactly 2^14. All arithmetic is integer, so instruction set, number of
+//!   threads and order do not change a bit.
+//! - A sample depends on four voxels. A removed voxel changes the sums by its difference to the samples around it; the image then equals
+//!   that of a full render of the drilled volume.
+//! - Values are multiples of a thousandth of water's attenuation (clamped at 32767 of them); previews use coarser multiples that fit into
+//!   a byte, on a volume of block means.
+//! - The line integral starts at the source: anything behind it, or within one slice of it, is not in the image. A source inside the
+//!   volume, or inside bone, is therefore allowed.
 //!
-//! Memory: one copy of the volume for each of two orders (see [`SliceOrdered::memory`]), made when a frame first needs it.
+//! Memory: one copy of the volume for each of two orders (see [`SliceOrdered::memory`]), created when a frame first needs it.
 
 mod array;
 mod copies;
@@ -42,12 +42,12 @@ use standing::{Show, Standing, Threads};
 use store::{Change, Source, Store, Values};
 use warp::{Rect, pixels_of};
 
-/// Up to this number of changed voxels, the worker threads are not used.
+/// Up to this number of changed voxels, the calling thread works alone.
 const ALONE_UP_TO: usize = 4096;
-/// From this number of changed voxels on, they are sorted by their place in memory first.
+/// From this number of changed voxels, they are first sorted by memory position.
 const SORTED_FROM: usize = 1024;
 
-/// Projects one volume by summing its slices, and keeps the sums of the last C-arm for changes.
+/// Projects one volume by summing its slices; caches the sums of the last C-arm for incremental updates.
 pub struct SliceOrdered {
     options: SliceOrderedOptions,
     machine: &'static dyn Machine,
@@ -59,19 +59,19 @@ pub struct SliceOrdered {
     unit_per_m: f64,
     store: Store,
     standing: Option<Standing>,
-    /// After [`SliceOrdered::step_aside`] what stood before; otherwise memory to reuse for the next frame aside.
+    /// After [`SliceOrdered::step_aside`] the previous cache; otherwise memory for the next one-off frame.
     aside: Option<Standing>,
-    /// Voxels changed since the last frame, in their order; the copies do not have them yet.
+    /// Voxels changed since the last frame, in order; not yet applied to the copies.
     waiting: Vec<Change>,
     cost: UpdateCost,
 }
 
 impl SliceOrdered {
-    /// For a volume whose Hounsfield units mean the attenuation in `table`; `unit_per_m` is the attenuation of one unit of the stored
-    /// integers, and removed voxels become `fill_mu_per_m`. Copies are made when the first frame needs them.
+    /// For a volume whose Hounsfield units map to attenuation by `table`. `unit_per_m` is the attenuation of one unit of the stored
+    /// integers; removed voxels become `fill_mu_per_m`. Copies are created when the first frame needs them.
     ///
     /// # Errors
-    /// An option or a unit out of range.
+    /// An option or the unit is out of range.
     pub fn new(
         view: &VolumeView<'_>,
         table: &MuTable,
@@ -118,12 +118,12 @@ impl SliceOrdered {
         SliceOrderedMemory { along_x, along_y, preview_sums: self.store.preview_bytes(), image }
     }
 
-    /// Share of the cells of 32 voxels that are not skipped, of the copies that exist (along x, along y).
+    /// Fraction of occupied 32-voxel cells in each existing copy (along x, along y).
     pub fn occupied_shares(&self) -> [Option<f64>; 2] {
         self.store.occupied_shares()
     }
 
-    /// The sums of the last frame. Their total is a checksum of the drilled volume as seen.
+    /// The sums of the last frame. Their total is a checksum of the drilled volume from this view.
     pub fn sums(&self) -> Sums<'_> {
         let none = Sums { columns: 0, rows: 0, values: &[] };
         self.standing.as_ref().map_or(none, |standing| {
@@ -132,7 +132,7 @@ impl SliceOrdered {
         })
     }
 
-    /// Restores all voxels; copies and sums are made anew.
+    /// Restores all voxels; copies and sums are rebuilt.
     pub fn restore_all(&mut self, view: &VolumeView<'_>) {
         self.store.restore(view, &self.values);
         self.standing = None;
@@ -140,34 +140,34 @@ impl SliceOrdered {
         self.waiting.clear();
     }
 
-    /// Drops the sums of the C-arm: the next frame is summed in full.
+    /// Drops the C-arm's sums: the next frame is summed in full.
     pub fn forget(&mut self) {
         self.standing = None;
     }
 
-    /// Keeps the sums of the standing C-arm while frames of others are rendered, until [`SliceOrdered::step_back`]. No voxels may be
-    /// removed in between: the kept sums would miss them.
+    /// Keeps the sums of the current C-arm while frames of other C-arms are rendered, until [`SliceOrdered::step_back`]. No voxel may be
+    /// removed in between, because the kept sums would miss it.
     pub fn step_aside(&mut self) {
         if self.cost.prefers_full(self.waiting.len()) {
             self.standing = None;
         }
         self.settle();
         core::mem::swap(&mut self.standing, &mut self.aside);
-        // Its sums lack the voxels removed since: with no columns, this C-arm matches no other.
+        // Its sums lack the voxels removed since. With zero columns it matches no C-arm.
         if let Some(standing) = &mut self.standing {
             standing.c_arm.columns = 0;
         }
     }
 
-    /// Returns to the C-arm that stood before [`SliceOrdered::step_aside`].
+    /// Returns to the C-arm in use before [`SliceOrdered::step_aside`].
     pub fn step_back(&mut self) {
         core::mem::swap(&mut self.standing, &mut self.aside);
     }
 
-    /// Replaces a voxel by the fill value. The caller makes sure that it has not been removed before.
+    /// Replaces a voxel by the fill value. The caller ensures that it was not removed before.
     ///
     /// # Errors
-    /// An index outside the volume.
+    /// The index is outside the volume.
     pub fn remove(&mut self, view: &VolumeView<'_>, linear: usize) -> Result<(), DrrError> {
         let Some(&hu) = view.hu().get(linear) else {
             let given = u32::try_from(linear).unwrap_or(u32::MAX);
@@ -180,12 +180,12 @@ impl SliceOrdered {
         Ok(())
     }
 
-    /// Makes the copy that frames of this C-arm need, so that the first one does not wait for it. False if the C-arm's rays have to be
-    /// traced one by one: no axis of the volume has a slope of at most 4 voxels per slice for all of them, or the volume extends
-    /// behind the detector.
+    /// Creates the copy that this C-arm needs, so that the first frame does not wait for it. False if the C-arm's rays must be traced
+    /// individually: no axis of the volume has a slope of at most 4 voxels per slice for all rays, or the volume extends behind the
+    /// detector.
     ///
     /// # Errors
-    /// A volume too large for the memory.
+    /// The volume is too large for the memory.
     pub fn prepare(
         &mut self,
         view: &VolumeView<'_>,
@@ -209,8 +209,8 @@ impl SliceOrdered {
         self.store.ensure(&source, fast)
     }
 
-    /// As [`SliceOrdered::project`], if no worker threads are needed: the C-arm is the same and few voxels have changed. Otherwise `None`,
-    /// and nothing is written.
+    /// Same as [`SliceOrdered::project`] if no worker threads are needed: the C-arm is unchanged and few voxels have changed. Otherwise
+    /// `None`, with nothing written.
     pub fn refresh(&mut self, c_arm: &CArm, image: &mut [f64]) -> Option<Update> {
         if image.len() != c_arm.pixels() { None } else { self.refresh_on(c_arm, image, ALONE_UP_TO) }
     }
@@ -225,12 +225,12 @@ impl SliceOrdered {
         Some(self.update(image, threads))
     }
 
-    /// Brings the line integrals of a C-arm up to date: `image` holds those of the last call with this C-arm, or is written whole. `None`
-    /// if the rays have to be traced one by one (see [`SliceOrdered::prepare`]); then nothing is written. Runs on the threads of
-    /// the caller's pool.
+    /// Updates the line integrals of a C-arm: `image` either holds those of the last call with this C-arm, or is written completely.
+    /// `None`, with nothing written, if the rays must be traced individually (see [`SliceOrdered::prepare`]). Runs on the threads of the
+    /// caller's pool.
     ///
     /// # Errors
-    /// An image of another size, a volume too large for the memory.
+    /// The image has the wrong size, or the volume is too large for the memory.
     pub fn project(
         &mut self,
         view: &VolumeView<'_>,
@@ -246,7 +246,7 @@ impl SliceOrdered {
         }
         let fan = RayFan::new(&self.store_grid, c_arm);
         let pixels = [c_arm.columns, c_arm.rows];
-        // The new sums reuse the memory of the old ones.
+        // Reuse the old sums' memory.
         let memory = self.standing.take().map_or_else(Default::default, |s| (s.sums, s.image));
         self.settle();
         let Some(plan) = Plan::new(&self.store_grid, &fan, pixels, self.options.oversampling) else {
@@ -267,14 +267,14 @@ impl SliceOrdered {
         Ok(Some(Update::Full))
     }
 
-    /// Applies the waiting changes to the copies, and to the sums of the standing C-arm if there is one.
+    /// Applies the pending changes to the copies, and to the current C-arm's sums if there are any.
     fn settle(&mut self) {
         if self.waiting.is_empty() {
             return;
         }
         let began_ns = self.machine.now_ns();
         if self.waiting.len() >= SORTED_FROM {
-            // The sort is stable: changes of the same voxel keep their order.
+            // The sort is stable, so changes of the same voxel keep their order.
             self.waiting.sort_by_key(|change| change.linear);
         }
         self.store.apply(self.standing.as_mut(), &self.waiting);
@@ -285,7 +285,7 @@ impl SliceOrdered {
         self.waiting.clear();
     }
 
-    /// Applies the waiting changes and redraws the pixels that they reach.
+    /// Applies the pending changes and redraws the affected pixels.
     fn update(&mut self, image: &mut [f64], threads: Threads) -> Update {
         self.settle();
         let Some(mut standing) = self.standing.take() else { return Update::Unchanged };

@@ -1,45 +1,45 @@
-//! Geometry of a frame: which slices are summed, where each pixel of the intermediate image lies in each of them, and its weights.
+//! Geometry of a frame: the slices to sum, the position of each intermediate-image pixel in each slice, and its weights.
 //!
-//! The intermediate image lies in the plane of the farthest slice, aligned with it. Its sample of global number i is at
-//! `i / oversampling` voxels there, and in slice k, seen from the source s, at `x_k(i) = s (1 - r_k) + i r_k / oversampling`
-//! voxels with `r_k` the ratio of the two depths: a constant step, so no ray needs arithmetic of its own.
-//! (P. Lacroute and M. Levoy, "Fast volume rendering using a shear-warp factorization", SIGGRAPH 1994, with a point source.)
+//! The intermediate image lies in the plane of the farthest slice, aligned with it. Its sample with global index i is at `i /
+//! oversampling` voxels there and, seen from the source s, at `x_k(i) = s (1 - r_k) + i r_k / oversampling` voxels in slice k, where
+//! `r_k` is the ratio of the two depths. The step is constant, so no ray needs its own arithmetic. (P. Lacroute and M. Levoy, "Fast
+//! volume rendering using a shear-warp factorization", SIGGRAPH 1994, here with a point source.)
 //!
-//! Positions are 32.32 fixed point. Along a row of the image, 16 samples share one such base; inside the group they are
-//! 5.27 fixed point. These integers define the weights, so every implementation of the sum has the same bits.
+//! Positions are 32.32 fixed point. Along an image row, 16 samples share one such base; within the group they are 5.27 fixed point. These
+//! integers define the weights, so every implementation of the sum gives the same bits.
 
 use crate::grid::Grid;
 use crate::ray::RayFan;
 
 /// Samples of a row that share one 32.32 base.
 pub(crate) const GROUP: usize = 16;
-/// Lowest number of samples per voxel of the farthest slice. Below one, voxels there may fall between samples; in the middle of the
-/// volume the samples are then about as far apart as the voxels.
+/// Minimum samples per voxel of the farthest slice. Below one, voxels there may fall between samples; in the middle of the volume the
+/// samples are then about one voxel apart.
 pub(crate) const LEAST_OVERSAMPLING: f64 = 0.8;
-/// Longest step between samples in a slice, 32.32 voxels.
+/// Maximum step between samples in a slice, 32.32 voxels.
 const MAX_STEP: i64 = ONE + ONE / 4;
-/// Voxels that a group may read behind the one that it begins in: 16 steps, and the neighbour.
+/// Voxels that a group may read beyond its first one: 16 steps, plus the neighbour.
 pub(crate) const GROUP_REACH: i64 = (GROUP as i64 * MAX_STEP) / ONE + 1;
-/// Largest number of lines of voxels that the rows of a tile read.
+/// Maximum number of voxel lines that the rows of a tile read.
 pub(crate) const MAX_LINES: usize = (TILE_ROWS as i64 * MAX_STEP / ONE) as usize + 2;
 /// Rows of the intermediate image that are summed together.
 pub(crate) const TILE_ROWS: usize = 8;
-/// Bits of the weights along a row: the two of a sample add up to 2^14 exactly.
+/// Bits of the weights along a row; a sample's two weights add up to exactly 2^14.
 pub(crate) const WEIGHT_BITS: u32 = 14;
-/// Bits of the fraction between two rows of voxels.
+/// Bits of the fraction between two voxel rows.
 pub(crate) const ROW_BITS: u32 = 15;
 pub(crate) const FRACTION_MASK: u32 = (1 << WEIGHT_BITS) - 1;
-/// Fraction bits of the positions inside a group.
+/// Fraction bits of positions within a group.
 pub(crate) const LANE_BITS: u32 = 27;
 /// 2^32: one voxel.
 const ONE: i64 = 1 << 32;
-/// Largest slope, voxels across a slice for each slice, that is still summed slice by slice.
+/// Maximum slope, in voxels per slice, for summing by slices.
 const MAX_SLOPE: f64 = 4.0;
-/// Smallest depth, in slices, that is summed: nearer slices would be magnified without bound.
+/// Minimum depth, in slices, that is summed: nearer slices would be magnified without bound.
 const MIN_DEPTH: f64 = 1.0;
-/// Samples around the detector's footprint and the volume: two of the warp, one of the sharpening, two for rounding.
+/// Samples around the detector's footprint and the volume: two for the warp, one for sharpening, two for rounding.
 const MARGIN: f64 = 5.0;
-/// Largest number of pixels of an intermediate image (1 GiB with its accumulators and floats).
+/// Maximum number of pixels of an intermediate image (1 GiB with its accumulators and floats).
 const MAX_PIXELS: f64 = (1_u64 << 26) as f64;
 
 /// The axes of a frame in index space.
@@ -47,7 +47,7 @@ const MAX_PIXELS: f64 = (1_u64 << 26) as f64;
 pub(crate) struct Axes {
     /// Across the slices.
     pub slow: usize,
-    /// Along the image's rows, and the contiguous one of the copy that is read.
+    /// Along the image rows; the contiguous axis of the copy being read.
     pub u: usize,
     /// Along the image's columns.
     pub v: usize,
@@ -63,24 +63,24 @@ impl Axes {
     }
 }
 
-/// One slice of the volume as the intermediate image sees it.
+/// One slice of the volume in the intermediate image's coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Slice {
-    /// Its number along the slow axis.
+    /// Its index along the slow axis.
     pub index: usize,
-    /// Position of the image's pixel (0, 0), 32.32 voxels.
+    /// Position of image pixel (0, 0), 32.32 voxels.
     pub start: [i64; 2],
-    /// Step between pixels, the same along rows and columns, 32.32 voxels, at most [`MAX_STEP`].
+    /// Step between pixels, equal along rows and columns, 32.32 voxels, at most [`MAX_STEP`].
     pub step: i64,
-    /// One over the step: pixels for each 2^-32 of a voxel, rounded.
+    /// Inverse of the step: pixels per 2^-32 voxel, rounded.
     pub samples_per_position: f64,
-    /// Groups that can meet the volume, half open.
+    /// Groups that can intersect the volume, half-open.
     pub groups: (usize, usize),
-    /// Rows that can meet the volume, half open.
+    /// Rows that can intersect the volume, half-open.
     pub rows: (usize, usize),
 }
 
-/// Where a group of 16 samples begins: whole voxels, and the fraction in 27 bits.
+/// Start of a group of 16 samples: whole voxels, and a 27-bit fraction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GroupStart {
     pub voxel: i64,
@@ -108,11 +108,11 @@ impl Slice {
         (position >> 32, (position as u32 >> (32 - ROW_BITS)) as i16)
     }
 
-    /// The groups that read one of the voxels `first..end` of a row, half open.
+    /// The groups that read one of the voxels `first..end` of a row, half-open.
     #[inline(always)]
     pub fn groups_reading(&self, first: i64, end: i64) -> (usize, usize) {
         let stride = GROUP as i64 * self.step;
-        // The first group that begins at or behind a voxel.
+        // The first group that starts at or after a voxel.
         let from = |voxel: i64| -((self.start[0] - voxel * ONE).div_euclid(stride));
         let clamp = |group: i64| group.clamp(self.groups.0 as i64, self.groups.1 as i64) as usize;
         (clamp(from(first - GROUP_REACH)), clamp(from(end)))
@@ -127,12 +127,12 @@ impl Slice {
     }
 }
 
-/// Everything about a frame's geometry that the sum over slices needs.
+/// All frame geometry that the sum over slices needs.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
     pub axes: Axes,
     pub slices: Vec<Slice>,
-    /// Global numbers of the image's first sample and row.
+    /// Global indices of the image's first sample and row.
     pub first: [i64; 2],
     /// Columns (a multiple of 16) and rows (a multiple of 8).
     pub columns: usize,
@@ -145,8 +145,8 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    /// Plans a frame. `None` if no axis suits all of its rays, or if the volume extends behind the detector plane: such frames are traced
-    /// ray by ray.
+    /// Plans a frame. `None` if no axis suits all rays, or if the volume extends behind the detector plane: such frames are traced ray by
+    /// ray.
     pub fn new(grid: &Grid, fan: &RayFan, pixels: [u32; 2], oversampling: f64) -> Option<Self> {
         let corners = fan.corner_directions(pixels);
         let dims = grid.dims();
@@ -180,7 +180,7 @@ impl Plan {
             if high - low > MAX_PIXELS || low.abs() > 1e9 {
                 return None;
             }
-            // Aligned globally, so that a part of the detector has the same samples as the whole.
+            // Aligned globally, so that part of the detector has the same samples as the whole.
             let (low, high) = (libm::floor(low) as i64, libm::ceil(high) as i64);
             plan.first[m] = low.div_euclid(unit) * unit;
             size[m] = ((high - plan.first[m]) / unit + 1) as usize * unit as usize;
@@ -197,7 +197,7 @@ impl Plan {
         let step = fixed(ratio / self.oversampling).min(MAX_STEP);
         let axes = [self.axes.u, self.axes.v];
         let start = [0, 1].map(|m| fixed(self.source[axes[m]] * (1.0 - ratio)) + self.first[m] * step);
-        // A sample reads its voxel and the next.
+        // A sample reads its voxel and the next one.
         let range = |m: usize, unit: i64, reach: i64, count: usize| {
             let stride = unit * step;
             let low = (-(reach * ONE) - start[m]).div_euclid(stride);
@@ -225,8 +225,8 @@ impl Plan {
     }
 }
 
-/// The axis with the smallest maximum slope over the detector, if all rays run the same way along it. Slopes are linear fractions of the
-/// pixel position, so their extremes are at the corners.
+/// The axis with the smallest maximum slope over the detector, if all rays have the same sign along it. Slopes are linear fractions of
+/// the pixel position, so their extremes are at the corners.
 fn best_axes(corners: &[[f64; 3]; 4]) -> Option<Axes> {
     let mut best: Option<(f64, Axes)> = None;
     for slow in 0..3 {

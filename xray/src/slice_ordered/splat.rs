@@ -15,7 +15,7 @@ impl Rect {
         Self { columns: hull(self.columns, other.columns), rows: hull(self.rows, other.rows) }
     }
 
-    /// Grown by some pixels on every side, as far as the image reaches.
+    /// Grown by `by` pixels on every side, within the image.
     pub(crate) fn grown(&self, by: usize, columns: usize, rows: usize) -> Self {
         Self {
             columns: (self.columns.0.saturating_sub(by), (self.columns.1 + by).min(columns)),
@@ -31,9 +31,9 @@ pub(crate) struct Dirty {
 }
 
 impl Dirty {
-    /// Largest number of rectangles: each costs a margin of pixels around it.
+    /// Maximum number of rectangles: each adds a margin of pixels around it.
     const MOST: usize = 8;
-    /// Number of pixels by which a rectangle may grow to include another one.
+    /// Number of pixels by which a rectangle may grow to absorb another one.
     const SLACK: usize = 1024;
 
     /// The rectangles.
@@ -45,7 +45,7 @@ impl Dirty {
     #[inline(always)]
     fn include(&mut self, new: Rect) {
         let growth = |rect: &Rect| rect.joined(&new).area() - rect.area();
-        // Voxels come in the order of their removal: mostly the same rectangle as before, the last.
+        // Voxels arrive in removal order, so they mostly fall into the last rectangle.
         if let Some(last) = self.rects.last_mut()
             && growth(last) <= Self::SLACK
         {
@@ -63,15 +63,15 @@ impl Dirty {
     }
 }
 
-/// Work space: the columns that sample a voxel, and their weights.
+/// Workspace: the columns that sample a voxel, and their weights.
 #[derive(Default)]
 pub(crate) struct Splatter {
     columns: Vec<(usize, i64)>,
 }
 
 impl Splatter {
-    /// Updates the image for a voxel that changes to `value`. To be called before the copy that the image was summed from is changed.
-    /// Adds the changed pixels to `dirty`.
+    /// Updates the image for a voxel that changes to `value`, and adds the changed pixels to `dirty`. Call before the change is applied
+    /// to the copy that the image was summed from.
     #[inline(always)]
     pub fn splat<T: Voxel>(
         &mut self,
@@ -135,16 +135,16 @@ impl Splatter {
     }
 }
 
-/// Samples along one direction of the image that may lie within a voxel of `position`, half open.
+/// Samples along one image direction that may read a voxel at `position`, half-open.
 #[inline(always)]
 fn near(slice: &Slice, m: usize, position: i64, count: usize) -> (usize, usize) {
-    // In f64 with one sample more on both sides: the caller checks each sample exactly.
+    // Computed in f64 with one extra sample on both sides: the caller checks each sample exactly.
     let at = |p: i64| ((p << 32) - slice.start[m]) as f64 * slice.samples_per_position;
     let clamp = |x: f64| x.clamp(0.0, count as f64) as usize;
     (clamp(at(position - 1) - 1.0), clamp(at(position + 1) + 2.0))
 }
 
-/// Largest number of slices whose samples of values up to `largest` cannot overflow 32 bits.
+/// Maximum number of slices whose samples, with values up to `largest`, cannot overflow 32 bits.
 pub(crate) fn slices_until_flush(largest: i16) -> usize {
     let most = i64::from(largest.max(1)) << WEIGHT_BITS;
     (i64::from(i32::MAX) / most) as usize

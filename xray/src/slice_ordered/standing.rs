@@ -1,4 +1,4 @@
-//! The cached sums and image of one C-arm, and how they become line integrals on its detector.
+//! The cached sums and image of one C-arm, and their conversion to line integrals on its detector.
 
 use rayon::prelude::*;
 
@@ -9,15 +9,15 @@ use super::warp::{Rect, SharpenRow, Warp, WarpRow};
 use crate::carm::{CArm, PixelBox};
 use crate::ray::RayFan;
 
-/// Fewer pixels than this are warped without waking the worker threads.
+/// Below this number of pixels, the calling thread warps them without waking the workers.
 const PARALLEL_FROM: usize = 1 << 14;
 
-/// Which threads work.
+/// Threads to use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Threads {
-    /// The caller's alone.
+    /// The calling thread only.
     Caller,
-    /// Those of the pool that the caller runs in.
+    /// The pool that the caller runs in.
     Pool,
 }
 
@@ -26,11 +26,11 @@ pub(super) struct Standing {
     pub c_arm: CArm,
     pub fan: RayFan,
     pub plan: Plan,
-    /// Sums over all slices, row by row.
+    /// Sums over all slices, row-major.
     pub sums: Vec<i64>,
     /// The same, sharpened.
     pub image: Vec<f32>,
-    /// What has changed in the sums and not yet in the image.
+    /// Pixels whose sums have changed but whose image has not been updated.
     pub dirty: Dirty,
 }
 
@@ -41,7 +41,7 @@ impl Standing {
     }
 }
 
-/// How sums are shown.
+/// Conversion of sums to line integrals.
 #[derive(Clone, Copy)]
 pub(super) struct Show {
     pub instructions: Instructions,

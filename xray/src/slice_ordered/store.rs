@@ -1,4 +1,4 @@
-//! The volume as it is summed: re-ordered copies of its values, or of the means of its blocks.
+//! The volume in summing format: reordered copies of its values, or of its block means.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -16,7 +16,7 @@ use crate::error::DrrError;
 use crate::grid::{Grid, VolumeView};
 use crate::removal::RemovedVoxels;
 
-/// A voxel of the store that gets another value.
+/// A stored voxel whose value changes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Change {
     /// Linear index in the store.
@@ -48,15 +48,15 @@ impl Values {
     }
 }
 
-/// What is stored.
+/// The stored data.
 pub(super) enum Store {
     /// Every voxel.
     Whole(Copies<i16>),
-    /// The means of blocks of voxels, in bytes.
+    /// The block means, as bytes.
     Preview { copies: Copies<u8>, blocks: Blocks },
 }
 
-/// Runs the same code for either kind of copies.
+/// Runs the same code for both kinds of copies.
 macro_rules! with_copies {
     ($store:expr, $copies:ident => $code:expr) => {
         match $store {
@@ -67,7 +67,7 @@ macro_rules! with_copies {
 }
 
 impl Store {
-    /// `reduction` voxels along each axis are merged into one.
+    /// Averages `reduction` voxels per axis into one.
     pub fn new(view: &VolumeView<'_>, values: &Values, reduction: usize) -> Self {
         if reduction == 1 {
             return Self::Whole(Copies::new(view.grid().dims()));
@@ -76,7 +76,7 @@ impl Store {
         Self::Preview { copies: Copies::new(blocks.dims), blocks }
     }
 
-    /// The grid of what is stored.
+    /// The grid of the stored data.
     pub fn grid(&self, grid: &Grid) -> Result<Grid, DrrError> {
         match self {
             Self::Whole(_) => Ok(*grid),
@@ -84,7 +84,7 @@ impl Store {
         }
     }
 
-    /// Units in one step of a stored value.
+    /// Units per step of a stored value.
     pub fn step(&self) -> u32 {
         match self {
             Self::Whole(_) => 1,
@@ -92,7 +92,7 @@ impl Store {
         }
     }
 
-    /// What a stored value is multiplied by before it is weighted.
+    /// Factor applied to a stored value before weighting.
     pub fn widening(&self) -> i16 {
         match self {
             Self::Whole(_) => <i16 as Voxel>::UNIT,
@@ -100,7 +100,7 @@ impl Store {
         }
     }
 
-    /// Forgets all copies and all changes.
+    /// Drops all copies and changes.
     pub fn restore(&mut self, view: &VolumeView<'_>, values: &Values) {
         *self = match self {
             Self::Whole(_) => Self::new(view, values, 1),
@@ -108,7 +108,7 @@ impl Store {
         };
     }
 
-    /// The change of the store if a voxel of the volume changes from one value to another; `None` if the stored values stay.
+    /// The change in the store when a voxel of the volume changes from one value to another; `None` if the stored values stay the same.
     pub fn change(&mut self, grid: &Grid, linear: usize, from: i16, to: i16) -> Option<Change> {
         match self {
             Self::Whole(_) => Some(Change { linear: linear as u32, value: to }),
@@ -123,7 +123,7 @@ impl Store {
         }
     }
 
-    /// Makes the copy with rows along `fast`, if it is missing.
+    /// Creates the copy with rows along `fast` if it is missing.
     pub fn ensure(&mut self, source: &Source<'_>, fast: usize) -> Result<(), DrrError> {
         let Source { view, removed, values, fill, machine } = *source;
         match self {
@@ -157,7 +157,7 @@ impl Store {
         with_copies!(self, copies => copies.sum(plan, instructions, sums));
     }
 
-    /// Works changes into the sums of a C-arm, if one stands, and into the copies.
+    /// Applies changes to the current C-arm's sums, if there are any, and to the copies.
     pub fn apply(&mut self, standing: Option<&mut Standing>, changes: &[Change]) {
         with_copies!(self, copies => match standing {
             Some(standing) => copies.splat(standing, changes),
@@ -178,13 +178,13 @@ impl Store {
         }
     }
 
-    /// Shares of the cells that are not skipped, of the copies that exist.
+    /// Fraction of occupied cells in each existing copy.
     pub fn occupied_shares(&self) -> [Option<f64>; 2] {
         with_copies!(self, copies => copies.each(Copy3::occupied_share))
     }
 }
 
-/// What a copy is made from.
+/// Source data of a copy.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub view: &'a VolumeView<'a>,
@@ -236,7 +236,7 @@ impl<T: Voxel> Copies<T> {
         }
     }
 
-    /// Makes a copy if it is missing; `changed` are the voxels that differ from `fill_row`'s.
+    /// Creates a copy if it is missing; `changed` lists the voxels that differ from those of `fill_row`.
     fn ensure(
         &mut self,
         machine: &dyn Machine,
@@ -265,11 +265,11 @@ impl<T: Voxel> Copies<T> {
     }
 
     fn sum(&self, plan: &Plan, instructions: Instructions, sums: &mut Vec<i64>) {
-        // Every tile is written whole.
+        // Every tile is overwritten completely.
         sums.resize(plan.pixels(), 0);
         let Some(copy) = &self.by_fast[plan.axes.u] else { return };
         let flush_after = slices_until_flush(self.largest * T::UNIT);
-        // One tile at a time, because those in the middle of the picture take longest; finished tiles hand on their work space.
+        // One tile at a time, because those in the middle of the image take longest; finished tiles pass on their workspace.
         let spare = Mutex::new(Vec::new());
         let spare = || spare.lock().unwrap_or_else(PoisonError::into_inner);
         let tiles = sums.par_chunks_mut((TILES * TILE_ROWS * plan.columns).max(1)).enumerate();
@@ -286,12 +286,12 @@ impl<T: Voxel> Copies<T> {
     }
 }
 
-/// Sums of the values of cubes of voxels: a preview's values come from them.
+/// Sums over cubes of voxels, from which a preview's values derive.
 pub(super) struct Blocks {
     side: usize,
     dims: [usize; 3],
     sums: Vec<u32>,
-    /// Units in one step of a byte.
+    /// Units per step of a byte.
     step: u32,
 }
 
@@ -316,7 +316,7 @@ impl Blocks {
         Self { side, dims, sums, step: largest.div_ceil(255).max(1) }
     }
 
-    /// Value of a block in steps: the rounded mean. Voxels beyond the volume count as air.
+    /// Value of a block in steps: the rounded mean. Voxels outside the volume count as air.
     fn value(&self, sum: u32) -> i16 {
         let unit = (self.side * self.side * self.side) as u32 * self.step;
         ((sum + unit / 2) / unit).min(255) as i16

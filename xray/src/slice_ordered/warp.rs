@@ -1,11 +1,11 @@
-//! From the intermediate image to the detector: sharpening, then one interpolation for each pixel.
+//! From the intermediate image to the detector: sharpening, then one interpolation per pixel.
 //!
-//! Bilinear interpolation blurs: it convolves the voxels with a triangle, whose second moment of one sixth of a squared
-//! voxel spacing is twice that of the voxel itself. `I - alpha laplacian(I)` with `alpha = oversampling^2 / 12` undoes half
-//! of it. The image is then read with Catmull and Rom's cubic ("A class of local interpolating splines", 1974), whose
-//! error is small compared with that of the voxels.
+//! Bilinear interpolation blurs: it convolves the voxels with a triangle, whose second moment of one sixth of a squared voxel spacing is
+//! twice that of the voxel itself. `I - alpha laplacian(I)` with `alpha = oversampling^2 / 12` undoes half of it. The image is then
+//! sampled with the Catmull-Rom cubic (Catmull and Rom, "A class of local interpolating splines", 1974), whose error is small compared
+//! with that of the voxels.
 //!
-//! Plain f32 and f64 arithmetic in a fixed order without fused operations: vector code has the same bits.
+//! Plain f32 and f64 arithmetic in a fixed order, without fused operations: vector code gives the same bits.
 
 use super::instructions::Plain;
 use super::plan::Plan;
@@ -19,7 +19,7 @@ pub(crate) struct Rect {
     pub rows: (usize, usize),
 }
 
-/// 1.5 * 2^52: a smaller number added to it is rounded to an integer, which the lowest bits then hold.
+/// 1.5 * 2^52: adding a smaller number rounds it to an integer, which is then in the low bits.
 const INTEGER: f64 = 6_755_399_441_055_744.0;
 
 /// Converts an integer of magnitude below 2^51 exactly; the sums are far smaller.
@@ -28,7 +28,7 @@ fn float(sum: i64) -> f64 {
     f64::from_bits((sum as u64).wrapping_add(INTEGER.to_bits())) - INTEGER
 }
 
-/// Whole part and fraction of a position from 0 to 2^31.
+/// Integer part and fraction of a position from 0 to 2^31.
 #[inline(always)]
 fn split(position: f64) -> (u32, f32) {
     let shifted = position + INTEGER;
@@ -44,7 +44,7 @@ fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), a
     let width = plan.columns;
     let line = |r: usize| sums.get(r * width..(r + 1) * width).unwrap_or(&[]);
     let (above, here, below) = (line(row.wrapping_sub(1)), line(row), line(row + 1));
-    // Beyond the image the sums are zero, or no pixel reads them.
+    // Outside the image the sums are zero, or no pixel reads them.
     let interior = (columns.0.max(1), columns.1.min(width.saturating_sub(1)));
     let at = |line: &[i64], c: usize| line.get(c).copied().unwrap_or(0);
     let one = |c: usize| {
@@ -66,7 +66,7 @@ fn sharpen_row(sums: &[i64], plan: &Plan, row: usize, columns: (usize, usize), a
     }
 }
 
-/// The detector's view of the intermediate image.
+/// Maps the intermediate image to the detector.
 pub(crate) struct Warp<'a> {
     pub plan: &'a Plan,
     pub fan: &'a RayFan,
@@ -76,12 +76,12 @@ pub(crate) struct Warp<'a> {
     pub scale_per_m: f64,
 }
 
-/// Pixels whose positions are computed together.
+/// Pixels whose positions are computed at once.
 const CHUNK: usize = 64;
 
-/// Where the pixels of a run lie in the image, and the factors of their samples.
+/// Positions of a run of pixels in the image, and the factors of their samples.
 struct Places {
-    /// Number of the sample up and left of the four by four that are read.
+    /// Index of the top-left sample of the 4 x 4 that are read.
     corner: [u32; CHUNK],
     x: [f32; CHUNK],
     y: [f32; CHUNK],
@@ -89,7 +89,7 @@ struct Places {
 }
 
 impl Warp<'_> {
-    /// Line integrals of the pixels of a detector row from `first_column` on.
+    /// Line integrals of the pixels of a detector row, starting at `first_column`.
     #[inline(always)]
     pub fn row(&self, row: u32, first_column: u32, out: &mut [f64]) {
         if self.plan.pixels() == 0 {
@@ -104,7 +104,7 @@ impl Warp<'_> {
             self.place(row, first_column + (chunk * CHUNK) as u32, &mut places);
             let weights = catmull_rom(&places.y);
             for (n, columns) in columns.iter_mut().enumerate().take(out.len()) {
-                // This exit keeps the compiler from gathering the taps of many pixels at a time (vgather), which is slower.
+                // This early exit stops the compiler from gathering the taps of many pixels at a time (vgather), which is slower.
                 let Some(taps) = taps(&rows, places.corner[n] as usize) else { break };
                 for (c, v) in columns.iter_mut().enumerate() {
                     *v = (weights[0][n] * taps[0][c] + weights[1][n] * taps[1][c])
@@ -117,7 +117,7 @@ impl Warp<'_> {
                 let c = &columns[n];
                 let value = (weights[0][n] * c[0] + weights[1][n] * c[1])
                     + (weights[2][n] * c[2] + weights[3][n] * c[3]);
-                // A cubic undershoots beside an edge; attenuation is never negative.
+                // A cubic undershoots next to an edge, but attenuation is never negative.
                 values[n] = f64::from((value * places.factor[n]).max(0.0));
             }
             out.copy_from_slice(&values[..out.len()]);
@@ -131,7 +131,7 @@ impl Warp<'_> {
         let reach = plan.far * plan.oversampling;
         let shift = |axis: usize, m: usize| plan.source[axis] * plan.oversampling - plan.first[m] as f64;
         let (shift_x, shift_y) = (shift(u, 0), shift(v, 1));
-        // Positions further out read the margin of zeros around the volume.
+        // Positions farther out read the zero margin around the volume.
         let (limit_x, limit_y) = (plan.columns as f64 - 3.0, plan.rows as f64 - 3.0);
         let width = plan.columns as u32;
         let scale_per_m = self.scale_per_m as f32;
@@ -155,8 +155,8 @@ impl Warp<'_> {
         }
     }
 
-    /// The image, and the image from its second, third and fourth row on, all of the same length, so that one bounds check is enough for
-    /// the four. `None` for an image of fewer rows, which never occurs.
+    /// The image, and the image from its second, third and fourth row on, all of the same length, so that one bounds check covers all
+    /// four. `None` for an image with fewer rows, which never occurs.
     #[inline(always)]
     fn rows(&self) -> Option<[&[f32]; 4]> {
         let width = self.plan.columns;
@@ -189,7 +189,7 @@ fn catmull_rom(fractions: &[f32; CHUNK]) -> [[f32; CHUNK]; 4] {
     weights
 }
 
-/// The detector pixels that read a rectangle of the intermediate image's sums.
+/// The detector pixels that read a rectangle of the intermediate image.
 pub(crate) fn pixels_of(plan: &Plan, fan: &RayFan, rect: &Rect, pixels: [u32; 2]) -> Option<PixelBox> {
     // Sharpening reaches one sample further, the cubic two; one more for rounding.
     const REACH: f64 = 4.0;

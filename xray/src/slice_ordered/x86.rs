@@ -1,6 +1,6 @@
-//! AVX-512 (BW) and AVX2: the integers of [`Scalar`](super::kernel::Scalar), 32 voxels and 16 samples at a time.
+//! AVX-512 (BW) and AVX2: the same integers as [`Scalar`](super::kernel::Scalar), 32 voxels and 16 samples at a time.
 //!
-//! `pulp` proves at run time that the instructions exist; its tokens make calling them safe.
+//! `pulp` checks at run time that the instructions exist; its tokens make calling them safe.
 
 use core::arch::x86_64::{__m128i, __m256i, __m512i, _MM_HINT_T0};
 
@@ -67,27 +67,27 @@ pub(crate) struct Avx2(pub V3);
 /// Lanes of a 256-bit register.
 const HALF: usize = GROUP / 2;
 
-/// Steps of eight samples from the beginning of their group.
+/// Positions of eight samples relative to the start of their group.
 #[derive(Clone, Copy)]
 pub(crate) struct HalfSteps {
     each: __m256i,
-    /// The first and the fifth again, as scalars: an address is ready sooner when it is computed from a scalar register.
+    /// The first and the fifth again, as scalars: an address is ready sooner when computed from a scalar register.
     starts: [u32; 2],
 }
 
-/// Where eight samples lie in a group's window, and their weights.
+/// Positions of eight samples in a group's window, and their weights.
 #[derive(Clone, Copy)]
 struct HalfGroup {
-    /// First voxels of its first and last four samples.
+    /// First voxel of the first four and of the last four samples.
     starts: [usize; 2],
-    /// Bytes of the pairs of neighbours in the eight voxels from there on.
+    /// Byte indices of the neighbour pairs within the eight voxels from there.
     pairs: __m256i,
     /// Weights of the pairs.
     along: __m256i,
 }
 
 impl Avx2 {
-    /// Eight of the samples of a group that begins at `fraction`.
+    /// Eight samples of a group that starts at `fraction`.
     #[inline(always)]
     fn half_group(self, steps: &HalfSteps, fraction: u32) -> HalfGroup {
         let (avx, avx2) = (self.0.avx, self.0.avx2);
@@ -96,7 +96,7 @@ impl Avx2 {
         let mask = avx._mm256_set1_epi32(FRACTION_MASK as i32);
         let fx = avx2
             ._mm256_and_si256(avx2._mm256_srli_epi32::<{ (LANE_BITS - WEIGHT_BITS) as i32 }>(position), mask);
-        // Each half of the register holds four samples, and eight voxels from the first sample's on.
+        // Each half of the register holds four samples, and the eight voxels from the first sample on.
         let inside = avx2._mm256_sub_epi32(offset, avx2._mm256_shuffle_epi32::<0>(offset));
         // Bytes 2 x, 2 x + 1, 2 x + 2, 2 x + 3 of the voxels.
         let spread: __m256i = cast([[0_u8, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, 12, 12, 12, 12]; 2]);
@@ -119,10 +119,10 @@ impl Avx2 {
     }
 }
 
-/// Eight voxels of a window from one of its first sixteen on.
+/// Eight voxels of a window, starting at one of its first sixteen.
 #[inline(always)]
 fn eight(window: &[i16; WINDOW], start: usize) -> __m128i {
-    // At most twelve steps of 1.25 voxels: the remainder changes nothing, but tells the compiler so.
+    // At most twelve steps of 1.25 voxels: the remainder changes nothing but proves the bound to the compiler.
     cast(window[start % GROUP..].first_chunk::<8>().copied().unwrap_or_default())
 }
 
@@ -162,7 +162,7 @@ impl Lanes for Avx2 {
         place: GroupPlace,
         sums: &mut GroupSums,
     ) {
-        // Written out: vector code in a closure is not inlined where the instructions are enabled.
+        // Unrolled by hand: vector code in a closure is not inlined into the function that enables the instruction set.
         let [low, high] = &steps;
         let halves = [self.half_group(low, place.fraction), self.half_group(high, place.fraction)];
         for (window, sums) in rows.windows(place.first).zip(sums) {

@@ -1,28 +1,28 @@
-//! How rays cross the parts of the tool.
+//! Ray intersections with the tool's parts.
 
 use super::part::{Cut, Radii};
 use crate::vector::{Vec3, add_scaled, dot};
 
-/// Where a ray enters and leaves the envelope of a part, and how much metal it passes.
+/// Where a ray enters and leaves a part's envelope, and its path length in metal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
     /// Parameters of the ray inside the envelope, clipped to 0..=1.
     pub envelope: (f64, f64),
-    /// Path in the material.
+    /// Path length in the material.
     pub metal_m: f64,
 }
 
-/// A part as one source sees it.
+/// A part with precomputed constants for one source.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum SeenPart {
     /// `o` runs from the centre to the source.
     Sphere { o: Vec3, radius_m: f64 },
-    /// Coordinate of the source along the axis, and its vector across it.
+    /// The source's coordinate along the axis, and its vector across the axis.
     Axial { axis: Vec3, length_m: f64, radii: Radii, along: f64, across: Vec3 },
 }
 
 impl SeenPart {
-    /// How a ray of this source crosses the part; `length_m` is that of `direction_m`.
+    /// Intersects a ray from this source with the part; `length_m` is the length of `direction_m`.
     #[inline]
     pub(crate) fn cross(&self, direction_m: Vec3, length_m: f64) -> Option<Crossing> {
         match *self {
@@ -47,7 +47,7 @@ impl SeenPart {
     }
 }
 
-/// Sorts intervals by their start and joins those that overlap or touch, in place; returns how many are left.
+/// Sorts intervals by start and merges those that overlap or touch, in place; returns the number that remain.
 pub fn join_intervals(intervals: &mut [(f64, f64)]) -> usize {
     intervals.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut kept = 0;
@@ -76,7 +76,8 @@ fn length(interval: Option<(f64, f64)>) -> f64 {
     interval.map_or(0.0, |(a, b)| b - a)
 }
 
-/// Where a line o + t d comes closest to the origin. From there, |o + t d| < r is solved without cancellation even if the source is far
+/// The point of the line o + t d closest to the origin. Measured from there, |o + t d| < r is solved without cancellation even for a
+/// distant source.
 /// away.
 struct Closest {
     parameter: f64,
@@ -104,7 +105,7 @@ impl Closest {
     }
 }
 
-/// A ray split along and across an axis: the value at parameter 0 and the rate.
+/// A ray decomposed along and across an axis: value at parameter 0, and rate.
 struct AxialRay {
     along: (f64, f64),
     across: (Vec3, Vec3),
@@ -112,7 +113,7 @@ struct AxialRay {
 }
 
 impl AxialRay {
-    /// Where the coordinate along the axis is between two values.
+    /// Parameters for which the coordinate along the axis is between two values.
     #[inline]
     fn between(&self, (low, high): (f64, f64)) -> Option<(f64, f64)> {
         let (o, d) = self.along;
@@ -133,7 +134,7 @@ impl AxialRay {
     ) -> Option<Crossing> {
         let (o, d) = self.across;
         let closest = Closest::new(o, d);
-        // Parallel to the axis within rounding: the distance from it does not change.
+        // Parallel to the axis within rounding: the distance from it is constant.
         let parallel = closest.dd.sqrt() < 1e-12 * self.length_m;
         let inside = |radius_m: f64| {
             if parallel {
@@ -145,13 +146,13 @@ impl AxialRay {
         let lumen = if inner_m > 0.0 { inside(inner_m).and_then(|i| overlap(envelope, i)) } else { None };
         let mut wall = envelope.1 - envelope.0 - length(lumen);
         if let Some(cut) = notch.and_then(|cut| self.inside_cut(&cut)) {
-            // The notch removes its share of the envelope, except for the lumen, which holds no metal anyway.
+            // The notch removes its part of the envelope, except in the lumen, which holds no metal anyway.
             wall -= length(overlap(envelope, cut)) - length(lumen.and_then(|l| overlap(l, cut)));
         }
         Some(Crossing { envelope, metal_m: wall.max(0.0) * self.length_m })
     }
 
-    /// Where the ray is in a notch.
+    /// Parameters for which the ray is inside a notch.
     fn inside_cut(&self, cut: &Cut) -> Option<(f64, f64)> {
         let slab = self.between(cut.along)?;
         let (o, d) = (dot(self.across.0, cut.side) - cut.above, dot(self.across.1, cut.side));
@@ -162,11 +163,11 @@ impl AxialRay {
         overlap(slab, if d > 0.0 { (edge, f64::INFINITY) } else { (f64::NEG_INFINITY, edge) })
     }
 
-    /// Solves |across|^2 < (start + slope z)^2 between the caps, where the radius is not negative: the body is convex, so the solution
-    /// is one interval.
+    /// Solves |across|^2 < (start + slope z)^2 between the caps, where the radius is not negative. The body is convex, so the solution is
+    /// one interval.
     fn cross_cone(&self, caps: (f64, f64), start_m: f64, slope: f64) -> Option<Crossing> {
         let (o, d) = self.across;
-        // Relative to the point closest to the cone's start, so that no digits are lost if the source is far away.
+        // Relative to the point closest to the cone's start, to avoid cancellation for a distant source.
         let near = -(dot(o, d) + self.along.0 * self.along.1) / (dot(d, d) + self.along.1 * self.along.1);
         let o = add_scaled(o, near, d);
         let (r, rate) = (start_m + slope * (self.along.0 + near * self.along.1), slope * self.along.1);
@@ -175,7 +176,7 @@ impl AxialRay {
         let discriminant = b * b - a * c;
         let whole = (f64::NEG_INFINITY, f64::INFINITY);
         let pieces = if a.abs() <= 1e-15 * (dot(d, d) + rate * rate) {
-            // Parallel to a line of the surface.
+            // Parallel to a generatrix of the cone.
             if b == 0.0 {
                 [(c < 0.0).then_some(whole), None]
             } else {
@@ -185,7 +186,7 @@ impl AxialRay {
         } else if discriminant <= 0.0 {
             [(a < 0.0).then_some(whole), None]
         } else {
-            // The root without cancellation, and the other from their product.
+            // One root without cancellation, the other from their product.
             let q = -(b + discriminant.sqrt().copysign(b));
             let (t0, t1) = (q / a, c / q);
             let (low, high) = (t0.min(t1), t0.max(t1));

@@ -1,8 +1,8 @@
-//! The tool: closed-form chords of its parts, and the anatomy they displace.
+//! The tool: closed-form chords of its parts, and the anatomy that they displace.
 //!
-//! Along a ray, L = L_anatomy - (anatomy inside the union of the parts' envelopes) + sum(mu_metal * chord). A hollow part's
-//! lumen belongs to its envelope and holds air, apart from what other parts put there (a drive cable). Metal that two parts
-//! both claim counts twice.
+//! Along a ray, L = L_anatomy - (anatomy inside the union of the parts' envelopes) + sum(mu_metal * chord). The lumen of a hollow part
+//! belongs to its envelope and holds air, except where other parts occupy it (a drive cable). Metal in the overlap of two parts counts
+//! twice.
 
 mod crossing;
 mod part;
@@ -25,7 +25,7 @@ pub enum ToolPart {
         end_m: [f64; 3],
         /// Radius.
         radius_m: f64,
-        /// What it is made of.
+        /// Material.
         material: Material,
     },
     /// A tube with flat, open ends.
@@ -38,7 +38,7 @@ pub enum ToolPart {
         outer_radius_m: f64,
         /// Radius of the lumen.
         inner_radius_m: f64,
-        /// What the wall is made of.
+        /// Wall material.
         material: Material,
     },
     /// A tube with a notch in its wall, as between two flexures. The notch belongs to the envelope and holds air.
@@ -51,9 +51,9 @@ pub enum ToolPart {
         outer_radius_m: f64,
         /// Radius of the lumen.
         inner_radius_m: f64,
-        /// What was cut out.
+        /// The notch.
         notch: Notch,
-        /// What the wall is made of.
+        /// Wall material.
         material: Material,
     },
     /// A solid frustum of a cone with flat ends.
@@ -66,7 +66,7 @@ pub enum ToolPart {
         start_radius_m: f64,
         /// Radius at the end, 0 for a point.
         end_radius_m: f64,
-        /// What it is made of.
+        /// Material.
         material: Material,
     },
     /// A solid sphere.
@@ -75,19 +75,19 @@ pub enum ToolPart {
         centre_m: [f64; 3],
         /// Radius.
         radius_m: f64,
-        /// What it is made of.
+        /// Material.
         material: Material,
     },
 }
 
-/// A notch in a tube: everything between two planes across the axis and beyond a third plane parallel to it is cut out.
+/// A notch in a tube: the cut-out between two planes perpendicular to the axis and beyond a third plane parallel to it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Notch {
-    /// From the tube's start to the notch's first plane, along the axis.
+    /// From the tube's start to the first plane of the notch, along the axis.
     pub offset_m: f64,
     /// Width along the axis.
     pub width_m: f64,
-    /// The side that is open: a unit vector perpendicular to the axis.
+    /// Unit vector to the open side, perpendicular to the axis.
     pub side: [f64; 3],
     /// Depth from the tube's outer surface, less than its outer diameter.
     pub depth_m: f64,
@@ -96,6 +96,6 @@ pub struct Notch {
 /// A tool: any number of parts. A tool without parts costs nothing.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Tool {
-    /// The parts, in any order. Their order fixes the order of the sums, and so the bits.
+    /// The parts, in any order. The order of the sums follows it, and so do the last bits.
     pub parts: Vec<ToolPart>,
 }

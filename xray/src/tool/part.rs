@@ -1,4 +1,4 @@
-//! A part of the tool: checked, and with its constants.
+//! A validated part of the tool with its precomputed constants.
 
 use super::crossing::{Crossing, SeenPart};
 use super::{Notch, ToolPart};
@@ -6,7 +6,7 @@ use crate::attenuation::Material;
 use crate::ray::WorldRay;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 
-/// A checked part with its constants.
+/// A validated part with its constants.
 #[derive(Debug, Clone, Copy)]
 pub struct PreparedPart {
     shape: Shape,
@@ -26,7 +26,7 @@ pub(crate) enum Radii {
     Cone { start_m: f64, slope: f64, widest_m: f64 },
 }
 
-/// A notch as a range of the coordinate along the axis, and a lower bound of the one towards `side`.
+/// A notch as a range along the axis, and a lower bound of the coordinate toward `side`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cut {
     pub(super) along: (f64, f64),
@@ -38,8 +38,8 @@ impl PreparedPart {
     /// Checks a part and computes its constants.
     ///
     /// # Errors
-    /// What is wrong with it: a number that is not finite or above 100 m, a radius or length that is not positive, a lumen as wide as the
-    /// tube, a notch outside its tube.
+    /// A number is not finite or above 100 m, a radius or length is not positive, the lumen is as wide as the tube, or a notch is outside
+    /// its tube.
     pub fn new(part: &ToolPart) -> Result<Self, &'static str> {
         let (shape, material) = match *part {
             ToolPart::Sphere { centre_m, radius_m, material } => {
@@ -66,7 +66,7 @@ impl PreparedPart {
             ToolPart::Cone { start_m, end_m, start_radius_m, end_radius_m, material } => {
                 let widest_m = start_radius_m.max(end_radius_m);
                 check_radius(widest_m)?;
-                // Written so that a NaN is refused.
+                // Negated, so that a NaN is refused.
                 if !(start_radius_m >= 0.0 && end_radius_m >= 0.0) {
                     return Err("a radius of the cone is negative or NaN: give 0 for a point");
                 }
@@ -80,17 +80,17 @@ impl PreparedPart {
         Ok(Self { shape, material })
     }
 
-    /// What the part is made of.
+    /// The part's material.
     pub fn material(&self) -> Material {
         self.material
     }
 
-    /// How a ray crosses the part; `None` if it misses.
+    /// Intersects a ray with the part; `None` if it misses.
     pub fn cross(&self, ray: &WorldRay) -> Option<Crossing> {
         self.seen_from(ray.origin_m).cross(ray.direction_m, ray.length_m)
     }
 
-    /// The part with everything that all rays from one source share.
+    /// The part with everything that rays from one source share.
     pub(crate) fn seen_from(&self, source_m: Vec3) -> SeenPart {
         match self.shape {
             Shape::Sphere { centre_m, radius_m } => SeenPart::Sphere { o: sub(source_m, centre_m), radius_m },
@@ -102,7 +102,7 @@ impl PreparedPart {
         }
     }
 
-    /// Centre and half edges of a box around the part, rotated so that it is as narrow as possible as seen from `source_m`.
+    /// Centre and half-extent vectors of a bounding box, rotated to be as narrow as possible as seen from `source_m`.
     pub(crate) fn box_from(&self, source_m: Vec3) -> (Vec3, [Vec3; 3]) {
         match self.shape {
             Shape::Sphere { centre_m, radius_m: r } => {
