@@ -3,12 +3,12 @@
 //! One tick:
 //!
 //! 1. apply the latched commands: arm goal, tendon target, burr speed;
-//! 2. the arm moves along its jerk-limited path; its flange is the manipulator's base;
-//! 3. the proxy spheres of the manipulator ask the bone and the rigid bodies for contact planes;
-//! 4. the manipulator steps with these planes and the tendon's tension, impulses inside its implicit solve; free bodies
+//! 2. move the arm along its jerk-limited path; the flange is the manipulator's base;
+//! 3. find the contact planes between the manipulator's proxy spheres and the bone and rigid bodies;
+//! 4. step the manipulator with these planes and the tendon tensions, contact impulses inside its implicit solve; free bodies
 //!    step with it;
-//! 5. the burr, pressed with the normal force of that solve, takes bone away;
-//! 6. the chained hash takes in commands, state and removed voxels.
+//! 5. remove bone with the burr, which presses with the normal force of that solve;
+//! 6. extend the hash chain with commands, state and removed voxels.
 
 mod apply;
 mod keyframe;
