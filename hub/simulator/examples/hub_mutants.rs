@@ -12,8 +12,8 @@ use test_support::limited::Limited;
 /// Seeds within which each is to be found.
 const SEEDS: u64 = 10_000;
 /// What the copy consists of.
-const CRATES: [&str; 7] =
-    ["voxel_grid", "messages", "scene", "foreign_text", "hub", "hub/simulator", "tests/support"];
+const CRATES: [&str; 8] =
+    ["voxel_grid", "messages", "scene", "foreign_text", "run_log", "hub", "hub/simulator", "tests/support"];
 
 fn main() -> ExitCode {
     let wanted = std::env::args().nth(1).unwrap_or_default();
