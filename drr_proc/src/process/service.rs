@@ -189,6 +189,7 @@ impl Service {
             let message = removed.message();
             self.removals.receive(RemovedBatch {
                 tick: message.tick,
+                sequence: message.sequence,
                 total: message.removed_total,
                 restore_first: message.restore_first != 0,
                 voxels,

@@ -9,6 +9,8 @@ use thiserror::Error;
 pub struct RemovedBatch {
     /// The tick; 0 for what the scene predrills.
     pub tick: u64,
+    /// Counts the batches, from 1, rising by one.
+    pub sequence: u64,
     /// Number of voxels removed up to and with this tick.
     pub total: u64,
     /// Whether all removed voxels were restored first, as a reset does.
@@ -28,14 +30,27 @@ pub struct RemovedSince {
 
 /// Removed voxels were lost, so that frames would show bone that is gone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("tick {tick}: {expected} voxels have been removed, but only {received} arrived here")]
-pub struct RemovedLost {
-    /// Tick.
-    pub tick: u64,
-    /// Voxels that the physics removed.
-    pub expected: u64,
-    /// Voxels that came.
-    pub received: u64,
+pub enum RemovedLost {
+    /// The newest batches have not come.
+    #[error("tick {tick}: {expected} voxels have been removed, but only {received} arrived here")]
+    Voxels {
+        /// Tick of the state.
+        tick: u64,
+        /// Voxels that the physics removed.
+        expected: u64,
+        /// Voxels that came.
+        received: u64,
+    },
+    /// A batch in between has not come: the queue has run over.
+    #[error("tick {tick}: message {received} of removed voxels arrived here after message {before}")]
+    Batch {
+        /// Tick of the batch after it.
+        tick: u64,
+        /// Number of the batch before it; 0 if there is none.
+        before: u64,
+        /// Number of the batch after it.
+        received: u64,
+    },
 }
 
 /// Pairs removed voxels with the states that they belong to.
@@ -45,11 +60,20 @@ pub struct Removals {
     predrilled: Vec<u32>,
     since: RemovedSince,
     total: u64,
+    /// Number of the newest batch.
+    sequence: u64,
+    gap: Option<RemovedLost>,
 }
 
 impl Removals {
     /// Queues a batch; they come in the order of their ticks.
     pub fn receive(&mut self, batch: RemovedBatch) {
+        let (before, received) = (self.sequence, batch.sequence);
+        // Totals do not show it if the states in between are lost, too.
+        if received != before + 1 {
+            self.gap.get_or_insert(RemovedLost::Batch { tick: batch.tick, before, received });
+        }
+        self.sequence = received;
         self.waiting.push_back(batch);
     }
 
@@ -58,6 +82,8 @@ impl Removals {
     /// # Errors
     /// Batches are missing.
     pub fn advance(&mut self, tick: u64, removed_total: u64) -> Result<(), RemovedLost> {
+        // Those that are missing may belong to this state.
+        self.gap.map_or(Ok(()), Err)?;
         while self.waiting.front().is_some_and(|batch| batch.tick <= tick) {
             let Some(batch) = self.waiting.pop_front() else { break };
             if batch.restore_first {
@@ -73,7 +99,7 @@ impl Removals {
         if self.total == removed_total {
             return Ok(());
         }
-        Err(RemovedLost { tick, expected: removed_total, received: self.total })
+        Err(RemovedLost::Voxels { tick, expected: removed_total, received: self.total })
     }
 
     /// What has changed since the last call, up to the tick of the last [`Removals::advance`].
@@ -86,8 +112,8 @@ impl Removals {
 mod tests {
     use super::*;
 
-    fn batch(tick: u64, total: u64, voxels: &[u32]) -> RemovedBatch {
-        RemovedBatch { tick, total, restore_first: false, voxels: voxels.to_vec() }
+    fn batch(sequence: u64, tick: u64, total: u64, voxels: &[u32]) -> RemovedBatch {
+        RemovedBatch { tick, sequence, total, restore_first: false, voxels: voxels.to_vec() }
     }
 
     fn since(voxels: &[u32]) -> RemovedSince {
@@ -97,7 +123,7 @@ mod tests {
     #[test]
     fn a_frame_shows_the_voxels_up_to_its_tick_and_none_after_it() {
         let mut removals = Removals::default();
-        for batch in [batch(0, 2, &[1, 2]), batch(5, 3, &[3]), batch(6, 5, &[5, 4])] {
+        for batch in [batch(1, 0, 2, &[1, 2]), batch(2, 5, 3, &[3]), batch(3, 6, 5, &[5, 4])] {
             removals.receive(batch);
         }
         removals.advance(0, 2).unwrap();
@@ -112,12 +138,12 @@ mod tests {
     #[test]
     fn after_a_reset_only_the_predrilled_voxels_and_newer_ones_are_gone() {
         let mut removals = Removals::default();
-        removals.receive(batch(0, 1, &[7]));
-        removals.receive(batch(3, 2, &[8]));
+        removals.receive(batch(1, 0, 1, &[7]));
+        removals.receive(batch(2, 3, 2, &[8]));
         removals.advance(3, 2).unwrap();
         removals.take();
-        removals.receive(RemovedBatch { restore_first: true, ..batch(4, 1, &[]) });
-        removals.receive(batch(5, 2, &[9]));
+        removals.receive(RemovedBatch { restore_first: true, ..batch(3, 4, 1, &[]) });
+        removals.receive(batch(4, 5, 2, &[9]));
         removals.advance(5, 2).unwrap();
         assert_eq!(removals.take(), RemovedSince { restore_first: true, voxels: vec![7, 9] });
         assert_eq!(removals.take(), since(&[]));
@@ -126,9 +152,20 @@ mod tests {
     #[test]
     fn a_lost_batch_is_an_error_with_both_counts() {
         let mut removals = Removals::default();
-        removals.receive(batch(0, 4, &[1, 2, 3, 4]));
+        removals.receive(batch(1, 0, 4, &[1, 2, 3, 4]));
         let lost = removals.advance(9, 6).unwrap_err();
-        assert_eq!(lost, RemovedLost { tick: 9, expected: 6, received: 4 });
+        assert_eq!(lost, RemovedLost::Voxels { tick: 9, expected: 6, received: 4 });
         assert_eq!(lost.to_string(), "tick 9: 6 voxels have been removed, but only 4 arrived here");
+    }
+
+    #[test]
+    fn a_batch_lost_in_between_is_an_error_although_the_totals_agree() {
+        let mut removals = Removals::default();
+        removals.receive(batch(1, 0, 0, &[1]));
+        removals.advance(0, 0).unwrap();
+        removals.receive(batch(3, 8, 5, &[6, 7]));
+        // Whether the lost batch belongs to this state, nobody knows.
+        let lost = removals.advance(7, 0).unwrap_err();
+        assert_eq!(lost.to_string(), "tick 8: message 3 of removed voxels arrived here after message 1");
     }
 }
