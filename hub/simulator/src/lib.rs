@@ -15,12 +15,14 @@
 //! ```
 
 mod actors;
+mod drr;
 pub mod mutants;
 pub mod oracle;
 mod plan;
 mod plant;
 mod recording;
 mod world;
+mod x_ray_plan;
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -33,6 +35,7 @@ pub use plan::{Bad, ControllerPlan, Fault, FaultKind, Plan};
 use plant::{ChainPlant, Handle};
 use recording::Recording;
 use world::World;
+pub use x_ray_plan::{Ask, AskKind, XRayPlan};
 
 /// Advances of one run; more of them are a hub that does not come to an end.
 const MOST_ADVANCES: u64 = 400_000;
@@ -48,6 +51,10 @@ pub struct Played {
     pub ended: bool,
     /// Whether its log was cut and read.
     pub log_was_cut: bool,
+    /// X-ray frames.
+    pub frames: u64,
+    /// Requests for frames that were refused.
+    pub frames_refused: u64,
 }
 
 /// Plays a schedule.
@@ -77,18 +84,22 @@ pub fn run(plan: &Plan) -> Result<Played, String> {
         match &next {
             Ok(Next::Wait(wait)) => world.wait(*wait),
             Ok(Next::GetReady) => {}
-            Ok(Next::Ended) => world.oracle.ended(handle.now_ns.get()),
+            Ok(Next::Ended) => {
+                world.oracle.ended(handle.now_ns.get());
+                world.finish_frames();
+            }
             Err(cause) => world.oracle.failed(cause, handle.now_ns.get()),
         }
         if played.advances > MOST_ADVANCES {
             world.oracle.fail("the run does not end".to_owned());
         }
-        if let Some(failure) = world.oracle.failure.take() {
+        if let Some(failure) = world.oracle.failure.take().or_else(|| world.frames.failure.take()) {
             return Err(failure);
         }
         if !matches!(next, Ok(Next::Wait(_) | Next::GetReady)) {
             played.log_was_cut = world.recording.is_some();
             world.recording.take().map_or(Ok(()), Recording::check_cut)?;
+            (played.frames, played.frames_refused) = (world.frames.frames, world.frames.refused);
             return Ok(Played { ticks: hub.tick(), ended: next.is_ok(), ..played });
         }
     }
@@ -156,7 +167,14 @@ pub fn shrink(plan: &Plan) -> (Plan, String) {
             }
             again = true;
         }
-        let without: [fn(&mut Plan); 5] = [
+        for index in (0..least.x_ray.asks.len()).rev() {
+            let mut candidate = least.clone();
+            candidate.x_ray.asks.remove(index);
+            again |= try_it(candidate, &mut least);
+        }
+        let without: [fn(&mut Plan); 7] = [
+            |plan| plan.x_ray.period_ticks = None,
+            |plan| plan.x_ray.render_ns = 50_000,
             |plan| plan.log_cut = None,
             |plan| plan.drr_ns = None,
             |plan| plan.recorder_ns = None,
@@ -185,6 +203,10 @@ pub struct Summary {
     pub ended: u64,
     /// Those whose log was cut and read.
     pub logs_cut: u64,
+    /// X-ray frames in them.
+    pub frames: u64,
+    /// Requests for frames that were refused.
+    pub frames_refused: u64,
     /// The first seed that fails, and how.
     pub failure: Option<(u64, String)>,
 }
@@ -201,6 +223,8 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
                     summary.ticks += played.ticks;
                     summary.ended += u64::from(played.ended);
                     summary.logs_cut += u64::from(played.log_was_cut);
+                    summary.frames += played.frames;
+                    summary.frames_refused += played.frames_refused;
                 }
                 Err(cause) => {
                     summary.failure = Some((seed, cause));
@@ -222,6 +246,8 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
             sum.ticks += one.ticks;
             sum.ended += one.ended;
             sum.logs_cut += one.logs_cut;
+            sum.frames += one.frames;
+            sum.frames_refused += one.frames_refused;
             let earlier =
                 |(seed, _): &(u64, String)| sum.failure.as_ref().is_none_or(|(other, _)| seed < other);
             if one.failure.as_ref().is_some_and(earlier) {

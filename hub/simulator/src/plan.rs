@@ -3,6 +3,8 @@
 use fastrand::Rng;
 use scene::Mode;
 
+use crate::x_ray_plan::XRayPlan;
+
 /// Microseconds in nanoseconds.
 pub const US: u64 = 1_000;
 /// Milliseconds in nanoseconds.
@@ -36,6 +38,8 @@ pub struct Plan {
     pub drr_ns: Option<u64>,
     /// The same of the recorder.
     pub recorder_ns: Option<u64>,
+    /// The frames of the DRR process.
+    pub x_ray: XRayPlan,
     /// What goes wrong.
     pub faults: Vec<Fault>,
     /// Seed of the byte at which the run's log is cut; none: no log is written.
@@ -181,9 +185,11 @@ impl Plan {
             controllers,
             drr_ns: consumer(&mut random),
             recorder_ns: consumer(&mut random),
+            x_ray: XRayPlan::default(),
             faults: Vec::new(),
             log_cut: None,
         };
+        plan.x_ray = XRayPlan::of(&plan);
         let count = [0, 1, 2, 4, 8][random.usize(..5)];
         plan.faults = (0..count).map(|_| fault(&plan, &mut random)).collect();
         // Writing and reading a log takes longer than playing the schedule.

@@ -15,7 +15,9 @@ use messages::{
 use scene::Drives;
 
 use crate::actors::{Alarm, Consumer, Controller};
+use crate::drr::{DrrProcess, Looked};
 use crate::oracle::Oracle;
+use crate::oracle::x_ray::FrameAccount;
 use crate::plan::{FaultKind, MS, Plan, US};
 use crate::plant::Handle;
 use crate::recording::Recording;
@@ -26,6 +28,8 @@ const LONGEST_SLEEP_NS: u64 = 10 * MS;
 const QUEUE: usize = 256;
 /// How often in a row the hub may wait for something that is already there, or for a time that has passed.
 const IDLE_WAITS: u32 = 8;
+/// How soon the launcher notices that the DRR process has ended.
+const LAUNCHER_NOTICES_NS: u64 = 20 * MS;
 
 /// What happens at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -37,6 +41,7 @@ enum Event {
     Fault(usize),
     LauncherNotices,
     UserResumes,
+    FramesAsked(usize),
 }
 
 /// Everything but the hub.
@@ -50,6 +55,9 @@ pub struct World {
     order: u64,
     controllers: Vec<Controller>,
     consumers: Vec<Consumer>,
+    /// The DRR process while it lives.
+    drr: Option<DrrProcess>,
+    frame_requests: u64,
     control: VecDeque<Incoming<RunControl>>,
     requests: u64,
     reports: VecDeque<Report>,
@@ -62,6 +70,8 @@ pub struct World {
     pub recording: Option<Recording>,
     /// What must hold.
     pub oracle: Oracle,
+    /// What must hold of X-ray frames.
+    pub frames: FrameAccount,
 }
 
 impl World {
@@ -72,6 +82,9 @@ impl World {
         let consumers = [(Part::Drr, plan.drr_ns), (Part::Recorder, plan.recorder_ns)];
         let mut world = World {
             oracle: Oracle::new(plan, drives, now_ns.get()),
+            frames: FrameAccount::new(plan),
+            drr: plan.drr_ns.map(|_| DrrProcess::new(plan)),
+            frame_requests: 0,
             now_ns,
             plant,
             random: Rng::with_seed(plan.seed ^ 0x9e37_79b9_7f4a_7c15),
@@ -109,6 +122,9 @@ impl World {
         }
         for index in 0..world.plan.faults.len() {
             world.after(world.plan.faults[index].at_ns, Event::Fault(index));
+        }
+        for index in 0..world.plan.x_ray.asks.len() {
+            world.after(world.plan.x_ray.asks[index].at_ns, Event::FramesAsked(index));
         }
         let last_ns = world.plan.faults.iter().map(|fault| fault.at_ns).max().unwrap_or(0);
         if world.plan.has(|kind| matches!(kind, FaultKind::Control { .. })) {
@@ -155,6 +171,7 @@ impl World {
             Event::ConsumerLooks(index, alarm) => self.consumer_looks(index, Alarm(alarm)),
             Event::Fault(index) => self.fault(index),
             Event::LauncherNotices => self.request_end(),
+            Event::FramesAsked(index) => self.frames_asked(index),
             Event::UserResumes => {
                 if self.oracle.paused {
                     self.request(CONTROL_RESUME, 0);
@@ -204,10 +221,15 @@ impl World {
             return;
         }
         let mut delay_ns = consumer.look_ns;
+        let part = consumer.part;
         if consumer.stalled_until_ns > now_ns {
             delay_ns = consumer.stalled_until_ns - now_ns;
             consumer.asleep = false;
-        } else {
+        } else if let Some(until_ns) = if part == Part::Drr { self.drr_looks() } else { None } {
+            delay_ns = until_ns.saturating_sub(now_ns);
+            self.consumers[index].asleep = false;
+        } else if self.consumers[index].alive {
+            let consumer = &mut self.consumers[index];
             consumer.asleep = true;
             if let Some(tick) = consumer.take(newest_tick) {
                 if self.reports.len() == QUEUE {
@@ -216,9 +238,71 @@ impl World {
                 self.reports.push_back(Report { part: consumer.part, tick });
             }
         }
+        let consumer = &mut self.consumers[index];
         consumer.alarm.0 += 1;
         let alarm = consumer.alarm.0;
         self.after(delay_ns, Event::ConsumerLooks(index, alarm));
+    }
+
+    /// The DRR process looks at its queues; returns until when it then stands still before its renderer.
+    fn drr_looks(&mut self) -> Option<u64> {
+        let looked = self.drr.as_mut()?.look(self.now_ns.get(), &mut self.frames);
+        match looked {
+            Ok(Looked::Done) => None,
+            Ok(Looked::Blocked { until_ns }) => Some(until_ns),
+            Err(lost) => {
+                self.frames.failed(&lost);
+                self.kill(Part::Drr, LAUNCHER_NOTICES_NS);
+                None
+            }
+        }
+    }
+
+    /// Programs ask for frames, which wakes the DRR process if it sleeps.
+    fn frames_asked(&mut self, index: usize) {
+        let now_ns = self.now_ns.get();
+        let Some(drr) = &mut self.drr else { return };
+        let (tick, controllers) = (self.newest_tick.unwrap_or(0), self.controllers.len());
+        let asked = self.plan.x_ray.asks[index].requests(controllers, tick, &mut self.frame_requests);
+        asked.into_iter().for_each(|asked| drr.receive_request(asked));
+        let is_drr = |consumer: &&Consumer| consumer.part == Part::Drr;
+        // It would find a state there, too, if there were one.
+        if self.consumers.iter().find(is_drr).is_some_and(|consumer| consumer.asleep && consumer.waiting == 0)
+        {
+            drr.take_requests(now_ns, &mut self.frames);
+        }
+    }
+
+    /// The run is over: the DRR process shows the last state, unless it is dead or told to end.
+    pub fn finish_frames(&mut self) {
+        let Some(mut drr) = self.drr.take().filter(|_| !self.end_requested) else { return };
+        let mut now_ns = self.now_ns.get();
+        loop {
+            match drr.look(now_ns, &mut self.frames) {
+                Ok(Looked::Done) => break,
+                Ok(Looked::Blocked { until_ns }) => now_ns = until_ns,
+                Err(lost) => return self.frames.failed(&lost),
+            }
+        }
+        drr.finish(now_ns, &mut self.frames);
+        // A run may be stopped before its first state.
+        if let Some(tick) = self.newest_tick {
+            self.frames.ended(tick);
+        }
+    }
+
+    /// A consumer is dead, which the launcher notices after a time.
+    fn kill(&mut self, part: Part, noticed_after_ns: u64) {
+        let mut died = false;
+        for consumer in self.consumers.iter_mut().filter(|consumer| consumer.part == part) {
+            (consumer.alive, consumer.asleep, died) = (false, false, true);
+        }
+        if part == Part::Drr {
+            self.drr = None;
+        }
+        if died {
+            self.after(noticed_after_ns, Event::LauncherNotices);
+        }
     }
 
     fn fault(&mut self, index: usize) {
@@ -254,13 +338,7 @@ impl World {
                 }
             }
             FaultKind::ConsumerDies { recorder, noticed_after_ns } => {
-                let mut died = false;
-                for consumer in self.consumers.iter_mut().filter(|c| (c.part == Part::Recorder) == recorder) {
-                    (consumer.alive, consumer.asleep, died) = (false, false, true);
-                }
-                if died {
-                    self.after(noticed_after_ns, Event::LauncherNotices);
-                }
+                self.kill(if recorder { Part::Recorder } else { Part::Drr }, noticed_after_ns);
             }
             FaultKind::Control { action, ticks, count } => {
                 (0..count).for_each(|_| self.request(action, ticks))
@@ -361,6 +439,10 @@ impl Outputs for World {
 
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), String> {
         self.oracle.removed(removed, voxels);
+        self.frames.removed(removed.restore_first != 0, voxels);
+        if let Some(drr) = &mut self.drr {
+            drr.receive_removed(removed, voxels, &mut self.frames);
+        }
         if let Some(recording) = &mut self.recording {
             recording.removed(removed, voxels);
         }
@@ -372,6 +454,10 @@ impl Outputs for World {
         self.controllers.iter_mut().for_each(|controller| controller.see(state.tick));
         self.consumers.iter_mut().for_each(|consumer| consumer.waiting += 1);
         self.oracle.state(state, self.now_ns.get());
+        self.frames.state();
+        if let Some(drr) = &mut self.drr {
+            drr.receive_state(state);
+        }
         if let Some(Err(error)) = self.recording.as_mut().map(|recording| recording.state(state)) {
             self.oracle.fail(format!("the recording: {error}"));
         }

@@ -18,6 +18,10 @@ fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
     assert!(summary.ended * 10 > summary.schedules * 9, "{summary:?}");
     assert!(summary.ticks > 20 * summary.schedules, "{summary:?}");
     assert!(summary.logs_cut * 100 > summary.schedules, "{summary:?}");
+    assert!(
+        summary.frames > 5 * summary.schedules && summary.frames_refused > summary.schedules,
+        "{summary:?}"
+    );
 }
 
 #[test]

@@ -34,6 +34,7 @@ macro_rules! expect {
 // Behind the macro, which they use.
 mod controllers;
 mod endings;
+pub mod x_ray;
 
 /// The account.
 #[derive(Debug)]

@@ -1,0 +1,217 @@
+//! The DRR process in memory: decides with [`hub::x_ray`] as `drr_proc` does, and renders by waiting.
+
+use std::collections::VecDeque;
+
+use fastrand::Rng;
+use hub::rate_limit::{LOOKED_AT, RateLimit};
+use hub::x_ray::{Removals, RemovedBatch, RemovedLost, Renderer, Schedule, ScheduleSettings};
+use messages::services::DRR_REQUEST;
+use messages::{DrrRequest, GEOMETRY_REQUEST, Removed, State};
+
+use crate::oracle::x_ray::{Answer, FrameAccount, FrameCause, JOBS_WAITING};
+use crate::plan::Plan;
+use crate::x_ray_plan::Asked;
+
+/// States that are taken before requests are looked at again.
+const STATES_PER_ROUND: usize = 32;
+
+/// What the process knows of a state.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    tick: u64,
+    removed_total: u64,
+}
+
+/// How a look at the queues ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Looked {
+    /// Everything that waited is taken.
+    Done,
+    /// The renderer's queue is full: the process stands still until then.
+    Blocked {
+        /// When the next frame is finished.
+        until_ns: u64,
+    },
+}
+
+/// The process.
+#[derive(Debug)]
+pub struct DrrProcess {
+    schedule: Schedule,
+    removals: Removals,
+    rate_limit: RateLimit,
+    random: Rng,
+    render_ns: u64,
+    /// What its queues hold.
+    state_queue: usize,
+    removed_queue: usize,
+    states: VecDeque<Seen>,
+    removed: VecDeque<RemovedBatch>,
+    requests: VecDeque<Asked>,
+    /// The newest state that it has taken.
+    newest: Option<Seen>,
+    /// It has stood still before the renderer's queue, so that more may be due at the newest state.
+    stood_still: bool,
+    /// When each frame that is rendered or waits for it is finished.
+    jobs: VecDeque<u64>,
+}
+
+impl DrrProcess {
+    /// Of a plan, at the beginning.
+    pub fn new(plan: &Plan) -> DrrProcess {
+        DrrProcess {
+            schedule: Schedule::new(ScheduleSettings {
+                mode: plan.mode,
+                period_ticks: plan.x_ray.period_ticks,
+                end_tick: plan.tick_count,
+                c_arm_driver: plan.x_ray.c_arm_driver,
+            }),
+            removals: Removals::default(),
+            rate_limit: RateLimit::default(),
+            random: Rng::with_seed(plan.x_ray.seed),
+            render_ns: plan.x_ray.render_ns,
+            state_queue: plan.x_ray.state_queue,
+            removed_queue: plan.x_ray.removed_queue,
+            states: VecDeque::new(),
+            removed: VecDeque::new(),
+            requests: VecDeque::new(),
+            newest: None,
+            stood_still: false,
+            jobs: VecDeque::new(),
+        }
+    }
+
+    /// Removed voxels come into its queue, which drops its oldest when it is full.
+    pub fn receive_removed(&mut self, removed: &Removed, voxels: &[u32], account: &mut FrameAccount) {
+        if self.removed.len() == self.removed_queue {
+            self.removed.pop_front();
+            account.removed_dropped = true;
+        }
+        self.removed.push_back(RemovedBatch {
+            tick: removed.tick,
+            sequence: removed.sequence,
+            total: removed.removed_total,
+            restore_first: removed.restore_first != 0,
+            voxels: voxels.to_vec(),
+        });
+    }
+
+    /// A state comes into its queue, which drops its oldest when it is full.
+    pub fn receive_state(&mut self, state: &State) {
+        if self.states.len() == self.state_queue {
+            self.states.pop_front();
+        }
+        self.states.push_back(Seen { tick: state.tick, removed_total: state.removed_total });
+    }
+
+    /// A request comes into its sender's queue, which drops its oldest when it is full.
+    pub fn receive_request(&mut self, asked: Asked) {
+        let mut of_sender = self.requests.iter().enumerate().filter(|(_, other)| other.from == asked.from);
+        let oldest = of_sender.next().map(|(index, _)| index);
+        if oldest.is_some() && 1 + of_sender.count() >= DRR_REQUEST.queue_length {
+            oldest.and_then(|index| self.requests.remove(index));
+        }
+        self.requests.push_back(asked);
+    }
+
+    /// Whether the process stands still before the renderer's queue.
+    pub fn is_blocked(&self) -> bool {
+        self.jobs.len() > JOBS_WAITING + 1
+    }
+
+    /// Looks at all its queues.
+    ///
+    /// # Errors
+    /// Removed voxels are missing, which ends the process.
+    pub fn look(&mut self, now_ns: u64, account: &mut FrameAccount) -> Result<Looked, RemovedLost> {
+        self.publish_finished(now_ns, account);
+        loop {
+            if let Some(blocked) = self.take_requests(now_ns, account) {
+                return Ok(blocked);
+            }
+            for _ in 0..STATES_PER_ROUND {
+                let Some(state) = self.states.pop_front() else { return Ok(Looked::Done) };
+                self.removed.drain(..).for_each(|batch| self.removals.receive(batch));
+                self.removals.advance(state.tick, state.removed_total)?;
+                self.newest = Some(state);
+                if let Some(blocked) = self.serve_newest(now_ns, account) {
+                    return Ok(blocked);
+                }
+            }
+        }
+    }
+
+    /// Takes the requests that have come, after what is left of the newest state, and serves those that are due.
+    pub fn take_requests(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<Looked> {
+        self.publish_finished(now_ns, account);
+        if self.is_blocked() {
+            return self.blocked();
+        }
+        if std::mem::take(&mut self.stood_still)
+            && let Some(blocked) = self.serve_newest(now_ns, account)
+        {
+            return Some(blocked);
+        }
+        for _ in 0..LOOKED_AT {
+            let Some(asked) = self.requests.pop_front() else { break };
+            let Asked { from, sender, request } = asked;
+            let answer = match self.rate_limit.allows(from, now_ns) {
+                false => Answer::PassedOver,
+                true => Answer::Given(self.schedule.request(from, sender, request, geometry_of(&request))),
+            };
+            account.request(&asked, &answer, now_ns);
+        }
+        self.serve_newest(now_ns, account)
+    }
+
+    /// Starts what is due at the newest state.
+    fn serve_newest(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<Looked> {
+        let tick = self.newest?.tick;
+        while let Some(due) = self.schedule.due(tick, self.renderer()) {
+            self.start(tick, FrameCause::Due(due), now_ns, account);
+            if self.is_blocked() {
+                self.stood_still = true;
+                return self.blocked();
+            }
+        }
+        account.served(tick);
+        None
+    }
+
+    fn blocked(&self) -> Option<Looked> {
+        self.jobs.front().map(|until_ns| Looked::Blocked { until_ns: *until_ns })
+    }
+
+    /// Shows the last state and renders all that waits.
+    pub fn finish(&mut self, now_ns: u64, account: &mut FrameAccount) {
+        if let Some(Seen { tick, .. }) = self.newest
+            && let Some(due) = self.schedule.last(tick)
+        {
+            self.start(tick, FrameCause::Last(due), now_ns, account);
+        }
+        self.publish_finished(u64::MAX, account);
+    }
+
+    fn renderer(&self) -> Renderer {
+        if self.jobs.is_empty() { Renderer::Idle } else { Renderer::Busy }
+    }
+
+    fn start(&mut self, tick: u64, cause: FrameCause, now_ns: u64, account: &mut FrameAccount) {
+        account.frame(tick, cause, &self.removals.take());
+        let begins_ns = self.jobs.back().map_or(now_ns, |last_ns| now_ns.max(*last_ns));
+        self.jobs.push_back(begins_ns + self.random.u64(self.render_ns / 4..=self.render_ns));
+    }
+
+    fn publish_finished(&mut self, now_ns: u64, account: &mut FrameAccount) {
+        while self.jobs.front().is_some_and(|finished_ns| *finished_ns <= now_ns) {
+            self.jobs.pop_front();
+            account.finished();
+        }
+    }
+}
+
+/// Whether a request's C-arm is one.
+fn geometry_of(request: &DrrRequest) -> Result<(), String> {
+    let is_bad = request.use_geometry == GEOMETRY_REQUEST && request.geometry.columns == 0;
+    if is_bad { Err("columns is 0".to_owned()) } else { Ok(()) }
+}

@@ -1,0 +1,264 @@
+//! What must hold of X-ray frames: which are rendered at which state, which requests are refused, and which voxels a frame shows.
+
+use std::collections::VecDeque;
+
+use hub::rate_limit::Connection;
+use hub::x_ray::{Due, Refusal, RemovedLost, RemovedSince};
+use messages::{DRR_BUSY, DRR_REFUSED, GEOMETRY_REQUEST};
+use scene::Mode;
+
+use super::{RATION, RATION_NS};
+use crate::plan::Plan;
+use crate::x_ray_plan::Asked;
+
+/// Jobs that wait for the renderer; one more is rendered, and in lockstep one more is in the hand of a process that stands still.
+pub const JOBS_WAITING: usize = 2;
+/// Requests of one connection that may wait, and of all.
+const WAITING_EACH: usize = 8;
+const WAITING: usize = 64;
+
+/// Why a frame is rendered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FrameCause {
+    /// It is due.
+    Due(Due),
+    /// The run is over, and no frame shows its last state.
+    Last(Due),
+}
+
+/// What became of a request.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Answer {
+    /// It was beyond its sender's share and is not answered.
+    PassedOver,
+    /// It waits for its frame, or is refused.
+    Given(Result<(), Refusal>),
+}
+
+/// A set of voxels, told from others by a sum over its members.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Gone {
+    count: u64,
+    sum: u64,
+}
+
+impl Gone {
+    fn add(&mut self, voxels: &[u32]) {
+        let mixed = |voxel: &u32| {
+            let word = (u64::from(*voxel) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            (word ^ word >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9)
+        };
+        self.count += voxels.len() as u64;
+        self.sum = voxels.iter().map(mixed).fold(self.sum, u64::wrapping_add);
+    }
+}
+
+/// An account of the frames, kept beside [`hub::x_ray`].
+#[derive(Debug)]
+pub struct FrameAccount {
+    plan: Plan,
+    /// The first thing that did not hold.
+    pub failure: Option<String>,
+    /// Whether the DRR process's queue of removed voxels ran over.
+    pub removed_dropped: bool,
+    predrilled: Gone,
+    gone: Gone,
+    /// What is gone at each tick.
+    gone_at: Vec<Gone>,
+    /// What is gone in the frames.
+    rendered: Gone,
+    /// The next frame of the scene's rate is due in this period or a later one.
+    next_period: u64,
+    shown_tick: Option<u64>,
+    waiting: VecDeque<Asked>,
+    in_flight: usize,
+    /// Frames so far.
+    pub frames: u64,
+    /// Requests that were refused.
+    pub refused: u64,
+    taken: Vec<(Connection, u64)>,
+}
+
+impl FrameAccount {
+    /// Of a plan.
+    pub fn new(plan: &Plan) -> FrameAccount {
+        FrameAccount {
+            plan: plan.clone(),
+            failure: None,
+            removed_dropped: false,
+            predrilled: Gone::default(),
+            gone: Gone::default(),
+            gone_at: Vec::new(),
+            rendered: Gone::default(),
+            next_period: 0,
+            shown_tick: None,
+            waiting: VecDeque::new(),
+            in_flight: 0,
+            frames: 0,
+            refused: 0,
+            taken: Vec::new(),
+        }
+    }
+
+    fn fail(&mut self, what: String) {
+        self.failure.get_or_insert(what);
+    }
+
+    fn is_lockstep(&self) -> bool {
+        self.plan.mode == Mode::Lockstep
+    }
+
+    /// Voxels are removed in the tick that the next state ends.
+    pub fn removed(&mut self, restore_first: bool, voxels: &[u32]) {
+        if restore_first {
+            self.gone = self.predrilled;
+        }
+        self.gone.add(voxels);
+    }
+
+    /// The hub has published x_k.
+    pub fn state(&mut self) {
+        if self.gone_at.is_empty() {
+            self.predrilled = self.gone;
+        }
+        self.gone_at.push(self.gone);
+    }
+
+    /// The DRR process has taken a request.
+    pub fn request(&mut self, asked: &Asked, answer: &Answer, now_ns: u64) {
+        let Asked { from, request, .. } = asked;
+        self.taken.retain(|(_, at_ns)| at_ns + RATION_NS > now_ns);
+        let taken = self.taken.iter().filter(|(other, _)| other == from).count();
+        let Answer::Given(given) = answer else {
+            expect!(self, taken >= RATION, {
+                format!("{request:?} is passed over, though its sender had only {taken} answers")
+            });
+            return;
+        };
+        // Two periods of the limit may touch.
+        expect!(self, taken < 2 * RATION, format!("{taken} requests of a sender within {RATION_NS} ns"));
+        self.taken.push((*from, now_ns));
+        let expected = self.expected(asked);
+        expect!(self, *given == expected, format!("{request:?}: {given:?}, expected {expected:?}"));
+        match given {
+            Ok(()) => self.waiting.push_back(*asked),
+            Err(refusal) => {
+                self.refused += 1;
+                let status = if *refusal == Refusal::Busy { DRR_BUSY } else { DRR_REFUSED };
+                expect!(self, refusal.status() == status, format!("{refusal:?} is {}", refusal.status()));
+            }
+        }
+    }
+
+    fn expected(&self, asked: &Asked) -> Result<(), Refusal> {
+        let Asked { from, sender, request } = asked;
+        if request.requester != *sender {
+            return Err(Refusal::OtherSender { claimed: request.requester });
+        }
+        if request.use_geometry == GEOMETRY_REQUEST {
+            if self.plan.x_ray.c_arm_driver.is_some_and(|driver| driver != *sender) {
+                return Err(Refusal::NotTheDriver);
+            }
+            if request.geometry.columns == 0 {
+                return Err(Refusal::Geometry("columns is 0".to_owned()));
+            }
+        }
+        if request.tick > self.plan.tick_count {
+            return Err(Refusal::AfterTheEnd { tick: request.tick, end_tick: self.plan.tick_count });
+        }
+        let own = self.waiting.iter().filter(|other| other.from == *from).count();
+        if own >= WAITING_EACH || self.waiting.len() >= WAITING { Err(Refusal::Busy) } else { Ok(()) }
+    }
+
+    /// The period in which the scene's rate wants a frame at this tick, if none has shown it.
+    fn period_due(&self, tick: u64) -> Option<u64> {
+        let period = tick / self.plan.x_ray.period_ticks?;
+        (period >= self.next_period).then_some(period)
+    }
+
+    /// The DRR process hands a frame of this tick to the renderer.
+    pub fn frame(&mut self, tick: u64, cause: FrameCause, since: &RemovedSince) {
+        let most = if self.is_lockstep() { JOBS_WAITING + 1 } else { 0 };
+        let (in_flight, is_last) = (self.in_flight, matches!(cause, FrameCause::Last(_)));
+        expect!(self, is_last || in_flight <= most, {
+            format!("tick {tick}: a frame behind {in_flight} others, at most {most}")
+        });
+        match cause {
+            FrameCause::Due(Due::Scheduled) => self.scheduled(tick),
+            FrameCause::Due(Due::Requested(request)) => {
+                let unshown = self.period_due(tick);
+                expect!(
+                    self,
+                    unshown.is_none(),
+                    format!("tick {tick}: a request before the scheduled frame")
+                );
+                let index = self.waiting.iter().position(|asked| asked.request.tick <= tick);
+                let first = index.and_then(|index| self.waiting.remove(index)).map(|asked| asked.request);
+                expect!(self, first == Some(request), {
+                    format!("tick {tick}: a frame for {request:?}, expected one for {first:?}")
+                });
+            }
+            FrameCause::Last(due) => {
+                let right = due == Due::Scheduled && self.shown_tick != Some(tick);
+                expect!(self, right, format!("tick {tick} is shown a second time at the end"));
+            }
+        }
+        self.in_flight += 1;
+        self.frames += 1;
+        self.shown_tick = Some(tick);
+        if since.restore_first {
+            self.rendered = Gone::default();
+        }
+        self.rendered.add(&since.voxels);
+        let (shown, gone) = (self.rendered, self.gone_at.get(tick as usize).copied());
+        expect!(self, Some(shown) == gone, {
+            format!("the frame of tick {tick} shows other voxels than are left: {shown:?}, not {gone:?}")
+        });
+    }
+
+    fn scheduled(&mut self, tick: u64) {
+        let Some(period) = self.period_due(tick) else {
+            return self.fail(format!("tick {tick}: a scheduled frame that is not due"));
+        };
+        let ticks = self.plan.x_ray.period_ticks.unwrap_or(1);
+        let on_time = tick.is_multiple_of(ticks) && period == self.next_period;
+        expect!(self, on_time || !self.is_lockstep(), {
+            format!("lockstep shows tick {tick}, not tick {}", self.next_period * ticks)
+        });
+        self.next_period = period + 1;
+    }
+
+    /// The DRR process turns away from the state of this tick.
+    pub fn served(&mut self, tick: u64) {
+        if !self.is_lockstep() && self.in_flight > 0 {
+            return;
+        }
+        let unshown = self.period_due(tick);
+        expect!(self, unshown.is_none(), format!("tick {tick} is due and not shown"));
+        let unserved = self.waiting.iter().find(|asked| asked.request.tick <= tick).copied();
+        expect!(self, unserved.is_none(), format!("tick {tick}: {unserved:?} waits beside its state"));
+    }
+
+    /// A frame is finished.
+    pub fn finished(&mut self) {
+        let in_flight = self.in_flight.checked_sub(1);
+        expect!(self, in_flight.is_some(), "a frame is finished that was not begun".to_owned());
+        self.in_flight = in_flight.unwrap_or(0);
+    }
+
+    /// The DRR process ends because removed voxels are missing.
+    pub fn failed(&mut self, lost: &RemovedLost) {
+        let dropped = self.removed_dropped;
+        expect!(self, dropped, format!("ended though nothing was lost: {lost}"));
+    }
+
+    /// The DRR process has come to the end of the run, whose last state is that of this tick.
+    pub fn ended(&mut self, tick: u64) {
+        let (shown, in_flight) = (self.shown_tick, self.in_flight);
+        expect!(self, shown == Some(tick), format!("the last frame shows tick {shown:?} of {tick}"));
+        expect!(self, in_flight == 0, format!("{in_flight} frames are never finished"));
+        // In lockstep only those are left that the run ended before.
+        let left = self.waiting.iter().find(|asked| asked.request.tick <= tick).copied();
+        expect!(self, left.is_none() || !self.is_lockstep(), format!("{left:?} never has its frame"));
+    }
+}

@@ -1,0 +1,150 @@
+//! What a seed decides about X-ray frames: how often they come, how long they take, and who asks for more.
+
+use fastrand::Rng;
+use hub::rate_limit::Connection;
+use messages::{DrrRequest, GEOMETRY_REQUEST};
+use scene::Mode;
+
+use crate::plan::{MS, Plan, US};
+
+/// Programs that ask for frames.
+const ASKERS: usize = 4;
+/// `DrrRequest.requester` of a program that is not a controller.
+const OTHER_PROGRAM: u32 = u32::MAX;
+
+/// The X-ray frames of a schedule.
+#[derive(Debug, Clone, Default)]
+pub struct XRayPlan {
+    /// Seeds the choices of the DRR process while it runs.
+    pub seed: u64,
+    /// Ticks from one frame to the next; none: frames come on request only.
+    pub period_ticks: Option<u64>,
+    /// Longest time to render a frame.
+    pub render_ns: u64,
+    /// The controller that alone may move the C-arm.
+    pub c_arm_driver: Option<u32>,
+    /// States that the process's queue holds.
+    pub state_queue: usize,
+    /// `Removed` messages that its queue holds.
+    pub removed_queue: usize,
+    /// Requests for frames.
+    pub asks: Vec<Ask>,
+}
+
+/// Requests that are sent together.
+#[derive(Debug, Clone)]
+pub struct Ask {
+    /// When, after the beginning.
+    pub at_ns: u64,
+    /// Which program; the first ones are the controllers.
+    pub asker: usize,
+    /// From how many connections: a program that has connected anew has another one.
+    pub connections: u64,
+    /// How many from each.
+    pub count: u64,
+    /// How far in front of the newest state; none: for the newest state.
+    pub ahead_ticks: Option<u64>,
+    /// What is special about them.
+    pub kind: AskKind,
+}
+
+/// What is special about requests for frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AskKind {
+    /// Nothing.
+    Plain,
+    /// They bring a C-arm.
+    MovesCArm,
+    /// They bring a C-arm without pixels.
+    BadCArm,
+    /// They name another program as their sender.
+    OthersName,
+}
+
+/// A request on its way to the DRR process.
+#[derive(Debug, Clone, Copy)]
+pub struct Asked {
+    /// The connection that it comes over.
+    pub from: Connection,
+    /// The controller that sent it; `u32::MAX` for any other program.
+    pub sender: u32,
+    /// What it says.
+    pub request: DrrRequest,
+}
+
+impl XRayPlan {
+    /// Of a plan's seed, mode, length and controllers. Draws from a stream of its own, so that the rest of the plan does not depend on it.
+    pub fn of(plan: &Plan) -> XRayPlan {
+        let mut random = Rng::with_seed(plan.seed ^ 0xd1b5_4a32_d192_ed03);
+        let period_ticks = (random.u8(..4) > 0).then(|| random.u64(1..15));
+        // A real queue holds more ticks than a schedule has. In lockstep the hub's lead keeps it from running over.
+        let is_short = plan.mode == Mode::Realtime && random.u8(..4) == 0;
+        let queue = |random: &mut Rng| if is_short { random.usize(1..12) } else { 512 };
+        let asks = [0, 0, 1, 3, 6][random.usize(..5)];
+        XRayPlan {
+            seed: random.u64(..),
+            period_ticks,
+            render_ns: [50 * US, 800 * US, 4 * MS, 30 * MS][random.usize(..4)],
+            c_arm_driver: random.bool().then(|| random.u32(..plan.controllers.len() as u32)),
+            state_queue: queue(&mut random),
+            removed_queue: queue(&mut random),
+            asks: (0..asks).map(|_| ask(plan, &mut random)).collect(),
+        }
+    }
+}
+
+fn ask(plan: &Plan, random: &mut Rng) -> Ask {
+    use AskKind::{BadCArm, MovesCArm, OthersName, Plain};
+    let ahead_ticks = match random.u8(..8) {
+        0..=3 => None,
+        // Many of these come after the end of the run.
+        4 => Some(random.u64(..2 * plan.tick_count)),
+        _ => Some(random.u64(..8)),
+    };
+    // Either one program floods, or many ask.
+    let (connections, count) = match random.u8(..4) {
+        0 => (random.u64(2..=12), random.u64(1..=10)),
+        _ => (1, [1, 1, 2, 7, 10, 70][random.usize(..6)]),
+    };
+    Ask {
+        at_ns: random.u64(..plan.nominal_ns() + 3 * MS),
+        asker: random.usize(..ASKERS),
+        connections,
+        count,
+        ahead_ticks,
+        kind: [Plain, Plain, Plain, MovesCArm, BadCArm, OthersName][random.usize(..6)],
+    }
+}
+
+impl Ask {
+    /// Its requests at the newest state. `number` counts the requests and connections of the run.
+    pub fn requests(&self, controllers: usize, newest_tick: u64, number: &mut u64) -> Vec<Asked> {
+        let sender = if self.asker < controllers { self.asker as u32 } else { OTHER_PROGRAM };
+        let mut asked = Vec::with_capacity((self.connections * self.count) as usize);
+        for connection in 0..self.connections {
+            // A single connection stays the program's; of several each is a new one.
+            let anew = if self.connections > 1 { *number + connection } else { 0 };
+            let from = Connection(u128::from(anew) << 8 | self.asker as u128);
+            for _ in 0..self.count {
+                *number += 1;
+                let mut request = DrrRequest {
+                    request_id: *number,
+                    tick: self.ahead_ticks.map_or(0, |ahead| newest_tick + ahead),
+                    requester: sender,
+                    ..DrrRequest::zeroed()
+                };
+                match self.kind {
+                    AskKind::Plain => {}
+                    AskKind::MovesCArm => {
+                        request.use_geometry = GEOMETRY_REQUEST;
+                        request.geometry.columns = 1 + (*number % 7) as u32;
+                    }
+                    AskKind::BadCArm => request.use_geometry = GEOMETRY_REQUEST,
+                    AskKind::OthersName => request.requester = sender.wrapping_add(1),
+                }
+                asked.push(Asked { from, sender, request });
+            }
+        }
+        asked
+    }
+}
