@@ -2,11 +2,14 @@
 //!
 //! [`Plan::of`] decides everything from a seed: the scene, how quick everybody is, and what goes wrong when. [`run`] plays the plan
 //! against a [`hub::Hub`] with a clock and queues in memory, and holds every step against an [`oracle`] that knows nothing of
-//! the hub but what passes between it and its surroundings. [`shrink`] takes from a plan that fails what it fails without.
+//! the hub but what passes between it and its surroundings. One of these is a DRR process that decides with [`hub::x_ray`] as the real
+//! one does. [`shrink`] takes from a plan that fails what it fails without.
 //!
 //! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the latch's rules; that nothing is made
 //! while the run rests, is stopped or is to end; that no consumer is left too far behind; deadlines and misses; every request
-//! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings. Of one schedule in
+//! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings. Of
+//! X-ray frames ([`oracle::x_ray`]): which are due at which state, that each request is refused for its reason or has its one frame, that
+//! each frame lacks exactly the voxels that are gone at its tick, and that the last state is shown. Of one schedule in
 //! 64, if it has a recorder, the log is written and cut at any byte; the ticks read from it are a prefix of those published.
 //!
 //! ```

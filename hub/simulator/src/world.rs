@@ -7,11 +7,8 @@ use std::rc::Rc;
 
 use fastrand::Rng;
 use hub::rate_limit::Connection;
-use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
-use messages::{
-    CONTROL_RESUME, Command, Keyframe, Latched, Part, Removed, RunControl, RunControlReply, RunStatus, State,
-    TickTiming,
-};
+use hub::{Awaited, Incoming, Report, Wait};
+use messages::{CONTROL_RESUME, Part, RunControl};
 use scene::Drives;
 
 use crate::actors::{Alarm, Consumer, Controller};
@@ -21,6 +18,9 @@ use crate::oracle::x_ray::FrameAccount;
 use crate::plan::{FaultKind, MS, Plan, US};
 use crate::plant::Handle;
 use crate::recording::Recording;
+
+// What the hub asks of it.
+mod environment;
 
 /// Longest sleep of a reader before it looks again by itself.
 const LONGEST_SLEEP_NS: u64 = 10 * MS;
@@ -225,7 +225,7 @@ impl World {
         if consumer.stalled_until_ns > now_ns {
             delay_ns = consumer.stalled_until_ns - now_ns;
             consumer.asleep = false;
-        } else if let Some(until_ns) = if part == Part::Drr { self.drr_looks() } else { None } {
+        } else if let Some(until_ns) = self.stands_still_until(part) {
             delay_ns = until_ns.saturating_sub(now_ns);
             self.consumers[index].asleep = false;
         } else if self.consumers[index].alive {
@@ -244,8 +244,11 @@ impl World {
         self.after(delay_ns, Event::ConsumerLooks(index, alarm));
     }
 
-    /// The DRR process looks at its queues; returns until when it then stands still before its renderer.
-    fn drr_looks(&mut self) -> Option<u64> {
+    /// A consumer looks at its queues; returns until when it then stands still, as the DRR process does before its renderer.
+    fn stands_still_until(&mut self, part: Part) -> Option<u64> {
+        if part != Part::Drr {
+            return None;
+        }
         let looked = self.drr.as_mut()?.look(self.now_ns.get(), &mut self.frames);
         match looked {
             Ok(Looked::Done) => None,
@@ -422,165 +425,6 @@ impl World {
             Awaited::Control => !self.control.is_empty(),
             Awaited::Report => !self.reports.is_empty(),
             Awaited::Command(index) => !self.controllers[index].commands.is_empty(),
-        }
-    }
-}
-
-impl Outputs for World {
-    type Error = String;
-
-    fn send_latched(&mut self, latched: &Latched) -> Result<(), String> {
-        self.oracle.latch(latched, self.plant.refuses.get(), self.now_ns.get());
-        if let Some(recording) = &mut self.recording {
-            recording.latch(latched);
-        }
-        Ok(())
-    }
-
-    fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), String> {
-        self.oracle.removed(removed, voxels);
-        self.frames.removed(removed.restore_first != 0, voxels);
-        if let Some(drr) = &mut self.drr {
-            drr.receive_removed(removed, voxels, &mut self.frames);
-        }
-        if let Some(recording) = &mut self.recording {
-            recording.removed(removed, voxels);
-        }
-        Ok(())
-    }
-
-    fn send_state(&mut self, state: &State) -> Result<(), String> {
-        self.newest_tick = Some(state.tick);
-        self.controllers.iter_mut().for_each(|controller| controller.see(state.tick));
-        self.consumers.iter_mut().for_each(|consumer| consumer.waiting += 1);
-        self.oracle.state(state, self.now_ns.get());
-        self.frames.state();
-        if let Some(drr) = &mut self.drr {
-            drr.receive_state(state);
-        }
-        if let Some(Err(error)) = self.recording.as_mut().map(|recording| recording.state(state)) {
-            self.oracle.fail(format!("the recording: {error}"));
-        }
-        Ok(())
-    }
-
-    fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), String> {
-        self.oracle.keyframe(keyframe, part);
-        if let Some(recording) = &mut self.recording {
-            recording.keyframe(keyframe, part);
-        }
-        Ok(())
-    }
-}
-
-impl Environment for World {
-    fn now_ns(&self) -> u64 {
-        // Each look takes a moment.
-        self.now_ns.set(self.now_ns.get() + 50);
-        self.now_ns.get()
-    }
-
-    fn end_requested(&self) -> bool {
-        self.end_requested
-    }
-
-    fn receive_command(&mut self, controller: usize) -> Result<Option<Incoming<Command>>, String> {
-        self.moment();
-        let Some((incoming, well_formed)) = self.controllers[controller].commands.pop_front() else {
-            return Ok(None);
-        };
-        self.oracle.command(controller, &incoming, well_formed);
-        Ok(Some(incoming))
-    }
-
-    fn has_command(&self, controller: usize) -> bool {
-        !self.controllers[controller].commands.is_empty()
-    }
-
-    fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, String> {
-        self.moment();
-        self.oracle.passed_over();
-        let incoming = self.control.pop_front();
-        if let Some(incoming) = &incoming {
-            self.oracle.request(incoming, self.now_ns.get());
-        }
-        Ok(incoming)
-    }
-
-    fn receive_report(&mut self) -> Result<Option<Report>, String> {
-        self.moment();
-        let report = self.reports.pop_front();
-        if let Some(report) = report {
-            self.oracle.report(report);
-        }
-        Ok(report)
-    }
-
-    fn foreign_reports(&self) -> u64 {
-        self.foreign
-    }
-
-    fn send_status(&mut self, status: &RunStatus) -> Result<(), String> {
-        self.oracle.status(status);
-        Ok(())
-    }
-
-    fn send_timing(&mut self, timing: &TickTiming) -> Result<(), String> {
-        self.oracle.timing(timing);
-        Ok(())
-    }
-
-    fn send_control_reply(&mut self, reply: &RunControlReply) -> Result<(), String> {
-        self.oracle.reply(reply, self.now_ns.get());
-        Ok(())
-    }
-
-    fn send_event(&mut self, note: &Note<'_>) -> Result<(), String> {
-        self.oracle.event(note, self.now_ns.get());
-        Ok(())
-    }
-
-    fn wake_controllers(&mut self) {
-        for index in 0..self.controllers.len() {
-            if self.controllers[index].asleep {
-                self.controllers[index].asleep = false;
-                let delay_ns = self.random.u64(..40 * US);
-                self.look_soon(index, delay_ns);
-            }
-        }
-    }
-
-    fn wake_consumers(&mut self) {
-        for index in 0..self.consumers.len() {
-            if self.consumers[index].asleep {
-                self.consumers[index].asleep = false;
-                self.consumers[index].alarm.0 += 1;
-                let (alarm, delay_ns) = (self.consumers[index].alarm.0, self.random.u64(..40 * US));
-                self.after(delay_ns, Event::ConsumerLooks(index, alarm));
-            }
-        }
-    }
-
-    fn deliver_state_history(&mut self) -> Result<(), String> {
-        let Some(tick) = self.newest_tick else { return Ok(()) };
-        for index in 0..self.controllers.len() {
-            if self.controllers[index].alive && self.controllers[index].wants_history {
-                self.controllers[index].see(tick);
-                // Its first look at its queue comes when it is there.
-                self.controllers[index].asleep = false;
-                self.look_soon(index, 0);
-            }
-        }
-        Ok(())
-    }
-
-    fn deliver_status_history(&mut self) -> Result<(), String> {
-        Ok(())
-    }
-
-    fn tick_begins(&mut self, start: Option<(u64, Start)>, _timing: &mut TickTiming) {
-        if let Some((start_ns, start)) = start {
-            self.oracle.tick_begins(start_ns, start);
         }
     }
 }
