@@ -110,6 +110,48 @@ pub const MUTANTS: &[Mutant] = &[
         "        check(command, &slot.drives, slot.last_sequence, tick)?;\n",
         "",
     ),
+    mutant(
+        "one request for a frame too many waits",
+        "x_ray/schedule.rs",
+        "own >= MAX_WAITING_EACH",
+        "own > MAX_WAITING_EACH",
+    ),
+    mutant(
+        "a scheduled frame is a tick late",
+        "x_ray/schedule.rs",
+        "filter(|_| tick >= self.next_tick)",
+        "filter(|_| tick > self.next_tick)",
+    ),
+    mutant(
+        "a requested frame is a tick late",
+        "x_ray/schedule.rs",
+        "position(|waiting| waiting.request.tick <= tick)",
+        "position(|waiting| waiting.request.tick < tick)",
+    ),
+    mutant(
+        "the last state is not shown",
+        "x_ray/schedule.rs",
+        "(self.shown_tick.replace(tick) != Some(tick)).then_some(Due::Scheduled)",
+        "(self.shown_tick.replace(tick) == None).then_some(Due::Scheduled)",
+    ),
+    mutant(
+        "a frame shows the voxels that its own tick removed",
+        "x_ray/removals.rs",
+        "is_some_and(|batch| batch.tick <= tick)",
+        "is_some_and(|batch| batch.tick < tick)",
+    ),
+    mutant(
+        "predrilled voxels come back with a reset",
+        "x_ray/removals.rs",
+        "                self.since.voxels.clone_from(&self.predrilled);\n",
+        "                self.since.voxels.clear();\n",
+    ),
+    mutant(
+        "removed voxels that are lost with their states are not missed",
+        "x_ray/removals.rs",
+        "if received != before + 1 {",
+        "if received <= before {",
+    ),
 ];
 
 #[cfg(test)]
