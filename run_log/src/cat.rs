@@ -1,4 +1,4 @@
-//! `cat` — messages of a log as JSON, one a line.
+//! `cat` — prints messages of a log as JSON, one per line.
 
 use std::io::Write;
 
@@ -12,23 +12,23 @@ use crate::source::LogSource;
 use crate::stream::{LogMessage, MessageStream, ReadOptions};
 use crate::verdict::Verdict;
 
-/// Longest tail that is written out; pixels are told by their number.
+/// Longest tail that is printed in full; for a longer one, such as pixels, only the element count is printed.
 const MAX_TAIL_ELEMENTS: usize = 4096;
 
-/// Which messages and fields.
+/// Which messages and fields to print.
 #[derive(Debug, Clone, Default)]
 pub struct CatOptions {
     /// Topics; empty for all.
     pub topics: Vec<String>,
-    /// Field paths, `t_world_link[7].position_m`; empty for whole messages. A topic that has none of them is left out.
+    /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of these fields are skipped.
     pub fields: Vec<String>,
     /// First tick.
     pub first_tick: u64,
-    /// Last tick, included.
+    /// Last tick, inclusive.
     pub last_tick: Option<u64>,
     /// First simulated time, in nanoseconds.
     pub first_ns: u64,
-    /// Last simulated time, included.
+    /// Last simulated time, inclusive, in nanoseconds.
     pub last_ns: Option<u64>,
     /// How strict the reader is.
     pub read: ReadOptions,
@@ -43,10 +43,10 @@ impl CatOptions {
     }
 }
 
-/// Writes the selected messages. Floats have as many digits as identify them; infinities and NaN are strings.
+/// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN become strings.
 ///
 /// # Errors
-/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], behind the messages of the others; a log that cannot be read.
+/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that cannot be read.
 pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Verdict, LogError> {
     check_fields(&options.fields)?;
     let mut stream = match options.topics.as_slice() {
@@ -75,7 +75,7 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
     }
 }
 
-/// A field that no message has is a mistake of whoever asks, not an empty answer.
+/// A field that exists in no message is a user error, not an empty result.
 pub(crate) fn check_fields(fields: &[String]) -> Result<(), LogError> {
     for field in fields {
         let mut attempts = ALL.iter().map(|description| find(description, field));
@@ -103,7 +103,7 @@ fn content(message: &LogMessage<'_>, fields: &[String]) -> Option<Value> {
     (!map.is_empty()).then_some(Value::Object(map))
 }
 
-/// A whole message with its tail.
+/// A whole message, tail included.
 pub fn whole(description: &'static Description, body: &[u8]) -> Value {
     let mut map = object(description, body);
     if let Some(tail) = description.tail {

@@ -1,4 +1,4 @@
-//! Chosen fields of a topic as a table: one row a message, one column a number.
+//! Selected fields of a topic as a table: one row per message, one column per scalar.
 
 use messages::layout::{Description, Element};
 
@@ -9,7 +9,7 @@ use crate::stream::{MessageStream, ReadOptions};
 use crate::topics;
 use crate::verdict::Verdict;
 
-/// One column: a scalar of a message.
+/// One column: one scalar of a message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
     /// Its path, `t_world_tip.position_m[0]`.
@@ -27,8 +27,8 @@ impl Column {
     }
 }
 
-/// The columns of some fields, in their order; arrays and nested messages become a column a number. No fields: all of
-/// the message.
+/// The columns for the given fields, in that order; arrays and nested messages expand to one column per scalar. No fields: the whole
+/// message.
 ///
 /// # Errors
 /// [`LogError::NoSuchField`].
@@ -76,16 +76,16 @@ fn of_place(place: &Place, name: &str, out: &mut Vec<Column>) {
     }
 }
 
-/// Takes a table row by row.
+/// Receives a table row by row.
 pub trait Rows {
-    /// A row: the tick, the simulated time, and a value a column.
+    /// Receives a row: the tick, the simulated time, and one value per column.
     ///
     /// # Errors
-    /// What its file says.
+    /// Any error of the row's destination.
     fn row(&mut self, tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError>;
 }
 
-/// This build's description of a topic of either lane.
+/// This build's description of a topic in either lane.
 ///
 /// # Errors
 /// [`LogError::NoSuchTopic`].
@@ -96,15 +96,15 @@ pub fn description_of_topic(log: &dyn LogSource, topic: &str) -> Result<&'static
         || topics::RUN.iter().find(|(name, _)| *name == topic).map(|(_, description)| *description);
     match first.or_else(of_run_lane) {
         Some(description) => Ok(description),
-        // One without a message has no description to be read by.
+        // A topic without messages has no description to decode it with.
         None => Err(stream.no_such_topic(topic)),
     }
 }
 
-/// Reads the messages of a topic in a range of ticks (both included) into rows.
+/// Reads the messages of a topic over a range of ticks (both ends inclusive) into rows.
 ///
 /// # Errors
-/// A log that cannot be read; what the rows' file says.
+/// A log that cannot be read; any error of the rows' destination.
 pub fn read_rows(
     log: &dyn LogSource,
     topic: &str,

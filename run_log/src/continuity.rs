@@ -1,7 +1,7 @@
-//! Which messages of a run lane are missing, according to their numbers.
+//! Finds missing messages of a run lane from their sequence numbers.
 //!
-//! Every state and command carries its tick; every removal, keyframe part and frame a number that rises by one. Missing messages are
-//! reported as stretches of ticks, each with its number of missing messages by topic.
+//! Every state and command carries its tick; every removal, keyframe part and frame carries a number that increases by one. Missing
+//! messages are reported as stretches of ticks, each with its count of missing messages per topic.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,14 +14,14 @@ use crate::limits::MAX_TOLD;
 use crate::stream::TopicCount;
 use crate::topics;
 
-/// A stretch of ticks with messages missing in the log.
+/// A stretch of ticks with messages missing from the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stretch {
     /// First tick (`State.tick`).
     pub first_tick: u64,
-    /// Last tick, included.
+    /// Last tick, inclusive.
     pub last_tick: u64,
-    /// Messages that are missing, by topic.
+    /// Number of missing messages, by topic.
     pub messages: BTreeMap<&'static str, u64>,
 }
 
@@ -36,25 +36,25 @@ impl fmt::Display for Stretch {
     }
 }
 
-/// What is missing in a log.
+/// What is missing from a log.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Gap {
-    /// Where, in the order of the ticks; the first of them.
+    /// The first stretches with missing messages, in tick order.
     pub stretches: Vec<Stretch>,
-    /// Stretches that are not among them.
+    /// Number of stretches beyond those listed.
     pub more: u64,
-    /// Messages by topic: also those behind the last tick, and of topics without numbers, as the end marker counts them.
+    /// Missing messages by topic. Includes those after the last tick and those of unnumbered topics, taken from the end marker's counts.
     pub lost: BTreeMap<String, u64>,
 }
 
-/// The numbers of a run lane's messages so far.
+/// Sequence numbers of a run lane's messages so far.
 #[derive(Debug, Default)]
 pub(crate) struct Continuity {
     next_latched: u64,
     next_state: u64,
     removed: Numbered,
     removed_total: u64,
-    /// State whose removals did not come.
+    /// State whose removals have not arrived.
     owed: Option<u64>,
     keyframe: Numbered,
     frame: Numbered,
@@ -63,7 +63,7 @@ pub(crate) struct Continuity {
     lost: BTreeMap<&'static str, u64>,
 }
 
-/// Messages that are numbered from 1.
+/// Messages numbered from 1.
 #[derive(Debug, Default)]
 struct Numbered {
     last: u64,
@@ -71,7 +71,7 @@ struct Numbered {
 }
 
 impl Numbered {
-    /// The ticks in which messages are missing before this one, and how many.
+    /// The range of ticks in which messages before this one are missing, and how many.
     fn see(&mut self, number: u64, tick: u64) -> Option<(u64, u64, u64)> {
         let expected = self.last.saturating_add(1);
         let first = self.last_tick.saturating_add(u64::from(self.last > 0));
@@ -81,7 +81,7 @@ impl Numbered {
 }
 
 impl Continuity {
-    /// Takes in a message.
+    /// Checks a message's number.
     pub fn see(&mut self, topic: &str, body: &[u8]) {
         match topic {
             topics::LATCHED => {
@@ -106,7 +106,7 @@ impl Continuity {
                 let Ok((removed, _)) = Removed::read_from_prefix(body) else { return };
                 self.removed_total = removed.removed_total;
                 let missing = self.removed.see(removed.sequence, removed.tick);
-                // Those that a state misses are the ones that the numbers miss.
+                // A state that lacks removals and a jump in the removals' numbers are the same loss: count it once.
                 self.owed = self.owed.filter(|_| missing.is_none());
                 self.numbered(topics::REMOVED, missing);
             }
@@ -124,7 +124,8 @@ impl Continuity {
         }
     }
 
-    /// What is missing, where removals are among the topics that are read or not; `counts` and the marker know of messages behind the last one and of topics without numbers.
+    /// What is missing. The caller says whether removals are among the topics it reads; `counts` and the end marker cover messages after
+    /// the last one and unnumbered topics.
     pub fn gap(
         &self,
         reads_removals: bool,
@@ -154,12 +155,12 @@ impl Continuity {
         (!lost.is_empty()).then_some(Gap { stretches, more: self.more, lost })
     }
 
-    /// A message of a topic that has one every tick.
+    /// A message of a topic that has exactly one message per tick.
     fn ticks(&mut self, topic: &'static str, expected: u64, found: u64) {
         match found.checked_sub(expected) {
             Some(0) => {}
             Some(missing) => self.note(topic, (expected, found - 1, missing), true),
-            // The number goes back.
+            // The number went backwards.
             None => self.note(topic, (found, found, 1), true),
         }
     }
@@ -170,7 +171,7 @@ impl Continuity {
         }
     }
 
-    /// Something is missing between two ticks, which are the very ones if `exact`.
+    /// Records a loss between two ticks; if `exact`, those two ticks are the first and last affected.
     fn note(&mut self, topic: &'static str, (first, last, count): (u64, u64, u64), exact: bool) {
         let total = self.lost.entry(topic).or_default();
         *total = total.saturating_add(count);

@@ -6,24 +6,24 @@ use crate::columns::{Column, Rows};
 use crate::error::LogError;
 use crate::fields::Scalar;
 
-/// Comma-separated values with a line of names. Floats have as many digits as identify them.
+/// Comma-separated values with a header line. Floats are printed with just enough digits to round-trip.
 pub struct Csv<W: Write>(W);
 
 impl<W: Write> Csv<W> {
-    /// Writes the names.
+    /// Writes the header line.
     ///
     /// # Errors
-    /// What the output says.
+    /// Any error of the output.
     pub fn new(mut out: W, columns: &[Column]) -> Result<Csv<W>, LogError> {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
         writeln!(out, "tick,log_time_ns{}{}", if names.is_empty() { "" } else { "," }, names.join(","))?;
         Ok(Csv(out))
     }
 
-    /// Writes what is held back.
+    /// Flushes the output.
     ///
     /// # Errors
-    /// What the output says.
+    /// Any error of the output.
     pub fn finish(mut self) -> Result<(), LogError> {
         Ok(self.0.flush()?)
     }

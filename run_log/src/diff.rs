@@ -21,7 +21,7 @@ use crate::topics;
 use crate::verdict::Verdict;
 use crate::verify::compare_state;
 
-/// A header entry that differs; empty where a log lacks it.
+/// A header entry that differs; empty where a log lacks the entry.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HeaderDifference {
     /// Name of the entry.
@@ -32,7 +32,7 @@ pub struct HeaderDifference {
     pub second: String,
 }
 
-/// What two logs have in common.
+/// The result of comparing two logs.
 #[derive(Debug, Default)]
 pub struct DiffReport {
     /// Header entries that differ.
@@ -47,22 +47,21 @@ pub struct DiffReport {
     pub frames: Option<Divergence>,
     /// The first keyframe part and the first reply that differ.
     pub messages: Vec<Divergence>,
-    /// What one log has and the other lacks, and how each ends if they ended for different reasons. That one lacks only its end is
-    /// said by its verdict.
+    /// Parts that only one log has, and each log's end reason if the reasons differ. A log that merely lacks its end is covered by its
+    /// verdict.
     pub remarks: Vec<String>,
-    /// What is wrong with each.
+    /// What is wrong with each log.
     pub verdicts: [Verdict; 2],
 }
 
 impl DiffReport {
-    /// True if both hold the same ticks, frames, keyframes and replies. Header entries may differ (another build, another
-    /// mode).
+    /// True if both hold the same ticks, frames, keyframes and replies. Header entries may differ (another build, another mode).
     pub fn same_run(&self) -> bool {
         let none_differs = self.ticks.is_none() && self.frames.is_none() && self.messages.is_empty();
         none_differs && self.remarks.is_empty()
     }
 
-    /// Writes the comparison for people.
+    /// Writes the comparison as text.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for HeaderDifference { name, first, second } in &self.header {
             let [name, first, second] = [name, first, second].map(|text| foreign(text));
@@ -91,8 +90,8 @@ impl DiffReport {
     }
 }
 
-/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run may
-/// interleave frames and ticks differently; that is no difference.
+/// Compares two `run.mcap`: headers, every tick, every frame, every keyframe and reply. Two logs of one run may interleave frames and
+/// ticks differently; that does not count as a difference.
 pub fn diff(
     first: &dyn LogSource,
     second: &dyn LogSource,
@@ -121,10 +120,10 @@ fn compare_ticks(
             .or_else(|| compare_removed(0, a.predrilled(), b.predrilled()));
     }
     let (mut x, mut y) = (next_tick(&mut a)?, next_tick(&mut b)?);
-    // Ticks that only one of them has, as a gap of the other.
+    // Ticks that only one log has because the other has a gap there.
     let mut alone = [0_u64; 2];
     while out.ticks.is_none() {
-        // Behind a gap of one of them both go on where they meet.
+        // After a gap in one log, resume both at the next tick they share.
         if let (Some(in_a), Some(in_b)) = (&x, &y) {
             match in_a.state.tick.cmp(&in_b.state.tick) {
                 Ordering::Less => {
@@ -170,7 +169,7 @@ fn compare_ticks(
     for (path, count) in [first, second].into_iter().zip(alone).filter(|(_, count)| *count > 0) {
         out.remarks.push(format!("{count} ticks are in {} alone", path.path().display()));
     }
-    // A verdict is on the whole log, also where the logs differ before its end.
+    // The verdict covers the whole log, so read both to the end even if they differ earlier.
     for reader in [&mut a, &mut b] {
         while let Ok(Some(_)) = next_tick(reader) {}
     }
@@ -178,7 +177,7 @@ fn compare_ticks(
     Ok(())
 }
 
-/// The next complete tick, behind a gap if there is one.
+/// The next complete tick, skipping a gap if there is one.
 fn next_tick(reader: &mut LogReader) -> Result<Option<TickRecord>, LogError> {
     loop {
         match reader.next() {
@@ -194,7 +193,7 @@ fn next_tick(reader: &mut LogReader) -> Result<Option<TickRecord>, LogError> {
     }
 }
 
-/// Why a run ended, if its log says so; also of one that was repaired.
+/// Why a run ended, if its log says so; for a repaired log, the reason from before the repair.
 fn reason(reader: &LogReader) -> Option<&EndReason> {
     let mut reason = &reader.ending().marker.as_ref()?.reason;
     while let EndReason::Repaired(before) = reason {
@@ -215,7 +214,7 @@ fn compare_headers(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -
     entries.filter(|entry| entry.first != entry.second).collect()
 }
 
-/// Where two ticks differ: the command before its effect.
+/// Where two ticks differ. The command is compared first because the state is its effect.
 fn compare_tick(a: &TickRecord, b: &TickRecord) -> Option<Divergence> {
     let restored = |tick: &TickRecord| tick.restored.clone().unwrap_or_default();
     let (x, y) = (a.latched.as_bytes(), b.latched.as_bytes());
@@ -249,7 +248,7 @@ fn compare_frames(
     Ok(())
 }
 
-/// The next frame, behind a gap if there is one.
+/// The next frame, skipping a gap if there is one.
 fn next_frame(reader: &mut FrameReader) -> Result<Option<FrameRecord>, LogError> {
     loop {
         match reader.next().transpose() {
@@ -259,7 +258,7 @@ fn next_frame(reader: &mut FrameReader) -> Result<Option<FrameRecord>, LogError>
     }
 }
 
-/// The messages of a topic, in their order, byte by byte.
+/// Compares the messages of a topic in order, byte by byte.
 fn compare_messages(
     first: &dyn LogSource,
     second: &dyn LogSource,
@@ -289,7 +288,7 @@ fn compare_messages(
     }
 }
 
-/// A log may hold hashes instead of images: then the frames' own fields decide, the hash among them.
+/// Compares two frames. A log may hold hashes instead of images; then the frames' own fields decide, including the hash.
 pub fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
     let (tick, frame) = (a.frame.tick, Frame::DESCRIPTION);
     compare(topics::DRR_FRAME, tick, frame, a.frame.as_bytes(), b.frame.as_bytes()).or_else(|| {

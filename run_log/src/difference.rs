@@ -13,7 +13,7 @@ pub struct FieldDifference {
     pub recorded: Option<Scalar>,
     /// Value in the second (replayed) message.
     pub replayed: Option<Scalar>,
-    /// Distance in units of the last place, for floats.
+    /// Distance in units in the last place (ULP), for floats.
     pub ulps: Option<u64>,
 }
 
@@ -35,13 +35,13 @@ pub struct Divergence {
     pub topic: &'static str,
     /// `State.tick` of the tick.
     pub tick: u64,
-    /// Differing scalars in the order of the fields, the chained hash last; at most [`MAX_LISTED`].
+    /// Differing scalars in field order, the chained hash last; at most [`MAX_LISTED`].
     pub differences: Vec<FieldDifference>,
-    /// Number of all differing scalars.
+    /// Total number of differing scalars.
     pub total: usize,
 }
 
-/// Differing scalars that are listed.
+/// Maximum number of differing scalars that are listed.
 pub const MAX_LISTED: usize = 16;
 
 impl std::fmt::Display for Divergence {
@@ -51,7 +51,7 @@ impl std::fmt::Display for Divergence {
     }
 }
 
-/// Compares two messages of one description; none if all bytes agree.
+/// Compares two messages with the same description; none if all bytes agree.
 pub fn compare(
     topic: &'static str,
     tick: u64,
@@ -62,7 +62,7 @@ pub fn compare(
     if recorded == replayed {
         return None;
     }
-    // A few more than are listed, so that the chained hash can move behind them.
+    // Collect a few more than are listed, so that the chained hash can be moved to the end.
     let mut found = Found { most: MAX_LISTED + 2, ..Found::default() };
     found.message(description, "", recorded, replayed);
     if let Some(tail) = description.tail {
@@ -70,7 +70,7 @@ pub fn compare(
         let element = if tail.ros_type == "string" { "uint8" } else { tail.ros_type };
         found.elements(element, tail.name, tail.element_size, a.unwrap_or_default(), b.unwrap_or_default());
     }
-    // A chained hash differs from the first divergence on whatever the cause: the cause comes first.
+    // Once two runs diverge, their chained hashes always differ. List the cause first.
     found.list.sort_by_key(|difference| difference.path.starts_with("hash["));
     found.list.truncate(MAX_LISTED);
     Some(Divergence { topic, tick, differences: found.list, total: found.total })
@@ -93,7 +93,7 @@ pub fn compare_removed(tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<
     Some(Divergence { topic, tick, differences: found.list, total: found.total })
 }
 
-/// All differing scalars of two messages of one description that has no tail, in the order of the fields.
+/// All differing scalars, in field order, of two tail-less messages with the same description.
 pub fn all_differences(description: &'static Description, a: &[u8], b: &[u8]) -> Vec<FieldDifference> {
     let mut found = Found { most: usize::MAX, ..Found::default() };
     found.message(description, "", a, b);
@@ -103,7 +103,7 @@ pub fn all_differences(description: &'static Description, a: &[u8], b: &[u8]) ->
 #[derive(Default)]
 struct Found {
     list: Vec<FieldDifference>,
-    /// How many are kept.
+    /// Maximum number to keep.
     most: usize,
     total: usize,
 }

@@ -1,4 +1,4 @@
-//! How a log ends: with the marker of a clean finish, or cut off.
+//! How a log ends: with the marker of a clean finish, or truncated.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,26 +15,26 @@ pub const END_RECORD: &str = "end";
 /// Name of the metadata record near the start of a repaired log.
 pub const REPAIR_RECORD: &str = "repair";
 
-/// Text for a log that was moved, in the end marker and from the launcher. No part has such a name.
+/// End reason of a log that was moved, as the end marker and the launcher write it. No part has this name.
 const LOG_MOVED: &str = "log moved";
 
 /// Why a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndReason {
-    /// All ticks of the scene were made, or the run was stopped on request.
+    /// The scene ran all its ticks, or the run was stopped on request.
     Completed,
     /// A signal ended it.
     Interrupted,
-    /// A part died; its name.
+    /// A part died; holds its name.
     PartDied(String),
-    /// The log, or its folder, was moved while it was written.
+    /// The log, or its folder, was moved while it was being written.
     LogMoved,
-    /// The log was damaged or cut, and repaired; the reason that it gave before, if that could be read.
+    /// The log was damaged or truncated, then repaired; holds its earlier reason if that could be read.
     Repaired(Option<Box<EndReason>>),
 }
 
 impl EndReason {
-    /// The text in the end marker.
+    /// The reason as text for the end marker.
     pub fn text(&self) -> String {
         match self {
             EndReason::Completed => "completed".to_string(),
@@ -46,7 +46,7 @@ impl EndReason {
         }
     }
 
-    /// Reads what [`text`](Self::text) gives; none if it is another text.
+    /// Parses the output of [`text`](Self::text); none for any other text.
     pub fn parse(text: &str) -> Option<EndReason> {
         match text {
             "completed" => Some(EndReason::Completed),
@@ -68,21 +68,21 @@ impl EndReason {
 pub struct EndMarker {
     /// Why the run ended.
     pub reason: EndReason,
-    /// `State.tick` of the last state; of the last message's time in the timing lane. None if there was none.
+    /// `State.tick` of the last state; in the timing lane, the tick of the last message. None if there was none.
     pub last_tick: Option<u64>,
     /// `State.hash` of the last state, low word first; none in the timing lane.
     pub hash: Option<[u64; 2]>,
     /// Messages written, by topic.
     pub counts: BTreeMap<String, u64>,
-    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that
-    /// its owner counted. Topics without a loss are absent.
+    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that its owner counted.
+    /// Topics without losses are absent.
     pub lost: BTreeMap<String, u64>,
     /// Messages that were in the log and were lost to damage, by topic; only in a repaired log.
     pub damaged: BTreeMap<String, u64>,
 }
 
 impl EndMarker {
-    /// The marker as the entries of its metadata record.
+    /// The marker as entries of its metadata record.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let mut entries = BTreeMap::new();
         entries.insert("reason".to_string(), self.reason.text());
@@ -97,7 +97,7 @@ impl EndMarker {
         entries
     }
 
-    /// What is missing, for people; empty if nothing is.
+    /// A description of the losses; empty if there are none.
     fn losses(&self) -> String {
         let list = |what: &str, counts: &BTreeMap<String, u64>| {
             let each: Vec<String> = counts.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
@@ -140,7 +140,7 @@ pub fn hash_text(hash: [u64; 2]) -> String {
     format!("{:016x}{:016x}", hash[1], hash[0])
 }
 
-/// What is known from the end of a file.
+/// How a file ends.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Ending {
     /// The marker of a clean finish.
@@ -152,9 +152,9 @@ pub struct Ending {
 /// Where a file stops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cut {
-    /// End of the last complete record: everything before it was read.
+    /// End of the last complete record; everything before it was read.
     pub offset: u64,
-    /// Bytes of the incomplete record behind it.
+    /// Bytes of the incomplete record that follows.
     pub incomplete_bytes: u64,
 }
 
@@ -164,7 +164,7 @@ impl Ending {
         self.marker.is_some() && self.cut.is_none()
     }
 
-    /// One line for people.
+    /// One line of text for the user.
     pub fn describe(&self) -> String {
         let marker = match &self.marker {
             Some(marker) => {

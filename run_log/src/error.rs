@@ -1,11 +1,11 @@
-//! What can go wrong with a log.
+//! Errors of reading and writing logs.
 
 use std::io;
 use std::path::PathBuf;
 
 use foreign_text::{foreign, foreign_line};
 
-/// What went wrong, with the file, and what to do.
+/// What went wrong, in which file, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file could not be created.
@@ -32,7 +32,7 @@ pub enum LogError {
         /// The writer's reason.
         source: mcap::McapError,
     },
-    /// A message given to a writer is not what its topic holds.
+    /// The message does not match the topic's schema.
     #[error("{}: message for {topic} refused: got {given}, expected {expected}", path.display())]
     Message {
         /// The file.
@@ -52,17 +52,17 @@ pub enum LogError {
         /// The system's reason.
         source: io::Error,
     },
-    /// Reading failed in the device, not in the content.
+    /// The device failed to read; the content is not at fault.
     #[error("{}: cannot read the log at byte {offset}: {source}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Where.
+        /// Offset of the failed read, in bytes.
         offset: u64,
         /// The system's reason.
         source: io::Error,
     },
-    /// The file is no MCAP file.
+    /// Not an MCAP file.
     #[error("{}: not an MCAP file: it begins with {found}, expected 89 4d 43 41 50 30 0d 0a", path.display())]
     NotMcap {
         /// The file.
@@ -70,7 +70,7 @@ pub enum LogError {
         /// Its first bytes in hexadecimal.
         found: String,
     },
-    /// The file ends before its header, or was written by something else.
+    /// The file ends before its header, or another program wrote it.
     #[error("{}: no header of this hub before byte {offset}: cut too early or not a log of this hub", path.display())]
     NoHeader {
         /// The file.
@@ -86,13 +86,13 @@ pub enum LogError {
         /// How many.
         runs: String,
     },
-    /// What a log is to be written to is there already.
+    /// The output file already exists.
     #[error("{}: is there already; name a file that is not", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// Only a whole log can be handled so.
+    /// The operation needs a whole log.
     #[error("{}: {}; `trabecula log repair` first", path.display(), foreign_line(.cause))]
     NotWhole {
         /// The file.
@@ -100,21 +100,21 @@ pub enum LogError {
         /// What is wrong with it.
         cause: String,
     },
-    /// The header or end marker holds a value that cannot be read.
+    /// A value in the header or end marker cannot be read.
     #[error("{}: {record}.{} is '{}', expected {expected}", path.display(), foreign(.key), foreign(.value))]
     Metadata {
         /// The file.
         path: PathBuf,
         /// `trabecula` or `end`.
         record: &'static str,
-        /// Entry.
+        /// Name of the entry.
         key: String,
-        /// What it holds; empty if it is missing.
+        /// The value found; empty if the entry is missing.
         value: String,
-        /// What it should hold.
+        /// The value expected.
         expected: &'static str,
     },
-    /// A message's layout is not this build's.
+    /// A message's layout differs from this build's.
     #[error(
         "{}: layout of {} is {} in the log and {build} in this build; use the build that wrote the log ({}), or allow other layouts",
         path.display(),
@@ -134,7 +134,7 @@ pub enum LogError {
         /// Version that wrote the log.
         version: String,
     },
-    /// More of something than a reader keeps in memory.
+    /// The log holds more of something than a reader keeps in memory.
     #[error(
         "{}: {found} {what}, at most {most} are kept: no log of this hub has so many",
         path.display()
@@ -142,14 +142,14 @@ pub enum LogError {
     TooMuch {
         /// The file.
         path: PathBuf,
-        /// Of what.
+        /// What there is too much of.
         what: &'static str,
-        /// How much of it, as far as it was read.
+        /// How much was found before reading stopped.
         found: usize,
-        /// How much is allowed.
+        /// The limit.
         most: usize,
     },
-    /// Content that no writer of ours produces: a flipped bit, a lost block, an edited file.
+    /// Content that our writer never produces: a flipped bit, a lost block, an edited file.
     #[error("{}: damaged at byte {offset}: {}; everything before is readable", path.display(), foreign_line(.cause))]
     Damaged {
         /// The file.
@@ -177,7 +177,7 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
-    /// A whole log without a state: nothing in it can be replayed.
+    /// A whole log without states: there is nothing to replay.
     #[error(
         "{}: a whole log, but without states: it is not a run's `run.mcap`, or the run ended before its first state",
         path.display()
@@ -186,17 +186,17 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
-    /// A topic that the log has not.
+    /// The log has no such topic.
     #[error("{}: no topic {topic}; it has {}", path.display(), foreign_line(.topics))]
     NoSuchTopic {
         /// The file.
         path: PathBuf,
-        /// The topic asked for.
+        /// The topic requested.
         topic: String,
-        /// What there is.
+        /// The topics in the log.
         topics: String,
     },
-    /// A field path names nothing.
+    /// The field path does not match any field.
     #[error("no field '{field}' in any selected topic; {reason}")]
     NoSuchField {
         /// The path as given.
@@ -214,7 +214,7 @@ pub enum LogError {
 }
 
 impl LogError {
-    /// Whether another argument would mend it; damage and a full disk it would not.
+    /// Whether other arguments could fix this; they cannot for damage or a full disk.
     pub fn is_bad_input(&self) -> bool {
         !matches!(
             self,
@@ -229,7 +229,7 @@ impl LogError {
         )
     }
 
-    /// What is wrong, where the file is known.
+    /// The error without the file's path, for callers that already show it.
     pub fn without_path(&self) -> String {
         let text = self.to_string();
         let path = match self {

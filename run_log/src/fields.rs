@@ -1,4 +1,4 @@
-//! Fields of a message's bytes, found by its generated description.
+//! Reads fields from a message's bytes, using its generated description.
 
 use messages::layout::{Description, Element, Field};
 
@@ -16,7 +16,7 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// The nearest number, for figures.
+    /// The nearest `f64`, for plots.
     pub fn nearest_f64(self) -> f64 {
         match self {
             Scalar::Unsigned(value) => value as f64,
@@ -26,7 +26,7 @@ impl Scalar {
         }
     }
 
-    /// Reads a little-endian scalar of a ROS type; none if the name is no scalar or the bytes are too few.
+    /// Reads a little-endian scalar of a ROS type; none if the type is not a scalar or there are too few bytes.
     pub fn read(ros_type: &str, bytes: &[u8]) -> Option<Scalar> {
         let word = |n: usize| -> Option<u64> {
             let mut buffer = [0u8; 8];
@@ -48,7 +48,7 @@ impl Scalar {
         })
     }
 
-    /// The bits, as they lie in the message.
+    /// The raw bits as stored in the message.
     pub fn bits(&self) -> u64 {
         match *self {
             Scalar::Unsigned(value) => value,
@@ -58,8 +58,8 @@ impl Scalar {
         }
     }
 
-    /// Number of representable values between two floats of a type; none for integers, NaN and unlike types.
-    /// `-0.0` and `0.0` are 1 apart: their bits differ.
+    /// Number of representable values between two floats of one type; none for integers, NaN and mixed types. `-0.0` and `0.0` are 1
+    /// apart because their bits differ.
     pub fn ulp_distance(&self, other: &Scalar) -> Option<u64> {
         match (*self, *other) {
             (Scalar::Float64(a), Scalar::Float64(b)) if !a.is_nan() && !b.is_nan() => Some(
@@ -75,7 +75,7 @@ impl Scalar {
     }
 }
 
-/// Maps float bits to integers in the order of the floats, so that neighbours are 1 apart.
+/// Maps float bits to integers that sort like the floats, so that neighbouring floats are 1 apart.
 fn ordered(bits: u64, width: u32) -> i128 {
     let sign = 1u64 << (width - 1);
     let magnitude = i128::from(bits & !(sign | if width == 32 { !0u64 << 32 } else { 0 }));
@@ -83,7 +83,7 @@ fn ordered(bits: u64, width: u32) -> i128 {
 }
 
 impl std::fmt::Display for Scalar {
-    /// Floats with as many digits as identify them.
+    /// Floats are printed with just enough digits to round-trip.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Scalar::Unsigned(value) => write!(f, "{value}"),
@@ -94,7 +94,7 @@ impl std::fmt::Display for Scalar {
     }
 }
 
-/// Number of elements of a message's tail, as its count field says; none without a tail or with too few bytes.
+/// Number of tail elements according to the message's count field; none without a tail or with too few bytes.
 pub fn tail_count(description: &Description, message: &[u8]) -> Option<usize> {
     description.tail?;
     let count = description.fields.last()?;
@@ -102,7 +102,7 @@ pub fn tail_count(description: &Description, message: &[u8]) -> Option<usize> {
     Some(u32::from_le_bytes(bytes.try_into().ok()?) as usize)
 }
 
-/// Size that a message's bytes should have: its struct and the tail that it announces.
+/// Expected size of a message: its struct plus the tail that its count field announces.
 pub fn message_size(description: &Description, message: &[u8]) -> Option<usize> {
     match description.tail {
         None => Some(description.size),
@@ -118,14 +118,14 @@ pub fn element_size(field: &Field) -> usize {
     field.size / field.array_length.unwrap_or(1).max(1)
 }
 
-/// Where a field path such as `t_world_link[7].position_m[2]` lies.
+/// Where a field path such as `t_world_link[7].position_m[2]` points.
 #[derive(Debug, Clone)]
 pub struct Place {
     /// The path as given.
     pub path: String,
-    /// What one element is.
+    /// Type of one element.
     pub element: Element,
-    /// Number of elements if the path ends at a whole array.
+    /// Number of elements if the path names a whole array.
     pub array_length: Option<usize>,
     /// Offset in the message in bytes.
     pub offset: usize,

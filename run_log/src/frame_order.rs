@@ -1,4 +1,4 @@
-//! The place of frames and replies among the ticks: fixed, although their arrival depends on the renderer's speed.
+//! Gives frames and replies a fixed place among the ticks, although their arrival depends on the renderer's speed.
 
 use std::collections::VecDeque;
 
@@ -7,15 +7,15 @@ use messages::{DRR_ACCEPTED, DrrReply, Frame};
 
 use crate::header::{LogHeader, RunMode};
 
-/// In real time a frame is written this long after the tick that it shows: longer than a frame takes to render.
+/// In real time a frame is written this long after the tick that it shows; rendering takes less.
 const REAL_TIME_LAG_NS: u64 = 300_000_000;
-/// Most bytes of held images; beyond, the oldest are written at once.
+/// Maximum bytes of held images; above that, the oldest are written at once.
 const MAX_HELD_BYTES: usize = 256 << 20;
 
-/// Number of ticks by which frames are written behind the tick that they show.
+/// How many ticks after the tick it shows a frame is written.
 ///
-/// In lockstep the physics waits for the renderer and the recorder, so neither is more than a state queue behind, and twice that is always
-/// enough. In real time it is 300 ms, so that few frames are lost if the recorder is killed.
+/// In lockstep the physics waits for the renderer and the recorder, so neither lags by more than one state queue, and twice that always
+/// suffices. In real time it is 300 ms, which keeps losses small if the recorder is killed.
 pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
     match header.mode {
         RunMode::Lockstep => 2 * STATE.queue_length as u64,
@@ -23,30 +23,30 @@ pub fn frame_lag_ticks(header: &LogHeader) -> u64 {
     }
 }
 
-/// What is written now.
+/// What to write now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Due {
-    /// What belongs to a tick that has been written.
+    /// Everything that belongs to a tick already written.
     AtItsTick,
-    /// All that waits.
+    /// Everything that waits.
     All,
 }
 
-/// A waiting message, and the tick after which it is written.
+/// A waiting message, and the tick after which to write it.
 #[derive(Debug)]
 struct Held<T> {
     due: u64,
     message: T,
 }
 
-/// A reply and the tick at which it stands in the log.
+/// A reply and its tick in the log.
 #[derive(Debug)]
 pub(crate) struct PlacedReply {
     pub tick: u64,
     pub reply: DrrReply,
 }
 
-/// A frame with its image, if that is logged.
+/// A frame, with its image if images are logged.
 #[derive(Debug)]
 pub(crate) struct FrameWithImage {
     pub frame: Frame,
@@ -70,15 +70,14 @@ impl FrameOrder {
         FrameOrder { lag_ticks, tick: None, replies: VecDeque::new(), frames: VecDeque::new(), held_bytes: 0 }
     }
 
-    /// A state of this tick has been written.
+    /// Notes that the state of this tick has been written.
     pub fn tick(&mut self, tick: u64) {
         self.tick = Some(tick);
     }
 
-    /// Takes a reply. None overtakes an earlier one.
+    /// Queues a reply. Replies are written in order of arrival.
     ///
-    /// A refusal may name a tick that never comes; it is then written at the tick of its arrival, so that it does not hold up later
-    /// replies.
+    /// A refusal may name a tick that never comes. It is written at the tick of its arrival so that it does not block later replies.
     pub fn reply(&mut self, reply: &DrrReply) {
         let now = self.tick.unwrap_or(0);
         let comes = reply.status == DRR_ACCEPTED || reply.tick <= now.saturating_add(self.lag_ticks);
@@ -88,7 +87,7 @@ impl FrameOrder {
         self.replies.push_back(Held { due, message: PlacedReply { tick, reply: *reply } });
     }
 
-    /// Takes a frame, with its image if that is logged. None overtakes an earlier one.
+    /// Queues a frame, with its image if images are logged. Frames are written in order of arrival.
     pub fn frame(&mut self, frame: &Frame, image: Option<&[u8]>) {
         let due = frame.tick.saturating_add(self.lag_ticks);
         let due = self.frames.back().map_or(due, |earlier| due.max(earlier.due));
@@ -102,7 +101,7 @@ impl FrameOrder {
         take_due(&mut self.replies, self.tick, due)
     }
 
-    /// The next frame that is due, or any while too many bytes are held.
+    /// The next frame that is due, or the oldest one while the held images exceed the limit.
     pub fn next_frame(&mut self, due: Due) -> Option<FrameWithImage> {
         let due = if self.held_bytes > MAX_HELD_BYTES { Due::All } else { due };
         let frame = take_due(&mut self.frames, self.tick, due)?;

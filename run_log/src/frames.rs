@@ -24,19 +24,19 @@ pub struct FrameRecord {
     pub pixels: Vec<u8>,
 }
 
-/// The frames of a `run.mcap` in the order of their numbers. A missing one is an error and the last item,
-/// unless [`FrameReader::go_on`] is called.
+/// The frames of a `run.mcap` in sequence. A missing frame is an error and ends the iteration, unless the caller calls
+/// [`FrameReader::go_on`].
 pub struct FrameReader {
     stream: MessageStream,
     expected: u64,
     pending: Option<Frame>,
-    /// A frame without image that stood before a gap.
+    /// A frame without an image, read just before a gap.
     before_gap: Option<Frame>,
     at_gap: bool,
     done: bool,
 }
 
-/// Opens a log for its frames.
+/// Opens a log to read its frames.
 pub fn frames(log: &dyn LogSource, options: ReadOptions) -> Result<FrameReader, LogError> {
     Ok(FrameReader::from_stream(MessageStream::open(log, options)?))
 }
@@ -47,7 +47,7 @@ impl FrameReader {
         FrameReader { stream, expected: 1, pending: None, before_gap: None, at_gap: false, done: false }
     }
 
-    /// What the log is about.
+    /// The log's header.
     pub fn header(&self) -> &LogHeader {
         self.stream.header()
     }
@@ -62,15 +62,14 @@ impl FrameReader {
         self.stream.verdict()
     }
 
-    /// After the iteration has ended with [`LogError::Gap`]: lets it go on behind the frames that are missing. False if it
-    /// did not end so.
+    /// Resumes after the missing frames once the iteration has ended with [`LogError::Gap`]. False if it ended for another reason.
     pub fn go_on(&mut self) -> bool {
         let at_gap = std::mem::take(&mut self.at_gap);
         self.done &= !at_gap;
         at_gap
     }
 
-    /// The image follows its frame at once, or is not in the log.
+    /// Reads the next frame. Its image follows immediately, or is not in the log.
     fn next_frame(&mut self) -> Result<Option<FrameRecord>, LogError> {
         let path: PathBuf = self.stream.path().into();
         if let Some(frame) = self.before_gap.take() {
@@ -112,7 +111,7 @@ impl FrameReader {
                 }
             }
         }
-        // A frame at the very end of a cut file may have lost its image.
+        // The last frame of a truncated file may have lost its image.
         let whole = self.stream.ending().cut.is_none();
         let frame = self.pending.take().filter(|_| whole);
         Ok(frame.map(|frame| FrameRecord { frame, image: None, pixels: Vec::new() }))

@@ -1,13 +1,14 @@
-//! Messages that never arrived, according to the numbers of those that did.
+//! Counts messages that never arrived, from the sequence numbers of those that did.
 
 use std::collections::BTreeMap;
 
-/// Most senders that are followed: more than a session has. A message names its sender, so a client could invent any number of them.
+/// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client could make up any number of
+/// them.
 const MAX_SENDERS: usize = 64;
-/// Longest gap that is believed (49 days at 1 kHz); a longer jump is a sender that starts anew.
+/// Longest plausible gap (49 days at 1 kHz); a longer jump means that the sender restarted.
 const LONGEST_GAP: u64 = u32::MAX as u64;
 
-/// Last number of each sender on each topic, and what was missed.
+/// Last sequence number of each sender on each topic, and the messages missed.
 #[derive(Debug, Default)]
 pub struct Gaps {
     last: BTreeMap<(&'static str, u32), u64>,
@@ -15,7 +16,7 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// Takes in a message. The numbers of a sender begin at 1 and rise by one; a sender that starts anew has lost nothing.
+    /// Checks a message's number. A sender's numbers start at 1 and increase by one; a sender that restarts has lost nothing.
     pub fn see(&mut self, topic: &'static str, sender: u32, number: u64) {
         if self.last.len() >= MAX_SENDERS && !self.last.contains_key(&(topic, sender)) {
             return;
@@ -48,7 +49,7 @@ mod tests {
         assert_eq!(gaps.lost(), &BTreeMap::from([("/event".to_owned(), 2 + 2)]));
     }
 
-    /// Numbers and names of senders are what a client wrote.
+    /// A client chooses its own numbers and sender id.
     #[test]
     fn what_a_client_invents_neither_falsifies_the_count_nor_fills_the_memory() {
         let mut gaps = Gaps::default();

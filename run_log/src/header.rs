@@ -10,29 +10,29 @@ use sha2::{Digest, Sha256};
 use crate::error::LogError;
 use crate::seal::{is_unbroken, seal};
 
-/// Version of the log's structure (topics, metadata, chunk rules). A reader refuses another one.
+/// Version of the log's structure (topics, metadata, chunk rules). Readers refuse any other version.
 pub const FORMAT_VERSION: u32 = 1;
 /// Name of the metadata record that holds the header.
 pub const HEADER_RECORD: &str = "trabecula";
 /// Name of the attachment that holds the scene.
 pub const SCENE_ATTACHMENT: &str = "scene.toml";
-/// Name of the attachment that holds the scene's C-arm, and of the file in the session's folder that it comes from.
+/// Name of the attachment that holds the scene's C-arm calibration, and of the session-folder file that it is copied from.
 pub const CALIBRATION_ATTACHMENT: &str = "calibration.json";
 
-/// Name of the metadata record of a file that holds several runs (`join`): their number and names.
+/// Name of the metadata record in a file of several runs (`join`): how many runs, and their names.
 pub const RUNS_RECORD: &str = "runs";
 
-/// How ticks followed each other.
+/// How the run's ticks were paced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunMode {
     /// Each tick waited for every controller.
     Lockstep,
-    /// Ticks followed the clock.
+    /// Ticks followed the wall clock.
     RealTime,
 }
 
 impl RunMode {
-    /// The name in the header.
+    /// The mode's name in the header.
     pub fn name(self) -> &'static str {
         match self {
             RunMode::Lockstep => "lockstep",
@@ -41,10 +41,10 @@ impl RunMode {
     }
 }
 
-/// Which build wrote the log.
+/// The build that wrote the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BuildInfo {
-    /// Version of the hub, `+`, and a hash of the source of everything that decides a tick.
+    /// Version of the hub, `+`, and a hash of all source code that decides a tick.
     pub version: String,
     /// Target triple.
     pub target: String,
@@ -52,10 +52,10 @@ pub struct BuildInfo {
     pub rustc: Option<String>,
 }
 
-/// What a log is about.
+/// Description of the logged run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogHeader {
-    /// The scene file's text, as run.
+    /// The scene file's text, exactly as run.
     pub scene_toml: String,
     /// The scene's C-arm as JSON, with the fields of `CArmGeometry`; none without X-ray.
     pub calibration_json: Option<String>,
@@ -63,19 +63,19 @@ pub struct LogHeader {
     pub scene_name: String,
     /// SHA-256 of the CT volume; none if the scene has no volume.
     pub volume_sha256: Option<[u8; 32]>,
-    /// Voxels of the volume along i, j, k; zeros if there is none.
+    /// Size of the volume in voxels along i, j, k; zeros without a volume.
     pub volume_dimensions: [u32; 3],
     /// Length of a tick in simulated time.
     pub dt_ns: u64,
-    /// How ticks followed each other.
+    /// How the run's ticks were paced.
     pub mode: RunMode,
     /// The scene's controllers, in order.
     pub controllers: Vec<String>,
-    /// Which build wrote the log.
+    /// The build that wrote the log.
     pub build: BuildInfo,
 }
 
-/// Layout hash of every message of this build, by its short name.
+/// Layout hash of every message in this build, by short name.
 pub fn layout_hashes() -> BTreeMap<String, String> {
     let hash = |d: &&Description| (d.short_name().to_string(), d.layout_hash());
     messages::ALL.iter().map(hash).collect()
@@ -87,7 +87,7 @@ impl LogHeader {
         hex(&Sha256::digest(self.scene_toml.as_bytes()))
     }
 
-    /// The header as the entries of its metadata record; `lane` is `run` or `timing`.
+    /// The header as entries of its metadata record; `lane` is `run` or `timing`.
     pub fn to_metadata(&self, lane: &str) -> BTreeMap<String, String> {
         let dimensions = self.volume_dimensions.map(|n| n.to_string()).join(" ");
         let volume = self.volume_sha256.map(|digest| hex(&digest)).unwrap_or_default();
@@ -112,7 +112,7 @@ impl LogHeader {
         entries
     }
 
-    /// Reads the header back. The scene's text and the calibration come from the attachments.
+    /// Parses the header. The scene's text and the calibration come from the attachments.
     pub fn from_metadata(
         path: &Path,
         entries: &BTreeMap<String, String>,
@@ -157,7 +157,7 @@ impl LogHeader {
     }
 }
 
-/// Refuses a log with a message whose layout is not this build's.
+/// Refuses a log in which any message layout differs from this build's.
 pub(crate) fn check_layouts(
     path: &Path,
     metadata: &BTreeMap<String, String>,
@@ -172,7 +172,7 @@ pub(crate) fn check_layouts(
     }
 }
 
-/// The first message whose layout is not this build's: its name, the log's hash, this build's.
+/// The first message whose layout differs from this build's: its name, the log's hash, this build's hash.
 pub(crate) fn other_layout(metadata: &BTreeMap<String, String>) -> Option<(String, String, String)> {
     let build = layout_hashes();
     let of_log = metadata.iter().filter_map(|(key, hash)| Some((key.strip_prefix("layout/")?, hash)));
@@ -182,7 +182,7 @@ pub(crate) fn other_layout(metadata: &BTreeMap<String, String>) -> Option<(Strin
     others.next().map(|(message, log, ours)| (message.to_string(), log.clone(), ours))
 }
 
-/// Entries of a metadata record, with the context that an error needs.
+/// Entries of a metadata record, with the context that errors need.
 pub(crate) struct Entries<'a> {
     pub path: &'a Path,
     pub record: &'static str,

@@ -1,5 +1,5 @@
-//! The summary of a whole log: which chunks hold which topics, so that reading one topic skips the others; and the
-//! declarations, for a log whose own are damaged.
+//! The summary of a whole log: which chunks hold which topics, so that reading one topic skips the other chunks; and the declarations, as
+//! a fallback where the log's own are damaged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, SeekFrom};
@@ -13,11 +13,11 @@ use crate::limits::{Declared, MAX_DECLARATION_BYTES, MAX_INDEX_BYTES};
 use crate::records::{RECORD_HEADER, chunk_record};
 use crate::topics;
 
-/// Bytes of the footer's fields and of the whole end of a file.
+/// Bytes of the footer's fields, and of a file's complete end.
 const FOOTER: usize = 8 + 8 + 4;
 const END: usize = RECORD_HEADER + FOOTER + MAGIC.len();
 
-/// What the summary of a log repeats from its chunks.
+/// What a log's summary repeats from its chunks.
 #[derive(Default)]
 pub(crate) struct Summary {
     /// Schemas with their text.
@@ -26,14 +26,15 @@ pub(crate) struct Summary {
     chunks: Vec<ChunkPlace>,
 }
 
-/// The part of a chunk's index that is kept.
+/// The parts of a chunk's index that we keep.
 struct ChunkPlace {
     offset: u64,
     channels: Box<[u16]>,
 }
 
 impl Summary {
-    /// None if the file has no intact index. `data_end` is where the summary begins; without it, the footer's value is used.
+    /// Reads the summary; none if the file has no intact index. `data_end` is where the summary begins; without it, the footer's value is
+    /// used.
     pub fn read<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Summary> {
         let records = records(source, data_end)?;
         let (mut summary, mut rest) = (Summary::default(), records.as_slice());
@@ -67,7 +68,7 @@ impl Summary {
         Some(summary)
     }
 
-    /// What this build's writer declares in a run lane: both are numbered from 1 in the order of the topics.
+    /// What this build's writer declares in a run lane: schemas and channels numbered from 1 in topic order.
     pub fn of_run_lane() -> Summary {
         let mut summary = Summary::default();
         for (id, (topic, description)) in (1..).zip(topics::RUN) {
@@ -81,7 +82,7 @@ impl Summary {
         summary
     }
 
-    /// Offsets of the chunks without messages of the topics.
+    /// Offsets of the chunks that hold no messages of these topics.
     pub fn chunks_without(&self, topics: &[String]) -> BTreeSet<u64> {
         let wanted = |id: &u16| self.channels.get(id).is_none_or(|channel| topics.contains(&channel.topic));
         // The first chunk declares the channels of the run lane.
@@ -91,7 +92,7 @@ impl Summary {
     }
 }
 
-/// The summary section's records, their checksum checked.
+/// The summary section's records, after checking their checksum.
 fn records<R: Read + Seek>(source: &mut R, data_end: Option<u64>) -> Option<Vec<u8>> {
     let length = source.seek(SeekFrom::End(0)).ok()?;
     let end = length.checked_sub(END as u64)?;

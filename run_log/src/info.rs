@@ -1,4 +1,4 @@
-//! `info` — what a log holds, on one screen.
+//! `info` — summarises a log on one screen.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -16,7 +16,7 @@ use crate::verdict::Verdict;
 /// Summary of a log.
 #[derive(Debug)]
 pub struct LogInfo {
-    /// What the log is about.
+    /// The log's header.
     pub header: LogHeader,
     /// Its metadata record.
     pub metadata: BTreeMap<String, String>,
@@ -24,19 +24,19 @@ pub struct LogInfo {
     pub topics: BTreeMap<String, TopicCount>,
     /// Latest simulated time of a message.
     pub end_ns: u64,
-    /// Bytes of the file that could be read.
+    /// Readable bytes of the file.
     pub file_bytes: u64,
-    /// Ticks that began late, of a timing lane.
+    /// Ticks that began late; timing lane only.
     pub misses: Misses,
     /// How the file ends.
     pub ending: Ending,
-    /// Why it could not be read further (damage).
+    /// The damage that stopped reading, if any.
     pub log_error: Option<LogError>,
-    /// What is wrong with it.
+    /// What is wrong with the log.
     pub verdict: Verdict,
 }
 
-/// Reads a whole log of either lane and sums it up. Damage is part of the summary.
+/// Reads a whole log of either lane and summarises it. Damage is reported in the summary, not as an error.
 pub fn info(log: &dyn LogSource, options: ReadOptions) -> Result<LogInfo, LogError> {
     let mut stream = MessageStream::open(log, options)?;
     let (mut end_ns, mut misses) = (0, Misses::default());
@@ -69,7 +69,7 @@ impl LogInfo {
         (self.end_ns > 0).then(|| self.file_bytes as f64 / (self.end_ns as f64 * 1e-9))
     }
 
-    /// Messages of a topic that are known to be missing: lost by the recorder and lost to damage.
+    /// Messages of a topic known to be missing: lost by the recorder plus lost to damage.
     pub fn lost(&self, topic: &str) -> u64 {
         let Some(marker) = &self.ending.marker else {
             return self.topics.get(topic).map_or(0, |count| count.missing);
@@ -77,7 +77,7 @@ impl LogInfo {
         marker.lost.get(topic).unwrap_or(&0) + marker.damaged.get(topic).unwrap_or(&0)
     }
 
-    /// Says why ticks began late, if this is the timing lane of a run in real time.
+    /// Writes why ticks began late, if this is the timing lane of a real-time run.
     pub fn write_misses(&self, out: &mut dyn Write) -> Result<(), LogError> {
         if self.misses.ticks > 0 && self.header.mode == RunMode::RealTime {
             writeln!(out, "late ticks  {}", self.misses.describe())?;
@@ -85,7 +85,7 @@ impl LogInfo {
         Ok(())
     }
 
-    /// Writes the summary for people.
+    /// Writes the summary as text.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         let header = &self.header;
         let seconds = self.end_ns as f64 * 1e-9;

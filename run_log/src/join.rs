@@ -1,4 +1,4 @@
-//! `compress`, `cat-files`, `split` — whole logs, written again.
+//! `compress`, `cat-files`, `split` — rewrite whole logs.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -34,7 +34,7 @@ fn walk_whole(
     if marked { Ok(()) } else { Err(not_whole("no end marker")) }
 }
 
-/// Digest of all messages: topics, numbers, times and bytes in their order.
+/// Digest of all messages: topics, numbers, times and bytes in order.
 fn digest(log: &dyn LogSource) -> Result<[u8; 32], LogError> {
     let (mut hasher, mut topics) = (Sha256::new(), BTreeMap::new());
     walk_whole(log, &mut |piece| {
@@ -56,10 +56,10 @@ fn digest(log: &dyn LogSource) -> Result<[u8; 32], LogError> {
     Ok(hasher.finalize().into())
 }
 
-/// Writes a log with its chunks packed anew to `out`; errors will name `path`.
+/// Writes a log to `out` with its chunks recompressed; errors will name `path`.
 ///
 /// # Errors
-/// [`LogError::NotWhole`], and what the output says.
+/// [`LogError::NotWhole`], and any error of the output.
 pub fn compress<W: Write>(
     input: &dyn LogSource,
     out: W,
@@ -71,10 +71,10 @@ pub fn compress<W: Write>(
     out.finish()
 }
 
-/// Whether two logs hold the same messages in the same order. What is wrong with the second is damage of `path`.
+/// Checks that two logs hold the same messages in the same order. Any fault of the second counts as damage of `path`.
 ///
 /// # Errors
-/// [`LogError::NotWhole`] of the first, [`LogError::Damaged`] if the second cannot be read or differs.
+/// [`LogError::NotWhole`] for the first, [`LogError::Damaged`] if the second cannot be read or differs.
 pub fn check_packed(input: &dyn LogSource, packed: &dyn LogSource, path: &Path) -> Result<(), LogError> {
     let damaged = |cause| LogError::Damaged { path: path.into(), offset: 0, cause };
     let read_back = digest(packed).map_err(|error| damaged(error.without_path()))?;
@@ -84,17 +84,16 @@ pub fn check_packed(input: &dyn LogSource, packed: &dyn LogSource, path: &Path) 
     Ok(())
 }
 
-/// Prefix of the topics, attachments and metadata of a run in a log of several runs.
+/// Prefix of one run's topics, attachments and metadata in a log of several runs.
 fn prefix(run: usize) -> String {
     format!("run{run}/")
 }
 
-/// Puts whole logs one after the other into one log in `out`; errors will name `path`. The topics of the first begin with
-/// `/run1`, its attachments and metadata with `run1/`; times stay as they are, so that a viewer shows the runs on one axis.
-/// [`split`] undoes it.
+/// Concatenates whole logs into one log in `out`; errors will name `path`. The first log's topics begin with `/run1`, its attachments and
+/// metadata with `run1/`, and so on; times stay as they are, so that a viewer shows all runs on one axis. [`split`] undoes it.
 ///
 /// # Errors
-/// [`LogError::NotWhole`], [`LogError::SeveralRuns`], and what the output says.
+/// [`LogError::NotWhole`], [`LogError::SeveralRuns`], and any error of the output.
 pub fn cat_files<W: Write>(inputs: &[&dyn LogSource], out: W, path: &Path) -> Result<W, LogError> {
     let mut out = Rewriter::create(out, path, Packing::RECORDED)?;
     let runs = BTreeMap::from([("count".to_string(), inputs.len().to_string())]);
@@ -120,29 +119,29 @@ pub fn cat_files<W: Write>(inputs: &[&dyn LogSource], out: W, path: &Path) -> Re
 
 /// Where [`split`] writes the runs of a log, one at a time.
 pub trait RunOutputs {
-    /// What a run is written to.
+    /// The output of one run.
     type Output: Write;
 
-    /// What messages call all outputs together.
+    /// What error messages call all outputs together.
     fn path(&self) -> &Path;
 
-    /// What messages call the output of a run, numbered from 1.
+    /// What error messages call the output of a run, numbered from 1.
     fn path_of(&self, run: usize) -> PathBuf;
 
-    /// Begins the output of a run, numbered from 1.
+    /// Opens the output of a run, numbered from 1.
     ///
     /// # Errors
-    /// The output's.
+    /// Any error of the output.
     fn begin(&mut self, run: usize) -> Result<Self::Output, LogError>;
 
-    /// Takes the output of a run that is whole.
+    /// Closes the output of a complete run.
     ///
     /// # Errors
-    /// The output's.
+    /// Any error of the output.
     fn end(&mut self, output: Self::Output) -> Result<(), LogError>;
 }
 
-/// Refuses a log that is not whole or does not say that it holds several runs.
+/// Refuses a log that is not whole or does not declare several runs.
 ///
 /// # Errors
 /// [`LogError::NotWhole`].
@@ -155,10 +154,10 @@ pub fn check_holds_runs(input: &dyn LogSource) -> Result<(), LogError> {
     if marked { Ok(()) } else { Err(not_whole(input, "it holds one run, not several")) }
 }
 
-/// Makes a log of each run of a log of several. Returns the number of runs.
+/// Splits a log of several runs into one log per run. Returns the number of runs.
 ///
 /// # Errors
-/// [`LogError::NotWhole`], and what the outputs say.
+/// [`LogError::NotWhole`], and any error of the outputs.
 pub fn split(input: &dyn LogSource, outputs: &mut impl RunOutputs) -> Result<usize, LogError> {
     let mut split = Split::of(outputs);
     walk_whole(input, &mut |piece| split.take(piece))?;
@@ -173,20 +172,20 @@ fn not_whole(input: &dyn LogSource, cause: &str) -> LogError {
     LogError::NotWhole { path: input.path().into(), cause: cause.to_owned() }
 }
 
-/// A log of several runs being split into one log per run. They follow each other, so one is written at a time.
+/// A log of several runs being split into one log per run. The runs follow each other, so only one output is open at a time.
 struct Split<'o, O: RunOutputs> {
     outputs: &'o mut O,
-    /// Number of runs that are whole.
+    /// Number of runs completed.
     whole: usize,
-    /// The run that is being written.
+    /// The run being written.
     out: Option<Rewriter<O::Output>>,
-    /// A schema is declared once for all runs; each run declares it again with its first channel that needs it.
+    /// Schemas are declared once for all runs; each output declares them again with the first channel that needs them.
     schemas: BTreeMap<u16, (SchemaHeader, Vec<u8>)>,
     kept: Declared,
     chunk_is_ours: bool,
 }
 
-/// A run being written, and a name as it stands there.
+/// A run being written, and a name without the run's prefix.
 struct InRun<'a, W: Write> {
     out: &'a mut Rewriter<W>,
     name: String,
@@ -245,7 +244,7 @@ impl<'o, O: RunOutputs> Split<'o, O> {
         out.piece(Piece::Channel(channel))
     }
 
-    /// Where a name of the joined log belongs; none if it belongs to no run. The first name of a run ends the run before it.
+    /// Which run a name of the joined log belongs to; none if it belongs to no run. The first name of a run ends the previous run.
     fn run_of(&mut self, name: &str) -> Result<Option<InRun<'_, O::Output>>, LogError> {
         let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
         let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));

@@ -1,6 +1,5 @@
-//! Parses records only after checking that the texts lie within them: `mcap`'s parser allocates memory for a text as soon as it has
-//! read the length, up to 4 GiB for a record of a few bytes.
-//! Format: <https://mcap.dev/spec>, "Records".
+//! Checks that all strings lie within a record before parsing it. `mcap`'s parser allocates memory as soon as it has read a string's
+//! length: up to 4 GiB for a record of a few bytes. Format: <https://mcap.dev/spec>, "Records".
 
 use mcap::records::{Record, op};
 
@@ -9,15 +8,15 @@ use mcap::records::{Record, op};
 enum Part {
     /// A fixed number of bytes.
     Fixed(usize),
-    /// A text after its length.
+    /// A length-prefixed string.
     Text,
-    /// Pairs of texts after their total length.
+    /// Pairs of strings, prefixed by their total length.
     Texts,
-    /// Numbers after their total length.
+    /// Numbers, prefixed by their total length.
     Numbers,
 }
 
-/// A record's parts up to its last text; none for records without one.
+/// A record's parts up to its last string; none for records without strings.
 fn parts(opcode: u8) -> &'static [Part] {
     use Part::{Fixed, Numbers, Text, Texts};
     match opcode {
@@ -33,13 +32,13 @@ fn parts(opcode: u8) -> &'static [Part] {
     }
 }
 
-/// Splits off a part that is preceded by its length.
+/// Splits off a length-prefixed part.
 fn counted(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
-/// Whether every text lies within the body.
+/// Whether every string lies within the body.
 fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
     let mut rest = body;
     for part in parts(opcode) {
@@ -61,7 +60,7 @@ fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
 /// Parses a record.
 ///
 /// # Errors
-/// What is wrong with it, for people.
+/// What is wrong with it, as text.
 pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     texts_fit(opcode, body).ok_or("a text that reaches beyond its record")?;
     mcap::parse_record(opcode, body).map_err(|error| error.to_string())
@@ -71,10 +70,10 @@ pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String
 mod tests {
     use super::*;
 
-    /// A metadata record of 8 bytes allocated 1.9 GB, because the length of its name was trusted.
+    /// Trusting the length of the name, the parser allocated 1.9 GB for a metadata record of 8 bytes.
     #[test]
     fn the_length_of_a_text_takes_no_memory_before_it_is_checked() {
-        // What stands before the first text of each record, zeros throughout.
+        // The bytes before the first string of each record type, all zeros.
         let records = [
             (op::HEADER, 0),
             (op::SCHEMA, 2),
@@ -90,7 +89,7 @@ mod tests {
             let body = [&vec![0; before][..], &0x7265_7474_u32.to_le_bytes(), &[0; 4]].concat();
             assert_eq!(refused(opcode, &body), "a text that reaches beyond its record", "{opcode:#04x}");
         }
-        // Within a map: a length of the map that fits, of a key that does not.
+        // Inside a map: the map's length fits, a key's length does not.
         let long_key = [0_u32, 4, 0xffff_fff0].map(u32::to_le_bytes).concat();
         assert_eq!(refused(op::METADATA, &long_key), "a text that reaches beyond its record");
     }

@@ -1,7 +1,7 @@
-//! How much of a log is kept in memory while it is read.
+//! Limits on how much of a log a reader keeps in memory.
 //!
-//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. So what a reader keeps beyond the current record is
-//! bounded here, by kind; our own logs need less than a hundredth of these limits.
+//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps beyond the current record is
+//! therefore bounded here, by kind; our own logs use less than a hundredth of these limits.
 
 use std::path::Path;
 
@@ -9,24 +9,24 @@ use mcap::records::{Channel, SchemaHeader};
 
 use crate::error::LogError;
 
-/// Longest name of a topic, a schema, an encoding, an attachment or a metadata record. Names of ROS have at most 255 bytes.
+/// Longest name of a topic, schema, encoding, attachment or metadata record. ROS names have at most 255 bytes.
 pub(crate) const MAX_NAME_BYTES: usize = 256;
-/// Most schemas, and most channels, of a file.
+/// Maximum number of schemas, and of channels, in a file.
 pub(crate) const MAX_DECLARATIONS: usize = 4096;
-/// Longest record of a schema or channel.
+/// Longest schema or channel record.
 pub(crate) const MAX_DECLARATION_BYTES: usize = 1 << 20;
-/// Bytes of all schemas and channels together, where their text is kept.
+/// Total bytes of all schemas and channels whose text is kept.
 pub(crate) const MAX_DECLARED_BYTES: usize = 16 << 20;
-/// Longest metadata record: the header, the end marker.
+/// Longest metadata record, such as the header or the end marker.
 pub(crate) const MAX_METADATA_BYTES: usize = 1 << 20;
 /// Longest scene or calibration.
 pub(crate) const MAX_SCENE_BYTES: usize = 16 << 20;
-/// Longest index that is used; with a longer one, every chunk is read.
+/// Longest index that is used; above that, every chunk is read.
 pub(crate) const MAX_INDEX_BYTES: u64 = 64 << 20;
-/// Most damaged pieces of a file, and most stretches of missing ticks, that a report lists.
+/// Maximum number of damaged pieces, and of stretches of missing ticks, that a report lists.
 pub(crate) const MAX_TOLD: usize = 64;
 
-/// How much a reader keeps of the declarations so far.
+/// How many declarations a reader keeps so far.
 #[derive(Debug, Default)]
 pub(crate) struct Declared {
     schemas: usize,
@@ -35,7 +35,7 @@ pub(crate) struct Declared {
 }
 
 impl Declared {
-    /// Counts a schema that will be kept, with so many bytes of its text.
+    /// Counts a schema to be kept, with this many bytes of text.
     pub fn schema(&mut self, path: &Path, header: &SchemaHeader, text: usize) -> Result<(), LogError> {
         self.schemas += 1;
         check(path, "schemas", self.schemas, MAX_DECLARATIONS)?;
@@ -44,7 +44,7 @@ impl Declared {
         self.keep(path, header.name.len() + header.encoding.len() + text)
     }
 
-    /// Counts a channel that will be kept.
+    /// Counts a channel to be kept.
     pub fn channel(&mut self, path: &Path, channel: &Channel) -> Result<(), LogError> {
         self.channels += 1;
         check(path, "channels", self.channels, MAX_DECLARATIONS)?;
@@ -60,7 +60,7 @@ impl Declared {
     }
 }
 
-/// Refuses what is more than `most`.
+/// Refuses more than `most`.
 pub(crate) fn check(path: &Path, what: &'static str, found: usize, most: usize) -> Result<(), LogError> {
     if found <= most {
         return Ok(());
@@ -68,7 +68,7 @@ pub(crate) fn check(path: &Path, what: &'static str, found: usize, most: usize) 
     Err(LogError::TooMuch { path: path.into(), what, found, most })
 }
 
-/// The record of a schema or channel, before it is taken apart.
+/// Checks a schema or channel record before it is parsed.
 pub(crate) fn check_declaration(path: &Path, body: &[u8]) -> Result<(), LogError> {
     check(path, "bytes of a schema or channel", body.len(), MAX_DECLARATION_BYTES)
 }

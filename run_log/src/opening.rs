@@ -1,5 +1,5 @@
-//! Finding the header of a log. It is in the file twice, at the start and after the first chunk, each copy with the scene, the
-//! calibration and its own checksums. The first copy that can be read is used.
+//! Finds the header of a log. The file holds it twice, at the start and after the first chunk, each copy with the scene, the calibration
+//! and its own checksums. The first readable copy is used.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -17,12 +17,12 @@ use crate::walk::{Piece, walk};
 pub enum HeaderCopy {
     /// At the start of the file.
     First,
-    /// Behind the first chunk.
+    /// After the first chunk.
     Second,
 }
 
 impl HeaderCopy {
-    /// Text for users.
+    /// Name shown to users.
     pub fn name(self) -> &'static str {
         match self {
             HeaderCopy::First => "at the start",
@@ -31,17 +31,17 @@ impl HeaderCopy {
     }
 }
 
-/// A header with the entries of its record.
+/// A header with its record's entries.
 pub(crate) struct Opened {
     pub header: LogHeader,
     pub metadata: BTreeMap<String, String>,
-    /// The records behind it.
+    /// The records that follow the header.
     pub records: Records,
     /// What is wrong with the first copy; none if it was read.
     pub first_is_bad: Option<String>,
 }
 
-/// The parts of a copy that have been read.
+/// The parts of a header copy read so far.
 #[derive(Default)]
 pub(crate) struct Parts {
     scene: Option<String>,
@@ -49,7 +49,7 @@ pub(crate) struct Parts {
 }
 
 impl Parts {
-    /// Keeps an attachment that is a header's.
+    /// Keeps an attachment that belongs to a header.
     pub fn take(&mut self, found: &Attached) {
         let text = || {
             let kept = found.data.get(..MAX_SCENE_BYTES).unwrap_or(&found.data);
@@ -62,17 +62,17 @@ impl Parts {
         }
     }
 
-    /// The copy, now that its record has come.
+    /// The complete header, called once its metadata record has been read.
     pub fn header(&mut self, path: &Path, entries: &BTreeMap<String, String>) -> Result<LogHeader, LogError> {
         let Parts { scene, calibration } = std::mem::take(self);
         LogHeader::from_metadata(path, entries, scene.unwrap_or_default(), calibration)
     }
 }
 
-/// Opens a log at its first header, or at its first chunk with the header that follows it.
+/// Opens a log at its first header; if that is unreadable, at its first chunk with the second header.
 ///
 /// # Errors
-/// There is no header that can be read: what is wrong with the first.
+/// Neither header can be read: says what is wrong with the first.
 pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
     let mut records = Records::new(source, path)?;
     let mut parts = Parts::default();
@@ -118,14 +118,14 @@ pub(crate) fn cause(error: &LogError) -> String {
     }
 }
 
-/// What a file holds of a log whose first header cannot be read.
+/// What a walk found in a log whose first header cannot be read.
 #[derive(Default)]
 struct Found {
     first_chunk: Option<u64>,
     header: Option<(LogHeader, BTreeMap<String, String>)>,
 }
 
-/// Looks for the header behind the first chunk.
+/// Looks for the second header, after the first chunk.
 fn second<R: Read + Seek>(source: &mut R, path: &Path) -> Found {
     let (mut found, mut parts) = (Found::default(), Parts::default());
     let walked = walk(source, path, &mut |piece| {

@@ -1,4 +1,4 @@
-//! The order of a tick's messages in the log; they arrive on separate queues.
+//! Puts a tick's messages in log order; they arrive on separate queues.
 
 use std::collections::VecDeque;
 
@@ -6,20 +6,20 @@ use messages::services::STATE;
 use messages::{Latched, Removed, State};
 use zerocopy::FromBytes;
 
-/// A message whose counterpart has not arrived is written alone once this many of its kind wait: the counterpart is lost.
-/// More than a queue holds: after a pause, the recorder may empty one whole queue before it looks at the next.
+/// Once this many messages of one kind wait, their counterpart counts as lost and the oldest is written alone. The limit exceeds a
+/// queue's length because, after a pause, the recorder may drain one whole queue before it reads the next.
 const MAX_WAITING: usize = 2 * STATE.lossless_length;
 
 /// Whether more messages can come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Supply {
-    /// They can; an incomplete tick waits for them.
+    /// More can come; an incomplete tick waits for them.
     Open,
-    /// They cannot; an incomplete tick is written as it is.
+    /// No more can come; an incomplete tick is written as it is.
     Ended,
 }
 
-/// What a tick in the log begins with.
+/// The message that a tick in the log begins with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Beginning {
     Latched,
@@ -34,14 +34,14 @@ pub(crate) enum Ordered {
     State(Box<State>),
 }
 
-/// Takes the messages of each kind in order of arrival and hands them out tick by tick: `Latched` k, `Removed` k+1, `State` k+1,
-/// however the three queues were interleaved. `Removed` 0 and `State` 0 come first.
+/// Accepts the messages of each kind in order of arrival and returns them tick by tick: `Latched` k, `Removed` k+1, `State` k+1, however
+/// the three queues were interleaved. `Removed` 0 and `State` 0 come first.
 #[derive(Debug, Default)]
 pub(crate) struct TickOrder {
     latched: VecDeque<Box<Latched>>,
     removed: VecDeque<(Removed, Vec<u8>)>,
     states: VecDeque<Box<State>>,
-    /// `removed_total` of the last state handed out: the next one's differs by what its messages say.
+    /// `removed_total` of the last state returned; the next state's total exceeds it by what the removals in between add up to.
     removed_total: u64,
     begun: bool,
 }
@@ -61,7 +61,7 @@ impl TickOrder {
         self.states.push_back(Box::new(*state));
     }
 
-    /// The next messages in order; empty if the next tick's are not all there and more can come.
+    /// The next messages in order; empty if the next tick is incomplete and more messages can come.
     pub fn next(&mut self, supply: Supply) -> Vec<Ordered> {
         let has_ended = supply == Supply::Ended;
         match (self.latched.front(), self.states.front()) {
@@ -83,7 +83,7 @@ impl TickOrder {
         }
     }
 
-    /// The first waiting state with its removals, after the first waiting command if it belongs to the state.
+    /// The first waiting state with its removals, preceded by the first waiting command if that belongs to the state.
     fn tick(&mut self, beginning: Beginning, supply: Supply) -> Vec<Ordered> {
         let with_latched = beginning == Beginning::Latched;
         let reset = with_latched && self.latched.front().is_some_and(|latched| latched.reset != 0);
@@ -99,8 +99,8 @@ impl TickOrder {
         out
     }
 
-    /// The command after the last state. Commands of later ticks, whose states were never taken, are left out, so that the log has no
-    /// gap at its end.
+    /// The command after the last state. Commands of later ticks, whose states never arrived, are dropped so that the log does not end in
+    /// a gap.
     fn last_latched(&mut self) -> Vec<Ordered> {
         let first = self.lone_latched();
         self.latched.clear();
@@ -112,8 +112,8 @@ impl TickOrder {
         self.latched.pop_front().map(Ordered::Latched).into_iter().collect()
     }
 
-    /// Number of waiting removals that belong before the first waiting state; none while more must come. Within a tick totals only
-    /// grow, except at the first message after a reset, so the tick is complete when the state's total is reached.
+    /// Number of waiting removals that belong before the first waiting state; none while more must come. Within a tick totals only grow,
+    /// except at the first message after a reset, so the tick is complete when the state's total is reached.
     fn removals_of_front_state(&self, is_reset: bool, supply: Supply) -> Option<usize> {
         let state = self.states.front()?;
         let of_tick = self.removed.iter().take_while(|(removed, _)| removed.tick <= state.tick).count();
@@ -131,8 +131,8 @@ impl TickOrder {
 mod tests {
     use super::*;
 
-    /// A recorder that has to end early has taken more commands than states; it wrote them all, and the log's last ticks
-    /// were a gap that no reader passes.
+    /// Regression: a recorder that had to stop early had received more commands than states. It wrote them all, and the log ended in a
+    /// gap that no reader could pass.
     #[test]
     fn commands_whose_states_were_not_taken_do_not_follow_each_other_at_the_end() {
         let mut order = TickOrder::default();
@@ -156,8 +156,8 @@ mod tests {
         assert_eq!(ticks, [("state", 0), ("latched", 0), ("state", 1), ("latched", 1)]);
     }
 
-    /// A recorder that was stopped for two seconds found one queue full, took it whole, and wrote states without their
-    /// commands when more than 1024 waited: a gap that no reader passes.
+    /// Regression: a recorder stopped for two seconds found one queue full, drained it, and wrote states without their commands once more
+    /// than 1024 waited: a gap that no reader could pass.
     #[test]
     fn a_whole_queue_of_states_waits_for_its_commands() {
         let mut order = TickOrder::default();

@@ -1,4 +1,4 @@
-//! The ticks of a log.
+//! Reads a log tick by tick.
 
 use std::path::{Path, PathBuf};
 
@@ -18,72 +18,72 @@ use crate::topics;
 pub struct TickRecord {
     /// u_k.
     pub latched: Latched,
-    /// The state that it led to.
+    /// The state that u_k led to.
     pub state: State,
-    /// Linear indices of the voxels that this tick drilled away.
+    /// Linear indices of the voxels drilled away in this tick.
     pub removed: Vec<u32>,
-    /// After a reset: all voxels were put back and these removed again (the predrilled ones) before `removed`.
+    /// After a reset, which restores all voxels: the predrilled voxels, removed again before `removed`.
     pub restored: Option<Vec<u32>>,
 }
 
-/// A whole keyframe of a log.
+/// A complete keyframe of a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedState {
-    /// `State.tick` of the state that it saves.
+    /// `State.tick` of the saved state.
     pub tick: u64,
     /// `State.hash` of that state, low word first.
     pub hash: [u64; 2],
-    /// The physics' own bytes.
+    /// The physics' serialized state, opaque to this crate.
     pub bytes: Vec<u8>,
 }
 
-/// The ticks of a `run.mcap`, in order from a complete log or one cut at any byte.
+/// The ticks of a `run.mcap`, in order, from a complete log or one truncated at any byte.
 ///
-/// Iterates over complete ticks only. An error (a gap, damage) is the last item; behind a gap, [`LogReader::go_on`] goes
-/// to the next keyframe, and the iteration goes on there.
+/// Iterates over complete ticks only. An error (a gap, damage) is the last item; after a gap, [`LogReader::go_on`] seeks to the next
+/// keyframe and the iteration resumes there.
 pub struct LogReader {
     stream: MessageStream,
     initial: State,
     predrilled: Vec<u32>,
     last: u64,
     pending: Pending,
-    /// Most voxels that a tick can remove.
+    /// Maximum number of voxels that a tick can remove.
     voxels: u64,
-    /// Keyframe at which the ticks begin, of a log whose start is missing.
+    /// Keyframe at which the ticks begin, for a log whose start is missing.
     beginning: Option<SavedState>,
-    /// Whether the iteration ended at a gap, behind which there may be more.
+    /// Whether the iteration stopped at a gap with possibly more ticks after it.
     at_gap: bool,
     done: bool,
 }
 
-/// Where the ticks of a log go on behind a gap.
+/// Where a log's ticks resume after a gap.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resumption {
-    /// The first state behind the gap of which there is a keyframe.
+    /// The first state after the gap that has a keyframe.
     pub state: Box<State>,
     /// That keyframe.
     pub keyframe: SavedState,
 }
 
-/// Messages of the tick whose state has not come.
+/// Messages of a tick whose state has not arrived.
 #[derive(Default)]
 struct Pending {
     latched: Option<Latched>,
     removals: Vec<(Removed, Vec<u32>)>,
-    /// Their voxels; a message without any counts as one.
+    /// Voxels held so far; a message without voxels counts as one.
     held: u64,
-    /// Number of removal messages so far; none behind a gap, where any number may come.
+    /// Number of removal messages so far; none after a gap, where the next number is unknown.
     removal_count: Option<u64>,
     /// `removed_total` of the last state.
     removed_total: u64,
-    /// The last keyframe, or what has come of it.
+    /// The last keyframe, possibly still incomplete.
     keyframe: Option<(SavedState, usize)>,
-    /// Number of keyframe parts so far; none behind a gap.
+    /// Number of keyframe parts so far; none after a gap.
     keyframe_parts: Option<u64>,
 }
 
 impl LogReader {
-    /// Opens a log of this build's layouts and reads up to the initial state.
+    /// Opens a log with this build's layouts and reads up to the initial state.
     pub fn open(log: &dyn LogSource) -> Result<LogReader, LogError> {
         LogReader::open_with(log, ReadOptions::default())
     }
@@ -93,7 +93,7 @@ impl LogReader {
         LogReader::from_stream(MessageStream::open(log, options)?)
     }
 
-    /// Reads the ticks of a stream from its start; of a log whose start is missing, from its first keyframe
+    /// Reads the ticks of a stream from its start, or from its first keyframe if the log's start is missing
     /// ([`beginning`](Self::beginning)).
     pub fn from_stream(mut stream: MessageStream) -> Result<LogReader, LogError> {
         let mut pending = Pending { removal_count: Some(0), keyframe_parts: Some(0), ..Pending::default() };
@@ -131,7 +131,7 @@ impl LogReader {
         }
     }
 
-    /// The initial state and what is predrilled in it.
+    /// The initial state and its predrilled voxels.
     fn start(
         stream: &mut MessageStream,
         pending: &mut Pending,
@@ -140,7 +140,7 @@ impl LogReader {
         let path: PathBuf = stream.path().into();
         let initial = loop {
             let Some(message) = stream.next_message()? else {
-                // A log of the timing lane, for one.
+                // For example, a timing-lane log.
                 let is_whole = stream.ending().is_complete();
                 return Err(if is_whole {
                     LogError::NoStates { path }
@@ -168,8 +168,8 @@ impl LogReader {
         self.beginning.as_ref()
     }
 
-    /// After the iteration has ended with [`LogError::Gap`]: goes to the next keyframe behind it, from which the iteration
-    /// then goes on. None if the iteration did not end so, or the log ends before.
+    /// Once the iteration has ended with [`LogError::Gap`], seeks to the next keyframe, where the iteration then resumes. None if the
+    /// iteration ended for another reason, or the log has no further keyframe.
     ///
     /// # Errors
     /// The log cannot be read further.
@@ -185,7 +185,7 @@ impl LogReader {
                 topics::STATE => state = State::read_from_bytes(message.body).ok().map(Box::new),
                 topics::KEYFRAME => {
                     let Some(state) = &state else { continue };
-                    // A keyframe of another state is of no use here.
+                    // Skip keyframes of other states.
                     let _ = pending.take_keyframe_part(&path, message.body, Some(state.tick));
                     if let Some(keyframe) = pending.whole_keyframe()
                         && keyframe.hash == state.hash
@@ -202,7 +202,7 @@ impl LogReader {
         Ok(None)
     }
 
-    /// What the log is about.
+    /// The log's header.
     pub fn header(&self) -> &LogHeader {
         self.stream.header()
     }
@@ -212,18 +212,18 @@ impl LogReader {
         &self.initial
     }
 
-    /// Linear indices of the voxels that are gone in the initial state.
+    /// Linear indices of the voxels missing from the initial state.
     pub fn predrilled(&self) -> &[u32] {
         &self.predrilled
     }
 
-    /// The stream below, for its metadata and counts.
+    /// The underlying message stream, for its metadata and counts.
     pub fn stream(&self) -> &MessageStream {
         &self.stream
     }
 
-    /// The keyframe behind the tick before the last one that was read, if there is one: of the state in which the last
-    /// tick began. At the end of the log, that of the last state. Taken only once.
+    /// The keyframe of the state in which the last-read tick began, if there is one; at the end of the log, the keyframe of the last
+    /// state. Each keyframe is returned only once.
     pub fn take_keyframe(&mut self) -> Option<SavedState> {
         self.pending.whole_keyframe()?;
         self.pending.keyframe.take().map(|(saved, _)| saved)
@@ -267,7 +267,7 @@ impl LogReader {
 }
 
 impl Pending {
-    /// Takes a message behind state `last`; returns the state if it is one.
+    /// Takes a message that follows state `last`; returns the state if it is one.
     fn take(
         &mut self,
         path: &Path,
@@ -315,9 +315,9 @@ impl Pending {
         Ok(None)
     }
 
-    /// A log that removes without end and never says a state would fill the memory.
+    /// Bounds memory for a log that keeps removing voxels without ever writing a state.
     fn check_size(&self, stream: &MessageStream, most: u64) -> Result<(), LogError> {
-        // After a reset without predrilled voxels there is a message that holds none.
+        // A reset without predrilled voxels writes one empty message.
         if self.held <= most.saturating_add(1) {
             return Ok(());
         }
@@ -325,8 +325,8 @@ impl Pending {
         Err(LogError::Damaged { path: stream.path().into(), offset: stream.offset(), cause })
     }
 
-    /// Takes a part of the keyframe of state `last`. If one before it is missing, the keyframe is none: the ticks need it
-    /// only to begin there, and what is missing is counted elsewhere.
+    /// Takes a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is dropped: ticks need it only as a
+    /// starting point, and the loss is counted elsewhere.
     fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<u64>) -> Result<(), LogError> {
         let Ok((head, data)) = Keyframe::read_from_prefix(body) else { return Ok(()) };
         let expected = self.keyframe_parts.map(|parts| parts.saturating_add(1));
@@ -358,14 +358,13 @@ impl Pending {
         Ok(())
     }
 
-    /// The last keyframe, if all of it has come.
+    /// The last keyframe, if it is complete.
     fn whole_keyframe(&self) -> Option<&SavedState> {
         let (saved, total) = self.keyframe.as_ref()?;
         (saved.bytes.len() == *total).then_some(saved)
     }
 
-    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all
-    /// are predrilled.
+    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all are predrilled.
     fn removed_of(
         &mut self,
         path: &Path,
@@ -419,7 +418,7 @@ impl Iterator for LogReader {
     }
 }
 
-/// Voxels of the log's volume.
+/// Number of voxels in the log's volume.
 pub fn voxels_of(header: &LogHeader) -> u64 {
     header
         .volume_dimensions
@@ -428,7 +427,7 @@ pub fn voxels_of(header: &LogHeader) -> u64 {
         .min(voxel_grid::MAX_VOXELS as u64)
 }
 
-/// The voxel indices behind a `Removed`.
+/// The voxel indices that follow a `Removed` struct.
 pub fn voxel_indices(tail: &[u8]) -> Vec<u32> {
     tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
 }

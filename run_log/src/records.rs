@@ -1,8 +1,8 @@
-//! MCAP records of a file, one after the other, with every length checked before it is trusted.
+//! Reads a file's MCAP records in order, checking every length before trusting it.
 //!
-//! The framing is done here and not by `mcap`'s readers because a log may be cut or damaged anywhere: their attachment
-//! parser panics on short records, and they do not say at which byte a file stops.
-//! Format: <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
+//! We do the framing here rather than with `mcap`'s readers because a log may be truncated or damaged anywhere: their attachment parser
+//! panics on short records, and they do not report the byte at which a file stops. Format: <https://mcap.dev/spec>, "Records", "Chunk",
+//! "Attachment", "Data End".
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -21,14 +21,14 @@ use crate::source::ReadSeek;
 /// Longest record or unpacked chunk: the longest message, with room for its neighbours.
 pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
 pub(crate) const RECORD_HEADER: usize = 9;
-/// A log being written ends in fewer zeros than one block of the recorder's file (`recorder_proc::background`).
+/// A log still being written ends in fewer zeros than one block of the recorder's file (`recorder_proc::background`).
 const PADDING_BYTES: u64 = 4096;
 /// Bytes of the footer's fields that its checksum covers.
 const FOOTER_COVERED: usize = 8 + 8;
 
 /// A file-level record that matters to a log.
 pub(crate) enum FileRecord {
-    /// A chunk, checked and unpacked: see [`Records::chunk`].
+    /// A chunk, checked and unpacked; read it with [`Records::chunk`].
     Chunk,
     /// A metadata record.
     Metadata { name: String, entries: BTreeMap<String, String> },
@@ -36,11 +36,11 @@ pub(crate) enum FileRecord {
     Attachment(Attached),
     /// The file is whole.
     End,
-    /// The file stops in the middle.
+    /// The file is truncated.
     Cut(Cut),
 }
 
-/// An attachment whose checksum is right.
+/// An attachment whose checksum matched.
 pub(crate) struct Attached {
     pub log_time: u64,
     pub create_time: u64,
@@ -49,16 +49,16 @@ pub(crate) struct Attached {
     pub data: Vec<u8>,
 }
 
-/// What a log is read through.
+/// The byte source of a log.
 pub(crate) type Source = BufReader<Box<dyn ReadSeek>>;
 
 /// Result of loading a record.
 enum Loaded {
-    /// Loaded into `record`; its type.
+    /// Loaded into `record`; holds its type.
     Record(u8),
     /// An unwanted chunk, skipped.
     PassedOver,
-    /// The file ends inside the record; number of its bytes that are there.
+    /// The file ends inside the record; number of the record's bytes present.
     Incomplete(u64),
 }
 
@@ -96,7 +96,7 @@ impl Records {
         Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
     }
 
-    /// The records from the given offset, which must be the start of one. The checksum of the whole file is not checked.
+    /// Reads the records from the given offset, which must be the start of one. The whole-file checksum is not checked.
     pub fn at(mut source: Source, path: &Path, offset: u64) -> Result<Records, LogError> {
         let moved = source.seek(SeekFrom::Start(offset));
         moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
@@ -124,7 +124,7 @@ impl Records {
         self.source
     }
 
-    /// The file, for messages.
+    /// The file's name for error messages.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -134,24 +134,23 @@ impl Records {
         self.offset
     }
 
-    /// The last chunk's records.
+    /// The last chunk's records, unpacked.
     pub fn chunk(&self) -> &[u8] {
         &self.chunk
     }
 
-    /// Skips these chunks from now on. The checksum of the whole file is then not checked; those of the chunks that are read
-    /// are.
+    /// Skips these chunks from now on. The whole-file checksum is then not checked; those of the chunks read are.
     pub fn pass_over(&mut self, chunks: BTreeSet<u64>) {
         self.data_crc = self.data_crc.take().filter(|_| chunks.is_empty());
         self.unwanted = chunks;
     }
 
-    /// Whether the last record was an attachment or metadata, so that no message is lost with it.
+    /// Whether the last record was an attachment or metadata, so that losing it loses no message.
     pub fn is_beside_messages(&self) -> bool {
         matches!(self.opcode, op::ATTACHMENT | op::METADATA)
     }
 
-    /// Stops checking the checksum of the whole file, because the reason for a mismatch is known.
+    /// Stops checking the whole-file checksum, because the reason for a mismatch is already known.
     pub fn forget_checksum(&mut self) {
         self.data_crc = None;
     }
@@ -173,7 +172,7 @@ impl Records {
             };
             self.opcode = opcode;
             let found = self.interpret(opcode);
-            // A caller that can do without this record may ask for the next one.
+            // Advance first, so that a caller that can do without this record may ask for the next one.
             self.offset = start + (RECORD_HEADER + self.record.len()) as u64;
             let found =
                 found.map_err(|cause| LogError::Damaged { path: self.path.clone(), offset: start, cause })?;
@@ -196,7 +195,7 @@ impl Records {
         if fixed == [0; RECORD_HEADER]
             && let Some(zeros) = self.zeros_to_the_end()?
         {
-            // The rest of a block that a killed recorder was writing.
+            // The rest of the block that a killed recorder was writing.
             return Ok(Loaded::Incomplete(RECORD_HEADER as u64 + zeros));
         }
         let mut length = [0u8; 8];
@@ -225,7 +224,7 @@ impl Records {
         Ok(Loaded::Record(fixed[0]))
     }
 
-    /// Adds a record to the checksum that covers it: of the data section or of the summary.
+    /// Adds a record to the checksum that covers it: the data section's or the summary's.
     fn sum(&mut self, fixed: [u8; RECORD_HEADER]) {
         let opcode = fixed[0];
         let crc = match self.in_data {
@@ -234,13 +233,13 @@ impl Records {
             false => Some(&mut self.summary_crc),
         };
         let Some(crc) = crc else { return };
-        // The footer's own checksum is not covered.
+        // The footer's checksum does not cover itself.
         let covered = if opcode == op::FOOTER { FOOTER_COVERED } else { self.record.len() };
         crc.update(&fixed);
         crc.update(self.record.get(..covered).unwrap_or(&self.record));
     }
 
-    /// Number of zeros up to the end of the file; none if anything else follows, or more than a block of zeros.
+    /// Number of zeros up to the end of the file; none if anything else follows, or if there is more than a block of zeros.
     fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
         self.read_up_to(PADDING_BYTES, |_| ())?;
         let few = (self.record.len() as u64) < PADDING_BYTES;
@@ -333,7 +332,7 @@ pub(crate) fn check_magic(found: &[u8], path: &Path) -> Result<(), LogError> {
     Err(LogError::NotMcap { path: path.into(), found })
 }
 
-/// Unpacks a chunk and checks its CRC, before any of its records is read.
+/// Unpacks a chunk and checks its CRC before any of its records is read.
 pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
     let size = header.uncompressed_size;
     if size > MAX_RECORD_BYTES {

@@ -1,10 +1,9 @@
-//! `repair` — makes a whole log of a cut or damaged one, and says what is missing.
+//! `repair` — turns a truncated or damaged log into a whole one, and reports what is missing.
 //!
-//! Every message whose chunk's checksum is right is kept, with its number, its time and its place; the index and the
-//! summary are written anew. If the chunk that declares a topic is damaged, the old summary declares it; in a run lane
-//! that was cut besides, the order in which every run lane declares its topics. What is missing is counted by the
-//! messages' numbers and, if the end marker is still there, by its counts; both stand in the new end marker, whose
-//! reason is `repaired`.
+//! Every message in a chunk with a correct checksum is kept, with its number, its time and its place; the index and the summary are
+//! rewritten. If the chunk that declares a topic is damaged, the declaration comes from the old summary; if a run lane has lost that too,
+//! from the fixed order in which every run lane declares its topics. Losses are counted from the messages' numbers and, if the end marker
+//! survives, from its counts; both go into the new end marker, whose reason is `repaired`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, Write};
@@ -30,40 +29,39 @@ use crate::topics;
 use crate::verdict::{Fault, Verdict, verdict};
 use crate::walk::{Lost, Piece, walk};
 
-/// Messages of a topic that were found and that were not.
+/// Messages of a topic found and lost.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TopicRepair {
     /// Found.
     pub recovered: u64,
-    /// Known to have been in the log and gone. Behind the last message found, only what the end marker tells.
+    /// Known to have been in the log and lost. After the last message found, only the end marker can tell.
     pub lost: u64,
 }
 
-/// What a repair found and left out.
+/// What a repair found and what it left out.
 #[derive(Debug, Default)]
 pub struct RepairReport {
     /// Messages by topic.
     pub topics: BTreeMap<String, TopicRepair>,
-    /// What was wrong with the log, as every command says it; nothing if it was intact.
+    /// The verdict on the input, the same that every command reports; empty if it was intact.
     pub before: Verdict,
-    /// The same of the result.
+    /// The verdict on the result.
     pub after: Verdict,
-    /// Pieces of the file that were left out; the first of them.
+    /// The first pieces of the file that were left out.
     pub pieces: Vec<Lost>,
-    /// Pieces that are not among them.
+    /// Number of pieces beyond those listed.
     pub more_pieces: u64,
-    /// Bytes of all of them.
+    /// Total bytes of all of them.
     pub left_out_bytes: u64,
-    /// Messages that nothing tells the topic of; left out.
+    /// Messages whose topic cannot be determined; left out.
     pub undeclared: u64,
-    /// Where the file stops before its end.
+    /// Where the file is truncated, if it is.
     pub cut: Option<Cut>,
-    /// The end marker that was there.
+    /// The input's end marker.
     pub marker: Option<EndMarker>,
-    /// Last tick up to which every tick is complete, as a replay goes; none in the timing lane and without an initial
-    /// state.
+    /// Last tick up to which every tick is complete and can be replayed; none in the timing lane and without an initial state.
     pub complete_tick: Option<u64>,
-    /// Last tick of any state.
+    /// Tick of the last state found.
     pub last_tick: Option<u64>,
 }
 
@@ -73,7 +71,7 @@ impl RepairReport {
         self.before.is_intact()
     }
 
-    /// Writes the report for people.
+    /// Writes the report as text.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         for Lost { offset, bytes, cause } in &self.pieces {
             writeln!(out, "left out    {bytes} bytes from byte {offset}: {}", foreign_line(cause))?;
@@ -117,7 +115,7 @@ impl RepairReport {
         Ok(())
     }
 
-    /// Reads both logs and fills in the verdicts and the last complete tick: what readers say, not what the repair meant to do.
+    /// Reads both logs and fills in the verdicts and the last complete tick from what readers find, not from what the repair intended.
     ///
     /// # Errors
     /// The result cannot be read.
@@ -132,7 +130,7 @@ impl RepairReport {
         Ok(())
     }
 
-    /// What every command says of the log; and what only this one sees, which reads on where others stop.
+    /// The verdict that every command gives, plus what only a repair sees because it reads on where others stop.
     fn verdict_before(&self, told: Result<Verdict, LogError>) -> Verdict {
         let damage = |offset, cause| Fault::Damaged { offset, cause };
         let mut before = told.unwrap_or_else(|error| {
@@ -154,7 +152,7 @@ impl RepairReport {
     }
 }
 
-/// A repair: first the survey of the whole input, then the repaired copy.
+/// A repair: first a survey of the whole input, then the repaired copy.
 pub struct Repair<'i> {
     input: &'i dyn LogSource,
     survey: Survey,
@@ -169,11 +167,11 @@ impl<'i> Repair<'i> {
         Ok(Repair { input, survey: Survey::of(input.open()?, input.path())? })
     }
 
-    /// Writes the repaired copy to `out`; errors will name `path`. Returns the output and what was found, of which
-    /// [`RepairReport::judge`] fills in the verdicts once the result can be read.
+    /// Writes the repaired copy to `out`; errors will name `path`. Returns the output and the report; call [`RepairReport::judge`] to
+    /// fill in the verdicts once the result can be read.
     ///
     /// # Errors
-    /// The input's and the output's.
+    /// Any error of the input or the output.
     pub fn write<W: Write>(mut self, out: W, path: &Path) -> Result<(W, RepairReport), LogError> {
         let mut rewriter = Rewriter::create(out, path, Packing::RECORDED)?;
         rewriter.declare(std::mem::take(&mut self.survey.declared));
@@ -182,7 +180,7 @@ impl<'i> Repair<'i> {
     }
 }
 
-/// What a repair would find in a log from any source; errors will name `path`. The ticks are not replayed.
+/// What a repair would find in a log from any source; errors will name `path`. Does not replay the ticks.
 ///
 /// # Errors
 /// As [`Repair::of`].
@@ -197,18 +195,18 @@ struct Survey {
     /// Topics of the channels, by their identifier in the input.
     topics: BTreeMap<u16, String>,
     schemas: BTreeSet<u16>,
-    /// What declares the channels whose own declaration is gone.
+    /// Declarations for channels whose own declaration is lost.
     declared: Summary,
-    /// Whether a channel is known of which there is no schema.
+    /// Whether a channel refers to a missing schema.
     lacks_schema: bool,
     /// Where the summary begins.
     data_end: Option<u64>,
-    /// The header is a run lane's of this build's layouts, which no repair has written.
+    /// Whether the header is that of a run lane with this build's layouts that has never been repaired.
     is_our_run_lane: bool,
     last_state: Option<Box<State>>,
-    /// The header of a copy that is right, with its attachments.
+    /// A readable copy of the header, with its attachments.
     header: Option<(Vec<Attached>, BTreeMap<String, String>)>,
-    /// Attachments of the next copy.
+    /// Attachments of the next header copy.
     attached: Vec<Attached>,
     kept: Declared,
 }
@@ -258,10 +256,10 @@ impl Survey {
                 self.header = Some((attached, entries));
             }
             Piece::Metadata { name, entries } if name == END_RECORD => {
-                // One that cannot be read is as good as none.
+                // An unreadable marker is treated as missing.
                 self.report.marker = EndMarker::from_metadata(path, &entries).ok();
             }
-            // It may declare its topics in another order.
+            // A repaired log may declare its topics in another order.
             Piece::Metadata { name, .. } if name == REPAIR_RECORD => self.is_our_run_lane = false,
             Piece::Attachment(found) if is_of_header(&found) && self.attached.len() < 2 => {
                 self.attached.push(found);
@@ -301,7 +299,7 @@ impl Survey {
         };
         let count = self.report.topics.entry(topic.clone()).or_default();
         let jump = sequence.wrapping_sub((count.recovered + count.lost) as u32);
-        // A number that goes back is no gap; the reader of the result will say what it thinks of it.
+        // A number that goes backwards is not a gap; reading the result will judge it.
         count.lost += if jump < u32::MAX / 2 { u64::from(jump) } else { 0 };
         count.recovered += 1;
         if topic == topics::STATE
@@ -314,7 +312,7 @@ impl Survey {
         }
     }
 
-    /// Messages behind the last one found, by the counts of the end marker.
+    /// Counts messages after the last one found, from the end marker's counts.
     fn count_behind_the_last(&mut self) {
         let Some(marker) = &self.report.marker else { return };
         for (topic, written) in &marker.counts {
@@ -350,7 +348,7 @@ fn write_repaired<R: Read + Seek, W: Write>(
 ) -> Result<(), LogError> {
     let marker = survey.marker();
     write_header(survey, out)?;
-    // At the start, so that a reader of the messages knows that some may be missing.
+    // Written at the start, so that readers know early that messages may be missing.
     out.metadata(REPAIR_RECORD.to_string(), repair_entries(&survey.report))?;
     let mut first = true;
     let is_rewritten = |name: &str| [HEADER_RECORD, END_RECORD, REPAIR_RECORD].contains(&name);
@@ -369,7 +367,7 @@ fn write_repaired<R: Read + Seek, W: Write>(
     out.metadata(END_RECORD.to_string(), marker.to_metadata())
 }
 
-/// Writes a copy of the header: one stands at the start, one behind the first chunk.
+/// Writes a copy of the header; one goes at the start, one after the first chunk.
 fn write_header<W: Write>(survey: &Survey, out: &mut Rewriter<W>) -> Result<(), LogError> {
     let Some((attached, entries)) = &survey.header else { return Ok(()) };
     attached.iter().try_for_each(|found| out.attachment(found))?;

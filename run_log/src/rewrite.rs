@@ -1,4 +1,4 @@
-//! Copying the records of logs into a new log, as they are.
+//! Copies records of existing logs into a new log, unchanged.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,19 +16,19 @@ use crate::records::Attached;
 use crate::sink::{LIBRARY, PROFILE};
 use crate::walk::Piece;
 
-/// How chunks are packed.
+/// How chunks are compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Packing {
-    /// Not at all.
+    /// Uncompressed.
     None,
-    /// LZ4 at a level: 0 to 2 fast, 3 to 12 denser and slower. The recorder's is 0.
+    /// LZ4 at a level: 0 to 2 fast, 3 to 12 denser and slower. The recorder uses 0.
     Lz4(u32),
     /// Zstandard at a level, 1 to 22.
     Zstd(u32),
 }
 
 impl Packing {
-    /// The recorder's own.
+    /// The recorder's setting.
     pub const RECORDED: Packing = Packing::Lz4(0);
 
     fn compression(self) -> (Option<Compression>, u32) {
@@ -40,16 +40,16 @@ impl Packing {
     }
 }
 
-/// A new log made of the records of others.
+/// A new log assembled from records of others.
 pub(crate) struct Rewriter<W: Write> {
     writer: Writer<NoSeek<W>>,
     path: PathBuf,
-    /// From the current source's identifiers of schemas and channels to those of the new log.
+    /// Maps the current source's schema and channel identifiers to those of the new log.
     schemas: BTreeMap<u16, u16>,
     channels: BTreeMap<u16, u16>,
     /// Prefix of the current source's topics.
     prefix: String,
-    /// Declarations of channels whose own are lost.
+    /// Declarations for channels whose own are lost.
     declared: Summary,
     /// Schemas and channels of the new log, and how much memory they take.
     written: BTreeSet<(u8, u16)>,
@@ -57,13 +57,13 @@ pub(crate) struct Rewriter<W: Write> {
 }
 
 impl<W: Write> Rewriter<W> {
-    /// Writes the beginning of a log to `out`; errors will name `path`.
+    /// Writes the start of a log to `out`; errors will name `path`.
     ///
     /// # Errors
     /// [`LogError::Write`].
     pub fn create(out: W, path: &Path, packing: Packing) -> Result<Rewriter<W>, LogError> {
         let (compression, level) = packing.compression();
-        // Chunks end where we say, and the bytes depend on nothing but the calls.
+        // We alone decide where chunks end, so the bytes depend on nothing but the calls.
         let options =
             WriteOptions::new().library(LIBRARY).profile(PROFILE).chunk_size(None).disable_seeking(true);
         let options = options.compression(compression).compression_level(level).compression_threads(0);
@@ -80,7 +80,7 @@ impl<W: Write> Rewriter<W> {
         })
     }
 
-    /// The records of another source follow, with identifiers of its own; its topics get `prefix`.
+    /// Starts another source, with its own identifiers; its topics get `prefix`.
     pub fn begin_source(&mut self, prefix: &str) {
         self.schemas.clear();
         self.channels.clear();
@@ -104,7 +104,7 @@ impl<W: Write> Rewriter<W> {
         act(&mut self.writer).map_err(|error| encode_error(&self.path, error))
     }
 
-    /// Copies a record; damage and the end of the source are left to the caller.
+    /// Copies a record; the caller handles damage and the end of the source.
     pub fn piece(&mut self, piece: Piece<'_>) -> Result<(), LogError> {
         match piece {
             Piece::Attachment(found) => self.attachment(&found),
@@ -136,7 +136,7 @@ impl<W: Write> Rewriter<W> {
     fn schema(&mut self, header: &SchemaHeader, data: &[u8]) -> Result<(), LogError> {
         let id = self.with(|writer| writer.add_schema(&header.name, &header.encoding, data))?;
         self.schemas.insert(header.id, id);
-        // The writer keeps each once.
+        // The writer keeps each declaration once.
         if self.written.insert((op::SCHEMA, id)) {
             self.counted.schema(&self.path, header, data.len())?;
         }

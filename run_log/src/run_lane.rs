@@ -19,13 +19,13 @@ use crate::topics;
 
 /// The deterministic lane of a run, being written.
 ///
-/// The methods may be called in any interleaving, each topic in its own order, except that the removals of tick 0 must come before
-/// its state. A tick is written as `Latched` k, `Removed` k+1, `State` k+1 once all of them have arrived. The arrival of frames and
-/// replies depends on the renderer, so they are held and written a fixed number of ticks after the tick that they show
-/// (`frame_lag_ticks`): two runs with the same messages leave the same bytes. Only a frame that arrives later than that is written on
-/// arrival. A keyframe must be given before the next tick's state; it is written directly after its own state and the frames due there.
+/// Calls may interleave in any way, as long as each topic stays in order and the removals of tick 0 come before its state. A tick is
+/// written as `Latched` k, `Removed` k+1, `State` k+1 once all of them have arrived. The arrival of frames and replies depends on the
+/// renderer, so they are held and written a fixed number of ticks after the tick that they show (`frame_lag_ticks`): two runs with the
+/// same messages produce the same bytes. Only a frame that arrives even later is written on arrival. A keyframe must be given before the
+/// next tick's state; it is written directly after its own state and the frames due there.
 ///
-/// `log_time` is tick × dt, for a frame the tick that it shows.
+/// `log_time` is tick × dt; for a frame, the tick that it shows.
 pub struct RunLog<W: Write> {
     sink: Sink<W>,
     ticks: TickOrder,
@@ -38,7 +38,7 @@ pub struct RunLog<W: Write> {
     lost: BTreeMap<&'static str, u64>,
 }
 
-/// What decides the place of replies, frames and keyframes, and where chunks end.
+/// What decides where replies, frames and keyframes go, and where chunks end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Places {
     /// The tick that they belong to.
@@ -82,7 +82,7 @@ impl<W: Write> RunLog<W> {
         RunLog::create_named(w, Path::new("run.mcap"), Box::new(Cursor::new(Vec::new())), header)
     }
 
-    /// Writes the header to `w`; errors will name `path`, and the index waits in `index` for the end.
+    /// Writes the header to `w`; errors will name `path`, and the index is kept in `index` until the end.
     pub fn create_named(
         w: W,
         path: &Path,
@@ -118,8 +118,8 @@ impl<W: Write> RunLog<W> {
         })
     }
 
-    /// From now on replies, frames and keyframes are written in the order of the calls, and only [`RunLog::close_chunk`] closes
-    /// chunks: for copying a log message by message.
+    /// From now on writes replies, frames and keyframes in call order and closes chunks only on [`RunLog::close_chunk`]. Used to copy a
+    /// log message by message.
     pub fn keep_places(&mut self) {
         self.places = Places::AsGiven;
     }
@@ -178,7 +178,7 @@ impl<W: Write> RunLog<W> {
         self.write_frames(self.places.due())
     }
 
-    /// Takes a frame as on the wire: `Frame`, `ImagePrefix`, pixels.
+    /// Takes a frame as sent on the wire: `Frame`, `ImagePrefix`, pixels.
     pub fn frame(&mut self, payload: &[u8]) -> Result<(), LogError> {
         let smallest = Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size;
         let Ok((frame, image)) = Frame::read_from_prefix(payload) else {
@@ -195,13 +195,13 @@ impl<W: Write> RunLog<W> {
         self.write_frames(self.places.due())
     }
 
-    /// Takes a frame whose image is not logged; its `pixel_hash` represents it.
+    /// Takes a frame whose image is not logged; its `pixel_hash` stands for the pixels.
     pub fn frame_without_image(&mut self, frame: &Frame) -> Result<(), LogError> {
         self.frames.frame(frame, None);
         self.write_frames(self.places.due())
     }
 
-    /// The file, for messages.
+    /// The file's name for error messages.
     pub fn path(&self) -> &Path {
         self.sink.path()
     }
@@ -216,8 +216,8 @@ impl<W: Write> RunLog<W> {
         &self.lost
     }
 
-    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is what the owner counted; the greater of both counts of
-    /// a topic is recorded.
+    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is the owner's count; the marker records the greater
+    /// of the two counts per topic.
     pub fn finish(
         mut self,
         reason: EndReason,
@@ -261,7 +261,7 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Writes the keyframes of states up to this one, in a chunk of their own, so that reading states does not read keyframes.
+    /// Writes the keyframes of states up to this one in a chunk of their own, so that reading states does not read keyframes.
     fn write_keyframes(&mut self, tick: u64) -> Result<(), LogError> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());
@@ -310,7 +310,7 @@ impl<W: Write> RunLog<W> {
         self.last = Some(*state);
         self.frames.tick(state.tick);
         self.write_frames(Due::AtItsTick)?;
-        // So that the file of a run that is paused from the start holds its initial state.
+        // Closing the chunk here puts the initial state on disk even if the run starts paused.
         match self.places {
             Places::AsGiven => Ok(()),
             Places::ByTick if is_first => self.sink.close_chunk(),
@@ -328,7 +328,7 @@ impl<W: Write> RunLog<W> {
             self.expected.frame_sequence = frame.sequence.saturating_add(1);
             self.sink.message(self.channels.frame, frame.tick, &[frame.as_bytes()])?;
             let Some(image) = image else { continue };
-            // Images have chunks of their own, so that reading states does not read pixels.
+            // Images get chunks of their own, so that reading states does not read pixels.
             self.sink.close_chunk()?;
             self.sink.message(self.channels.image, frame.tick, &[&image])?;
             self.sink.close_chunk()?;

@@ -1,11 +1,11 @@
-//! A checksum inside a metadata record. MCAP has none: a flipped bit there would show only in the checksum at the end of a file.
+//! A checksum inside a metadata record. MCAP has none there: a flipped bit would show only in the checksum at the end of the file.
 
 use std::collections::BTreeMap;
 
 /// Name of the entry that holds the checksum.
 pub(crate) const SEAL: &str = "crc32";
 
-/// Adds the checksum of the entries as another entry.
+/// Adds an entry with the checksum of all other entries.
 pub(crate) fn seal(entries: &mut BTreeMap<String, String>) {
     let checksum = of(entries);
     entries.insert(SEAL.to_owned(), checksum);
@@ -16,12 +16,12 @@ pub(crate) fn is_unbroken(entries: &BTreeMap<String, String>) -> bool {
     entries.get(SEAL).is_none_or(|told| *told == of(entries))
 }
 
-/// Whether the entries have a checksum.
+/// Whether the entries include a checksum.
 pub(crate) fn is_sealed(entries: &BTreeMap<String, String>) -> bool {
     entries.contains_key(SEAL)
 }
 
-/// Of keys and values with their lengths, in the order of the keys, without the seal itself.
+/// Checksum of keys and values with their lengths, in key order, without the seal itself.
 fn of(entries: &BTreeMap<String, String>) -> String {
     let mut hasher = crc32fast::Hasher::new();
     for (key, value) in entries.iter().filter(|(key, _)| *key != SEAL) {

@@ -1,10 +1,8 @@
-//! Verification in parallel: the ticks between two keyframes are a segment, and every segment is replayed from its own
-//! keyframe.
+//! Parallel verification: a segment is the ticks between two keyframes, and every segment is replayed from its own keyframe.
 //!
-//! A segment that begins at the recorded keyframe, makes every recorded tick and ends in the bytes of the next recorded
-//! keyframe proves that stretch; all of them together prove the run, as one pass from the start would. One that does not
-//! names its first tick and field; the earliest of those is the first difference of the log. Segments behind a difference
-//! that has been found are not looked at.
+//! A segment that begins at the recorded keyframe, reproduces every recorded tick and ends in the bytes of the next recorded keyframe
+//! proves that stretch. All segments together prove the run, just as one pass from the start would. A segment that fails names its first
+//! differing tick and field; the earliest of these is the log's first difference. Segments after a known difference are skipped.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -23,9 +21,9 @@ use crate::reader::{LogReader, SavedState, TickRecord};
 use crate::topics;
 use crate::verify::{ReplayReport, compare_state, compare_tick};
 
-/// Ticks that are handed over at once.
+/// Ticks handed to a worker at once.
 const BLOCK_TICKS: usize = 64;
-/// Blocks of a segment that may wait: the default interval of 2 s, and some more.
+/// Blocks of a segment that may wait: the default interval of 2 s plus a margin.
 const SEGMENT_BLOCKS: usize = 40;
 
 const PANICKED: &str = "the simulation panicked (its message is above)";
@@ -33,18 +31,18 @@ const PANICKED: &str = "the simulation panicked (its message is above)";
 /// What to verify, and how.
 #[derive(Debug, Clone)]
 pub struct SegmentOptions {
-    /// Keyframe to begin at, of this log ([`keyframe_before`]); none for the start.
+    /// Keyframe of this log to begin at ([`keyframe_before`]); none for the start.
     pub start: Option<SavedState>,
     /// Last tick (`State.tick`) to replay; none for all.
     pub to_tick: Option<u64>,
-    /// Segments that are replayed at once, at least 1.
+    /// Number of segments replayed in parallel, at least 1.
     pub threads: usize,
 }
 
 /// What a parallel replay found.
 #[derive(Debug)]
 pub struct SegmentReport {
-    /// As of a replay in one go; its ticks are those behind `first_tick`.
+    /// The same report as a replay in one pass; its ticks are those after `first_tick`.
     pub replay: ReplayReport,
     /// `State.tick` at which the replay began.
     pub first_tick: u64,
@@ -54,12 +52,12 @@ pub struct SegmentReport {
     pub gaps: Vec<Passed>,
 }
 
-/// A gap in a log that a replay has passed, or ended at.
+/// A gap in a log that a replay skipped, or stopped at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Passed {
-    /// Last tick before it that is complete; none if the start of the log is missing.
+    /// Last complete tick before the gap; none if the start of the log is missing.
     pub after: Option<u64>,
-    /// Tick of the next keyframe, where the replay went on; none if there is none.
+    /// Tick of the next keyframe, where the replay resumed; none if there is none.
     pub resumed: Option<u64>,
 }
 
@@ -77,8 +75,7 @@ impl std::fmt::Display for Passed {
     }
 }
 
-/// The last keyframe of a log at or before a tick. The reader is used up. What keeps the log from being read further is
-/// left to the replay to report.
+/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read further, the replay reports why.
 pub fn keyframe_before(mut reader: LogReader, tick: u64) -> Option<SavedState> {
     let mut found = None;
     loop {
@@ -87,7 +84,7 @@ pub fn keyframe_before(mut reader: LogReader, tick: u64) -> Option<SavedState> {
         match record {
             Some(Ok(record)) if record.state.tick <= tick => (),
             Some(Err(LogError::Gap { .. })) => match reader.go_on() {
-                // It is taken with the next tick.
+                // The keyframe comes with the next tick.
                 Ok(Some(behind)) if behind.state.tick <= tick => (),
                 _ => return found,
             },
@@ -102,7 +99,7 @@ struct Start {
     keyframe: Option<SavedState>,
 }
 
-/// A segment, its ticks on their way.
+/// A segment whose ticks are still being read.
 struct Segment {
     start: Start,
     blocks: Receiver<Block>,
@@ -110,11 +107,11 @@ struct Segment {
 
 enum Block {
     Ticks(Vec<TickRecord>),
-    /// The last one: the keyframe of the last tick.
+    /// The last block: the keyframe of the last tick.
     Keyframe(SavedState),
 }
 
-/// What became of a segment.
+/// The result of replaying a segment.
 struct Outcome {
     start_tick: u64,
     identical_ticks: u64,
@@ -129,9 +126,8 @@ enum Problem {
     Cannot(u64, String),
 }
 
-/// Replays a log from its start or a keyframe, on several threads, and compares hash, every byte of the state and the
-/// removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene; each
-/// thread has its own.
+/// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state and the removed voxels at
+/// every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene; each thread gets its own.
 pub fn verify_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),
@@ -154,7 +150,7 @@ pub fn verify_segments<S: Plant>(
     merge(reader, (first_tick, options), (read, gaps), outcomes)
 }
 
-/// Reads the log and hands out its segments, over gaps too; returns why the log could not be read further.
+/// Reads the log and queues its segments, resuming after gaps; returns why the log could not be read further.
 fn feed(
     reader: &mut LogReader,
     options: &SegmentOptions,
@@ -165,14 +161,14 @@ fn feed(
     let mut last = Box::new(*reader.initial());
     let begin = |start: Start| {
         let (blocks, receiver) = sync_channel(SEGMENT_BLOCKS);
-        // Nobody takes it once every worker has ended, and they end only when the queue does.
+        // Sending fails only once every worker has ended, and workers end only when the queue does.
         queue.send(Segment { start, blocks: receiver }).ok().map(|()| blocks)
     };
     let mut blocks = match &options.start {
         None if reader.beginning().is_none() => begin(Start { state: last.clone(), keyframe: None }),
         _ => None,
     };
-    // Whether the replay has begun, and the keyframe at which it goes on behind a gap.
+    // Whether the replay has begun, and the keyframe at which it resumes after a gap.
     let mut has_begun = options.start.is_none();
     let mut resumed = None;
     if let Some(beginning) = reader.beginning() {
@@ -181,7 +177,7 @@ fn feed(
     }
     let mut waiting = Vec::with_capacity(BLOCK_TICKS);
     loop {
-        // A worker that has found a difference takes no more of its segment.
+        // A worker that has found a difference stops receiving its segment.
         let hand_over = |blocks: &Option<SyncSender<Block>>, block| {
             if let Some(blocks) = blocks {
                 let _ = blocks.send(block);
@@ -235,13 +231,13 @@ fn feed(
     }
 }
 
-/// Replays segments until there are no more.
+/// Replays segments until the queue ends.
 fn work<S: Plant>(
     make: &impl Fn() -> Result<S, String>,
     segments: &Mutex<Receiver<Segment>>,
     bound: &AtomicU64,
 ) -> Vec<Outcome> {
-    // A worker that panicked would leave its segments waiting for ever.
+    // A panicking worker would leave its segments waiting forever.
     let make =
         || std::panic::catch_unwind(AssertUnwindSafe(make)).unwrap_or_else(|_| Err(PANICKED.to_owned()));
     let mut simulation = make();
@@ -252,14 +248,14 @@ fn work<S: Plant>(
         if segment.start.state.tick >= bound.load(Ordering::Relaxed) {
             continue;
         }
-        // From its initial state a simulation that has run is a new one.
+        // A segment from the initial state needs a fresh simulation; this one has already run.
         if segment.start.keyframe.is_none() && !outcomes.is_empty() {
             simulation = make();
         }
         let mut outcome = Outcome::new(&segment.start);
         match &mut simulation {
             Ok(it) => {
-                // A keyframe that somebody has altered may break what it is restored into.
+                // Restoring a tampered keyframe may panic inside the simulation.
                 let replayed = AssertUnwindSafe(|| outcome.replay(it, segment));
                 if std::panic::catch_unwind(replayed).is_err() {
                     outcome.problem = Some(Problem::Cannot(outcome.last_tick + 1, PANICKED.to_owned()));
@@ -287,7 +283,7 @@ impl Outcome {
         }
     }
 
-    /// Of a worker that has not come back: what it replayed is proven by nothing.
+    /// The outcome of a worker that died: nothing it replayed is proven.
     fn without_worker(start_tick: u64) -> Outcome {
         Outcome {
             start_tick,
@@ -368,7 +364,7 @@ pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<
     compare(topics::KEYFRAME, recorded.tick, Keyframe::DESCRIPTION, &a, &b)
 }
 
-/// The segments in their order, up to the first problem.
+/// Merges the segments in order, up to the first problem.
 fn merge(
     reader: &LogReader,
     (first_tick, options): (u64, &SegmentOptions),
@@ -398,7 +394,7 @@ fn merge(
         replay.hash = outcome.hash;
         report.identical_keyframes += outcome.keyframes;
         if let Some(problem) = outcome.problem {
-            // What lies behind it does not matter.
+            // Problems after it do not matter.
             replay.log_error = None;
             match problem {
                 Problem::Differs(divergence) => replay.divergence = Some(divergence),

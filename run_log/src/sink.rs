@@ -13,11 +13,11 @@ use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTA
 use crate::mcap_writer::{IndexStore, McapWriter};
 use crate::topics;
 
-/// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` needs it to open a file.
+/// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` opens no file without it.
 pub(crate) const PROFILE: &str = "ros2";
 /// The program that wrote a log.
 pub(crate) const LIBRARY: &str = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
-/// A chunk is closed after this much simulated time, which is the most that is lost if the recorder is killed.
+/// A chunk is closed after this much simulated time, which bounds what is lost if the recorder is killed.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.
 const CHUNK_BYTES: usize = 4 << 20;
@@ -34,21 +34,21 @@ struct Channel {
 pub(crate) struct Sink<W: Write> {
     writer: McapWriter<W>,
     path: PathBuf,
-    /// The second copy of the header, until it is written after the first chunk, where damage to the first does not reach.
+    /// The second copy of the header, until it is written after the first chunk, out of reach of damage to the first copy.
     second: Option<Header>,
     channels: Vec<Channel>,
     dt_ns: u64,
-    /// Ticks of a chunk.
+    /// Ticks per chunk.
     chunk_ticks: u64,
-    /// tick / chunk_ticks at the last end of a tick.
+    /// `tick / chunk_ticks` at the last end of a tick.
     last_chunk: u64,
     chunk_bytes: usize,
     /// CDR header and message, contiguous.
     scratch: Vec<u8>,
 }
 
-/// What stands at the start of a log and behind its first chunk: scene and calibration as attachments, everything else
-/// as metadata.
+/// What is written at the start of a log and again after its first chunk: scene and calibration as attachments, everything else as
+/// metadata.
 struct Header {
     header: LogHeader,
     entries: BTreeMap<String, String>,
@@ -95,7 +95,7 @@ impl<W: Write> Sink<W> {
         })
     }
 
-    /// The file, for messages.
+    /// The file's name for error messages.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -115,7 +115,7 @@ impl<W: Write> Sink<W> {
         Ok(self.channels.len() - 1)
     }
 
-    /// Writes a message, given in parts that follow each other, at a tick's time.
+    /// Writes a message, given as consecutive parts, at a tick's time.
     pub fn message(&mut self, channel: usize, tick: u64, parts: &[&[u8]]) -> Result<(), LogError> {
         self.scratch.clear();
         self.scratch.extend_from_slice(&CDR_LITTLE_ENDIAN);
@@ -137,7 +137,7 @@ impl<W: Write> Sink<W> {
         Ok(())
     }
 
-    /// All messages of a tick have been written: closes the chunk every 100 ms and when it is large.
+    /// Ends a tick: closes the chunk every 100 ms and whenever it is large.
     pub fn end_tick(&mut self, tick: u64) -> Result<(), LogError> {
         let chunk = tick / self.chunk_ticks;
         if chunk <= self.last_chunk && self.chunk_bytes < CHUNK_BYTES {
@@ -147,7 +147,7 @@ impl<W: Write> Sink<W> {
         self.close_chunk()
     }
 
-    /// Closes the open chunk and hands its bytes to the operating system.
+    /// Closes the open chunk and flushes it to the operating system.
     pub fn close_chunk(&mut self) -> Result<(), LogError> {
         let has_messages = std::mem::take(&mut self.chunk_bytes) > 0;
         let fail = |source| LogError::Write { path: self.path.clone(), source };

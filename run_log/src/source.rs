@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use crate::error::LogError;
 
-/// What a log is read through.
+/// A readable, seekable byte source.
 pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
-/// A log that can be opened any number of times. This crate knows logs in memory ([`LogBytes`]); logs in files are its user's.
+/// A log that can be opened any number of times. This crate provides logs in memory ([`LogBytes`]); its users provide logs in files.
 pub trait LogSource {
-    /// What messages call it.
+    /// The log's name in error messages.
     fn path(&self) -> &Path;
 
     /// A new reader at the log's first byte.
@@ -31,7 +31,7 @@ pub struct LogBytes {
 }
 
 impl LogBytes {
-    /// A log that messages call `path`.
+    /// A log in memory that error messages call `path`.
     pub fn new(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) -> LogBytes {
         LogBytes { path: path.into(), bytes: bytes.into() }
     }

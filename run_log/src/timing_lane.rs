@@ -13,8 +13,8 @@ use crate::header::LogHeader;
 use crate::mcap_writer::IndexStore;
 use crate::sink::Sink;
 
-/// The wall-clock lane of a run, being written. Its log times are simulated time as well, so that both files share an axis; its contents
-/// are not reproducible.
+/// The wall-clock lane of a run, being written. Its log times are simulated time too, so that both files share an axis; its contents are
+/// not reproducible.
 pub struct TimingLog<W: Write> {
     sink: Sink<W>,
     last_tick: Option<u64>,
@@ -26,7 +26,7 @@ impl<W: Write> TimingLog<W> {
         TimingLog::create_named(w, Path::new("timing.mcap"), Box::new(Cursor::new(Vec::new())), header)
     }
 
-    /// Writes the header to `w`; errors will name `path`, and the index waits in `index` for the end.
+    /// Writes the header to `w`; errors will name `path`, and the index is kept in `index` until the end.
     pub fn create_named(
         w: W,
         path: &Path,
@@ -36,7 +36,7 @@ impl<W: Write> TimingLog<W> {
         Ok(TimingLog { sink: Sink::create(w, path, index, header, "timing")?, last_tick: None })
     }
 
-    /// Writes a message's bytes, struct and tail. `tick` is `State.tick` of the newest state when it arrived.
+    /// Writes a message's bytes, struct and tail. `tick` is `State.tick` of the newest state when the message arrived.
     pub fn message(
         &mut self,
         topic: &str,
@@ -61,17 +61,17 @@ impl<W: Write> TimingLog<W> {
         self.sink.end_tick(tick)
     }
 
-    /// The file, for messages.
+    /// The file's name for error messages.
     pub fn path(&self) -> &Path {
         self.sink.path()
     }
 
-    /// Hands everything so far to the operating system. The owner calls it when no tick will come for a while (pause).
+    /// Flushes everything so far to the operating system. The owner calls it when no tick will come for a while (pause).
     pub fn flush(&mut self) -> Result<(), LogError> {
         self.sink.close_chunk()
     }
 
-    /// Writes the end marker, the index and the footer. `lost` is what the owner counted.
+    /// Writes the end marker, the index and the footer. `lost` is the owner's count.
     pub fn finish(self, reason: EndReason, lost: &BTreeMap<String, u64>) -> Result<(EndMarker, W), LogError> {
         let lost = lost.iter().filter(|(_, n)| **n > 0).map(|(topic, n)| (topic.clone(), *n)).collect();
         let counts = self.sink.counts();

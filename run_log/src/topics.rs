@@ -9,15 +9,15 @@ use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, SENSOR_
 pub const LATCHED: &str = "/latched";
 /// The state after each tick, and the initial one.
 pub const STATE: &str = "/state";
-/// The voxels that a tick removed.
+/// The voxels removed in a tick.
 pub const REMOVED: &str = "/removed";
-/// Everything that the physics keeps between ticks, now and then: where a replay can begin.
+/// A periodic snapshot of everything that the physics keeps between ticks; a replay can start from it.
 pub const KEYFRAME: &str = "/keyframe";
 /// Which tick a frame will show.
 pub const DRR_REPLY: &str = "/drr/reply";
-/// What a frame shows.
+/// Metadata of a frame.
 pub const DRR_FRAME: &str = "/drr/frame";
-/// Its pixels, as sensor_msgs/msg/Image.
+/// The frame's pixels, as sensor_msgs/msg/Image.
 pub const DRR_IMAGE: &str = "/drr/image";
 
 /// `TickTiming` of the timing lane.
@@ -43,7 +43,7 @@ pub fn command(controller: &str) -> String {
 /// Schema name of [`DRR_IMAGE`].
 pub const IMAGE_SCHEMA_NAME: &str = "sensor_msgs/msg/Image";
 
-/// The topics of `run.mcap` in the order in which their channels are declared.
+/// The topics of `run.mcap`, in the order in which their channels are declared.
 pub const RUN: [(&str, &Description); 7] = [
     (LATCHED, Latched::DESCRIPTION),
     (STATE, State::DESCRIPTION),
@@ -54,7 +54,7 @@ pub const RUN: [(&str, &Description); 7] = [
     (KEYFRAME, Keyframe::DESCRIPTION),
 ];
 
-/// Schema name and text under which a message is logged: its own, but for images that of sensor_msgs/msg/Image.
+/// Schema name and text under which a message is logged: its own, except that images use sensor_msgs/msg/Image.
 pub fn schema_of(description: &Description) -> (&'static str, String) {
     if description.name == ImagePrefix::DESCRIPTION.name {
         (IMAGE_SCHEMA_NAME, SENSOR_MSGS_IMAGE_SCHEMA.to_string())
@@ -63,7 +63,7 @@ pub fn schema_of(description: &Description) -> (&'static str, String) {
     }
 }
 
-/// Units by the end of a field's name, the longer ends first.
+/// Units by field-name suffix, longer suffixes first.
 const UNITS: [(&str, &str); 10] = [
     ("_rad_per_s", "rad/s"),
     ("_m_per_s", "m/s"),
@@ -77,7 +77,7 @@ const UNITS: [(&str, &str); 10] = [
     ("_s", "s"),
 ];
 
-/// What stands in a channel's metadata: the layout's hash, the unit of every field that has one, and the frame.
+/// A channel's metadata: the layout's hash, the unit of every field that has one, and the frame.
 pub fn channel_metadata(description: &'static Description) -> BTreeMap<String, String> {
     let mut units = BTreeMap::new();
     collect_units(description, "", &mut units);
@@ -89,7 +89,7 @@ pub fn channel_metadata(description: &'static Description) -> BTreeMap<String, S
     ])
 }
 
-/// Of all poses, points and vectors whose name does not say otherwise (`t_world_x`: x in the world).
+/// Frame of all poses, points and vectors whose name does not say otherwise (`t_world_x`: x in the world).
 const FRAME: &str =
     "world: patient, LPS (+x left, +y posterior, +z head), right-handed, metres; quaternions x y z w";
 
@@ -104,7 +104,7 @@ fn collect_units(description: &'static Description, prefix: &str, out: &mut BTre
     }
 }
 
-/// This build's description of a logged schema name.
+/// This build's description for a logged schema name.
 pub fn description_of(schema_name: &str) -> Option<&'static Description> {
     if schema_name == IMAGE_SCHEMA_NAME {
         return Some(ImagePrefix::DESCRIPTION);

@@ -1,4 +1,4 @@
-//! What is wrong with a log: one answer, from one function, for every command.
+//! What is wrong with a log. One function gives every command the same answer.
 
 use std::fmt;
 use std::io::Write;
@@ -13,27 +13,27 @@ use crate::stream::{MessageStream, ReadOptions};
 /// One thing that is wrong with a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Fault {
-    /// One copy of the header cannot be read; the other one was.
+    /// One copy of the header cannot be read; the other one was used.
     HeaderDamaged {
-        /// Which.
+        /// The unreadable copy.
         copy: HeaderCopy,
         /// What is wrong with it.
         cause: String,
     },
     /// Messages are missing between others, or never reached the log.
     Gap(Gap),
-    /// Bytes have changed; only `repair` reads on after them.
+    /// Bytes have changed; only `repair` reads past them.
     Damaged {
         /// Where the damaged record begins.
         offset: u64,
         /// What is wrong.
         cause: String,
     },
-    /// The file stops before its own end.
+    /// The file is truncated.
     Cut {
-        /// Where.
+        /// Where it stops.
         cut: Cut,
-        /// Whether the end marker is still there: then no message is missing.
+        /// Whether the end marker survives, in which case no message is missing.
         ended: bool,
     },
     /// The file is whole, but the recorder did not finish it.
@@ -73,7 +73,7 @@ impl fmt::Display for Fault {
     }
 }
 
-/// All that is wrong with a log; nothing if it is intact.
+/// Everything that is wrong with a log; empty if it is intact.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Verdict {
     /// What is wrong.
@@ -83,20 +83,20 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Nothing is wrong.
+    /// True if nothing is wrong.
     pub fn is_intact(&self) -> bool {
         self.faults.is_empty()
     }
 
-    /// Whether damage stopped the reading: nothing after it was read.
+    /// Whether damage stopped the reader: nothing after it was read.
     pub fn is_stopped_by_damage(&self) -> bool {
         self.faults.iter().any(|fault| matches!(fault, Fault::Damaged { .. }))
     }
 
-    /// Writes it as text, one fault per line.
+    /// Writes the verdict as text, one fault per line.
     ///
     /// # Errors
-    /// The output's.
+    /// Any error of the output.
     pub fn write(&self, out: &mut dyn Write) -> Result<(), LogError> {
         writeln!(out, "verdict     {self}")?;
         Ok(())
@@ -116,7 +116,7 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// Reads a log of either lane to its end, or as far as it can be read.
+/// Reads a log of either lane to its end, or as far as possible.
 ///
 /// # Errors
 /// Not a log: not an MCAP file, no readable copy of the header, or message layouts of another build.

@@ -13,7 +13,7 @@ use crate::topics;
 /// How far to replay.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct VerifyOptions {
-    /// Most ticks to replay; none for all.
+    /// Maximum number of ticks to replay; none for all.
     pub max_ticks: Option<u64>,
 }
 
@@ -22,15 +22,15 @@ pub struct VerifyOptions {
 pub struct ReplayReport {
     /// Ticks whose hash, state bytes and removals are identical.
     pub identical_ticks: u64,
-    /// `State.tick` of the last of them.
+    /// `State.tick` of the last identical tick.
     pub last_tick: u64,
-    /// Their simulated time.
+    /// Simulated time of the identical ticks.
     pub simulated_ns: u64,
     /// Chained hash of the last identical state, low word first.
     pub hash: [u64; 2],
     /// The first tick that differs.
     pub divergence: Option<Divergence>,
-    /// Tick that the simulation could not make, and why.
+    /// Tick that the simulation failed to compute, and why.
     pub simulation_error: Option<(u64, String)>,
     /// Why the log could not be read further (a gap, damage).
     pub log_error: Option<LogError>,
@@ -39,14 +39,14 @@ pub struct ReplayReport {
 }
 
 impl ReplayReport {
-    /// True if nothing differs and the log could be read as far as it goes.
+    /// True if nothing differs and no error stopped the replay.
     pub fn is_identical(&self) -> bool {
         self.divergence.is_none() && self.simulation_error.is_none() && self.log_error.is_none()
     }
 }
 
-/// Replays a log and compares hash, every byte of the state, and the removed voxels at every tick, up to the first
-/// difference. Measures no time: the caller does.
+/// Replays a log and compares the hash, every byte of the state, and the removed voxels at every tick, up to the first difference. Does
+/// no timing; that is the caller's job.
 pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: VerifyOptions) -> ReplayReport {
     let mut report = ReplayReport {
         identical_ticks: 0,

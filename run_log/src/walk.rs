@@ -1,8 +1,8 @@
-//! The records of a file that may be damaged anywhere: what can be trusted, and what lies between.
+//! Walks the records of a file that may be damaged anywhere: what can be trusted, and what lies between.
 //!
-//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without a gap. This walk
-//! continues after it: where a chunk's checksum is wrong but its length leads to a record, at that record;
-//! where a length is wrong, at the next byte that begins a chunk, a header or an end marker whose checksum is right.
+//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without a gap. This walk continues:
+//! if a chunk's checksum is wrong but its length leads to a record, it resumes at that record; if a length is wrong, at the next byte
+//! that begins a chunk, header or end marker with a correct checksum.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -23,16 +23,16 @@ use crate::seal::is_unbroken;
 
 /// Window of a search for the next chunk, in bytes.
 const WINDOW: usize = 1 << 20;
-/// Budget of all searches together for unpacking and copying: a multiple of the file's length plus a constant. Without it, bytes that
-/// look like the start of a chunk over and over would be read each time.
+/// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant. Without it, a file full of fake
+/// chunk starts would be read again for each of them.
 const SEARCHED_TIMES: u64 = 8;
 const SEARCHED_BYTES: u64 = 1 << 28;
-/// Number of wrong bytes in the magic number up to which a file still counts as a log.
+/// A file still counts as a log with up to this many wrong bytes in its magic number.
 const WRONG_MAGIC_BYTES: usize = 2;
 /// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
 const LOOK: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
-/// What a walk finds, in the order of the file.
+/// What a walk finds, in file order.
 pub(crate) enum Piece<'a> {
     Attachment(Attached),
     Metadata {
@@ -48,14 +48,14 @@ pub(crate) enum Piece<'a> {
         header: MessageHeader,
         data: &'a [u8],
     },
-    /// A chunk's records follow; where it begins.
+    /// A chunk's records follow; offset of the chunk.
     ChunkBegin(u64),
     ChunkEnd,
     /// End of the data section; offset of the summary.
     DataEnd(u64),
     /// Not a record, or a record whose checksum is wrong.
     Lost(Lost),
-    /// The file stops here, inside a record or before the end of the format; bytes of the incomplete record.
+    /// The file stops here, inside a record or before the end that the format requires; bytes of the incomplete record.
     Cut {
         offset: u64,
         incomplete_bytes: u64,
@@ -76,7 +76,7 @@ pub struct Lost {
 /// Calls `visit` for every piece.
 ///
 /// # Errors
-/// The file cannot be read or is no MCAP file; what `visit` returns.
+/// The file cannot be read or is not an MCAP file; any error of `visit`.
 pub(crate) fn walk<R: Read + Seek>(
     source: R,
     path: &Path,
@@ -127,14 +127,14 @@ pub(crate) fn walk<R: Read + Seek>(
     }
 }
 
-/// Bytes that are read at once.
+/// Bytes per read.
 const BUFFER_BYTES: usize = 1 << 18;
 
 struct Walker<R> {
     source: BufReader<R>,
     /// Start of the next record.
     at: u64,
-    /// Of the source.
+    /// Current position in the source.
     position: u64,
     length: u64,
     /// Bytes that searches may still unpack or copy.
@@ -144,9 +144,9 @@ struct Walker<R> {
 }
 
 enum Loaded {
-    /// Its type and the start of the next one.
+    /// The record's type and the start of the next one.
     Record(u8, u64),
-    /// The file ends before it does.
+    /// The file ends inside the record.
     Incomplete,
     Implausible,
     End,
@@ -162,7 +162,7 @@ impl<R: Read + Seek> Walker<R> {
         Ok(())
     }
 
-    /// Reads up to so many bytes into `record`.
+    /// Reads up to `count` bytes into `record`.
     fn read(&mut self, at: u64, count: u64) -> io::Result<()> {
         self.record.clear();
         self.go_to(at)?;
@@ -170,7 +170,7 @@ impl<R: Read + Seek> Walker<R> {
         Ok(())
     }
 
-    /// Seeks within the buffer if possible; otherwise each record would cost reading a whole buffer.
+    /// Seeks within the buffer if possible; otherwise every record would refill a whole buffer.
     fn go_to(&mut self, at: u64) -> io::Result<()> {
         match i64::try_from(i128::from(at) - i128::from(self.position)) {
             Ok(distance) => self.source.seek_relative(distance)?,
@@ -180,7 +180,7 @@ impl<R: Read + Seek> Walker<R> {
         Ok(())
     }
 
-    /// The next record behind one at `at` that is wrong: where its length leads, or what the search finds.
+    /// Where to resume after a bad record at `at`: where its length leads, or what the search finds.
     fn behind(&mut self, at: u64, next: u64) -> io::Result<u64> {
         if self.begins_record(next)? {
             return Ok(next);
@@ -188,7 +188,7 @@ impl<R: Read + Seek> Walker<R> {
         Ok(self.search(at + 1)?.unwrap_or(self.length))
     }
 
-    /// The type and length of what would be a record.
+    /// Type and length of a possible record.
     fn header(&mut self, at: u64) -> io::Result<Option<(u8, u64)>> {
         self.read(at, RECORD_HEADER as u64)?;
         let mut length = [0; 8];
@@ -225,14 +225,14 @@ impl<R: Read + Seek> Walker<R> {
         }))
     }
 
-    /// Whether a length that leads here can be right: a record, a part of one, or what a cut log ends in.
+    /// Whether a length that leads here is plausible: here is a record, part of one, or the tail of a truncated log.
     fn leads_on(&mut self, at: u64) -> io::Result<bool> {
         Ok(self
             .header(at)?
             .is_none_or(|(opcode, length)| (opcode, length) == (0, 0) || plausible(opcode, length)))
     }
 
-    /// Hands out the loaded record, which ends at `next`; the inner error says what is wrong with it.
+    /// Passes on the loaded record, which ends at `next`; the inner error says what is wrong with it.
     fn pieces(
         &mut self,
         path: &Path,
@@ -261,7 +261,7 @@ impl<R: Read + Seek> Walker<R> {
                 Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
                 Err(cause) => Ok(Err(cause)),
             },
-            // These have no checksum; a wrong length would skip whole chunks.
+            // These records have no checksum, and a wrong length would skip whole chunks.
             _ => match self.leads_on(next) {
                 Ok(true) => Ok(Ok(())),
                 Ok(false) => Ok(Err("a record whose length leads to no other".to_string())),
@@ -270,7 +270,7 @@ impl<R: Read + Seek> Walker<R> {
         }
     }
 
-    /// The first byte from `from` on that begins a chunk whose checksum is right, or the end marker.
+    /// The first byte at or after `from` that begins a chunk with a correct checksum, or the end marker.
     fn search(&mut self, from: u64) -> io::Result<Option<u64>> {
         let mut start = from;
         let mut window = Vec::new();
@@ -319,7 +319,7 @@ impl<R: Read + Seek> Walker<R> {
     }
 }
 
-/// Hands out a chunk's records, whose checksum is right.
+/// Passes on the records of a chunk whose checksum is correct.
 fn of_chunk(
     path: &Path,
     mut rest: &[u8],
@@ -347,7 +347,7 @@ fn of_chunk(
     visit(Piece::ChunkEnd).map(Ok)
 }
 
-/// Types of the format (0x01 to 0x0f) and private ones.
+/// Types that the format defines (0x01 to 0x0f), and private ones.
 fn plausible(opcode: u8, length: u64) -> bool {
     (matches!(opcode, 1..=0x0f) || opcode >= 0x80) && length <= MAX_RECORD_BYTES
 }
@@ -371,7 +371,7 @@ fn begins_chunk(bytes: &[u8]) -> bool {
     bytes.first() == Some(&op::CHUNK) && name_is_short(bytes) && fits().unwrap_or(false)
 }
 
-/// A compression's name has at most 4 bytes; a longer one would read beyond the window.
+/// A compression name has at most 4 bytes; a longer one would read past the window.
 fn name_is_short(bytes: &[u8]) -> bool {
     number(bytes, RECORD_HEADER + 28, 4).is_some_and(|length| length <= 4)
 }
@@ -385,7 +385,7 @@ fn begins_metadata(bytes: &[u8]) -> bool {
     bytes.first() == Some(&op::METADATA) && name().is_some_and(is_sought)
 }
 
-/// Whether bytes look like the start of an attachment of the header.
+/// Whether bytes look like the start of one of the header's attachments.
 fn begins_attachment(bytes: &[u8]) -> bool {
     let name = || {
         let length = number(bytes, RECORD_HEADER + 16, 4)? as usize;

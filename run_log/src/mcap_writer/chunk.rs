@@ -1,4 +1,4 @@
-//! A chunk being filled: its records go through LZ4 as they come.
+//! A chunk being filled: records are compressed with LZ4 as they arrive.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Result, Write};
@@ -24,7 +24,7 @@ pub(super) struct Chunk {
     messages: Messages,
 }
 
-/// The open chunk, a new one if there is none.
+/// The open chunk; opens one if there is none.
 pub(super) fn open(chunk: &mut Option<Chunk>) -> Result<&mut Chunk> {
     match chunk {
         Some(chunk) => Ok(chunk),
@@ -34,7 +34,7 @@ pub(super) fn open(chunk: &mut Option<Chunk>) -> Result<&mut Chunk> {
 
 impl Chunk {
     fn new() -> Result<Chunk> {
-        // The chunk's own checksum covers what a block's would.
+        // The chunk's own checksum makes LZ4's block checksums redundant.
         let no_block_checksum = lz4::liblz4::BlockChecksum::NoBlockChecksum;
         let packed =
             lz4::EncoderBuilder::new().level(0).block_checksum(no_block_checksum).build(Vec::new())?;
@@ -66,7 +66,7 @@ impl Chunk {
         self.write(data)
     }
 
-    /// Its header, its packed bytes, and where its messages are.
+    /// The chunk's header, its compressed bytes, and where its messages are.
     pub(super) fn finish(self) -> Result<(ChunkHeader, Vec<u8>, Messages)> {
         let (data, ended) = self.packed.finish();
         ended?;

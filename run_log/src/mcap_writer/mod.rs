@@ -1,8 +1,8 @@
-//! A writer of MCAP files whose memory does not grow with the file.
+//! An MCAP writer whose memory use does not grow with the file.
 //!
-//! The `mcap` crate's writer holds the index of every chunk until the end: 0.7 MiB a minute for a run with its timing lane.
-//! Here it goes to an [`IndexStore`], and from there into the log's summary. Record layouts are the
-//! crate's, and so is every byte of the file (a test holds one against the other).
+//! The `mcap` crate's writer holds the index of every chunk in memory until the end: 0.7 MiB per minute for a run with its timing lane.
+//! This one stores it in an [`IndexStore`] and copies it into the log's summary at the end. Record layouts come from the crate, and every
+//! byte of the file matches the crate's own output (a test compares the two).
 
 use std::collections::BTreeMap;
 use std::io::{Read, Result, Seek, SeekFrom, Write};
@@ -20,12 +20,12 @@ mod encoding;
 use chunk::{Chunk, open};
 use encoding::{Counted, begin, encode, encode_schema};
 
-/// Where the chunk indexes wait until the file ends: memory, or for a long run a file.
+/// Where the chunk indexes wait until the file ends: in memory, or in a file for a long run.
 pub trait IndexStore: Read + Write + Seek + Send {}
 
 impl<T: Read + Write + Seek + Send> IndexStore for T {}
 
-/// A file being written; its chunks are packed with LZ4. [`finish`](McapWriter::finish) makes it whole.
+/// A file being written, with LZ4-compressed chunks. [`finish`](McapWriter::finish) completes it.
 pub(crate) struct McapWriter<W: Write> {
     out: Counted<W>,
     chunk: Option<Chunk>,
@@ -35,12 +35,12 @@ pub(crate) struct McapWriter<W: Write> {
     chunk_indexes: Box<dyn IndexStore>,
     attachment_indexes: Vec<AttachmentIndex>,
     metadata_indexes: Vec<MetadataIndex>,
-    /// A record's body, or bytes on their way from one file to the other.
+    /// A record's body, or bytes being copied from the index store to the output.
     scratch: Vec<u8>,
 }
 
 impl<W: Write> McapWriter<W> {
-    /// Writes the beginning of the file. The chunk indexes wait in `index`, which must be empty.
+    /// Writes the start of the file. The chunk indexes go to `index`, which must be empty.
     pub fn create(out: W, index: Box<dyn IndexStore>, profile: &str, library: &str) -> Result<McapWriter<W>> {
         let mut writer = McapWriter {
             out: Counted { inner: out, position: 0, crc: crc32fast::Hasher::new() },
@@ -97,7 +97,7 @@ impl<W: Write> McapWriter<W> {
         Ok(())
     }
 
-    /// Declares a schema in the open chunk, unless there is the same already; its number.
+    /// Declares a schema in the open chunk unless the same one is already declared; returns its number.
     pub fn schema(&mut self, name: &str, encoding: &str, data: &[u8]) -> Result<u16> {
         let same = |(header, text): &&(SchemaHeader, Vec<u8>)| {
             header.name == name && header.encoding == encoding && text == data
@@ -113,7 +113,7 @@ impl<W: Write> McapWriter<W> {
         Ok(id)
     }
 
-    /// Declares a channel in the open chunk; its number.
+    /// Declares a channel in the open chunk; returns its number.
     pub fn channel(
         &mut self,
         schema_id: u16,
@@ -144,7 +144,7 @@ impl<W: Write> McapWriter<W> {
         open(&mut self.chunk)?.message(header, data)
     }
 
-    /// Closes the open chunk and hands its bytes on.
+    /// Closes the open chunk and flushes the output.
     pub fn flush(&mut self) -> Result<()> {
         self.close_chunk()?;
         self.out.inner.flush()
@@ -195,7 +195,7 @@ impl<W: Write> McapWriter<W> {
         for offset in &offsets {
             self.record(op::SUMMARY_OFFSET, offset)?;
         }
-        // The checksum covers the footer up to itself.
+        // The checksum covers the footer up to the checksum field.
         encode(&Footer { summary_start, summary_offset_start, summary_crc: 0 }, &mut self.scratch)?;
         self.out.begin(op::FOOTER, self.scratch.len() as u64)?;
         self.scratch.truncate(16);
@@ -207,7 +207,7 @@ impl<W: Write> McapWriter<W> {
         Ok(self.out.inner)
     }
 
-    /// Writes the groups of the summary; where each lies.
+    /// Writes the groups of the summary; returns where each one lies.
     fn summary(&mut self) -> Result<Vec<SummaryOffset>> {
         let (schemas, channels) = (std::mem::take(&mut self.schemas), std::mem::take(&mut self.channels));
         let statistics = std::mem::take(&mut self.statistics);
@@ -231,7 +231,7 @@ impl<W: Write> McapWriter<W> {
         Ok(offsets)
     }
 
-    /// Writes a group; one without records is none.
+    /// Writes a group of records; skips an empty one.
     fn group(
         &mut self,
         group_opcode: u8,
@@ -288,7 +288,7 @@ mod tests {
 
     use super::*;
 
-    /// The same calls to both.
+    /// Makes the same calls to both writers.
     struct Both {
         crates: Writer<NoSeek<Vec<u8>>>,
         own: McapWriter<Vec<u8>>,
@@ -316,7 +316,7 @@ mod tests {
         fn message(&mut self, random: &mut Rng, channels: u16, number: u32) {
             let (channel_id, log_time) = (1 + random.u16(..channels), random.u64(..1 << 40));
             let header = MessageHeader { channel_id, sequence: number, log_time, publish_time: log_time + 1 };
-            // Compressible and not, shorter and longer than a block of LZ4.
+            // Compressible and incompressible data, shorter and longer than an LZ4 block.
             let most = [40, 9000, 300_000][random.usize(..3)];
             let mask = [0x03, 0xff][random.usize(..2)];
             let data: Vec<u8> = (0..random.usize(..most)).map(|_| random.u8(..) & mask).collect();

@@ -1,22 +1,22 @@
-//! The lost time of one late tick, split by its own readings.
+//! Splits the lost time of one late tick into causes, using that tick's own readings.
 
 use messages::TickTiming;
 
 use super::cause::{Cause, LostTime};
 
-/// First touch of a 4 KiB page: 1.8 to 2.0 µs were measured on a virtual machine whose host takes free pages back.
+/// Cost of the first touch of a 4 KiB page: 1.8 to 2.0 µs, measured on a virtual machine whose host reclaims free pages.
 const PAGE_FAULT_NS: u64 = 2_000;
-/// The machine's steal is counted in steps of this.
+/// Granularity of the machine's steal counter.
 pub(super) const STEAL_STEP_NS: u64 = 10_000_000;
 
-/// Time that is still to be explained, and what has been.
+/// Time still unexplained, and time already attributed.
 struct Ledger {
     left_ns: u64,
     lost: LostTime,
 }
 
 impl Ledger {
-    /// Explains up to `evidence_ns` by a cause; returns the evidence that is left.
+    /// Attributes up to `evidence_ns` to a cause; returns the unused evidence.
     fn take(&mut self, cause: Cause, evidence_ns: u64) -> u64 {
         let taken_ns = evidence_ns.min(self.left_ns);
         self.left_ns -= taken_ns;
@@ -25,8 +25,8 @@ impl Ledger {
     }
 }
 
-/// Splits the lost time of a tick by its own readings; none if it was not missed. The parts' sum is its lateness. What nothing was
-/// seen for is unknown: whether it was stolen only the counter of many ticks says ([`Misses`](super::Misses)).
+/// Splits a tick's lost time by its own readings; none if the tick was on time. The parts sum to its lateness. Time without any evidence
+/// is unknown: only the steal counter, read over many ticks, can tell whether it was stolen ([`Misses`](super::Misses)).
 pub fn attribute(timing: &TickTiming) -> Option<LostTime> {
     if timing.missed == 0 {
         return None;
@@ -36,14 +36,14 @@ pub fn attribute(timing: &TickTiming) -> Option<LostTime> {
     let on_core_ns = timing.work_cpu_ns.min(timing.work_ns);
     let off_core_ns = timing.work_ns - on_core_ns;
 
-    // What the work spent off its core, whether it made the tick late or not.
+    // Time that the work spent off its core, whether or not it made the tick late.
     let mut off = Ledger { left_ns: off_core_ns, lost: LostTime::default() };
     let throttled_ns = off.take(Cause::Throttled, timing.throttled_ns);
-    // Kernels differ in whether a throttled thread waits in the run queue: the quota is the cause.
+    // Some kernels count a throttled thread as waiting in the run queue, others do not. Either way the quota is the cause.
     let queued_ns = timing.run_queue_wait_ns.saturating_sub(timing.throttled_ns);
     let queued_ns = off.take(Cause::RunQueue, queued_ns);
     let stopped_ns = off.take(Cause::Stopped, timing.stopped_ns);
-    // A thread that has slept for its tick has given its core away once.
+    // A thread that slept until its tick yielded its core once by doing so.
     let sleeps = u32::from(timing.overrun_ns < 0);
     let seen = match (timing.major_page_faults, timing.voluntary_switches > sleeps) {
         (1.., _) => Cause::PageFault,
@@ -65,7 +65,7 @@ pub fn attribute(timing: &TickTiming) -> Option<LostTime> {
     let unexplained_ns = ledger.left_ns;
     ledger.take(Cause::Unknown, unexplained_ns);
 
-    // The time in which the thread was due.
+    // The time during which the thread was due but had not begun.
     ledger.left_ns = late_ns - overrun_ns;
     ledger.take(Cause::Recorder, timing.recorder_wait_ns);
     ledger.take(Cause::Throttled, throttled_ns);

@@ -1,4 +1,4 @@
-//! The causes of late ticks, and how much time is lost to each.
+//! The causes of late ticks, and how much time each one cost.
 
 /// Number of causes.
 pub(super) const CAUSES: usize = 10;
@@ -6,25 +6,25 @@ pub(super) const CAUSES: usize = 10;
 /// Why time was lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
-    /// The last tick's own work took too long.
+    /// The previous tick's own work took too long.
     OwnComputation,
-    /// The thread could run, but others had its core.
+    /// The thread was runnable, but other threads had its core.
     RunQueue,
-    /// The hypervisor ran something else, as the machine's counter confirms.
+    /// The hypervisor ran something else, confirmed by the machine's steal counter.
     Stolen,
-    /// The control group had used up its quota.
+    /// The cgroup had used up its CPU quota.
     Throttled,
     /// The process was stopped or frozen.
     Stopped,
-    /// Memory had to be fetched or made.
+    /// A page had to be read from disk or allocated.
     PageFault,
-    /// The thread waited for something else than its tick.
+    /// The thread blocked on something other than its tick.
     Blocked,
-    /// Controllers' commands took long to take.
+    /// Collecting the controllers' commands took too long.
     Controllers,
-    /// The physics waited for the recorder, as the scene wants it.
+    /// The physics waited for the recorder, as the scene requires.
     Recorder,
-    /// The readings do not say.
+    /// The readings do not show the cause.
     Unknown,
 }
 
@@ -43,7 +43,7 @@ impl Cause {
         Cause::Unknown,
     ];
 
-    /// For people, and as a key in files.
+    /// The name shown to users and used as a key in files.
     pub fn name(self) -> &'static str {
         match self {
             Cause::OwnComputation => "own computation",
@@ -59,7 +59,7 @@ impl Cause {
         }
     }
 
-    /// Its mark in figures, so that colour is not needed.
+    /// Its letter in figures, so that they do not rely on colour.
     pub fn letter(self) -> char {
         match self {
             Cause::OwnComputation => 'O',
@@ -86,18 +86,18 @@ impl LostTime {
         self.0[cause as usize]
     }
 
-    /// All of it, ns.
+    /// Total, ns.
     pub fn total_ns(&self) -> u64 {
         self.0.iter().fold(0, |sum, part| sum.saturating_add(*part))
     }
 
-    /// The cause of most of it; of equal ones the first.
+    /// The cause with the most lost time; on a tie, the first.
     pub fn main_cause(&self) -> Cause {
         let most = self.0.iter().copied().max().unwrap_or(0);
         Cause::ALL.into_iter().find(|cause| self.of(*cause) == most).unwrap_or(Cause::Unknown)
     }
 
-    /// Calls up to `evidence_ns` of what is unknown stolen; returns how much that is.
+    /// Moves up to `evidence_ns` from unknown to stolen; returns how much.
     pub(super) fn rename_unknown(&mut self, evidence_ns: u64) -> u64 {
         let stolen_ns = evidence_ns.min(self.of(Cause::Unknown));
         self.0[Cause::Unknown as usize] -= stolen_ns;

@@ -34,48 +34,49 @@ pub use cause::{Cause, LostTime};
 use attribution::STEAL_STEP_NS;
 use cause::CAUSES;
 
-/// The misses of a run.
+/// The deadline misses of a run.
 ///
-/// Unknown time of a virtual machine is called stolen as far as the machine's own counter (`/proc/stat`) shows it: at that miss, or,
-/// since the counter moves in steps of 10 ms, for up to such a step of misses before. So never more is called stolen than it shows.
+/// On a virtual machine, unknown time counts as stolen as far as the machine's own counter (`/proc/stat`) shows it: at that miss, or at
+/// earlier misses up to one counter step back, because the counter moves in steps of 10 ms. The stolen total therefore never exceeds the
+/// counter.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Misses {
-    /// Ticks.
+    /// Number of ticks.
     pub ticks: u64,
-    /// Misses whose readings came: those that have a cause.
+    /// Misses with recorded readings, hence with a cause.
     pub recorded: u64,
-    /// Misses that the physics has counted, as its status says.
+    /// Misses counted by the physics itself, from its status.
     counted: u64,
-    /// Misses by the cause of most of their lost time, in the order of [`Cause::ALL`].
+    /// Misses by their main cause, in the order of [`Cause::ALL`].
     pub by_cause: [u64; CAUSES],
-    /// Lost time of all misses.
+    /// Lost time over all misses.
     pub lost: LostTime,
-    /// What the machine's own counter (`/proc/stat`, in steps of 10 ms) says was stolen from the core of a late tick in
-    /// the up to 100 ms before it, over all misses: no more is called stolen here.
+    /// Time stolen from a late tick's core in up to 100 ms before it, summed over all misses, according to the machine's own counter
+    /// (`/proc/stat`, in steps of 10 ms). Upper bound on the time counted as stolen here.
     pub steal_counter_ns: u64,
-    /// Ticks in which a controller's command was late. No time is lost to it in real time: its last command holds.
+    /// Ticks with a late command from a controller. In real time this costs no time: the controller's last command holds.
     pub late_controller_ticks: u64,
-    /// Unknown time that the counter's next step may confirm, and the misses of which it is most.
+    /// Unknown time that the counter's next step may confirm, and the misses that it dominates.
     pending_ns: u64,
     pending_misses: u64,
 }
 
 impl Misses {
-    /// Takes in a tick; returns what it lost, if it was missed.
+    /// Adds a tick; returns its lost time if it missed its deadline.
     pub fn add(&mut self, timing: &TickTiming) -> Option<LostTime> {
         self.ticks += 1;
         self.late_controller_ticks += u64::from(timing.late_controllers != 0);
         let mut lost = attribute(timing)?;
         self.recorded += 1;
         self.steal_counter_ns = self.steal_counter_ns.saturating_add(timing.stolen_ns);
-        // What the tick's own readings have shown of the counter is spent.
+        // The tick's own readings have already used this much of the counter.
         let budget_ns = timing.stolen_ns.saturating_sub(lost.of(Cause::Stolen));
         let own_ns = lost.rename_unknown(budget_ns);
         self.confirm_earlier(budget_ns - own_ns);
         let main = lost.main_cause();
         self.by_cause[main as usize] += 1;
         self.lost.add(&lost);
-        // The counter is behind by less than a step: more than that it would have shown.
+        // The counter lags by less than one step; any larger amount would have shown by now.
         let room_ns = STEAL_STEP_NS.saturating_sub(self.pending_ns);
         let unknown_ns = lost.of(Cause::Unknown).min(room_ns);
         if timing.virtual_machine != 0 && unknown_ns > 0 {
@@ -86,7 +87,7 @@ impl Misses {
         Some(lost)
     }
 
-    /// What is left of a step of the counter is of misses before.
+    /// Attributes the rest of a counter step to earlier misses.
     fn confirm_earlier(&mut self, budget_ns: u64) {
         let confirmed_ns = self.lost.rename_unknown(budget_ns.min(self.pending_ns));
         if confirmed_ns == 0 {
@@ -100,7 +101,7 @@ impl Misses {
         self.pending_misses -= misses;
     }
 
-    /// Takes in a message of the timing lane, of whatever topic.
+    /// Adds a message of the timing lane, on any topic.
     pub fn take(&mut self, topic: &str, body: &[u8]) {
         match topic {
             topics::TICK_TIMING => {
@@ -117,30 +118,30 @@ impl Misses {
         }
     }
 
-    /// Takes in what the physics has counted itself: of a gap in the log it knows the misses.
+    /// Adds the physics' own count, which also covers misses inside a gap of the log.
     pub fn add_status(&mut self, status: &RunStatus) {
         self.counted = self.counted.max(status.missed_ticks);
     }
 
-    /// Ticks that began more than a period late, with those of which nothing was recorded.
+    /// Ticks that began more than a period late, including those without readings.
     pub fn missed(&self) -> u64 {
         self.recorded.max(self.counted)
     }
 
-    /// Misses that fell into a gap of the log: nobody knows why.
+    /// Misses inside a gap of the log; their cause is unknown.
     pub fn not_recorded(&self) -> u64 {
         self.missed() - self.recorded
     }
 
-    /// Share of the lost time that readings have named a cause for; none without lost time. Of misses that were not recorded nobody
-    /// knows the lost time.
+    /// Share of the lost time with an identified cause; none without lost time. Misses without readings are excluded, because their lost
+    /// time is unknown.
     pub fn confirmed_share(&self) -> Option<f64> {
         let total_ns = self.lost.total_ns();
         let named_ns = total_ns - self.lost.of(Cause::Unknown).min(total_ns);
         (total_ns > 0).then(|| named_ns as f64 / total_ns as f64)
     }
 
-    /// Misses that no hypervisor caused.
+    /// Misses not caused by the hypervisor.
     pub fn not_stolen(&self) -> u64 {
         self.missed() - self.by_cause[Cause::Stolen as usize]
     }
@@ -175,7 +176,7 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// A miss whose last tick ended its work `overrun_ms` behind the deadline and which began `late_ms` behind it.
+    /// A miss: the previous tick's work ended `overrun_ms` after the deadline, and the tick began `late_ms` after it.
     fn missed(late_ms: u64, overrun_ms: i64) -> TickTiming {
         let mut timing = TickTiming::zeroed();
         timing.missed = 1;
@@ -207,37 +208,37 @@ mod tests {
 
     #[test]
     fn each_cause_has_its_evidence() {
-        // Asleep when due, and then in the run queue.
+        // Asleep when due, then waiting in the run queue.
         let queued = TickTiming { run_queue_wait_ns: 3 * MS, ..missed(3, -1) };
         assert_eq!(attribute(&queued).unwrap().of(Cause::RunQueue), 3 * MS);
-        // The timer was late, nobody held the core, and nothing was seen.
+        // The timer fired late, the core was free, and nothing explains it.
         assert_eq!(main_cause(&missed(3, -1)), Cause::Unknown);
-        // The work took 4 ms of the core.
+        // The work used 4 ms on the core.
         assert_eq!(main_cause(&missed(3, 3)), Cause::OwnComputation);
-        // It took 1 ms of the core and 3 ms in the run queue.
+        // It used 1 ms on the core and 3 ms in the run queue.
         let off = TickTiming { work_cpu_ns: MS, ..missed(3, 3) };
         assert_eq!(main_cause(&TickTiming { run_queue_wait_ns: 3 * MS, ..off }), Cause::RunQueue);
         assert_eq!(main_cause(&off), Cause::Unknown);
         assert_eq!(main_cause(&TickTiming { voluntary_switches: 1, ..off }), Cause::Blocked);
         assert_eq!(main_cause(&TickTiming { major_page_faults: 1, page_faults: 1, ..off }), Cause::PageFault);
-        // 1,400 pages were touched.
+        // The work touched 1,400 pages.
         assert_eq!(main_cause(&TickTiming { page_faults: 1400, ..missed(3, 3) }), Cause::PageFault);
         // A kernel that charges stolen time to the thread.
         assert_eq!(main_cause(&TickTiming { stolen_ns: 40 * MS, ..missed(30, 30) }), Cause::Stolen);
-        // Commands without end.
+        // Collecting commands took 3 ms.
         assert_eq!(main_cause(&TickTiming { collect_ns: 3 * MS, ..missed(3, -1) }), Cause::Controllers);
-        // The recorder, which the scene has the physics wait for.
+        // The scene makes the physics wait for the recorder.
         assert_eq!(main_cause(&TickTiming { recorder_wait_ns: 3 * MS, ..missed(3, -1) }), Cause::Recorder);
     }
 
-    /// Asleep or at work: 600 ms of SIGSTOP were 652 ms "stolen".
+    /// Holds whether the thread slept or worked. Regression: a SIGSTOP of 600 ms was reported as 652 ms "stolen".
     #[test]
     fn a_stop_is_stopped_and_a_quota_is_throttled() {
         for at in [missed(600, -1), TickTiming { work_cpu_ns: MS, voluntary_switches: 1, ..missed(600, 600) }]
         {
             let stopped = TickTiming { stopped_ns: 600 * MS, ..at };
             assert_eq!(attribute(&stopped).unwrap().of(Cause::Stopped), 600 * MS, "{at:?}");
-            // In some kernels a throttled thread waits in the run queue, in others it does not.
+            // Some kernels count a throttled thread as waiting in the run queue, others do not.
             for run_queue_wait_ns in [0, 600 * MS] {
                 let throttled = TickTiming { throttled_ns: 600 * MS, run_queue_wait_ns, ..at };
                 assert_eq!(attribute(&throttled).unwrap().of(Cause::Throttled), 600 * MS, "{at:?}");
@@ -250,14 +251,14 @@ mod tests {
         let misses = all(&[missed(652, -1)]);
         assert_eq!((misses.lost.of(Cause::Stolen), misses.lost.of(Cause::Unknown)), (0, 652 * MS));
         assert_eq!(misses.describe(), "1 missed (100.00 %): 1 unknown; 652.0 ms lost, 0.0 % confirmed");
-        // A later step of the counter belongs to what it was behind by, and to no more of it.
+        // A later counter step covers only what the counter was behind by, and no more.
         let misses = all(&[missed(652, -1), TickTiming { stolen_ns: 100 * MS, ..missed(2, -1) }]);
         assert_eq!(misses.lost.of(Cause::Stolen), 2 * MS + STEAL_STEP_NS);
     }
 
     #[test]
     fn run_queue_time_of_an_earlier_part_explains_no_late_timer() {
-        // Work: 0.4 ms of the core, 0.3 ms in the run queue, done in time; then the timer was 2 ms late.
+        // Work: 0.4 ms on the core, 0.3 ms in the run queue, finished in time; then the timer fired 2 ms late.
         let timing = TickTiming {
             work_ns: 700_000,
             work_cpu_ns: 400_000,
@@ -282,7 +283,7 @@ mod tests {
         assert_eq!((misses.not_stolen(), misses.late_controller_ticks), (1, 1));
     }
 
-    /// 436 were counted by the physics and 355 reported, "100 % explained".
+    /// Regression: the physics counted 436 misses, the report showed 355 and called them "100 % explained".
     #[test]
     fn misses_that_fell_into_a_gap_are_said() {
         let queued = TickTiming { run_queue_wait_ns: 3 * MS, ..missed(3, -1) };
@@ -297,16 +298,16 @@ mod tests {
     #[test]
     fn what_is_called_stolen_is_held_against_the_machines_counter() {
         assert_eq!(Misses::default().confirmed_share(), None);
-        // 20 of 30 ms are on the counter.
+        // The counter shows 20 of the 30 ms.
         let misses = all(&[TickTiming { stolen_ns: 20 * MS, ..missed(30, -1) }]);
         assert_eq!(misses.confirmed_share(), Some(20.0 / 30.0));
         assert_eq!(misses.by_cause[Cause::Stolen as usize], 1);
-        // It moves in steps: of ten misses of a millisecond the last one is told of all.
+        // The counter moves in steps: of ten misses of 1 ms, the last one sees the time of all ten.
         let mut timings = [missed(1, -1); 10];
         timings[9].stolen_ns = 10 * MS;
         let misses = all(&timings);
         assert_eq!((misses.confirmed_share(), misses.by_cause[Cause::Stolen as usize]), (Some(1.0), 10));
-        // Nothing is stolen on a machine that nobody can steal from.
+        // On a physical machine nothing can be stolen.
         timings.iter_mut().for_each(|timing| (timing.virtual_machine, timing.stolen_ns) = (0, 0));
         assert_eq!(all(&timings).confirmed_share(), Some(0.0));
     }
@@ -314,7 +315,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
-        /// Whatever the readings: the parts' sum is the lateness, and no cause is given more than its evidence.
+        /// For any readings, the parts sum to the lateness, and no cause gets more than its evidence.
         #[test]
         fn parts_sum_to_the_lateness(
             late in -10_i64..50_000_000, overrun in -2_000_000_i64..60_000_000,
@@ -339,14 +340,14 @@ mod tests {
             prop_assert!(lost.of(Cause::Stopped) <= stopped);
             prop_assert!(lost.of(Cause::Recorder) <= recorder);
             prop_assert!(lost.of(Cause::Stolen) <= timing.stolen_ns);
-            // Nor over any two ticks.
+            // The same over any two ticks.
             let misses = all(&[timing, TickTiming { stolen_ns: STEAL_STEP_NS, ..timing }]);
             prop_assert!(misses.lost.of(Cause::Stolen) <= misses.steal_counter_ns);
             prop_assert_eq!(misses.lost.total_ns(), 2 * late.max(0) as u64);
             prop_assert_eq!(misses.by_cause.iter().sum::<u64>(), 2);
         }
 
-        /// Extreme readings overflow nothing.
+        /// Extreme readings cause no overflow.
         #[test]
         fn any_bits_are_split(late in any::<i64>(), overrun in any::<i64>(), r in any::<[u64; 8]>(), c in any::<[u32; 4]>()) {
             let timing = TickTiming {

@@ -1,4 +1,4 @@
-//! The records of one chunk: declarations, and messages that are checked before they are handed out.
+//! The records of one chunk: declarations, and messages, which are checked before they are returned.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use crate::limits::check_declaration;
 use crate::records::chunk_record;
 use crate::topics;
 
-/// Longest removal: with as many voxels as its service takes.
+/// Longest removal message: as many voxels as its service can carry.
 const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4;
 
 /// A message found in the chunk: channel, number, time, range of its body.
@@ -48,7 +48,7 @@ impl MessageStream {
             match parse_record(opcode, body) {
                 Ok(Record::Schema { header, .. }) => {
                     if !self.schemas.contains_key(&header.id) {
-                        // Its text is not kept.
+                        // The schema's text is not kept.
                         self.declared.schema(self.records.path(), &header, 0)?;
                         self.schemas.insert(header.id, header.name);
                     }
@@ -73,7 +73,7 @@ impl MessageStream {
         self.declared.channel(self.records.path(), &channel)?;
         let schema = self.schemas.get(&channel.schema_id).cloned();
         let Some(schema) = schema else {
-            // Of a topic that nobody wants: its messages are passed over too.
+            // No reader wants this topic: skip its messages too.
             if !self.wants(&channel.topic) {
                 return Ok(());
             }
@@ -91,13 +91,13 @@ impl MessageStream {
         data: Range<usize>,
     ) -> Result<Option<Found>, LogError> {
         let Some(channel) = self.channels.get(&header.channel_id) else {
-            // Declared in a chunk that was passed over; a channel that is wanted is counted at the end.
+            // Declared in a skipped chunk; wanted channels are checked at the end.
             if self.wanted.is_some() {
                 return Ok(None);
             }
             return Err(self.damaged(format!("a message of the undeclared channel {}", header.channel_id)));
         };
-        // Of other topics not all chunks are read: their numbers say nothing.
+        // Chunks of other topics may be skipped, so their numbers prove nothing.
         if !self.wants(&channel.topic) {
             return Ok(None);
         }
@@ -108,7 +108,7 @@ impl MessageStream {
         };
         let expected = (channel.count + channel.missing) as u32;
         let jump = header.sequence.wrapping_sub(expected);
-        // A repaired log says so at its start and counts what is missing at its end.
+        // A repaired log says so at its start and counts its losses at its end.
         if jump != 0 && !(self.repaired && jump < u32::MAX / 2) {
             let cause = format!("message {} of {}, expected {expected}", header.sequence, channel.topic);
             return Err(self.damaged(cause));
@@ -126,7 +126,7 @@ impl MessageStream {
                 format!("a message of {} of {} bytes, expected {expected}", channel.topic, body.len());
             return Err(self.damaged(cause));
         }
-        // A tick's voxels are held until its state comes: no message holds more than one can publish.
+        // A tick's voxels are held until its state arrives, so refuse any message larger than the service can publish.
         if channel.topic == topics::REMOVED && body.len() > MAX_REMOVED_BYTES {
             let cause = format!(
                 "a message of {} of {} bytes, at most {MAX_REMOVED_BYTES}",

@@ -1,4 +1,4 @@
-//! The messages of a log, one after the other, checked.
+//! Reads the messages of a log in order and checks them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::BufReader;
@@ -25,7 +25,7 @@ mod in_chunk;
 /// How strict a reader is.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ReadOptions {
-    /// Reads messages whose layout is not this build's as if it were. Their sizes are still checked.
+    /// Reads messages whose layout differs from this build's as if it matched. Their sizes are still checked.
     pub allow_other_layouts: bool,
 }
 
@@ -40,7 +40,7 @@ pub struct LogMessage<'a> {
     pub sequence: u32,
     /// Simulated time.
     pub log_time_ns: u64,
-    /// Number of its chunk in the file, from 1.
+    /// Number of its chunk in the file, counted from 1.
     pub chunk: u64,
     /// Struct and tail.
     pub body: &'a [u8],
@@ -52,7 +52,7 @@ struct Channel {
     schema: String,
     count: u64,
     bytes: u64,
-    /// Messages that a damage took, as the numbers show; only in a repaired log.
+    /// Messages lost to damage, according to the numbers; only in a repaired log.
     missing: u64,
 }
 
@@ -61,9 +61,9 @@ struct Channel {
 pub struct TopicCount {
     /// Messages read.
     pub messages: u64,
-    /// Their bytes, without framing, before compression.
+    /// Bytes of these messages, without framing, before compression.
     pub bytes: u64,
-    /// Messages between them that a damage took; 0 but in a repaired log, since others are not read beyond a gap.
+    /// Messages lost to damage in between. Nonzero only for a repaired log, because reading any other log stops at a gap.
     pub missing: u64,
 }
 
@@ -80,15 +80,15 @@ pub struct MessageStream {
     ending: Ending,
     repaired: bool,
     declared: Declared,
-    /// The second copy of the header, as far as it has come.
+    /// The second copy of the header, as far as it has been read.
     second: Parts,
-    /// Whether it has been met, whole or not.
+    /// Whether the second copy has been reached, intact or not.
     has_second: bool,
     header_fault: Option<(HeaderCopy, String)>,
     continuity: Continuity,
     /// Where reading stopped, and why.
     damage: Option<(u64, String)>,
-    /// Topics that are handed out; none for all.
+    /// Topics to return; none for all.
     wanted: Option<Vec<String>>,
     done: bool,
 }
@@ -99,9 +99,8 @@ impl MessageStream {
         MessageStream::from_reader(log.open()?, log.path(), options)
     }
 
-    /// Opens a log for some topics only. Chunks that hold none of them are not read if the log's index tells them, so
-    /// that states cost the same with images beside them as without; the checksum of the whole file is then not
-    /// checked, those of the chunks read are.
+    /// Opens a log for some topics only. If the log has an index, chunks without these topics are skipped, so reading states costs the
+    /// same with or without images beside them; the whole-file checksum is then not checked, those of the chunks read are.
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -115,7 +114,7 @@ impl MessageStream {
             && let Some(summary) = Summary::read(&mut source, None)
         {
             stream.records.pass_over(summary.chunks_without(topics));
-            // A schema stands in a file once: it may lie in a chunk that is passed over.
+            // A file holds each schema once, possibly in a skipped chunk.
             stream.schemas = summary.schemas.into_iter().map(|(id, (header, _))| (id, header.name)).collect();
         }
         stream.wanted = Some(topics.to_vec());
@@ -155,17 +154,17 @@ impl MessageStream {
         })
     }
 
-    /// What the log is about.
+    /// The log's header.
     pub fn header(&self) -> &LogHeader {
         &self.header
     }
 
-    /// The header's metadata record as it stands in the file.
+    /// The header's metadata record as stored in the file.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata
     }
 
-    /// The file, for messages.
+    /// The file's name for error messages.
     pub fn path(&self) -> &Path {
         self.records.path()
     }
@@ -175,8 +174,8 @@ impl MessageStream {
         &self.ending
     }
 
-    /// What is wrong with the log, as far as it has been read: all of it once
-    /// [`next_message`](Self::next_message) has returned none or an error. With some topics only, of the chunks read.
+    /// What is wrong with the log, as far as it has been read: complete once [`next_message`](Self::next_message) has returned none or an
+    /// error. When reading only some topics, covers the chunks read.
     pub fn verdict(&self) -> Verdict {
         let mut faults = Vec::new();
         if let Some((copy, cause)) = &self.header_fault {
@@ -207,7 +206,7 @@ impl MessageStream {
         self.channels.values().map(|channel| (channel.topic.clone(), count(channel))).collect()
     }
 
-    /// Topics of the log. All of them are known once [`next_message`](Self::next_message) has returned none.
+    /// Topics of the log. Complete once [`next_message`](Self::next_message) has returned none.
     pub(crate) fn topics(&self) -> BTreeSet<&str> {
         let declared = self.channels.values().map(|channel| channel.topic.as_str());
         let counted = self.ending.marker.iter().flat_map(|marker| marker.counts.keys().map(String::as_str));
@@ -219,12 +218,12 @@ impl MessageStream {
         LogError::NoSuchTopic { path: self.path().into(), topic: topic.to_owned(), topics }
     }
 
-    /// Bytes of the file that have been read.
+    /// Bytes of the file read so far.
     pub fn offset(&self) -> u64 {
         self.records.offset()
     }
 
-    /// The next message; none at the end, however the file ends. After an error there is no more.
+    /// The next message; none at the end, however the file ends. After an error there are no more.
     pub fn next_message(&mut self) -> Result<Option<LogMessage<'_>>, LogError> {
         let found = self.find().inspect_err(|error| {
             self.done = true;
@@ -282,7 +281,7 @@ impl MessageStream {
         }
     }
 
-    /// The next record of the file. What is wrong with the second copy of the header keeps nobody from reading on.
+    /// The next record of the file. A damaged second copy of the header does not stop reading.
     fn next_record(&mut self) -> Result<FileRecord, LogError> {
         loop {
             match self.records.next_record() {
@@ -310,7 +309,7 @@ impl MessageStream {
 
     fn second_is_bad(&mut self, cause: String) {
         self.has_second = true;
-        // That the whole file's checksum is wrong is explained.
+        // The damaged header already explains a wrong whole-file checksum.
         self.records.forget_checksum();
         self.header_fault.get_or_insert((HeaderCopy::Second, cause));
     }
