@@ -78,7 +78,7 @@ enum UserCommand {
 /// Runs the program.
 pub fn main() -> ExitCode {
     match program::start().and_then(|()| command()) {
-        // A part prints no answer, and may end as a program of the user's does.
+        // A part prints no answer, and its exit code may be that of a user's program.
         Ok(Some(Command::Proc(part))) => {
             commands::proc::run(&part).unwrap_or_else(|failure| program::end(Err(failure)))
         }
@@ -88,7 +88,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// What is asked for; none if that was the help or the version. Without a command, the default scene runs.
+/// The command requested; none if the user asked for help or the version. Without a command, the default scene runs.
 fn command() -> Result<Option<Command>, Failure> {
     let parsed = Arguments::try_parse().and_then(|arguments| match arguments.command {
         Some(command) => Ok(command),

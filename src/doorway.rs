@@ -1,5 +1,6 @@
-//! The file that leads a browser to the viewer's page: the address holds the token, and every user of the machine may read the arguments
-//! of every program. Only this user may read the file; it is removed with the viewer, or, if that was killed, by the next viewer or run.
+//! A file that redirects the browser to the viewer's page. The page's address holds the token, and every user of the machine can read
+//! every program's arguments, so the address must not be one. Only this user may read the file; the viewer removes it, or, if it was
+//! killed, the next viewer or run does.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -14,27 +15,28 @@ use tempfile::NamedTempFile;
 
 const PREFIX: &str = "trabecula-view-";
 const SUFFIX: &str = ".html";
-/// Letters and digits between them.
+/// Number of random letters and digits in the file name.
 const RANDOM: usize = 12;
-/// How each begins.
+/// First bytes of every such file.
 const HEAD: &str = "<!doctype html><meta charset=\"utf-8\"><title>Trabecula</title>\n";
 
-/// The file, as long as the viewer lives: it holds a lock on it.
+/// The redirect file. The viewer holds a lock on it for as long as it lives.
 pub struct Doorway {
     _file: NamedTempFile,
 }
 
 impl Doorway {
-    /// Asks the desktop to open one. None where there is no desktop, or no room for the file: the address has been printed.
+    /// Asks the desktop to open a new redirect file. None without a desktop, or if the file cannot be written: the address has already
+    /// been printed.
     pub fn open(url: &str, folder: &Path) -> Option<Doorway> {
         if !["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some()) {
             return None;
         }
-        // Of mode 0600, under a name that nobody can guess.
+        // Created with mode 0600, under an unguessable name.
         let named =
             tempfile::Builder::new().prefix(PREFIX).suffix(SUFFIX).rand_bytes(RANDOM).tempfile_in(folder);
         let mut file = named.ok()?;
-        // Before anything is in it: one that holds something and has no lock is a dead viewer's.
+        // Lock before writing: a file with content but no lock belongs to a dead viewer.
         file.as_file().try_lock().ok()?;
         let text = format!(
             "{HEAD}<meta http-equiv=\"refresh\" content=\"0; url={url}\">\n<a href=\"{url}\">The viewer</a>\n"
@@ -43,26 +45,26 @@ impl Doorway {
         let quiet = Stdio::null;
         let mut opener = Command::new("xdg-open");
         let opener = opener.arg(file.path()).stdin(quiet()).stdout(quiet()).stderr(quiet());
-        // In a group of its own: a browser that it becomes does not end with the viewer.
+        // In its own process group, because it may become the browser, which must outlive the viewer.
         let mut child = opener.process_group(0).spawn().ok()?;
-        // Waited for, whenever it ends: it may be the browser itself.
+        // Reap it whenever it ends: it may be the browser itself.
         std::thread::spawn(move || child.wait());
         Some(Doorway { _file: file })
     }
 }
 
-/// Where the file of a viewer without a session lies.
+/// Folder for the redirect file of a viewer without a session.
 pub fn folder() -> PathBuf {
     let named = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(|folder| folder.is_absolute());
     named.unwrap_or_else(std::env::temp_dir)
 }
 
-/// Removes the files of dead viewers of this user from a folder.
+/// Removes redirect files that this user's dead viewers left in a folder.
 pub fn sweep(folder: &Path) {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     for entry in entries.filter(|entry| has_our_name(&entry.file_name())) {
         if is_dead_viewers(&entry.path()) {
-            // In a folder of all users only its owner can have put another file there meanwhile.
+            // In a shared folder with the sticky bit, only the owner can have replaced the file meanwhile.
             let _ = std::fs::remove_file(entry.path());
         }
     }
@@ -73,7 +75,7 @@ fn has_our_name(name: &OsStr) -> bool {
     middle.is_some_and(|text| text.len() == RANDOM && text.bytes().all(|byte| byte.is_ascii_alphanumeric()))
 }
 
-/// Whether it is a file of this user alone, of one name, with what a viewer writes, on which no viewer holds the lock.
+/// Whether the file is private to this user, has one link, starts as a viewer's file does, and is not locked by a viewer.
 fn is_dead_viewers(path: &Path) -> bool {
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let Ok(file) = openat(CWD, path, flags, Mode::empty()).map(File::from) else { return false };

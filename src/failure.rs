@@ -23,8 +23,8 @@ pub struct Failure {
 /// Exit code after Ctrl-C, as shells have it: 128 + SIGINT.
 pub const EXIT_INTERRUPTED: u8 = 130;
 
-/// A full or broken disk, a limit of the system: no other argument mends that. What the system says besides, of a file that is not
-/// there or not permitted, is bad input.
+/// A full or broken disk, or a system limit: no other argument fixes these. Any other system error, such as a missing file or a denied
+/// permission, is bad input.
 fn is_of_the_machine(cause: &std::io::Error) -> bool {
     let faults = [
         Errno::NOSPC,
@@ -52,7 +52,7 @@ impl From<OutputError> for Failure {
     }
 }
 
-/// What the caller can mend by another argument is bad input; damage and faults of the machine are not.
+/// Errors that the caller can fix with another argument are bad input; damage and machine faults are not.
 impl From<LogError> for Failure {
     fn from(error: LogError) -> Failure {
         match &error {
@@ -87,7 +87,7 @@ impl From<ReportError> for Failure {
 }
 
 impl Failure {
-    /// A folder for outputs cannot be made.
+    /// An output folder cannot be created.
     pub fn folder(path: &Path) -> impl FnOnce(std::io::Error) -> Failure + '_ {
         move |source| OutputError::Create { path: path.to_owned(), source }.into()
     }

@@ -1,9 +1,8 @@
-//! `trabecula proc keep`: runs a program that is not ours and ends all that it has started, when it ends or when the
-//! launcher does.
+//! `trabecula proc keep`: runs a third-party program, and ends everything that it started when the program or the launcher ends.
 //!
-//! The kernel sends a parent-death signal to one generation only, and a daemon leaves its parent's group and session. So
-//! this process stands between launcher and program as its subreaper: whatever the program leaves behind becomes its
-//! child. A socket, its standard input, ties it to the launcher: when that dies, however it does, the socket closes.
+//! The kernel sends a parent-death signal to direct children only, and a daemon leaves its parent's group and session. This process
+//! therefore sits between launcher and program as a subreaper: orphans of the program become its children. Its standard input is a socket
+//! to the launcher, which closes however the launcher dies.
 
 use std::ffi::OsString;
 use std::io::{Read, Write};
@@ -23,20 +22,20 @@ use signal_hook::iterator::Signals;
 
 use crate::failure::Failure;
 
-/// What the launcher writes to have everything ended at once.
+/// The launcher sends this to kill everything at once.
 pub const END_AT_ONCE: u8 = b'K';
-/// How long a program may take to end after the launcher has.
+/// How long the program may take to end after the launcher has ended.
 const GRACE: Duration = Duration::from_secs(2);
-/// How long killed processes may take to go; one in a system call that cannot be interrupted is left to the kernel.
+/// How long killed processes may take to disappear; the kernel is left to deal with any stuck in an uninterruptible system call.
 const KILL_LIMIT: Duration = Duration::from_secs(2);
 const KILL_LOOK: Duration = Duration::from_millis(2);
 
-/// What the launcher is told of the start.
+/// What the keeper reports to the launcher about the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Started {
-    /// The program's process.
+    /// Started, with the program's process ID.
     As(u32),
-    /// The system's number of the error.
+    /// Not started, with the system's error number.
     Not(i32),
 }
 
@@ -49,10 +48,10 @@ impl Started {
         [kind, number[0], number[1], number[2], number[3]]
     }
 
-    /// What a keeper has written.
+    /// Reads the keeper's report.
     ///
     /// # Errors
-    /// It ended before it had.
+    /// The keeper ended before it reported.
     pub fn read(mut leash: &UnixStream) -> std::io::Result<Started> {
         let mut bytes = [0; 5];
         leash.read_exact(&mut bytes)?;
@@ -66,15 +65,15 @@ impl Started {
 
 enum News {
     Signal(i32),
-    /// The launcher has gone.
+    /// The launcher is gone.
     Alone,
     EndAtOnce,
 }
 
-/// Runs a program to its end, and ends as it did.
+/// Runs a program until it ends, and exits with the program's status.
 ///
 /// # Errors
-/// The system refuses what this needs.
+/// The system refuses a required call.
 pub fn run(words: &[OsString]) -> Result<ExitCode, Failure> {
     let failed = |cause: std::io::Error| Failure::failed(format!("a program cannot be kept: {cause}"));
     let Some((program, arguments)) = words.split_first() else {
@@ -86,13 +85,13 @@ pub fn run(words: &[OsString]) -> Result<ExitCode, Failure> {
     hear_signals(sender.clone()).map_err(failed)?;
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::null());
-    // Should this process be killed, the program at least goes with it.
+    // If this process is killed, at least the program dies with it.
     let spawned = bind_to_parent_with(&mut command, Signal::KILL).spawn();
     let started = match &spawned {
         Ok(child) => Started::As(child.id()),
         Err(cause) => Started::Not(cause.raw_os_error().unwrap_or(0)),
     };
-    // A launcher that has gone is noticed below.
+    // If the launcher is gone, the watch below notices.
     let _ = (&leash).write_all(&started.bytes());
     let Started::As(pid) = started else { return Ok(ExitCode::FAILURE) };
     hear_launcher(leash, sender).map_err(failed)?;
@@ -121,7 +120,7 @@ fn hear_launcher(mut leash: UnixStream, sender: Sender<News>) -> std::io::Result
             Ok(1) if byte[0] == END_AT_ONCE => News::EndAtOnce,
             _ => News::Alone,
         };
-        // The other side ends only with the process.
+        // The receiver lives as long as the process.
         let _ = sender.send(said);
     })?;
     Ok(())
@@ -134,7 +133,7 @@ struct Kept {
 }
 
 impl Kept {
-    /// Watches until the program has ended and nothing is left of it.
+    /// Watches until the program and all its descendants have ended.
     fn watch(mut self, news: &Receiver<News>) -> Option<WaitStatus> {
         loop {
             self.reap();
@@ -160,7 +159,7 @@ impl Kept {
     }
 
     fn ask_to_end(&self) {
-        // It leads a group of its own; it may have ended in this instant, or be stopped.
+        // The program leads its own group; it may just have ended, or be stopped.
         let _ = kill_process_group(self.program, Signal::TERM);
         let _ = kill_process_group(self.program, Signal::CONT);
     }
@@ -173,7 +172,7 @@ impl Kept {
         }
     }
 
-    /// Again and again, since who is killed may just have started somebody.
+    /// Repeats, because a process may spawn another just before it is killed.
     fn end_all(&mut self) {
         let end = Instant::now() + KILL_LIMIT;
         loop {
@@ -190,14 +189,14 @@ impl Kept {
     }
 }
 
-/// Ends this process as the program did, so that the launcher sees what became of that.
+/// Ends this process the way the program ended, so that the launcher sees the program's status.
 fn end_as(status: Option<WaitStatus>) -> ExitCode {
     let code = status.and_then(WaitStatus::exit_status);
     if let Some(code) = code.and_then(|code| u8::try_from(code).ok()) {
         return ExitCode::from(code);
     }
     let signal = status.and_then(WaitStatus::terminating_signal).unwrap_or(Signal::KILL.as_raw());
-    // The program has left its core file, if it was to leave one.
+    // The program has already dumped its own core, if enabled.
     let _ = setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) });
     let _ = signal_hook::low_level::emulate_default_handler(signal);
     ExitCode::FAILURE

@@ -1,8 +1,8 @@
-//! What the programs `trabecula` and `trabecula-lab` are made of: commands, the launcher of a run, replay, reports.
+//! Shared code of the programs `trabecula` and `trabecula-lab`: commands, the launcher of a run, replay, reports.
 //!
-//! **Boundary:** the laboratory (`lab/`) is built on this crate; nothing here knows it, but for the commands that are handed on to it
-//! ([`commands::laboratory`]). **Invariant:** every answer of a command goes through [`say`], so that one that could not be written is
-//! never called done, and no text of a stranger's file reaches the terminal raw.
+//! **Boundary:** the laboratory (`lab/`) builds on this crate; nothing here depends on it, except the commands forwarded to it
+//! ([`commands::laboratory`]). **Invariant:** every command prints its answer through [`say`], so that a failed write is never reported
+//! as success, and text from untrusted files never reaches the terminal unescaped.
 
 #![cfg_attr(not(test), warn(clippy::print_stdout))]
 

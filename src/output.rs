@@ -1,21 +1,21 @@
-//! What commands write: never over a file that is there, and whole. Every command with an output comes here.
+//! Output files of commands: never overwrite an existing file, never leave a partial one. Every command with an output uses this module.
 //!
-//! That refuses an input by the same rule: it is there. A command looks before its work, so that it refuses at once and has written
-//! nothing. What it writes gets its name when it is whole, and only if nothing has that name then (`output_file`).
+//! This also keeps a command from overwriting its input, which exists. A command checks before its work, so that it refuses at once and
+//! writes nothing. An output gets its name only once it is complete, and only if the name is still free (`output_file`).
 
 use std::path::{Path, PathBuf};
 
 use crate::failure::Failure;
 
-/// Refuses if one of the files is there, as whatever it may be: also as a link that leads nowhere.
+/// Refuses if one of the files exists in any form, even as a dangling link.
 ///
 /// # Errors
-/// Bad input: the first one that is there.
+/// Bad input: names the first file that exists.
 pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), Failure> {
     Ok(output_file::refuse_existing(files)?)
 }
 
-/// Files of these names in a folder.
+/// Paths of these names in a folder.
 pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
     names.iter().map(|name| folder.join(name)).collect()
 }
@@ -24,8 +24,8 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 mod tests {
     use clap::CommandFactory;
 
-    /// Commands with an output, and the argument that names it. Each is in the table of `tests/processes/outputs.rs`, but for `run`, which
-    /// makes a folder of a new name, and `proc recorder`, which `run` starts in it.
+    /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`, except `run`, which
+    /// creates a folder with a new name, and `proc recorder`, which `run` starts in it.
     const KNOWN: [&str; 13] = [
         "calibrate --output",
         "drr --output",

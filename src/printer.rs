@@ -1,8 +1,8 @@
-//! What a launcher says, written by a thread of its own: a terminal that is stopped (Ctrl-S) or a pipe that nobody reads holds up
-//! neither the answer to a signal nor the run. Before [`start`], and in every other command, it is written at once.
+//! Writes the launcher's output on a separate thread, so that a stopped terminal (Ctrl-S) or an unread pipe delays neither the response
+//! to a signal nor the run. Before [`start`], and in every other command, output is written directly.
 //!
-//! What does not fit into the queue is left out and counted. What the command was asked for, its standard output, is never left out: it
-//! is waited for at the end ([`finish`]), for a while, unless a signal says that nobody wants to wait.
+//! Output that does not fit the queue is dropped and counted. The command's answer, its standard output, is never dropped: [`finish`]
+//! waits for it at the end, up to a limit, unless a signal cuts the wait short.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -16,24 +16,24 @@ use rustix::io::Errno;
 
 use crate::say;
 
-/// Most bytes that may wait before a line of a controller's, or of the progress display, is left out.
+/// A controller's line or a progress update is dropped if more than this many bytes wait.
 const ECHO_BYTES: usize = 64 << 10;
-/// The same for the launcher's own words, which are few.
+/// The same limit for the launcher's own messages, which are few.
 const WORD_BYTES: usize = 2 * ECHO_BYTES;
-/// How long the end of the command waits for somebody to read what it was asked for.
+/// How long the command waits at its end for someone to read its answer.
 const ANSWER_LIMIT: Duration = Duration::from_secs(60);
-/// The same if only other things wait.
+/// The same limit if only other output waits.
 const WORD_LIMIT: Duration = Duration::from_secs(5);
-/// The same after a signal.
+/// The same limit after a signal.
 const HURRIED_LIMIT: Duration = Duration::from_millis(500);
-/// Between two tries at a stream that somebody has set to refuse instead of to wait.
+/// Interval between retries on a stream that is non-blocking.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Of standard output and standard error; one printer twice if both lead to the same place, where their order is to stay.
+/// Printers of standard output and standard error; the same printer twice if both lead to the same place, to keep the order.
 static PRINTERS: OnceLock<[Arc<Printer>; 2]> = OnceLock::new();
 static HURRIED: AtomicBool = AtomicBool::new(false);
 
-/// What a text is worth.
+/// Priority of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Worth {
     Echo,
@@ -42,7 +42,7 @@ enum Worth {
 }
 
 impl Worth {
-    /// Most bytes that may wait with it.
+    /// Queue limit in bytes for a text of this priority.
     fn room(self) -> usize {
         match self {
             Worth::Echo => ECHO_BYTES,
@@ -64,11 +64,11 @@ struct Piece {
 struct Queue {
     /// The first one is being written.
     waiting: VecDeque<Arc<Piece>>,
-    /// Of all that wait.
+    /// Total of all waiting texts.
     bytes: usize,
-    /// Lines that did not fit and have not been told of.
+    /// Lines dropped and not yet reported.
     left_out: usize,
-    /// Why an answer could not be written.
+    /// Why the answer could not be written.
     failed: Option<String>,
 }
 
@@ -87,7 +87,7 @@ impl Queue {
     }
 }
 
-/// A queue and the thread that writes what is in it.
+/// A queue and the thread that drains it.
 #[derive(Debug)]
 struct Printer {
     queue: Mutex<Queue>,
@@ -139,7 +139,7 @@ impl Printer {
         self.changed.notify_all();
     }
 
-    /// Waits until everything is written, as long as that is worth it.
+    /// Waits until everything is written, up to the limit for what waits.
     fn finish(&self, to: &Arc<File>, began: Instant, is_hurried: &dyn Fn() -> bool) -> Result<(), String> {
         let mut queue = self.lock();
         queue.tell_left_out(to);
@@ -161,12 +161,12 @@ impl Printer {
     }
 }
 
-/// Whether nobody is there to read: a pipe that was closed, a terminal that has gone. That is no failure.
+/// Whether the reader is gone: a closed pipe or terminal. That is not an error.
 fn is_gone(cause: &Error) -> bool {
     cause.kind() == ErrorKind::BrokenPipe || cause.raw_os_error() == Some(Errno::IO.raw_os_error())
 }
 
-/// Writes everything, also to a stream that refuses instead of waiting: a terminal's other programs may have set that.
+/// Writes everything, even to a non-blocking stream: another program on the terminal may have made it so.
 fn write_all(mut to: &File, mut bytes: &[u8]) -> std::io::Result<()> {
     while !bytes.is_empty() {
         match to.write(bytes) {
@@ -180,13 +180,13 @@ fn write_all(mut to: &File, mut bytes: &[u8]) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The two streams past the locks of the standard library, which a writer that waits would hold.
+/// The two streams without the standard library's locks, which a blocked writer would hold.
 static STREAMS: OnceLock<[Arc<File>; 2]> = OnceLock::new();
 
-/// From now on a thread of its own writes what this process says.
+/// From now on a separate thread writes this process's output.
 ///
 /// # Errors
-/// The system refuses the thread or another handle of the streams.
+/// The system refuses the thread or a duplicate handle of the streams.
 pub fn start() -> std::io::Result<()> {
     let out = File::from(rustix::stdio::stdout().try_clone_to_owned()?);
     let err = File::from(rustix::stdio::stderr().try_clone_to_owned()?);
@@ -198,17 +198,17 @@ pub fn start() -> std::io::Result<()> {
     Ok(())
 }
 
-/// A signal has come: from now on the end waits for nobody who does not read.
+/// Called on a signal: from now on the end of the command does not wait for slow readers.
 pub fn hurry() {
     HURRIED.store(true, Ordering::Relaxed);
 }
 
-/// Waits, within limits, until what this command was asked for has been written. Returns why that could not be.
+/// Waits, up to the limit, until the command's answer has been written. Returns why it could not be.
 pub fn finish_answers() -> Option<String> {
     finish(0).err()
 }
 
-/// The same of what else was said; what nobody takes is given up.
+/// Waits in the same way for all other output; gives up if nobody reads it.
 pub fn finish_words() {
     let _ = finish(1);
 }
@@ -218,7 +218,7 @@ fn finish(stream: usize) -> Result<(), String> {
     printers[stream].finish(words, Instant::now(), &|| HURRIED.load(Ordering::Relaxed))
 }
 
-/// Ends the process after a signal, with what can be said within a moment.
+/// Exits after a signal, printing only what can be written within a moment.
 pub fn leave(code: u8) -> ! {
     hurry();
     finish_answers();
@@ -226,7 +226,7 @@ pub fn leave(code: u8) -> ! {
     std::process::exit(code.into());
 }
 
-/// Whether something said before still waits for the terminal: a table that would be old when it comes is not drawn.
+/// Whether earlier output still waits for the terminal; then do not draw a table that would be outdated when it appears.
 pub fn is_behind() -> bool {
     PRINTERS.get().is_some_and(|printers| !printers[1].lock().waiting.is_empty())
 }
@@ -240,15 +240,15 @@ fn put(stream: usize, worth: Worth, bytes: &[u8]) -> std::io::Result<usize> {
     Ok(bytes.len())
 }
 
-/// Standard output: what the command was asked for.
+/// Standard output: the command's answer.
 #[derive(Debug)]
 pub struct Answers;
 
-/// Standard error: the command's own words.
+/// Standard error: the command's own messages.
 #[derive(Debug)]
 pub struct Words;
 
-/// Standard error: words of other programs, and the progress display.
+/// Standard error: output of other programs, and the progress display.
 #[derive(Debug)]
 pub struct Echo;
 
@@ -282,18 +282,18 @@ mod tests {
         let to = Arc::new(File::from(std::os::fd::OwnedFd::from(writer)));
         let printer = Printer::start().unwrap();
         let line = [b"x".repeat(99), b"\n".to_vec()].concat();
-        // More than a pipe and the queue hold; what the printer has taken meanwhile decides how much exactly.
+        // More than a pipe and the queue hold; how much exactly depends on what the printer has taken meanwhile.
         let lines = 5000;
         (0..lines).for_each(|_| printer.push(&to, Worth::Echo, &line));
         printer.push(&to, Worth::Word, b"a word\n");
         printer.push(&to, Worth::Answer, b"the answer\n");
-        // Nobody reads.
+        // Nobody reads the pipe.
         let finish = |hurried: bool| printer.finish(&to, Instant::now(), &|| hurried);
         assert!(finish(true).is_err());
         let reading = read_all(reader);
         assert_eq!(finish(false), Ok(()));
         drop(to);
-        // The printer's own handle goes with its last piece; the thread waits for more.
+        // The printer's handle is dropped with its last piece; the thread waits for more.
         let text = text_within(&reading, ANSWER_LIMIT, "the pipe");
         let shown = text.lines().filter(|line| line.starts_with('x')).count();
         let told = text.lines().find(|line| line.contains("lines not shown")).unwrap();

@@ -1,4 +1,4 @@
-//! How the project's programs begin, read their command line, and end.
+//! How the project's programs start, parse their command line, and end.
 
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -9,13 +9,13 @@ use ipc_types::process::{EXIT_BAD_INPUT, EXIT_FAILED, EXIT_GAP};
 use crate::failure::Failure;
 use crate::{printer, say};
 
-/// Of a command that has done what it was asked for.
+/// The command did what it was asked to do.
 const EXIT_DONE: u8 = 0;
 
 /// The exit codes, for the help.
 pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is not whole; 130 interrupted";
 
-/// Prepares this process: a file that reaches the process's size limit is an error to tell, not a death.
+/// Prepares this process: exceeding the file size limit becomes an error instead of killing the process.
 ///
 /// # Errors
 /// The system refuses the signal handler.
@@ -25,17 +25,17 @@ pub fn start() -> Result<(), Failure> {
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))
 }
 
-/// The command line, once it is parsed; none if it asked for the help or the version, which are printed.
+/// The parsed command line; none after printing help or the version.
 ///
 /// # Errors
-/// Bad input, which has been told.
+/// Bad input, already reported.
 pub fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
     match parsed {
         Ok(command) => Ok(Some(command)),
         Err(error) => {
             let printed = error.print();
             match error.use_stderr() {
-                // It has said what is wrong.
+                // clap has already printed what is wrong.
                 true => Err(Failure { message: String::new(), code: EXIT_BAD_INPUT }),
                 false => {
                     let _ = say::note(printed);
@@ -46,13 +46,13 @@ pub fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
     }
 }
 
-/// Says why a command failed, unless that has been said, waits until its answer is written, and gives its exit code.
+/// Reports a failure unless it has been reported, waits until the answer is written, and returns the exit code.
 pub fn end(outcome: Result<(), Failure>) -> ExitCode {
     let code = outcome.map_or_else(told, |()| EXIT_DONE);
     ExitCode::from(with_its_answer(code))
 }
 
-/// Says why a command failed, unless that has been said; its exit code.
+/// Reports a failure unless it has been reported; returns its exit code.
 fn told(failure: Failure) -> u8 {
     if !failure.message.is_empty() {
         tell!("trabecula: {failure}");
@@ -60,7 +60,7 @@ fn told(failure: Failure) -> u8 {
     failure.code
 }
 
-/// The exit code of a command that ends with `code`, seen with whether its answer has reached anybody.
+/// The exit code of a command that ends with `code`: if its answer could not be written, success or a gap becomes a failure.
 fn with_its_answer(code: u8) -> u8 {
     let unwritten = printer::finish_answers().or_else(|| say::unwritten().map(str::to_owned));
     let code = match unwritten {

@@ -1,8 +1,7 @@
-//! Standard output and error. Every answer of a command goes through here.
+//! Standard output and error. Every command prints through this module.
 //!
-//! Whoever reads may have had enough (`| head`), which is no failure; an answer that cannot be written is one, whatever the command
-//! has done besides: [`unwritten`] says so at its end. What is printed may hold texts of strangers: nothing that a terminal would
-//! obey leaves the program.
+//! A reader that stops early (`| head`) is not an error. An answer that cannot be written is one, whatever else the command has done:
+//! [`unwritten`] reports it at the end. Output may contain untrusted text, so everything that a terminal would interpret is escaped.
 
 use std::io::{self, BufWriter, ErrorKind, Stdout, StdoutLock, Write};
 use std::sync::OnceLock;
@@ -14,7 +13,7 @@ use crate::printer;
 /// The first reason why standard output could not be written.
 static UNWRITTEN: OnceLock<String> = OnceLock::new();
 
-/// Standard output, which remembers that it could not be written.
+/// A writer to standard output that remembers the first failure.
 #[derive(Debug)]
 pub struct Noting<W>(W);
 
@@ -28,24 +27,24 @@ impl<W: Write> Write for Noting<W> {
     }
 }
 
-/// Remembers what became of a text for standard output.
+/// Records the outcome of a write to standard output.
 pub fn note<T>(written: io::Result<T>) -> io::Result<T> {
     if let Err(cause) = &written
         && !matches!(cause.kind(), ErrorKind::BrokenPipe | ErrorKind::Interrupted)
     {
-        // The first reason stays.
+        // Keep the first reason.
         let _ = UNWRITTEN.set(cause.to_string());
     }
     written
 }
 
-/// Standard output past the printer.
+/// Standard output, bypassing the printer.
 #[allow(clippy::disallowed_methods, reason = "the one place")]
 pub fn standard_output() -> Noting<Stdout> {
     Noting(io::stdout())
 }
 
-/// Standard output for long answers: buffered, without what a terminal would obey.
+/// Standard output for long answers: buffered, with terminal control characters escaped.
 pub type Out<'a> = BufWriter<Plain<Noting<StdoutLock<'a>>>>;
 
 /// Opens it.
@@ -53,40 +52,39 @@ pub fn out() -> Out<'static> {
     BufWriter::new(Plain::new(Noting(standard_output().0.lock())))
 }
 
-/// Writes a text and a line end to standard output in one piece.
+/// Writes a line to standard output in one piece.
 pub fn answer(text: &str) {
     line(&mut printer::Answers, text);
 }
 
-/// Writes a text of our own as it is, such as a shell's completions.
+/// Writes our own text unescaped, such as shell completions.
 pub fn verbatim(text: &str) {
-    // What went wrong is remembered.
+    // `Noting` remembers a failure.
     let _ = standard_output().write_all(text.as_bytes());
 }
 
-/// Why an answer of this command could not be written; none if it was, or if nobody wanted more of it.
+/// Why this command's answer could not be written; none if it was, or if the reader stopped early.
 pub fn unwritten() -> Option<&'static str> {
     let _ = standard_output().flush();
     UNWRITTEN.get().map(String::as_str)
 }
 
-/// Writes a text and a line end in one piece.
+/// Writes a line in one piece.
 pub fn line(out: &mut dyn Write, text: &str) {
     let mut text = plain(text);
     text.push('\n');
-    // A closed pipe or terminal ends nothing: a run would lose its log's end.
+    // A closed pipe or terminal must not end the command: a run would lose its log's end.
     let _ = out.write_all(text.as_bytes());
 }
 
-/// As `println!`, but what cannot be written ends nothing before the command's own end, and texts of strangers are shown as
-/// `foreign_text` shows them.
+/// Like `println!`, but a failed write is reported only when the command ends, and untrusted text is escaped as by `foreign_text`.
 #[macro_export]
 macro_rules! say {
     () => { $crate::say::answer("") };
     ($($arguments:tt)*) => { $crate::say::answer(&format!($($arguments)*)) };
 }
 
-/// As `eprintln!`, in the same way; what cannot be said there cannot be said.
+/// Like `eprintln!`, with the same escaping; write failures are ignored, since there is nowhere left to report them.
 #[macro_export]
 macro_rules! tell {
     ($($arguments:tt)*) => { $crate::say::line(&mut $crate::printer::Words, &format!($($arguments)*)) };

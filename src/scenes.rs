@@ -1,7 +1,7 @@
-//! The scenes that are inside the program, and which scene a command takes.
+//! The built-in scenes, and which scene a command uses.
 //!
-//! A command that can do without a scene takes one of these, so it works in any folder. Each is one file of `configs/` and names no
-//! other (no CT, no calibration): it is whole wherever it is written to, and its paths cannot lead anywhere.
+//! A command that needs no scene file uses one of these, so it works in any folder. Each is one file of `configs/` and refers to no other
+//! file (no CT, no calibration), so it is complete wherever it is written and its paths cannot point elsewhere.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub enum BuiltIn {
 }
 
 impl BuiltIn {
-    /// Name of the scene and, with `.toml`, of its file.
+    /// Name of the scene; with `.toml`, of its file.
     pub fn name(self) -> &'static str {
         match self {
             BuiltIn::Femur => "femur_curved_drilling",
@@ -44,10 +44,10 @@ impl BuiltIn {
         }
     }
 
-    /// The scene.
+    /// The parsed scene.
     ///
     /// # Errors
-    /// None for the text of this build (a test reads them all).
+    /// None for this build's texts (a test parses them all).
     pub fn scene(self) -> Result<Scene, Failure> {
         Scene::parse(self.text(), Path::new(&format!("built-in {}.toml", self.name())))
             .map_err(Failure::bad_input)
@@ -59,17 +59,17 @@ impl BuiltIn {
 pub enum SceneSource {
     /// The user's file.
     File(PathBuf),
-    /// The user has named none.
+    /// The user named no file.
     BuiltIn(BuiltIn),
 }
 
 impl SceneSource {
-    /// The file that is named, or else the built-in scene.
+    /// The named file, or else the built-in scene.
     pub fn new(file: Option<&Path>, built_in: BuiltIn) -> SceneSource {
         file.map_or(SceneSource::BuiltIn(built_in), |file| SceneSource::File(file.to_owned()))
     }
 
-    /// The scene, checked.
+    /// The scene, validated.
     ///
     /// # Errors
     /// Bad input: the file is not a scene.
@@ -91,7 +91,7 @@ impl SceneSource {
         }
     }
 
-    /// What names the scene to another call of the same command: nothing for a built-in one.
+    /// The argument that names the scene on another call of the same command; none for a built-in one.
     pub fn argument(&self) -> Option<&Path> {
         match self {
             SceneSource::File(file) => Some(file),

@@ -1,4 +1,4 @@
-//! `trabecula calibrate SCENE`: which tendon tension or displacement bends the tip to where.
+//! `trabecula calibrate SCENE`: measures how far each tendon tension or displacement bends the tip.
 
 use std::path::PathBuf;
 
@@ -27,10 +27,10 @@ pub struct CalibrateArguments {
     pub volume_files: VolumeFiles,
 }
 
-/// Steps the physics through the sweep in this process, as fast as it can, and writes what it measured.
+/// Steps the physics through the sweep in this process, as fast as possible, and writes the measurements.
 ///
 /// # Errors
-/// A scene that is not one, or without a sweep (2); a folder that cannot be written (2); a step that fails (1).
+/// An invalid scene, or one without a sweep (2); a folder that cannot be written (2); a step that fails (1).
 pub fn run(arguments: &CalibrateArguments) -> Result<(), Failure> {
     let source = SceneSource::new(arguments.scene.as_deref(), BuiltIn::TensionSweep);
     let mut scene = source.load()?;
@@ -64,7 +64,7 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
     let simulation = Simulation::new(scene, ct).map_err(Failure::bad_input)?;
     let mut run = InProcess::new(scene, simulation);
     let mut controller = TensionSweepController::new(plan, drives);
-    // One tick more notes the last level.
+    // The last level is recorded one tick later.
     let ticks = (controller.duration_s() / scene.dt_s()).ceil() as u64 + 2;
     for _ in 0..ticks {
         let latched = run.latch(|_, state, command| {
@@ -80,14 +80,14 @@ fn sweep(scene: &Scene, source: &SceneSource, files: VolumeFiles) -> Result<Cali
     Ok(controller.calibration().clone())
 }
 
-/// The sweep in five lines.
+/// Summarises the sweep in five lines.
 fn summary(calibration: &Calibration) -> String {
     let rows = &calibration.rows;
     let Some(most) = rows.iter().max_by(|a, b| a.bend_deg.total_cmp(&b.bend_deg)) else {
         return "no level was reached".to_owned();
     };
     let unsettled = rows.iter().map(|row| row.rate_deg_per_s.abs()).fold(0.0, f64::max);
-    // Friction: the greatest difference of the bend at the same command.
+    // Friction shows as hysteresis: the largest difference in bend at the same command.
     let hysteresis = rows.iter().filter(|row| row.rising).flat_map(|up| {
         let down = rows.iter().find(|row| !row.rising && row.commanded == up.commanded);
         down.map(|down| (down.bend_deg - up.bend_deg).abs())

@@ -1,4 +1,4 @@
-//! `trabecula docs`: what the declarations of messages, scenes and commands say.
+//! `trabecula docs`: documentation generated from the declarations of messages, scenes and commands.
 
 use clap::{CommandFactory, Subcommand};
 use clap_complete::Shell;
@@ -53,7 +53,7 @@ fn completions(shell: Shell) -> String {
     String::from_utf8_lossy(&text).into_owned()
 }
 
-/// The command's page, and behind it one of each subcommand.
+/// The man page of the command, followed by one per subcommand.
 fn man_page() -> Result<String, Failure> {
     let mut command = Arguments::command();
     command.build();

@@ -1,4 +1,4 @@
-//! `trabecula doctor`: what this machine permits, what that costs, and what would grant it.
+//! `trabecula doctor`: reports what this machine permits, what each limit costs, and how to lift it.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ pub struct DoctorArguments {
     pub seconds: f64,
 }
 
-/// Looks at the machine.
+/// Inspects the machine and prints the report.
 ///
 /// # Errors
 /// A time out of range (2).

@@ -1,4 +1,4 @@
-//! `trabecula drr`: X-ray frames of a volume from any pose, as files.
+//! `trabecula drr`: renders X-ray frames of a volume from any pose to files.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -115,7 +115,7 @@ pub enum DisplayName {
     Linear,
 }
 
-/// Kinds of file, by extension.
+/// File types, by extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Png,
@@ -126,7 +126,7 @@ enum Kind {
 /// Runs the command.
 ///
 /// # Errors
-/// A volume, pose or option that is not one, a folder that takes no file (2, and nothing is written); a full disk (1).
+/// An invalid volume, pose or option, or a folder that cannot be written (2, and nothing is written); a full disk (1).
 pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let kind = kind_of(&arguments.output)?;
     let poses = all_poses(arguments)?;
@@ -188,7 +188,7 @@ fn kind_of(path: &Path) -> Result<Kind, Failure> {
     }
 }
 
-/// The poses asked for: those of the file, or the command line's, each times the sweep.
+/// The requested poses: those of the file or the command line, each multiplied by the sweep.
 fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
     let isocentre = arguments.isocentre_mm.as_deref();
     let line = Pose {
@@ -219,14 +219,14 @@ fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
     let start = pose.primary_angle_deg.unwrap_or(0.0);
     let turned = |i: u32| {
         let angle = start + sweep * f64::from(i) / f64::from(arguments.frames);
-        // Back to -180 to 180.
+        // Wrap to -180 to 180.
         let angle = angle - 360.0 * ((angle + 180.0) / 360.0).floor();
         Pose { primary_angle_deg: Some(angle), ..pose.clone() }
     };
     Ok((0..arguments.frames).map(turned).collect())
 }
 
-/// All poses, checked before anything is rendered.
+/// Resolves all poses, so that a bad one is reported before anything is rendered.
 fn place(poses: &[Pose], volume: &Volume) -> Result<Vec<Placed>, Failure> {
     let centre_m = volume.voxel_to_world_m(volume.dims.map(|n| 0.5 * (n as f64 - 1.0)));
     let number = |i: usize, cause| Failure::bad_input(format!("pose {}: {cause}", i + 1));

@@ -1,4 +1,4 @@
-//! Commands of the laboratory, which is another program beside this one: they are handed on to it.
+//! Commands of the laboratory, which is a separate program: this one forwards them.
 
 use std::ffi::{OsStr, OsString};
 use std::io::ErrorKind;
@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 
 use crate::failure::Failure;
 
-/// The laboratory's program, in the folder of this one.
+/// The laboratory's program, in this program's folder.
 const PROGRAM: &str = "trabecula-lab";
 
 /// A command of the laboratory.
@@ -37,10 +37,10 @@ pub struct HandedOn {
     arguments: Vec<OsString>,
 }
 
-/// Becomes the laboratory's program.
+/// Replaces this process with the laboratory's program.
 ///
 /// # Errors
-/// It cannot be started. Otherwise this does not return.
+/// The program cannot be started. On success this does not return.
 pub fn run(command: &LaboratoryCommand) -> Result<(), Failure> {
     let (name, HandedOn { arguments }) = match command {
         LaboratoryCommand::Bench(words) => ("bench", words),

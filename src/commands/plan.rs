@@ -1,4 +1,5 @@
-//! `trabecula plan SCENE`: which settings a scene's tolerance leads to; `trabecula plan --check LOG`: the error really made.
+//! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`: measures the error that a run
+//! actually made.
 
 use std::path::{Path, PathBuf};
 
@@ -43,7 +44,7 @@ pub struct PlanArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Bad input (2); a log whose path error was above its scene's tolerance (1).
+/// Bad input (2); a log whose path error exceeded its scene's tolerance (1).
 pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
     match (&arguments.scene, &arguments.check) {
         (Some(scene), _) => show(scene),
@@ -55,10 +56,10 @@ pub fn run(arguments: &PlanArguments) -> Result<(), Failure> {
     }
 }
 
-/// A scene with its tolerance resolved, and what was chosen, as text.
+/// Loads a scene and resolves its tolerance; also returns the choice as text.
 ///
 /// # Errors
-/// Bad input: the scene, or a tolerance that nothing keeps.
+/// Bad input: an invalid scene, or a tolerance that no settings meet.
 pub fn load(source: &SceneSource) -> Result<(Scene, Option<String>), Failure> {
     let mut scene = source.load()?;
     let choice = resolve(&mut scene, &source.text()?)?;

@@ -1,4 +1,4 @@
-//! `trabecula plot LOG FIELD…`: fields of a log over simulated time, as a figure.
+//! `trabecula plot LOG FIELD…`: plots fields of a log over simulated time.
 
 use std::path::{Path, PathBuf};
 
@@ -18,9 +18,9 @@ use crate::report::timeline::{Extremes, Timeline};
 const WIDTH: f64 = 1000.0;
 const PANEL_HEIGHT: f64 = 250.0;
 const HEAD: f64 = 40.0;
-/// Bins over the run: each is drawn as its least and its greatest value, so that no peak is lost.
+/// Number of bins over the run. Each is drawn as its minimum and maximum, so that no peak is lost.
 const BINS: usize = 2000;
-/// Most lines of a panel, and panels of a figure.
+/// Maximum number of lines per panel, and of panels per figure.
 const MOST_LINES: usize = 8;
 const MOST_PANELS: usize = 8;
 
@@ -43,7 +43,7 @@ pub struct PlotArguments {
 /// Draws the figure.
 ///
 /// # Errors
-/// A log or field that is not there, a figure that is there already (2), a damaged log, a full disk (1).
+/// A missing log or field, a figure that already exists (2), a damaged log, a full disk (1).
 pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
     let description = description_of_topic(&LogFile::at(&log), &arguments.topic)?;
@@ -111,7 +111,7 @@ fn draw(
     Ok(figure)
 }
 
-/// Least and greatest value of each bin, in turns.
+/// The minimum and maximum of each bin, alternating.
 fn points(line: &Timeline<Extremes>) -> Vec<Point> {
     let both =
         |(time_s, bin): (f64, &Extremes)| {

@@ -1,4 +1,4 @@
-//! `trabecula proc`: one part of a run, in this process.
+//! `trabecula proc`: runs one part of a session in this process.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -53,10 +53,10 @@ pub struct Joined {
     session: PathBuf,
 }
 
-/// Runs the part to its end.
+/// Runs the part until it ends.
 ///
 /// # Errors
-/// What the part says.
+/// Any error of the part.
 pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
     end_with_parent();
     let failed = |error: &dyn std::error::Error| Failure::failed(error.to_string());
@@ -69,7 +69,7 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
             controller_proc::process::run(joined.to_living()?, name).map_err(|e| failed(&e))?;
         }
         ProcCommand::Recorder { output, joined } => {
-            // The host sweeps, but it may be the host that is killed; without this thread the recorder still records.
+            // Normally the host sweeps. If the host is killed, this thread sweeps instead, so that the recorder can still finish.
             let _sweeper = HalfMadeSweeper::of(&joined.session);
             let recorded = recorder_proc::process::run(joined.to_living()?, output);
             recorded.map_err(|error| Failure { code: error.exit_code(), message: error.to_string() })?;
@@ -80,7 +80,8 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
 }
 
 impl Joined {
-    /// The session's folder, if its host lives: one that died before [`end_with_parent`] sends no signal.
+    /// The session's folder, if its host is alive. The check covers a host that died before [`end_with_parent`] was set up, because then
+    /// no signal comes.
     fn to_living(&self) -> Result<&Path, Failure> {
         match host_is_alive(&self.session) {
             true => Ok(&self.session),

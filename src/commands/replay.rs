@@ -89,8 +89,8 @@ impl Moment {
 /// Replays a log.
 ///
 /// # Errors
-/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1). All that is there
-/// is identical, but the log has a gap, is cut or was not ended (3).
+/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1). Everything in the log is
+/// identical, but it has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     let overrides = Overrides {
         volume: arguments.volume.clone(),
@@ -157,7 +157,7 @@ fn replay(
         step_only(log, start, to)?
     };
     let SegmentReport { replay: report, first_tick: first, identical_keyframes: keyframes, gaps } = found;
-    // A replay that was told to stop early has not read how the log ends.
+    // A replay that stopped early on request has not read how the log ends.
     let at_end = to.is_none_or(|to| report.last_tick < to) && report.is_identical();
     let verdict = at_end.then_some(verdict);
     let wall_s = began.elapsed().as_secs_f64();
@@ -179,7 +179,7 @@ fn replay(
     Ok(told.exit_code())
 }
 
-/// Steps without comparing, and says where it came out.
+/// Steps without comparing, and prints the resulting state.
 fn step_only(
     log: &OpenedLog,
     start: Option<SavedState>,
@@ -202,7 +202,7 @@ fn step_only(
                 let (after, read) = (simulation.state().tick, reader.last_complete_tick());
                 let behind = reader.go_on().map_err(|cause| Failure::failed(cause.to_string()))?;
                 let resumed = behind.as_ref().map(|behind| behind.state.tick);
-                // One before the start is passed without a word.
+                // A gap before the start is skipped silently.
                 if read >= first {
                     gaps.push(Passed { after: Some(after), resumed });
                 }
@@ -236,23 +236,23 @@ fn step_only(
     Ok((report, reader.stream().verdict()))
 }
 
-/// Gaps that are told one by one.
+/// Maximum number of gaps listed individually.
 const MAX_GAPS_TOLD: usize = 64;
 
-/// What is said about a replay besides its report.
+/// What to print about a replay besides its report.
 struct Told {
     verified: bool,
     first: u64,
     keyframes: u64,
     gaps: Vec<Passed>,
-    /// What is wrong with the log, if it was read to its end.
+    /// The log's verdict, if it was read to its end.
     verdict: Option<Verdict>,
     label: String,
     wall_s: f64,
 }
 
 impl Told {
-    /// Of a replay in which nothing differed.
+    /// Exit code of a replay without differences.
     fn exit_code(&self) -> u8 {
         let of_gaps = if self.gaps.is_empty() { 0 } else { EXIT_GAP };
         self.verdict.as_ref().map_or(of_gaps, |verdict| exit_code(verdict).max(of_gaps))
@@ -332,7 +332,7 @@ fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: u64) -> Result<()
     Ok(())
 }
 
-/// `NAME=COMMAND`, or only the command if the scene has one controller. Words as a shell splits them.
+/// Parses `NAME=COMMAND`, or only the command if the scene has one controller. Splits words like a shell.
 fn controller(text: &str, log: &OpenedLog) -> Result<(String, Vec<String>), Failure> {
     let names = log.scene.controller_names();
     let named = text.split_once('=').filter(|(name, _)| names.iter().any(|of_scene| of_scene == name));

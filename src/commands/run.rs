@@ -1,4 +1,4 @@
-//! `trabecula run SCENE`: a whole run.
+//! `trabecula run SCENE`: runs a scene from start to finish.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -140,8 +140,8 @@ impl From<PolicyArgument> for Policy {
 /// Runs a scene.
 ///
 /// # Errors
-/// Bad input (exit code 2), a part that died, a log that has gone, a report that is not complete, an output that nobody reads (1), a
-/// log with a gap (3), Ctrl-C (130).
+/// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an output that could not be written (1); a
+/// log with a gap (3); Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     printer::start()
         .map_err(|cause| Failure::failed(format!("standard output cannot be written: {cause}")))?;
@@ -176,7 +176,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     let mut shown = false;
     let result = volume.map_err(RunError::from).and_then(|volume| {
         run_with(&plan, volume, began, &interrupts.end, |snapshot| {
-            // The parts have started: what follows is for people, and gives way to them.
+            // The parts have started. Everything from here on only serves the display and must not compete with them.
             if !std::mem::replace(&mut shown, true) && plan.scene.run.mode == Mode::Realtime {
                 prioritise(Role::Viewer, plan.scene.run.policy);
             }
@@ -185,7 +185,7 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     });
     display.end();
     interrupts.report_begins();
-    // If nothing was recorded, this leaves no folder that was not there.
+    // If nothing was recorded, remove the folders that this run created.
     remove_empty(&empty);
     let result = result.map_err(|error| match error {
         RunError::Volume(_) => Failure::bad_input(error),
@@ -237,7 +237,7 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
     Ok(scene)
 }
 
-/// Pictures, numbers, and the table at the end.
+/// Writes the figures and numbers, and prints the final table.
 fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
     let facts = result.facts(replay_command.clone());
@@ -252,7 +252,7 @@ fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Fai
     complete(&report.missing)
 }
 
-/// Says which files of the report are missing.
+/// Fails if files of the report are missing, and names them.
 fn complete(missing: &[ReportError]) -> Result<(), Failure> {
     for error in missing {
         match error {
@@ -273,7 +273,7 @@ fn complete(missing: &[ReportError]) -> Result<(), Failure> {
     }
 }
 
-/// What lies at a path, in words.
+/// Describes what is at a path.
 fn found(path: &Path) -> String {
     match path.symlink_metadata().map(|found| (found.file_type(), found.len())) {
         Ok((kind, _)) if kind.is_symlink() => "a link".to_owned(),
@@ -283,7 +283,7 @@ fn found(path: &Path) -> String {
     }
 }
 
-/// How the user called this program.
+/// The name by which the user called this program.
 fn program_name() -> String {
     std::env::args().next().unwrap_or_else(|| "trabecula".to_owned())
 }
@@ -299,7 +299,7 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
         }),
         Outcome::Completed => Ok(()),
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
-        // The launcher has said how.
+        // The launcher has already said how.
         Outcome::PartDied { name, .. } => {
             Err(Failure::failed(format!("the run ended early because `{name}` did")))
         }

@@ -1,4 +1,4 @@
-//! `trabecula scene check FILE`, and `trabecula scene init`: a scene to begin with.
+//! `trabecula scene check FILE` validates a scene; `trabecula scene init` writes one to start from.
 
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ pub enum SceneCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// A scene that is not one (2); a file that is there already or cannot be written.
+/// An invalid scene (2); a file that already exists or cannot be written.
 pub fn run(command: &SceneCommand) -> Result<(), Failure> {
     match command {
         SceneCommand::Check { file, volume_files } => check(file, *volume_files),

@@ -1,4 +1,4 @@
-//! `trabecula view`: a running session, or logs, in the browser.
+//! `trabecula view`: shows a running session, or logs, in the browser.
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ use crate::doorway::{self, Doorway};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::volume_source::{self, VolumeFiles};
 
-/// How long the viewer may take to leave after a signal.
+/// How long the viewer may take to shut down after a signal.
 const LEAVE_LIMIT: Duration = Duration::from_secs(2);
 
 /// Arguments of `view`.
@@ -73,7 +73,7 @@ impl ServerArguments {
         }
     }
 
-    /// Says where the page is, and shows it. The file that leads there lies in `folder`.
+    /// Prints the page's address and opens it. `folder` holds the file that redirects the browser to it.
     fn ready(&self, server: &Server, folder: &Path) -> Option<Doorway> {
         say!("{}", server.url());
         if self.no_open { None } else { Doorway::open(&server.url(), folder) }
@@ -83,9 +83,9 @@ impl ServerArguments {
 /// Runs the viewer until the session ends or Ctrl-C.
 ///
 /// # Errors
-/// No session, a port in use (2), what the viewer says (1).
+/// No session, a port in use (2); any error of the viewer (1).
 pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
-    // It has nothing to lose: one that is still reading a log or making its volume just leaves.
+    // There is nothing to lose: a viewer that is still reading a log or building its volume simply exits.
     let end = EndRequest::answered(|_| {
         std::thread::spawn(|| {
             std::thread::sleep(LEAVE_LIMIT);
@@ -123,7 +123,7 @@ fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<
     log::view(&options, &help, ready, end).map_err(|error| failure(&error))
 }
 
-/// The volume of a log's scene, made or read again.
+/// The volume of a log's scene, generated or read again.
 fn log_volume(scene: &Scene, files: VolumeFiles) -> Result<Option<LogVolume>, String> {
     let loaded = volume_source::load(scene, files).map_err(|error| error.to_string())?;
     Ok(loaded.map(|(volume, sha256)| {
@@ -142,7 +142,7 @@ fn failure(error: &ViewerError) -> Failure {
     if error.is_bad_input() { Failure::bad_input(error) } else { Failure::failed(error.to_string()) }
 }
 
-/// The scene's tool as the page draws it; of a scene that cannot be, a bare burr.
+/// The scene's tool as the page draws it; a bare burr if the scene's tool is invalid.
 fn tool_shape(scene: &Scene) -> ToolShape {
     match manipulator_parameters(scene) {
         Ok(parameters) => ToolShape {

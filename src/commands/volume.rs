@@ -1,4 +1,4 @@
-//! `trabecula volume` and `trabecula phantom`: volumes as files.
+//! `trabecula volume` and `trabecula phantom`: inspect and write volume files.
 
 use std::path::PathBuf;
 
@@ -42,7 +42,7 @@ pub struct DrilledArguments {
     volume_files: VolumeFiles,
 }
 
-/// What a drilled voxel holds: air.
+/// Value of a drilled voxel: air.
 const AIR_HU: i16 = -1000;
 
 fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
@@ -125,7 +125,7 @@ pub enum PhantomKind {
 /// Writes a phantom.
 ///
 /// # Errors
-/// A spacing out of range, a file that is there, a folder that takes none (2); a full disk (1).
+/// A spacing out of range, a file that already exists, a folder that cannot be written (2); a full disk (1).
 pub fn write_phantom(arguments: &PhantomArguments) -> Result<(), Failure> {
     if !(0.25..=2.0).contains(&arguments.spacing_mm) {
         let given = arguments.spacing_mm;

@@ -1,8 +1,8 @@
-//! The end of a run.
+//! Ends a run.
 //!
-//! Order: the physics leaves when its consumers have everything; the DRR process and the controllers leave on its word; the
-//! recorder is asked last, when nobody writes any more. A signal shortens every wait but the recorder's, which has the log
-//! to finish; a second signal ends that one too.
+//! Order: the physics exits once its consumers have received everything; the DRR process and the controllers exit when the physics says
+//! so; the recorder is stopped last, when nobody publishes any more. A signal shortens every wait except the recorder's, which must
+//! finish the log; a second signal ends that one too.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -19,26 +19,27 @@ use super::run::{Outcome, RunPlan, has_gap, judge};
 const LOOK_TIME: Duration = Duration::from_millis(5);
 /// How long a part may take to end.
 const END_LIMIT: Duration = Duration::from_secs(130);
-/// The same after something has failed.
+/// The same limit after a failure.
 const FAILED_LIMIT: Duration = Duration::from_secs(10);
-/// The same after a signal: for the physics, and then for the others together, half of it before they are asked.
+/// The same limit after a signal: once for the physics, then once for all others together, which get half of it before they receive
+/// SIGTERM.
 const HURRIED_LIMIT: Duration = Duration::from_secs(1);
-/// How long a controller may go on after the run's end before it is asked to end, for one that does not watch the run.
+/// How long a controller that ignores the end of the run may continue before it is asked to end.
 const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
 /// How long the viewer may take to tell its clients that the run has ended.
 const VIEWER_LIMIT: Duration = Duration::from_secs(3);
 
-/// A run that ends.
+/// A run that is ending.
 pub(super) struct Ending<'a> {
     pub(super) plan: &'a RunPlan,
     pub(super) end: &'a EndRequest,
     /// The session's folder.
     pub(super) session: &'a Path,
-    /// Whether the physics has been heard of: before, nobody has anything to finish.
+    /// Whether the physics has reported anything. Before that, no part has anything to finish.
     pub(super) has_begun: bool,
 }
 
-/// Waits whose limit shrinks with a signal.
+/// Waits whose limit shrinks after a signal.
 struct Wait<'a> {
     end: &'a EndRequest,
     began: Instant,
@@ -46,7 +47,7 @@ struct Wait<'a> {
 }
 
 impl Wait<'_> {
-    /// Whether a limit is over; the second one counts from the signal, or from the beginning if that came before.
+    /// Whether a limit has expired. The hurried limit counts from the signal, or from the start of the wait if the signal came earlier.
     fn is_over(&mut self, limit: Duration, hurried_limit: Duration) -> bool {
         if self.hurried.is_none() && self.end.is_set() {
             self.hurried = Some(Instant::now());
@@ -60,13 +61,13 @@ impl Ending<'_> {
         Wait { end: self.end, began: Instant::now(), hurried: None }
     }
 
-    /// Ends all parts in order; returns when the physics was over, and the outcome with how the others ended.
+    /// Ends all parts in order; returns when the physics ended, and the outcome updated by how the others ended.
     pub(super) fn end_parts(&self, outcome: Outcome, parts: &mut [Part]) -> (Instant, Outcome) {
         let mut outcome = outcome;
         let mut reason = None;
         self.write_reason(&mut reason, &outcome, parts);
         let stops = outcome != Outcome::Completed;
-        // Of a run that did not begin nobody has anything to finish, and nobody listens yet.
+        // In a run that never began, parts have nothing to finish and do not listen yet.
         let is_deaf = stops && !self.has_begun;
         let limit = match (is_deaf, &outcome) {
             (true, _) => Duration::ZERO,
@@ -85,20 +86,20 @@ impl Ending<'_> {
         self.write_reason(&mut reason, &outcome, parts);
         if let Some(recorder) = parts.iter_mut().find(|part| part.name == RECORDER) {
             recorder.ask_to_end();
-            // Never cut short: what was published is to be in the log.
+            // Never cut short: everything that was published must reach the log.
             if !recorder.wait(END_LIMIT) {
                 self.tell_killed(recorder);
             }
         }
         if let Some(reason) = reason {
-            // A recorder that died has not taken it.
+            // A recorder that died has not consumed the file.
             let _ = reason.remove();
         }
         (over, if is_deaf { outcome } else { self.with_end_of(RECORDER, outcome, parts) })
     }
 
-    /// It stays until DRR process and recorder have everything: should one of them die, or somebody be in a hurry, it is
-    /// told to wait no longer.
+    /// Ends the physics. It stays until the DRR process and the recorder have everything; if one of them dies, or the user is in a hurry,
+    /// it is told to stop waiting.
     fn end_physics(&self, limit: Duration, stops: bool, parts: &mut [Part]) {
         let (mut wait, mut asked) = (self.wait(), false);
         loop {
@@ -125,7 +126,7 @@ impl Ending<'_> {
         }
     }
 
-    /// The DRR process and the controllers, all at a time. `at_once`: nobody has told them that the run is over.
+    /// Ends the DRR process and the controllers in parallel. `at_once`: they have not been told that the run is over.
     fn end_others(&self, limit: Duration, at_once: bool, parts: &mut [Part]) {
         let mut others: Vec<(&mut Part, bool)> = parts
             .iter_mut()
@@ -140,7 +141,7 @@ impl Ending<'_> {
             }
             let is_over = wait.is_over(limit, HURRIED_LIMIT);
             for (part, asked) in &mut others {
-                // When the physics has ended, DRR and controllers have heard so; some do not listen.
+                // When the physics ends it tells the DRR process and the controllers, but some controllers do not listen.
                 let own_time = if part.name == DRR { END_LIMIT } else { CONTROLLER_END_TIME };
                 if !*asked && (at_once || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
                     part.ask_to_end();
@@ -156,7 +157,7 @@ impl Ending<'_> {
         }
     }
 
-    /// No part of the run, but it ends with it.
+    /// Ends the viewer. It is not a part of the run, but it ends with it.
     pub(super) fn end_viewer(&self, viewer: &mut Part) {
         let mut wait = self.wait();
         while viewer.ended().is_none() {
@@ -173,8 +174,8 @@ impl Ending<'_> {
         }
     }
 
-    /// A run whose log could not be finished, or whose last frames are missing, has not succeeded, though all its ticks
-    /// were made. Of an interrupted run frames may be missing.
+    /// A run whose log could not be finished, or whose last frames are missing, has failed even if all its ticks were run. An interrupted
+    /// run may lack frames.
     fn with_end_of(&self, name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
         let expected = self.end.is_urgent() || (name == DRR && outcome == Outcome::Interrupted);
         let found = parts.iter_mut().find(|part| part.name == name);
@@ -187,13 +188,14 @@ impl Ending<'_> {
         died
     }
 
-    /// Tells the recorder what to write into the log's end: in the session's folder, or, if that has been removed, in the run's.
+    /// Tells the recorder the end reason for the log: through a file in the session's folder, or, if that has been removed, in the run's
+    /// folder.
     fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[Part]) {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,
             Outcome::Interrupted => EndReason::Interrupted,
             Outcome::PartDied { name, .. } => EndReason::PartDied(name.clone()),
-            // Of one that was removed nobody reads the end.
+            // Nobody reads the end of a log that was removed.
             Outcome::LogGone(_) => EndReason::LogMoved,
         };
         let reason = reason.text();
@@ -202,7 +204,7 @@ impl Ending<'_> {
             return;
         }
         let Some(recorder) = parts.iter().find(|part| part.name == RECORDER) else { return };
-        // Without either the log's end blames the launcher; the exit code and the message still tell.
+        // If neither folder works, the log's end blames the launcher; the exit code and the message still tell.
         if in_output.is_none() {
             *in_output = SavedFile::create(&reason_file::in_output(output, recorder.pid())).ok();
         }

@@ -1,4 +1,4 @@
-//! The session of a run: services, volume, parts.
+//! The session of a run: its services, volume and parts.
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -31,35 +31,35 @@ pub const RECORDER: &str = "recorder";
 
 const VIEWER: &str = "viewer";
 
-/// The viewer of a run.
+/// How to start the viewer of a run.
 #[derive(Debug, Clone, Copy)]
 pub struct View {
     /// Port of its page.
     pub port: u16,
-    /// Whether who has no token may watch.
+    /// Whether clients without the token may watch.
     pub watch_by_anyone: bool,
 }
 
-/// The host's side of a run.
+/// The host side of a run.
 #[derive(Debug)]
 pub struct Hub {
     /// The session with all its services.
     pub host: SessionHost,
     volume: Option<Publisher<VolumeMessage>>,
-    /// Whether it has been said that the session's folder is gone.
+    /// Whether the missing session folder has been reported.
     is_hidden: Cell<bool>,
 }
 
-/// Why a hub cannot be set up.
+/// Why the hub cannot be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum HubError {
-    /// The session.
+    /// The session failed.
     #[error(transparent)]
     Session(#[from] SessionError),
     /// The volume cannot be published.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// The scene cannot be laid into the session's folder.
+    /// The scene cannot be written into the session's folder.
     #[error("{path}: {cause}")]
     File {
         /// File.
@@ -70,7 +70,7 @@ pub enum HubError {
     /// A part cannot be started.
     #[error("part `{part}`: `{program}` cannot be started ({cause})")]
     Start {
-        /// Its name.
+        /// Name of the part.
         part: String,
         /// Program.
         program: String,
@@ -79,8 +79,8 @@ pub enum HubError {
     },
 }
 
-/// In real time the next state is a period away: a hybrid wait for it would yield in vain, and a yield may cost the core for as
-/// long as a renderer's thread wants it.
+/// How the parts wait for each other. In real time the next state is a period away: a hybrid wait would yield in vain, and yielding may
+/// lose the core for as long as a renderer's thread wants it.
 fn wait_for_each_other(scene: &Scene) -> Wait {
     match (scene.run.mode, scene.run.wait) {
         (Mode::Realtime, Wait::Hybrid) => Wait::Event,
@@ -89,7 +89,7 @@ fn wait_for_each_other(scene: &Scene) -> Wait {
 }
 
 impl Hub {
-    /// Makes the session of a scene, publishes its volume, and announces it.
+    /// Creates the session of a scene, publishes its volume, and announces the session.
     ///
     /// # Errors
     /// Any [`HubError`].
@@ -139,7 +139,7 @@ impl Hub {
         self.host.session.folder()
     }
 
-    /// Gives the volume to those who have joined since the last call; says so, once, when nobody can join any more.
+    /// Sends the volume to everyone who has joined since the last call. Reports once when nobody can join any more.
     pub fn serve_late_joiners(&self) -> Result<(), PortError> {
         if !self.is_hidden.get() && !self.host.session.is_announced() {
             self.is_hidden.set(true);
@@ -169,7 +169,7 @@ impl Hub {
         self.spawn(part, &mut command, false)
     }
 
-    /// Starts a controller that is not one of ours.
+    /// Starts an external controller program.
     ///
     /// # Errors
     /// [`HubError::Start`].
@@ -185,7 +185,7 @@ impl Hub {
         Part::start_kept(name, &mut keeper, true).map_err(start_error)
     }
 
-    /// Starts the viewer as `trabecula view`; it says where its page is.
+    /// Starts the viewer as `trabecula view`; the viewer prints its page's address.
     ///
     /// # Errors
     /// [`HubError::Start`].

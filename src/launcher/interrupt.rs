@@ -1,5 +1,5 @@
-//! What a signal to the launcher does at each stage of a run. It is answered by a thread of its own, so that it is heard
-//! while a volume is read or a picture drawn.
+//! What a signal to the launcher does at each stage of a run. A dedicated thread handles it, so that the launcher responds even while it
+//! reads a volume or draws a figure.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,51 +11,51 @@ use super::part;
 use crate::failure::EXIT_INTERRUPTED;
 use crate::printer;
 
-/// How long the launcher may take to go when all its parts have been killed.
+/// How long the launcher may take to exit once all its parts have been killed.
 const URGENT_LIMIT: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
 enum Stage {
-    /// Nothing runs, nothing is to be lost: a signal ends the process, and these folders, if they are empty, go with it.
+    /// Nothing runs yet and nothing can be lost: a signal ends the process and removes these folders if they are empty.
     Before(Vec<PathBuf>),
-    /// Parts run, or end.
+    /// Parts are running or ending.
     Running,
-    /// The logs are whole; their report is being made.
+    /// The logs are complete; the report is being written.
     Reporting,
 }
 
-/// Hears the signals of a run.
+/// Handles the signals of a run.
 #[derive(Debug)]
 pub struct Interrupts {
-    /// For whoever makes the run.
+    /// The end request, for the code that drives the run.
     pub end: EndRequest,
     stage: Arc<Mutex<Stage>>,
 }
 
 impl Interrupts {
-    /// From now on signals are answered.
+    /// Starts handling signals.
     ///
     /// # Errors
-    /// The system refuses to install a handler, or to start the thread.
+    /// The system refuses to install a handler or to start the thread.
     pub fn hear() -> std::io::Result<Interrupts> {
         let stage = Arc::new(Mutex::new(Stage::Before(Vec::new())));
         let seen = Arc::clone(&stage);
-        // The lock is held to the end of the process: no stage begins behind the decision to leave.
+        // The thread holds the lock until the process ends, so that no new stage begins once it has decided to exit.
         let end = EndRequest::answered(move |ask| answer(&lock(&seen), ask))?;
         Ok(Interrupts { end, stage })
     }
 
-    /// Makes the run's folder; a signal that comes before the run begins removes it and what was made above it.
+    /// Creates the run's folder. A signal before the run begins removes it, along with any parent folders created for it.
     ///
     /// # Errors
-    /// What `make` says.
+    /// Any error of `make`.
     pub fn make_folder(
         &self,
         parent: &Path,
         make: impl FnOnce(&Path) -> std::io::Result<PathBuf>,
     ) -> std::io::Result<PathBuf> {
         let mut stage = lock(&self.stage);
-        // What is there before this run stays.
+        // Folders that existed before this run stay.
         let made: Vec<PathBuf> =
             parent.ancestors().take_while(|folder| !folder.exists()).map(Path::to_owned).collect();
         let folder = make(parent)?;
@@ -63,7 +63,7 @@ impl Interrupts {
         Ok(folder)
     }
 
-    /// From now on there is something to lose. Returns the folders that hold nothing yet.
+    /// Marks the run as begun: from now on there is something to lose. Returns the folders that are still empty.
     pub fn run_begins(&self) -> Vec<PathBuf> {
         match std::mem::replace(&mut *lock(&self.stage), Stage::Running) {
             Stage::Before(folders) => folders,
@@ -71,7 +71,7 @@ impl Interrupts {
         }
     }
 
-    /// The logs are finished, and everything has ended.
+    /// Marks the logs as finished and all parts as ended.
     pub fn report_begins(&self) {
         *lock(&self.stage) = Stage::Reporting;
     }
@@ -81,7 +81,7 @@ fn lock(stage: &Mutex<Stage>) -> MutexGuard<'_, Stage> {
     stage.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes folders as far as they are empty, the innermost first.
+/// Removes empty folders, innermost first.
 pub fn remove_empty(folders: &[PathBuf]) {
     for folder in folders {
         let _ = std::fs::remove_dir(folder);
@@ -89,7 +89,7 @@ pub fn remove_empty(folders: &[PathBuf]) {
 }
 
 fn answer(stage: &Stage, ask: Ask) {
-    // Whoever signals does not wait for a terminal that is stopped.
+    // Whoever sent the signal should not wait for a stopped terminal.
     printer::hurry();
     let (Ask::First(signal) | Ask::Again(signal)) = ask;
     match (stage, ask) {
@@ -109,7 +109,7 @@ fn answer(stage: &Stage, ask: Ask) {
         }
         (Stage::Running, Ask::Again(_)) => {
             part::end_all_at_once();
-            // The launcher clears up what the parts leave; should it hang, the next run does.
+            // The launcher cleans up after its parts; if it hangs, the next run does.
             std::thread::spawn(|| {
                 std::thread::sleep(URGENT_LIMIT);
                 std::process::exit(EXIT_INTERRUPTED.into());

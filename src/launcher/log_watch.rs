@@ -1,4 +1,4 @@
-//! Whether the log of a run is still where it is being written.
+//! Checks that the log of a run still exists where it is being written.
 
 use std::fs::{File, Metadata};
 use std::os::fd::AsRawFd;
@@ -6,14 +6,14 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Time between two looks.
+/// Interval between checks.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// Watches `run.mcap`. The recorder goes on writing to a file that has no name any more, and nobody would hear of it.
+/// Watches `run.mcap`. Otherwise the recorder would keep writing to an unlinked file, and nobody would notice.
 #[derive(Debug)]
 pub(super) struct LogWatch {
     log: PathBuf,
-    /// Open from when the recorder has made it.
+    /// Opened once the recorder has created it.
     file: Option<File>,
     looked: Instant,
 }
@@ -23,7 +23,7 @@ impl LogWatch {
         LogWatch { log: folder.join("run.mcap"), file: None, looked: Instant::now() }
     }
 
-    /// What has become of the log, if it is no longer in its place.
+    /// What happened to the log, if it is no longer in place.
     pub(super) fn look(&mut self) -> Option<String> {
         if self.looked.elapsed() < LOOK {
             return None;
@@ -71,7 +71,7 @@ mod tests {
         assert_eq!(look(), None);
         std::fs::remove_file(&log).unwrap();
         assert!(look().is_some_and(|said| said.contains("removed")));
-        // Another file of that name is not the log.
+        // A different file under the same name is not the log.
         std::fs::write(&log, "y").unwrap();
         assert!(look().is_some_and(|said| said.contains("removed")));
     }

@@ -1,4 +1,4 @@
-//! Starting, watching and ending the parts of a run.
+//! Starts, watches and ends the parts of a run.
 
 mod ending;
 pub mod hub;

@@ -1,4 +1,4 @@
-//! One process of a run: started, watched, ended.
+//! One process of a run: starting, watching and ending it.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Error, Read, Write};
@@ -20,65 +20,65 @@ use rustix::process::{
 use crate::keeper::{END_AT_ONCE, Started};
 use crate::printer::Echo;
 
-/// Lines that are kept of what a part said.
+/// Number of a part's last output lines to keep.
 const LAST_WORDS: usize = 20;
-/// Longest line of them in bytes; a longer one is taken in pieces.
+/// Longest line kept, in bytes; longer ones are split.
 const LONGEST_LINE: u64 = 4096;
-/// How long they are waited for.
+/// How long to wait for the last output lines.
 const WORDS_LIMIT: Duration = Duration::from_secs(1);
-/// How long a keeper may take to say that it has started its program.
+/// How long a keeper may take to report that it has started its program.
 const START_LIMIT: Duration = Duration::from_secs(20);
-/// How long a keeper may take to end all at once; then it is killed itself.
+/// How long a keeper may take to kill everything; after that it is killed itself.
 const KEEPER_LIMIT: Duration = Duration::from_secs(3);
 
-/// Between two looks at what a killed keeper has left.
+/// Interval between checks for orphans of a killed keeper.
 const LEFT_LOOK: Duration = Duration::from_millis(2);
 
-/// Every part that has not been reaped, so that another thread can end all at once ([`end_all_at_once`]).
+/// Every part not yet reaped, so that another thread can kill all of them ([`end_all_at_once`]).
 static RUNNING: Mutex<Vec<Hold>> = Mutex::new(Vec::new());
 
-/// Whether this process is the subreaper of what its parts start.
+/// Whether this process is the subreaper of its parts' descendants.
 static ADOPTS: AtomicBool = AtomicBool::new(false);
 
-/// What it takes to end a part at once.
+/// What is needed to kill a part.
 #[derive(Debug, Clone)]
 struct Hold {
-    /// It leads a process group of its own (`bind_to_parent`).
+    /// Leads its own process group (`bind_to_parent`).
     pid: Option<Pid>,
-    /// Of a part with a keeper.
+    /// Socket to the keeper, if the part has one.
     leash: Option<Arc<UnixStream>>,
 }
 
 impl Hold {
-    /// To the part and to what it has started.
+    /// Signals the part and its process group.
     fn signal(&self, signal: Signal) {
-        // They may have ended in this instant.
+        // They may just have ended.
         let _ = self.pid.map(|pid| kill_process_group(pid, signal));
     }
 
     fn end_at_once(&self) {
         match &self.leash {
-            // A keeper that is stopped is to hear it.
+            // Wake a stopped keeper so that it reads the request.
             Some(leash) if leash.as_ref().write_all(&[END_AT_ONCE]).is_ok() => self.signal(Signal::CONT),
             _ => self.signal(Signal::KILL),
         }
     }
 }
 
-/// Ends every part of this process at once, with all that they have started.
+/// Kills every part of this process, with everything that they have started.
 pub fn end_all_at_once() {
-    // A part leaves the list before it is reaped: until then nobody else's group can have its number.
+    // A part leaves the list before it is reaped, so its group number cannot have been reused.
     running().iter().for_each(Hold::end_at_once);
 }
 
-/// From now on what a killed keeper leaves behind counts as this process's and is ended with it. Only for a process whose children are
-/// parts, and none of them a viewer: what that leaves is a browser, which the user goes on with.
+/// Makes this process the subreaper: orphans of a killed keeper become its children and are killed with it. Only for a process whose
+/// children are all parts. A viewer must not be among them: its orphan is a browser, which the user keeps.
 pub fn adopt() {
     ADOPTS.store(set_child_subreaper(Some(getpid())).is_ok(), Ordering::Relaxed);
 }
 
-/// Ends what a keeper that was killed has left behind; one that ended by itself has left nothing. Again and again, since who is killed
-/// may just have started somebody.
+/// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process may spawn another just
+/// before it is killed.
 fn end_left_behind() {
     let end = Instant::now() + KEEPER_LIMIT;
     let mut killed = Vec::new();
@@ -89,7 +89,7 @@ fn end_left_behind() {
             break;
         }
         for pid in left.iter().flat_map(|pid| descendants(*pid)).chain(left.iter().copied()) {
-            // It may have ended in this instant.
+            // It may just have ended.
             let _ = kill_process(pid, Signal::KILL);
         }
         killed.extend(left);
@@ -111,13 +111,13 @@ pub struct Part {
     pub name: String,
     child: Child,
     hold: Hold,
-    /// The process that is measured: of a part with a keeper, its program.
+    /// The process to measure; for a part with a keeper, its program.
     process: u32,
     words: Arc<Mutex<VecDeque<String>>>,
-    /// They end when its output does.
+    /// Threads that read the part's output; they end when the output closes.
     listeners: Vec<JoinHandle<()>>,
     status: Option<ExitStatus>,
-    /// Most memory it has had so far.
+    /// Peak memory so far.
     pub memory: Memory,
     /// Processor time it has used so far.
     pub processor: Duration,
@@ -126,19 +126,19 @@ pub struct Part {
 /// Memory of a process in bytes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Memory {
-    /// Most that was resident, shared memory included.
+    /// Peak resident memory, including shared memory.
     pub peak_resident: u64,
-    /// Most of its own: resident, but not shared memory.
+    /// Peak private memory: resident, excluding shared memory.
     pub peak_private: u64,
-    /// Its own when it was last measured.
+    /// Private memory at the last measurement.
     pub private: u64,
 }
 
 impl Memory {
-    /// Takes in what a process, a number or `self`, has now. One that has gone changes nothing.
+    /// Updates the figures from a process, given as a process ID or `self`. Does nothing if the process is gone.
     pub fn measure(&mut self, process: &str) {
         let Ok(text) = std::fs::read_to_string(format!("/proc/{process}/status")) else { return };
-        // One that has ended and waits to be reaped has no such lines.
+        // A zombie has no such lines.
         if !text.contains("RssAnon:") {
             return;
         }
@@ -154,7 +154,7 @@ impl Memory {
 }
 
 impl Part {
-    /// Starts a program. Its output is kept as its last words; `echo` also shows it.
+    /// Starts a program. Keeps its last output lines; `echo` also shows its output.
     ///
     /// # Errors
     /// The program cannot be started.
@@ -162,7 +162,7 @@ impl Part {
         Part::start_with(name, command.stdin(Stdio::null()), None, echo)
     }
 
-    /// Starts a program by its keeper's command line ([`keeper`](crate::keeper)).
+    /// Starts a program through its keeper's command line ([`keeper`](crate::keeper)).
     ///
     /// # Errors
     /// The keeper or its program cannot be started.
@@ -172,7 +172,7 @@ impl Part {
         let leash = Arc::new(ours);
         let keeper = keeper.stdin(OwnedFd::from(its));
         let mut part = Part::start_with(name, keeper, Some(Arc::clone(&leash)), echo)?;
-        // This side of the socket must close when the keeper ends.
+        // Drop the command's copy, so that our side of the socket closes when the keeper ends.
         keeper.stdin(Stdio::null());
         match Started::read(&leash)? {
             Started::As(process) => part.process = process,
@@ -212,12 +212,12 @@ impl Part {
         })
     }
 
-    /// Its process.
+    /// Process ID of the part.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// How it ended, if it has. What it started itself ends with it.
+    /// The exit status, if the part has ended. Everything it started ends with it.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.status.is_none() && self.is_to_be_reaped() {
             self.hold.signal(Signal::KILL);
@@ -226,7 +226,7 @@ impl Part {
         self.status
     }
 
-    /// Whether it has not ended. Of one that has, nothing can be measured.
+    /// Whether the part is still running; once ended, it cannot be measured.
     pub fn is_running(&self) -> bool {
         self.status.is_none() && !self.is_to_be_reaped()
     }
@@ -236,7 +236,7 @@ impl Part {
         self.hold.pid.is_some_and(|pid| !matches!(waitid(WaitId::Pid(pid), options), Ok(None)))
     }
 
-    /// Waits for the process, which has ended or been killed.
+    /// Reaps the process, which has ended or been killed.
     fn reap(&mut self) {
         running().retain(|hold| hold.pid != self.hold.pid);
         self.status = self.child.wait().ok();
@@ -245,9 +245,9 @@ impl Part {
         }
     }
 
-    /// The last lines it said; of a part that has ended.
+    /// The last output lines of a part that has ended.
     pub fn last_words(&self) -> Vec<String> {
-        // Its output may still be on the way through the pipe; a child that it left behind may keep that open.
+        // Output may still be in the pipe, and an orphan may keep the pipe open.
         let end = Instant::now() + WORDS_LIMIT;
         while self.listeners.iter().any(|listener| !listener.is_finished()) && Instant::now() < end {
             std::thread::sleep(Duration::from_millis(2));
@@ -255,21 +255,21 @@ impl Part {
         self.words.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 
-    /// Reads its memory and its processor time.
+    /// Reads the part's memory and processor time.
     pub fn measure(&mut self) {
         let process = self.process.to_string();
         self.memory.measure(&process);
         self.processor = ProcessorTime::of(&process).map_or(self.processor, |time| time.own);
     }
 
-    /// Asks it to end (SIGTERM).
+    /// Asks the part to end (SIGTERM).
     pub fn ask_to_end(&mut self) {
         if self.ended().is_none() {
             self.hold.signal(Signal::TERM);
         }
     }
 
-    /// Ends it at once, with all that it has started.
+    /// Kills the part, with everything that it has started.
     pub fn kill(&mut self) {
         if self.ended().is_some() {
             return;
@@ -282,7 +282,7 @@ impl Part {
         self.reap();
     }
 
-    /// Waits for its end; after the limit it is killed. Returns whether it ended by itself.
+    /// Waits for the part to end and kills it after the limit. Returns whether it ended by itself.
     pub fn wait(&mut self, limit: Duration) -> bool {
         let ended = self.ends_within(limit);
         if !ended {
@@ -291,7 +291,7 @@ impl Part {
         ended
     }
 
-    /// Waits for its end; returns whether it has ended.
+    /// Waits for the part to end; returns whether it has.
     pub fn ends_within(&mut self, limit: Duration) -> bool {
         let end = Instant::now() + limit;
         while self.ended().is_none() {
@@ -307,7 +307,7 @@ impl Part {
 
 impl Drop for Part {
     fn drop(&mut self) {
-        // And reaped, so that no zombie stays.
+        // Also reaps it, so that no zombie stays.
         self.kill();
     }
 }
@@ -320,7 +320,7 @@ fn listen(
     std::thread::spawn(move || {
         let mut output = BufReader::new(output);
         let mut bytes = Vec::new();
-        // To the end, whatever the bytes are: a part whose pipe nobody reads is ended by its next word.
+        // Read to the end, whatever the bytes: if nobody read the pipe, the part's next write would kill it.
         while output.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
             let line = String::from_utf8_lossy(&bytes).trim_end_matches(['\n', '\r']).to_owned();
             bytes.clear();

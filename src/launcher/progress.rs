@@ -1,5 +1,5 @@
-//! The progress display: a small table that is rewritten on a terminal, a line every two seconds elsewhere, or lines of
-//! JSON for scripts.
+//! The progress display: a small table rewritten in place on a terminal, a line every two seconds elsewhere, or lines of JSON for
+//! scripts.
 
 use std::io::{IsTerminal, Write, stderr};
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use crate::report::{History, LiveSnapshot, LiveStats, json_line, progress_line};
 const TERMINAL_PERIOD: Duration = Duration::from_millis(250);
 const PLAIN_PERIOD: Duration = Duration::from_secs(2);
 
-/// Shows how a run goes on.
+/// Shows a run's progress.
 #[derive(Debug)]
 pub struct Display {
     manner: Manner,
@@ -24,15 +24,15 @@ pub struct Display {
     last: Instant,
     last_sim_s: f64,
     last_frames: u64,
-    /// Lines of the table that stand on the terminal.
+    /// Table lines currently on the terminal.
     drawn: usize,
     announced: bool,
 }
 
-/// What is shown.
+/// How to show progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Manner {
-    /// Nothing.
+    /// Show nothing.
     Quiet,
     /// Lines and tables on standard error.
     People,
@@ -41,7 +41,7 @@ pub enum Manner {
 }
 
 impl Display {
-    /// A display.
+    /// Creates a display.
     ///
     /// # Errors
     /// The statistics cannot be set up.
@@ -61,7 +61,7 @@ impl Display {
         })
     }
 
-    /// Takes in a snapshot and shows a line if it is time to.
+    /// Adds a snapshot, and updates the display if it is due.
     pub fn show(&mut self, snapshot: &RunSnapshot) {
         snapshot.timings.iter().for_each(|timing| self.stats.add(timing));
         if self.manner != Manner::Quiet && !self.announced {
@@ -119,7 +119,7 @@ impl Display {
     }
 
     fn draw(&mut self, lines: &[String]) {
-        // A terminal or pipe that has gone is no reason to end a run.
+        // A closed terminal or pipe must not end the run.
         if self.manner == Manner::Json {
             lines.iter().for_each(|line| say!("{line}"));
             return;
@@ -129,7 +129,7 @@ impl Display {
         }
         let mut text = String::new();
         if self.terminal {
-            // Back to the table's first line; what was there is cleared line by line.
+            // Move to the table's first line; each line is then cleared and rewritten.
             text = (1..self.drawn).fold("\r".to_owned(), |text, _| text + "\x1b[A");
             let rows: Vec<String> = lines.iter().map(|line| format!("\x1b[K{line}")).collect();
             text += &rows.join("\n");
@@ -141,7 +141,7 @@ impl Display {
         self.drawn = lines.len();
     }
 
-    /// Leaves the table.
+    /// Ends the display and leaves the table on the screen.
     pub fn end(&mut self) {
         if self.drawn > 0 && self.terminal {
             tell!("");

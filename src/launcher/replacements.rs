@@ -1,4 +1,4 @@
-//! Controller programs that end before the run does: restarted, or done without, as the scene says.
+//! Handles controller programs that end before the run does: restarts them, or continues without them, as the scene says.
 
 use ipc_types::messages::{EVENT_RUN, SENDER_LAUNCHER, SEVERITY_WARNING};
 use ipc_types::ports::PortError;
@@ -10,11 +10,11 @@ use super::hub::Hub;
 use super::part::Part;
 use super::run::RunPlan;
 
-/// The programs that have ended, and what is told of each.
+/// The programs that have ended, and what was reported about each.
 #[derive(Debug)]
 pub(super) struct Replacements {
     events: EventSender,
-    /// Parts that the run goes on without.
+    /// Parts that the run continues without.
     pub(super) gone: Vec<Part>,
 }
 
@@ -23,7 +23,7 @@ impl Replacements {
         Ok(Replacements { events: EventSender::new(session, SENDER_LAUNCHER)?, gone: Vec::new() })
     }
 
-    /// The program of this part, and how many times it has been started again, if the run can go on without it.
+    /// The program of this part and its restart count, if the run can continue without it.
     fn dispensable<'a>(&self, plan: &'a RunPlan, part: &Part) -> Option<(&'a Controller, &'a [String], u32)> {
         let controller = plan.scene.controller.iter().find(|controller| controller.name == part.name)?;
         let command = controller.command.as_ref()?;
@@ -31,8 +31,8 @@ impl Replacements {
         (before < controller.restarts || controller.optional).then_some((controller, command, before))
     }
 
-    /// Takes the part of this index out after the end of the run. False if the run would not have gone on without it: then how
-    /// it ended counts.
+    /// Removes the part at this index after the end of the run. False if the run could not have continued without it: then its exit
+    /// status counts.
     pub(super) fn dismiss(&mut self, plan: &RunPlan, parts: &mut Vec<Part>, index: usize) -> bool {
         let may_go = self.dispensable(plan, &parts[index]).is_some();
         if may_go {
@@ -41,10 +41,10 @@ impl Replacements {
         may_go
     }
 
-    /// Replaces the part of this index, or takes it out. False if the run cannot go on without it.
+    /// Restarts the part at this index, or removes it. False if the run cannot continue without it.
     ///
     /// # Errors
-    /// The transport's.
+    /// Any error of the transport.
     pub(super) fn replace(
         &mut self,
         plan: &RunPlan,
@@ -65,7 +65,7 @@ impl Replacements {
         let text = format!("controller `{}` ended ({how}){words}; {then}", controller.name);
         self.events.send(tick, SEVERITY_WARNING, EVENT_RUN, &text)?;
         if again {
-            // A program that is no longer there ends the run as one that cannot be replaced.
+            // If the program no longer exists, treat it as one that the run cannot replace.
             let Ok(successor) = hub.start_program(&controller.name, command) else { return Ok(false) };
             self.gone.push(std::mem::replace(part, successor));
         } else {

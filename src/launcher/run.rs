@@ -22,17 +22,17 @@ use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
 const LOOK_TIME: Duration = Duration::from_millis(20);
-/// How long the word that the run is over may take to come here after it has reached another part.
+/// How long after a part has learned that the run is over the same message may take to reach the launcher.
 const NEWS_LIMIT: Duration = Duration::from_secs(1);
 
-/// How a run is to be made.
+/// What to run, and how.
 #[derive(Debug, Clone)]
 pub struct RunPlan {
     /// Scene.
     pub scene: Scene,
-    /// Folder for logs; none records nothing.
+    /// Folder for the logs; none to record nothing.
     pub output: Option<PathBuf>,
-    /// The viewer; none starts none.
+    /// The viewer to start, if any.
     pub view: Option<View>,
     /// Which files the volume may name.
     pub volume_files: VolumeFiles,
@@ -41,25 +41,25 @@ pub struct RunPlan {
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
-    /// All ticks were made, or the run was stopped by run control.
+    /// All ticks were run, or run control stopped the run.
     Completed,
     /// Ctrl-C, SIGTERM or SIGHUP.
     Interrupted,
-    /// The log was removed or moved; what became of it.
+    /// The log was removed or moved; says what happened to it.
     LogGone(String),
-    /// A part died or ended before its time.
+    /// A part died or ended too early.
     PartDied {
-        /// Its name.
+        /// Name of the part.
         name: String,
         /// How it ended.
         how: String,
-        /// The last lines it said.
+        /// Its last output lines.
         last_words: Vec<String>,
     },
 }
 
 impl Outcome {
-    /// What went wrong: which part died, how, and what it said last.
+    /// What went wrong: which part died, how, and its last output.
     pub(super) fn death(&self) -> Option<String> {
         match self {
             Outcome::Completed | Outcome::Interrupted => None,
@@ -74,25 +74,25 @@ impl Outcome {
     }
 }
 
-/// What a run tells its caller when it is over.
+/// The result of a run.
 #[derive(Debug, Clone)]
 pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
-    /// Whether something is missing in its log that the recorder could not take in time.
+    /// Whether the log lacks messages because the recorder could not keep up.
     pub has_gap: bool,
     /// Wall time from the first tick to the end of the physics.
     pub running: Duration,
     /// Wall time from the start of the launcher to the first tick.
     pub starting: Duration,
-    /// Most memory of each process, by name.
+    /// Peak memory of each process, by name.
     pub memory: Vec<(String, Memory)>,
     /// Processor time of each process from its start to its end, by name.
     pub processor: Vec<(String, Duration)>,
 }
 
 impl RunResult {
-    /// What the report of the run takes from it.
+    /// The facts that the run's report needs.
     pub fn facts(&self, replay_command: String) -> RunFacts {
         let outcome = match &self.outcome {
             Outcome::Completed => "completed".to_owned(),
@@ -119,53 +119,53 @@ impl RunResult {
     }
 }
 
-/// Why a run could not be made.
+/// Why a run could not start.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// The volume.
+    /// The volume cannot be loaded.
     #[error(transparent)]
     Volume(#[from] volume_io::VolumeError),
-    /// The session or a part.
+    /// The session or a part cannot be started.
     #[error(transparent)]
     Hub(#[from] HubError),
-    /// A port of the launcher.
+    /// A port of the launcher cannot be opened.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// A message.
+    /// A message cannot be sent or received.
     #[error(transparent)]
     Port(#[from] PortError),
 }
 
-/// What the progress display is given at every look.
+/// What the progress display gets at every update.
 #[derive(Debug)]
 pub struct RunSnapshot<'a> {
-    /// Folder of the session, for controllers that somebody else starts.
+    /// Folder of the session, needed to start external controllers.
     pub session: &'a Path,
-    /// What the run waits for that somebody else must start: see [`awaited`].
+    /// Controllers that the user must start before the run continues: see [`awaited`].
     pub awaited: &'a [String],
-    /// Newest state, if there is one.
+    /// Newest state, if any.
     pub state: Option<&'a State>,
-    /// Newest status.
+    /// Newest status, if any.
     pub status: Option<&'a RunStatus>,
-    /// Timings of the ticks since the last look.
+    /// Timings of the ticks since the last update.
     pub timings: &'a [TickTiming],
     /// Frames so far.
     pub frames: u64,
-    /// Running parts with what they use.
+    /// Running parts, with their resource use.
     pub parts: &'a [Part],
 }
 
-/// Makes a run with the scene's volume; `show` is called at every look.
+/// Runs a scene with its own volume; calls `show` at every update.
 ///
 /// # Errors
-/// Any [`RunError`]: the run did not begin. What goes wrong later is the [`Outcome`].
+/// Any [`RunError`]: the run did not begin. Later failures are part of the [`Outcome`].
 pub fn run(plan: &RunPlan, end: &EndRequest, show: impl FnMut(&RunSnapshot)) -> Result<RunResult, RunError> {
     let began = Instant::now();
     let volume = volume_source::load(&plan.scene, plan.volume_files)?;
     run_with(plan, volume, began, end, show)
 }
 
-/// The same with a volume that has been loaded since `began`.
+/// Runs a scene with a volume that has been loading since `began`.
 ///
 /// # Errors
 /// As [`run`].
@@ -179,18 +179,18 @@ pub fn run_with(
     let hub = Hub::create(&plan.scene, volume.as_ref(), plan.output.is_some())?;
     let mut own_memory = Memory::default();
     own_memory.measure("self");
-    // The one copy that stays is the one in shared memory.
+    // Keep only the copy in shared memory.
     drop(volume);
     let subscriptions = Subscriptions::open(&hub.host.session)?;
     let parts = start_parts(plan, &hub)?;
     let replacements = Replacements::new(&hub.host.session)?;
-    // No part of the run: whatever becomes of it, the run goes on.
+    // The viewer is not a part of the run: if it fails, the run continues.
     let mut viewer = plan.view.map(|view| hub.start_viewer(view)).transpose()?;
     let mut running = Running { plan, end, hub: &hub, subscriptions, parts, replacements, first_tick: None };
     let outcome = running.watch(&mut show)?;
     let Running { mut subscriptions, mut parts, replacements, first_tick, .. } = running;
     if let Some(death) = outcome.death() {
-        // At once: the others may take a while to end.
+        // Report at once: the other parts may take a while to end.
         tell!("trabecula: {death}");
     }
     let first_tick = first_tick.unwrap_or_else(Instant::now);
@@ -215,7 +215,7 @@ pub fn run_with(
     Ok(RunResult { outcome, has_gap, running, starting: first_tick.duration_since(began), memory, processor })
 }
 
-/// A run while it goes on.
+/// A run in progress.
 struct Running<'a> {
     plan: &'a RunPlan,
     end: &'a EndRequest,
@@ -257,8 +257,8 @@ impl Running<'_> {
         }
     }
 
-    /// Whether the run was over when the part of this index ended. The physics tells one reader after the other, and may be held up
-    /// in between: a part that ended well has most likely heard it first.
+    /// Whether the run was already over when the part at this index ended. The physics notifies its readers one by one and may be delayed
+    /// in between, so a part that exited cleanly has most likely heard before we did.
     fn run_has_ended_for(&mut self, index: usize) -> Result<bool, RunError> {
         let since = Instant::now();
         loop {
@@ -272,7 +272,7 @@ impl Running<'_> {
         }
     }
 
-    /// A part has ended; how the run ends with it, if it does.
+    /// Handles a part that has ended; returns the outcome if that ends the run.
     fn without(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
         let run_has_ended = self.run_has_ended_for(index)?;
         let tick = self.subscriptions.state.as_ref().map_or(0, |state| state.tick);
@@ -287,8 +287,8 @@ impl Running<'_> {
     }
 }
 
-/// A part has ended. When the run is over, DRR and controllers may leave a moment before the physics does; the physics
-/// ends well only when it is over, and nobody may leave before.
+/// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics does. The physics exits cleanly
+/// only after the run is over, and no part may exit before that.
 pub(super) fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
     let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());
@@ -305,7 +305,7 @@ pub(super) fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
 fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
     let mut parts = Vec::new();
     if let Some(output) = &plan.output {
-        // For a viewer that joins later; without it that one shows the bone whole.
+        // A viewer that joins later needs this; without it, it shows the bone undrilled.
         let place = std::path::absolute(output).unwrap_or_else(|_| output.clone());
         let _ = std::fs::write(hub.folder().join(OUTPUT_FILE), place.as_os_str().as_encoded_bytes());
         parts.push(hub.start(RECORDER, &["recorder"], Some(output))?);
@@ -326,7 +326,7 @@ fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
     Ok(parts)
 }
 
-/// One line an external controller: how long the run waits for it, and how it connects.
+/// One line per external controller: how long the run waits for it, and how to connect it.
 fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
     let line = |controller: &Controller| {
         let Controller { name, connect_limit_s, optional, .. } = controller;
@@ -340,7 +340,7 @@ fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
     scene.controller.iter().filter(|controller| controller.external).map(line).collect()
 }
 
-/// The recorder has finished its log, and something is missing in it.
+/// Whether the recorder has finished its log with messages missing.
 pub(super) fn has_gap(part: &mut Part) -> bool {
     part.name == RECORDER && part.ended().and_then(|status| status.code()) == Some(i32::from(EXIT_GAP))
 }
@@ -409,10 +409,10 @@ impl Subscriptions {
     }
 }
 
-/// A fresh folder `<scene>-<date-time>` below `parent`.
+/// Creates a fresh folder `<scene>-<date-time>` below `parent`.
 ///
 /// # Errors
-/// The system's.
+/// Any system error.
 pub fn output_folder(parent: &Path, scene: &Scene) -> std::io::Result<PathBuf> {
     let stamp = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S").to_string();
     output_file::create_folder(parent)?;
@@ -420,7 +420,7 @@ pub fn output_folder(parent: &Path, scene: &Scene) -> std::io::Result<PathBuf> {
         let suffix = if attempt == 0 { String::new() } else { format!("-{attempt}") };
         let folder = parent.join(format!("{}-{stamp}{suffix}", scene.name));
         match std::fs::create_dir(&folder) {
-            // On the disk before anything is in it.
+            // Sync the folder to disk before anything is written into it.
             Ok(()) => return output_file::sync_folder(parent).map(|()| folder),
             Err(cause) if cause.kind() == std::io::ErrorKind::AlreadyExists && attempt < 1000 => {}
             Err(cause) => return Err(cause),

@@ -1,4 +1,4 @@
-//! The scene's volume, made or read.
+//! Generates or reads the scene's volume.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ pub struct VolumeFiles {
 }
 
 impl VolumeFiles {
-    /// As the readers have it.
+    /// As the volume readers expect it.
     pub fn allowed(self) -> DataFiles {
         if self.allow_elsewhere { DataFiles::Anywhere } else { DataFiles::Beside }
     }
@@ -45,14 +45,14 @@ pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<(Volume, [u8; 32
             phantom::femur(&phantom::FemurSpec { spacing_m, ..phantom::FemurSpec::default() })?
         }
     };
-    // What a part would refuse is refused before there is one.
+    // Refuse early whatever a part would refuse later.
     volume.check(source.path.as_deref().unwrap_or(Path::new("volume")))?;
     let hash = volume_hash(&volume);
     Ok(Some((volume, hash)))
 }
 
-/// Synthetic bone in a mask: cancellous up to the middle of a femoral head (22 mm deep), so that there is something to
-/// drill; marrow only in what is thicker.
+/// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is something to drill; marrow
+/// only in thicker regions.
 const MASK_MODEL: MaskModel = MaskModel {
     cortical_thickness_m: 2.0e-3,
     cortical_hu: 1500,
@@ -91,21 +91,21 @@ fn block(source: &SceneVolume) -> Result<Volume, VolumeError> {
     })
 }
 
-/// Head of the volume's message.
+/// Header of the volume message.
 pub fn message(volume: &Volume, sha256: [u8; 32]) -> VolumeMessage {
     let d = &volume.direction;
     VolumeMessage {
         sha256,
         origin_m: volume.origin_m,
         spacing_m: volume.spacing_m,
-        // Axis after axis; the reader keeps rows of a matrix whose columns are the axes.
+        // Axis by axis; the reader stores rows of a matrix whose columns are the axes.
         direction: [d[0][0], d[1][0], d[2][0], d[0][1], d[1][1], d[2][1], d[0][2], d[1][2], d[2][2]],
         dimensions: volume.dims.map(|n| n as u32),
         hu_length: volume.hu.len() as u32,
     }
 }
 
-/// Bytes of the volume's message.
+/// Size of the volume message in bytes.
 pub fn message_bytes(volume: &Volume) -> usize {
     VolumeMessage::DESCRIPTION.size + volume.hu.len() * 2
 }

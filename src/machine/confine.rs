@@ -1,28 +1,28 @@
-//! Limiting a run: to some cores by affinity, and to a share of them by a CPU quota where a control group can be made.
+//! Confines a run to some cores by affinity, and to a share of them by a CPU quota where a cgroup can be created.
 //!
-//! Affinity and group are this thread's; what it starts meanwhile inherits both. They go back when the guard is dropped.
+//! Affinity and cgroup apply to this thread; everything that it starts meanwhile inherits both. Dropping the guard restores them.
 
 use std::path::{Path, PathBuf};
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// Period over which a quota counts: the kernel's default.
+/// Period of the quota: the kernel's default.
 const PERIOD_US: u64 = 100_000;
 
-/// This thread, confined.
+/// Guard: this thread is confined until it drops.
 #[derive(Debug)]
 pub struct Confinement {
     before: CpuSet,
     group: Option<Group>,
-    /// What has been asked for and is not permitted.
+    /// What was requested but not permitted.
     pub remark: Option<String>,
 }
 
-/// A control group of our own.
+/// A cgroup of our own.
 #[derive(Debug)]
 struct Group {
     folder: PathBuf,
-    /// File that takes threads (version 1) or processes (version 2), of the group and of where we came from.
+    /// Files that accept threads (version 1) or processes (version 2), of the group and of the original group.
     members: PathBuf,
     home: PathBuf,
 }
@@ -30,17 +30,17 @@ struct Group {
 /// Numbers of the cores that this thread may use.
 ///
 /// # Errors
-/// The system does not say.
+/// The system call fails.
 pub fn allowed() -> std::io::Result<Vec<usize>> {
     let set = sched_getaffinity(None)?;
     Ok((0..CpuSet::MAX_CPU).filter(|core| set.is_set(*core)).collect())
 }
 
 impl Confinement {
-    /// Confines this thread to the first `cores` of its cores, and to `quota_percent` of one core if that is given.
+    /// Confines this thread to the first `cores` of its cores, and to `quota_percent` of one core if given.
     ///
     /// # Errors
-    /// The affinity cannot be set. A quota that is not permitted is a remark.
+    /// The affinity cannot be set. A quota that is not permitted only leaves a remark.
     pub fn enter(cores: usize, quota_percent: Option<u64>) -> std::io::Result<Confinement> {
         let before = sched_getaffinity(None)?;
         let mut set = CpuSet::new();
@@ -59,7 +59,7 @@ impl Confinement {
 
 impl Drop for Confinement {
     fn drop(&mut self) {
-        // Back to what it was, which was permitted.
+        // Restores the earlier affinity, which was permitted.
         let _ = sched_setaffinity(None, &self.before);
     }
 }
@@ -81,7 +81,7 @@ impl Group {
         if first_version {
             write("cpu.cfs_period_us", PERIOD_US.to_string())?;
             write("cpu.cfs_quota_us", quota_us.to_string())?;
-            // Without it the group may not have SCHED_FIFO threads; kernels without group scheduling have no such file.
+            // Without this the group may not hold SCHED_FIFO threads; kernels without group scheduling have no such file.
             let _ = write("cpu.rt_runtime_us", "900000".to_owned());
         } else {
             write("cpu.max", format!("{quota_us} {PERIOD_US}"))?;
@@ -93,13 +93,13 @@ impl Group {
 
 impl Drop for Group {
     fn drop(&mut self) {
-        // Our own way back, and an empty group: both fail only if somebody else has removed them.
+        // Moving back and removing an empty group fail only if someone else has removed them.
         let _ = std::fs::write(&self.home, "0");
         let _ = std::fs::remove_dir(&self.folder);
     }
 }
 
-/// Folder of our control group with the `cpu` controller, and whether it is one of version 1.
+/// Folder of our cgroup with the `cpu` controller, and whether it is version 1.
 pub fn cpu_group() -> Option<(PathBuf, bool)> {
     let mounts = std::fs::read_to_string("/proc/self/mounts").ok()?;
     let own = std::fs::read_to_string("/proc/self/cgroup").ok()?;
@@ -114,7 +114,7 @@ pub fn cpu_group() -> Option<(PathBuf, bool)> {
         if !first_version && !second_version {
             continue;
         }
-        // hierarchy:controllers:path; version 2 has an empty list (cgroups(7)).
+        // hierarchy:controllers:path; in version 2 the list is empty (cgroups(7)).
         let path = own.lines().find_map(|line| {
             let mut fields = line.splitn(3, ':');
             let (_, list, path) = (fields.next()?, fields.next()?, fields.next()?);

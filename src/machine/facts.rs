@@ -1,4 +1,4 @@
-//! What this machine is and permits, what it costs where it does not, and what would grant it.
+//! What this machine is and permits, what each limit costs, and how to lift it.
 
 use std::path::Path;
 
@@ -9,34 +9,34 @@ use serde::{Deserialize, Serialize};
 use super::confine::{allowed, cpu_group};
 use super::watch::Machine;
 
-/// How far something is there.
+/// How well a requirement is met.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Grade {
-    /// As it should be.
+    /// Met.
     Good,
-    /// There, with limits.
+    /// Met with limits.
     Limited,
-    /// Not there.
+    /// Not met.
     Missing,
 }
 
-/// One thing that timing depends on.
+/// One machine property that timing depends on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
     /// Its name.
     pub name: String,
-    /// How far it is there.
+    /// How well it is met.
     pub grade: Grade,
     /// What was found.
     pub found: String,
-    /// What it costs where it is missing.
+    /// What it costs if it is missing.
     pub cost: String,
     /// The command or setting that grants it.
     pub grant: String,
 }
 
-/// A machine.
+/// Description of a machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MachineFacts {
     /// Processor.
@@ -45,7 +45,7 @@ pub struct MachineFacts {
     pub cores: usize,
     /// Kernel.
     pub kernel: String,
-    /// What it permits.
+    /// What the machine permits.
     pub findings: Vec<Finding>,
 }
 
@@ -53,7 +53,7 @@ fn read(path: &str) -> String {
     std::fs::read_to_string(path).unwrap_or_default().trim().to_owned()
 }
 
-/// Looks at this machine; `steal` is what it lost to its hypervisor while somebody watched.
+/// Inspects this machine; `steal` is the time lost to its hypervisor during the watch.
 pub fn facts(steal: &Machine) -> MachineFacts {
     let cpuinfo = read("/proc/cpuinfo");
     let model = cpuinfo.lines().find(|line| line.starts_with("model name"));
@@ -85,7 +85,7 @@ fn finding(name: &str, grade: Grade, found: String, cost: &str, grant: &str) -> 
     Finding { name, grade, found, cost, grant }
 }
 
-/// Tries something in a thread of its own, which is gone afterwards.
+/// Tries something in a separate thread, so that any change ends with the thread.
 fn tried(what: impl FnOnce() -> std::io::Result<()> + Send + 'static) -> std::io::Result<()> {
     std::thread::spawn(what).join().unwrap_or_else(|_| Err(std::io::Error::other("the thread died")))
 }
@@ -123,7 +123,7 @@ fn nice() -> Finding {
 }
 
 fn memory_lock() -> Finding {
-    // The parts lock theirs for themselves; here it is only tried.
+    // The parts lock their own memory; here we only try.
     let outcome = rustix::mm::mlockall(MlockAllFlags::CURRENT);
     let _ = rustix::mm::munlockall();
     let limit = rustix::process::getrlimit(rustix::process::Resource::Memlock).current;
@@ -190,7 +190,7 @@ fn huge_pages_of(transparent: &str, memory: &str) -> Finding {
     let total = memory.lines().find_map(|line| line.strip_prefix("HugePages_Total:")).map_or("0", str::trim);
     let chosen = transparent.split(['[', ']']).nth(1).unwrap_or("not there").to_owned();
     let (grade, granted) = match chosen.as_str() {
-        // The hub asks for them by name (madvise), which is all that either setting wants.
+        // The hub requests huge pages explicitly (madvise), so either setting works.
         "always" | "madvise" => (Grade::Good, "granted to the X-ray's copies of the CT, which ask for them"),
         _ => (Grade::Limited, "refused to the X-ray's copies of the CT, which ask for them"),
     };
@@ -265,7 +265,7 @@ fn preemption() -> Finding {
     )
 }
 
-/// The kernel's configuration, from where it lies unpacked.
+/// The kernel's configuration, from the uncompressed file.
 fn kernel_config() -> String {
     let release = read("/proc/sys/kernel/osrelease");
     let boot = std::fs::read_to_string(format!("/boot/config-{release}"));

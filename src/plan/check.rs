@@ -1,8 +1,8 @@
-//! The error that a run really made: its commands through the reference rung.
+//! Measures the error that a run actually made, by re-running its commands on the reference rung.
 //!
-//! The reference is the tool with its own flexures, six freedoms each, `hybrid`, at half the step. It starts where the log
-//! starts and gets every u_k of the log, so that what drilling has summed up is in the error; the tip is compared at a
-//! sample of the ticks.
+//! The reference is the tool with its own flexures, six degrees of freedom each, `hybrid`, at half the step. It starts where the log
+//! starts and gets every u_k of the log, so that the error includes everything that drilling accumulates; the tip is compared at a sample
+//! of the ticks.
 
 use std::path::Path;
 use std::time::Instant;
@@ -15,21 +15,21 @@ use crate::failure::Failure;
 use crate::launcher::volume_source;
 use crate::replay::{OpenedLog, Overrides};
 
-/// Steps of the reference in one of the run.
+/// Reference steps per step of the run.
 const SUBSTEPS: u64 = 2;
 
-/// What was found.
+/// Result of the check.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
     /// Ticks compared.
     pub samples: usize,
     /// Last tick re-run.
     pub last_tick: u64,
-    /// Root mean square of the tip's distance, mm.
+    /// Root mean square of the tip distance, mm.
     pub rms_mm: f64,
-    /// Largest distance, mm, and its tick.
+    /// Largest tip distance, mm, and its tick.
     pub largest: (f64, u64),
-    /// At the last tick, mm.
+    /// Tip distance at the last tick, mm.
     pub end_mm: f64,
     /// Wall time, s.
     pub wall_s: f64,
@@ -38,7 +38,7 @@ pub struct Found {
 /// Re-runs a log up to tick `to` and compares the tip at about `samples` ticks.
 ///
 /// # Errors
-/// Bad input (2): no log that this build replays, or no ticks in it. The reference refuses the scene (1).
+/// Bad input (2): a log that this build cannot replay, or one without ticks. The reference refuses the scene (1).
 pub fn check(log: &Path, overrides: &Overrides, samples: u64, to: u64) -> Result<(Scene, Found), Failure> {
     let log = OpenedLog::open(log, overrides)?;
     let ct = log.volume.as_ref().map(|(volume, hash)| {
@@ -88,7 +88,7 @@ fn reference_scene(scene: &Scene) -> Scene {
     scene
 }
 
-/// u_k for each of the reference's steps: what is fresh is fresh in the first alone.
+/// u_k for each of the reference's steps; the fresh flags are set only in the first.
 fn refined(latched: &Latched) -> [Latched; SUBSTEPS as usize] {
     let mut steps = [*latched; SUBSTEPS as usize];
     for (place, step) in (0..).zip(&mut steps) {

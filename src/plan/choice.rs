@@ -1,4 +1,4 @@
-//! Which settings a scene gets.
+//! Chooses the settings of a scene.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use super::TABLE;
 use super::table::{OWN_LINKS, Row, Settings, contact_name, integrator_name, read};
 use crate::failure::Failure;
 
-/// What the scene's author has named and the choice must keep.
+/// Settings that the scene's author fixed and the choice must keep.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Given {
     /// `manipulator.model`.
@@ -27,7 +27,7 @@ pub struct Given {
 }
 
 impl Given {
-    /// What a scene names; `text` is its file's, in which a step that is the default shows.
+    /// The settings that a scene fixes; `text` is the scene file's text, needed to tell a step that was written from the default.
     pub fn of(scene: &Scene, text: &str) -> Given {
         let table: toml::Table = toml::from_str(text).unwrap_or_default();
         let names_dt = table.get("run").is_some_and(|run| run.get("dt_ms").is_some());
@@ -41,7 +41,8 @@ impl Given {
         }
     }
 
-    /// Balls only where they are named: their drilled path is off by up to 12 mm, which a bound on the place at rest does not see.
+    /// Balls are allowed only if the scene names them: their drilled path is off by up to 12 mm, which a bound on the position at rest
+    /// does not reveal.
     fn allows(&self, settings: &Settings) -> bool {
         self.rung.is_none_or(|rung| rung == settings.rung)
             && self.links.is_none_or(|links| links == settings.links)
@@ -63,19 +64,19 @@ impl Given {
     }
 }
 
-/// What was chosen.
+/// The chosen settings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Choice {
     /// The row of the table.
     pub row: Row,
     /// Whether the scene has bone.
     pub bone: bool,
-    /// What was named in the scene.
+    /// What the scene fixed.
     pub given: Given,
 }
 
 impl Choice {
-    /// One line a figure.
+    /// The choice as text, one figure per line.
     pub fn text(&self) -> String {
         let row = &self.row;
         format!(
@@ -97,10 +98,10 @@ impl Choice {
     }
 }
 
-/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if it states no error of tip or path.
+/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene states no tip or path error.
 ///
 /// # Errors
-/// Bad input: no measured settings are within the tolerance, or none are those that the scene names.
+/// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes.
 pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure> {
     let rows =
         read(TABLE).ok_or_else(|| Failure::failed("the built-in table of measured errors is no table"))?;
@@ -140,8 +141,8 @@ fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, F
     }
 }
 
-/// Gravity or a tendon across the bending plane, or bodies, which push from anywhere: the planar rungs were not measured
-/// under those.
+/// Gravity or a tendon across the bending plane, or bodies, which push from any direction: the planar rungs were not measured under those
+/// loads.
 fn leaves_the_plane(scene: &Scene) -> bool {
     let (along, toward) = (scene.tool.direction, scene.tool.bend_toward);
     let across = cross(&along, &toward);
@@ -183,18 +184,18 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], bone: bool) -> Failure {
     ))
 }
 
-/// How far a model that bends in one plane was off the reference where it drills.
+/// How far a model that bends in one plane deviated from the reference while drilling.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ModelError {
     /// Name of the rung.
     pub model: String,
-    /// R.m.s. error of the drilled path of the default scene: that of these settings, or the range of all that were measured with the
-    /// same rung and contact.
+    /// R.m.s. error of the drilled path of the default scene: for exactly these settings, or the range over all settings measured with
+    /// the same rung and contact.
     pub path_mm: [f64; 2],
 }
 
 impl ModelError {
-    /// Of a scene with bone whose rung bends in one plane, if it was measured.
+    /// For a scene with bone whose rung bends in one plane, if it was measured.
     pub fn of(scene: &Scene) -> Option<ModelError> {
         ModelError::by(scene, &read(TABLE)?)
     }
@@ -267,7 +268,7 @@ bend_toward = [1.0, 0.0, 0.0]
         (Scene::parse(&text, Path::new("planned.toml")).unwrap(), text)
     }
 
-    /// Errors and costs in the order that is to be expected: fewer links, larger steps and poorer rungs are cheaper and worse.
+    /// Errors and costs in the expected order: fewer links, larger steps and simpler rungs are cheaper and less accurate.
     fn rows() -> Vec<Row> {
         let mut rows = Vec::new();
         for (rung, place) in Rung::ALL.into_iter().zip(1..) {
@@ -329,7 +330,7 @@ bend_toward = [1.0, 0.0, 0.0]
         assert_eq!((after, again.row.settings), (resolved, choice.row.settings));
     }
 
-    /// With bone, a path that was not measured there is not promised.
+    /// With bone, the plan promises no path that was not measured in bone.
     #[test]
     fn a_scene_with_bone_gets_what_was_measured_in_bone() {
         let block = "volume = { phantom = \"block\" }\n";
@@ -339,7 +340,7 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(bone.text().contains("drilled") && !free.text().contains("drilled"));
     }
 
-    /// Balls are cheaper in this table, and good enough for a tip; without `path_mm` they were chosen.
+    /// Regression: balls are cheaper in this table and good enough for a tip tolerance; without `path_mm` they were chosen.
     #[test]
     fn a_tolerance_never_chooses_balls() {
         let bone = |more: &str| planned(&format!("volume = {{ phantom = \"block\" }}\n{more}"));
@@ -360,7 +361,7 @@ bend_toward = [1.0, 0.0, 0.0]
         assert_eq!(free.contact.voxels, None, "no bone, no contact with it");
     }
 
-    /// Neither the end of a run nor README said that the default model is more than a millimetre off.
+    /// Regression: neither the end of a run nor the README said that the default model is more than a millimetre off.
     #[test]
     fn the_known_error_of_a_model_that_bends_in_one_plane_is_said() {
         use crate::scenes::BuiltIn;
@@ -382,7 +383,7 @@ bend_toward = [1.0, 0.0, 0.0]
             rows.iter().find(|row| row.settings == settings).unwrap().drilled_path_mm
         };
         let figure = format!("{:.1} mm r.m.s.", measured(Integrator::LinearlyImplicitEuler));
-        // The scene names no integrator: the figure is that of the standard one, and no other's.
+        // The scene names no integrator, so the figure must be that of the default integrator only.
         let standard = measured(Integrator::Hybrid);
         assert_ne!(standard, measured(Integrator::LinearlyImplicitEuler));
         assert_eq!(ModelError::of(&femur).unwrap().path_mm, [standard; 2]);
@@ -391,7 +392,7 @@ bend_toward = [1.0, 0.0, 0.0]
         for page in [include_str!("../../README.md"), include_str!("../../docs/accuracy-plan.md")] {
             assert!(page.contains(&figure), "a page does not say {figure}");
         }
-        // A step that was not measured: the model decides, not the step.
+        // This step was not measured: the model decides, not the step.
         assert!(known(&|scene| scene.run.dt_ms = 0.7).unwrap().contains("1.2 to 1.4 mm"));
         let arc = known(&|scene| scene.manipulator.model = Some(ManipulatorRung::ConstantCurvature));
         assert!(arc.unwrap().contains("`constant_curvature` bends in one plane: 5.6 mm"));
@@ -431,7 +432,7 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(refused.contains("`tolerance.tip_mm` is 0, allowed is 0.001 to 100"), "{refused}");
     }
 
-    /// A looser tolerance is never dearer, and what is chosen keeps the tolerance.
+    /// A looser tolerance never costs more, and the choice keeps the tolerance.
     #[test]
     fn looser_is_never_dearer() {
         let (mut scene, _) = scene("tolerance = { tip_mm = 1.0, path_mm = 1.0 }");

@@ -5,26 +5,26 @@ use std::fmt::Write as _;
 use ipc_types::scene::{ContactVoxels, Integrator, ManipulatorRung, Scene};
 use simulation::manipulator::Rung;
 
-/// Flexures of the standard tool.
+/// Number of flexures of the standard tool.
 pub(super) const OWN_LINKS: usize = 27;
 
-/// What a row of the table was measured with.
+/// The settings of a table row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// Rung.
     pub rung: Rung,
-    /// Links; as many as the tool has flexures (27) are its own.
+    /// Number of links; 27 means the tool's own flexures.
     pub links: usize,
     /// Integrator.
     pub integrator: Integrator,
     /// Step, ms.
     pub dt_ms: f64,
-    /// What a voxel of bone is to the tool's spheres.
+    /// How a voxel of bone acts on the tool's spheres.
     pub contact: ContactVoxels,
 }
 
 impl Settings {
-    /// As tables and messages write it.
+    /// The settings as tables and messages write them.
     pub fn text(&self) -> String {
         let integrator = integrator_name(self.integrator);
         let contact = contact_name(self.contact);
@@ -32,7 +32,7 @@ impl Settings {
         format!("{}, {links} links, {integrator}, dt {dt_ms} ms, contact {contact}", rung.name())
     }
 
-    /// Makes them those of a scene.
+    /// Applies the settings to a scene.
     pub fn write_into(&self, scene: &mut Scene) {
         scene.manipulator.model = Some(match self.rung {
             Rung::ConstantCurvature => ManipulatorRung::ConstantCurvature,
@@ -40,7 +40,7 @@ impl Settings {
             Rung::Spatial => ManipulatorRung::Spatial,
             Rung::Full => ManipulatorRung::Full,
         });
-        // The tool's own flexures are those of its tables, which no number of equal links is.
+        // The tool's own flexures come from its tables; no number of equal links reproduces them.
         if self.links != OWN_LINKS {
             scene.manipulator.links = Some(self.links);
         }
@@ -68,30 +68,30 @@ pub fn integrator_name(integrator: Integrator) -> &'static str {
     }
 }
 
-/// Measured errors (mm; infinite where the tool was lost) and costs (microseconds a simulated millisecond).
+/// Measured errors (mm; infinite where the tool was lost) and costs (microseconds per simulated millisecond).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
-    /// What was measured.
+    /// The settings measured.
     pub settings: Settings,
-    /// Tip under a pure end moment, against the arc.
+    /// Tip error under a pure end moment, against the circular arc.
     pub end_moment_mm: f64,
-    /// Tip under a dead force, the worst load, against the elastica.
+    /// Tip error under a dead force, worst load, against the elastica.
     pub tip_force_mm: f64,
-    /// Tip under a tendon with friction, against the closed form.
+    /// Tip error under a tendon with friction, against the closed form.
     pub capstan_mm: f64,
-    /// Tip at rest against a wall, against the converged solution.
+    /// Tip error at rest against a wall, against the converged solution.
     pub wall_mm: f64,
-    /// A sphere of the tool at rest on a flat wall of voxels.
+    /// Error of a tool sphere at rest on a flat wall of voxels.
     pub voxel_wall_mm: f64,
-    /// Path onto the wall, r.m.s.
+    /// Path error while moving onto the wall, r.m.s.
     pub wall_path_mm: f64,
-    /// Path of a sudden pull in free space, r.m.s.
+    /// Path error of a sudden pull in free space, r.m.s.
     pub swing_path_mm: f64,
-    /// Path of the burr in the default scene, r.m.s.
+    /// Path error of the burr in the default scene, r.m.s.
     pub drilled_path_mm: f64,
-    /// Median step of the sudden pull: the manipulator alone.
+    /// Median step time of the sudden pull: the manipulator alone.
     pub free_us_per_ms: f64,
-    /// Median step of the default scene: contact, drilling and all.
+    /// Median step time of the default scene, including contact and drilling.
     pub drilling_us_per_ms: f64,
 }
 
@@ -114,25 +114,25 @@ const COLUMNS: [&str; 15] = [
 ];
 
 impl Row {
-    /// Error of the burr's place at rest: the worst problem; that of voxels counts where there is bone.
+    /// Position error of the burr at rest: the worst problem; the voxel problem counts only with bone.
     pub fn tip_mm(&self, bone: bool) -> f64 {
         let voxel_wall_mm = if bone { self.voxel_wall_mm } else { 0.0 };
         worst(&[self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm, voxel_wall_mm])
     }
 
-    /// Error of the burr's path: the worst problem; drilling counts where there is bone.
+    /// Path error of the burr: the worst problem; drilling counts only with bone.
     pub fn path_mm(&self, bone: bool) -> f64 {
         let free = [self.wall_path_mm, self.swing_path_mm];
         if bone { worst(&[free[0], free[1], self.drilled_path_mm]) } else { worst(&free) }
     }
 
-    /// Cost of a simulated millisecond, µs.
+    /// Cost per simulated millisecond, µs.
     pub fn us_per_ms(&self, bone: bool) -> f64 {
         if bone { self.drilling_us_per_ms } else { self.free_us_per_ms }
     }
 }
 
-/// The largest; what is not a number is infinite.
+/// The largest error; NaN counts as infinite.
 fn worst(errors: &[f64]) -> f64 {
     errors.iter().fold(0.0, |most, &error| if error.is_finite() { most.max(error) } else { f64::INFINITY })
 }
@@ -163,7 +163,7 @@ pub fn write(rows: &[Row]) -> String {
     text
 }
 
-/// The rows of a table; `None` if it is none.
+/// Parses the rows of a table; `None` if the text is not one.
 pub fn read(text: &str) -> Option<Vec<Row>> {
     let mut lines = text.lines();
     if lines.next()? != COLUMNS.join(",") {

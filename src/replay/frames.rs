@@ -1,4 +1,4 @@
-//! Rendering a log's frames again.
+//! Renders a log's frames again.
 
 use drr_proc::ThisMachine;
 use ipc_types::messages::{Frame, State};
@@ -16,10 +16,10 @@ use super::replies::Replies;
 use crate::failure::Failure;
 use crate::launcher::volume_source;
 
-/// The frames of a log, each with what the renderer makes of the same tick, C-arm and seed today.
+/// The frames of a log, each paired with what the renderer makes of the same tick, C-arm and seed now.
 ///
-/// What a frame shows is decided by the log: its tick by the reply, its C-arm by the scene or the request, its seed by the
-/// scene; the state and the removed voxels by that tick.
+/// The log decides what a frame shows: the reply gives its tick, the scene or the request its C-arm, the scene its seed; the state and
+/// the removed voxels are those of that tick.
 pub struct FrameReplay<'l> {
     log: &'l OpenedLog,
     view: VolumeView<'l>,
@@ -34,7 +34,7 @@ pub struct FrameReplay<'l> {
 }
 
 impl<'l> FrameReplay<'l> {
-    /// The frames from the first on; none if the scene has no X-ray.
+    /// Starts at the first frame; none if the scene has no X-ray.
     ///
     /// # Errors
     /// The renderer refuses the scene, or the file cannot be opened.
@@ -65,25 +65,24 @@ impl<'l> FrameReplay<'l> {
         }))
     }
 
-    /// The next frame as recorded, which may be skipped before it is rendered.
+    /// The next frame as recorded. The caller may skip it without rendering it.
     ///
     /// # Errors
     /// The log cannot be read further.
     pub fn next_recorded(&mut self) -> Result<Option<FrameRecord>, Failure> {
         loop {
             match self.recorded.next().transpose() {
-                // What is missing is told by the log's verdict.
+                // The log's verdict reports the missing frames.
                 Err(LogError::Gap { .. }) if self.recorded.go_on() => {}
                 other => return other.map_err(|cause| Failure::failed(cause.to_string())),
             }
         }
     }
 
-    /// Renders a recorded frame again; none if the tick that it shows lies in a gap of the log.
+    /// Renders a recorded frame again; none if its tick lies in a gap of the log.
     ///
     /// # Errors
-    /// Its reply says something else than the frame, or than was asked for; the log does not hold the frame's tick; the
-    /// renderer refuses it.
+    /// The reply disagrees with the frame or with the request; the log lacks the frame's tick; the renderer refuses the frame.
     pub fn render(&mut self, recorded: &Frame) -> Result<Option<FrameRecord>, Failure> {
         let geometry = self.replies.geometry_of(recorded).map_err(|difference| {
             Failure::failed(format!("frame {}: {difference}{}", recorded.sequence, self.log.label()))
@@ -112,8 +111,7 @@ impl<'l> FrameReplay<'l> {
         Ok(Some(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels }))
     }
 
-    /// Reads the log up to the state that the frame shows, and keeps what was removed until then. False if the state lies in
-    /// a gap.
+    /// Reads the log up to the state that the frame shows, and collects the voxels removed until then. False if the state lies in a gap.
     fn advance_to(&mut self, frame: &Frame) -> Result<bool, Failure> {
         while self.state.tick < frame.tick {
             let Some(record) = self.ticks.next() else { break };
@@ -133,7 +131,7 @@ impl<'l> FrameReplay<'l> {
             self.removed.extend_from_slice(&record.removed);
             *self.state = record.state;
         }
-        // Frames come in the order of their ticks: one that is passed was passed in a gap.
+        // Frames come in tick order, so a tick that was skipped was in a gap.
         if self.state.tick >= frame.tick {
             return Ok(self.state.tick == frame.tick);
         }
@@ -146,7 +144,7 @@ fn failed(cause: LogError) -> Failure {
     Failure::failed(cause.to_string())
 }
 
-/// Voxels that are predrilled, and all that are gone at a keyframe.
+/// The predrilled voxels, and all voxels removed by the time of a keyframe.
 fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>), Failure> {
     let mut simulation = log.simulation().map_err(Failure::failed)?;
     let predrilled = simulation.predrilled().to_vec();
@@ -154,11 +152,11 @@ fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>
     Ok((predrilled, simulation.gone()))
 }
 
-/// Renders the frames of ticks in `from..=to` again and compares them with their replies; returns their number, and that
-/// of the frames whose ticks lie in a gap.
+/// Renders the frames of ticks in `from..=to` again and compares them with their recordings; returns how many there are, and how many
+/// have ticks in a gap.
 ///
 /// # Errors
-/// The log has none of them (2); the first frame that differs (1), or a log that cannot be read.
+/// The log has no such frames (2); the first frame that differs (1), or a log that cannot be read.
 pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) -> Result<(u64, u64), Failure> {
     let nothing = |what: &str| Failure::bad_input(format!("--frames: {}: {what}", log.path.display()));
     let Some(mut replay) = FrameReplay::new(log, threads)? else {
@@ -187,7 +185,7 @@ pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) ->
     Ok((identical, in_gaps))
 }
 
-/// Where a frame differs: its fields, and the first pixel if the log holds the image.
+/// Where two frames differ: in their fields, and in the first differing pixel if the log holds the image.
 pub fn compare(recorded: &FrameRecord, rendered: &FrameRecord) -> Option<String> {
     let difference = compare_frame(recorded, rendered)?;
     let pixel = recorded.image.and_then(|image| first_pixel(image.width as usize, recorded, rendered));

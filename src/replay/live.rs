@@ -1,7 +1,7 @@
-//! Live controllers against a log: they see its states, and what they answer is compared with what was latched.
+//! Runs live controllers against a log: they receive its states, and their answers are compared with the latched commands.
 //!
-//! Open loop: the states and frames are the log's. Closed loop: the physics is stepped with what the live controllers
-//! answer, in lockstep, and the frames are rendered. Both stop at the first difference, up to which they see the same.
+//! Open loop: the states and frames come from the log. Closed loop: the physics is stepped in lockstep with the live controllers'
+//! answers, and the frames are rendered. Both stop at the first difference; up to there, both show the controllers the same states.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -33,14 +33,14 @@ use crate::launcher::part::Part;
 
 /// How long a controller may take to connect.
 const CONNECT_LIMIT: Duration = Duration::from_secs(60);
-/// How long it may take to end.
+/// How long a controller may take to end.
 const END_LIMIT: Duration = Duration::from_secs(5);
 const LOOK_TIME: Duration = Duration::from_millis(20);
 
-/// Who is live, and how far.
+/// Which controllers are live, and how far to replay.
 #[derive(Debug, Clone)]
 pub struct LivePlan {
-    /// Name in the scene, program and arguments.
+    /// Name in the scene, program and arguments of each controller.
     pub controllers: Vec<(String, Vec<String>)>,
     /// Whether the physics follows the live commands.
     pub closed_loop: bool,
@@ -51,7 +51,7 @@ pub struct LivePlan {
 /// Runs the plan; returns how many commands of each controller were identical.
 ///
 /// # Errors
-/// The first difference; a controller that ends or is silent; bad input, before anything is started.
+/// The first difference; a controller that ends or does not answer; bad input, reported before anything is started.
 pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failure> {
     let indices = indices(log, plan)?;
     let mode = log.reader()?.header().mode;
@@ -63,7 +63,7 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let answers = Answers::read(log, &indices)?;
-    // In closed loop it is asked at every tick.
+    // In closed loop every tick needs an answer.
     let asked = |expected: &BTreeMap<u64, Command>| match plan.closed_loop {
         true => plan.to_tick > 0,
         false => expected.range(..plan.to_tick).next().is_some(),
@@ -105,7 +105,7 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     Ok(plan.controllers.iter().map(|(name, _)| name.clone()).zip(play.identical).collect())
 }
 
-/// A controller of which the log holds no command has not been compared with anything.
+/// The log holds no command of this controller, so there was nothing to compare.
 fn nothing_to_compare(log: &OpenedLog, plan: &LivePlan, live: usize) -> Failure {
     let (name, log) = (&plan.controllers[live].0, log.path.display());
     Failure::bad_input(format!(
@@ -113,7 +113,7 @@ fn nothing_to_compare(log: &OpenedLog, plan: &LivePlan, live: usize) -> Failure 
     ))
 }
 
-/// Where the live controllers stand in the scene.
+/// Indices of the live controllers in the scene.
 fn indices(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<usize>, Failure> {
     let names = log.scene.controller_names();
     let find = |name: &String| {
@@ -125,17 +125,17 @@ fn indices(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<usize>, Failure> {
     plan.controllers.iter().map(|(name, _)| find(name)).collect()
 }
 
-/// What the log knows of the controllers' answers.
+/// What the log holds of the controllers' answers.
 struct Answers {
-    /// Of each live controller, by the state that is answered.
+    /// Per live controller, by the tick of the state that it answers.
     expected: Vec<BTreeMap<u64, Command>>,
-    /// By frame.
+    /// By frame number.
     replies: BTreeMap<u64, DrrReply>,
 }
 
 impl Answers {
-    /// Commands as sent, if the timing lane lies beside the log: in real time not every one was latched, and a controller
-    /// is to see the states that it saw. Otherwise the latched ones.
+    /// Reads the commands as sent, if the timing lane lies beside the log: in real time not every command was latched, and a controller
+    /// must see the same states as in the run. Otherwise reads the latched ones.
     fn read(log: &OpenedLog, indices: &[usize]) -> Result<Answers, Failure> {
         let mut expected = vec![BTreeMap::new(); indices.len()];
         let mut replies = BTreeMap::new();
@@ -175,7 +175,7 @@ impl Answers {
     }
 }
 
-/// The ports of the physics, as far as a controller sees them.
+/// The physics' ports, as far as a controller sees them.
 struct Stage {
     states: Publisher<State>,
     latched: Publisher<Latched>,
@@ -238,16 +238,16 @@ impl Stage {
     }
 }
 
-/// The frames of the log on their way to the controllers.
+/// The log's frames, to be sent to the controllers.
 struct Frames<'l> {
     replay: Option<FrameReplay<'l>>,
     next: Option<FrameRecord>,
-    /// Whether they are rendered again though the log holds the image.
+    /// Whether to render frames again even if the log holds the image.
     rendered: bool,
 }
 
 impl Frames<'_> {
-    /// The next frame of a tick up to this one.
+    /// The next frame with a tick up to this one.
     fn due(&mut self, tick: u64) -> Result<Option<FrameRecord>, Failure> {
         let Some(replay) = &mut self.replay else { return Ok(None) };
         if self.next.is_none() {
@@ -280,7 +280,7 @@ struct ReplayedSession<'l> {
 }
 
 impl ReplayedSession<'_> {
-    /// Shows the log's states and compares the answers.
+    /// Publishes the log's states and compares the answers.
     fn open_loop(&mut self, to_tick: u64) -> Result<(), Failure> {
         let mut ticks = self.log.reader()?;
         let mut state = Box::new(*ticks.initial());
@@ -319,7 +319,7 @@ impl ReplayedSession<'_> {
         Ok(())
     }
 
-    /// u_k from the live answers; for controllers that are not live, from the log.
+    /// u_k from the live answers; from the log for all other controllers.
     fn latch(&mut self, record: &TickRecord, latch: &mut Latch) -> Result<Latched, Failure> {
         let tick = record.latched.tick;
         for live in 0..self.stage.live.len() {
@@ -335,7 +335,7 @@ impl ReplayedSession<'_> {
         for live in 0..self.stage.live.len() {
             let index = self.stage.live[live].index;
             let (recorded, mut answered) = (record.latched.commands[index], decided.commands[index]);
-            // A log's controller may have started anew and counted anew; the live one counts on.
+            // The recorded controller may have restarted and reset its numbers; the live one has not.
             answered.command.sequence = recorded.command.sequence;
             self.compare_command(live, tick, &recorded.command, &answered.command)?;
             if (recorded.source, recorded.age_ticks) != (answered.source, answered.age_ticks) {
@@ -379,7 +379,7 @@ impl ReplayedSession<'_> {
         Ok(())
     }
 
-    /// A live controller's answer to the state of this tick.
+    /// Waits for a live controller's answer to the state of this tick.
     fn await_answer(&mut self, live: usize, tick: u64) -> Result<Command, Failure> {
         let limit = Instant::now() + if self.identical[live] == 0 { CONNECT_LIMIT } else { self.limit };
         loop {
@@ -436,7 +436,7 @@ impl ReplayedSession<'_> {
 
     /// Ends the controllers.
     fn finish(&mut self) {
-        // They are killed if they do not hear it.
+        // Controllers that miss this message are killed.
         let _ = self.stage.say(0, PHASE_ENDED);
         for part in &mut self.parts {
             if !part.wait(END_LIMIT) {

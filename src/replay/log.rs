@@ -1,4 +1,4 @@
-//! A log with its scene and volume, and what of it is not what this build has.
+//! A log with its scene and volume, and where it does not match this build.
 
 use std::path::{Path, PathBuf};
 
@@ -15,28 +15,28 @@ use volume_io::Volume;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 
-/// What the user puts in the place of what the log says.
+/// What the user substitutes for the log's own values.
 #[derive(Debug, Clone, Default)]
 pub struct Overrides {
-    /// The CT file, where it lies now.
+    /// Current path of the CT file.
     pub volume: Option<PathBuf>,
-    /// Another scene.
+    /// Another scene to use.
     pub scene: Option<PathBuf>,
-    /// Whether to go on though something differs.
+    /// Whether to continue despite mismatches.
     pub allow_mismatch: bool,
     /// Which files the volume may name.
     pub volume_files: VolumeFiles,
 }
 
-/// A log that may be replayed.
+/// A log ready for replay.
 pub struct OpenedLog {
     /// `run.mcap`.
     pub path: PathBuf,
     /// Scene.
     pub scene: Scene,
-    /// Volume with its hash.
+    /// The volume with its hash.
     pub volume: Option<(Volume, [u8; 32])>,
-    /// What differs from the log and has been allowed to.
+    /// Mismatches with the log that the user allowed.
     pub mismatches: Vec<String>,
     options: ReadOptions,
 }
@@ -45,8 +45,8 @@ impl OpenedLog {
     /// Opens a log, its scene and its volume.
     ///
     /// # Errors
-    /// Bad input: not a log; or another build, layout, scene or volume, by name, unless that is allowed. Damage: nothing of it can
-    /// be replayed.
+    /// Bad input: not a log; or a different build, layout, scene or volume, by name, unless mismatches are allowed. Damage: nothing of
+    /// the log can be replayed.
     pub fn open(given: &Path, overrides: &Overrides) -> Result<OpenedLog, Failure> {
         let path = log_path(given);
         let options = ReadOptions { allow_other_layouts: overrides.allow_mismatch };
@@ -78,15 +78,15 @@ impl OpenedLog {
         Ok(OpenedLog { path, scene, volume, mismatches, options })
     }
 
-    /// Reads the ticks from the start.
+    /// Opens a reader at the first tick.
     ///
     /// # Errors
-    /// The file cannot be opened any more.
+    /// The file can no longer be opened.
     pub fn reader(&self) -> Result<LogReader, Failure> {
         Ok(LogReader::open_with(&LogFile::at(&self.path), self.options)?)
     }
 
-    /// How the log is to be read.
+    /// How to read the log.
     pub fn options(&self) -> ReadOptions {
         self.options
     }
@@ -103,7 +103,7 @@ impl OpenedLog {
         Simulation::new(&self.scene, ct).map_err(|cause| cause.to_string())
     }
 
-    /// What every result is labelled with.
+    /// Label for every result, naming the allowed mismatches.
     pub fn label(&self) -> String {
         if self.mismatches.is_empty() {
             return String::new();
@@ -128,7 +128,7 @@ fn build_mismatch(reader: &LogReader) -> Vec<String> {
     vec![format!("build: the log was written by {}, this is {}", name(theirs), name(&ours))]
 }
 
-/// Messages whose layout is another; only a reader that allows them comes here.
+/// Messages whose layout differs; nonempty only if the reader allows other layouts.
 fn layout_mismatches(reader: &LogReader) -> Vec<String> {
     let ours = layout_hashes();
     let of_log = reader.stream().metadata().iter();

@@ -1,4 +1,4 @@
-//! Replaying a log: opening it, checking that this build may, and the ways in which it is replayed.
+//! Replays a log: opening it, checking that this build may replay it, and the kinds of replay.
 
 mod frames;
 mod live;

@@ -1,4 +1,4 @@
-//! Recording a replay: the same `run.mcap` once more.
+//! Records a replay as a new `run.mcap`.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -21,27 +21,27 @@ use super::frames::{FrameReplay, compare};
 use crate::failure::Failure;
 use crate::output::refuse_existing;
 
-/// What recording a replay found.
+/// The result of recording a replay.
 pub struct Recorded {
     /// The new `run.mcap`.
     pub path: PathBuf,
-    /// Ticks stepped.
+    /// Number of ticks stepped.
     pub ticks: u64,
-    /// Frames written.
+    /// Number of frames written.
     pub frames: u64,
-    /// SHA-256 of the log and of the new file.
+    /// SHA-256 of the original log and of the new file.
     pub sha256: [String; 2],
-    /// How the log ends, if it does not end as it should.
+    /// How the log ends, if it does not end cleanly.
     pub remark: Option<String>,
 }
 
-/// Replays a log and writes what comes out into `run.mcap` of `folder`: commands and replies from the log, states, removed
-/// voxels and keyframes from the physics, frames rendered again on `frame_threads` threads or, without, from the log.
+/// Replays a log and writes the result into `run.mcap` of `folder`: commands and replies from the log; states, removed voxels and
+/// keyframes from the physics; frames rendered again on `frame_threads` threads or, without, copied from the log.
 ///
-/// Every message takes the place that it has in the log: in real time, when a frame was ready is no function of the run.
+/// Every message keeps its place in the log, because in real time the arrival of a frame is not a function of the run.
 ///
 /// # Errors
-/// The first difference; a log that cannot be read to its end; a folder that cannot be written. Then there is no file.
+/// The first difference; a log that cannot be read to its end; a folder that cannot be written. On error no file remains.
 pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> Result<Recorded, Failure> {
     let path = folder.join("run.mcap");
     refuse_existing(&[&path])?;
@@ -67,7 +67,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
         frame_count: 0,
         latched: None,
         frame: None,
-        // The first one is open from the start.
+        // The first chunk is open from the start.
         chunk: 1,
     };
     while let Some(message) = stream.next_message().map_err(failed)? {
@@ -76,11 +76,11 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     copy.put_frame(None)?;
     let (ticks, frames) = (copy.ticks, copy.frame_count);
     let marker = stream.ending().marker.as_ref();
-    // A log without a marker was left by a recorder that died.
+    // A log without an end marker comes from a recorder that died.
     let reason = marker.map_or(EndReason::PartDied("recorder".to_owned()), |marker| marker.reason.clone());
     let lost = marker.map(|marker| marker.lost.clone()).unwrap_or_default();
     let (_, mut written) = copy.out.0.finish(reason, &lost).map_err(failed)?;
-    // What a buffer could not write is an error, not a file without its end.
+    // A failed flush must be an error, or the file would silently lack its end.
     std::io::Write::flush(&mut written).map_err(OutputError::write(&path))?;
     let recorded = file.finish()?;
     let remark = (!stream.ending().is_complete()).then(|| stream.ending().describe());
@@ -106,7 +106,7 @@ struct Copy<'l> {
 }
 
 impl Copy<'_> {
-    /// Takes the log's next message. Every body has its message's size: the stream has checked.
+    /// Handles the log's next message. Every body has the right size: the stream has checked.
     fn take(&mut self, message: &LogMessage<'_>) -> Result<(), Failure> {
         let chunk_ended = std::mem::replace(&mut self.chunk, message.chunk) != message.chunk;
         if message.topic == topics::DRR_IMAGE {
@@ -142,7 +142,7 @@ impl Copy<'_> {
         Ok(())
     }
 
-    /// Makes a tick, or writes the initial state, and compares it with the log's.
+    /// Steps a tick, or takes the initial state, compares the result with the log and writes it.
     fn tick(&mut self, recorded: &State) -> Result<(), Failure> {
         let expected = self.simulation.state().tick + u64::from(self.latched.is_some());
         if recorded.tick != expected {
@@ -165,7 +165,7 @@ impl Copy<'_> {
         }
     }
 
-    /// A part of a run cannot be the same file.
+    /// A log with a gap cannot be reproduced as the same file.
     fn gap(&self, tick: u64) -> String {
         format!("{}: a gap at tick {tick}: --record needs every tick", self.log.path.display())
     }
@@ -175,7 +175,7 @@ impl Copy<'_> {
         written.map_err(|cause| Failure::failed(cause.to_string()))
     }
 
-    /// Writes the frame that waits, with its image if that is what follows it in the log.
+    /// Writes the waiting frame, with its image if the image comes next in the log.
     fn put_frame(&mut self, image: Option<&[u8]>) -> Result<(), Failure> {
         let Some(frame) = self.frame.take() else { return Ok(()) };
         self.frame_count += 1;
@@ -210,7 +210,7 @@ impl Copy<'_> {
     }
 }
 
-/// The run lane into a log.
+/// Writes the physics' output to the run lane.
 struct Out(RunLog<BufWriter<File>>);
 
 impl Outputs for Out {

@@ -1,4 +1,4 @@
-//! What a frame should show: its reply, the request that asked for it, the scene.
+//! What a frame should show, according to its reply, its request and the scene.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
@@ -16,27 +16,27 @@ use zerocopy::{FromBytes, IntoBytes};
 use super::OpenedLog;
 use crate::failure::Failure;
 
-/// Most requests that are looked up; those of later ones are not compared.
+/// Maximum number of requests to remember; later ones are not compared.
 const MAX_REQUESTS: usize = 1 << 16;
-/// Replies that may stand before their frame's: more than the renderer has in flight.
+/// Maximum number of replies before their frames: more than the renderer has in flight.
 const MAX_WAITING: usize = 4096;
 
-/// The accepted replies of a log, in the order of their frames.
+/// The accepted replies of a log, in frame order.
 pub struct Replies {
     stream: MessageStream,
     waiting: VecDeque<DrrReply>,
     /// The scene's C-arm.
     scene: CArmGeometry,
-    /// C-arms asked for, by controller and number; an asker may use a number again. Empty without the timing lane.
+    /// Requested C-arms, by controller and request number; a controller may reuse a number. Empty without the timing lane.
     requests: BTreeMap<(u32, u64), Vec<CArmGeometry>>,
     path: PathBuf,
     options: ReadOptions,
-    /// Whether the log lacks replies; none as long as nobody has asked.
+    /// Whether the log lacks replies; none until first needed.
     lacks: Option<bool>,
 }
 
 impl Replies {
-    /// Of a log, with the requests of the timing lane beside it.
+    /// Opens the replies of a log, with the requests of the timing lane beside it.
     ///
     /// # Errors
     /// The log cannot be opened, or the scene has no C-arm.
@@ -50,13 +50,13 @@ impl Replies {
         Ok(Replies { stream, waiting: VecDeque::new(), scene, requests, path, options, lacks: None })
     }
 
-    /// The C-arm that a frame should have: the scene's, or what was asked for.
+    /// The C-arm that a frame should have: the scene's or the requested one.
     ///
     /// # Errors
-    /// Where the reply differs from the frame, or from the request.
+    /// The reply disagrees with the frame or with the request.
     pub fn geometry_of(&mut self, frame: &Frame) -> Result<CArmGeometry, String> {
         let Some(reply) = self.reply_of(frame.sequence)? else {
-            // A log that lacks replies says so; a frame that nobody asked for shows the scene's C-arm all the same.
+            // A log that lacks replies says so. An unrequested frame shows the scene's C-arm either way.
             return match (self.lacks_some(), frame.request_id) {
                 (false, _) => Err(format!("{} has none for it", topics::DRR_REPLY)),
                 (true, 0) => Ok(self.scene),
@@ -78,7 +78,7 @@ impl Replies {
         }
     }
 
-    /// What was asked for; where no request is known, what the reply says.
+    /// The requested C-arm; if the request is unknown, the one in the reply.
     fn asked_for(&self, request_id: u64, reply: &DrrReply) -> CArmGeometry {
         if request_id == 0 {
             return self.scene;
@@ -106,7 +106,7 @@ impl Replies {
         Ok(if is_it { self.waiting.pop_front() } else { None })
     }
 
-    /// Whether the log lacks replies, as its end marker knows.
+    /// Whether the log lacks replies, according to its end marker.
     fn lacks_some(&mut self) -> bool {
         let (path, options) = (&self.path, self.options);
         *self.lacks.get_or_insert_with(|| {
@@ -120,7 +120,7 @@ impl Replies {
     }
 }
 
-/// The requests of the timing lane beside a log.
+/// Reads the requests from the timing lane beside a log.
 fn requests(log: &OpenedLog, scene: &CArmGeometry) -> BTreeMap<(u32, u64), Vec<CArmGeometry>> {
     let mut requests: BTreeMap<(u32, u64), Vec<CArmGeometry>> = BTreeMap::new();
     let wanted = [topics::DRR_REQUEST.to_owned()];

@@ -1,12 +1,12 @@
-//! Axes: from values to shares of a length, with round ticks.
+//! Axes: map values to fractions of a length, with round ticks.
 
-/// A decade's ticks.
+/// Tick positions within a decade.
 const DIGITS: [f64; 9] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
 
 /// An axis with its ticks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
-    /// What it shows, with the unit.
+    /// What the axis shows, with the unit.
     pub title: String,
     /// Labelled ticks: value and label.
     pub ticks: Vec<(f64, String)>,
@@ -18,8 +18,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// From `low` to `high`, with at most about `count` labelled ticks. A range that is empty or not finite becomes
-    /// one of width 1.
+    /// A linear axis from `low` to `high` with at most about `count` labelled ticks. An empty or non-finite range becomes one of width 1.
     pub fn linear(title: &str, low: f64, high: f64, count: usize) -> Axis {
         let (low, high) = widened(low, high);
         let step = round_step((high - low) / count.max(1) as f64);
@@ -34,15 +33,15 @@ impl Axis {
         Axis { title: title.to_string(), ticks, minor: Vec::new(), low, high, logarithmic: false }
     }
 
-    /// Around the values, with a margin of 6 %, and from 0 if none is negative.
+    /// A linear axis around the values, with a margin of 6 %, starting at 0 if none is negative.
     pub fn around(title: &str, values: impl Iterator<Item = f64>, count: usize) -> Axis {
         let (low, high) = bounds(values).unwrap_or((0.0, 1.0));
         let margin = 0.06 * (high - low.min(0.0)).max(1e-9);
         Axis::linear(title, if low < 0.0 { low - margin } else { 0.0 }, high + margin, count)
     }
 
-    /// Logarithmic, from a little below the least to a little above the greatest positive value; `label` names a tick.
-    /// Ticks are powers of ten, over less than two decades also twice and five times these.
+    /// A logarithmic axis, from slightly below the smallest to slightly above the largest positive value; `label` formats a tick. Ticks
+    /// are powers of ten; for ranges under two decades also twice and five times these.
     pub fn logarithmic(title: &str, values: impl Iterator<Item = f64>, label: fn(f64) -> String) -> Axis {
         let (low, high) = bounds(values.filter(|&value| value > 0.0)).unwrap_or((1.0, 100.0));
         let (low, high) = (low.log10() - 0.15, high.log10() + 0.15);
@@ -59,8 +58,8 @@ impl Axis {
         Axis { title: title.to_string(), ticks, minor, low, high, logarithmic: true }
     }
 
-    /// Share of the length at which a value lies: 0 at the low end, 1 at the high end; outside beyond. A value that
-    /// a logarithmic axis cannot show lies at its low end.
+    /// Position of a value as a fraction of the length: 0 at the low end, 1 at the high end, outside that range beyond. A value that a
+    /// logarithmic axis cannot show maps to its low end.
     pub fn share(&self, value: f64) -> f64 {
         let value = if !self.logarithmic {
             value
@@ -73,7 +72,7 @@ impl Axis {
     }
 }
 
-/// Least and greatest finite value.
+/// Smallest and largest finite value.
 pub fn bounds(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let start = (f64::INFINITY, f64::NEG_INFINITY);
     let (low, high) =
@@ -85,7 +84,7 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
     if !(low.is_finite() && high.is_finite()) || low > high {
         return (0.0, 1.0);
     }
-    // Narrower than that, neighbouring ticks are the same number.
+    // On a narrower range, neighbouring tick labels would read the same.
     if high - low > 1e-9 * low.abs().max(high.abs()).max(1e-3) {
         (low, high)
     } else {
@@ -93,7 +92,7 @@ fn widened(low: f64, high: f64) -> (f64, f64) {
     }
 }
 
-/// The least of 1, 2, 5 times a power of ten that is not below `step`.
+/// The smallest of 1, 2, 5 times a power of ten that is not below `step`.
 fn round_step(step: f64) -> f64 {
     let power = 10f64.powf(step.log10().floor());
     [1.0, 2.0, 5.0]
@@ -103,7 +102,7 @@ fn round_step(step: f64) -> f64 {
         .unwrap_or(10.0 * power)
 }
 
-/// A duration given in microseconds, as short as it reads well.
+/// Formats a duration in microseconds as briefly as is readable.
 pub fn duration_label(microseconds: f64) -> String {
     let (value, unit) = if microseconds < 1.0 {
         (microseconds * 1e3, "ns")
@@ -118,7 +117,7 @@ pub fn duration_label(microseconds: f64) -> String {
     format!("{value:.decimals$} {unit}")
 }
 
-/// A whole number.
+/// Formats a whole number.
 pub fn count_label(value: f64) -> String {
     format!("{value:.0}")
 }
@@ -140,7 +139,7 @@ mod tests {
         assert_eq!(labels(&Axis::linear("", f64::NAN, 1.0, 2)), ["0.0", "0.5", "1.0"]);
         let axis = Axis::logarithmic("", [0.0, f64::NAN, 30.0, 2000.0].into_iter(), duration_label);
         assert_eq!(labels(&axis), ["100 µs", "1 ms"]);
-        // Three decades' inner ticks from 30 / 1.41 to 2000 * 1.41, without 100 and 1000.
+        // Minor ticks of three decades from 30 / 1.41 to 2000 * 1.41, without 100 and 1000.
         assert_eq!(axis.minor.len(), 7 + 8 + 1);
         assert!((axis.share(30.0) + axis.share(2000.0) - 1.0).abs() < 1e-12, "the same margin on both sides");
         assert_eq!(labels(&Axis::logarithmic("", [30.0].into_iter(), count_label)), [] as [&str; 0]);

@@ -1,4 +1,4 @@
-//! The figure of a calibration: bend and tip place over the tendon's tension or displacement.
+//! The calibration figure: bend and tip position over the tendon's tension or displacement.
 
 use controllers::{Calibration, CalibrationRow};
 

@@ -6,43 +6,43 @@ use serde::{Deserialize, Serialize};
 use super::ReportError;
 use super::timeline::Bin;
 
-/// Longest duration that is told from a longer one: 1000 s.
+/// Longest duration that is counted exactly, 1000 s; longer ones count as this.
 const LONGEST_NS: u64 = 1_000_000_000_000;
 
 /// Durations in nanoseconds, counted in bins of a fixed relative width.
 #[derive(Debug, Clone)]
 pub struct Distribution(Histogram<u64>);
 
-/// Quantiles of a distribution, in the unit that its owner's name gives.
+/// Quantiles of a distribution, in the unit that the owning field's name gives.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Quantiles {
-    /// Samples.
+    /// Number of samples.
     pub count: u64,
     /// Median.
     pub p50: f64,
-    /// 90 % are no longer.
+    /// 90th percentile.
     pub p90: f64,
-    /// 99 % are no longer.
+    /// 99th percentile.
     pub p99: f64,
-    /// 99.9 % are no longer.
+    /// 99.9th percentile.
     pub p99_9: f64,
     /// Longest.
     pub max: f64,
 }
 
 impl Distribution {
-    /// An empty one. Values keep `significant_digits` (1 to 5) decimal digits.
+    /// An empty distribution. Values keep `significant_digits` (1 to 5) decimal digits.
     pub fn new(significant_digits: u8) -> Result<Distribution, ReportError> {
         let histogram = Histogram::new_with_bounds(1, LONGEST_NS, significant_digits);
         histogram.map(Distribution).map_err(|source| ReportError::Histogram { source })
     }
 
-    /// Takes a duration; one of more than 1000 s counts as 1000 s.
+    /// Adds a duration; anything above 1000 s counts as 1000 s.
     pub fn add(&mut self, nanoseconds: u64) {
         self.0.saturating_record(nanoseconds);
     }
 
-    /// Forgets all samples.
+    /// Removes all samples.
     pub fn clear(&mut self) {
         self.0.reset();
     }
@@ -52,7 +52,7 @@ impl Distribution {
         self.0.len()
     }
 
-    /// Quantiles in units of `unit_ns`; none without samples. At most half a bin (0.05 % with 3 digits) above the truth.
+    /// Quantiles in units of `unit_ns`; none without samples. At most half a bin (0.05 % with 3 digits) too high.
     pub fn quantiles(&self, unit_ns: f64) -> Option<Quantiles> {
         let at = |quantile: f64| self.0.value_at_quantile(quantile) as f64 / unit_ns;
         let max = self.0.max() as f64 / unit_ns;
@@ -67,7 +67,7 @@ impl Distribution {
         })
     }
 
-    /// Value and number of its samples, rising, without empty ones.
+    /// Each recorded value with its sample count, ascending, without empty bins.
     pub fn recorded(&self) -> impl Iterator<Item = (u64, u64)> {
         self.0.iter_recorded().map(|step| (step.value_iterated_to(), step.count_at_value()))
     }
@@ -75,7 +75,7 @@ impl Distribution {
 
 impl Bin for Distribution {
     fn merge(&mut self, later: &Distribution) {
-        // Both were made with the same bounds, so no value of one is too large for the other.
+        // Both have the same bounds, so no value of one is too large for the other.
         let _ = self.0.add(&later.0);
     }
 }

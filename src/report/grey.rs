@@ -16,12 +16,12 @@ pub struct GreyImage {
 }
 
 impl GreyImage {
-    /// From little-endian `mono16` rows without padding; none if there are no pixels or fewer than the size says
-    /// (a log that keeps only hashes).
+    /// From little-endian `mono16` rows without padding; none if there are no pixels, or fewer than the size requires (a log that keeps
+    /// only hashes).
     pub fn from_mono16(columns: u32, rows: u32, mono16: &[u8]) -> Option<GreyImage> {
         let count = (columns as usize).checked_mul(rows as usize)?;
         let bytes = mono16.get(..count.checked_mul(2)?)?;
-        // 0..=65535 onto 0..=255, rounded: 65535 = 257 * 255.
+        // Maps 0..=65535 to 0..=255, rounded: 65535 = 257 * 255.
         let narrow = |b: &[u8]| ((u32::from(u16::from_le_bytes([b[0], b[1]])) + 128) / 257) as u8;
         let pixels = bytes.chunks_exact(2).map(narrow).collect();
         (count > 0).then_some(GreyImage { columns, rows, pixels })
@@ -34,7 +34,7 @@ impl GreyImage {
     }
 }
 
-/// 8-bit samples as PNG, for a file of this name.
+/// Encodes 8-bit samples as PNG; errors name this file.
 pub fn encode_png(
     path: &Path,
     columns: u32,

@@ -1,4 +1,4 @@
-//! The line that shows how a run goes on.
+//! The progress line of a run.
 
 use ipc_types::messages::TickTiming;
 
@@ -31,14 +31,14 @@ impl LiveStats {
         Ok(LiveStats { step: duration.clone(), lateness: duration, missed: 0 })
     }
 
-    /// Takes a tick.
+    /// Adds a tick.
     pub fn add(&mut self, timing: &TickTiming) {
         self.step.add(timing.step_ns);
         self.lateness.add(timing.wake_lateness_ns.max(0) as u64);
         self.missed += u64::from(timing.missed != 0);
     }
 
-    /// The interval so far; a new one begins.
+    /// Returns the interval so far and starts a new one.
     pub fn take(&mut self) -> LiveInterval {
         let (step_us, lateness_us) = (self.step.quantiles(1e3), self.lateness.quantiles(1e3));
         self.step.clear();
@@ -47,12 +47,12 @@ impl LiveStats {
     }
 }
 
-/// Where a run stands.
+/// Progress of a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LiveSnapshot {
     /// Simulated time.
     pub sim_time_s: f64,
-    /// Simulated over wall time, of the last interval.
+    /// Simulated over wall time in the last interval.
     pub real_time_factor: f64,
     /// `State.t_world_tip.position_m`.
     pub tip_position_m: [f64; 3],
@@ -68,7 +68,7 @@ pub struct LiveSnapshot {
     pub missed_ticks: Option<u64>,
 }
 
-/// One line of less than 160 columns.
+/// One line of fewer than 160 columns.
 pub fn progress_line(live: &LiveSnapshot) -> String {
     let [x, y, z] = live.tip_position_m.map(|metres| fixed(metres * 1e3, 7, 2));
     let microseconds =
@@ -93,8 +93,8 @@ pub fn progress_line(live: &LiveSnapshot) -> String {
     line
 }
 
-/// A number in at least `width` columns; in at most 6 or `width`, whichever is more: what does not fit is written with
-/// an exponent, what is no finite number as a dash.
+/// A number in at least `width` columns and at most 6 or `width`, whichever is more: a number that does not fit is written with an
+/// exponent, a non-finite one as a dash.
 fn fixed(value: f64, width: usize, decimals: usize) -> String {
     if !value.is_finite() {
         return format!("{:>width$}", "-");

@@ -41,7 +41,7 @@ pub use table::{History, json_line};
 use run_lane::RunLane;
 use timing_lane::TimingLane;
 
-/// What a run writes into its folder.
+/// The files that a run's report writes into its folder.
 pub const FILES: [&str; 10] = [
     "run.mcap",
     "timing.mcap",
@@ -55,14 +55,14 @@ pub const FILES: [&str; 10] = [
     "timing.svg",
 ];
 
-/// What only the launcher knows of a run.
+/// Facts about a run that only the launcher knows.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RunFacts {
     /// Wall time from the first tick to the last.
     pub wall_s: f64,
     /// Wall time from the start to the first tick.
     pub startup_s: f64,
-    /// How the run ended, for people.
+    /// How the run ended, as text.
     pub outcome: String,
     /// Peak memory (VmHWM) of each process by its name, bytes.
     pub peak_memory_bytes: BTreeMap<String, u64>,
@@ -115,30 +115,30 @@ pub enum ReportError {
     },
 }
 
-/// What a run's report is, and what of it could not be written.
+/// A run's report, and which of its files could not be written.
 #[derive(Debug)]
 pub struct Report {
     /// Its numbers.
     pub summary: Summary,
-    /// Why a file of it is not there, one error a file or figure.
+    /// Why files are missing, one error per file or figure.
     pub missing: Vec<ReportError>,
 }
 
-/// Writes the report of a run into its folder. Each file is for itself: one that cannot be written costs no other, and what somebody
-/// else has put there under its name stays.
+/// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others still are, and existing files
+/// are never replaced.
 ///
 /// # Errors
 /// [`ReportError::Histogram`]: there are no numbers. Logs that cannot be read are not an error.
 pub fn write(folder: &Path, facts: &RunFacts) -> Result<Report, ReportError> {
     let paths = [folder.join("run.mcap"), folder.join("timing.mcap")];
-    // The timing lane first: it tells the length of the run, and so which frame is the middle one.
+    // Read the timing lane first: it gives the length of the run, which determines the middle frame.
     let timing = TimingLane::read(&paths[1])?;
     let run = RunLane::read(&paths[0], Some(timing.end_ns).filter(|&end_ns| end_ns > 0));
     let bytes = paths.map(|path| path.metadata().map_or(0, |metadata| metadata.len()));
     let frames = [("before", &run.frames.before), ("half", &run.frames.half), ("after", &run.frames.after)];
     let summary = Summary::new(&run, &timing, facts, bytes);
     let mut missing: Vec<ReportError> = Vec::new();
-    // The numbers first: they take the least of a disk that is nearly full.
+    // Write the numbers first: they need the least space on a nearly full disk.
     missing.extend(write_json(&folder.join("summary.json"), &summary).err());
     for (name, image) in frames {
         let Some(image) = image else { continue };

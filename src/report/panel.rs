@@ -1,23 +1,23 @@
-//! A panel of a figure: a frame with two axes, lines in it, a legend.
+//! A panel of a figure: two axes with a frame, lines, and a legend.
 
 use plotters::style::RGBColor;
 
 use super::axis::Axis;
 use super::shapes::{Anchor, Figure, Point, Shape, Stroke, text_width};
 
-/// Text and frame.
+/// Colour of text and frame.
 pub const INK: RGBColor = RGBColor(40, 40, 40);
-/// Blue, vermilion, green, purple: told apart with any colour vision (Okabe and Ito 2008).
+/// Blue, vermilion, green, purple: distinguishable with any colour vision (Okabe and Ito 2008).
 pub const COLOURS: [RGBColor; 4] =
     [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
-/// Dashes that tell lines apart without colour, in the order of [`COLOURS`].
+/// Dashes that distinguish lines without colour, in the order of [`COLOURS`].
 pub const DASHES: [&[f64]; 4] = [&[], &[7.0, 3.0], &[2.0, 2.0], &[8.0, 2.5, 2.0, 2.5]];
 const GRID: RGBColor = RGBColor(225, 225, 225);
 const FAINT_GRID: RGBColor = RGBColor(243, 243, 243);
 
 const TITLE_SIZE: f64 = 15.0;
 const LABEL_SIZE: f64 = 12.5;
-/// Height of a line of a legend, and width of its key.
+/// Height of a legend line, and width of its key.
 const LEGEND_LINE: f64 = 17.0;
 const KEY_WIDTH: f64 = 32.0;
 const LEFT: f64 = 62.0;
@@ -39,7 +39,7 @@ pub struct Rect {
 }
 
 impl Rect {
-    /// The part inside a panel's titles and labels.
+    /// The area left for the plot after titles and labels.
     pub fn plot_area(self) -> Rect {
         Rect {
             x: self.x + LEFT,
@@ -54,16 +54,16 @@ impl Rect {
     }
 }
 
-/// How a legend shows its entry.
+/// Symbol of a legend entry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Key {
-    /// A piece of line.
+    /// A line segment.
     Line(Stroke),
     /// A disc.
     Disc(RGBColor),
     /// A cross.
     Cross(Stroke),
-    /// An upright bar.
+    /// A vertical bar.
     Bar(Stroke),
     /// Nothing.
     None,
@@ -76,12 +76,12 @@ pub struct Panel<'a> {
     x: Axis,
     y: Axis,
     legend: Vec<(Key, String)>,
-    /// Where curves run, for the place of the legend.
+    /// Points along the curves, used to place the legend.
     seen: Vec<Point>,
 }
 
 impl Stroke {
-    /// A full line.
+    /// A solid line.
     pub fn full(colour: RGBColor, width: f64) -> Stroke {
         Stroke { colour, width, dash: &[] }
     }
@@ -144,7 +144,7 @@ impl<'a> Panel<'a> {
         self.figure.add(Shape::Line { points: ends.to_vec(), stroke });
     }
 
-    /// Where a pair of values lies in the figure.
+    /// Position of a data point in the figure.
     pub fn place(&self, (x, y): Point) -> Point {
         let Rect { x: left, y: top, width, height } = self.area;
         (left + self.x.share(x) * width, top + (1.0 - self.y.share(y)) * height)
@@ -155,7 +155,7 @@ impl<'a> Panel<'a> {
         (self.x.share(1.0) - self.x.share(0.0)) * self.area.width
     }
 
-    /// A curve through pairs of values; the legend names it unless `label` is empty.
+    /// A curve through data points; the legend names it unless `label` is empty.
     pub fn line(&mut self, values: &[Point], stroke: Stroke, label: &str) {
         let points: Vec<Point> = values.iter().map(|&value| self.place(value)).collect();
         for run in clip(&points, self.area) {
@@ -165,7 +165,7 @@ impl<'a> Panel<'a> {
         self.key(Key::Line(stroke), label);
     }
 
-    /// Remembers where a curve runs, every few units.
+    /// Records where a curve runs, every few units.
     fn see(&mut self, run: &[Point]) {
         for (a, b) in run.iter().zip(&run[1..]) {
             let pieces = ((b.0 - a.0).hypot(b.1 - a.1) / 8.0).ceil().clamp(1.0, 1000.0);
@@ -188,7 +188,7 @@ impl<'a> Panel<'a> {
         self.figure.add(Shape::Area { corners, fill });
     }
 
-    /// A disc at a pair of values; its radius is in figure units.
+    /// A disc at a data point; its radius is in figure units.
     pub fn disc(&mut self, value: Point, radius: f64, fill: RGBColor) {
         let centre = self.place(value);
         if self.area.contains(centre) {
@@ -197,7 +197,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A cross at a pair of values.
+    /// A cross at a data point.
     pub fn cross(&mut self, value: Point, arm: f64, stroke: Stroke) {
         let (x, y) = self.place(value);
         if self.area.contains((x, y)) {
@@ -207,7 +207,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// An upright line over the whole height at an x.
+    /// A vertical line over the whole height at an x.
     pub fn upright(&mut self, x: f64, stroke: Stroke) {
         let (at, _) = self.place((x, 1.0));
         let Rect { y, height, .. } = self.area;
@@ -225,13 +225,13 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// A remark in the middle, in place of curves.
+    /// A centred remark, in place of curves.
     pub fn remark(&mut self, text: &str) {
         let Rect { x, y, width, height } = self.area;
         self.figure.text((x + 0.5 * width, y + 0.5 * height), text, LABEL_SIZE, INK, Anchor::Centre);
     }
 
-    /// An entry of the legend; none if `label` is empty.
+    /// Adds a legend entry unless `label` is empty.
     pub fn key(&mut self, key: Key, label: &str) {
         if !label.is_empty() {
             self.legend.push((key, label.to_string()));
@@ -273,7 +273,7 @@ impl<'a> Panel<'a> {
         self.figure.add(Shape::Line { points, stroke: Stroke::full(INK, 1.0) });
     }
 
-    /// An entry of the legend whose left end is given.
+    /// Draws a legend entry, given its left end.
     fn entry(&mut self, key: Key, label: &str, (x, y): Point) {
         self.draw_key(key, (x + 0.5 * KEY_WIDTH - 4.0, y));
         self.figure.text((x + KEY_WIDTH + 2.0, y), label, LABEL_SIZE, INK, Anchor::Left);
@@ -305,7 +305,7 @@ impl<'a> Panel<'a> {
     }
 }
 
-/// The runs of a polyline that lie inside a rectangle.
+/// The pieces of a polyline that lie inside a rectangle.
 fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
     let mut runs: Vec<Vec<Point>> = Vec::new();
     let mut open = false;
@@ -323,7 +323,7 @@ fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
     runs
 }
 
-/// The part of a straight piece inside a rectangle (Liang and Barsky 1984) and whether it reaches the piece's end.
+/// Clips a line segment to a rectangle (Liang and Barsky 1984); also returns whether the result reaches the segment's end.
 fn clip_piece(a: Point, b: Point, area: Rect) -> Option<(Point, Point, bool)> {
     let d = (b.0 - a.0, b.1 - a.1);
     let (mut enter, mut leave) = (0.0f64, 1.0f64);

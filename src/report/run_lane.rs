@@ -1,4 +1,4 @@
-//! What a `run.mcap` says.
+//! Extracts the report's data from a `run.mcap`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,7 +12,7 @@ use zerocopy::FromBytes;
 use super::grey::GreyImage;
 use super::timeline::{Extremes, Timeline};
 
-/// Bins of the curves over the run.
+/// Number of time bins for the curves.
 const TIME_BINS: usize = 1200;
 
 /// The plane in which the tool bends, at the start of the run.
@@ -24,21 +24,21 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Through the first state's tip, along its base's +x (toward tendon 0) and +z (insertion).
+    /// The plane through the first state's tip, spanned by its base's +x (toward tendon 0) and +z (insertion).
     pub fn of(state: &State) -> Plane {
         let q = state.t_world_base.orientation_xyzw;
         let (bend_axis, insertion_axis) = (rotate(q, [1.0, 0.0, 0.0]), rotate(q, [0.0, 0.0, 1.0]));
         Plane { origin_m: state.t_world_tip.position_m, bend_axis, insertion_axis }
     }
 
-    /// Coordinates of a world point along bend and insertion axis, mm.
+    /// Coordinates of a world point along the bend and insertion axes, mm.
     pub fn project_mm(&self, point_m: [f64; 3]) -> [f64; 2] {
         let d = [0, 1, 2].map(|i| point_m[i] - self.origin_m[i]);
         [self.bend_axis, self.insertion_axis].map(|axis| (0..3).map(|i| axis[i] * d[i]).sum::<f64>() * 1e3)
     }
 }
 
-/// A vector turned by a quaternion x y z w: v + 2w (u × v) + 2 u × (u × v).
+/// Rotates a vector by a quaternion x y z w: v + 2w (u × v) + 2 u × (u × v).
 fn rotate(q: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     let cross = |a: [f64; 3], b: [f64; 3]| {
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
@@ -58,7 +58,7 @@ pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 pub struct Curves {
     /// Bending plane of the first state.
     pub plane: Plane,
-    /// Tip along bend and insertion axis, mm.
+    /// Tip position along the bend and insertion axes, mm.
     pub tip_mm: Timeline<Option<[f64; 2]>>,
     /// Tension of each tendon, N.
     pub tension_n: [Timeline<Extremes>; MAX_TENDONS],
@@ -90,7 +90,7 @@ impl Curves {
     }
 }
 
-/// Greatest values over a run.
+/// Maximum values over a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Peaks {
     /// Tension of any tendon.
@@ -99,7 +99,7 @@ pub struct Peaks {
     pub burr_force_n: f64,
     /// Normal force of any contact.
     pub contact_force_n: f64,
-    /// Contacts in one tick.
+    /// Maximum number of contacts in one tick.
     pub contacts: u32,
     /// Ticks with at least one contact.
     pub ticks_in_contact: u64,
@@ -107,7 +107,7 @@ pub struct Peaks {
 
 impl Peaks {
     fn add(&mut self, state: &State) {
-        // f64::max leaves a NaN out.
+        // f64::max ignores NaN.
         let tendons = (state.tendon_count as usize).min(MAX_TENDONS);
         self.tension_n = state.tendon_tension_n[..tendons].iter().copied().fold(self.tension_n, f64::max);
         self.burr_force_n = self.burr_force_n.max(state.burr_force_n);
@@ -122,13 +122,13 @@ impl Peaks {
 /// First, middle and last frame.
 #[derive(Debug, Default)]
 pub struct Frames {
-    /// Frames in the log, with pixels or without.
+    /// Number of frames in the log, with or without pixels.
     pub count: u64,
-    /// The first picture.
+    /// The first image.
     pub before: Option<GreyImage>,
-    /// The picture nearest the middle of the run.
+    /// The image nearest the middle of the run.
     pub half: Option<GreyImage>,
-    /// The last picture.
+    /// The last image.
     pub after: Option<GreyImage>,
     half_distance_ns: u64,
 }
@@ -147,46 +147,46 @@ impl Frames {
     }
 }
 
-/// The deterministic lane of a run, summed up.
+/// Summary of a run's deterministic lane.
 #[derive(Default)]
 pub struct RunLane {
     /// Header of the file; none if it could not be opened.
     pub header: Option<LogHeader>,
     /// The scene, if it can be read from the header.
     pub scene: Option<Scene>,
-    /// States behind the initial one.
+    /// Number of states after the initial one.
     pub ticks: u64,
-    /// Simulated time of the last state, resets not subtracted.
+    /// Simulated time of the last state, counting time before resets.
     pub end_ns: u64,
     /// The first state.
     pub first: Option<Box<State>>,
     /// The last state.
     pub last: Option<Box<State>>,
-    /// The last state in which the tool was inserted as deeply as ever: before it is drawn back, if it is.
+    /// The last state at the deepest insertion, that is, before the tool retracts, if it does.
     pub deepest: Option<Box<State>>,
     deepest_mm: f64,
     /// Curves for the figures; none without a state.
     pub curves: Option<Curves>,
-    /// Greatest values.
+    /// Maximum values.
     pub peaks: Peaks,
     /// Frames.
     pub frames: Frames,
-    /// Ticks whose states are missing between those that are there: first and last of each gap, the first [`MOST_GAPS`] of them.
+    /// Ticks with missing states: first and last of each gap, at most [`MOST_GAPS`] gaps.
     pub missing_ticks: Vec<[u64; 2]>,
-    /// Messages that somebody missed, by topic, as the end marker says.
+    /// Messages lost, by topic, according to the end marker.
     pub lost: BTreeMap<String, u64>,
-    /// What was wrong with the file, and how it ends unless it ends well.
+    /// Faults of the file, and how it ends unless it ends cleanly.
     pub notes: Vec<String>,
 }
 
-/// Gaps that are listed.
+/// Maximum number of gaps listed.
 const MOST_GAPS: usize = 100;
-/// The mount gives way by this much under load.
+/// The mount deflects by this much under load.
 const SAME_DEPTH_MM: f64 = 0.02;
 
 impl RunLane {
-    /// Reads the file once. Whatever is wrong with it is a note. `end_ns` is the simulated length of the run if it is
-    /// known, for the choice of the middle frame; without it the scene's length counts.
+    /// Reads the file once. Faults become notes. `end_ns` is the simulated length of the run if known, used to choose the middle frame;
+    /// otherwise the scene's length is used.
     pub fn read(path: &Path, end_ns: Option<u64>) -> RunLane {
         let mut lane = RunLane::default();
         let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {
@@ -270,21 +270,21 @@ impl RunLane {
         }
     }
 
-    /// Where the scene's controller wants the burr, world.
+    /// Target of the burr according to the scene's controller, world frame.
     pub fn target_m(&self) -> Option<[f64; 3]> {
         let controllers = &self.scene.as_ref()?.controller;
         let target_mm = controllers.iter().find_map(|c| c.curved_drilling.as_ref()?.target_mm)?;
         Some(target_mm.map(|x| x * 1e-3))
     }
 
-    /// Volume of a voxel, if the scene says it: it does for phantoms.
+    /// Volume of a voxel, if the scene states it, as it does for phantoms.
     pub fn voxel_volume_mm3(&self) -> Option<f64> {
         let volume = self.scene.as_ref()?.volume.as_ref()?;
         volume.phantom.map(|_| volume.spacing_mm * volume.spacing_mm * volume.spacing_mm)
     }
 }
 
-/// Origins of the tool's links in use, base to tip.
+/// Origins of the tool's active links, base to tip.
 pub fn links(state: &State) -> &[Pose] {
     &state.t_world_link[..(state.joint_count as usize).min(state.t_world_link.len())]
 }
@@ -295,7 +295,7 @@ mod tests {
 
     #[test]
     fn the_plane_follows_the_base() {
-        // Half a turn about x + z swaps x and z and turns y round: insertion along world +x, bend along world +z.
+        // A half turn about x + z swaps x and z and negates y: insertion along world +x, bend along world +z.
         let h = std::f64::consts::FRAC_1_SQRT_2;
         let mut state = State::zeroed();
         state.t_world_base.orientation_xyzw = [h, 0.0, h, 0.0];

@@ -1,4 +1,4 @@
-//! A figure as a list of shapes, and its rendering as PNG and SVG.
+//! A figure as a list of shapes, rendered to PNG and SVG.
 
 use std::path::{Path, PathBuf};
 
@@ -16,9 +16,9 @@ use super::ReportError;
 use super::grey::encode_png;
 
 const FONT: &str = "sans-serif";
-/// Pixels per figure unit while drawing; plotters places shapes on whole pixels.
+/// Pixels per figure unit while drawing; plotters snaps shapes to whole pixels.
 const SCALE: usize = 4;
-/// Each square of this many pixels becomes one of the PNG file: plotters' wide lines have no soft edge of their own.
+/// Squares of this many pixels are averaged into one pixel of the PNG file, because plotters does not antialias wide lines.
 const SHRINK: usize = 2;
 
 /// A point of the figure: right and down from the top left corner, in units of half a pixel of the PNG file.
@@ -31,11 +31,11 @@ pub struct Stroke {
     pub colour: RGBColor,
     /// Width in figure units.
     pub width: f64,
-    /// Lengths of dash and gap in turn, in figure units; empty for a full line.
+    /// Alternating lengths of dash and gap, in figure units; empty for a solid line.
     pub dash: &'static [f64],
 }
 
-/// Which point of a text lies at its position.
+/// Which point of a text is at its position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
     /// Left end, half height.
@@ -74,7 +74,7 @@ pub enum Shape {
     },
     /// One line of text.
     Text {
-        /// Where its anchor lies.
+        /// Position of its anchor.
         at: Point,
         /// What it says.
         text: String,
@@ -84,7 +84,7 @@ pub enum Shape {
         colour: RGBColor,
         /// Which point of it lies at `at`.
         anchor: Anchor,
-        /// True if it runs upwards.
+        /// True if the text runs upwards.
         upwards: bool,
     },
 }
@@ -97,7 +97,7 @@ pub struct Figure {
     shapes: Vec<Shape>,
 }
 
-/// Registers the font that the figures use: Ubuntu Light from memory, so that none need be installed.
+/// Registers the figures' font, Ubuntu Light, from memory, so that no font needs to be installed.
 fn register() -> Result<(), ReportError> {
     register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).map_err(|_| ReportError::Font)
 }
@@ -105,7 +105,7 @@ fn register() -> Result<(), ReportError> {
 /// Width of a text in figure units.
 pub fn text_width(text: &str, size: f64) -> f64 {
     let drawn = (FONT, size * SCALE as f64).into_font().box_size(text);
-    // Half the height is the usual width of a letter.
+    // A letter is usually about half as wide as the font is high.
     drawn.map_or(0.5 * size * text.chars().count() as f64, |(width, _)| f64::from(width) / SCALE as f64)
 }
 
@@ -116,7 +116,7 @@ impl Figure {
         Ok(Figure { width, height, shapes: Vec::new() })
     }
 
-    /// Draws over what is there. Shapes with a coordinate that is not finite are left out.
+    /// Draws over existing shapes. Shapes with a non-finite coordinate are skipped.
     pub fn add(&mut self, shape: Shape) {
         let finite = |points: &[Point]| points.iter().all(|(x, y)| x.is_finite() && y.is_finite());
         let sound = match &shape {
@@ -140,7 +140,7 @@ impl Figure {
         Ok(output_file::write_all(&self.files(folder, stem)?)?)
     }
 
-    /// `<stem>.png` and `<stem>.svg`, with what they are to hold.
+    /// `<stem>.png` and `<stem>.svg`, with their contents.
     pub fn files(&self, folder: &Path, stem: &str) -> Result<[(PathBuf, Vec<u8>); 2], ReportError> {
         let [png, svg] = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
         let bytes = (self.png(&png)?, self.svg(&svg)?.into_bytes());
@@ -160,13 +160,13 @@ impl Figure {
         encode_png(path, columns as u32, rows as u32, png::ColorType::Rgb, &shrunk)
     }
 
-    /// The figure as SVG, for a file of this name.
+    /// The figure as SVG; errors name this file.
     pub fn svg(&self, path: &Path) -> Result<String, ReportError> {
         let size = (self.width * SCALE as u32, self.height * SCALE as u32);
         let mut text = String::new();
         self.draw(SVGBackend::with_string(&mut text, size), false)
             .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
-        // Drawn on a fine grid, shown at its own size.
+        // Drawn on a fine grid, shown at its nominal size.
         let drawn = format!("width=\"{}\" height=\"{}\"", size.0, size.1);
         let shown = format!("width=\"{}\" height=\"{}\"", self.width, self.height);
         Ok(text.replacen(&drawn, &shown, 1))
@@ -186,7 +186,7 @@ impl Figure {
     }
 }
 
-/// Means over squares of `SHRINK` × `SHRINK` RGB pixels.
+/// Averages squares of `SHRINK` × `SHRINK` RGB pixels.
 fn shrink(pixels: &[u8], columns: usize, rows: usize) -> Vec<u8> {
     let wide = columns * SHRINK;
     let mut shrunk = Vec::with_capacity(columns * rows * 3);
@@ -240,7 +240,7 @@ fn draw_shape<DB: DrawingBackend>(
                 font = font.transform(FontTransform::Rotate270);
             }
             let style = TextStyle::from(font).color(colour).pos(Pos::new(horizontal, VPos::Center));
-            // In a bitmap plotters puts the middle of a text about an eighth of its height too high.
+            // In a bitmap, plotters places the middle of a text too high by about an eighth of its height.
             let lower = if bitmap { 0.12 * size } else { 0.0 };
             let at = if *upwards { (at.0 + lower, at.1) } else { (at.0, at.1 + lower) };
             area.draw_text(text, &style, pixel(at))
@@ -248,8 +248,8 @@ fn draw_shape<DB: DrawingBackend>(
     }
 }
 
-/// Draws dashes one by one. In a bitmap draws each straight piece alone with round joints: the outline that plotters'
-/// bitmap makes of a dense polyline has spikes.
+/// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters' outline of a dense polyline
+/// has spikes.
 fn draw_line<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     points: &[Point],
@@ -276,7 +276,7 @@ fn draw_line<DB: DrawingBackend>(
     Ok(())
 }
 
-/// Cuts a polyline into its dashes. An empty pattern leaves it whole.
+/// Cuts a polyline into dashes. An empty pattern leaves it whole.
 fn dashes(points: &[Point], pattern: &[f64]) -> Vec<Vec<Point>> {
     if pattern.is_empty() || pattern.iter().any(|&length| length.is_nan() || length <= 0.0) {
         return vec![points.to_vec()];
@@ -322,7 +322,7 @@ mod tests {
 
     #[test]
     fn dashes_keep_the_shares_of_the_pattern() {
-        // A corner at an odd place: 7 right, 5 down; total 12 with pattern 2 on, 1 off: 8 of 12 drawn in 4 dashes.
+        // A corner inside a dash: 7 right, 5 down; total 12 with pattern 2 on, 1 off: 8 of 12 drawn in 4 dashes.
         let line = [(0.0, 0.0), (7.0, 0.0), (7.0, 5.0)];
         let cut = dashes(&line, &[2.0, 1.0]);
         assert_eq!(cut.len(), 4);

@@ -13,7 +13,7 @@ use super::run_lane::{RunLane, distance_m};
 use super::timing_lane::TimingLane;
 use crate::plan::ModelError;
 
-/// What a run came to: the content of `summary.json`. What the logs do not say is null.
+/// The results of a run: the content of `summary.json`. Values that the logs do not give are null.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Name of the scene.
@@ -22,7 +22,7 @@ pub struct Summary {
     pub mode: Option<String>,
     /// How the run ended.
     pub outcome: String,
-    /// Ticks made.
+    /// Number of ticks run.
     pub ticks: u64,
     /// Simulated time.
     pub simulated_s: f64,
@@ -36,7 +36,7 @@ pub struct Summary {
     pub final_hash: Option<String>,
     /// The tool; none without a state.
     pub tool: Option<ToolSummary>,
-    /// What is known of the model's error; none for one that does not bend in one plane, without bone, or that was not measured.
+    /// Known error of the model; none for a model that does not bend in one plane, without bone, or not measured.
     #[serde(default)]
     pub model_error: Option<ModelError>,
     /// Drilling and contact; none without a state.
@@ -60,20 +60,20 @@ pub struct Summary {
     pub replay_command: String,
 }
 
-/// The tool at start and end.
+/// The tool at the start and end.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ToolSummary {
-    /// Front of the burr at the start, world.
+    /// Front of the burr at the start, world frame.
     pub tip_start_mm: [f64; 3],
-    /// Front of the burr at the greatest insertion, world.
+    /// Front of the burr at the deepest insertion, world frame.
     pub tip_deepest_mm: [f64; 3],
-    /// Front of the burr at the end, world.
+    /// Front of the burr at the end, world frame.
     pub tip_end_mm: [f64; 3],
-    /// Distance of the burr centre from the controller's target at the greatest insertion; none without a target.
+    /// Distance of the burr centre from the controller's target at the deepest insertion; none without a target.
     pub target_error_mm: Option<f64>,
-    /// Bend at the greatest insertion.
+    /// Bend at the deepest insertion.
     pub bend_deg: f64,
-    /// Greatest tension of any tendon.
+    /// Maximum tension of any tendon.
     pub max_tension_n: f64,
 }
 
@@ -82,15 +82,15 @@ pub struct ToolSummary {
 pub struct DrillingSummary {
     /// Voxels removed since the start or the last reset.
     pub removed_voxels: u64,
-    /// Their volume, if the scene says the voxel size.
+    /// Volume of the removed voxels, if the scene states the voxel size.
     pub removed_volume_mm3: Option<f64>,
-    /// Energy put into cutting since the start or the last reset.
+    /// Energy spent on cutting since the start or the last reset.
     pub cutting_energy_j: f64,
-    /// Greatest normal force of the burr.
+    /// Maximum normal force of the burr.
     pub max_burr_force_n: f64,
-    /// Greatest normal force of any contact.
+    /// Maximum normal force of any contact.
     pub max_contact_force_n: f64,
-    /// Most contacts in one tick.
+    /// Maximum number of contacts in one tick.
     pub max_contacts: u32,
     /// Share of the ticks with at least one contact.
     pub contact_share: f64,
@@ -99,15 +99,15 @@ pub struct DrillingSummary {
 /// X-ray frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DrrSummary {
-    /// Frames in the log.
+    /// Number of frames in the log.
     pub frames: u64,
-    /// Those that were traced whole; the others only where something had changed.
+    /// Frames that were traced whole; the others were traced only where something had changed.
     pub full_frames: u64,
-    /// Time of rendering.
+    /// Render time.
     pub render_ms: Option<Quantiles>,
     /// Rays traced for all frames.
     pub rays: u64,
-    /// Mean rays of a frame.
+    /// Mean number of rays per frame.
     pub rays_per_frame: Option<f64>,
     /// Frames per simulated second.
     pub frames_per_simulated_s: Option<f64>,
@@ -126,7 +126,7 @@ pub struct TimingSummary {
     pub round_trip_us: BTreeMap<String, Quantiles>,
     /// Ticks that began more than a period late.
     pub missed_ticks: u64,
-    /// Why.
+    /// Why ticks began late.
     pub misses: MissSummary,
     /// Page faults of the physics process after its first tick.
     pub page_faults: u64,
@@ -135,25 +135,25 @@ pub struct TimingSummary {
 /// Why ticks began late; see `run_log::misses`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MissSummary {
-    /// Misses by the cause of most of their lost time; causes without one are left out.
+    /// Misses by their main cause; causes without misses are omitted.
     pub by_cause: BTreeMap<String, u64>,
     /// Time lost to each cause, with the same keys.
     pub lost_ms: BTreeMap<String, f64>,
-    /// Misses that fell into a gap of the log: the physics has counted them, and nobody knows why.
+    /// Misses inside a gap of the log: the physics counted them, but their cause is unknown.
     #[serde(default)]
     pub not_recorded: u64,
-    /// Share of the lost time that readings have named a cause for; none without lost time.
+    /// Share of the lost time with an identified cause; none without lost time.
     #[serde(default)]
     pub confirmed_share: Option<f64>,
-    /// What the machine's own counter of steal, `/proc/stat`, shows for the late ticks, in steps of 10 ms.
+    /// Steal shown by the machine's own counter, `/proc/stat`, for the late ticks, in steps of 10 ms.
     #[serde(default)]
     pub steal_counter_ms: f64,
-    /// Ticks in which a controller's command was late, so that its last or the safe one held.
+    /// Ticks with a late command from a controller, so that its last command or the safe one held.
     pub late_controller_ticks: u64,
 }
 
 impl MissSummary {
-    /// The misses of a run.
+    /// Summarises the misses of a run.
     pub fn of(misses: &Misses) -> MissSummary {
         let all = || Cause::ALL.into_iter();
         let counts = all().zip(misses.by_cause).filter(|(_, count)| *count > 0);
@@ -185,24 +185,24 @@ pub struct LogSummary {
     pub run_bytes: u64,
     /// Size of `timing.mcap`.
     pub timing_bytes: u64,
-    /// Both, 10⁶ bytes per simulated second.
+    /// Both logs, 10⁶ bytes per simulated second.
     pub mb_per_simulated_s: Option<f64>,
-    /// Messages that somebody missed, by topic.
+    /// Messages lost, by topic.
     pub lost_messages: BTreeMap<String, u64>,
-    /// Ticks that are missing in the log between those that are there: first and last of each gap.
+    /// Ticks missing from the log: first and last of each gap.
     #[serde(default)]
     pub missing_ticks: Vec<[u64; 2]>,
-    /// What is wrong with the files: cut, damaged, not there.
+    /// Faults of the files: truncated, damaged, missing.
     pub notes: Vec<String>,
 }
 
-/// A ratio that exists.
+/// The ratio, if it is finite.
 fn ratio(a: f64, b: f64) -> Option<f64> {
     Some(a / b).filter(|ratio| b > 0.0 && ratio.is_finite())
 }
 
 impl Summary {
-    /// Puts together what the logs and the launcher say. Sizes in bytes: run log, timing log.
+    /// Combines the logs' data with the launcher's. Sizes in bytes: run log, timing log.
     pub fn new(run: &RunLane, timing: &TimingLane, facts: &RunFacts, bytes: [u64; 2]) -> Summary {
         let header = run.header.as_ref().or(timing.header.as_ref());
         let simulated_s = run.end_ns as f64 * 1e-9;
@@ -321,13 +321,13 @@ impl LogSummary {
     }
 }
 
-/// Gaps that the table names one by one.
+/// Maximum number of gaps that the table names individually.
 const GAPS_SHOWN: usize = 3;
 
-/// Ending of a name in [`Summary::peak_memory_bytes`] under which the memory of a process without shared memory stands.
+/// Suffix of a name in [`Summary::peak_memory_bytes`] for a process's memory without shared memory.
 pub const NOT_SHARED: &str = ", not shared";
 
-/// The short table at the end of a run: 21 lines, and one for each controller behind the third.
+/// The short table at the end of a run: 21 lines, plus one for each controller after the third.
 impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let unknown = || "unknown".to_string();
@@ -423,7 +423,7 @@ impl Summary {
             self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
-        // The shared memory that a process maps counts in all of them; a person wants to know what it costs itself.
+        // Shared memory counts in every process that maps it; the reader wants to know what each process costs by itself.
         let own = self
             .peak_memory_bytes
             .iter()

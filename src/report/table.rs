@@ -1,4 +1,4 @@
-//! The live table of a run on a terminal, and its line for scripts.
+//! The live table of a run on a terminal, and its JSON line for scripts.
 
 use std::collections::VecDeque;
 
@@ -6,11 +6,11 @@ use serde_json::{Value, json};
 
 use super::live::{LiveSnapshot, progress_line};
 
-/// Values that a sparkline shows.
+/// Number of values in a sparkline.
 const WIDTH: usize = 48;
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// The last values of what the table draws as sparklines.
+/// The latest values that the table draws as sparklines.
 #[derive(Debug, Clone, Default)]
 pub struct History {
     step_us: VecDeque<f64>,
@@ -18,7 +18,7 @@ pub struct History {
 }
 
 impl History {
-    /// Takes in an interval.
+    /// Adds an interval.
     pub fn add(&mut self, live: &LiveSnapshot) {
         let interval = &live.interval;
         for (values, quantiles) in
@@ -31,7 +31,7 @@ impl History {
         }
     }
 
-    /// The table's lines: the progress line, then a sparkline of the p99 of each interval with its range.
+    /// The table's lines: the progress line, then a sparkline of each interval's p99 with its range.
     pub fn table(&self, live: &LiveSnapshot) -> Vec<String> {
         let mut lines = vec![progress_line(live)];
         let latency = live.missed_ticks.map(|_| ("latency p99", &self.late_us));
@@ -46,7 +46,7 @@ impl History {
     }
 }
 
-/// Eight heights between the least and the greatest value.
+/// Draws the values with eight heights between `low` and `high`.
 fn sparkline(values: &VecDeque<f64>, low: f64, high: f64) -> String {
     let height = |value: &f64| {
         let share = if high > low { (value - low) / (high - low) } else { 0.0 };

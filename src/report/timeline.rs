@@ -1,13 +1,13 @@
 //! Bins over simulated time, in bounded memory for a run of any length.
 
-/// What a bin keeps.
+/// Content of a bin.
 pub trait Bin: Clone {
-    /// Takes in the bin that follows.
+    /// Merges the following bin into this one.
     fn merge(&mut self, later: &Self);
 }
 
-/// Bins of equal width from time 0 on. When a time lies behind the last possible bin, neighbours are merged and the
-/// width doubles, until it fits: between half and all of `capacity` bins cover the run.
+/// Bins of equal width from time 0 on. When a time lies beyond the last possible bin, neighbouring bins are merged and the width doubles
+/// until it fits: the run always covers between half and all of `capacity` bins.
 #[derive(Debug, Clone)]
 pub struct Timeline<B> {
     capacity: usize,
@@ -17,7 +17,7 @@ pub struct Timeline<B> {
 }
 
 impl<B: Bin> Timeline<B> {
-    /// At most `capacity` bins (2 or more), at first `width_ns` wide; `empty` is a bin with nothing in it.
+    /// At most `capacity` bins (2 or more), initially `width_ns` wide; `empty` is an empty bin.
     pub fn new(capacity: usize, width_ns: u64, empty: B) -> Timeline<B> {
         Timeline { capacity: capacity.max(2), width_ns: width_ns.max(1), empty, bins: Vec::new() }
     }
@@ -53,7 +53,7 @@ impl<B: Bin> Timeline<B> {
     }
 }
 
-/// Least, greatest and mean of the finite samples of a bin.
+/// Minimum, maximum and mean of the finite samples of a bin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Extremes {
     low: f64,
@@ -63,10 +63,10 @@ pub struct Extremes {
 }
 
 impl Extremes {
-    /// No sample.
+    /// A bin without samples.
     pub const EMPTY: Extremes = Extremes { low: f64::INFINITY, high: f64::NEG_INFINITY, sum: 0.0, count: 0 };
 
-    /// Takes a sample; one that is not finite is left out.
+    /// Adds a sample; ignores non-finite ones.
     pub fn add(&mut self, value: f64) {
         if value.is_finite() {
             self.low = self.low.min(value);
@@ -76,7 +76,7 @@ impl Extremes {
         }
     }
 
-    /// Least, mean and greatest sample; none without samples.
+    /// Minimum, mean and maximum; none without samples.
     pub fn range(&self) -> Option<[f64; 3]> {
         (self.count > 0).then(|| [self.low, self.sum / self.count as f64, self.high])
     }
@@ -98,7 +98,7 @@ impl<T: Copy> Bin for Option<T> {
     }
 }
 
-/// A count of what happened in a bin.
+/// A count of events in a bin.
 impl Bin for u64 {
     fn merge(&mut self, later: &u64) {
         *self += later;

@@ -1,4 +1,4 @@
-//! The figure of the run's timing.
+//! The timing figure of a run.
 
 use plotters::style::RGBColor;
 use run_log::RunMode;
@@ -15,9 +15,9 @@ const WIDTH: u32 = 1060;
 const HEIGHT: u32 = 700;
 const HEAD: f64 = 40.0;
 const TOP_ROW: f64 = 330.0;
-/// Bars of a histogram per decade.
+/// Histogram bars per decade.
 const BARS_PER_DECADE: f64 = 20.0;
-/// Shorter durations are shown as this: no clock here tells them apart.
+/// Shorter durations are shown as this, because they are below the clock's resolution.
 const SHORTEST_US: f64 = 0.1;
 const P50_DASH: &[f64] = &[6.0, 2.5];
 const P99_DASH: &[f64] = &[1.5, 2.5];
@@ -54,7 +54,7 @@ fn is_realtime(timing: &TimingLane) -> bool {
     timing.header.as_ref().is_some_and(|header| header.mode == RunMode::RealTime)
 }
 
-/// Middle (s) and quantiles (µs) of each interval. A last one that is less than half full counts to the one before.
+/// Middle (s) and quantiles (µs) of each interval. A last interval less than half full is merged into the one before.
 fn step_bins(timing: &TimingLane, end_s: f64) -> Vec<(f64, Quantiles)> {
     let bins = timing.step_over_time.iter();
     let mut bins: Vec<(f64, Quantiles)> =
@@ -79,7 +79,7 @@ fn draw_over_time(figure: &mut Figure, outer: Rect, timing: &TimingLane, end_s: 
         panel.remark("no timing in the log");
         return panel.finish();
     }
-    // From the middles of the first and last interval on to the ends of the run.
+    // Extend from the middles of the first and last interval to the ends of the run.
     let ends = [bins.first().map(|(_, q)| (0.0, *q)), bins.last().map(|(_, q)| (end_s, *q))];
     let [first, last] = ends.map(|end| end.into_iter());
     let all: Vec<_> = first.chain(bins.iter().copied()).chain(last).collect();
@@ -128,7 +128,7 @@ fn outline(distribution: &Distribution) -> Vec<Point> {
     points
 }
 
-/// Draws a panel with the distributions of a quantity, counts over µs, both logarithmic.
+/// Draws a panel with the distributions of a quantity, counts over µs, both axes logarithmic.
 pub fn draw_histogram(
     figure: &mut Figure,
     outer: Rect,
@@ -140,7 +140,7 @@ pub fn draw_histogram(
     let outlines: Vec<Vec<Point>> = distributions.iter().map(|(_, d)| outline(d)).collect();
     let points = || outlines.iter().flatten();
     let x = Axis::logarithmic(quantity, points().map(|p| p.0), duration_label);
-    // Counts of 1 stand above the axis, which begins below them.
+    // The axis begins below 1, so that counts of 1 are visible.
     let top = points().map(|p| p.1).fold(1.0, f64::max);
     let mut y = Axis::logarithmic("ticks", [0.6, 30.0 * top].into_iter(), count_label);
     y.ticks.retain(|(value, _)| *value >= 1.0);

@@ -1,4 +1,4 @@
-//! What a `timing.mcap` says.
+//! Extracts the report's data from a `timing.mcap`.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -16,14 +16,14 @@ use super::ReportError;
 use super::distribution::Distribution;
 use super::timeline::Timeline;
 
-/// Most bins of the step time over the run.
+/// Maximum number of bins for the step time over the run.
 const TIME_BINS: usize = 240;
-/// Ticks of its bins at the least: p99 needs about a hundred.
+/// Minimum number of ticks per bin: a p99 needs about a hundred.
 const BIN_TICKS: u64 = 100;
-/// Warnings and errors whose text is kept: the last ones.
+/// Number of latest warnings and errors whose text is kept.
 const KEPT_WARNINGS: usize = 5;
 
-/// Wall-clock facts of a run. Durations in nanoseconds.
+/// Wall-clock data of a run. Durations in nanoseconds.
 pub struct TimingLane {
     /// Header of the file; none if it could not be opened.
     pub header: Option<LogHeader>,
@@ -31,7 +31,7 @@ pub struct TimingLane {
     pub end_ns: u64,
     /// Time of the physics step.
     pub step: Distribution,
-    /// The same over simulated time, two digits.
+    /// Step time over simulated time, two digits.
     pub step_over_time: Timeline<Distribution>,
     /// How late ticks began.
     pub lateness: Distribution,
@@ -39,7 +39,7 @@ pub struct TimingLane {
     pub round_trips: Vec<Distribution>,
     /// Ticks that began more than a period late, and why.
     pub misses: Misses,
-    /// The same over simulated time.
+    /// Missed ticks over simulated time.
     pub missed_over_time: Timeline<u64>,
     /// Page faults of the physics process after its first tick.
     pub page_faults: u64,
@@ -53,14 +53,14 @@ pub struct TimingLane {
     pub events: BTreeMap<String, u64>,
     /// The last warnings and errors, one line each.
     pub warnings: VecDeque<String>,
-    /// Messages that somebody missed, by topic, as the end marker says.
+    /// Messages lost, by topic, according to the end marker.
     pub lost: BTreeMap<String, u64>,
-    /// What was wrong with the file, and how it ends unless it ends well.
+    /// Faults of the file, and how it ends unless it ends cleanly.
     pub notes: Vec<String>,
 }
 
 impl TimingLane {
-    /// Reads the file once. Whatever is wrong with it is a note.
+    /// Reads the file once. Faults become notes.
     pub fn read(path: &Path) -> Result<TimingLane, ReportError> {
         let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {
             Ok(stream) => stream,

@@ -1,4 +1,4 @@
-//! The figure of the tool's motion: tip path with the manipulator's shape, and the forces over time.
+//! The figure of the tool's motion: the tip path with the manipulator's shape, and the forces over time.
 
 use ipc_types::messages::State;
 use plotters::style::RGBColor;
@@ -52,7 +52,7 @@ pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
     Ok(figure)
 }
 
-/// What the left panel shows, mm along bend and insertion axis.
+/// What the left panel shows, mm along the bend and insertion axes.
 struct Scenery {
     path: Vec<Point>,
     start: Vec<Point>,
@@ -81,7 +81,7 @@ impl Scenery {
         }
     }
 
-    /// All that the panel must hold: the shaft may reach out of it.
+    /// The points that the panel must contain; the shaft may extend beyond it.
     fn corners(&self) -> Vec<Point> {
         let links = |shape: &[Point]| shape.iter().skip(1).copied().collect::<Vec<_>>();
         let mut points = [self.path.clone(), links(&self.start), links(&self.end)].concat();
@@ -93,7 +93,7 @@ impl Scenery {
     }
 }
 
-/// Base, links and burr centre in the plane.
+/// Base, links and burr centre projected onto the plane.
 fn shape(plane: &Plane, state: &State) -> Vec<Point> {
     let links = links(state).iter().map(|pose| pose.position_m);
     let points = std::iter::once(state.t_world_base.position_m).chain(links);
@@ -139,7 +139,7 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     panel.finish();
 }
 
-/// Axes with the same length per millimetre that hold all points and fill the area.
+/// Axes with equal scale that contain all points and fill the area.
 fn equal_axes(points: &[Point], area: Rect) -> (Axis, Axis) {
     let range = |values: Vec<f64>| bounds(values.into_iter()).unwrap_or((-1.0, 1.0));
     let x = range(points.iter().map(|p| p.0).collect());
@@ -179,7 +179,7 @@ fn draw_over_time(
     panel.finish_with_row();
 }
 
-/// A quarter of a colour on white.
+/// The colour at 25 % on white.
 pub fn lighter(RGBColor(r, g, b): RGBColor) -> RGBColor {
     let mix = |channel: u8| 255 - (255 - channel) / 4;
     RGBColor(mix(r), mix(g), mix(b))

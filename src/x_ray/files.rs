@@ -1,4 +1,4 @@
-//! Frames as PNG (16 bits, or animated), NRRD and DICOM.
+//! Writes frames as PNG (16 bits, or animated), NRRD and DICOM.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use zerocopy::IntoBytes;
 use super::poses::Placed;
 use crate::failure::Failure;
 
-/// Milliseconds that an animated picture shows each frame.
+/// Display time of each frame of an animation, in milliseconds.
 const FRAME_MS: u16 = 66;
 /// X-Ray Angiographic Image Storage, and Explicit VR Little Endian.
 const XA_STORAGE: &str = "1.2.840.10008.5.1.4.1.1.12.1";
@@ -20,13 +20,13 @@ const EXPLICIT_LITTLE_ENDIAN: &str = "1.2.840.10008.1.2.1";
 /// A rendered frame.
 #[derive(Debug, Clone)]
 pub struct Picture {
-    /// Where from.
+    /// C-arm and isocentre.
     pub placed: Placed,
-    /// Greys proportional to the detector's readout; otherwise to its logarithm.
+    /// Whether greys are proportional to the detector's readout; otherwise to its logarithm.
     pub linear: bool,
-    /// Row by row, as long as the detector has pixels.
+    /// Row by row, one per detector pixel.
     pub greys: Vec<u16>,
-    /// Without window and rounding; only where a file wants it.
+    /// Values before windowing and rounding; only for files that need them.
     pub values: Vec<f32>,
 }
 
@@ -62,7 +62,7 @@ pub fn write_png(path: &Path, pictures: &[Picture]) -> Result<(), Failure> {
     Ok(output_file::write(path, bytes)?)
 }
 
-/// 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the world.
+/// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the world frame.
 pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let c_arm = &picture.placed.c_arm;
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0] * 1e3, v[1] * 1e3, v[2] * 1e3);
@@ -85,7 +85,7 @@ pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
     Ok(output_file::write(path, bytes)?)
 }
 
-/// DICOM X-ray angiography image of one frame, with the positioner's angles and distances.
+/// Writes a DICOM X-ray angiography image of one frame, with the positioner's angles and distances.
 pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let fail = failed(path);
     let (columns, rows) = picture.size();
@@ -93,7 +93,7 @@ pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
         (Ok(columns), Ok(rows)) => (columns, rows),
         _ => return Err(Failure::bad_input("DICOM holds at most 65535 pixels a side")),
     };
-    // UIDs of the picture's own content (PS3.5 B.2: 2.25 and a 128-bit number), so that the same frame is the same file.
+    // UIDs derived from the image content (PS3.5 B.2: 2.25 and a 128-bit number), so that the same frame gives the same file.
     let content = xxh3_128(picture.greys.as_bytes());
     let uid = |kind: u128| format!("2.25.{}", (content ^ kind) >> 1);
     let mut object = InMemDicomObject::new_empty();
@@ -101,7 +101,7 @@ pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
         object.put(DataElement::new(Tag(group, element), vr, PrimitiveValue::from(value)));
     };
     let positioner = picture.placed.c_arm.positioner(picture.placed.isocentre_m);
-    // DS has at most 16 characters.
+    // A DS value has at most 16 characters.
     let decimal = |x: f64| format!("{x:.8}").chars().take(16).collect::<String>();
     let mm = |x: f64| decimal(x * 1e3);
     let pitch = picture.placed.c_arm.pixel_pitch_m;
@@ -115,7 +115,7 @@ pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
     text(0x0018, 0x1110, VR::DS, mm(positioner.source_detector_m));
     text(0x0018, 0x1111, VR::DS, mm(positioner.source_isocentre_m));
     text(0x0018, 0x1114, VR::DS, decimal(positioner.source_detector_m / positioner.source_isocentre_m));
-    // Rows first: the distance between rows.
+    // Row spacing comes first.
     text(0x0018, 0x1164, VR::DS, format!("{}\\{}", mm(pitch[1]), mm(pitch[0])));
     text(0x0018, 0x1508, VR::CS, "CARM".to_owned());
     text(0x0018, 0x1510, VR::DS, decimal(positioner.primary_rad.to_degrees()));

@@ -1,4 +1,4 @@
-//! X-ray pictures of the command line: poses as users write them, and files.
+//! X-ray images for the command line: pose files and image files.
 
 pub mod files;
 pub mod poses;

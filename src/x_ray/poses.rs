@@ -9,7 +9,7 @@ use xray::{CArm, DrrError};
 
 use crate::failure::Failure;
 
-/// A pose. What is absent comes from the command line.
+/// A pose. Missing values come from the command line.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Pose {
@@ -23,15 +23,15 @@ pub struct Pose {
     pub source_detector_mm: Option<f64>,
     /// The point about which the C-arm turns.
     pub isocentre_mm: Option<[f64; 3]>,
-    /// Of a camera instead: its matrix K, in pixels.
+    /// For a camera instead of angles: its matrix K, in pixels.
     pub intrinsics: Option<[[f64; 3]; 3]>,
     /// Rows: the camera's axes in the volume's frame.
     pub rotation: Option<[[f64; 3]; 3]>,
-    /// Of the volume's origin in the camera's frame.
+    /// Position of the volume's origin in the camera's frame.
     pub translation_mm: Option<[f64; 3]>,
-    /// Where a pixel's centre lies.
+    /// Where the centre of a pixel lies.
     pub pixel_centre: Option<PixelCentre>,
-    /// Of source and detector as points instead: the focal spot.
+    /// For explicit source and detector positions instead: the focal spot.
     pub source_mm: Option<[f64; 3]>,
     /// The detector's centre.
     pub detector_centre_mm: Option<[f64; 3]>,
@@ -41,13 +41,13 @@ pub struct Pose {
     pub column_axis: Option<[f64; 3]>,
     /// The detector's columns.
     pub columns: Option<u32>,
-    /// Its rows.
+    /// The detector's rows.
     pub rows: Option<u32>,
-    /// From one pixel's centre to the next.
+    /// Distance between pixel centres.
     pub pixel_pitch_mm: Option<f64>,
 }
 
-/// A file of a list `pose`.
+/// A file with a list `pose`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PoseList {
@@ -59,12 +59,12 @@ struct PoseList {
 pub struct Placed {
     /// Source and detector.
     pub c_arm: CArm,
-    /// The point about which it turns.
+    /// The point about which the C-arm turns.
     pub isocentre_m: [f64; 3],
 }
 
 impl Pose {
-    /// This pose with what it lacks from another one.
+    /// This pose, with missing values taken from another one.
     pub fn or(&self, other: &Pose) -> Pose {
         Pose {
             primary_angle_deg: self.primary_angle_deg.or(other.primary_angle_deg),
@@ -79,7 +79,7 @@ impl Pose {
         }
     }
 
-    /// Whether the pose says more than angles: a camera or points.
+    /// Whether the pose gives more than angles: a camera or points.
     pub fn is_given(&self) -> bool {
         let camera = self.intrinsics.is_some() || self.rotation.is_some() || self.translation_mm.is_some();
         let axes = self.row_axis.is_some() || self.column_axis.is_some();
@@ -137,7 +137,7 @@ impl Pose {
     }
 }
 
-/// The poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one number.
+/// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one number.
 ///
 /// # Errors
 /// A file that cannot be read, is not one of these, or has an unknown key (2).
@@ -154,7 +154,7 @@ pub fn read(path: &Path) -> Result<Vec<Pose>, Failure> {
     if poses.is_empty() { Err(bad("has no pose; expected at least one".to_owned())) } else { Ok(poses) }
 }
 
-// Looked at before it is read, not an untagged enum: its error would not name the key that is wrong.
+// Inspected first instead of parsed as an untagged enum, whose error would not name the wrong key.
 fn json(text: &str) -> Result<Vec<Pose>, serde_json::Error> {
     let table: serde_json::Map<String, serde_json::Value> = serde_json::from_str(text)?;
     if table.contains_key("pose") {

@@ -1,4 +1,4 @@
-//! `trabecula log export`: a topic as a table, or the frames as pictures.
+//! `trabecula log export`: exports a topic as a table, or the frames as images.
 
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -45,15 +45,15 @@ pub struct ExportArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such topic or field, another ending, an output that is there already (2); a log that is damaged,
-/// behind the rows before the damage, or a full disk (1); one that has a gap, is cut or was not ended (3).
+/// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log, after writing the rows
+/// before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
     let (what, verdict) = match arguments.frames {
         true => pictures(&log, arguments)?,
         false => table(&log, arguments)?,
     };
-    // What cannot be written is told when the command ends.
+    // Output errors are reported when the command ends.
     let _ = writeln!(out, "{}: {what}\n{}", arguments.output.display(), verdict.ending.describe());
     if !verdict.is_intact() {
         tell!("trabecula: {}: {verdict}", log.display());
@@ -61,7 +61,7 @@ pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure
     concluded(out, exit_code(&verdict))
 }
 
-/// A file name's ending, in lower case.
+/// A file name's extension, in lower case.
 fn ending_of(path: &Path) -> String {
     path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default()
 }
@@ -75,7 +75,7 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     refuse_existing(&[&arguments.output])?;
     let description = description_of_topic(&LogFile::at(log), &arguments.topic)?;
     let columns = columns(description, &arguments.fields)?;
-    // Its own errors name no file.
+    // These errors do not name the file.
     let failure = |error| match error {
         LogError::Output { source } => OutputError::write(&arguments.output)(source).into(),
         other => Failure::from(other),
@@ -83,7 +83,7 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     let file = OutputFile::create(&arguments.output)?;
     let rows_of = BufWriter::new(file.handle()?);
     let range = (arguments.from, arguments.to);
-    // The rows before a damage are a whole table too.
+    // The rows before the damage still make a valid table.
     let (read, finished) = if ending == "csv" {
         let mut rows = Csv::new(rows_of, &columns).map_err(failure)?;
         (read_rows(&LogFile::at(log), &arguments.topic, &columns, range, &mut rows), rows.finish())
@@ -135,8 +135,8 @@ fn name(sequence: u64, tick: u64) -> String {
     format!("frame_{sequence:06}_tick_{tick:08}.png")
 }
 
-/// Where the pictures will lie, so that an export is refused before its first one. The frames' geometry lies in chunks of its own,
-/// so this takes little; what is wrong with the log is told when its images are read.
+/// The image paths, checked so that an export is refused before its first image. The frames' geometry is in chunks of its own, so this is
+/// quick; faults of the log are reported when its images are read.
 fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
     let mut names = Names { folder: &arguments.output, paths: Vec::new() };
     let range = (arguments.from, arguments.to);
@@ -158,7 +158,7 @@ impl Rows for Names<'_> {
     }
 }
 
-/// Grey, 16 bits, the values as recorded; PNG keeps the high byte first.
+/// 16-bit greyscale with the recorded values; PNG is big-endian.
 fn write_png(path: &Path, record: &FrameRecord) -> Result<(), Failure> {
     let Some(image) = record.image else { return Ok(()) };
     let swapped: Vec<u8> = record.pixels.chunks_exact(2).flat_map(|pixel| [pixel[1], pixel[0]]).collect();

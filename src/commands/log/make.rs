@@ -1,4 +1,4 @@
-//! `trabecula log repair|compress|cat-files|split`: logs made of logs.
+//! `trabecula log repair|compress|cat-files|split`: commands that write logs from logs.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -22,11 +22,10 @@ pub struct RepairArguments {
     output: PathBuf,
 }
 
-/// Repairs a log and says what is lost.
+/// Repairs a log and reports what is lost.
 ///
 /// # Errors
-/// Not a log, no header, or an output that is there already (2); what the disk says (1); something was wrong, which the
-/// report says (3).
+/// Not a log, no header, or an output that already exists (2); a disk error (1); the log had faults, which the report lists (3).
 pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let report = repair(&log_path(&arguments.log), &arguments.output)?;
     super::answered(report.write(out))?;
@@ -60,15 +59,15 @@ pub struct CompressArguments {
     level: Option<u32>,
 }
 
-/// Packs a log anew.
+/// Recompresses a log.
 ///
 /// # Errors
-/// A level that the method has not, not a log, an output that is there already (2); a log that is not whole (1).
+/// A level that the method does not have, not a log, an output that already exists (2); a log that is not whole (1).
 pub fn compress_log(arguments: &CompressArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let packing = packing(arguments.method, arguments.level)?;
     let Sizes { before, after } = compress(&log_path(&arguments.log), &arguments.output, packing)?;
     let share = 100.0 * after as f64 / before.max(1) as f64;
-    // What cannot be written is told when the command ends.
+    // Output errors are reported when the command ends.
     let _ = writeln!(out, "{before} bytes before, {after} after ({share:.1} %), the same messages");
     Ok(())
 }
@@ -101,10 +100,10 @@ pub struct CatFilesArguments {
     output: PathBuf,
 }
 
-/// Puts logs into one file.
+/// Concatenates logs into one file.
 ///
 /// # Errors
-/// Not a log, an output that is there already (2); a log that is not whole (1).
+/// Not a log, an output that already exists (2); a log that is not whole (1).
 pub fn cat_files_log(arguments: &CatFilesArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let inputs: Vec<PathBuf> = arguments.logs.iter().map(|log| log_path(log)).collect();
     cat_files(&inputs, &arguments.output)?;
@@ -122,10 +121,10 @@ pub struct SplitArguments {
     output: PathBuf,
 }
 
-/// Makes a log of each run.
+/// Splits a file of several runs into one log per run.
 ///
 /// # Errors
-/// Not a log, an output that is there already (2); a file that is not whole or holds one run (1).
+/// Not a log, an output that already exists (2); a file that is not whole or holds only one run (1).
 pub fn split_log(arguments: &SplitArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     for path in split(&log_path(&arguments.log), &arguments.output)? {
         let _ = writeln!(out, "{}", path.display());

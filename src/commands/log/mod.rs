@@ -1,4 +1,4 @@
-//! `trabecula log`: what people ask of a log, and logs made of logs.
+//! `trabecula log`: inspects logs, and writes logs from logs.
 
 mod cat;
 mod export;
@@ -47,8 +47,8 @@ pub enum LogCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, or an output that is there already (2); two logs that differ, a log that is damaged, a full disk (1); the
-/// work is done, but the log has a gap, is cut or was not ended (3).
+/// Not a log, or an output that already exists (2); two logs that differ, a damaged log, a full disk (1); the work is done, but the log
+/// has a gap, is cut or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let mut out = say::out();
     let read = ReadOptions::default();
@@ -57,7 +57,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
             let summary = info(&LogFile::at(log_path(log)), read)?;
             answered(summary.write(&mut out))?;
             let mut code = exit_code(&summary.verdict);
-            // Of a run's folder both lanes are asked for.
+            // Given a run's folder, check both lanes.
             let timing = log.join("timing.mcap");
             if log.is_dir() && timing.exists() {
                 let lane = info(&LogFile::at(&timing), read)?;
@@ -74,7 +74,7 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
             let report = diff(&LogFile::at(log_path(first)), &LogFile::at(log_path(second)), read)?;
             answered(report.write(&mut out))?;
             if !report.same_run() {
-                // The report has said where.
+                // The report has already said where.
                 let _ = out.flush();
                 return Err(Failure::failed("the logs differ"));
             }
@@ -87,12 +87,12 @@ pub fn run(command: &LogCommand) -> Result<(), Failure> {
         LogCommand::CatFiles(arguments) => make::cat_files_log(arguments, &mut out)?,
         LogCommand::Split(arguments) => make::split_log(arguments, &mut out)?,
     }
-    // What cannot be written is told when the command ends.
+    // Output errors are reported when the command ends.
     let _ = out.flush();
     Ok(())
 }
 
-/// Of two exit codes the one that says more: a failure before a gap.
+/// The more serious of two exit codes: a failure outranks a gap.
 fn worse(first: u8, second: u8) -> u8 {
     match (first, second) {
         (0, other) | (other, 0) => other,
@@ -100,7 +100,7 @@ fn worse(first: u8, second: u8) -> u8 {
     }
 }
 
-/// The end of a command that has done its work on a log with this verdict's exit code. What is wrong has been said.
+/// Ends a command that has finished its work, with the exit code of the log's verdict. The faults have already been printed.
 fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     let _ = out.flush();
     match code {
@@ -109,7 +109,7 @@ fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     }
 }
 
-/// An answer that nobody took, or that could not be written, which is told when the command ends.
+/// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the command ends.
 fn answered(result: Result<(), LogError>) -> Result<(), Failure> {
     match result {
         Err(LogError::Output { .. }) => Ok(()),

@@ -1,4 +1,4 @@
-//! A report of a synthetic run, of cut logs and of none.
+//! Reports of a synthetic run, of truncated logs and of missing logs.
 
 mod synthetic;
 
@@ -33,7 +33,7 @@ fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
     (info.width, info.height, pixels)
 }
 
-/// All figures are there, of the right size, with something drawn on them, and free of numbers that are none.
+/// Checks that all figures exist, have the right size, are not blank and show no non-finite numbers.
 fn check_figures(folder: &Path) {
     for (stem, size) in [("tip_path", (2120, 1440)), ("timing", (2120, 1400))] {
         let (width, height, pixels) = picture(&folder.join(format!("{stem}.png")));
@@ -47,7 +47,7 @@ fn check_figures(folder: &Path) {
     }
 }
 
-/// A report that must be complete.
+/// Writes a report and requires it to be complete.
 fn write(folder: &Path, facts: &RunFacts) -> Result<Summary, ReportError> {
     let report = super::write(folder, facts)?;
     assert!(report.missing.is_empty(), "{:?}", report.missing);
@@ -132,8 +132,7 @@ fn the_middle_frame_is_the_one_nearest_the_middle() {
     let folder = tempfile::tempdir().unwrap();
     synthetic::write_run(folder.path(), TICKS);
     write(folder.path(), &facts()).unwrap();
-    // Frame n lies at tick 1 + 100 (n - 1); the middle of 2000 ticks is nearest to frame 11. A frame's first pixel is
-    // its number.
+    // Frame n lies at tick 1 + 100 (n - 1); frame 11 is nearest to the middle of 2000 ticks. A frame's first pixel is its number.
     assert_eq!(FRAME_TICKS, 100);
     for (name, number) in [("before", 1), ("half", 11), ("after", 20)] {
         let (columns, rows, pixels) = picture(&folder.path().join(format!("drr_{name}.png")));
@@ -222,7 +221,8 @@ fn a_folder_that_is_not_there_costs_the_files_and_no_number() {
     assert!(report.missing.iter().all(named), "{:?}", report.missing);
 }
 
-/// One picture that could not be written cost table and summary; what had another's name was replaced.
+/// Regression: one image that could not be written lost the table and the summary, and a report overwrote another file with the same
+/// name.
 #[test]
 fn a_picture_that_cannot_be_written_costs_nothing_else_and_replaces_nothing() {
     let folder = tempfile::tempdir().unwrap();

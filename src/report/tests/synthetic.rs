@@ -1,4 +1,4 @@
-//! A made-up run with the shape of a real one: wait, advance along an arc with the burr on, hold.
+//! A synthetic run with the shape of a real one: wait, advance along an arc with the burr on, hold.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,7 +11,7 @@ use recorder_proc::log_file::{create_run, create_timing};
 use run_log::{EndReason, LogHeader, RunMode, topics};
 use zerocopy::IntoBytes;
 
-/// The scene's text; its target lies where the burr ends, 1 mm to the side.
+/// The scene's text; its target lies 1 mm to the side of where the burr ends.
 const SCENE: &str = r#"
 name = "synthetic"
 [run]
@@ -99,7 +99,7 @@ pub fn state(tick: u64, ticks: u64, random: &mut Rng) -> State {
     s
 }
 
-/// Wall-clock facts of a tick: usually 40 µs, now and then long; every 997th is missed.
+/// Timing of a tick: usually 40 µs, occasionally long; every 997th is missed.
 pub fn timing(tick: u64, random: &mut Rng) -> TickTiming {
     let mut t = TickTiming::zeroed();
     let long = if random.f64() > 0.995 { 8.0 } else { 1.0 };
@@ -114,7 +114,7 @@ pub fn timing(tick: u64, random: &mut Rng) -> TickTiming {
     t
 }
 
-/// A frame as on the wire: a gradient whose grey rises with the number of the frame.
+/// A frame as sent on the wire: a gradient that gets brighter with the frame number.
 pub fn frame(sequence: u64, tick: u64, columns: u32, rows: u32) -> Vec<u8> {
     let mut frame = Frame::zeroed();
     (frame.sequence, frame.tick) = (sequence, tick);
