@@ -1,5 +1,5 @@
-//! Tells the crate with which target and compiler it is built, and from which source of everything that decides a
-//! tick: these go into every log's header, so that a log of another build is refused by name.
+//! Gives the crate its target, its compiler, and a hash of all source code that decides a tick. They go into every log's header, so that
+//! a log of another build is refused by name.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::process::Command;
 
 use sha2::{Digest, Sha256};
 
-/// What decides a tick, from this crate's folder.
+/// Sources that decide a tick, relative to this crate's folder.
 const SOURCES: [&str; 7] = [
     "../simulation/src",
     "../hub/src",
@@ -30,7 +30,7 @@ fn main() {
     SOURCES.iter().for_each(|source| println!("cargo::rerun-if-changed={source}"));
 }
 
-/// First 12 digits of the SHA-256 of all names and contents, in order of the names.
+/// First 12 hexadecimal digits of the SHA-256 of all names and contents, in order of the names.
 fn source_hash() -> String {
     let mut files = Vec::new();
     SOURCES.iter().for_each(|source| collect(Path::new(source), &mut files));

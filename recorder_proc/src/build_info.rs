@@ -1,4 +1,4 @@
-//! Which build this is, as its logs say it.
+//! Identifies this build in its logs.
 
 use run_log::BuildInfo;
 

@@ -1,4 +1,4 @@
-//! Logs in files: opening one to read, creating one to write.
+//! Logs in files: opening them to read, creating them to write.
 
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -9,7 +9,7 @@ use run_log::{IndexStore, LogError, LogHeader, LogSource, ReadSeek, RunLog, Timi
 use rustix::fs::OFlags;
 use tempfile::spooled_tempfile_in;
 
-/// Bytes of chunk indexes that are held in memory before they go to the disk: those of about a minute.
+/// Bytes of chunk indexes kept in memory before they spill to disk: about a minute's worth.
 const INDEX_BYTES: usize = 256 << 10;
 
 /// A log file.
@@ -17,7 +17,7 @@ const INDEX_BYTES: usize = 256 << 10;
 pub struct LogFile(PathBuf);
 
 impl LogFile {
-    /// The log in this file. It is opened when it is read.
+    /// The log in this file, which is opened only when it is read.
     pub fn at(path: impl Into<PathBuf>) -> LogFile {
         LogFile(path.into())
     }
@@ -28,7 +28,7 @@ impl LogSource for LogFile {
         &self.0
     }
 
-    /// A pipe or a device has no end to read from: it is refused, without waiting for its writer.
+    /// Refuses pipes and devices, which cannot be read from the end, without waiting for a writer.
     fn open(&self) -> Result<Box<dyn ReadSeek>, LogError> {
         let path = &self.0;
         let open = || {
@@ -48,12 +48,12 @@ pub fn log_path(given: &Path) -> PathBuf {
     if given.is_dir() { given.join("run.mcap") } else { given.to_owned() }
 }
 
-/// Where the chunk indexes of a log wait until it ends: in memory, and beyond that in a file without a name beside the log.
+/// Where a log's chunk indexes wait until it ends: in memory, spilling to an unnamed file beside the log.
 pub fn index_beside(log: &Path) -> Box<dyn IndexStore> {
     Box::new(spooled_tempfile_in(INDEX_BYTES, output_file::folder_of(log)))
 }
 
-/// Creates the file of a deterministic lane and writes its header. A file of that name is replaced.
+/// Creates the file of a deterministic lane and writes its header. Replaces an existing file.
 ///
 /// # Errors
 /// [`LogError::Create`], [`LogError::Write`].
@@ -61,7 +61,7 @@ pub fn create_run(path: &Path, header: &LogHeader) -> Result<RunLog<BufWriter<Fi
     RunLog::create_named(create(path)?, path, index_beside(path), header)
 }
 
-/// Creates the file of a timing lane and writes its header. A file of that name is replaced.
+/// Creates the file of a timing lane and writes its header. Replaces an existing file.
 ///
 /// # Errors
 /// [`LogError::Create`], [`LogError::Write`].

@@ -1,4 +1,4 @@
-//! The recorder process as a program of its own.
+//! The recorder process as a standalone program.
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -1,4 +1,4 @@
-//! Tables as Parquet files. Apart from `run_log`, because the `parquet` crate brings randomness and dates of the system with it.
+//! Tables as Parquet files. Kept out of `run_log` because the `parquet` crate pulls in system randomness and dates.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use run_log::LogError;
 use run_log::columns::{Column, Rows};
 use run_log::fields::Scalar;
 
-/// Rows of a Parquet row group: a minute of ticks.
+/// Rows per Parquet row group: a minute of ticks.
 const ROW_GROUP: usize = 65_536;
 
-/// A Parquet file: integers as INT64 (unsigned 64-bit ones as their bits), floats as FLOAT and DOUBLE.
+/// A Parquet file: integers as INT64 (unsigned 64-bit ones bit for bit), floats as FLOAT and DOUBLE.
 pub struct Parquet<W: Write + Send> {
     writer: SerializedFileWriter<W>,
     columns: Vec<Values>,
@@ -65,7 +65,7 @@ impl Values {
 
 fn parquet_error(error: ParquetError) -> LogError {
     let source = match error {
-        // What the disk has said, as it said it.
+        // Unwrap a disk error, to report it unchanged.
         ParquetError::External(cause) => match cause.downcast::<std::io::Error>() {
             Ok(cause) => *cause,
             Err(other) => std::io::Error::other(other),
@@ -76,10 +76,10 @@ fn parquet_error(error: ParquetError) -> LogError {
 }
 
 impl<W: Write + Send> Parquet<W> {
-    /// Begins the file.
+    /// Starts the file.
     ///
     /// # Errors
-    /// What the output says.
+    /// Any error of the output.
     pub fn new(out: W, columns: &[Column]) -> Result<Parquet<W>, LogError> {
         let named = columns.iter().map(|column| (column.name.as_str(), Values::of(column.ros_type)));
         let time = ["tick", "log_time_ns"].map(|name| (name, Values::of("int64")));
@@ -130,7 +130,7 @@ impl<W: Write + Send> Parquet<W> {
     /// Writes the last rows and the footer.
     ///
     /// # Errors
-    /// What the output says.
+    /// Any error of the output.
     pub fn finish(mut self) -> Result<(), LogError> {
         self.write_group().and_then(|()| self.writer.close().map(|_| ())).map_err(parquet_error)
     }

@@ -1,4 +1,5 @@
-//! Logs made of log files: repaired, packed, joined, split. Each is written whole or not at all, and never over another file.
+//! Log files made from log files: repaired, recompressed, joined, split. Each is written completely or not at all, and never replaces
+//! another file.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -11,16 +12,16 @@ use run_log::{LogError, LogSource, Packing, RepairReport};
 
 use crate::log_file::LogFile;
 
-/// Bytes of a log file before and after.
+/// Size of a log file before and after, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sizes {
-    /// Of the input.
+    /// Size of the input.
     pub before: u64,
-    /// Of the output.
+    /// Size of the output.
     pub after: u64,
 }
 
-/// A file on its way, and what it is written through.
+/// An output file not yet in place, and its writer.
 struct Draft {
     file: OutputFile,
     out: BufWriter<File>,
@@ -40,11 +41,11 @@ fn output_error(error: OutputError) -> LogError {
     }
 }
 
-/// Repairs `input` into the new file `output`. The input is not changed.
+/// Repairs `input` into the new file `output`. Does not change the input.
 ///
 /// # Errors
-/// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost, [`LogError::Exists`], and what the disk
-/// says; then there is no output.
+/// [`LogError::NotMcap`], [`LogError::NoHeader`] if both copies of the header are lost, [`LogError::Exists`], and any disk error; then
+/// there is no output.
 pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
     let input = LogFile::at(input);
     let repair = Repair::of(&input)?;
@@ -57,10 +58,11 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, LogError> {
     Ok(report)
 }
 
-/// Packs a log's chunks anew, into the new file `output`, and reads the result back: the same messages in the same order.
+/// Recompresses a log's chunks into the new file `output`, and reads the result back to check that it holds the same messages in the same
+/// order.
 ///
 /// # Errors
-/// [`LogError::NotWhole`], [`LogError::Exists`], what the disk says; then there is no output.
+/// [`LogError::NotWhole`], [`LogError::Exists`], any disk error; then there is no output.
 pub fn compress(input: &Path, output: &Path, packing: Packing) -> Result<Sizes, LogError> {
     let log = LogFile::at(input);
     let Draft { file, out } = begin(output)?;
@@ -76,10 +78,10 @@ pub fn compress(input: &Path, output: &Path, packing: Packing) -> Result<Sizes, 
     Ok(sizes)
 }
 
-/// Puts whole logs into one new file, run after run; [`split`] undoes it.
+/// Concatenates whole logs into one new file, run after run; [`split`] undoes it.
 ///
 /// # Errors
-/// [`LogError::NotWhole`] (also for a file of several runs), [`LogError::Exists`], what the disk says.
+/// [`LogError::NotWhole`] (also for a file of several runs), [`LogError::Exists`], any disk error.
 pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
     let Draft { file, out } = begin(output)?;
     let inputs: Vec<LogFile> = inputs.iter().map(LogFile::at).collect();
@@ -88,10 +90,10 @@ pub fn cat_files(inputs: &[PathBuf], output: &Path) -> Result<(), LogError> {
     file.keep().map_err(output_error)
 }
 
-/// Makes a log of each run of a file of several: `run1.mcap`, `run2.mcap`, … in the folder `output`. Returns their paths.
+/// Splits a file of several runs into one log per run: `run1.mcap`, `run2.mcap`, … in the folder `output`. Returns their paths.
 ///
 /// # Errors
-/// [`LogError::NotWhole`], also if the file does not hold several runs; [`LogError::Exists`]; what the disk says.
+/// [`LogError::NotWhole`], also if the file does not hold several runs; [`LogError::Exists`]; any disk error.
 pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     let input = LogFile::at(input);
     join::check_holds_runs(&input)?;
@@ -104,7 +106,7 @@ pub fn split(input: &Path, output: &Path) -> Result<Vec<PathBuf>, LogError> {
     Ok(paths)
 }
 
-/// A file per run of a log that is being split.
+/// One file per run of a log being split.
 struct RunFiles<'f> {
     folder: &'f Path,
     begun: Option<OutputFile>,

@@ -1,4 +1,4 @@
-//! The thread's side: what is written to, and when it is brought to the disk.
+//! The writer thread's side: writes the file and syncs it to disk.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind};
@@ -10,7 +10,7 @@ use rustix::fs::OFlags;
 
 use super::{BLOCK, BackgroundOptions, Buffer, SYNC_PERIOD, Shared};
 
-/// Opens the file; whether it is written directly.
+/// Opens the file; also returns whether it uses direct writes.
 pub(super) fn open(path: &Path, wanted: BackgroundOptions) -> io::Result<(File, bool)> {
     let mut options = OpenOptions::new();
     options.write(true);
@@ -22,7 +22,7 @@ pub(super) fn open(path: &Path, wanted: BackgroundOptions) -> io::Result<(File, 
     if wanted.direct {
         let flags = OFlags::DIRECT.bits() as i32;
         match options.clone().custom_flags(flags).open(path) {
-            // File systems without it say so here, or at the first write. Some have made the file by then: it is ours.
+            // File systems without `O_DIRECT` refuse here or at the first write. Some have created the file by then; it is ours.
             Err(cause) if is_invalid(&cause) => {
                 options.create_new(false).create(true).truncate(true);
             }
@@ -36,13 +36,13 @@ fn is_invalid(cause: &io::Error) -> bool {
     cause.raw_os_error() == Some(rustix::io::Errno::INVAL.raw_os_error())
 }
 
-/// What is written to.
+/// The destination of the writes.
 pub(super) trait Medium: Send {
     fn write_all_at(&self, bytes: &[u8], offset: u64) -> io::Result<()>;
-    /// Ends direct writing.
+    /// Switches from direct writes to the page cache.
     fn write_through_cache(&self) -> io::Result<()>;
     fn set_length(&self, length: u64) -> io::Result<()>;
-    /// Brings what has been written to the disk.
+    /// Syncs written data to the disk.
     fn sync(&self) -> io::Result<()>;
 }
 
@@ -64,25 +64,25 @@ impl Medium for File {
     }
 
     fn sync(&self) -> io::Result<()> {
-        // Otherwise it would be noticed only at the end of the run.
+        // Otherwise nobody would notice before the end of the run.
         if rustix::fs::fstat(self)?.st_nlink == 0 {
             return Err(io::Error::new(ErrorKind::NotFound, "the file has been removed"));
         }
         match self.sync_data() {
-            // A device has nothing to bring anywhere either.
+            // Some devices cannot be synced, and need not be.
             Err(cause) if is_invalid(&cause) => Ok(()),
             outcome => outcome,
         }
     }
 }
 
-/// The thread's side.
+/// State of the writer thread.
 pub(super) struct Disk {
     pub medium: Box<dyn Medium>,
     pub direct: bool,
-    /// Bytes of the file that have been written.
+    /// Bytes of the file written so far.
     pub written: u64,
-    /// Since when there are bytes that a power failure would lose.
+    /// Since when there has been data that a power failure would lose.
     pub unsynced: Option<Instant>,
 }
 
@@ -99,7 +99,7 @@ impl Disk {
                 state.fail(outcome);
             } else if let Some(mut buffer) = state.full.pop_front() {
                 drop(state);
-                // After an error nothing more is written, so that the file has no hole.
+                // After an error write nothing more, so that the file has no hole.
                 let outcome = if failed { Ok(()) } else { self.put(&mut buffer) };
                 state = shared.lock();
                 state.free.push(buffer);
@@ -112,7 +112,7 @@ impl Disk {
             }
         }
         drop(state);
-        // Takes off the rest of the last block, and what a failed write may have left.
+        // Cuts off the padding of the last block, and whatever a failed write has left.
         let outcome = self.medium.set_length(self.written).and_then(|()| self.sync());
         shared.lock().fail(outcome);
     }
@@ -140,7 +140,7 @@ impl Disk {
                 }
             }
         }
-        // A block that an earlier direct write has filled up with zeros is written again from its start.
+        // Rewrite a block from its start if an earlier direct write padded it with zeros.
         let new = if self.written > buffer.offset { buffer.carried } else { 0 };
         self.medium.write_all_at(&buffer.memory[new..buffer.length], buffer.offset + new as u64)?;
         self.written = end;

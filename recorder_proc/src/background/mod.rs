@@ -1,14 +1,14 @@
 //! A file written by its own thread, so that a stalled disk does not stall the recorder.
 //!
-//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with
-//! `O_DIRECT` where the file system can: the data is not copied into the page cache, which costs a fraction of the
-//! processor time (`examples/disk_cost.rs` measures it) and keeps the kernel from long copies that nothing preempts.
-//! Elsewhere (tmpfs, FUSE) it uses ordinary writes. The finished file is the same either way.
+//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT` where the file system
+//! supports it. That skips the copy into the page cache, which takes a fraction of the processor time (`examples/disk_cost.rs` measures
+//! it) and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs, FUSE) it uses ordinary writes. The finished file is the
+//! same either way.
 //!
-//! While it is written directly, a file may end in up to one block of zeros: the rest of the last block.
+//! During direct writes the file may end in up to one block of zeros, which pad its last block.
 //!
-//! The thread syncs to the disk once a second (`fdatasync`) and before the file is closed, so a power failure costs about the last
-//! second. The recorder does not wait for that either.
+//! The thread syncs to disk once a second (`fdatasync`) and before the file is closed, so a power failure loses about the last second.
+//! The recorder does not wait for the sync either.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -23,27 +23,27 @@ mod disk;
 
 use disk::{Disk, Medium, open};
 
-/// Alignment of offsets, lengths and addresses that every file system's `O_DIRECT` takes.
+/// Alignment of offsets, lengths and addresses that `O_DIRECT` accepts on every file system.
 const BLOCK: usize = 4096;
-/// Wall time between two syncs; written bytes are on the disk after this and the time that the sync takes.
+/// Wall time between syncs; data is safe on disk after this plus the duration of the sync.
 pub const SYNC_PERIOD: Duration = Duration::from_secs(1);
 
-/// Buffers of a background file, and how it is opened.
+/// Buffers of a background file, and how to open it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BackgroundOptions {
-    /// Buffers.
+    /// Number of buffers.
     pub buffers: usize,
-    /// Bytes of each; a multiple of 4096.
+    /// Size of each buffer in bytes; a multiple of 4096.
     pub buffer_bytes: usize,
-    /// Tries `O_DIRECT`.
+    /// Whether to try `O_DIRECT`.
     pub direct: bool,
-    /// Refuses to replace an existing file.
+    /// Whether to refuse to replace an existing file.
     pub fresh: bool,
 }
 
 impl BackgroundOptions {
-    /// 32 MiB, in pieces small enough that a flush every 10 ms takes no more than its share: half a second of images
-    /// of 2 MiB at 30 Hz. Only buffers that are used become resident.
+    /// 32 MiB, in buffers small enough that a flush every 10 ms does not use up the pool: half a second of 2 MiB images at 30 Hz. Only
+    /// buffers that are used become resident.
     pub const RUN: BackgroundOptions =
         BackgroundOptions { buffers: 64, buffer_bytes: 512 << 10, direct: true, fresh: true };
     /// 2 MiB: more than half a second of the timing lane.
@@ -54,15 +54,15 @@ impl BackgroundOptions {
 /// A buffer and the bytes in it.
 struct Buffer {
     memory: MmapMut,
-    /// Offset of its first byte in the file; a multiple of [`BLOCK`].
+    /// File offset of its first byte; a multiple of [`BLOCK`].
     offset: u64,
-    /// Bytes at its start that have been written with the buffer before.
+    /// Bytes at its start that were already written with the previous buffer.
     carried: usize,
     length: usize,
 }
 
 struct State {
-    /// Last in, first out, so that no more memory is touched than is needed at a time.
+    /// Last in, first out, so that as little memory as possible is touched.
     free: Vec<Buffer>,
     full: VecDeque<Buffer>,
     failure: Option<(io::ErrorKind, Option<i32>, String)>,
@@ -70,7 +70,7 @@ struct State {
 }
 
 impl State {
-    /// The first error counts.
+    /// Keeps only the first error.
     fn fail(&mut self, outcome: io::Result<()>) {
         if let (Err(cause), None) = (outcome, &self.failure) {
             self.failure = Some((cause.kind(), cause.raw_os_error(), cause.to_string()));
@@ -92,7 +92,7 @@ impl Shared {
         self.wait_for(state, None)
     }
 
-    /// Waits for a change, no longer than `limit`.
+    /// Waits for a change, up to `limit`.
     fn wait_for<'a>(&self, state: MutexGuard<'a, State>, limit: Option<Duration>) -> MutexGuard<'a, State> {
         match limit {
             None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
@@ -104,10 +104,10 @@ impl Shared {
     }
 }
 
-/// A file being written by a thread of its own.
+/// A file being written by its own thread.
 ///
-/// `write` copies; it waits only when all buffers are full. `flush` hands what is there to the thread and does not wait
-/// for the disk. An error of the thread comes back from the next call and from [`close`](BackgroundFile::close).
+/// `write` copies; it blocks only when all buffers are full. `flush` hands the data to the thread and does not wait for the disk. An
+/// error of the thread is returned by the next call and by [`close`](BackgroundFile::close).
 pub struct BackgroundFile {
     shared: Arc<Shared>,
     current: Option<Buffer>,
@@ -119,7 +119,7 @@ impl BackgroundFile {
     /// Creates the file, its buffers and its thread.
     ///
     /// # Errors
-    /// The file cannot be created, or there is no memory or no thread to be had.
+    /// The file cannot be created, or the system refuses the memory or the thread.
     pub fn create(path: &Path, options: BackgroundOptions) -> io::Result<BackgroundFile> {
         let (file, direct) = open(path, options)?;
         BackgroundFile::on(Box::new(file), direct, options)
@@ -147,10 +147,10 @@ impl BackgroundFile {
         self.direct
     }
 
-    /// Writes what is left, gives the file its exact length, and waits until all is on the disk.
+    /// Writes the remaining data, sets the file's exact length, and waits until everything is on disk.
     ///
     /// # Errors
-    /// What the disk said first.
+    /// The first error of the disk.
     pub fn close(mut self) -> io::Result<()> {
         let flushed = self.flush();
         self.join();
@@ -161,12 +161,12 @@ impl BackgroundFile {
         self.shared.lock().closed = true;
         self.shared.changed.notify_all();
         if let Some(thread) = self.thread.take() {
-            // It does not panic; a panic would have left its error or its data behind.
+            // The thread does not panic; if it did, the state would hold its error or its unwritten data.
             let _ = thread.join();
         }
     }
 
-    /// Hands the present buffer over and begins the next one with its last, incomplete block.
+    /// Hands over the current buffer and starts the next one with its last, incomplete block.
     fn submit(&mut self) -> io::Result<()> {
         let mut state = self.shared.lock();
         let mut next = loop {
@@ -213,7 +213,7 @@ impl Write for BackgroundFile {
 impl Drop for BackgroundFile {
     fn drop(&mut self) {
         if self.thread.is_some() {
-            // Nobody is left to hear of an error; what was taken is written if it can be.
+            // Nobody can receive an error any more; write what was accepted, if possible.
             let _ = self.flush();
             self.join();
         }
@@ -234,7 +234,7 @@ mod tests {
 
     use super::*;
 
-    /// A disk with a cache of its own, which a loss of power empties.
+    /// A disk with a volatile cache, which a power failure empties.
     #[derive(Default)]
     struct Volatile {
         cache: Vec<u8>,
@@ -288,7 +288,7 @@ mod tests {
         }
     }
 
-    /// Nothing was ever synced: a machine that crashed right after "completed" had an empty log.
+    /// Regression: nothing was ever synced, so a machine that crashed right after "completed" had an empty log.
     #[test]
     fn a_closed_file_survives_a_crash_of_the_machine() {
         let (disk, mut file) = file();

@@ -1,9 +1,9 @@
-//! The recorder process: takes every message of every service and writes the two logs.
+//! The recorder process: receives every message of every service and writes the two logs.
 //!
-//! It polls: nobody wakes it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]; one thread takes
-//! from them and puts the log together, another writes the files ([`background`](crate::background)). The physics in lockstep, and
-//! with `recording.on_full = "wait"` in real time, waits for its `Progress`; else a recorder that is later than its queues
-//! leaves a gap: said at once in an event, counted in the log's end, and told by the exit code ([`RecorderError::Gap`]).
+//! It polls: nobody has to wake it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]. One thread drains them and
+//! assembles the log, another writes the files ([`background`](crate::background)). The physics waits for its `Progress` in lockstep, and
+//! in real time with `recording.on_full = "wait"`. Otherwise a recorder that falls behind by more than its queues leaves a gap: it
+//! reports the gap at once in an event, counts it in the log's end, and returns it as the exit code ([`RecorderError::Gap`]).
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ pub enum RecorderError {
     /// The session's scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A message cannot be taken.
+    /// A message cannot be received.
     #[error(transparent)]
     Port(#[from] PortError),
     /// A log cannot be written.
@@ -55,13 +55,13 @@ pub enum RecorderError {
         /// The system's reason.
         cause: std::io::Error,
     },
-    /// The volume did not come.
+    /// The volume did not arrive.
     #[error("the volume did not arrive within {} s; is the launcher running?", VOLUME_LIMIT.as_secs())]
     NoVolume,
     /// Signals cannot be handled.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
-    /// The folder of the logs cannot be brought to the disk.
+    /// The log folder cannot be synced to disk.
     #[error("{}: cannot be brought to the disk: {source}", path.display())]
     Folder {
         /// The folder.
@@ -69,7 +69,7 @@ pub enum RecorderError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// The log is finished, but something that belongs into `run.mcap` never came.
+    /// The log is finished, but lacks messages that belong in `run.mcap`.
     #[error(
         "the log has a gap ({lost}): the recorder was held up for longer than the {RECORDER_QUEUE_TICKS} ticks that its queues hold; \
          `recording.on_full = \"wait\"` makes the physics wait for it"
@@ -87,11 +87,11 @@ impl RecorderError {
     }
 }
 
-/// Name of the file in the session's folder that says where the run is recorded.
+/// Name of the session-folder file that says where the run is recorded.
 pub const OUTPUT_FILE: &str = "output";
 
-/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then takes what
-/// still waits and finishes both logs.
+/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then drains its queues and
+/// finishes both logs.
 ///
 /// # Errors
 /// Any [`RecorderError`].
@@ -99,7 +99,7 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
     let end = EndRequest::install().map_err(RecorderError::Signals)?;
     let scene = session_scene(session_folder)?;
     if scene.run.mode == Mode::Realtime {
-        // Before the writing threads start, which are to have it too.
+        // Set before the writer threads start, so that they inherit it.
         prioritise(Role::Recorder, scene.run.policy);
     }
     let session = Session::join(session_folder)?;
@@ -126,11 +126,11 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         gap_warnings: WarningLimit::default(),
         ports,
     };
-    // From here on a machine that loses its power leaves files that say what they are.
+    // From here on, even after a power failure the files are present and identify themselves.
     sync_folder(output)?;
     let recorded = recorder.record(&end);
     let how_far = if recorded.is_ok() { Recorded::UpToTheEnd } else { Recorded::UpToAnError };
-    // Whatever went wrong, what has been taken is kept.
+    // Keep everything received, whatever went wrong.
     let finished = recorder.finish(output, how_far);
     recorded.and(finished)
 }
@@ -146,7 +146,7 @@ fn sync_folder(folder: &Path) -> Result<(), RecorderError> {
     output_file::sync_folder(folder).map_err(|source| RecorderError::Folder { path: folder.into(), source })
 }
 
-/// What the logs say about the run.
+/// The header of both logs.
 fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeader, RecorderError> {
     let (volume_sha256, volume_dimensions) = match &scene.volume {
         Some(_) => {
@@ -160,7 +160,7 @@ fn header(session: &Session, scene: &Scene, end: &EndRequest) -> Result<LogHeade
         std::fs::read_to_string(&path).map_err(|cause| RecorderError::SceneText { path, cause })?;
     Ok(LogHeader {
         scene_toml,
-        // The launcher lays it there if the scene has an X-ray.
+        // The launcher writes it if the scene has an X-ray.
         calibration_json: std::fs::read_to_string(session.folder().join(CALIBRATION_ATTACHMENT)).ok(),
         scene_name: scene.name.clone(),
         volume_sha256,

@@ -1,4 +1,4 @@
-//! Every service that the recorder listens to, and the two that it sends on.
+//! Every service that the recorder subscribes to, and the two that it publishes on.
 
 use ipc_types::messages::{
     Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Progress, Removed,
@@ -67,7 +67,7 @@ impl Ports {
 }
 
 impl Ports {
-    /// Messages so far that did not come from the part whose service it is.
+    /// Number of messages so far that did not come from the service's owner.
     pub fn strangers(&self) -> u64 {
         self.states.strangers()
             + self.latched.strangers()

@@ -1,4 +1,4 @@
-//! Taking what waits in the queues, and finishing the logs.
+//! Drains the queues, and finishes the logs.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -24,34 +24,34 @@ use super::{RecorderError, sync_folder};
 use crate::background::BackgroundFile;
 use crate::reason_file;
 
-/// Longest time between two looks at the queues: a small part of what they hold.
+/// Longest time between polls: a small fraction of what the queues hold.
 const LOOK_TIME: Duration = Duration::from_millis(2);
-/// States after which progress is reported in between.
+/// Number of states after which progress is reported within a round.
 const PROGRESS_TICKS: u64 = 64;
-/// States that are taken before the other queues are looked at again.
+/// Number of states to read before the other queues are polled again.
 const TICKS_PER_ROUND: usize = 16;
-/// Messages of one service that clients write which are taken before the other queues are looked at again: a client that never
-/// stops would keep the recorder from the ticks.
+/// Number of messages to read from a client service before the other queues are polled again, so that a flooding client cannot keep the
+/// recorder from the ticks.
 const CLIENT_MESSAGES_PER_ROUND: usize = 256;
-/// Rounds after the run's end, in which the longest queue of clients' messages (2048 events) is emptied.
+/// Rounds after the run's end, enough to drain the longest client queue (2048 events).
 const LAST_ROUNDS: usize = 8;
-/// How long a physics may take to end whose launcher has been killed.
+/// How long an orphaned physics, whose launcher was killed, may take to end.
 const ORPHANED_LIMIT: Duration = Duration::from_secs(5);
-/// Time without a state after which the timing lane is handed to the file.
+/// Time without a state after which the timing lane is flushed to its file.
 const QUIET_TIME: Duration = Duration::from_millis(100);
 
 /// How much of the run was recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Recorded {
-    /// All until the recorder was asked to end.
+    /// Everything until the recorder was asked to end.
     UpToTheEnd,
-    /// What came before an error of the recorder.
+    /// Everything before an error of the recorder.
     UpToAnError,
 }
 
-/// The recorder while it records.
+/// State of the recorder while it records.
 pub(super) struct Recorder {
-    /// Number of messages from other parts that has been reported.
+    /// Number of messages from non-owners reported so far.
     pub strangers: u64,
     pub stranger_warnings: WarningLimit,
     pub run: RunLog<BackgroundFile>,
@@ -61,7 +61,7 @@ pub(super) struct Recorder {
     pub reported_tick: u64,
     /// Gaps in the timing lane.
     pub gaps: Gaps,
-    /// Whether the physics has said so.
+    /// Whether the physics has announced the end of the run.
     pub run_has_ended: bool,
     pub session_folder: PathBuf,
     pub gap_warnings: WarningLimit,
@@ -69,7 +69,7 @@ pub(super) struct Recorder {
 }
 
 impl Recorder {
-    /// Takes messages until the recorder is asked to end, and then what still waits.
+    /// Receives messages until the recorder is asked to end, then drains the queues.
     pub fn record(&mut self, end: &EndRequest) -> Result<(), RecorderError> {
         self.report_progress(0)?;
         let mut quiet_since = Instant::now();
@@ -80,13 +80,13 @@ impl Recorder {
             if self.take_round()? {
                 quiet_since = Instant::now();
             } else if quiet_since.elapsed() >= QUIET_TIME {
-                // In a pause no tick closes a chunk, and what people do then is to be in the file too.
+                // During a pause no tick closes a chunk, but what users do meanwhile must reach the file.
                 self.timing.flush()?;
                 quiet_since = Instant::now();
             }
             self.report_strangers()?;
         }
-        // The launcher says why the run ends before it asks. Its lock alone may outlive it for a moment.
+        // The launcher writes the end reason before it asks. Its lock may briefly outlive it.
         if self.reason_path().is_none() || !host_is_alive(&self.session_folder) {
             self.outlast_physics()?;
         }
@@ -99,8 +99,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// A launcher asks when nobody writes any more; one that was killed asks all at the same moment. What the physics
-    /// publishes up to its end is to be in the log.
+    /// Waits for the physics to end. A launcher stops the recorder only when nobody publishes any more, but if the launcher was killed,
+    /// all parts are asked to end at once. Everything that the physics publishes until its end must reach the log.
     fn outlast_physics(&mut self) -> Result<(), RecorderError> {
         let limit = Instant::now() + ORPHANED_LIMIT;
         while !self.run_has_ended && Instant::now() < limit {
@@ -110,9 +110,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Takes some ticks, and everything else that waits. In lockstep the physics goes on as fast as states are taken:
-    /// a recorder that took states as long as there are any would never come to the other queues, which overflow.
-    /// Returns whether a state came.
+    /// Reads some ticks, and everything else that waits. In lockstep the physics runs as fast as states are read: a recorder that kept
+    /// reading states would starve the other queues, and they would overflow. Returns whether a state arrived.
     fn take_round(&mut self) -> Result<bool, RecorderError> {
         let came = self.take_ticks()?;
         self.take_frames()?;
@@ -125,7 +124,7 @@ impl Recorder {
         for _ in 0..TICKS_PER_ROUND {
             let Some(state) = self.ports.states.receive()? else { break };
             came = true;
-            // Latched and Removed of a tick are published before its state.
+            // A tick's `Latched` and `Removed` are published before its state.
             self.take_inputs()?;
             self.run.state(state.message())?;
             let tick = state.message().tick;
@@ -207,7 +206,7 @@ impl Recorder {
         copy_all(&ports.requests, timing, topics::DRR_REQUEST, tick)
     }
 
-    /// At once: what is recorded from here on may not be what the run is made for.
+    /// Reports a gap at once, because the recording may no longer serve the run's purpose.
     fn tell_of_gap(&mut self, missing: &Range<u64>) -> Result<(), RecorderError> {
         if !self.gap_warnings.allows(now_ns()) {
             return Ok(());
@@ -220,7 +219,7 @@ impl Recorder {
         Ok(self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?)
     }
 
-    /// Says when programs that are not the part whose service it is have sent what the log does not take.
+    /// Reports when programs have sent messages on a service that they do not own; the log does not record these.
     fn report_strangers(&mut self) -> Result<(), RecorderError> {
         let strangers = self.ports.strangers();
         let new = strangers - self.strangers;
@@ -229,7 +228,7 @@ impl Recorder {
             let text = format!("{new} messages on services of other parts came from strangers; not recorded");
             self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
         }
-        // They are told the next time, with those that come until then.
+        // The next report will include these.
         self.stranger_warnings.take_suppressed(now_ns());
         Ok(())
     }
@@ -248,13 +247,13 @@ impl Recorder {
         Ok(())
     }
 
-    /// Where the launcher has said why the run ends, if it has.
+    /// Where the launcher has written the end reason, if it has.
     fn reason_path(&self) -> Option<PathBuf> {
         reason_file::find(&self.session_folder, self.run.path().parent().unwrap_or(Path::new(".")))
     }
 
     pub fn finish(self, output: &Path, recorded: Recorded) -> Result<(), RecorderError> {
-        // Somebody else's signal may come before the launcher's word: of a run that is over the launcher is about to give it.
+        // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about to write it.
         let limit = Instant::now() + ORPHANED_LIMIT;
         let launcher_lives = || host_is_alive(&self.session_folder);
         while self.run_has_ended && self.reason_path().is_none() && launcher_lives() && Instant::now() < limit
@@ -265,12 +264,12 @@ impl Recorder {
         let reason = match reason_path.as_deref().map(reason_file::read) {
             _ if recorded == Recorded::UpToAnError => EndReason::PartDied("recorder".to_owned()),
             Some(Ok(reason)) => reason,
-            // Nobody has ended the run: the recorder was told to go.
+            // Nobody ended the run, so someone stopped the recorder itself.
             _ if launcher_lives() => EndReason::PartDied("recorder".to_owned()),
-            // It was killed, and could not say why the run ends.
+            // The launcher was killed before it could write a reason.
             _ => EndReason::PartDied("launcher".to_owned()),
         };
-        // It has done its work.
+        // The reason file has done its job.
         reason_path.iter().for_each(|path| drop(std::fs::remove_file(path)));
         let lost = self.gaps.lost();
         let paths = [self.run.path().to_owned(), self.timing.path().to_owned()];
@@ -279,7 +278,7 @@ impl Recorder {
         let timing = finish_file(timing_path, self.timing.finish(reason.clone(), lost));
         let run = run.and_then(|run| timing.map(|_| run))?;
         if run.last_tick.is_none() && reason == EndReason::Interrupted {
-            // There was nothing to record yet, and there is nothing to replay.
+            // Nothing was recorded, so there is nothing to replay.
             paths.iter().for_each(|path| drop(std::fs::remove_file(path)));
         }
         sync_folder(output)?;
@@ -291,7 +290,7 @@ impl Recorder {
     }
 }
 
-/// Waits until the finished log is on the disk.
+/// Waits until the finished log is on disk.
 fn finish_file(
     path: PathBuf,
     finished: Result<(EndMarker, BackgroundFile), LogError>,
@@ -301,8 +300,8 @@ fn finish_file(
     Ok(marker)
 }
 
-/// Copies what waits on a service into the timing lane. What a client sends in a wrong length is no message: it has
-/// no place in the log, and whom it was meant for has said so in an event.
+/// Copies a service's waiting messages into the timing lane. A client message of the wrong size is not a valid message and is not logged;
+/// its recipient has already reported it in an event.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
     timing: &mut TimingLog<BackgroundFile>,
