@@ -1,12 +1,12 @@
-//! Calibrations: which tendon tension or displacement bends the tip to where. Written by `trabecula calibrate`, read by
-//! open-loop curved drilling.
+//! Calibration tables: how far a tendon tension or displacement bends the tip. `trabecula calibrate` writes them; open-loop curved
+//! drilling reads them.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// Gives the text of a file: this crate opens none.
+/// Returns a file's text; this crate opens no files itself.
 pub type ReadText<'a> = dyn Fn(&Path) -> std::io::Result<String> + 'a;
 
 /// Columns of the file, in order.
@@ -28,9 +28,9 @@ pub const COLUMNS: [&str; 12] = [
 /// Tip pose at one level of the tendon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CalibrationRow {
-    /// True on the way up, false on the way back: friction makes the two differ.
+    /// True while the tension rises, false on the way back: friction makes the two differ.
     pub rising: bool,
-    /// What was commanded: N, or mm of displacement.
+    /// The commanded value: N, or mm of displacement.
     pub commanded: f64,
     /// Tension of tendon 0 at its base end.
     pub tension_n: f64,
@@ -38,11 +38,11 @@ pub struct CalibrationRow {
     pub displacement_mm: f64,
     /// Sum of the flexure angles.
     pub bend_deg: f64,
-    /// Place of the burr's front in the frame of the tool's base.
+    /// Position of the burr's front in the frame of the tool's base.
     pub tip_mm: [f64; 3],
-    /// Orientation of the burr in the frame of the tool's base, axis times angle.
+    /// Orientation of the burr in the frame of the tool's base, as axis times angle.
     pub tip_rotation_deg: [f64; 3],
-    /// How fast the bend still changed: large if the level had no time to settle.
+    /// How fast the bend was still changing: large if the level had no time to settle.
     pub rate_deg_per_s: f64,
 }
 
@@ -57,26 +57,26 @@ pub enum CalibrationError {
         /// The system's reason.
         cause: std::io::Error,
     },
-    /// The target lies where tendon 0 does not bend to.
+    /// The target lies on the side that tendon 0 cannot bend toward.
     #[error(
         "`target_mm` lies {:.2} deg on the side away from `tool.bend_toward`; turn `bend_toward` to the target's side",
         -wanted_deg
     )]
     OtherSide {
-        /// Bend of the arc, negative away from the side that the tool bends to.
+        /// Bend of the arc; negative on the side that tendon 0 cannot bend toward.
         wanted_deg: f64,
     },
-    /// A line is not one of a calibration.
+    /// A line does not have the format of a calibration.
     #[error("calibration {}, line {line}: {problem}", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// Line, from 1.
+        /// Line number, from 1.
         line: usize,
-        /// What is wrong and what is expected.
+        /// What is wrong, and what was expected.
         problem: String,
     },
-    /// The plan bends more than the calibration reaches.
+    /// The plan needs more bend than the calibration covers.
     #[error(
         "the arc to the target bends the tip by {wanted_deg:.2} deg, the calibration ends at {reached_deg:.2} deg; \
          calibrate farther or choose another target"
@@ -84,12 +84,12 @@ pub enum CalibrationError {
     OutOfReach {
         /// Bend of the plan.
         wanted_deg: f64,
-        /// Greatest bend of the calibration.
+        /// Largest bend in the calibration.
         reached_deg: f64,
     },
 }
 
-/// A sweep's rows in the order they were taken.
+/// The rows of a sweep in the order they were recorded.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Calibration {
     /// The rows.
@@ -97,7 +97,7 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Reads a file of `trabecula calibrate` with `read`, which gives a file's text.
+    /// Loads a file written by `trabecula calibrate`; `read` returns a file's text.
     ///
     /// # Errors
     /// [`CalibrationError::Unreadable`], [`CalibrationError::Malformed`].
@@ -111,10 +111,10 @@ impl Calibration {
         })
     }
 
-    /// Reads the text of a file; the error is the line, from 1, and what is wrong with it.
+    /// Parses the text of a file; the error gives the line number, from 1, and what is wrong there.
     ///
     /// # Errors
-    /// A line that is not one of a calibration, or fewer than two rising rows whose bend rises.
+    /// A line without the format of a calibration, or fewer than two rising rows with increasing bend.
     pub fn parse(text: &str) -> Result<Calibration, (usize, String)> {
         let mut lines = text.lines().enumerate();
         let header = lines.next().map_or("", |(_, line)| line);
@@ -153,7 +153,7 @@ impl Calibration {
         text
     }
 
-    /// Tension that bends the tip to `bend_deg` on the way up, between the rows on a straight line.
+    /// Tension that bends the tip to `bend_deg` while the tension rises, by linear interpolation between rows.
     ///
     /// # Errors
     /// [`CalibrationError::OutOfReach`]: more than the last row's bend.

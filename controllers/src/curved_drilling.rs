@@ -1,11 +1,11 @@
 //! The reference controller: curved drilling.
 //!
-//! It feeds the tool at a constant speed with the burr on, and pulls tendon 0 along a ramp of the inserted length: of the
-//! tension, or, with a calibration, of the bend up to that of the planned path (the circular arc that leaves the
-//! insertion axis where the ramp begins and ends in the target). The sideways error against that path corrects the
-//! tension: measured in X-ray frames, in each of which the burr is found and placed in the plane in which the manipulator
-//! bends (the feed waits for the first one), or on the measured shape, or not at all. At the end it may draw the tool
-//! back, the burr still turning and the tension following the same ramp down, so that the tunnel shows in the last frames.
+//! It feeds the tool at constant speed with the burr on and ramps tendon 0 over the inserted length. The ramp is one of tension, or, with
+//! a calibration, one of bend up to the bend of the planned path: the circular arc that leaves the insertion axis where the ramp begins
+//! and ends at the target. The lateral error against that path corrects the tension. The error comes from X-ray frames, from the measured
+//! shape, or is not used at all. In each frame the controller finds the burr and locates it in the manipulator's bending plane (the feed
+//! waits for the first frame). At the end it can retract the tool with the burr still turning and the tension following the same ramp
+//! down, so that the last frames show the tunnel.
 
 use messages::{ARM_INSERT, BURR_SPEED, Command, Frame, Pose, State, TENDON_SERVO_JF};
 use nalgebra::Vector3;
@@ -17,11 +17,11 @@ use crate::geometry::{back_project, position_m, rotation};
 use crate::reset::ResetWatch;
 use crate::tip_finder::find_tip;
 
-/// Share of the measured error's correction that a single frame may add.
+/// Fraction of the measured error that a single frame may correct.
 const CORRECTION_SHARE: f64 = 0.5;
-/// Time between two corrections on the measured shape.
+/// Interval between corrections from the measured shape.
 const SHAPE_PERIOD_S: f64 = 0.05;
-/// Largest correction of the ramp's tension, either way.
+/// Limit on the correction of the ramp's tension, in both directions.
 const MAX_CORRECTION_N: f64 = 8.0;
 
 /// Curved drilling.
@@ -39,23 +39,23 @@ pub struct CurvedDrillingController {
     remark: Option<String>,
 }
 
-/// What the tool is doing.
+/// Phase of the procedure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Phase {
-    /// On its way in.
+    /// Advancing.
     Feeding,
-    /// At the end of the feed, since this simulated time.
+    /// At the end of the feed since this simulated time.
     Arrived { since_s: f64 },
-    /// On its way back.
+    /// Retracting.
     Retracting,
 }
 
-/// Distance to the end of the feed at which it is reached.
+/// Distance from the end of the feed at which it counts as reached.
 const ARRIVED_M: f64 = 1e-5;
-/// Rest at the end of the feed: a frame or two.
+/// Pause at the end of the feed: a frame or two.
 const REST_S: f64 = 0.5;
 
-/// Where the tool stood when it began.
+/// Pose of the tool at the start.
 #[derive(Debug, Clone, Copy)]
 struct Start {
     t_world_flange: Pose,
@@ -65,11 +65,11 @@ struct Start {
 }
 
 impl CurvedDrillingController {
-    /// A controller for this plan in this scene; `read` gives the text of the calibration that the plan names.
+    /// A controller for this plan in this scene; `read` returns the text of the calibration that the plan names.
     ///
     /// # Errors
-    /// The plan's calibration cannot be read, or does not reach the bend of the arc to the target; the target lies on the
-    /// side to which the tool does not bend.
+    /// The plan's calibration cannot be read, or does not cover the bend of the arc to the target; the target lies on the side that the
+    /// tool cannot bend toward.
     pub fn new(
         plan: &CurvedDrilling,
         scene: &Scene,
@@ -95,7 +95,7 @@ impl CurvedDrillingController {
             let bend = (toward - along * toward.dot(&along)).normalize();
             let burr_m = Vector3::from(scene.tool.burr_start_mm) * 1e-3;
             let arc_deg = controller.arc_deg(&burr_m, &along, &bend);
-            // Rounding puts a target straight ahead this far aside.
+            // Rounding can move a target straight ahead this far to the side.
             if arc_deg < -1e-9 {
                 return Err(CalibrationError::OtherSide { wanted_deg: arc_deg });
             }
@@ -109,7 +109,7 @@ impl CurvedDrillingController {
         let Some(target_mm) = self.plan.target_mm else { return 0.0 };
         let target = Vector3::from(target_mm) * 1e-3 - burr_m;
         let ahead = target.dot(along) - self.plan.ramp_start_mm * 1e-3;
-        // The angle at the centre is twice that between tangent and chord.
+        // The angle at the centre is twice the angle between tangent and chord.
         2.0 * libm::atan2(target.dot(bend), ahead).to_degrees()
     }
 
@@ -128,7 +128,7 @@ impl CurvedDrillingController {
         *self.start.get_or_insert(start)
     }
 
-    /// Depth to go to and the speed to go there.
+    /// Target depth, and the speed to get there.
     fn feed(&mut self, inserted_m: f64, time_s: f64) -> (f64, f64) {
         let plan = &self.plan;
         let end_m = plan.insertion_mm * 1e-3;
@@ -154,14 +154,14 @@ impl CurvedDrillingController {
         match &self.calibration {
             Some(calibration) => {
                 let arc_deg = self.arc_deg(&start.burr_m, &start.along, &start.bend);
-                // The end of the arc has been found within reach.
+                // `new` has checked that the calibration covers the end of the arc.
                 calibration.tension_for_bend_n(arc_deg * share).unwrap_or(0.0)
             }
             None => plan.tension_n.unwrap_or(0.0) * share,
         }
     }
 
-    /// Sideways place of the planned path, `along_m` from the burr's start along the insertion axis.
+    /// Lateral position of the planned path, `along_m` from the burr's start along the insertion axis.
     fn planned_sideways_m(&self, start: &Start, along_m: f64) -> Option<f64> {
         let target = Vector3::from(self.plan.target_mm?) * 1e-3 - start.burr_m;
         let begin_m = self.plan.ramp_start_mm * 1e-3;
@@ -170,13 +170,13 @@ impl CurvedDrillingController {
         if ahead <= 0.0 || x.abs() < 1e-9 {
             return Some(0.0);
         }
-        // Circle through the begin (tangent to the axis) and the target: radius (z² + x²) / 2x.
+        // Circle through the start of the ramp (tangent to the axis) and the target: radius (z² + x²) / 2x.
         let radius = (z * z + x * x) / (2.0 * x);
         let inside = (radius * radius - ahead * ahead).max(0.0);
         Some(radius - radius.signum() * libm::sqrt(inside))
     }
 
-    /// Corrects the tension by where the measured shape ends.
+    /// Corrects the tension from the tip position of the measured shape.
     fn see_shape(&mut self, start: &Start, state: &State) {
         let feeds = self.plan.feedback == Feedback::Shape && state.sim_time_s >= self.shape_due_s;
         if !feeds {
@@ -185,7 +185,7 @@ impl CurvedDrillingController {
         self.shape_due_s = state.sim_time_s + SHAPE_PERIOD_S;
         let burr_m = position_m(&state.t_world_burr);
         let ahead_m = (burr_m - start.burr_m).dot(&start.along) - self.plan.ramp_start_mm * 1e-3;
-        // Before the ramp there is no tension to correct; the error would only add up.
+        // Before the ramp there is no tension to correct, and the error would only accumulate.
         if ahead_m > 0.0 {
             self.correct(start, &burr_m);
         }
@@ -233,7 +233,7 @@ impl Controller for CurvedDrillingController {
         }
         self.waits_for_frame = false;
         let Some(start) = self.start else { return };
-        // The prior is where the kinematics had the burr in the frame's own tick.
+        // The prior is the burr's pose from the kinematics at the frame's own tick.
         let prior = frame.t_world_burr;
         let Some(sighting) = find_tip(&frame.geometry, pixels, &prior, self.burr_radius_m) else {
             self.remark = Some(format!("frame {}: no burr seen", frame.sequence));

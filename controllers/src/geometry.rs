@@ -1,4 +1,4 @@
-//! From a message's plain numbers to vectors, and between the C-arm's image and the world.
+//! Converts a message's plain numbers to vectors, and maps between the C-arm's image and the world.
 
 use messages::{CArmGeometry, Pose};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -19,8 +19,7 @@ pub fn isometry(pose: &Pose) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(position_m(pose)), rotation(pose))
 }
 
-/// Column and row (pixel centres at whole numbers) at which a point of the world is seen, and the pixels per metre
-/// there. `None` behind the source.
+/// Column and row (pixel centres at integers) at which a world point appears, and the pixels per metre there. `None` behind the source.
 pub fn project(c_arm: &CArmGeometry, point_m: &Vector3<f64>) -> Option<([f64; 2], f64)> {
     let source = Vector3::from(c_arm.source_m);
     let row_axis = Vector3::from(c_arm.row_axis);
@@ -38,7 +37,7 @@ pub fn project(c_arm: &CArmGeometry, point_m: &Vector3<f64>) -> Option<([f64; 2]
     Some(([column, row], magnification / c_arm.pixel_pitch_m[0]))
 }
 
-/// Where the ray through a pixel meets the plane through `origin_m` with this normal; `None` if it runs along it.
+/// Where the ray through a pixel meets the plane through `origin_m` with this normal; `None` if the ray is parallel to the plane.
 pub fn back_project(
     c_arm: &CArmGeometry,
     pixel: [f64; 2],
@@ -53,7 +52,7 @@ pub fn back_project(
         + Vector3::from(c_arm.column_axis) * down;
     let ray = on_detector - source;
     let slope = ray.dot(normal) / (ray.norm() * normal.norm());
-    // Below this angle (about 6 degrees) a pixel's error in the plane grows tenfold.
+    // Below this angle (about 6 degrees) a pixel error grows tenfold in the plane.
     if slope.abs() < 0.1 {
         return None;
     }
@@ -79,7 +78,7 @@ mod tests {
     #[test]
     fn a_point_is_magnified_by_the_ratio_of_distances() {
         let ([column, row], scale) = project(&c_arm(), &Vector3::new(0.007, 0.0, 0.014)).unwrap();
-        // 1 m over 0.7 m, at 0.5 mm a pixel, from the centre (150, 100); +z is up in the picture.
+        // 1 m over 0.7 m, at 0.5 mm per pixel, from the centre (150, 100); +z is up in the image.
         assert!((column - 170.0).abs() < 1e-9 && (row - 60.0).abs() < 1e-9, "{column} {row}");
         assert!((scale - 1.0 / 0.7 / 0.5e-3).abs() < 1e-6);
     }

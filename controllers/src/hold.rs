@@ -3,7 +3,7 @@ use scene::Drives;
 
 use crate::Controller;
 
-/// Holds a tension, the arm, and the burr at rest; of these, what it drives.
+/// Holds a tension, the arm position, and the burr at rest, as far as it drives them.
 #[derive(Debug, Clone)]
 pub struct HoldController {
     tension_n: f64,

@@ -1,15 +1,15 @@
-//! How a controller notices that the run was reset to its beginning: only then does the removed bone come back.
+//! Detects that the run was reset to its beginning: only then does removed bone come back.
 
 use messages::State;
 
-/// Compares the removed bone of each state with that of the state before.
+/// Compares the removed bone of each state with that of the previous state.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ResetWatch {
     removed_total: u64,
 }
 
 impl ResetWatch {
-    /// Takes the next state; returns whether the run was reset before it.
+    /// Takes the next state; returns whether the run was reset just before it.
     pub fn was_reset(&mut self, state: &State) -> bool {
         let before = std::mem::replace(&mut self.removed_total, state.removed_total);
         state.removed_total < before

@@ -1,4 +1,4 @@
-//! The test of skiving: a straight feed with the burr on, and how far the burr leaves its line.
+//! The skiving test: a straight feed with the burr on, measuring how far the burr drifts off its line.
 
 use messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
 use nalgebra::Vector3;
@@ -8,21 +8,21 @@ use crate::Controller;
 use crate::geometry::{position_m, rotation};
 use crate::reset::ResetWatch;
 
-/// Depth between two reports.
+/// Depth between two points.
 const REPORT_M: f64 = 1e-3;
 
-/// Where the burr is, seen from the line of the feed.
+/// Position of the burr relative to the line of the feed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SkivingPoint {
     /// Feed of the tool's base.
     pub depth_m: f64,
-    /// Burr's distance from the line toward the side to which tendon 0 bends.
+    /// Burr's distance from the line, toward the side that tendon 0 bends to.
     pub toward_bend_m: f64,
-    /// Burr's distance from the line across that.
+    /// Burr's distance from the line, perpendicular to the bending direction.
     pub across_m: f64,
 }
 
-/// Feeds straight on and reports.
+/// Feeds straight ahead and records the drift.
 #[derive(Debug, Clone)]
 pub struct SkivingController {
     plan: Skiving,
@@ -48,7 +48,7 @@ impl SkivingController {
         SkivingController { plan: plan.clone(), start: None, points: Vec::new(), reset, remark: None }
     }
 
-    /// What has been reported so far: one point a millimetre, and one at the end.
+    /// The points so far: one per millimetre, and one at the end.
     pub fn points(&self) -> &[SkivingPoint] {
         &self.points
     }
@@ -58,7 +58,7 @@ impl SkivingController {
         let end_m = self.plan.depth_mm * 1e-3;
         let due_m = (self.points.len() as f64 * REPORT_M).min(end_m);
         let reported_m = self.points.last().map_or(-1.0, |point| point.depth_m);
-        // A nanometre: the arm ends exactly, but for rounding.
+        // A nanometre: the arm reaches its end exactly, up to rounding.
         if depth_m < due_m - 1e-9 || reported_m >= end_m - 1e-9 {
             return;
         }

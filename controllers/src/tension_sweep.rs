@@ -1,4 +1,4 @@
-//! The sweep of a tendon in steps up and down: what a calibration is made of.
+//! Sweeps a tendon up and down in steps, to measure a calibration.
 
 use messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF, TENDON_SERVO_JP};
 use scene::{Drives, TensionSweep};
@@ -7,12 +7,12 @@ use crate::Controller;
 use crate::calibration::{Calibration, CalibrationRow};
 use crate::geometry::isometry;
 
-/// Pulls tendon 0 level by level and notes the tip's pose at the end of each.
+/// Pulls tendon 0 level by level and records the tip's pose at the end of each level.
 #[derive(Debug, Clone)]
 pub struct TensionSweepController {
     drives: Vec<Drives>,
     by_force: bool,
-    /// Commanded levels, N or m, and whether the sweep rises there.
+    /// Commanded levels, N or m, and whether the sweep is rising at each.
     levels: Vec<(f64, bool)>,
     settle_s: f64,
     start_s: Option<f64>,
@@ -26,7 +26,7 @@ impl TensionSweepController {
         let force = plan.most_n.zip(plan.step_n);
         let displacement = plan.most_mm.zip(plan.step_mm).map(|(most, step)| (most * 1e-3, step * 1e-3));
         let (most, step) = force.or(displacement).unwrap_or((0.0, 1.0));
-        // Whole steps, and the greatest level itself.
+        // Whole steps, then the maximum itself.
         let steps = ((most / step) * (1.0 - 1e-9)).ceil().max(1.0) as usize;
         let level = |i: usize| most.min(step * i as f64);
         let up = (0..=steps).map(|i| (level(i), true));
@@ -42,17 +42,17 @@ impl TensionSweepController {
         }
     }
 
-    /// Simulated time that the whole sweep takes.
+    /// Simulated duration of the whole sweep.
     pub fn duration_s(&self) -> f64 {
         self.settle_s * self.levels.len() as f64
     }
 
-    /// What has been noted so far.
+    /// The rows recorded so far.
     pub fn calibration(&self) -> &Calibration {
         &self.calibration
     }
 
-    /// Whether every level has been noted.
+    /// Whether every level has been recorded.
     pub fn is_done(&self) -> bool {
         self.calibration.rows.len() == self.levels.len()
     }
@@ -83,7 +83,7 @@ impl TensionSweepController {
         self.calibration.rows.push(row);
     }
 
-    /// Level commanded `time_s` after the start: a ramp in the first half of each level's time.
+    /// Commanded level at `time_s` after the start: a ramp during the first half of each level.
     fn commanded(&self, time_s: f64) -> f64 {
         let place = time_s / self.settle_s;
         let index = (place as usize).min(self.levels.len() - 1);
@@ -97,7 +97,7 @@ impl Controller for TensionSweepController {
     fn step(&mut self, state: &State, command: &mut Command) {
         let time_s = state.sim_time_s - *self.start_s.get_or_insert(state.sim_time_s);
         let next = self.calibration.rows.len();
-        // Rounding of the tick's time is far below a tick.
+        // The tolerance absorbs rounding of the time and is far below a tick.
         if next < self.levels.len() && time_s >= (next + 1) as f64 * self.settle_s - 1e-9 {
             self.note(next, state);
         }
@@ -108,7 +108,7 @@ impl Controller for TensionSweepController {
                 command.tendon_force_n[0] = level;
             } else {
                 command.tendon_mode = TENDON_SERVO_JP;
-                // The antagonist gives way as far as tendon 0 pulls.
+                // The antagonist pays out as much as tendon 0 pulls in.
                 command.tendon_displacement_m[..2].copy_from_slice(&[level, -level]);
             }
         }

@@ -1,35 +1,34 @@
-//! Finding the burr in an X-ray frame.
+//! Finds the burr in an X-ray frame.
 //!
-//! The robot's kinematics say roughly where the tip is and which way it looks; the frame says where it is. The burr is
-//! solid metal, the darkest end of the tool: within a window around the expected place, the end of the dark region
-//! along the expected direction is the burr's front, and the centre of the dark pixels of its last diameter is the
-//! burr's centre.
+//! The robot's kinematics give an approximate tip position and direction; the frame gives the actual position. The burr is solid metal,
+//! the darkest end of the tool. Within a window around the expected position, the end of the dark region along the expected direction is
+//! the burr's front, and the centroid of the dark pixels within one burr diameter of the front is the burr's centre.
 
 use messages::{CArmGeometry, Pose};
 use nalgebra::Vector2;
 
 use crate::geometry::{position_m, project, rotation};
 
-/// Half width of the window that is searched.
+/// Half width of the search window.
 const WINDOW_M: f64 = 0.008;
-/// Pixels below this share of full scale are metal.
+/// Pixels below this fraction of full scale count as metal.
 const DARK_SHARE: f64 = 0.12;
-/// Dark pixels that may lie beyond the front: noise.
+/// Number of dark pixels allowed beyond the front as noise.
 const STRAY_PIXELS: usize = 2;
-/// Fewest dark pixels of a sighting.
+/// Minimum number of dark pixels for a sighting.
 const FEWEST_PIXELS: usize = 20;
 
 /// Where the burr was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TipSighting {
-    /// Column and row of the burr's centre, pixel centres at whole numbers.
+    /// Column and row of the burr's centre, pixel centres at integers.
     pub pixel: [f64; 2],
-    /// Dark pixels that belong to it.
+    /// Number of dark pixels in the burr.
     pub dark_pixels: usize,
 }
 
-/// Looks for a burr of this radius near `t_world_burr` in a mono16 frame in which metal is dark. `None` if the window
-/// is outside the image or holds no metal.
+/// Looks for a burr of this radius near `t_world_burr` in a mono16 frame in which metal is dark. `None` if the window is outside the
+/// image or holds no metal.
 pub fn find_tip(
     c_arm: &CArmGeometry,
     pixels: &[u16],
@@ -122,7 +121,7 @@ mod tests {
         let radius_m = 3.25e-3;
         let radius = radius_m / 0.7 / 0.5e-3;
         let pixels = picture(&c_arm, 160.0, 145.0, radius);
-        // +z of the burr looks along world +x; the prior is 1 mm off in x and z.
+        // +z of the burr points along world +x; the prior is off by 1 mm in x and z.
         let half = core::f64::consts::FRAC_1_SQRT_2;
         let seen_at = [(160.0 - 150.0) * 0.35e-3, 0.0, (150.0 - 145.0) * 0.35e-3];
         let pose = Pose {
