@@ -1,5 +1,5 @@
-//! The process of a built-in controller, and the loop in which any Rust controller runs.
+//! The process of a built-in controller, and the loop that runs any Rust controller.
 //!
-//! **Boundary:** ports, clock and signals are here; what a controller does is in `controllers`.
+//! **Boundary:** ports, clock and signals are here; the control laws are in `controllers`.
 
 pub mod process;

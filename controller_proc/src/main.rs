@@ -1,4 +1,4 @@
-//! A built-in controller as a program of its own.
+//! A built-in controller as a standalone program.
 
 use std::path::PathBuf;
 use std::process::ExitCode;

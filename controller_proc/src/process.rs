@@ -1,4 +1,4 @@
-//! The process of a built-in controller, and the loop that any Rust controller can run in.
+//! The process of a built-in controller, and the loop that runs any Rust controller.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ use thiserror::Error;
 
 use controllers::{CalibrationError, Controller, built_in};
 
-/// Longest wait for a frame that is due, in lockstep.
+/// In lockstep, how long to wait for a frame that is due.
 const FRAME_LIMIT: Duration = Duration::from_secs(120);
 const LOOK_TIME: Duration = Duration::from_millis(100);
 
@@ -36,10 +36,10 @@ pub enum ControllerError {
     /// Its calibration cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
-    /// A message cannot be sent or taken.
+    /// A message cannot be sent or received.
     #[error(transparent)]
     Port(#[from] PortError),
-    /// The scene's controller of this name is not a built-in one.
+    /// The scene's controller of this name is not built in.
     #[error(
         "controller `{name}` is not a built-in one; expected `curved_drilling`, `skiving`, `tension_sweep` or `hold` in the scene"
     )]
@@ -47,7 +47,7 @@ pub enum ControllerError {
         /// Its name.
         name: String,
     },
-    /// A frame that was due did not come.
+    /// A frame that was due did not arrive.
     #[error("the frame of tick {tick} did not come within {} s; is the DRR process running?", FRAME_LIMIT.as_secs())]
     NoFrame {
         /// Tick of the frame.
@@ -122,7 +122,7 @@ impl Ports {
         let scene = session_scene(session_folder)?;
         let index = session.controller_index(name)?;
         let frames = match scene.drr {
-            // Frames that others ask for must not push out the one that is due.
+            // A separate queue, so that frames requested by others cannot push out the one that is due.
             Some(_) => Some(Frames::new(session.lossless_subscriber(&services::FRAME)?, scene.clone())),
             None => None,
         };
@@ -157,7 +157,7 @@ impl Ports {
         }
     }
 
-    /// Says so when states were overwritten before this controller took them (real time).
+    /// Reports states that were overwritten before this controller read them (real time).
     fn report_gap(&mut self, last: u64, tick: u64) -> Result<u64, PortError> {
         let missed = tick.saturating_sub(last + 1);
         if last > 0 && missed > services::STATE.queue_length as u64 {
@@ -168,7 +168,7 @@ impl Ports {
     }
 }
 
-/// The frames that a controller sees: in real time what has arrived, in lockstep what is due ([`Scene::frame_seen_at`]).
+/// The frames that a controller sees: in real time whatever has arrived, in lockstep whatever is due ([`Scene::frame_seen_at`]).
 struct Frames {
     subscriber: Subscriber<Frame>,
     scene: Scene,
