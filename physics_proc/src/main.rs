@@ -1,4 +1,4 @@
-//! The physics process as a program of its own.
+//! The physics process as a standalone program.
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -1,4 +1,4 @@
-//! Clocks, and sleeping by them.
+//! Clocks, and sleeping until a deadline.
 
 use std::num::NonZeroU64;
 
@@ -7,13 +7,13 @@ use ipc_types::scene::Wait;
 use ipc_types::wake::allowed_cores;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
-/// Processor time of this thread in nanoseconds; the kernel leaves out what a hypervisor stole, where it is told.
+/// Processor time of this thread in nanoseconds; excludes time stolen by the hypervisor if the kernel knows of it.
 pub(super) fn thread_cpu_ns() -> u64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
 }
 
-/// Before its deadline a hybrid wait stops sleeping by this much: two wake-ups of a halted virtual core.
+/// A hybrid wait stops sleeping this long before its deadline: two wake-ups of a halted virtual core.
 const SPIN_TIME_NS: u64 = 100_000;
 
 /// Waits for deadlines.
@@ -24,15 +24,15 @@ pub(super) struct Sleeper {
 }
 
 impl Sleeper {
-    /// For this thread, with the cores that it may use now.
+    /// For the current thread and the cores that it may use now.
     pub(super) fn new(wait: Wait) -> Sleeper {
         Sleeper { wait, cores: allowed_cores() }
     }
 
-    /// Waits until the monotonic clock shows `deadline_ns`. A signal ends the wait early. Nothing spins on one core.
+    /// Waits until the monotonic clock reaches `deadline_ns`. A signal ends the wait early. Never spins on a single core.
     ///
-    /// The last moments before the deadline are the tick's: a yield there would give the core to a renderer's thread, which Linux does
-    /// not take it from before its next tick, up to 4 ms later.
+    /// Does not yield just before the deadline: a yield could hand the core to a renderer's thread, which Linux would not preempt before
+    /// its next tick, up to 4 ms later.
     pub(super) fn wait_until(&self, deadline_ns: u64) {
         match self.wait {
             Wait::Event => sleep_until(deadline_ns),
@@ -49,14 +49,14 @@ impl Sleeper {
     }
 }
 
-/// Looks at the monotonic clock until it shows `deadline_ns`.
+/// Polls the monotonic clock until it reaches `deadline_ns`.
 fn spin_until(deadline_ns: u64) {
     while now_ns() < deadline_ns {
         std::hint::spin_loop();
     }
 }
 
-/// Sleeps until the monotonic clock shows `deadline_ns`.
+/// Sleeps until the monotonic clock reaches `deadline_ns`.
 fn sleep_until(deadline_ns: u64) {
     if now_ns() >= deadline_ns {
         return;
@@ -65,12 +65,12 @@ fn sleep_until(deadline_ns: u64) {
         tv_sec: (deadline_ns / 1_000_000_000) as i64,
         tv_nsec: (deadline_ns % 1_000_000_000) as i64,
     };
-    // An interrupted sleep is looked at by the caller, which knows whether to end.
+    // The caller checks after an interrupted sleep, because it knows whether to end.
     let _ = rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &request);
 }
 
-/// Has the kernel end this thread's sleeps when they are due, not up to 50 µs later.
+/// Sets the timer slack so that the kernel ends this thread's sleeps on time, not up to 50 µs late.
 pub(super) fn wake_exactly() {
-    // Where it refuses, sleeps are that much less exact, which the lateness of ticks shows.
+    // If the kernel refuses, sleeps are less exact, which shows in the ticks' lateness.
     let _ = rustix::thread::set_current_timer_slack(NonZeroU64::new(1));
 }

@@ -1,4 +1,4 @@
-//! Getting the volume.
+//! Receives the volume.
 
 use ipc_types::messages::Volume;
 use ipc_types::ports::Received;
@@ -10,7 +10,7 @@ use zerocopy::FromBytes;
 
 use super::PhysicsError;
 
-/// The volume in shared memory; it stays there as long as the return value lives.
+/// Receives the volume in shared memory; it stays mapped for as long as the return value lives.
 pub(super) fn receive_volume(
     session: &Session,
     scene: &Scene,

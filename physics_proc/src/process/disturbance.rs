@@ -1,10 +1,9 @@
-//! What the kernel says was done to this thread between the beginnings of two ticks.
+//! What the kernel says disturbed this thread between the starts of two ticks.
 //!
-//! Two looks a tick: [`Disturbances::work_ends`] before the thread goes to sleep, [`Disturbances::tick_begins`] when the
-//! next tick has begun. Together they take about a microsecond and a half (`trabecula bench readings`): two readings of
-//! the thread's processor clock, one of `schedstat` through a file that stays open, one `getrusage`. The machine's
-//! steal is read in late ticks only, and ten times a second so that a late tick has something to compare with; what held the whole
-//! process back (`held_back`) only after a long gap.
+//! There are two samples per tick: [`Disturbances::work_ends`] before the thread goes to sleep, [`Disturbances::tick_begins`] after the
+//! next tick has begun. Together they take about 1.5 µs (`trabecula bench readings`): two reads of the thread's CPU clock, one of
+//! `schedstat` through a file kept open, one `getrusage`. The machine's steal counter is read only in late ticks, and ten times a second
+//! as a baseline for them; the counters for what suspends the whole process (`held_back`) only after a long gap.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -16,12 +15,12 @@ use nix::sys::resource::{UsageWho, getrusage};
 use super::clock::thread_cpu_ns;
 use super::held_back::HeldBack;
 
-/// Cores whose steal is kept apart.
+/// Maximum number of cores with separate steal counts.
 const MAX_CORES: usize = 256;
-/// `/proc/stat` counts in these (`USER_HZ` is 100 on every architecture that we build for).
+/// Unit of `/proc/stat` (`USER_HZ` is 100 on every architecture that we build for).
 const STEAL_STEP_NS: u64 = 10_000_000;
 
-/// Readings of this thread; all memory is taken when it is made.
+/// Counters of this thread. Allocates all its memory when created.
 #[derive(Debug)]
 pub struct Disturbances {
     schedstat: Option<File>,
@@ -63,7 +62,7 @@ impl Default for Disturbances {
 }
 
 impl Disturbances {
-    /// Looks for the first time, from the thread that is to be watched.
+    /// Takes the first sample; call it from the thread to watch.
     pub fn new() -> Disturbances {
         let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let flags = cpuinfo.lines().find(|line| line.starts_with("flags")).unwrap_or_default();
@@ -83,14 +82,14 @@ impl Disturbances {
         new
     }
 
-    /// The work of a tick is done; the thread goes to sleep.
+    /// Call when a tick's work is done, before the thread goes to sleep.
     pub fn work_ends(&mut self) {
         self.work_end_ns = now_ns();
         self.work_end_cpu_ns = thread_cpu_ns();
     }
 
-    /// A tick has begun at `start_ns`, `lateness_ns` after its deadline. Fills what the readings say into its timing.
-    /// `looks_at_steal` is for late ticks.
+    /// Call when a tick has begun at `start_ns`, `lateness_ns` after its deadline. Fills the counters into its timing. `looks_at_steal`
+    /// is for late ticks.
     pub fn tick_begins(
         &mut self,
         start_ns: u64,
@@ -110,7 +109,7 @@ impl Disturbances {
         self.begin_cpu_ns = thread_cpu_ns();
     }
 
-    /// What has been counted since the last tick began.
+    /// Adds what has been counted since the last tick began.
     pub fn count(&mut self, timing: &mut TickTiming) {
         let (now, last) = (Counts::now(), self.counts);
         let since = |now: u64, last: u64| now.saturating_sub(last) as u32;
@@ -119,8 +118,8 @@ impl Disturbances {
         timing.voluntary_switches = since(now.voluntary, last.voluntary);
         timing.involuntary_switches = since(now.involuntary, last.involuntary);
         self.counts = now;
-        // A thread that was never taken off its core has not waited for one: the file, a microsecond to read, is
-        // looked at only after a switch.
+        // A thread that never lost its core has not waited for one. Reading the file takes a microsecond, so do it only after a context
+        // switch.
         timing.run_queue_wait_ns = 0;
         if timing.voluntary_switches + timing.involuntary_switches > 0 {
             let total_ns = self.total_wait_ns().unwrap_or(self.wait_ns);
@@ -129,7 +128,7 @@ impl Disturbances {
         }
     }
 
-    /// Looks at the machine's steal, so that the next late tick is told only what came after.
+    /// Samples the steal counter, so that the next late tick sees only what came after.
     pub fn note_steal(&mut self) {
         self.steal.since_last();
     }
@@ -141,7 +140,7 @@ impl Disturbances {
     }
 }
 
-/// Steal of each core.
+/// Steal time of each core.
 #[derive(Debug)]
 struct Steal {
     file: Option<File>,
@@ -160,7 +159,7 @@ impl Steal {
         steal
     }
 
-    /// Steal of the present core since the last look.
+    /// Steal time of the current core since the last sample.
     fn since_last(&mut self) -> u64 {
         let length = self.file.as_ref().and_then(|file| file.read_at(&mut self.text, 0).ok()).unwrap_or(0);
         let core = rustix::thread::sched_getcpu();
@@ -219,7 +218,7 @@ mod tests {
         let mut readings = Disturbances::new();
         let mut timing = TickTiming::zeroed();
         readings.count(&mut timing);
-        // Unseen by the compiler, which would else make none of it.
+        // `black_box`, or the compiler would remove the allocation.
         let fresh = std::hint::black_box(vec![1_u8; 8 << 20]);
         readings.count(&mut timing);
         assert!(timing.page_faults > 0 && fresh[4096] == 1, "{timing:?}");

@@ -1,4 +1,4 @@
-//! The hub's surroundings in a running session: ports in shared memory, the machine's clock, the kernel's counters.
+//! The hub's environment in a running session: ports in shared memory, the machine's clock, the kernel's counters.
 
 use std::time::{Duration, Instant};
 
@@ -43,7 +43,7 @@ pub(super) struct SharedMemory {
 }
 
 impl SharedMemory {
-    /// Opens the ports; the thread that opens them is the one that keeps the tick.
+    /// Opens the ports. Call it from the thread that will run the tick.
     pub(super) fn open(
         session: &Session,
         scene: &Scene,
@@ -82,7 +82,7 @@ impl SharedMemory {
         })
     }
 
-    /// The parts that take every state.
+    /// The parts that must receive every state.
     pub(super) fn consumers(&self) -> Vec<Part> {
         self.consumers.iter().map(|(part, _)| *part).collect()
     }
@@ -92,7 +92,7 @@ impl SharedMemory {
         &self.end
     }
 
-    /// Waits for what the hub waits for.
+    /// Waits for whatever the hub needs next.
     pub(super) fn wait(&mut self, wait: Wait) {
         let left = Duration::from_nanos(wait.until_ns.saturating_sub(now_ns()));
         let until = Instant::now() + left;
@@ -112,7 +112,7 @@ impl SharedMemory {
     }
 }
 
-/// A copy of a message, and who sent it.
+/// A copy of a message, and its sender.
 fn copied<M: ipc_types::layout::Message>(received: &Received<M>) -> Incoming<M> {
     Incoming::Message(*received.message(), Connection(received.sender().number()))
 }
@@ -171,7 +171,7 @@ impl Environment for SharedMemory {
 
     fn receive_report(&mut self) -> Result<Option<Report>, PortError> {
         while let Some(received) = self.progress.receive_valid(|_| {})? {
-            // Whose it is says the transport, not the report: nobody speaks for another.
+            // The transport identifies the sender, not the report, so no part can speak for another.
             if let Some(part) = received.part() {
                 return Ok(Some(Report { part, tick: received.message().tick }));
             }

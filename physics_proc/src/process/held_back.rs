@@ -1,6 +1,6 @@
-//! What held the whole process back: a quota of its control group, a freezer, a stop.
+//! Detects what suspended the whole process: a cgroup quota, a freezer, a stop signal.
 //!
-//! The files are opened once and read only after a long gap, so that no tick in time, and none that is a little late, pays for them.
+//! The files are opened once and read only after a long gap, so that ticks that are on time or slightly late pay nothing.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -10,12 +10,12 @@ use ipc_types::signals::Continued;
 
 use super::disturbance::number;
 
-/// A gap that a quota or a freezer may explain: they hold a process back for milliseconds.
+/// Shortest gap that a quota or a freezer can explain: both suspend a process for milliseconds.
 const LONG_GAP_NS: i64 = 5_000_000;
-/// Groups above each other that are looked at.
+/// Maximum depth of the cgroup hierarchy to watch.
 const MOST_GROUPS: usize = 8;
 
-/// Counters of the control groups that this process is in, and whether it was continued.
+/// Counters of the cgroups that this process is in, and whether it received SIGCONT.
 #[derive(Debug)]
 pub(super) struct HeldBack {
     throttled: Vec<Counter>,
@@ -24,7 +24,7 @@ pub(super) struct HeldBack {
 }
 
 impl HeldBack {
-    /// Of the groups that the process is in now.
+    /// For the cgroups that the process is in now.
     pub(super) fn new() -> HeldBack {
         let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         let groups = groups(&text("/proc/self/mounts"), &text("/proc/self/cgroup"));
@@ -35,32 +35,32 @@ impl HeldBack {
             groups.iter().filter_map(counter).take(MOST_GROUPS).collect()
         };
         HeldBack {
-            // The first of them costs the kernel no sum over the groups below; the last is that of version 1.
+            // The first is cheap because the kernel does not sum over child groups; the last is version 1's.
             throttled: open(&[
                 ("cpu.stat.local", "throttled_usec", 1000),
                 ("cpu.stat", "throttled_usec", 1000),
                 ("cpu.stat", "throttled_time", 1),
             ]),
             frozen: open(&[("cgroup.stat.local", "frozen_usec", 1000)]),
-            // Without it a stop has no name.
+            // Without this, a stop cannot be identified.
             continued: Continued::install().unwrap_or_default(),
         }
     }
 
-    /// How long it was throttled and how long it was stopped before a tick that begins so late.
+    /// How long the process was throttled and how long it was stopped before a tick with this lateness.
     pub(super) fn before(&mut self, lateness_ns: i64) -> (u64, u64) {
         let continued = self.continued.take();
         if lateness_ns <= LONG_GAP_NS {
             return (0, 0);
         }
-        // What holds a group back holds all below it back: the most is not counted twice.
+        // A suspended group suspends all its children too; taking the maximum avoids counting that twice.
         let most = |counters: &mut [Counter]| counters.iter_mut().map(Counter::since_last).max().unwrap_or(0);
         let (throttled_ns, frozen_ns) = (most(&mut self.throttled), most(&mut self.frozen));
         (throttled_ns, if continued { lateness_ns as u64 } else { frozen_ns })
     }
 }
 
-/// A number in a file of a control group, that only rises.
+/// A monotonic counter in a cgroup file.
 #[derive(Debug)]
 struct Counter {
     file: File,
@@ -70,7 +70,7 @@ struct Counter {
 }
 
 impl Counter {
-    /// None if there is no such number.
+    /// None if the file has no such counter.
     fn open(path: &Path, key: &'static str, unit_ns: u64) -> Option<Counter> {
         let mut counter = Counter { file: File::open(path).ok()?, key, unit_ns, last: 0 };
         counter.last = counter.read()?;
@@ -84,7 +84,7 @@ impl Counter {
         lines.find_map(|line| number(line.strip_prefix(self.key.as_bytes())?.strip_prefix(b" ")?))
     }
 
-    /// Nanoseconds since the last look.
+    /// Nanoseconds since the last read.
     fn since_last(&mut self) -> u64 {
         let now = self.read().unwrap_or(self.last);
         let since = now.saturating_sub(self.last);
@@ -93,7 +93,7 @@ impl Counter {
     }
 }
 
-/// Folders of the control groups of a process and of those above them: of version 2, and of the `cpu` controller of version 1.
+/// Folders of a process's cgroups and their ancestors: of version 2, and of the `cpu` controller of version 1.
 fn groups(mounts: &str, own: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for line in mounts.lines() {
@@ -106,7 +106,7 @@ fn groups(mounts: &str, own: &str) -> Vec<PathBuf> {
             "cgroup" => [options, controllers].iter().all(|list| list.split(',').any(|name| name == "cpu")),
             _ => false,
         };
-        // hierarchy:controllers:path; version 2 has an empty list (cgroups(7)).
+        // hierarchy:controllers:path; in version 2 the list is empty (cgroups(7)).
         let path = own.lines().find_map(|line| {
             let mut fields = line.splitn(3, ':').skip(1);
             let (controllers, path) = (fields.next()?, fields.next()?);
@@ -161,7 +161,7 @@ mod tests {
         assert_eq!(held_back.before(LONG_GAP_NS).1, 0);
         signal_hook::low_level::raise(signal_hook::consts::SIGCONT).unwrap();
         assert_eq!(held_back.before(600_000_000).1, 600_000_000);
-        // It is told once.
+        // A stop is reported only once.
         assert_eq!(held_back.before(600_000_000).1, 0);
     }
 }

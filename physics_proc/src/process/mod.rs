@@ -37,25 +37,25 @@ pub enum PhysicsError {
     /// The session's scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A message cannot be sent or taken.
+    /// A message cannot be sent or received.
     #[error(transparent)]
     Port(#[from] PortError),
     /// The simulation refuses the scene.
     #[error("tick 0: {0}")]
     Simulation(#[from] SimulationError),
-    /// The volume did not come.
+    /// The volume did not arrive.
     #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
     NoVolume {
         /// Seconds waited.
         limit_s: u64,
     },
-    /// The volume's bytes are not one.
+    /// The bytes received are not a volume.
     #[error("the volume message is not one: {problem}")]
     BadVolume {
         /// What is wrong.
         problem: String,
     },
-    /// The run ends early; and what to do.
+    /// The run ended early; the text says what to do.
     #[error("{0}{1}")]
     Run(HubError<PortError, SimulationError>, String),
     /// Signals cannot be handled.
@@ -63,7 +63,7 @@ pub enum PhysicsError {
     Signals(std::io::Error),
 }
 
-/// Runs the physics of a session to its end.
+/// Runs the physics of a session until the session ends.
 ///
 /// # Errors
 /// Any [`PhysicsError`].
@@ -108,7 +108,7 @@ fn drive(
     }
 }
 
-/// How an external controller that did not connect is to be started.
+/// How to start an external controller that did not connect.
 fn hint(cause: &HubError<PortError, SimulationError>, session: &Session, scene: &Scene) -> String {
     let HubError::ControllerNotConnected { name, .. } = cause else { return String::new() };
     match scene.controller.iter().find(|controller| controller.name == *name) {
@@ -119,7 +119,7 @@ fn hint(cause: &HubError<PortError, SimulationError>, session: &Session, scene: 
     }
 }
 
-/// Keeps all memory of this process resident, where the system permits it.
+/// Locks all memory of this process, where the system permits it.
 fn lock_memory(memory: &mut SharedMemory) -> Result<(), PortError> {
     let flags = rustix::mm::MlockAllFlags::CURRENT | rustix::mm::MlockAllFlags::FUTURE;
     match rustix::mm::mlockall(flags) {
@@ -128,7 +128,7 @@ fn lock_memory(memory: &mut SharedMemory) -> Result<(), PortError> {
     }
 }
 
-/// In real time the tick comes first; what the scheduler refuses is said.
+/// Raises the priority, since in real time the tick comes first; reports it if the scheduler refuses.
 fn take_priority(memory: &mut SharedMemory, scene: &Scene) -> Result<(), PortError> {
     if scene.run.mode == Mode::Lockstep {
         return Ok(());
