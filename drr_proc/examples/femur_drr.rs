@@ -1,4 +1,4 @@
-//! A fluoroscopic picture of the synthetic femur with a curved drilled path, an empty side branch, and the tool in it.
+//! Renders fluoroscopic images of the synthetic femur with a curved drilled path, an empty side branch, and the tool inside.
 //!
 //! `cargo run --release -p drr_proc --example femur_drr -- <folder> [dark|bright|tool-black] [primary_deg] [secondary_deg]` writes
 //! `intact.png`, `drilled.png` and `tool.png`.
@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let grid = Grid::new(volume.dims, volume.spacing_m, volume.origin_m, volume.direction)?;
     let view = VolumeView::new(grid, &volume.hu)?;
 
-    // Along the neck axis into the neck, then curving up into the head; the branch goes straight on.
+    // Along the neck axis into the neck, then curving up into the head; the branch continues straight.
     let (entry, ahead) = (marks.entry_point_m, marks.neck_axis);
     let up = perpendicular([0.0, 0.0, 1.0], ahead);
     let along = |s: f64| [0, 1, 2].map(|a| entry[a] + s * ahead[a]);

@@ -1,4 +1,4 @@
-//! Milliseconds and errors of the projectors on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x 384 pixels.
+//! Time (ms) and error of each projector on a thigh of 240 x 200 x 320 voxels of 1 mm, 384 x 384 pixels.
 //!
 //! `cargo run --release -p drr_proc --example render_time -- [threads] [picture.png]`
 
@@ -70,7 +70,7 @@ fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// Least times of a full frame, one where nothing changed, one with the tool, and one after a millimetre of drilling.
+/// Shortest times of a full frame, a frame without changes, one with the tool, and one after a millimetre of drilling.
 fn time_frames(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,

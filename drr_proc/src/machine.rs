@@ -1,4 +1,4 @@
-//! This machine, as the renderer uses it: threads, the monotonic clock, the free memory, huge pages.
+//! The machine services that the renderer uses: threads, the monotonic clock, free memory, huge pages.
 
 use std::sync::LazyLock;
 use std::time::Instant;
@@ -16,22 +16,22 @@ impl Machine for ThisMachine {
         pool.build().map_err(|cause| cause.to_string())
     }
 
-    /// By the standard library's clock, which also works under valgrind (`trabecula bench instructions`).
+    /// Uses the standard library's clock, which also works under valgrind (`trabecula bench instructions`).
     fn now_ns(&self) -> u64 {
         static START: LazyLock<Instant> = LazyLock::new(Instant::now);
         START.elapsed().as_nanos() as u64
     }
 
-    /// `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)); `None` where there is none.
+    /// `MemAvailable` of `/proc/meminfo` (proc_meminfo(5)); `None` if it is missing.
     fn available_bytes(&self) -> Option<u64> {
         let text = std::fs::read_to_string("/proc/meminfo").ok()?;
         let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
         line.split_whitespace().next()?.parse::<u64>().ok()?.checked_mul(1024)
     }
 
-    /// In huge pages where the kernel grants them.
+    /// Allocates huge pages where the kernel grants them.
     fn zeroed(&self, bytes: usize) -> Option<Box<dyn Memory>> {
-        // An empty mapping is refused.
+        // The system refuses empty mappings.
         let map = MmapMut::map_anon(bytes.max(1)).ok()?;
         // A kernel without huge pages refuses this; small pages are only slower.
         #[cfg(target_os = "linux")]
@@ -40,7 +40,7 @@ impl Machine for ThisMachine {
     }
 }
 
-/// An anonymous mapping; it begins at a page, so every alignment fits.
+/// An anonymous mapping; it is page-aligned, which satisfies every alignment.
 struct Mapping(MmapMut);
 
 impl Memory for Mapping {

@@ -1,4 +1,4 @@
-//! The DRR process as a program of its own.
+//! The DRR process as a standalone program.
 
 use std::path::PathBuf;
 use std::process::ExitCode;

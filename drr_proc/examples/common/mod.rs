@@ -1,4 +1,4 @@
-//! What the examples share: a continuum manipulator and a picture file.
+//! Shared by the examples: a continuum manipulator and a PNG writer.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -19,8 +19,8 @@ pub fn write_png(
     Ok(())
 }
 
-/// Positions along a continuum manipulator: `rigid_m` straight along the unit vector `ahead`, then 27 links of 1.2 mm that turn
-/// towards the unit vector `side` by `bend_rad` in all.
+/// Positions along a continuum manipulator: `rigid_m` straight along the unit vector `ahead`, then 27 links of 1.2 mm that turn toward
+/// the unit vector `side` by `bend_rad` in total.
 pub fn backbone(
     base_m: [f64; 3],
     ahead: [f64; 3],

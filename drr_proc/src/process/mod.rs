@@ -1,9 +1,9 @@
-//! The DRR process: takes every state and every removed voxel, renders the frames that are due, publishes them.
+//! The DRR process: receives every state and every removed voxel, renders the frames that are due, and publishes them.
 //!
-//! One thread talks to the other processes, another renders (with as many worker threads as the scene says), so that
-//! no message is lost however long a frame takes. In lockstep every scheduled tick is rendered, and the physics waits
-//! when the renderer falls behind; in real time a frame that is due while another is rendered shows the newest state
-//! once the renderer is free. Which tick a frame shows is published (`DrrReply`) before it is rendered.
+//! One thread talks to the other processes while another renders (with as many worker threads as the scene says), so that no message is
+//! lost however long a frame takes. In lockstep every scheduled tick is rendered, and the physics waits when the renderer falls behind.
+//! In real time, a frame that falls due during a render shows the newest state once the renderer is free. The process publishes which
+//! tick a frame will show (`DrrReply`) before it renders it.
 
 mod ports;
 mod service;
@@ -32,7 +32,7 @@ pub enum DrrProcessError {
     /// The session's scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A message cannot be sent or taken.
+    /// A message cannot be sent or received.
     #[error(transparent)]
     Port(#[from] PortError),
     /// The renderer refuses the volume or the C-arm.
@@ -41,16 +41,16 @@ pub enum DrrProcessError {
     /// The scene has no X-ray.
     #[error("the scene has no `[drr]`: there is nothing to render")]
     NoDrr,
-    /// The volume did not come.
+    /// The volume did not arrive.
     #[error("the volume did not arrive within {limit_s} s; is the launcher running?")]
     NoVolume {
         /// Seconds waited.
         limit_s: u64,
     },
-    /// Removed voxels were lost, so that frames would show bone that is gone.
+    /// Messages with removed voxels were lost, so frames would show bone that is gone.
     #[error(transparent)]
     RemovedLost(#[from] RemovedLost),
-    /// The rendering thread ended.
+    /// The rendering thread died.
     #[error("the rendering thread ended early")]
     WorkerGone,
     /// Signals cannot be handled.
@@ -58,7 +58,7 @@ pub enum DrrProcessError {
     Signals(std::io::Error),
 }
 
-/// Runs the DRR process of a session to its end.
+/// Runs the DRR process of a session until the session ends.
 ///
 /// # Errors
 /// Any [`DrrProcessError`].
@@ -66,7 +66,7 @@ pub fn run(session_folder: &Path) -> Result<(), DrrProcessError> {
     let end = EndRequest::install().map_err(DrrProcessError::Signals)?;
     let scene = session_scene(session_folder)?;
     let drr = scene.drr.clone().ok_or(DrrProcessError::NoDrr)?;
-    // Frames may wait, ticks may not.
+    // Frames can wait, ticks cannot.
     prioritise(Role::Drr, scene.run.policy);
     let session = Session::join(session_folder)?;
     session.claim(Part::Drr)?;

@@ -47,7 +47,7 @@ impl Ports {
         })
     }
 
-    /// The volume in shared memory; it stays there as long as the return value lives.
+    /// Receives the volume in shared memory; it stays mapped for as long as the return value lives.
     pub(super) fn receive_volume(&self, end: &EndRequest) -> Result<Received<Volume>, DrrProcessError> {
         let volume = await_volume(&self.volume, end)?;
         volume.ok_or(DrrProcessError::NoVolume { limit_s: VOLUME_LIMIT.as_secs() })

@@ -22,16 +22,16 @@ use zerocopy::FromBytes;
 use super::DrrProcessError;
 use super::ports::Ports;
 
-/// Jobs that may wait for the renderer.
+/// Maximum number of jobs that wait for the renderer.
 const QUEUE: usize = 2;
-/// Longest wait for a message before the ports are looked at again.
+/// Longest wait for a message before the ports are polled again.
 const LOOK_TIME: Duration = Duration::from_millis(2);
-/// States that are taken before requests are looked at again.
+/// Number of states to read before requests are polled again.
 const STATES_PER_ROUND: usize = 32;
-/// Progress is reported at least every so many states.
+/// Maximum number of states between progress reports.
 const PROGRESS_TICKS: u64 = 32;
 
-/// A finished frame, and the wall time that it took.
+/// A finished frame, and how long it took to render (wall time).
 struct Finished {
     rendered: Rendered,
     render_ns: u64,
@@ -56,7 +56,7 @@ pub(super) fn serve(
                 let began_ns = now_ns();
                 let outcome = render_job(&mut renderer, view, &job)
                     .map(|rendered| Finished { rendered, render_ns: now_ns() - began_ns });
-                // The other side has ended: so does this one.
+                // The main thread has ended, so end this one too.
                 if outcomes.send(outcome).is_err() {
                     break;
                 }
@@ -126,7 +126,7 @@ impl Service {
             self.serve_newest()?;
             self.take_states()?;
             self.publish_finished()?;
-            // A physics process that joins later must learn of this one.
+            // A physics process that joins later must learn about this one.
             self.ports.progress.deliver_history()?;
             if let Some(status) = self.ports.status.receive_newest()?
                 && status.message().phase == PHASE_ENDED
@@ -142,7 +142,7 @@ impl Service {
         Ok(())
     }
 
-    /// Shows the last state, and waits for all frames.
+    /// Renders the last state, and waits for all frames.
     fn finish(mut self) -> Result<(), DrrProcessError> {
         if let Some(state) = self.newest.take()
             && let Some(due) = self.schedule.last(state.tick)
@@ -157,7 +157,7 @@ impl Service {
     }
 
     fn take_states(&mut self) -> Result<(), DrrProcessError> {
-        // In lockstep the physics runs as fast as states are taken, so requests must be looked at in between.
+        // In lockstep the physics runs as fast as states are read, so poll requests in between.
         for _ in 0..STATES_PER_ROUND {
             let Some(received) = self.ports.states.receive()? else { break };
             let state = Box::new(*received.message());
@@ -181,7 +181,7 @@ impl Service {
         Ok(())
     }
 
-    /// Every removal up to this state has been published before it.
+    /// Reads the removals up to this state; all of them were published before it.
     fn take_removals(&mut self, state: &State) -> Result<(), DrrProcessError> {
         while let Some(removed) = self.ports.removed.receive()? {
             let voxels =
@@ -198,7 +198,7 @@ impl Service {
         Ok(self.removals.advance(state.tick, state.removed_total)?)
     }
 
-    /// Takes the requests that have come. Their number is limited per program, so that a flooding program cannot delay frames.
+    /// Reads pending requests. They are rate-limited per program, so that a flooding program cannot delay frames.
     fn take_requests(&mut self) -> Result<(), DrrProcessError> {
         let mut refused = Vec::new();
         for _ in 0..LOOKED_AT {
@@ -237,7 +237,7 @@ impl Service {
         if self.in_flight == 0 { Renderer::Idle } else { Renderer::Busy }
     }
 
-    /// Serves requests that came after the state that they ask for: in lockstep no other state may come before they are answered.
+    /// Serves requests that arrived after the state that they ask for: in lockstep no further state may arrive before they are answered.
     fn serve_newest(&mut self) -> Result<(), DrrProcessError> {
         let Some(state) = self.newest.take() else { return Ok(()) };
         while let Some(due) = self.schedule.due(state.tick, self.renderer()) {
@@ -252,7 +252,7 @@ impl Service {
             return Ok(self.c_arm);
         }
         let c_arm = c_arm_of(&request.geometry)?;
-        // The shared memory of a frame has the size of the scene's detector.
+        // A frame's shared memory has the size of the scene's detector.
         if (c_arm.columns, c_arm.rows) == (self.c_arm.columns, self.c_arm.rows) {
             return Ok(c_arm);
         }
@@ -284,7 +284,7 @@ impl Service {
         })?)
     }
 
-    /// Announces a frame of this state and hands it to the renderer.
+    /// Announces a frame of this state and queues it for the renderer.
     fn start(&mut self, state: &State, due: Due) -> Result<(), DrrProcessError> {
         let (request, c_arm) = match due {
             Due::Scheduled => (DrrRequest::zeroed(), self.c_arm),
@@ -300,7 +300,7 @@ impl Service {
             sequence: self.sequence,
             request_id: request.request_id,
             c_arm,
-            // Without a frame rate all frames are requested, and their C-arm may well stay the same.
+            // Without a frame rate every frame is a requested one, and the C-arm often stays the same.
             aside: self.schedule.is_periodic() && c_arm != self.c_arm,
             isocentre_m: self.isocentre_m,
             notch: self.notch,
