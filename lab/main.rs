@@ -1,5 +1,6 @@
-//! `trabecula-lab`: what the product costs, how exact it is, and what it does under stress. Another program, so that `trabecula`
-//! stays small; it is built on the same library, and runs what it measures from its own file.
+//! `trabecula-lab`: measures what the product costs, how accurate it is, and how it behaves under stress. A separate
+//! program, so that `trabecula` stays small; it uses the same library, and starts the parts to be measured from its
+//! own executable.
 
 #![cfg_attr(not(test), warn(clippy::print_stdout))]
 
@@ -95,8 +96,8 @@ fn obey(command: &UserCommand) -> Result<(), Failure> {
 mod tests {
     use clap::CommandFactory;
 
-    /// Commands with an output, and the argument that names it. Each is in the table of `tests/processes/outputs.rs`, but for `stress`,
-    /// which makes a folder of a new name.
+    /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
+    /// except `stress`, which creates a folder with a new name.
     const KNOWN: [&str; 7] = [
         "bench soak --output",
         "chart drr --out",

@@ -1,8 +1,9 @@
-//! `trabecula proc keep`: runs a third-party program, and ends everything that it started when the program or the launcher ends.
+//! `trabecula proc keep`: runs a third-party program, and ends everything that it started when the program or the
+//! launcher ends.
 //!
-//! The kernel sends a parent-death signal to direct children only, and a daemon leaves its parent's group and session. This process
-//! therefore sits between launcher and program as a subreaper: orphans of the program become its children. Its standard input is a socket
-//! to the launcher, which closes however the launcher dies.
+//! The kernel sends a parent-death signal to direct children only, and a daemon leaves its parent's group and session.
+//! This process therefore sits between launcher and program as a subreaper: orphans of the program become its
+//! children. Its standard input is a socket to the launcher, which closes however the launcher dies.
 
 use std::ffi::OsString;
 use std::io::{Read, Write};
@@ -26,7 +27,8 @@ use crate::failure::Failure;
 pub const END_AT_ONCE: u8 = b'K';
 /// How long the program may take to end after the launcher has ended.
 const GRACE: Duration = Duration::from_secs(2);
-/// How long killed processes may take to disappear; the kernel is left to deal with any stuck in an uninterruptible system call.
+/// How long killed processes may take to disappear; the kernel is left to deal with any stuck in an uninterruptible
+/// system call.
 const KILL_LIMIT: Duration = Duration::from_secs(2);
 const KILL_LOOK: Duration = Duration::from_millis(2);
 

@@ -1,7 +1,9 @@
-//! Output files of commands: never overwrite an existing file, never leave a partial one. Every command with an output uses this module.
+//! Output files of commands: never overwrite an existing file, never leave a partial one. Every command with an output
+//! uses this module.
 //!
-//! This also keeps a command from overwriting its input, which exists. A command checks before its work, so that it refuses at once and
-//! writes nothing. An output gets its name only once it is complete, and only if the name is still free (`output_file`).
+//! This also keeps a command from overwriting its input, which exists. A command checks before its work, so that it
+//! refuses at once and writes nothing. An output gets its name only once it is complete, and only if the name is still
+//! free (`output_file`).
 
 use std::path::{Path, PathBuf};
 
@@ -24,8 +26,8 @@ pub fn within(folder: &Path, names: &[&str]) -> Vec<PathBuf> {
 mod tests {
     use clap::CommandFactory;
 
-    /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`, except `run`, which
-    /// creates a folder with a new name, and `proc recorder`, which `run` starts in it.
+    /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
+    /// except `run`, which creates a folder with a new name, and `proc recorder`, which `run` starts in it.
     const KNOWN: [&str; 13] = [
         "calibrate --output",
         "drr --output",

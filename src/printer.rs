@@ -1,8 +1,9 @@
-//! Writes the launcher's output on a separate thread, so that a stopped terminal (Ctrl-S) or an unread pipe delays neither the response
-//! to a signal nor the run. Before [`start`], and in every other command, output is written directly.
+//! Writes the launcher's output on a separate thread, so that a stopped terminal (Ctrl-S) or an unread pipe delays
+//! neither the response to a signal nor the run. Before [`start`], and in every other command, output is written
+//! directly.
 //!
-//! Output that does not fit the queue is dropped and counted. The command's answer, its standard output, is never dropped: [`finish`]
-//! waits for it at the end, up to a limit, unless a signal cuts the wait short.
+//! Output that does not fit the queue is dropped and counted. The command's answer, its standard output, is never
+//! dropped: [`finish`] waits for it at the end, up to a limit, unless a signal cuts the wait short.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -29,7 +30,8 @@ const HURRIED_LIMIT: Duration = Duration::from_millis(500);
 /// Interval between retries on a stream that is non-blocking.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Printers of standard output and standard error; the same printer twice if both lead to the same place, to keep the order.
+/// Printers of standard output and standard error; the same printer twice if both lead to the same place, to keep the
+/// order.
 static PRINTERS: OnceLock<[Arc<Printer>; 2]> = OnceLock::new();
 static HURRIED: AtomicBool = AtomicBool::new(false);
 
@@ -226,7 +228,8 @@ pub fn leave(code: u8) -> ! {
     std::process::exit(code.into());
 }
 
-/// Whether earlier output still waits for the terminal; then do not draw a table that would be outdated when it appears.
+/// Whether earlier output still waits for the terminal; then do not draw a table that would be outdated when it
+/// appears.
 pub fn is_behind() -> bool {
     PRINTERS.get().is_some_and(|printers| !printers[1].lock().waiting.is_empty())
 }

@@ -60,7 +60,8 @@ fn told(failure: Failure) -> u8 {
     failure.code
 }
 
-/// The exit code of a command that ends with `code`: if its answer could not be written, success or a gap becomes a failure.
+/// The exit code of a command that ends with `code`: if its answer could not be written, success or a gap becomes a
+/// failure.
 fn with_its_answer(code: u8) -> u8 {
     let unwritten = printer::finish_answers().or_else(|| say::unwritten().map(str::to_owned));
     let code = match unwritten {

@@ -1,7 +1,8 @@
 //! The built-in scenes, and which scene a command uses.
 //!
-//! A command that needs no scene file uses one of these, so it works in any folder. Each is one file of `configs/` and refers to no other
-//! file (no CT, no calibration), so it is complete wherever it is written and its paths cannot point elsewhere.
+//! A command that needs no scene file uses one of these, so it works in any folder. Each is one file of `configs/` and
+//! refers to no other file (no CT, no calibration), so it is complete wherever it is written and its paths cannot
+//! point elsewhere.
 
 use std::fmt;
 use std::path::{Path, PathBuf};

@@ -168,7 +168,8 @@ impl Ports {
     }
 }
 
-/// The frames that a controller sees: in real time whatever has arrived, in lockstep whatever is due ([`Scene::frame_seen_at`]).
+/// The frames that a controller sees: in real time whatever has arrived, in lockstep whatever is due
+/// ([`Scene::frame_seen_at`]).
 struct Frames {
     subscriber: Subscriber<Frame>,
     scene: Scene,

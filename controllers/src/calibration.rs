@@ -1,5 +1,5 @@
-//! Calibration tables: how far a tendon tension or displacement bends the tip. `trabecula calibrate` writes them; open-loop curved
-//! drilling reads them.
+//! Calibration tables: how far a tendon tension or displacement bends the tip. `trabecula calibrate` writes them;
+//! open-loop curved drilling reads them.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

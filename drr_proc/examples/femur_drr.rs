@@ -1,7 +1,8 @@
-//! Renders fluoroscopic images of the synthetic femur with a curved drilled path, an empty side branch, and the tool inside.
+//! Renders fluoroscopic images of the synthetic femur with a curved drilled path, an empty side branch, and the tool
+//! inside.
 //!
-//! `cargo run --release -p drr_proc --example femur_drr -- <folder> [dark|bright|tool-black] [primary_deg] [secondary_deg]` writes
-//! `intact.png`, `drilled.png` and `tool.png`.
+//! `cargo run --release -p drr_proc --example femur_drr -- <folder> [dark|bright|tool-black] [primary_deg]
+//! [secondary_deg]` writes `intact.png`, `drilled.png` and `tool.png`.
 
 mod common;
 

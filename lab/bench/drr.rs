@@ -1,4 +1,4 @@
-//! Milliseconds of X-ray line integrals, beside their error and the speed at which this machine reads memory.
+//! Times X-ray line integrals (ms), with their error and this machine's memory bandwidth for comparison.
 
 use std::time::Instant;
 
@@ -17,16 +17,17 @@ use trabecula::machine::Machine;
 
 /// Poses by primary and secondary angle, degrees.
 const POSES: [(&str, f64, f64); 3] = [("ap", 0.0, 0.0), ("oblique", 37.0, 18.0), ("lateral", 90.0, 5.0)];
-/// Every how many pixels in both directions the error is taken: Siddon's method is slow.
+/// The error is sampled at every this many pixels in both directions, because Siddon's method is slow.
 const ERROR_STRIDE: u32 = 8;
-/// Voxel size up to 512 voxels along an edge; more are smaller, so that the C-arm stays around the volume.
+/// Voxel size up to 512 voxels along an edge; larger volumes get smaller voxels, so that the C-arm still fits around
+/// them.
 const SPACING_M: f64 = 0.5e-3;
 /// Field of view of the detector, m.
 const FIELD_M: f64 = 0.307;
 /// Photon energy, keV.
 const ENERGY_KEV: f64 = 60.0;
 
-/// Times of one thing over rounds.
+/// Times of one case over several rounds.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Times(Vec<f64>);
 
@@ -57,15 +58,15 @@ pub(super) fn pose(primary: f64, secondary: f64, side: u32) -> Result<CArm, DrrE
     CArm::from_positioner_angles([0.0; 3], angles, 0.7, 1.0, format)
 }
 
-/// Renders a phantom of the dimensions `rounds` times from three sides.
+/// Renders a phantom of these dimensions `rounds` times from three sides.
 ///
 /// # Errors
-/// A volume too large for the memory.
+/// A volume too large for memory.
 pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
     let longest = dimensions.into_iter().max().unwrap_or(1);
     let spacing_m = SPACING_M * (512.0 / longest as f64).min(1.0);
     let grid = Grid::centred(dimensions, [spacing_m; 3]).map_err(Failure::bad_input)?;
-    // The thigh fills 240 x 200 x 320 mm at size 1; it goes on beyond the ends of a shorter volume.
+    // At size 1 the thigh fills 240 x 200 x 320 mm; it extends beyond the ends of a shorter volume.
     let size = dimensions[0].min(dimensions[1]) as f64 * spacing_m / 0.24;
     let solids = reference::thigh(size).into_iter().map(Solid::Ellipsoid).collect();
     let hu = Phantom { solids }.voxelise(&grid, 2);
@@ -74,7 +75,7 @@ pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
     say!("volume {dimensions:?}, {spacing_m} m; ms as least (median) of {rounds} interleaved rounds\n");
     let bandwidth = bandwidth(&hu, rounds)?;
     for instructions in Instructions::available() {
-        // Scalar code is there to be right.
+        // Scalar code is the reference for correctness, not speed.
         let rounds = if instructions == Instructions::SCALAR { rounds.min(3) } else { rounds };
         frames(&view, instructions, rounds, bandwidth)?;
     }
@@ -85,7 +86,7 @@ pub fn run(dimensions: [usize; 3], rounds: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Bytes a second that one and two threads read in a row.
+/// Sequential read bandwidth of one and two threads, bytes per second.
 fn bandwidth(hu: &[i16], rounds: usize) -> Result<[f64; 2], Failure> {
     let mut rates = [0.0; 2];
     for (rate, threads) in rates.iter_mut().zip([1, 2]) {
@@ -123,14 +124,15 @@ fn frames(
         let c_arm = pose(primary, secondary, 64).map_err(failed)?;
         pool(2)?.install(|| slices.prepare(view, &removed, &c_arm)).map_err(failed)?;
     }
-    // Times by pose, number of threads, side of the detector. The pose changes from frame to frame, so each is a full one.
+    // Times by pose, number of threads, side of the detector. The pose changes between frames, so each frame is a full
+    // one.
     let cases = [(1, 512), (2, 512), (1, 1024), (2, 1024)];
     let mut times = vec![Times::default(); POSES.len() * cases.len()];
     let pools = [pool(1)?, pool(2)?];
     for _ in 0..rounds {
         for (case, (threads, side)) in cases.into_iter().enumerate() {
             let pool = &pools[threads - 1];
-            // As in the running hub, the image lies in memory that has been written before.
+            // As in the running hub, the image memory has been written before.
             let mut image = vec![1.0; side as usize * side as usize];
             for (which, (_, primary, secondary)) in POSES.into_iter().enumerate() {
                 let c_arm = pose(primary, secondary, side).map_err(failed)?;
@@ -220,7 +222,7 @@ fn errors(view: &VolumeView<'_>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Updates after removals around the middle of the bone, and scattered over the volume.
+/// Times updates after removals around the middle of the bone, and scattered over the volume.
 fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
     let (pool, c_arm) = (pool(2)?, pose(37.0, 18.0, 512).map_err(failed)?);
     let mut image = vec![0.0; c_arm.pixels()];
@@ -240,7 +242,7 @@ fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
                         slices.remove(view, linear).map_err(failed)?;
                     }
                 }
-                // As the renderer does: few changes are worked in without waking the worker threads.
+                // As in the renderer, a few changes are applied without waking the worker threads.
                 let update = match slices.refresh(&c_arm, &mut image) {
                     None => {
                         let project = || slices.project(view, &removed, &c_arm, &mut image);
@@ -258,7 +260,7 @@ fn removals(view: &VolumeView<'_>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Voxels that attenuate, by their distance from a voxel.
+/// Attenuating voxels, sorted by their distance from a voxel.
 fn by_distance(view: &VolumeView<'_>, centre: [usize; 3]) -> Vec<usize> {
     const REACH: i64 = 60;
     let grid = view.grid();

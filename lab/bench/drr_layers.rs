@@ -1,4 +1,4 @@
-//! Milliseconds of what comes after the anatomy of an X-ray frame: the tool, the exposure, the display's window.
+//! Times (ms) the stages after the anatomy of an X-ray frame: the tool, the exposure, the display window.
 
 use drr_proc::ThisMachine;
 use xray::{
@@ -10,7 +10,7 @@ use super::drr::{Times, pose};
 use super::{failed, row};
 use trabecula::failure::Failure;
 
-/// Links of the tool.
+/// Number of links of the tool.
 const LINKS: usize = 27;
 
 /// 27 hollow links of nitinol (6 / 5 mm) along an arc, a shaft (6 / 4 mm, 120 mm), and a burr of 3 mm radius.
@@ -34,8 +34,8 @@ fn tool() -> Tool {
     Tool { parts }
 }
 
-/// Renders frames of a standing C-arm whose anatomy is cached: alone, with the tool, with noise, and with the window of the
-/// picture's own grey values.
+/// Renders frames from a stationary C-arm with cached anatomy: alone, with the tool, with noise, and with a window
+/// computed from the image's own grey values.
 pub(super) fn run(view: &VolumeView<'_>, rounds: usize) -> Result<(), Failure> {
     let c_arm = pose(37.0, 18.0, 512).map_err(failed)?;
     let (nothing, tool) = (Tool::default(), tool());
@@ -64,7 +64,7 @@ pub(super) fn run(view: &VolumeView<'_>, rounds: usize) -> Result<(), Failure> {
         for frame in 0..=rounds.max(20) as u64 {
             let seed = FrameSeed { seed: 1, frame };
             let mut render = || renderer.render(view, &c_arm, tool, seed, &mut image);
-            // The first makes the anatomy.
+            // The first frame computes the anatomy.
             let report = if frame == 0 { render() } else { times.add(render) };
             covered = report.map_err(failed)?.tool_pixels;
         }

@@ -3,40 +3,41 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// Share of the run after which a process counts as started: caches are filled, every path has been gone.
+/// Fraction of the run after which a process counts as started: caches are warm and every code path has run.
 const STARTED_SHARE: f64 = 0.1;
 
-/// A process's own memory over the run.
+/// A process's private memory over the run.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Curve(Vec<(f64, u64)>);
 
-/// Own memory of all processes, by name.
+/// Private memory of all processes, by name.
 #[derive(Debug, Clone, Default)]
 pub struct Growth(BTreeMap<String, Curve>);
 
-/// What a curve comes to.
+/// Summary of a curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Course {
     /// After a tenth of the run, in its middle, at its end; bytes.
     pub bytes: [u64; 3],
-    /// Median of the slopes between any two samples from the first of them on (Theil and Sen): a queue that once ran full, or a
-    /// sample that is wrong, moves it little; what grows all the time moves it by all of that.
+    /// Median of the slopes between any two samples (Theil and Sen). A queue that once ran full, or one bad sample,
+    /// hardly moves it; steady growth shows in full.
     pub bytes_per_minute: f64,
-    /// The least of this slope and of those of the first and the second half: a single step, wherever it is, leaves one half flat.
+    /// The smallest of this slope and those of the first and second half: a single step, wherever it is, leaves one
+    /// half flat.
     pub steady_bytes_per_minute: f64,
-    /// Time between the first of them and the last.
+    /// Time between the first and the last sample.
     pub minutes: f64,
 }
 
 impl Course {
-    /// What goes on growing all the time comes to so much from the first sample to the last.
+    /// What steady growth amounts to between the first and the last sample.
     pub fn growth_bytes(&self) -> f64 {
         self.steady_bytes_per_minute * self.minutes
     }
 }
 
 impl Growth {
-    /// Takes in what a living process has at a time of the run.
+    /// Adds a sample of a live process at a time of the run.
     pub fn add(&mut self, name: &str, at: Duration, bytes: u64) {
         self.0.entry(name.to_owned()).or_default().0.push((at.as_secs_f64() / 60.0, bytes));
     }
@@ -62,7 +63,7 @@ impl Curve {
     }
 }
 
-/// Bytes a minute; 0 without two moments.
+/// Bytes per minute; 0 with fewer than two distinct times.
 fn median_slope(samples: &[(f64, u64)]) -> f64 {
     let pairs = samples.iter().enumerate().flat_map(|(index, from)| {
         let later = samples[index + 1..].iter().filter(|to| to.0 > from.0);
@@ -80,7 +81,7 @@ fn median_slope(samples: &[(f64, u64)]) -> f64 {
 mod tests {
     use super::*;
 
-    /// A sample every five seconds of ten minutes.
+    /// One sample every five seconds for ten minutes.
     fn course(of: impl Fn(u64) -> u64) -> Course {
         let mut growth = Growth::default();
         for second in (0..=600).step_by(5) {
@@ -98,20 +99,20 @@ mod tests {
     #[test]
     fn a_steady_growth_is_its_slope() {
         let grown = course(|second| 1_000_000 + 500 * second);
-        // 500 bytes a second; the quotient of two f64 is off by 1e-16 of it.
+        // 500 bytes per second; the quotient of two f64 has a relative error of 1e-16.
         assert!((grown.bytes_per_minute - 30_000.0).abs() < 1e-6, "{grown:?}");
         assert_eq!(grown.bytes, [1_030_000, 1_165_000, 1_300_000]);
         assert!((grown.growth_bytes() - 270_000.0).abs() < 1e-6, "{grown:?}");
     }
 
-    /// Growth of -4540 KiB a minute: the last sample was of a process that had ended.
+    /// Regression: growth of -4540 KiB per minute, because the last sample was of a process that had ended.
     #[test]
     fn a_wrong_last_sample_is_no_slope() {
         let ended = course(|second| if second < 600 { 5_000_000 } else { 0 });
         assert_eq!(ended.bytes_per_minute, 0.0);
     }
 
-    /// A queue's high-water of 1.03 MiB beside a compiler failed a soak.
+    /// Regression: a queue's high-water mark of 1.03 MiB, while a compiler ran alongside, failed a soak.
     #[test]
     fn a_queue_that_once_ran_full_is_no_growth() {
         for at in [70, 330, 590] {

@@ -1,4 +1,4 @@
-//! Instructions of a physics step, counted by valgrind: a figure that no other program's load changes.
+//! Counts the instructions of a physics step with valgrind: a figure that other load on the machine does not change.
 
 use std::process::Command;
 
@@ -6,13 +6,13 @@ use super::failed;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
 
-/// Only what this function calls is counted: [`super::step`] calls it around every step.
+/// Only instructions below this function are counted; [`super::step`] calls it for every step.
 const COUNTED: &str = "*one_step*";
 
 /// Runs `bench step SCENE --in-process` again under callgrind, and prints the mean over its ticks.
 ///
 /// # Errors
-/// No valgrind on the path, or it fails.
+/// valgrind is not on the path, or fails.
 pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
     let program = std::env::current_exe().map_err(failed)?;
     let folder = tempfile::tempdir().map_err(failed)?;
@@ -42,7 +42,7 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
     }
 }
 
-/// The first whole number behind a word; in the table of [`super::step`] the first bracket holds the number of steps.
+/// The first whole number after a word; in the table of [`super::step`] the first bracket holds the number of steps.
 fn number_after(text: &str, word: &str) -> Option<u64> {
     let behind = text.split_once(word)?.1;
     behind.split(|c: char| !c.is_ascii_digit()).find(|digits| !digits.is_empty())?.parse().ok()

@@ -1,4 +1,4 @@
-//! Size of a recorded lockstep run, and the speed at which its log replays.
+//! Measures the size of a recorded lockstep run and the replay speed of its log.
 
 use std::path::Path;
 use std::time::Instant;
@@ -21,7 +21,7 @@ use trabecula::scenes::SceneSource;
 /// Records the scene in lockstep to its end, or for `ticks`, and replays the log without frames.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails.
+/// An invalid scene (2); a run that fails.
 pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
@@ -62,10 +62,10 @@ pub fn run(scene: &SceneSource, ticks: Option<u64>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Seconds of a verification between keyframes, on a thread a core.
+/// Time of a verification between keyframes, in seconds, with one thread per core.
 ///
 /// # Errors
-/// A log that cannot be read, or of which a tick has another hash.
+/// A log that cannot be read, or a tick with a different hash.
 pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
     let opened = OpenedLog::open(log, &Overrides::default())?;
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -82,10 +82,10 @@ pub fn verify(log: &Path) -> Result<(f64, usize), Failure> {
     Ok((began.elapsed().as_secs_f64(), threads))
 }
 
-/// Seconds from the first tick to the last, reading included; the end must have the log's hash.
+/// Time from the first tick to the last, in seconds, including reading; the final hash must match the log's.
 ///
 /// # Errors
-/// A log that cannot be read, a tick whose hash differs.
+/// A log that cannot be read, or a tick with a different hash.
 pub(super) fn replay(scene: &Scene, log: &Path) -> Result<f64, Failure> {
     let volume = volume_source::load(scene, VolumeFiles::default()).map_err(failed)?;
     let ct = volume.as_ref().map(|(volume, hash)| {

@@ -1,4 +1,5 @@
-//! Memory of each process with a large volume: one CT in shared memory, not one a process.
+//! Measures the memory of each process with a large volume, to show that there is one CT in shared memory, not one per
+//! process.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -22,7 +23,7 @@ use trabecula::scenes::SceneSource;
 /// Bytes of a mebibyte.
 const MEBIBYTE: f64 = 1_048_576.0;
 
-/// Three sizes with an `x` between.
+/// Parses three sizes separated by `x`.
 ///
 /// # Errors
 /// What is wrong with the text.
@@ -34,10 +35,10 @@ pub fn parse_dimensions(text: &str) -> Result<[usize; 3], String> {
     }
 }
 
-/// Runs the scene for `ticks` with its volume resampled to `dimensions`, and prints who holds how much.
+/// Runs the scene for `ticks` with its volume resampled to `dimensions`, and prints the memory of each process.
 ///
 /// # Errors
-/// A scene that is not one, or without a volume (2); a run that fails.
+/// An invalid scene, or one without a volume (2); a run that fails.
 pub fn run(scene: &SceneSource, dimensions: [usize; 3], ticks: u64) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     cut(&mut scene, Some(ticks));
@@ -72,7 +73,7 @@ pub fn run(scene: &SceneSource, dimensions: [usize; 3], ticks: u64) -> Result<()
     for (name, memory) in &result.memory {
         say!("{name:<46} {:>14} {:>14}", mebibytes(memory.peak_resident), mebibytes(memory.peak_private));
     }
-    // At its peak the launcher holds the volume that it has read and the one that it shares.
+    // At its peak the launcher holds both the volume that it read and the one that it shares.
     say!("{:<46} {:>14} {:>14}", "launcher, once the parts run", "", mebibytes(running.peak_private));
     let sizes: Vec<String> = segments.iter().map(|bytes| mebibytes(*bytes)).collect();
     row("shared segments as large as the CT", &format!("{} ({})", segments.len(), sizes.join(", ")));
@@ -84,7 +85,7 @@ fn mebibytes(bytes: u64) -> String {
     format!("{:.1} MiB", bytes as f64 / MEBIBYTE)
 }
 
-/// Sizes of the segments of a session that could hold a whole CT.
+/// Sizes of a session's shared-memory segments that are large enough for a whole CT.
 fn shared_segments(session: &Path, ct_bytes: u64) -> Vec<u64> {
     let Some(prefix) = SessionId::of(session).map(|id| id.shared_memory_prefix()) else { return Vec::new() };
     let entries = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
@@ -95,7 +96,8 @@ fn shared_segments(session: &Path, ct_bytes: u64) -> Vec<u64> {
         .collect()
 }
 
-/// Writes the volume with other dimensions over the same space as an uncompressed NRRD file, each voxel the nearest one.
+/// Writes the volume, resampled to other dimensions over the same space with the nearest voxel, as an uncompressed
+/// NRRD file.
 fn write_resampled(volume: &Volume, dims: [usize; 3], path: &Path) -> std::io::Result<()> {
     let ratio = [0, 1, 2].map(|axis| volume.dims[axis] as f64 / dims[axis] as f64);
     // The first voxel's centre lies half a new voxel inside the corner, not half an old one.
@@ -161,7 +163,7 @@ mod tests {
         for (i, j, k) in [(0, 0, 0), (7, 8, 1), (3, 4, 0)] {
             assert_eq!(finer.at([i, j, k]), volume.at([i / 2, j / 3, k]));
         }
-        // The outer corner of the first voxel stays; millimetres in text round at 1e-16 relative.
+        // The outer corner of the first voxel stays; printing millimetres as text rounds at 1e-16 relative.
         let corner = |volume: &Volume| volume.voxel_to_world_m([-0.5; 3]);
         for (a, b) in corner(&volume).iter().zip(corner(&finer)) {
             assert!((a - b).abs() < 1e-12, "{a} {b}");

@@ -1,4 +1,4 @@
-//! What the hub costs: measurements that print tables. Times are facts about a machine, so nothing here asserts one.
+//! What the hub costs: measurements that print tables. Times depend on the machine, so nothing here asserts one.
 
 pub mod drr;
 mod drr_layers;
@@ -24,7 +24,7 @@ use trabecula::failure::Failure;
 use trabecula::launcher::run::{Outcome, RunPlan, RunResult, RunSnapshot, run as run_scene};
 use trabecula::machine::Machine;
 
-/// An error that ends a measurement.
+/// Wraps an error that ends a measurement.
 fn failed(cause: impl ToString) -> Failure {
     Failure::failed(cause.to_string())
 }
@@ -34,12 +34,12 @@ fn row(name: &str, value: &str) {
     say!("{name:<46} {value}");
 }
 
-/// Prints what the machine did during a measurement that is over.
+/// Prints what the machine did during a finished measurement.
 fn print_machine(machine: &Machine) {
     row("machine during the measurement", &machine.summary());
 }
 
-/// Makes a run with all its processes; one that does not complete is an error.
+/// Runs a scene with all its processes; a run that does not complete is an error.
 fn complete_run(
     plan: &RunPlan,
     end: &EndRequest,
@@ -56,7 +56,7 @@ fn complete_run(
     }
 }
 
-/// Cuts a scene to a number of ticks.
+/// Limits a scene to a number of ticks.
 fn cut(scene: &mut Scene, ticks: Option<u64>) {
     let ticks = ticks.map_or(scene.tick_count(), |most| most.clamp(1, scene.tick_count()));
     scene.run.duration_s = ticks as f64 * scene.dt_s();

@@ -1,4 +1,4 @@
-//! The hub's own overhead: a lockstep tick over processes less its physics step, beside a bare ping-pong in turn.
+//! The hub's own overhead: a multi-process lockstep tick minus its physics step, alternating with a bare ping-pong.
 
 use ipc_types::messages::TickTiming;
 use ipc_types::process::EndRequest;
@@ -13,7 +13,7 @@ use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Machine;
 use trabecula::scenes::SceneSource;
 
-/// Where the time of lockstep ticks goes.
+/// How the time of lockstep ticks is spent.
 #[derive(Debug, Default)]
 struct Ticks {
     whole: Samples,
@@ -22,12 +22,12 @@ struct Ticks {
     step: Samples,
     publish: Samples,
     answer: Samples,
-    /// The tick before, to which the next one's start is the end.
+    /// The previous tick, which ends where the next one starts.
     last: Option<TickTiming>,
 }
 
 impl Ticks {
-    /// Takes a tick's facts. A tick whose successor's facts were lost is left out.
+    /// Adds a tick's timing. Skips a tick whose successor's timing was lost.
     fn add(&mut self, timing: &TickTiming) {
         if let Some(last) = self.last.replace(*timing)
             && last.tick + 1 == timing.tick
@@ -52,10 +52,10 @@ impl Ticks {
     }
 }
 
-/// Measures `rounds` times in turn: `ticks` ticks of the scene, and as many round trips with either way of waiting.
+/// Measures `rounds` times, alternating: `ticks` ticks of the scene, and as many round trips with each wait strategy.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails.
+/// An invalid scene (2); a run that fails.
 pub fn run(scene: &SceneSource, ticks: u64, rounds: usize) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;

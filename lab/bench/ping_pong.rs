@@ -1,5 +1,5 @@
-//! Bare iceoryx2 between two processes: a message of a state's size out, one of a command's size back. No layout check,
-//! no sequence, no validation: the least that a lockstep tick over processes must cost on this machine.
+//! Bare iceoryx2 between two processes: a message of a state's size out, one of a command's size back. No layout
+//! check, no sequence numbers, no validation: the lower bound for a multi-process lockstep tick on this machine.
 
 use std::path::Path;
 use std::process::{Child, Command as Program};
@@ -32,16 +32,16 @@ pub enum Wait {
     Spin,
 }
 
-/// Name of the answering side as a controller of its session.
+/// The answering side's name as a controller of its session.
 const PONG: &str = "pong";
 const PING_SERVICE: &str = "bench/ping";
 const PONG_SERVICE: &str = "bench/pong";
-/// Longest wait for the other side.
+/// How long to wait for the other side.
 const LIMIT: Duration = Duration::from_secs(10);
 
 type Service = PortFactory<ipc::Service, [u8], ()>;
 
-/// One side.
+/// One side of the ping-pong.
 struct Side {
     publisher: Publisher<ipc::Service, [u8], ()>,
     subscriber: Subscriber<ipc::Service, [u8], ()>,
@@ -104,7 +104,7 @@ impl Side {
 
 fn create(node: &Node<ipc::Service>, name: &str) -> Result<Service, Failure> {
     let name = name.try_into().map_err(failed)?;
-    // The limits of the hub's own state service.
+    // The same limits as the hub's state service.
     node.service_builder(&name)
         .publish_subscribe::<[u8]>()
         .enable_safe_overflow(true)
@@ -122,15 +122,15 @@ fn open(node: &Node<ipc::Service>, name: &str) -> Result<Service, Failure> {
     node.service_builder(&name).publish_subscribe::<[u8]>().open().map_err(failed)
 }
 
-/// Round trips of a ping-pong with a process of its own.
+/// Measures round trips of a ping-pong with a separate process.
 ///
 /// # Errors
-/// The transport's, or the other side does not answer.
+/// Any error of the transport, or the other side does not answer.
 pub fn measure(wait: Wait, rounds: usize) -> Result<Samples, Failure> {
     measure_on(wait, rounds, |start| start())
 }
 
-/// The same; `place` starts the other side where it is to run.
+/// Like [`measure`]; `place` starts the other side on its core.
 ///
 /// # Errors
 /// As [`measure`].
@@ -155,7 +155,7 @@ pub fn measure_on(
     let mut child = place(&mut || start_pong(session.folder(), wait, rounds))?;
     let samples = connected(&out, &back).and_then(|()| play(&side, rounds));
     if samples.is_err() {
-        // It may have ended by itself.
+        // It may already have ended.
         let _ = child.kill();
     }
     child.wait().map_err(failed)?;
@@ -197,10 +197,10 @@ fn play(side: &Side, rounds: usize) -> Result<Samples, Failure> {
     Ok(samples)
 }
 
-/// The answering side, in its own process.
+/// Runs the answering side in its own process.
 ///
 /// # Errors
-/// The transport's, or nobody asks.
+/// Any error of the transport, or no message arrives.
 pub fn answer(session: &Path, wait: Wait, rounds: usize) -> Result<(), Failure> {
     end_with_parent();
     let session = Session::join(session).map_err(failed)?;

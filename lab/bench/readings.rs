@@ -1,4 +1,4 @@
-//! What the readings cost that say why a tick was late.
+//! What it costs to sample the counters that explain late ticks.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use super::row;
 use super::samples::Samples;
 use trabecula::machine::Machine;
 
-/// Takes the readings of `ticks` ticks, each after a short sleep, as in a run, and without one.
+/// Samples the counters of `ticks` ticks, each after a short sleep, as in a run, and without one.
 pub fn run(ticks: u64) {
     let machine = Machine::watch();
     let (mut slept, mut awake, mut late) = (Samples::default(), Samples::default(), Samples::default());
@@ -26,7 +26,7 @@ pub fn run(ticks: u64) {
     super::print_machine(&machine);
 }
 
-/// Nanoseconds of both looks.
+/// Nanoseconds of both samples of a tick.
 fn one(readings: &mut Disturbances, sleep: Duration, late: bool) -> u64 {
     let mut timing = TickTiming::zeroed();
     let began = Instant::now();

@@ -1,4 +1,4 @@
-//! What the recorder costs the physics: the same run in real time with and without it, in turn.
+//! What the recorder costs the physics: the same real-time run with and without it, alternating.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Machine;
 use trabecula::scenes::SceneSource;
 
-/// The physics' figures of runs of one kind.
+/// Physics timings of all runs of one kind.
 #[derive(Debug, Default)]
 pub(super) struct Physics {
     step: Samples,
@@ -45,10 +45,10 @@ impl Physics {
     }
 }
 
-/// Runs the scene in real time for `seconds`, `rounds` times without and with a recorder in turn.
+/// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with a recorder.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails.
+/// An invalid scene (2); a run that fails.
 pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failure> {
     let recorded = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         let folder = tempfile::tempdir_in(".").map_err(failed)?;
@@ -62,8 +62,8 @@ pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failu
     })
 }
 
-/// Runs two scenes in real time, without and with something, in turn, and prints both and their ratios. `run_with` makes one run of
-/// the second and returns a count; `tell` prints the mean count of a run.
+/// Runs two scenes in real time, alternating, without and with something, and prints both and their ratios. `run_with`
+/// makes one run of the second and returns a count; `tell` prints the mean count per run.
 ///
 /// # Errors
 /// A run that fails.
@@ -102,7 +102,7 @@ pub(super) fn in_turn(
     Ok(())
 }
 
-/// One run, recorded into a folder and shown at a port or not; returns the number of X-ray frames.
+/// One run, optionally recorded into a folder and shown at a port; returns the number of X-ray frames.
 pub(super) fn one(
     scene: &Scene,
     output: Option<&Path>,

@@ -5,17 +5,17 @@
 pub struct Samples(Vec<u64>);
 
 impl Samples {
-    /// Takes one.
+    /// Adds a sample.
     pub fn add(&mut self, nanoseconds: u64) {
         self.0.push(nanoseconds);
     }
 
-    /// Takes all of another.
+    /// Adds all samples of another.
     pub fn append(&mut self, other: &Samples) {
         self.0.extend_from_slice(&other.0);
     }
 
-    /// Keeps of each sample the least of this and the other's: the same things timed again.
+    /// Keeps, sample by sample, the smaller of this and the other: the same things timed again.
     pub fn keep_least(&mut self, again: &Samples) {
         for (mine, other) in self.0.iter_mut().zip(&again.0) {
             *mine = (*mine).min(*other);
@@ -27,7 +27,7 @@ impl Samples {
         self.0.len()
     }
 
-    /// The sample of rank `fraction` (0 to 1) of the sorted samples, in microseconds; 0 without samples.
+    /// The sample at rank `fraction` (0 to 1) of the sorted samples, in microseconds; 0 without samples.
     pub fn quantile_us(&self, fraction: f64) -> f64 {
         let mut sorted = self.0.clone();
         sorted.sort_unstable();
@@ -35,14 +35,14 @@ impl Samples {
         sorted.get(rank).map_or(0.0, |nanoseconds| *nanoseconds as f64 * 1e-3)
     }
 
-    /// Quantiles as a line of a table.
+    /// Quantiles as a table line.
     pub fn line(&self) -> String {
         let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|fraction| self.quantile_us(fraction));
         format!("p50 {p50:9.2}  p99 {p99:9.2}  p99.9 {p999:9.2} us   ({} samples)", self.count())
     }
 }
 
-/// The middle of some numbers; 0 without any.
+/// The median of some numbers; 0 without any.
 pub fn median(numbers: &[f64]) -> f64 {
     let mut sorted = numbers.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);

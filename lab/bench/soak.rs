@@ -1,4 +1,4 @@
-//! A long run in real time with frames, and what is left of it: misses, losses, log, memory, replay.
+//! A long real-time run with frames, and what it shows: misses, losses, log, memory, replay.
 
 use std::path::Path;
 use std::time::Instant;
@@ -24,23 +24,24 @@ use trabecula::scenes::SceneSource;
 const MEBIBYTE: f64 = 1_048_576.0;
 /// The logs of a run.
 const LANES: [&str; 2] = ["run.mcap", "timing.mcap"];
-/// Looks at the memory over the run, and those of them that are said.
+/// Memory samples over the run, and how many of them are printed.
 const SAMPLES: f64 = 120.0;
 const SAMPLES_A_LINE: usize = 4;
-/// Share of the run that the feed takes, where it is slowed.
+/// Fraction of the run that a slowed feed takes.
 const FEED_SHARE: f64 = 0.9;
-/// The slowest feed that a scene may have.
+/// Slowest feed that a scene may have.
 const SLOWEST_MM_PER_S: f64 = 0.01;
-/// Least growth over the whole run, by its slope, that is called one: what an allocator gives back and takes again moves less.
+/// Smallest growth over the whole run, from its slope, that counts as growth; an allocator returning and reclaiming
+/// memory moves less.
 const FLAT_BYTES: f64 = MEBIBYTE;
 
-/// Runs the scene in real time for `minutes`, its feed slowed so that it drills all the time, and says what is left of
-/// it: whether the log is whole, nothing lost, every tick replayed to the same hash, every frame there, and no process's
-/// memory grown. Ctrl-C ends the run early; what is done is measured all the same.
+/// Runs the scene in real time for `minutes`, with its feed slowed so that it drills throughout. Then reports whether
+/// the log is whole, no message was lost, every tick replays to the same hash, every frame is present, and no
+/// process's memory has grown. Ctrl-C ends the run early; the part that ran is still checked.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails; a log that is not whole, or lost messages, or replays differently;
-/// Ctrl-C (130).
+/// An invalid scene (2); a run that fails; a log that is not whole, lost messages, or replays differently; Ctrl-C
+/// (130).
 pub fn run(
     scene: &SceneSource,
     minutes: f64,
@@ -59,7 +60,7 @@ pub fn run(
     let own = tempfile::tempdir().map_err(failed)?;
     let folder = output.unwrap_or(own.path());
     output_file::create_folder(folder).map_err(failed)?;
-    // A soak of hours is not made to find its log refused.
+    // Check now, so that a soak of hours does not end with its log refused.
     if let Some(there) = LANES.iter().map(|lane| folder.join(lane)).find(|path| path.exists()) {
         return Err(Failure::bad_input(format!(
             "{}: is there already; name another folder",
@@ -92,7 +93,7 @@ pub fn run(
     }
 }
 
-/// Slows each feed that would end before most of the run is over; says which.
+/// Slows each feed that would end before most of the run is over; returns which.
 fn slow_down(scene: &mut Scene) -> Vec<String> {
     let feed_s = FEED_SHARE * scene.run.duration_s;
     let mut said = Vec::new();
@@ -115,11 +116,11 @@ fn slow_down(scene: &mut Scene) -> Vec<String> {
     said
 }
 
-/// What is seen while it runs.
+/// Observations during the run.
 struct Watch {
     minutes: f64,
     policy: Policy,
-    /// Of the first tick.
+    /// Time of the first tick.
     began: Option<Instant>,
     samples: usize,
     growth: Growth,
@@ -135,7 +136,7 @@ impl Watch {
             if snapshot.status.is_none_or(|status| status.phase < PHASE_RUNNING) {
                 return;
             }
-            // The parts have started: what follows is for people, and gives way to them.
+            // The parts have started. This thread only serves the display and must not compete with them.
             prioritise(Role::Viewer, self.policy);
         }
         let at = self.began.get_or_insert_with(Instant::now).elapsed();
@@ -143,7 +144,7 @@ impl Watch {
         if at.as_secs_f64() < due_s || snapshot.parts.is_empty() {
             return;
         }
-        // One that has ended has no memory of its own to grow.
+        // A process that has ended has no memory of its own to grow.
         for part in snapshot.parts.iter().filter(|part| part.is_running()) {
             self.growth.add(&part.name, at, part.memory.private);
         }
@@ -211,7 +212,7 @@ fn print_run(result: &RunResult, summary: &Summary) {
     }
 }
 
-/// The table of own memory; the processes that have grown.
+/// Prints the table of private memory; returns the processes that have grown.
 fn print_memory(growth: &Growth) -> Vec<String> {
     say!("\n{:<22} {:>12} {:>12} {:>12} {:>16}", "own memory", "start", "middle", "end", "growth a minute");
     let mut grown = Vec::new();
@@ -227,7 +228,7 @@ fn print_memory(growth: &Growth) -> Vec<String> {
     grown
 }
 
-/// What is wrong with the logs; they are read to their ends, and every tick is made again.
+/// What is wrong with the logs; reads them to their ends and replays every tick.
 fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>, Failure> {
     let mut problems = Vec::new();
     if let Outcome::PartDied { name, how, .. } = &result.outcome {
@@ -269,8 +270,8 @@ fn check(scene: &Scene, folder: &Path, result: &RunResult) -> Result<Vec<String>
     Ok(problems)
 }
 
-/// Reads a lane to its end: messages, and the simulated time of the last. It must have its end marker and have lost
-/// nothing; the error says what is wrong.
+/// Reads a lane to its end; returns its messages and the simulated time of the last. The lane must have its end marker
+/// and no losses; the error says what is wrong.
 fn lane_end(path: &Path) -> Result<(u64, f64), String> {
     let wrong = |error: run_log::LogError| format!("{}: {error}", path.display());
     let mut stream = MessageStream::open(&LogFile::at(path), ReadOptions::default()).map_err(wrong)?;

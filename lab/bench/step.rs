@@ -1,4 +1,5 @@
-//! Physics step and DRR of a scene in one process, driven by the scene's own controllers: no other process, no log.
+//! Runs physics step and DRR of a scene in one process, driven by the scene's own controllers: no other process, no
+//! log.
 
 use std::time::Instant;
 
@@ -22,14 +23,15 @@ use trabecula::launcher::volume_source;
 use trabecula::machine::Machine;
 use trabecula::scenes::SceneSource;
 
-/// Frames from a C-arm that has moved, at the end.
+/// Number of final frames from a moved C-arm.
 const FULL_FRAMES: usize = 9;
 
-/// Runs the scene to its end, or for `ticks`, in lockstep in this process; the steps again in further `rounds`, of which each
-/// tick keeps its least time: the ticks are the same to the bit, so what differs is what else the machine did.
+/// Runs the scene to its end, or for `ticks`, in lockstep in this process, then repeats the steps `rounds` times and
+/// keeps each tick's shortest time. The ticks are identical to the bit, so any difference comes from other load on the
+/// machine.
 ///
 /// # Errors
-/// A scene that is not one, or whose controllers are not built in (2).
+/// An invalid scene, or one whose controllers are not built in (2).
 pub fn run(scene: &SceneSource, ticks: Option<u64>, rounds: usize) -> Result<(), Failure> {
     let mut scene = scene.load()?;
     scene.run.mode = Mode::Lockstep;
@@ -116,7 +118,7 @@ impl Bench<'_> {
     }
 }
 
-/// What is timed, and what a profiler counts ([`super::instructions`]).
+/// The code that is timed, and that a profiler counts ([`super::instructions`]).
 #[inline(never)]
 fn one_step(run: &mut InProcess<Simulation>, latched: &Latched) -> Result<(), Failure> {
     run.step(latched).map_err(failed)
@@ -131,7 +133,7 @@ fn controllers(scene: &Scene) -> Result<Vec<Box<dyn Controller>>, Failure> {
     scene.controller.iter().map(built_in).collect()
 }
 
-/// The X-ray of the scene, frame by frame as its process would render them.
+/// The scene's X-ray, rendered frame by frame as its process would.
 struct XRay<'v> {
     view: VolumeView<'v>,
     renderer: DrrRenderer,
@@ -177,7 +179,7 @@ impl<'v> XRay<'v> {
         })
     }
 
-    /// Shows the newest frame when it is due, and renders what is due at this state.
+    /// Shows the newest frame to the controllers when it is due, and renders the frames due at this state.
     fn see(
         &mut self,
         state: &State,
@@ -220,7 +222,7 @@ impl<'v> XRay<'v> {
         Ok(rendered)
     }
 
-    /// Frames whose every ray is traced, because the C-arm moves by a millimetre between them.
+    /// Renders frames in which every ray is traced, by moving the C-arm by a millimetre between them.
     fn render_from_elsewhere(&mut self, state: &State) -> Result<(), Failure> {
         for frame in 1..=FULL_FRAMES {
             let shift_m = frame as f64 * 1e-3;

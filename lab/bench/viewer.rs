@@ -1,5 +1,5 @@
-//! What the viewer costs the physics: the same run in real time without and with it, in turn; with it, a client takes
-//! every state, tick timing, frame and surface block.
+//! What the viewer costs the physics: the same real-time run with and without it, alternating; with it, a client
+//! receives every state, tick timing, frame and surface block.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -15,10 +15,10 @@ use trabecula::failure::Failure;
 use trabecula::launcher::hub::View;
 use trabecula::scenes::SceneSource;
 
-/// Runs the scene in real time for `seconds`, `rounds` times without and with a viewer in turn.
+/// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with a viewer.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails.
+/// An invalid scene (2); a run that fails.
 pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failure> {
     let viewed = |scene: &Scene, end: &EndRequest, with: &mut Physics| {
         // A port that was free a moment ago.
@@ -38,17 +38,17 @@ pub fn run(scene: &SceneSource, seconds: f64, rounds: usize) -> Result<(), Failu
     })
 }
 
-/// At least so many channels: what there is no channel for is refused.
+/// At least the number of channels; the server refuses subscriptions to channels that do not exist.
 const CHANNELS: u32 = 40;
 
-/// Subscribes to every channel and takes what comes; returns the bytes.
+/// Subscribes to every channel and reads everything; returns the number of bytes.
 fn watch(port: u16, over: &AtomicBool) -> u64 {
     let mut taken = 0;
     while !over.load(Ordering::Relaxed) {
         match TcpStream::connect(("127.0.0.1", port)).and_then(|stream| take(stream, port, over, &mut taken))
         {
             Ok(()) => break,
-            // The viewer is not there yet.
+            // The viewer is not up yet.
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
     }
@@ -66,7 +66,7 @@ fn take(mut stream: TcpStream, port: u16, over: &AtomicBool, taken: &mut u64) ->
     let wanted: Vec<String> =
         (1..=CHANNELS).map(|id| format!("{{\"id\":{id},\"channelId\":{id}}}")).collect();
     let text = format!("{{\"op\":\"subscribe\",\"subscriptions\":[{}]}}", wanted.join(","));
-    // A final text frame with a length of 16 bits and a mask of zeros (RFC 6455, section 5.2).
+    // A final text frame with a 16-bit length and a zero mask (RFC 6455, section 5.2).
     let [high, low] = (text.len() as u16).to_be_bytes();
     stream.write_all(&[0x81, 0x80 | 126, high, low, 0, 0, 0, 0])?;
     stream.write_all(text.as_bytes())?;

@@ -1,4 +1,4 @@
-//! What X-ray frames cost the physics: the same run in real time without and with them, in turn.
+//! What X-ray frames cost the physics: the same real-time run with and without them, alternating.
 
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Feedback, Scene};
@@ -8,11 +8,12 @@ use super::row;
 use trabecula::failure::Failure;
 use trabecula::scenes::SceneSource;
 
-/// Runs the scene in real time for `seconds`, `rounds` times without and with its X-ray in turn, at `rate_hz` frames a second if
-/// that is given. A controller that steers by the frames steers by the measured shape in all runs: without frames it could not.
+/// Runs the scene in real time for `seconds`, `rounds` times, alternately without and with its X-ray, at `rate_hz`
+/// frames per second if given. A controller that steers by frames steers by the measured shape in all runs, because
+/// without frames it could not.
 ///
 /// # Errors
-/// A scene that is not one or that has no X-ray (2); a run that fails.
+/// An invalid scene, or one without X-ray (2); a run that fails.
 pub fn run(scene: &SceneSource, seconds: f64, rounds: usize, rate_hz: Option<f64>) -> Result<(), Failure> {
     let mut with = scene.load()?;
     for drilling in with.controller.iter_mut().filter_map(|controller| controller.curved_drilling.as_mut()) {

@@ -9,10 +9,10 @@ use simulation::manipulator::{
     SpatialChain, StepInput, TendonCommand, Wrench,
 };
 
-/// Contact planes take part from this gap on, m, besides what a sphere travels in a step.
+/// Contact planes become active below this gap, m, plus what a sphere travels in a step.
 const MARGIN_M: f64 = 1e-3;
 
-/// A burr farther from the flange than this is lost, m: the tool is 71 mm long.
+/// A burr farther from the flange than this counts as lost, m: the tool is 71 mm long.
 const FARTHEST_M: f64 = 10.0;
 
 /// A way to step the tool.
@@ -24,7 +24,7 @@ pub enum Method {
     Explicit,
     /// Rapier.
     Rapier(RapierJoints),
-    /// A proxy of the burr in place of contact.
+    /// A proxy of the burr instead of contact.
     Proxy(ProxyDrive),
 }
 
@@ -42,14 +42,14 @@ impl Method {
         Method::Rapier(RapierJoints::Springs),
     ];
 
-    /// Those of the stability map: contact by proxies besides.
+    /// The methods of the stability map, which adds contact by proxies.
     pub const WITH_PROXIES: [Method; 11] = {
         let [a, b, c, d, e, f, g, h, i] = Method::ALL;
         let (position, force) = (Method::Proxy(ProxyDrive::Position), Method::Proxy(ProxyDrive::Force));
         [a, b, c, d, e, f, g, h, i, position, force]
     };
 
-    /// As charts and tables write it.
+    /// The name in charts and tables.
     pub fn name(self) -> String {
         match self {
             Method::Rung(Rung::ConstantCurvature, _) => Rung::ConstantCurvature.name().into(),
@@ -63,7 +63,7 @@ impl Method {
         }
     }
 
-    /// Whether it is one of ours.
+    /// Whether the method is ours.
     pub fn is_ours(self) -> bool {
         matches!(self, Method::Rung(..))
     }
@@ -76,7 +76,7 @@ enum Model {
     Proxy(Box<ProxyTool>),
 }
 
-/// A tool before walls, stepped by one method.
+/// A tool in front of walls, stepped by one method.
 pub struct Tool {
     model: Model,
     walls: Vec<Wall>,
@@ -84,10 +84,10 @@ pub struct Tool {
     lost: bool,
 }
 
-/// What drives a step.
+/// Input of a step.
 #[derive(Debug, Clone, Copy)]
 pub struct Drive {
-    /// Base at the end of the step.
+    /// Base pose at the end of the step.
     pub base: BaseMotion,
     /// Tension of tendon 0, N.
     pub tension_n: f64,
@@ -96,7 +96,7 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// Nothing but a base at rest.
+    /// A base at rest and no loads.
     pub fn still(base: BaseMotion) -> Drive {
         Drive { base, tension_n: 0.0, tip: Wrench::zero() }
     }
@@ -106,7 +106,7 @@ impl Tool {
     /// A straight tool at rest.
     ///
     /// # Errors
-    /// Parameters that are refused.
+    /// Invalid parameters.
     pub fn new(
         method: Method,
         parameters: &ManipulatorParameters,
@@ -129,7 +129,7 @@ impl Tool {
         Ok(Tool { model, walls: walls.to_vec(), planes: Vec::with_capacity(256), lost: false })
     }
 
-    /// One step. A tool that is lost (not finite, or a step refused because of it) is stepped no more.
+    /// Steps once. A lost tool (non-finite, or its step was refused) is not stepped any more.
     pub fn step(&mut self, dt_s: f64, drive: &Drive) {
         if self.lost {
             return;
@@ -149,11 +149,11 @@ impl Tool {
             Model::Ours(tool) => tool.step(dt_s, &input).is_err(),
             Model::Explicit(tool) => tool.step(dt_s, &input).is_err(),
             Model::Proxy(tool) => tool.step(dt_s, &input).is_err(),
-            // What is not finite makes Rapier panic: then the tool is lost.
+            // Rapier panics on non-finite values; then the tool is lost.
             Model::Rapier(tool) => catch_unwind(AssertUnwindSafe(|| tool.step(dt_s, &input))).is_err(),
         };
         let reach_m = (self.tip_m() - drive.base.t_world_base.translation.vector).norm();
-        // Written so that what is not a number is lost too.
+        // Written so that NaN counts as lost too.
         let sound = self.energy_j().is_finite() && reach_m <= FARTHEST_M;
         self.lost = refused || !sound;
     }
@@ -163,7 +163,7 @@ impl Tool {
         self.lost
     }
 
-    /// Takes all walls away.
+    /// Removes all walls.
     pub fn remove_walls(&mut self) {
         self.walls.clear();
         match &mut self.model {
@@ -173,7 +173,7 @@ impl Tool {
         }
     }
 
-    /// Burr centre, world, m.
+    /// Burr centre, world frame, m.
     pub fn tip_m(&self) -> Vector3<f64> {
         match &self.model {
             Model::Ours(tool) => tool.t_world_tip().translation.vector,

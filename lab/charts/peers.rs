@@ -1,4 +1,4 @@
-//! Other programs on the same problems: scripts with pinned packages, each in a virtual environment of its own.
+//! Runs other programs on the same problems: scripts with pinned packages, each in its own virtual environment.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,17 +7,18 @@ use tempfile::TempDir;
 
 use trabecula::failure::Failure;
 
-/// A new folder for the input and the results of scripts, which goes with the answer.
+/// A new folder for the scripts' input and results, deleted when the returned value is dropped.
 ///
 /// # Errors
-/// It cannot be made.
+/// It cannot be created.
 pub fn new_input(environments: &Path) -> Result<TempDir, Failure> {
     output_file::create_folder(environments)
         .and_then(|()| tempfile::Builder::new().prefix("input-").tempdir_in(environments))
         .map_err(Failure::folder(environments))
 }
 
-/// The scripts `NAME.py` of a folder that have their packages in `NAME.txt`, with their names, in order; others are what these share.
+/// The scripts `NAME.py` of a folder that have their packages in `NAME.txt`, with their names, in order; any other
+/// files are shared by the scripts.
 ///
 /// # Errors
 /// Bad input: no folder.
@@ -35,14 +36,15 @@ pub fn scripts(folder: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     Ok(scripts.into_iter().map(named).collect())
 }
 
-/// Runs a script in the folder of its input (absolute), which it is given, in an environment below `environments` (absolute) with
-/// the packages of `NAME.txt` beside the script; what it printed, or the last line of what went wrong.
+/// Runs a script with its input folder (absolute) as working directory and argument, in an environment below
+/// `environments` (absolute) with the packages of the `NAME.txt` beside the script. Returns its output, or the last
+/// line of the error.
 ///
 /// # Errors
 /// It cannot be installed or run.
 pub fn run(script: &Path, name: &str, environments: &Path, input: &Path) -> Result<String, String> {
     let script = std::path::absolute(script).map_err(|cause| cause.to_string())?;
-    // Some write logs where they run.
+    // Some write logs into their working directory.
     let call = |program: &Path, arguments: &[&std::ffi::OsStr]| {
         let mut command = Command::new(program);
         let output =

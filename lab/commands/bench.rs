@@ -28,7 +28,7 @@ pub struct InTurn {
 }
 
 impl InTurn {
-    /// The three, checked.
+    /// The three arguments, validated.
     fn checked(&self) -> Result<(SceneSource, f64, usize), Failure> {
         in_range("--seconds", self.seconds, 1.0, 3600.0)?;
         Ok((femur_or(self.scene.as_deref()), self.seconds, self.rounds as usize))
@@ -164,7 +164,7 @@ pub enum BenchCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// A scene that is not one (2); a run that fails (1).
+/// An invalid scene (2); a run that fails (1).
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     match command {
         BenchCommand::Overhead { scene, ticks, rounds } => {

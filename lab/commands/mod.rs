@@ -1,4 +1,4 @@
-//! The laboratory's commands, one a file.
+//! The laboratory's commands, one per file.
 
 pub mod bench;
 pub mod chart;

@@ -1,4 +1,4 @@
-//! `trabecula reproduce`: the published behaviours, from low-level rules alone.
+//! `trabecula reproduce`: reproduces the published behaviours from low-level rules alone.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `trabecula stress SCENE`, and the neighbours that it starts.
+//! `trabecula stress SCENE`, and the neighbour processes that it starts.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -62,8 +62,8 @@ pub struct StressArguments {
 /// Runs a stress test.
 ///
 /// # Errors
-/// Bad input (2), nothing written; a run that failed, or a log that does not replay (1); Ctrl-C (130): what is done is
-/// in the report.
+/// Bad input (2), nothing written; a run that failed, or a log that does not replay (1); Ctrl-C (130): the report
+/// holds the finished runs.
 pub fn run(arguments: &StressArguments) -> Result<(), Failure> {
     let plan = plan_of(arguments)?;
     let end = EndRequest::install()

@@ -1,4 +1,4 @@
-//! How far the tip ends from where it ended, with the reference rung, a finer step, and perturbed parameters.
+//! How far the tip's final position moves with the reference rung, a finer step, and perturbed parameters.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -8,7 +8,7 @@ use super::rig::{Block, Trial};
 use super::{skiving, tunnel};
 use trabecula::failure::Failure;
 
-/// Perturbed parameter sets of each experiment.
+/// Number of perturbed parameter sets per experiment.
 const SETS: usize = 20;
 /// Largest relative change of friction, stiffness and density.
 const CHANGE: f64 = 0.1;
@@ -48,7 +48,7 @@ impl Experiment {
     }
 }
 
-/// Factors of friction (tool and tendon), stiffness and density.
+/// Factors for friction (tool and tendon), stiffness and density.
 type Factors = [f64; 3];
 
 #[derive(Clone)]
@@ -59,7 +59,7 @@ struct Job {
     factors: Factors,
 }
 
-/// SplitMix64 (Steele, Lea and Flood 2014), one number in [0, 1) a call.
+/// SplitMix64 (Steele, Lea and Flood 2014); each call returns one number in [0, 1).
 fn uniform(state: &mut u64) -> f64 {
     *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mut z = *state;

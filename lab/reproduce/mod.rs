@@ -1,4 +1,4 @@
-//! `trabecula reproduce`: the published behaviours from low-level rules alone, as tables and pictures.
+//! `trabecula reproduce`: reproduces the published behaviours from low-level rules alone, as tables and figures.
 
 mod deviation;
 mod output;
@@ -14,10 +14,10 @@ pub use output::Plan;
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 
-/// A part: what it shows, what makes it, and the files that it writes.
+/// A part: what it shows, its function, and the files that it writes.
 type Part = (&'static str, fn(&Plan) -> Result<(), Failure>, &'static [&'static str]);
 
-/// The parts, in the order of their numbers.
+/// The parts, in numeric order.
 const PARTS: [Part; 5] = [
     (
         "Tunnel: curved drilling in homogeneous material",
@@ -50,7 +50,7 @@ const PARTS: [Part; 5] = [
     ("Thrust with one set of constants", thrust::run, &["reproduce-5-thrust.csv"]),
 ];
 
-/// Makes all parts, or the one of a number from 1 on.
+/// Runs all parts, or one by its number, from 1.
 ///
 /// # Errors
 /// A file that cannot be written, or a case that is refused.

@@ -1,4 +1,4 @@
-//! Tables and pictures of a part.
+//! Tables and figures of a part.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use trabecula::failure::Failure;
 use trabecula::report::shapes::Figure;
 
-/// Where the files go, and how much is computed.
+/// Where to write, and how much to compute.
 pub struct Plan {
-    /// Folder.
+    /// Output folder.
     pub out: PathBuf,
     /// Fewer cases and faster feeds, in seconds.
     pub quick: bool,
@@ -24,14 +24,14 @@ impl Plan {
     }
 }
 
-/// A table: printed, and kept as CSV.
+/// A table, printed and saved as CSV.
 pub struct Table {
     head: Vec<&'static str>,
     rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// A table with the names of its columns.
+    /// A table with these column names.
     pub fn new(head: &[&'static str]) -> Table {
         Table { head: head.to_vec(), rows: Vec::new() }
     }

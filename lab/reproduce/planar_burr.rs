@@ -1,4 +1,4 @@
-//! The planar burr of Fig. 4: pushed by a constant force along a boundary, free to move aside.
+//! The planar burr of Fig. 4: pushed by a constant force along a boundary, free to move sideways.
 
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
@@ -17,9 +17,9 @@ use trabecula::report::shapes::{Anchor, Figure, Stroke};
 const RADIUS_M: f64 = 2.5e-3;
 const SPEED_RAD_S: f64 = 235.6;
 const DT_S: f64 = 1e-3;
-/// How far a burr goes in a tick if nothing holds it, m: 20 mm/s.
+/// Travel of an unobstructed burr per tick, m: 20 mm/s.
 const STEP_M: f64 = 2e-5;
-/// Where a run ends, m and s.
+/// Limits at which a run ends, m and s.
 const DEPTH_M: f64 = 8e-3;
 const LIMIT_S: f64 = 120.0;
 const RATIOS: [f64; 4] = [1.0, 2.0, 5.0, 10.0];
@@ -36,7 +36,7 @@ struct Run {
     name: &'static str,
     ratio: f64,
     force_n: f64,
-    /// Burr centre from its start, m.
+    /// Displacement of the burr centre from its start, m.
     moved: Vector3<f64>,
     seconds: f64,
     path: Vec<(f64, f64)>,
@@ -46,7 +46,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     let mut jobs = Vec::new();
     for (rule, name, _) in RULES {
         for ratio in RATIOS {
-            // The published rules know no force.
+            // The published rules do not depend on force.
             let forces: &[f64] = if rule == Removal::Energy && !plan.quick { &FORCES_N } else { &[5.0] };
             jobs.extend(forces.iter().map(|force| (rule, name, ratio, *force)));
         }
@@ -72,10 +72,10 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     plan.draw(&draw(&runs)?, "reproduce-2-planar-burr")
 }
 
-/// Presses the burr along +z at a boundary at x = 0, the dense side at +x.
+/// Presses the burr along +z at a boundary at x = 0, with the dense side at +x.
 fn drill(rule: Removal, name: &'static str, ratio: f64, force_n: f64) -> Result<Run, Failure> {
     let failed = |cause: simulation::bone::BoneError| Failure::failed(cause.to_string());
-    // An odd number of voxels beside each other, 0.3 mm wide: the grid has no plane of symmetry where the burr is.
+    // An odd number of voxels across, 0.3 mm wide, so that the grid has no plane of symmetry at the burr.
     let block = Block::new([-6.0, -6.15, 0.0], [6.0, 6.15, 12.0], 0.3, |p| {
         if p.x > 0.0 { FOAM_KG_PER_M3 * ratio } else { FOAM_KG_PER_M3 }
     });

@@ -1,4 +1,4 @@
-//! A block of bone and a tool that is fed into it: the whole simulation, in this process.
+//! A block of bone and a tool fed into it: the whole simulation in this process.
 
 use std::path::Path;
 
@@ -11,14 +11,14 @@ use simulation::{CtView, Simulation};
 
 use trabecula::failure::Failure;
 
-/// Time in which the tension grows before the feed begins, s.
+/// Duration of the tension ramp before the feed begins, s.
 const RAMP_S: f64 = 1.0;
-/// Time at the end of the feed, s.
+/// Pause at the end of the feed, s.
 const REST_S: f64 = 0.5;
-/// Bone below this is none, HU: under the lightest foam.
+/// Bone threshold, HU: below the lightest foam.
 const THRESHOLD_HU: i16 = -100;
 
-/// Bone of a given density everywhere.
+/// A block of bone with a prescribed density.
 pub struct Block {
     /// Grid.
     pub geometry: GridGeometry,
@@ -26,14 +26,15 @@ pub struct Block {
     pub hu: Vec<i16>,
 }
 
-/// The Hounsfield units whose density the standard material law says is this, kg/m³.
+/// The Hounsfield units to which the standard material law assigns this density, kg/m³.
 pub fn hu_of_density(density_kg_per_m3: f64) -> i16 {
     let law = MaterialLaw::default();
     ((density_kg_per_m3 - law.density_offset_kg_m3) / law.density_slope_kg_m3_hu).round() as i16
 }
 
 impl Block {
-    /// A block with its corners at `low_mm` and `high_mm`; `density_kg_per_m3` of a point in metres, air where it is 0.
+    /// A block with its corners at `low_mm` and `high_mm`; `density_kg_per_m3` maps a point in metres to a density, 0
+    /// for air.
     pub fn new(
         low_mm: [f64; 3],
         high_mm: [f64; 3],
@@ -57,21 +58,21 @@ impl Block {
     }
 }
 
-/// What is done to the tool, and with which parameters. The tool points along +z, bends toward +x, and starts with its burr in
-/// the blind end of a pilot hole.
+/// The tool's motion and parameters. The tool points along +z, bends toward +x, and starts with its burr in the blind
+/// end of a pilot hole.
 #[derive(Debug, Clone)]
 pub struct Trial {
     /// Step, ms.
     pub dt_ms: f64,
-    /// Rung of the manipulator ladder, as scenes write it.
+    /// Rung of the manipulator ladder, as scenes name it.
     pub rung: &'static str,
-    /// How voxels end, as scenes write it.
+    /// Voxel removal rule, as scenes name it.
     pub removal: &'static str,
-    /// Coefficient of the tendons in their channels.
+    /// Friction coefficient of the tendons in their channels.
     pub tendon_friction: f64,
-    /// Coefficient of tool and bone.
+    /// Friction coefficient between tool and bone.
     pub contact_friction: f64,
-    /// Factor of all flexure stiffnesses.
+    /// Factor applied to all flexure stiffnesses.
     pub stiffness: f64,
     /// Tension of tendon 0, N.
     pub tension_n: f64,
@@ -81,7 +82,7 @@ pub struct Trial {
     pub insertion_mm: f64,
     /// Burr speed, rpm.
     pub burr_rpm: f64,
-    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, in place of the standard law's.
+    /// Specific cutting energy in J/mm³ at 1900 kg/m³, and the exponent of the density, instead of the standard law's.
     pub cutting_law: Option<[f64; 2]>,
     /// Whether the scene drills a pilot hole for the flexible part.
     pub pilot: bool,
@@ -127,7 +128,7 @@ impl Trial {
         Scene::parse(&text, Path::new("reproduce.toml")).map_err(|cause| Failure::failed(cause.to_string()))
     }
 
-    /// Command of a tick, if it is a new one.
+    /// Command for a tick; none if the previous one still holds.
     fn command(&self, time_s: f64, dt_s: f64) -> Option<Command> {
         if time_s >= RAMP_S + dt_s {
             return None;
@@ -146,10 +147,10 @@ impl Trial {
         })
     }
 
-    /// Plays the trial; `see` sees every state and the voxels that its tick removed.
+    /// Runs the trial; `see` gets every state and the voxels removed in its tick.
     ///
     /// # Errors
-    /// A scene or a step that is refused: a parameter of the trial out of range.
+    /// A scene or a step that is refused because a parameter of the trial is out of range.
     pub fn play(&self, block: &Block, mut see: impl FnMut(&State, &[u32])) -> Result<Outcome, Failure> {
         let failed = |cause: &dyn core::fmt::Display| Failure::failed(cause.to_string());
         let ct = CtView { geometry: block.geometry, hu: &block.hu };
@@ -183,20 +184,20 @@ impl Trial {
     }
 }
 
-/// What a trial came to.
+/// Results of a trial.
 #[derive(Clone)]
 pub struct Outcome {
     /// The last state.
     pub end: State,
-    /// Largest normal force of the burr while it was fed, N.
+    /// Largest normal force of the burr during the feed, N.
     pub most_force_n: f64,
-    /// Its mean over the second half of the run, while fed, N.
+    /// Mean normal force of the burr over the second half of the run, during the feed, N.
     pub mean_force_n: f64,
-    /// Deepest overlap of any sphere with the bone, m.
+    /// Deepest penetration of any sphere into the bone, m.
     pub deepest_m: f64,
-    /// Fastest flexure while the tool was fed, rad/s.
+    /// Highest flexure speed during the feed, rad/s.
     pub fastest_rad_per_s: f64,
-    /// Most contacts that carried force in a tick.
+    /// Maximum number of loaded contacts in a tick.
     pub most_contacts: u32,
     samples: u64,
 }
@@ -235,7 +236,7 @@ impl Outcome {
         Vector3::from(self.end.t_world_burr.position_m)
     }
 
-    /// Whether every number of the last state that a reader would look at is one.
+    /// Whether the reported numbers of the last state are finite.
     pub fn is_finite(&self) -> bool {
         self.burr_m().iter().all(|x| x.is_finite()) && self.end.bend_rad.is_finite()
     }

@@ -1,4 +1,4 @@
-//! A straight insertion that meets denser material (Fig. 3, bottom), and the planar burr of Fig. 4.
+//! A straight insertion into denser material (Fig. 3, bottom), and the planar burr of Fig. 4.
 
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
@@ -13,9 +13,9 @@ use trabecula::report::axis::Axis;
 use trabecula::report::panel::{INK, Panel, Rect};
 use trabecula::report::shapes::{Anchor, Figure, Stroke};
 
-/// How many times denser the far side is.
+/// Density ratios of the far side to the near side.
 const RATIOS: [f64; 5] = [1.0, 2.0, 3.0, 5.0, 10.0];
-/// mm/s.
+/// Feeds, mm/s.
 const FEEDS_MM_PER_S: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
 /// Length of the feed, mm.
 pub const INSERTION_MM: f64 = 14.0;
@@ -92,7 +92,7 @@ fn sweep(plan: &Plan) -> Result<(), Failure> {
     plan.draw(&draw(&outcomes, feeds)?, "reproduce-2-skiving")
 }
 
-/// The same insertion with the published rules of removal.
+/// Repeats the insertion with the published removal rules.
 fn rules(plan: &Plan) -> Result<(), Failure> {
     let jobs: Vec<(&'static str, f64)> = ["energy", "naive", "capped", "decrement"]
         .into_iter()

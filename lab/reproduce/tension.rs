@@ -16,7 +16,7 @@ use trabecula::report::shapes::{Figure, Stroke};
 
 const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
 const MOST_N: f64 = 14.0;
-/// Time of the loading, and of the unloading, s: 240 periods of the first mode.
+/// Duration of the loading, and of the unloading, s: 240 periods of the first mode.
 const RAMP_S: f64 = 8.0;
 const DT_S: f64 = 2e-3;
 /// Ma et al. 2023: curvature of the same tool at 90 degrees, 1/mm.
@@ -92,7 +92,7 @@ fn sweep(friction: f64) -> Result<Loop, ManipulatorError> {
     Ok(own)
 }
 
-/// Curvature of the circle nearest to the flexures and the burr.
+/// Curvature of the best-fit circle through the flexures and the burr.
 fn curvature_per_mm(tool: &Manipulator) -> f64 {
     let point = |p: Vector3<f64>| (p.z * 1e3, p.x * 1e3);
     let mut points: Vec<(f64, f64)> =
@@ -101,14 +101,14 @@ fn curvature_per_mm(tool: &Manipulator) -> f64 {
     1.0 / radius_mm(&points)
 }
 
-/// From the first flexure to the burr's centre along the tool, mm.
+/// Length along the tool from the first flexure to the burr's centre, mm.
 fn arc_mm() -> f64 {
     let p = ManipulatorParameters::jhu_27();
     let ends = p.joint_positions_m.first().zip(p.joint_positions_m.last());
     ends.map_or(f64::NAN, |(first, last)| (last - first + p.tip_offset_m) * 1e3)
 }
 
-/// Bend at the tension of the sweep that is nearest.
+/// Bend at the nearest tension of the sweep.
 fn at(values: &[(f64, f64)], tension: f64) -> f64 {
     let nearer = |a: &&(f64, f64), b: &&(f64, f64)| (a.0 - tension).abs().total_cmp(&(b.0 - tension).abs());
     values.iter().min_by(nearer).map_or(f64::NAN, |(_, bend)| *bend)
@@ -132,14 +132,14 @@ fn draw(loops: &[Loop]) -> Result<Figure, Failure> {
 mod tests {
     use super::*;
 
-    /// k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's capstan) for this table of stiffnesses: 10 N bend 86.5,
-    /// 80.4, 75.2, 70.9 degrees.
+    /// k_i q_i = T_i d, T_{i+1} = T_i exp(-mu q_i) (Euler's and Eytelwein's capstan) for this table of stiffnesses: 10
+    /// N bends the tool by 86.5, 80.4, 75.2, 70.9 degrees.
     #[test]
     fn loading_follows_the_capstan_and_unloading_stays_behind() -> Result<(), ManipulatorError> {
         for (friction, exact) in FRICTIONS.into_iter().zip([86.5, 80.4, 75.2, 70.9]) {
             let own = sweep(friction)?;
             let (loading, unloading) = (at(&own.loading, 10.0), at(&own.unloading, 10.0));
-            // The prediction's links are half a link apart from ours; presliding.
+            // The prediction's links are offset from ours by half a link; presliding.
             assert!((loading - exact).abs() < 0.6, "{friction}: {loading}");
             assert!(if friction > 0.0 {
                 unloading > loading + 5.0

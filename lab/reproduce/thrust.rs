@@ -1,4 +1,4 @@
-//! Thrust of a straight, stiff tool in the standard material law, beside published ranges.
+//! Thrust of a straight, stiff tool with the standard material law, compared with published ranges.
 
 use rayon::prelude::*;
 
@@ -34,7 +34,7 @@ const ROWS: [Row; 9] = [
     row("bovine cortical, 12 000 rpm", 2000.0, 0.83, 12_000.0, [14.1, 14.1]),
 ];
 
-/// J/mm³ at 1900 kg/m³, and exponent 1: chosen so that as many rows as one pair of numbers can are inside.
+/// J/mm³ at 1900 kg/m³, and exponent 1: chosen so that as many rows as possible with one pair of numbers are in range.
 const LINEAR_LAW: [f64; 2] = [0.062, 1.0];
 
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
@@ -71,12 +71,12 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     table.finish(&plan.out, "reproduce-5-thrust.csv")
 }
 
-/// Mean thrust of a steady feed, N.
+/// Mean thrust at a steady feed, N.
 fn thrust_n(row: &Row, cutting_law: Option<[f64; 2]>, quick: bool) -> Result<f64, Failure> {
     let block = Block::new([-6.0, -6.0, -12.0], [6.0, 6.0, 12.0], 0.5, |_| row.density_kg_per_m3);
     let faster = if quick && row.feed_mm_per_s < 0.5 { 10.0 } else { 1.0 };
     let feed = row.feed_mm_per_s * faster;
     let stiff = Trial { dt_ms: 2.0, stiffness: 1000.0, burr_rpm: row.rpm, ..Trial::new(0.0, feed, 5.0) };
-    // Steady thrust is in proportion to the feed.
+    // Steady thrust is proportional to the feed.
     Trial { cutting_law, ..stiff }.play(&block, |_, _| {}).map(|outcome| outcome.mean_force_n / faster)
 }

@@ -13,18 +13,18 @@ use trabecula::report::shapes::{Anchor, Figure, Stroke};
 
 /// Tensions of Alambeigi et al. 2017, N.
 const TENSIONS_N: [f64; 4] = [6.0, 10.0, 15.0, 25.0];
-/// Feeds of the same, mm/s.
+/// Feeds of Alambeigi et al. 2017, mm/s.
 const FEEDS_MM_PER_S: [f64; 3] = [0.05, 0.10, 0.15];
-/// Sawbones foam of 10 pounds a cubic foot, kg/m³.
+/// Sawbones foam of 10 pounds per cubic foot, kg/m³.
 pub const FOAM_KG_PER_M3: f64 = 160.0;
 /// Length of the feed beyond the pilot hole, mm.
 pub const INSERTION_MM: f64 = 30.0;
-/// Least bend of the published experiments, degrees.
+/// Smallest bend of the published experiments, degrees.
 const LEAST_BEND_DEG: f64 = 40.0;
 const REMOVED: RGBColor = RGBColor(214, 226, 236);
 const TOOL: RGBColor = RGBColor(0, 114, 178);
 
-/// The block: the pilot hole's end is the origin.
+/// The block; the origin is the end of the pilot hole.
 pub fn block(density_kg_per_m3: f64, quick: bool) -> Block {
     let voxel_mm = if quick { 1.0 } else { 0.5 };
     Block::new([-10.0, -8.0, -38.0], [34.0, 8.0, 36.0], voxel_mm, |_| density_kg_per_m3)
@@ -42,7 +42,7 @@ struct Case {
 
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     let block = block(FOAM_KG_PER_M3, plan.quick);
-    // Ten times the feed in the quick form.
+    // The quick variant uses ten times the feed.
     let faster = if plan.quick { 10.0 } else { 1.0 };
     let feeds: &[f64] = if plan.quick { &FEEDS_MM_PER_S[2..] } else { &FEEDS_MM_PER_S };
     let pairs: Vec<(f64, f64)> =
@@ -108,7 +108,7 @@ fn case(block: &Block, tension_n: f64, feed_mm_per_s: f64) -> Result<Case, Failu
     Ok(Case { tension_n, feed_mm_per_s, outcome, slice, voxel_mm, path })
 }
 
-/// Radius of the circle nearest to the path in the sense of Kasa (1976), mm.
+/// Radius of the best-fit circle to the path by Kasa's method (1976), mm.
 pub fn radius_mm(path: &[(f64, f64)]) -> f64 {
     let mut normal = nalgebra::Matrix3::zeros();
     let mut right = Vector3::zeros();
@@ -149,7 +149,7 @@ fn draw_case(figure: &mut Figure, cell: Rect, case: &Case) {
         case.feed_mm_per_s,
         case.outcome.end.bend_rad.to_degrees()
     );
-    // As many millimetres a unit on both axes: the panel's frame is 324 by 256.
+    // Equal scale on both axes: the panel's frame is 324 by 256.
     let (x, y) = (Axis::linear("along (mm)", -6.0, 38.0, 5), Axis::linear("bend (mm)", -6.0, 28.8, 4));
     let mut panel = Panel::new(figure, cell, &title, x, y);
     let half = 0.5 * case.voxel_mm;

@@ -16,10 +16,10 @@ const WIDTH: u32 = 1060;
 const HEIGHT: u32 = 620;
 const HEAD: f64 = 40.0;
 const SHORTEST_US: f64 = 0.1;
-/// Cells of a map.
+/// Size of a map cell.
 const CELL: (f64, f64) = (96.0, 46.0);
 
-/// Colour of a cause; its letter stands beside it (Okabe and Ito 2008).
+/// Colour of a cause, always shown with its letter (Okabe and Ito 2008).
 fn colour(cause: Cause) -> RGBColor {
     match cause {
         Cause::OwnComputation => COLOURS[0],
@@ -35,7 +35,7 @@ fn colour(cause: Cause) -> RGBColor {
     }
 }
 
-/// A combination: distributions, and the run with its misses.
+/// Figure of a combination: distributions, and the run with its misses.
 pub fn combination(
     tested: &Combination,
     measured: &Measured,
@@ -96,7 +96,7 @@ fn time_line(figure: &mut Figure, outer: Rect, measured: &Measured, curves: &Cur
     }
 }
 
-/// p99 of the lateness over cores and loads: a table of colours for each policy and way of waiting.
+/// p99 of the lateness over cores and loads: a colour table for each policy and wait strategy.
 pub fn map(all: &[Tested]) -> Result<Figure, ReportError> {
     let mut groups: Vec<(String, Vec<&Tested>)> = Vec::new();
     for tested in all {
@@ -147,7 +147,7 @@ pub fn map(all: &[Tested]) -> Result<Figure, ReportError> {
     Ok(figure)
 }
 
-/// White at 10 µs, dark blue at 100 ms, by decades; the figure stands in it.
+/// White at 10 µs to dark blue at 100 ms, by decades, with the number inside.
 fn map_cell(figure: &mut Figure, (x, y): Point, p99_us: Option<f64>) {
     let shade = p99_us.map(|us| ((us.max(1.0).log10() - 1.0) / 4.0).clamp(0.0, 1.0));
     let mix = |from: f64, to: f64| shade.map_or(245, |s| (from + (to - from) * s) as u8);

@@ -1,7 +1,7 @@
-//! Neighbours on the hub's cores: processes of this program that do nothing but disturb.
+//! Neighbours on the hub's cores: processes of this program whose only purpose is to cause load.
 //!
-//! They end surely: the kernel sends them SIGTERM, which they do not catch, when their starter dies; they are killed
-//! when their guard is dropped; and each ends by itself after its limit.
+//! They never outlive the test: the kernel sends them SIGTERM, which they do not catch, when their parent dies;
+//! dropping their guard kills them; and each ends by itself after its limit.
 
 use std::io::{Seek, Write};
 use std::path::Path;
@@ -14,12 +14,12 @@ use ipc_types::process::{bind_to_parent, end_with_parent};
 use super::plan::{Load, LoadKind};
 use trabecula::failure::Failure;
 
-/// Memory that a memory load goes over, in words of 8 bytes.
+/// Memory that a memory load touches, in words of 8 bytes.
 const MEMORY_WORDS: usize = 8 << 20;
-/// Size up to which a disk load's file grows before it is written from the start again.
+/// Size at which a disk load starts writing its file from the beginning again.
 const DISK_BYTES: u64 = 128 << 20;
 const DISK_WRITE_BYTES: usize = 1 << 20;
-/// Steps between two looks at the clock.
+/// Steps between clock reads.
 const STEPS: usize = 1 << 16;
 
 /// Neighbours that run until this is dropped.
@@ -27,7 +27,7 @@ const STEPS: usize = 1 << 16;
 pub struct Loads(Vec<Child>);
 
 impl Loads {
-    /// Starts them, each with a seed of its own, on the cores that this thread has. A disk load writes below `folder`.
+    /// Starts the neighbours, each with its own seed, on this thread's cores. A disk load writes below `folder`.
     ///
     /// # Errors
     /// A process cannot be started.
@@ -50,14 +50,14 @@ impl Loads {
 impl Drop for Loads {
     fn drop(&mut self) {
         for child in &mut self.0 {
-            // It may have ended by itself.
+            // It may already have ended.
             let _ = child.kill();
             let _ = child.wait();
         }
     }
 }
 
-/// Disturbs until killed, or for `limit`.
+/// Causes load until killed, or for `limit`.
 ///
 /// # Errors
 /// The disk cannot be written, or no process can be started.
@@ -98,7 +98,7 @@ pub fn disturb(kind: LoadKind, seed: u64, folder: &Path, limit: Duration) -> Res
 }
 
 fn disturb_disk(random: &mut Rng, folder: &Path, end: Instant) -> std::io::Result<()> {
-    // It has no name, so nothing is left behind.
+    // The file is unnamed, so nothing is left behind.
     let mut file = tempfile::tempfile_in(folder)?;
     let mut bytes = vec![0_u8; DISK_WRITE_BYTES];
     let mut written = 0;

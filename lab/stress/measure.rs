@@ -1,4 +1,4 @@
-//! What the logs of a run say about its time.
+//! Extracts the timing of a run from its logs.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,19 +15,19 @@ use trabecula::report::distribution::{Distribution, Quantiles};
 use trabecula::report::timeline::{Extremes, Timeline};
 use trabecula::report::{MissSummary, Summary};
 
-/// Most bins of the lateness over the run.
+/// Maximum number of bins for the lateness over the run.
 const TIME_BINS: usize = 300;
-/// Misses that are drawn one by one: those with the most lost time.
+/// Number of misses drawn individually: those with the most lost time.
 pub const DRAWN_MISSES: usize = 200;
 
-/// A miss.
+/// A deadline miss.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Miss {
     /// Simulated time.
     pub time_s: f64,
     /// How late the tick began.
     pub late_us: f64,
-    /// Cause of most of it.
+    /// Main cause.
     pub cause: Cause,
 }
 
@@ -37,11 +37,11 @@ pub struct Curves {
     pub lateness: Distribution,
     /// Physics steps.
     pub step: Distribution,
-    /// From state to command, of all controllers.
+    /// From state to command, over all controllers.
     pub round_trip: Distribution,
-    /// Latest beginning of each interval, µs.
+    /// Largest lateness in each interval, µs.
     pub latest: Timeline<Extremes>,
-    /// The worst misses, in their order of time.
+    /// The worst misses, in order of time.
     pub misses: Vec<Miss>,
     /// Length of the run.
     pub end_s: f64,
@@ -51,47 +51,47 @@ pub struct Curves {
     frame_age: Distribution,
 }
 
-/// The figures of a run. Times in µs but where the name says otherwise.
+/// The figures of a run. Times in µs unless the name says otherwise.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
-    /// Ticks of the log.
+    /// Number of ticks in the log.
     pub ticks: u64,
     /// How late ticks began.
     pub lateness_us: Option<Quantiles>,
     /// Physics step.
     pub step_us: Option<Quantiles>,
-    /// Age of the command that acted in a tick, counted from the state that it answers.
+    /// Age of the command used in a tick, counted from the state that it answers.
     pub latch_age_us: Option<Quantiles>,
     /// From a state's publication to the command that answers it.
     pub round_trip_us: Option<Quantiles>,
-    /// Simulated time that had gone on when a frame was out.
+    /// Simulated time that had passed when a frame was published.
     pub frame_age_us: Option<Quantiles>,
     /// Frames per second of wall time.
     pub frames_per_s: Option<f64>,
     /// Simulated over wall time.
     pub real_time_factor: Option<f64>,
-    /// Messages that somebody missed.
+    /// Messages lost.
     pub dropped: u64,
     /// Ticks that began more than a period late.
     pub missed: u64,
-    /// Why.
+    /// Why ticks were missed.
     pub misses: MissSummary,
-    /// Share of the ticks that no hypervisor held up which began in time.
+    /// Share of on-time ticks among those that the hypervisor did not delay.
     pub on_time_share: f64,
-    /// Processor time of each process over the run's wall time, its start included: 1 is a whole core.
+    /// Processor time of each process over the run's wall time, including startup: 1 is a whole core.
     pub processor_share: BTreeMap<String, f64>,
-    /// Whether both lanes have their end and every tick of the run is there.
+    /// Whether both lanes have their end marker and every tick of the run is present.
     pub log_complete: bool,
     /// Whether every tick replays to the same hash.
     pub replays: bool,
-    /// Why it does not, or the log is not complete.
+    /// Why a tick does not replay, or the log is incomplete.
     pub remarks: Vec<String>,
 }
 
 /// Reads the folder of a run of `expected_ticks` ticks, and replays it.
 ///
 /// # Errors
-/// A histogram cannot be made. What is wrong with the logs is a remark.
+/// A histogram cannot be made. Faults of the logs become remarks.
 pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(Measured, Curves), Failure> {
     let failed = |error: trabecula::report::ReportError| Failure::failed(error.to_string());
     let duration = Distribution::new(3).map_err(failed)?;
@@ -131,7 +131,7 @@ pub fn measure(folder: &Path, expected_ticks: u64) -> Result<(Measured, Curves),
     Ok(measured)
 }
 
-/// What only the launcher knew.
+/// Adds what only the launcher knew.
 fn add_summary(measured: &mut Measured, folder: &Path) {
     let text = std::fs::read_to_string(folder.join("summary.json")).unwrap_or_default();
     let Ok(summary) = serde_json::from_str::<Summary>(&text) else {

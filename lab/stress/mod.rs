@@ -1,7 +1,7 @@
-//! `trabecula stress`: the timing of a scene on limited cores, beside neighbours, with every late tick explained.
+//! `trabecula stress`: the timing of a scene on limited cores with neighbours, with every late tick explained.
 //!
-//! Each combination is a `trabecula run` of its own, confined with its neighbours to the same cores. Its logs are read,
-//! replayed and removed; the report is written anew after each, so whatever ends the test keeps what is done.
+//! Each combination is a separate `trabecula run`, confined to the same cores as its neighbours. Its logs are read,
+//! replayed and removed. The report is rewritten after each one, so whatever ends the test keeps the finished results.
 
 mod figures;
 pub mod load;
@@ -32,13 +32,13 @@ use trabecula::scenes::SceneSource;
 const LOOK_TIME: Duration = Duration::from_millis(20);
 /// How long a run that is asked to end may take; its recorder is never cut short.
 const END_LIMIT: Duration = Duration::from_secs(140);
-/// How long beyond its own time a run may take, at most: a start on one core beside neighbours is slow.
+/// Maximum time of a run beyond its own duration: startup on one core with neighbours is slow.
 const RUN_LIMIT: Duration = Duration::from_secs(600);
 
-/// What is to be run.
+/// What to run.
 #[derive(Debug, Clone)]
 pub struct StressPlan {
-    /// Where its scene comes from.
+    /// The scene.
     pub scene: SceneSource,
     /// Combinations, in order.
     pub combinations: Vec<Combination>,
@@ -50,18 +50,18 @@ pub struct StressPlan {
     pub quota_percent: Option<u64>,
     /// Folder of the report.
     pub output: PathBuf,
-    /// Whether the runs' folders stay there.
+    /// Whether to keep the runs' folders.
     pub keep_logs: bool,
     /// Which files the volume may name.
     pub volume_files: VolumeFiles,
-    /// An older test to compare with.
+    /// An earlier test to compare with.
     pub compare: Option<StressReport>,
 }
 
-/// Runs the combinations; the report's files are in the output folder. The flag says whether it was interrupted.
+/// Runs the combinations and writes the report into the output folder. The flag says whether it was interrupted.
 ///
 /// # Errors
-/// A scene that is not one (2); a report that cannot be written. A run that fails is in the report.
+/// An invalid scene (2); a report that cannot be written. A failed run is part of the report.
 pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), Failure> {
     let scene = plan.scene.load()?;
     let watched = Machine::watch();
@@ -91,7 +91,7 @@ pub fn run(plan: &StressPlan, end: &EndRequest) -> Result<(StressReport, bool), 
     Ok((report, interrupted))
 }
 
-/// The report's files, which are written again after every combination.
+/// The report's files, rewritten after every combination.
 struct Written {
     map: SavedFile,
     json: SavedFile,
@@ -111,12 +111,13 @@ impl Written {
         self.map.save(map.svg(&plan.output.join("map.svg"))?)?;
         self.json.save(report.json()?)?;
         self.csv.save(report.csv())?;
-        // It shows the map as it lies in the folder.
+        // The page embeds the map from the folder.
         Ok(self.page.save(page::html(report, plan.compare.as_ref(), &plan.output))?)
     }
 }
 
-/// Time that is left, by the combinations that are done; before the first is, by their length.
+/// Estimates the remaining time from the finished combinations, or, before the first has finished, from their
+/// duration.
 fn estimate(elapsed: Duration, done: usize, total: usize, seconds: f64) -> String {
     let each_s = if done > 0 { elapsed.as_secs_f64() / done as f64 } else { seconds + 10.0 };
     let left_s = each_s * (total - done) as f64;
@@ -185,7 +186,7 @@ fn test(
 
 fn command(plan: &StressPlan, combination: &Combination, logs: &Path) -> std::io::Result<Command> {
     let mut command = Command::new(std::env::current_exe()?);
-    // Without a scene `run` takes the one that `stress` takes.
+    // Without a scene, `run` uses the same default as `stress`.
     command.arg("run").args(plan.scene.argument()).args(["--mode", "realtime", "--quiet"]);
     command.arg("--duration-s").arg(plan.seconds.to_string()).arg("--output").arg(logs);
     if plan.volume_files.allow_elsewhere {
@@ -196,13 +197,13 @@ fn command(plan: &StressPlan, combination: &Combination, logs: &Path) -> std::io
     Ok(command)
 }
 
-/// What a run said when it failed, without the table before it.
+/// The error message of a failed run, without the table before it.
 fn said(last_words: &[String]) -> String {
     let failure = last_words.iter().skip_while(|line| !line.starts_with("trabecula: "));
     failure.map(|line| line.trim()).collect::<Vec<_>>().join(" ")
 }
 
-/// What the physics said of a priority that it did not get.
+/// What the physics reported about a priority that it did not get.
 fn refused_priority(folder: &Path) -> Vec<String> {
     let mut said = Vec::new();
     let Ok(mut stream) = run_log::MessageStream::open(
@@ -222,12 +223,12 @@ fn refused_priority(folder: &Path) -> Vec<String> {
     said
 }
 
-/// Removes what runs have written into their folders, and these if nothing else is in them.
+/// Removes the files that runs have written into their folders, and the folders if they are then empty.
 fn remove(logs: &Path, keep: bool) {
     if keep {
         return;
     }
-    // What cannot be removed lies in the user's own output folder, and is named after what it is.
+    // Anything that cannot be removed stays in the user's own output folder, under a telling name.
     for folder in std::fs::read_dir(logs).into_iter().flatten().flatten().map(|entry| entry.path()) {
         trabecula::report::FILES.iter().for_each(|name| drop(std::fs::remove_file(folder.join(name))));
         let _ = std::fs::remove_dir(folder);
@@ -241,7 +242,7 @@ mod tests {
 
     use super::*;
 
-    /// The folders of a stress test's runs were removed with all that was in them.
+    /// Regression: a stress test removed its runs' folders with everything in them.
     #[test]
     fn what_others_put_beside_the_logs_of_a_stress_test_stays() {
         let logs = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The report as one HTML page that needs no other file.
+//! The report as one self-contained HTML page.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ th:first-child, td:first-child, td.text, th.text { text-align: left; } td:not(.t
 .wide { overflow-x: auto; } svg { max-width: 100%; height: auto; } .note { color: #555; }
 ";
 
-/// The page, with the figures of the folder in it.
+/// The page, with the folder's figures embedded.
 pub fn html(report: &StressReport, old: Option<&StressReport>, folder: &Path) -> String {
     let mut text = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\"><title>Stress test: {scene}</title>\n<style>{STYLE}</style></head><body>\n<h1>Stress test: {scene}</h1>\n{}",
@@ -169,7 +169,7 @@ fn one(tested: &Tested, folder: &Path) -> String {
     text + &picture(folder, &tested.figure)
 }
 
-/// The figure itself, without what only a file of its own needs.
+/// The figure's SVG element, without the parts that only a standalone file needs.
 fn picture(folder: &Path, name: &str) -> String {
     let svg = std::fs::read_to_string(folder.join(name)).unwrap_or_default();
     svg.find("<svg").map_or(String::new(), |at| format!("{}\n", &svg[at..]))

@@ -1,4 +1,4 @@
-//! Which combinations are run.
+//! Chooses the combinations to run.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -11,18 +11,18 @@ use serde::{Deserialize, Serialize};
 /// What a neighbour on the hub's cores does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum LoadKind {
-    /// Computes without end.
+    /// Computes in an endless loop.
     Spin,
-    /// Reads and writes all over 64 MiB of memory.
+    /// Reads and writes randomly in 64 MiB of memory.
     Memory,
-    /// Writes to the disk of the output folder and waits for it.
+    /// Writes to the disk of the output folder and syncs.
     Disk,
-    /// Starts a process, waits for its end, starts the next.
+    /// Starts a process, waits for it to end, repeats.
     Fork,
 }
 
 impl LoadKind {
-    /// All, by name.
+    /// All kinds, with their names.
     pub const ALL: [(LoadKind, &'static str); 4] = [
         (LoadKind::Spin, "spin"),
         (LoadKind::Memory, "memory"),
@@ -36,17 +36,17 @@ impl LoadKind {
     }
 }
 
-/// Neighbours on the hub's cores: `none`, or a kind and how many of it, `spin:2`.
+/// Neighbours on the hub's cores: `none`, or a kind and a count, such as `spin:2`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Load {
-    /// What they do; none: there are none.
+    /// What they do; none for no neighbours.
     pub kind: Option<LoadKind>,
-    /// How many.
+    /// Number of neighbours.
     pub count: usize,
 }
 
-/// Most neighbours of a combination.
+/// Maximum number of neighbours in a combination.
 const MAX_COUNT: usize = 64;
 
 impl FromStr for Load {
@@ -95,13 +95,13 @@ impl TryFrom<String> for Load {
 /// One combination.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Combination {
-    /// Cores of the whole hub and its neighbours.
+    /// Number of cores for the whole hub and its neighbours.
     pub cores: usize,
     /// Neighbours.
     pub load: Load,
     /// How the scheduler treats physics and controllers.
     pub policy: Policy,
-    /// How they wait.
+    /// How physics and controllers wait.
     pub wait: Wait,
 }
 
@@ -130,7 +130,7 @@ impl fmt::Display for Combination {
     }
 }
 
-/// All combinations of the levels, the last factor fastest; a level that stands twice counts once.
+/// All combinations of the levels, the last factor varying fastest; duplicate levels count once.
 pub fn all(cores: &[usize], loads: &[Load], policies: &[Policy], waits: &[Wait]) -> Vec<Combination> {
     let mut combinations = Vec::new();
     for &cores in cores {
@@ -148,7 +148,7 @@ pub fn all(cores: &[usize], loads: &[Load], policies: &[Policy], waits: &[Wait])
     combinations
 }
 
-/// A pair of levels of two factors, by the factors' numbers and the levels' names.
+/// A pair of levels of two factors, by the factors' indices and the levels' names.
 type Pair = (usize, String, usize, String);
 
 fn pairs(combination: &Combination) -> Vec<Pair> {
@@ -164,8 +164,8 @@ fn pairs(combination: &Combination) -> Vec<Pair> {
     pairs
 }
 
-/// `count` of the combinations, in their order, chosen so that few combinations hold as many pairs of levels as they
-/// can: each next one is the one with the most pairs that no chosen one has; the seed decides between equals.
+/// Chooses `count` of the combinations, keeping their order, so that they cover as many pairs of levels as possible.
+/// Greedy: each next one covers the most uncovered pairs; the seed breaks ties.
 pub fn subset(combinations: &[Combination], count: usize, seed: u64) -> Vec<Combination> {
     let mut random = Rng::with_seed(seed);
     let mut left: Vec<(u64, usize)> = (0..combinations.len()).map(|index| (random.u64(..), index)).collect();
@@ -176,7 +176,7 @@ pub fn subset(combinations: &[Combination], count: usize, seed: u64) -> Vec<Comb
         let fresh =
             |index: usize| pairs(&combinations[index]).into_iter().filter(|p| !seen.contains(p)).count();
         let counts = left.iter().enumerate().map(|(at, (_, index))| (fresh(*index), at));
-        // Of equals the first in the seed's order.
+        // On a tie, the first in the seed's order.
         let Some((_, at)) = counts.max_by_key(|(fresh, at)| (*fresh, std::cmp::Reverse(*at))) else { break };
         let (_, index) = left.remove(at);
         seen.extend(pairs(&combinations[index]));

@@ -1,4 +1,4 @@
-//! The result of a stress test as JSON, CSV and a table, and its comparison with an older one.
+//! The result of a stress test as JSON, CSV and a table, and its comparison with an earlier one.
 
 use std::fmt;
 use std::path::Path;
@@ -18,15 +18,15 @@ use trabecula::report::distribution::Quantiles;
 pub struct Tested {
     /// What was run.
     pub combination: Combination,
-    /// What came of it.
+    /// Its measurements.
     pub measured: Measured,
-    /// Share of the machine's core time that was busy, and that the hypervisor stole, meanwhile; percent.
+    /// Share of the machine's core time that was busy, and that was stolen by the hypervisor, during the run; percent.
     pub busy_percent: f64,
     /// See `busy_percent`.
     pub stolen_percent: f64,
     /// Why the run failed, if it did.
     pub failure: Option<String>,
-    /// What was asked for and is not permitted here.
+    /// What was requested but not permitted here.
     pub not_permitted: Vec<String>,
     /// Name of its figure.
     pub figure: String,
@@ -43,19 +43,19 @@ pub struct StressReport {
     pub seconds: f64,
     /// Seed of the loads and of the choice of a subset.
     pub seed: u64,
-    /// CPU quota in percent of one core, if one was asked for.
+    /// CPU quota in percent of one core, if requested.
     pub quota_percent: Option<u64>,
-    /// When it began.
+    /// When the test began.
     pub began: String,
-    /// Where it ran.
+    /// The machine it ran on.
     pub machine: MachineFacts,
-    /// Combinations that were to be run.
+    /// Number of combinations planned.
     pub planned: usize,
-    /// Those that were, in order.
+    /// The combinations run so far, in order.
     pub tested: Vec<Tested>,
 }
 
-/// A column of distributions: name and where it stands.
+/// A column of distributions: its name and how to read it.
 type Column = (&'static str, fn(&Measured) -> Option<Quantiles>);
 
 /// The distributions of a combination, µs.
@@ -67,14 +67,14 @@ pub const COLUMNS: [Column; 5] = [
     ("frame_age", |m| m.frame_age_us),
 ];
 
-/// How much of the lost time has a cause that readings have named.
+/// How much of the lost time has an identified cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Explained {
-    /// Share of it that has.
+    /// Share of the lost time with an identified cause.
     pub confirmed: f64,
-    /// What is called stolen.
+    /// Time attributed to stealing.
     pub stolen_ms: f64,
-    /// What the machine's own counter, `/proc/stat`, shows for the late ticks: no more is called stolen.
+    /// Steal shown by the machine's own counter, `/proc/stat`, for the late ticks: an upper bound on `stolen_ms`.
     pub counter_ms: f64,
 }
 
@@ -91,7 +91,7 @@ impl fmt::Display for Explained {
 }
 
 impl StressReport {
-    /// Reads the JSON of an older test.
+    /// Reads the JSON of an earlier test.
     ///
     /// # Errors
     /// Bad input: not such a file.
@@ -115,7 +115,7 @@ impl StressReport {
         Ok(format!("{json}\n"))
     }
 
-    /// A row a combination. Times in µs; a value that there is none of is empty.
+    /// One row per combination. Times in µs; missing values are empty.
     pub fn csv(&self) -> String {
         let mut text = String::from(
             "cores,load,policy,wait,ticks,missed,on_time_share,confirmed_share,real_time_factor,frames_per_s,dropped,log_complete,replays,busy_percent,stolen_percent",
@@ -160,7 +160,7 @@ impl StressReport {
         text
     }
 
-    /// What the lost time of all combinations comes to; none without lost time.
+    /// Summary of the lost time over all combinations; none without lost time.
     pub fn explained(&self) -> Option<Explained> {
         let all = || self.tested.iter().map(|tested| &tested.measured.misses);
         let lost = |of: &dyn Fn(&str) -> bool| -> f64 {
@@ -173,7 +173,7 @@ impl StressReport {
         (total_ms > 0.0).then(|| Explained { confirmed: 1.0 - unknown_ms / total_ms, stolen_ms, counter_ms })
     }
 
-    /// The older test's result for a combination.
+    /// The earlier test's result for a combination.
     pub fn find(&self, combination: &Combination) -> Option<&Tested> {
         self.tested.iter().find(|tested| tested.combination == *combination)
     }
@@ -229,7 +229,7 @@ pub fn table(report: &StressReport) -> String {
     text
 }
 
-/// One line a combination that both tests have: what has changed.
+/// One line per combination that both tests have: what has changed.
 pub fn comparison(old: &StressReport, new: &StressReport) -> Vec<[String; 6]> {
     let label = |us: Option<f64>| us.map_or("–".to_owned(), duration_label);
     let pair = |a: Option<f64>, b: Option<f64>| {

@@ -2,9 +2,9 @@
 //!
 //! `cargo run --release -p recorder_proc --example disk_cost [megabytes] [rounds] [folder]`
 //!
-//! Each round writes the same bytes both ways: 300 kB every 100 ms of simulated time (the state lane), and an image of 512 KiB 15 times a
-//! second, each flushed, as fast as the disk accepts them. The processor time is that of the whole process and includes the copy into the
-//! buffers.
+//! Each round writes the same bytes both ways: 300 kB every 100 ms of simulated time (the state lane), and an image of
+//! 512 KiB 15 times a second, each flushed, as fast as the disk accepts them. The processor time is that of the whole
+//! process and includes the copy into the buffers.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a measurement, not a part of the product")]
 
 use std::io::Write;

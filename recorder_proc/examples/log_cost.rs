@@ -2,8 +2,8 @@
 //!
 //! `cargo run --release -p recorder_proc --example log_cost [seconds] [folder]`
 //!
-//! The states are as full as those of a drilling scene: 27 flexures, 10 contacts, 2 controllers, values with random mantissas. The images
-//! are noise, 512 × 512 at 15 Hz, the worst case for a compressor.
+//! The states are as full as those of a drilling scene: 27 flexures, 10 contacts, 2 controllers, values with random
+//! mantissas. The images are noise, 512 × 512 at 15 Hz, the worst case for a compressor.
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a measurement, not a part of the product")]
 
 use fastrand::Rng;

@@ -1,5 +1,5 @@
-//! How the launcher tells its recorder why a run ends: through a file in the session's folder, or in the run's folder if the session's
-//! has been removed. The file holds the text for the log's end marker.
+//! How the launcher tells its recorder why a run ends: through a file in the session's folder, or in the run's folder
+//! if the session's has been removed. The file holds the text for the log's end marker.
 
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,8 @@ pub fn in_session(session: &Path) -> PathBuf {
     session.join(".end_reason")
 }
 
-/// The file in the run's folder, named after the recorder's process ID so that no other program creates it by accident.
+/// The file in the run's folder, named after the recorder's process ID so that no other program creates it by
+/// accident.
 pub fn in_output(output: &Path, recorder: u32) -> PathBuf {
     output.join(format!(".trabecula-end-for-{recorder}"))
 }

@@ -20,7 +20,8 @@ const MAX_TAIL_ELEMENTS: usize = 4096;
 pub struct CatOptions {
     /// Topics; empty for all.
     pub topics: Vec<String>,
-    /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of these fields are skipped.
+    /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of these fields
+    /// are skipped.
     pub fields: Vec<String>,
     /// First tick.
     pub first_tick: u64,
@@ -43,10 +44,12 @@ impl CatOptions {
     }
 }
 
-/// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN become strings.
+/// Writes the selected messages. Floats are printed with just enough digits to round-trip; infinities and NaN become
+/// strings.
 ///
 /// # Errors
-/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that cannot be read.
+/// [`LogError::NoSuchField`]; [`LogError::NoSuchTopic`], after the messages of the other topics; a log that cannot be
+/// read.
 pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Result<Verdict, LogError> {
     check_fields(&options.fields)?;
     let mut stream = match options.topics.as_slice() {

@@ -27,8 +27,8 @@ impl Column {
     }
 }
 
-/// The columns for the given fields, in that order; arrays and nested messages expand to one column per scalar. No fields: the whole
-/// message.
+/// The columns for the given fields, in that order; arrays and nested messages expand to one column per scalar. No
+/// fields: the whole message.
 ///
 /// # Errors
 /// [`LogError::NoSuchField`].

@@ -1,7 +1,7 @@
 //! Finds missing messages of a run lane from their sequence numbers.
 //!
-//! Every state and command carries its tick; every removal, keyframe part and frame carries a number that increases by one. Missing
-//! messages are reported as stretches of ticks, each with its count of missing messages per topic.
+//! Every state and command carries its tick; every removal, keyframe part and frame carries a number that increases by
+//! one. Missing messages are reported as stretches of ticks, each with its count of missing messages per topic.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -43,7 +43,8 @@ pub struct Gap {
     pub stretches: Vec<Stretch>,
     /// Number of stretches beyond those listed.
     pub more: u64,
-    /// Missing messages by topic. Includes those after the last tick and those of unnumbered topics, taken from the end marker's counts.
+    /// Missing messages by topic. Includes those after the last tick and those of unnumbered topics, taken from the
+    /// end marker's counts.
     pub lost: BTreeMap<String, u64>,
 }
 
@@ -124,8 +125,8 @@ impl Continuity {
         }
     }
 
-    /// What is missing. The caller says whether removals are among the topics it reads; `counts` and the end marker cover messages after
-    /// the last one and unnumbered topics.
+    /// What is missing. The caller says whether removals are among the topics it reads; `counts` and the end marker
+    /// cover messages after the last one and unnumbered topics.
     pub fn gap(
         &self,
         reads_removals: bool,

@@ -74,8 +74,8 @@ pub struct EndMarker {
     pub hash: Option<[u64; 2]>,
     /// Messages written, by topic.
     pub counts: BTreeMap<String, u64>,
-    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that its owner counted.
-    /// Topics without losses are absent.
+    /// Messages that never reached the log, by topic: those that the writer missed by their numbers and those that its
+    /// owner counted. Topics without losses are absent.
     pub lost: BTreeMap<String, u64>,
     /// Messages that were in the log and were lost to damage, by topic; only in a repaired log.
     pub damaged: BTreeMap<String, u64>,

@@ -58,8 +58,8 @@ impl Scalar {
         }
     }
 
-    /// Number of representable values between two floats of one type; none for integers, NaN and mixed types. `-0.0` and `0.0` are 1
-    /// apart because their bits differ.
+    /// Number of representable values between two floats of one type; none for integers, NaN and mixed types. `-0.0`
+    /// and `0.0` are 1 apart because their bits differ.
     pub fn ulp_distance(&self, other: &Scalar) -> Option<u64> {
         match (*self, *other) {
             (Scalar::Float64(a), Scalar::Float64(b)) if !a.is_nan() && !b.is_nan() => Some(

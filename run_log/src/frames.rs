@@ -62,7 +62,8 @@ impl FrameReader {
         self.stream.verdict()
     }
 
-    /// Resumes after the missing frames once the iteration has ended with [`LogError::Gap`]. False if it ended for another reason.
+    /// Resumes after the missing frames once the iteration has ended with [`LogError::Gap`]. False if it ended for
+    /// another reason.
     pub fn go_on(&mut self) -> bool {
         let at_gap = std::mem::take(&mut self.at_gap);
         self.done &= !at_gap;

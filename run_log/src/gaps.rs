@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-/// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client could make up any number of
-/// them.
+/// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client could
+/// make up any number of them.
 const MAX_SENDERS: usize = 64;
 /// Longest plausible gap (49 days at 1 kHz); a longer jump means that the sender restarted.
 const LONGEST_GAP: u64 = u32::MAX as u64;
@@ -16,7 +16,8 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// Checks a message's number. A sender's numbers start at 1 and increase by one; a sender that restarts has lost nothing.
+    /// Checks a message's number. A sender's numbers start at 1 and increase by one; a sender that restarts has lost
+    /// nothing.
     pub fn see(&mut self, topic: &'static str, sender: u32, number: u64) {
         if self.last.len() >= MAX_SENDERS && !self.last.contains_key(&(topic, sender)) {
             return;

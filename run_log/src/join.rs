@@ -89,8 +89,9 @@ fn prefix(run: usize) -> String {
     format!("run{run}/")
 }
 
-/// Concatenates whole logs into one log in `out`; errors will name `path`. The first log's topics begin with `/run1`, its attachments and
-/// metadata with `run1/`, and so on; times stay as they are, so that a viewer shows all runs on one axis. [`split`] undoes it.
+/// Concatenates whole logs into one log in `out`; errors will name `path`. The first log's topics begin with `/run1`,
+/// its attachments and metadata with `run1/`, and so on; times stay as they are, so that a viewer shows all runs on
+/// one axis. [`split`] undoes it.
 ///
 /// # Errors
 /// [`LogError::NotWhole`], [`LogError::SeveralRuns`], and any error of the output.
@@ -172,7 +173,8 @@ fn not_whole(input: &dyn LogSource, cause: &str) -> LogError {
     LogError::NotWhole { path: input.path().into(), cause: cause.to_owned() }
 }
 
-/// A log of several runs being split into one log per run. The runs follow each other, so only one output is open at a time.
+/// A log of several runs being split into one log per run. The runs follow each other, so only one output is open at a
+/// time.
 struct Split<'o, O: RunOutputs> {
     outputs: &'o mut O,
     /// Number of runs completed.
@@ -244,7 +246,8 @@ impl<'o, O: RunOutputs> Split<'o, O> {
         out.piece(Piece::Channel(channel))
     }
 
-    /// Which run a name of the joined log belongs to; none if it belongs to no run. The first name of a run ends the previous run.
+    /// Which run a name of the joined log belongs to; none if it belongs to no run. The first name of a run ends the
+    /// previous run.
     fn run_of(&mut self, name: &str) -> Result<Option<InRun<'_, O::Output>>, LogError> {
         let run = |name: &str| name.strip_prefix("run")?.parse::<usize>().ok();
         let parts = name.split_once('/').and_then(|(first, rest)| Some((run(first)?, rest)));

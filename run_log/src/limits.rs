@@ -1,7 +1,7 @@
 //! Limits on how much of a log a reader keeps in memory.
 //!
-//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps beyond the current record is
-//! therefore bounded here, by kind; our own logs use less than a hundredth of these limits.
+//! A chunk of a few kilobytes can unpack to a hundred megabytes of names. Everything that a reader keeps beyond the
+//! current record is therefore bounded here, by kind; our own logs use less than a hundredth of these limits.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! Finds the header of a log. The file holds it twice, at the start and after the first chunk, each copy with the scene, the calibration
-//! and its own checksums. The first readable copy is used.
+//! Finds the header of a log. The file holds it twice, at the start and after the first chunk, each copy with the
+//! scene, the calibration and its own checksums. The first readable copy is used.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};

@@ -39,8 +39,8 @@ pub struct SavedState {
 
 /// The ticks of a `run.mcap`, in order, from a complete log or one truncated at any byte.
 ///
-/// Iterates over complete ticks only. An error (a gap, damage) is the last item; after a gap, [`LogReader::go_on`] seeks to the next
-/// keyframe and the iteration resumes there.
+/// Iterates over complete ticks only. An error (a gap, damage) is the last item; after a gap, [`LogReader::go_on`]
+/// seeks to the next keyframe and the iteration resumes there.
 pub struct LogReader {
     stream: MessageStream,
     initial: State,
@@ -168,8 +168,8 @@ impl LogReader {
         self.beginning.as_ref()
     }
 
-    /// Once the iteration has ended with [`LogError::Gap`], seeks to the next keyframe, where the iteration then resumes. None if the
-    /// iteration ended for another reason, or the log has no further keyframe.
+    /// Once the iteration has ended with [`LogError::Gap`], seeks to the next keyframe, where the iteration then
+    /// resumes. None if the iteration ended for another reason, or the log has no further keyframe.
     ///
     /// # Errors
     /// The log cannot be read further.
@@ -222,8 +222,8 @@ impl LogReader {
         &self.stream
     }
 
-    /// The keyframe of the state in which the last-read tick began, if there is one; at the end of the log, the keyframe of the last
-    /// state. Each keyframe is returned only once.
+    /// The keyframe of the state in which the last-read tick began, if there is one; at the end of the log, the
+    /// keyframe of the last state. Each keyframe is returned only once.
     pub fn take_keyframe(&mut self) -> Option<SavedState> {
         self.pending.whole_keyframe()?;
         self.pending.keyframe.take().map(|(saved, _)| saved)
@@ -325,8 +325,8 @@ impl Pending {
         Err(LogError::Damaged { path: stream.path().into(), offset: stream.offset(), cause })
     }
 
-    /// Takes a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is dropped: ticks need it only as a
-    /// starting point, and the loss is counted elsewhere.
+    /// Takes a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is dropped: ticks
+    /// need it only as a starting point, and the loss is counted elsewhere.
     fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<u64>) -> Result<(), LogError> {
         let Ok((head, data)) = Keyframe::read_from_prefix(body) else { return Ok(()) };
         let expected = self.keyframe_parts.map(|parts| parts.saturating_add(1));
@@ -364,7 +364,8 @@ impl Pending {
         (saved.bytes.len() == *total).then_some(saved)
     }
 
-    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all are predrilled.
+    /// The voxels that a state says were removed, and those that a reset removed before. In the initial state, all are
+    /// predrilled.
     fn removed_of(
         &mut self,
         path: &Path,

@@ -1,8 +1,8 @@
 //! Reads a file's MCAP records in order, checking every length before trusting it.
 //!
-//! We do the framing here rather than with `mcap`'s readers because a log may be truncated or damaged anywhere: their attachment parser
-//! panics on short records, and they do not report the byte at which a file stops. Format: <https://mcap.dev/spec>, "Records", "Chunk",
-//! "Attachment", "Data End".
+//! We do the framing here rather than with `mcap`'s readers because a log may be truncated or damaged anywhere: their
+//! attachment parser panics on short records, and they do not report the byte at which a file stops. Format:
+//! <https://mcap.dev/spec>, "Records", "Chunk", "Attachment", "Data End".
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -96,7 +96,8 @@ impl Records {
         Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
     }
 
-    /// Reads the records from the given offset, which must be the start of one. The whole-file checksum is not checked.
+    /// Reads the records from the given offset, which must be the start of one. The whole-file checksum is not
+    /// checked.
     pub fn at(mut source: Source, path: &Path, offset: u64) -> Result<Records, LogError> {
         let moved = source.seek(SeekFrom::Start(offset));
         moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
@@ -239,7 +240,8 @@ impl Records {
         crc.update(self.record.get(..covered).unwrap_or(&self.record));
     }
 
-    /// Number of zeros up to the end of the file; none if anything else follows, or if there is more than a block of zeros.
+    /// Number of zeros up to the end of the file; none if anything else follows, or if there is more than a block of
+    /// zeros.
     fn zeros_to_the_end(&mut self) -> Result<Option<u64>, LogError> {
         self.read_up_to(PADDING_BYTES, |_| ())?;
         let few = (self.record.len() as u64) < PADDING_BYTES;

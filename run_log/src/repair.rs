@@ -1,9 +1,10 @@
 //! `repair` — turns a truncated or damaged log into a whole one, and reports what is missing.
 //!
-//! Every message in a chunk with a correct checksum is kept, with its number, its time and its place; the index and the summary are
-//! rewritten. If the chunk that declares a topic is damaged, the declaration comes from the old summary; if a run lane has lost that too,
-//! from the fixed order in which every run lane declares its topics. Losses are counted from the messages' numbers and, if the end marker
-//! survives, from its counts; both go into the new end marker, whose reason is `repaired`.
+//! Every message in a chunk with a correct checksum is kept, with its number, its time and its place; the index and
+//! the summary are rewritten. If the chunk that declares a topic is damaged, the declaration comes from the old
+//! summary; if a run lane has lost that too, from the fixed order in which every run lane declares its topics. Losses
+//! are counted from the messages' numbers and, if the end marker survives, from its counts; both go into the new end
+//! marker, whose reason is `repaired`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Read, Seek, Write};
@@ -59,7 +60,8 @@ pub struct RepairReport {
     pub cut: Option<Cut>,
     /// The input's end marker.
     pub marker: Option<EndMarker>,
-    /// Last tick up to which every tick is complete and can be replayed; none in the timing lane and without an initial state.
+    /// Last tick up to which every tick is complete and can be replayed; none in the timing lane and without an
+    /// initial state.
     pub complete_tick: Option<u64>,
     /// Tick of the last state found.
     pub last_tick: Option<u64>,
@@ -115,7 +117,8 @@ impl RepairReport {
         Ok(())
     }
 
-    /// Reads both logs and fills in the verdicts and the last complete tick from what readers find, not from what the repair intended.
+    /// Reads both logs and fills in the verdicts and the last complete tick from what readers find, not from what the
+    /// repair intended.
     ///
     /// # Errors
     /// The result cannot be read.
@@ -167,8 +170,8 @@ impl<'i> Repair<'i> {
         Ok(Repair { input, survey: Survey::of(input.open()?, input.path())? })
     }
 
-    /// Writes the repaired copy to `out`; errors will name `path`. Returns the output and the report; call [`RepairReport::judge`] to
-    /// fill in the verdicts once the result can be read.
+    /// Writes the repaired copy to `out`; errors will name `path`. Returns the output and the report; call
+    /// [`RepairReport::judge`] to fill in the verdicts once the result can be read.
     ///
     /// # Errors
     /// Any error of the input or the output.

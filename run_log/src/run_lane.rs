@@ -19,11 +19,12 @@ use crate::topics;
 
 /// The deterministic lane of a run, being written.
 ///
-/// Calls may interleave in any way, as long as each topic stays in order and the removals of tick 0 come before its state. A tick is
-/// written as `Latched` k, `Removed` k+1, `State` k+1 once all of them have arrived. The arrival of frames and replies depends on the
-/// renderer, so they are held and written a fixed number of ticks after the tick that they show (`frame_lag_ticks`): two runs with the
-/// same messages produce the same bytes. Only a frame that arrives even later is written on arrival. A keyframe must be given before the
-/// next tick's state; it is written directly after its own state and the frames due there.
+/// Calls may interleave in any way, as long as each topic stays in order and the removals of tick 0 come before its
+/// state. A tick is written as `Latched` k, `Removed` k+1, `State` k+1 once all of them have arrived. The arrival of
+/// frames and replies depends on the renderer, so they are held and written a fixed number of ticks after the tick
+/// that they show (`frame_lag_ticks`): two runs with the same messages produce the same bytes. Only a frame that
+/// arrives even later is written on arrival. A keyframe must be given before the next tick's state; it is written
+/// directly after its own state and the frames due there.
 ///
 /// `log_time` is tick × dt; for a frame, the tick that it shows.
 pub struct RunLog<W: Write> {
@@ -118,8 +119,8 @@ impl<W: Write> RunLog<W> {
         })
     }
 
-    /// From now on writes replies, frames and keyframes in call order and closes chunks only on [`RunLog::close_chunk`]. Used to copy a
-    /// log message by message.
+    /// From now on writes replies, frames and keyframes in call order and closes chunks only on
+    /// [`RunLog::close_chunk`]. Used to copy a log message by message.
     pub fn keep_places(&mut self) {
         self.places = Places::AsGiven;
     }
@@ -216,8 +217,8 @@ impl<W: Write> RunLog<W> {
         &self.lost
     }
 
-    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is the owner's count; the marker records the greater
-    /// of the two counts per topic.
+    /// Writes all waiting messages, the end marker, the index and the footer. `lost` is the owner's count; the marker
+    /// records the greater of the two counts per topic.
     pub fn finish(
         mut self,
         reason: EndReason,
@@ -261,7 +262,8 @@ impl<W: Write> RunLog<W> {
         }
     }
 
-    /// Writes the keyframes of states up to this one in a chunk of their own, so that reading states does not read keyframes.
+    /// Writes the keyframes of states up to this one in a chunk of their own, so that reading states does not read
+    /// keyframes.
     fn write_keyframes(&mut self, tick: u64) -> Result<(), LogError> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());

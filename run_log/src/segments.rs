@@ -1,8 +1,10 @@
-//! Parallel verification: a segment is the ticks between two keyframes, and every segment is replayed from its own keyframe.
+//! Parallel verification: a segment is the ticks between two keyframes, and every segment is replayed from its own
+//! keyframe.
 //!
-//! A segment that begins at the recorded keyframe, reproduces every recorded tick and ends in the bytes of the next recorded keyframe
-//! proves that stretch. All segments together prove the run, just as one pass from the start would. A segment that fails names its first
-//! differing tick and field; the earliest of these is the log's first difference. Segments after a known difference are skipped.
+//! A segment that begins at the recorded keyframe, reproduces every recorded tick and ends in the bytes of the next
+//! recorded keyframe proves that stretch. All segments together prove the run, just as one pass from the start would.
+//! A segment that fails names its first differing tick and field; the earliest of these is the log's first difference.
+//! Segments after a known difference are skipped.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -75,7 +77,8 @@ impl std::fmt::Display for Passed {
     }
 }
 
-/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read further, the replay reports why.
+/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read further, the replay
+/// reports why.
 pub fn keyframe_before(mut reader: LogReader, tick: u64) -> Option<SavedState> {
     let mut found = None;
     loop {
@@ -126,8 +129,9 @@ enum Problem {
     Cannot(u64, String),
 }
 
-/// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state and the removed voxels at
-/// every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene; each thread gets its own.
+/// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state and the
+/// removed voxels at every tick, and every byte of each keyframe. `make` builds the simulation of the log's scene;
+/// each thread gets its own.
 pub fn verify_segments<S: Plant>(
     reader: &mut LogReader,
     make: &(impl Fn() -> Result<S, String> + Sync),

@@ -34,7 +34,8 @@ struct Channel {
 pub(crate) struct Sink<W: Write> {
     writer: McapWriter<W>,
     path: PathBuf,
-    /// The second copy of the header, until it is written after the first chunk, out of reach of damage to the first copy.
+    /// The second copy of the header, until it is written after the first chunk, out of reach of damage to the first
+    /// copy.
     second: Option<Header>,
     channels: Vec<Channel>,
     dt_ns: u64,
@@ -47,8 +48,8 @@ pub(crate) struct Sink<W: Write> {
     scratch: Vec<u8>,
 }
 
-/// What is written at the start of a log and again after its first chunk: scene and calibration as attachments, everything else as
-/// metadata.
+/// What is written at the start of a log and again after its first chunk: scene and calibration as attachments,
+/// everything else as metadata.
 struct Header {
     header: LogHeader,
     entries: BTreeMap<String, String>,

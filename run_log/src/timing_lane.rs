@@ -13,8 +13,8 @@ use crate::header::LogHeader;
 use crate::mcap_writer::IndexStore;
 use crate::sink::Sink;
 
-/// The wall-clock lane of a run, being written. Its log times are simulated time too, so that both files share an axis; its contents are
-/// not reproducible.
+/// The wall-clock lane of a run, being written. Its log times are simulated time too, so that both files share an
+/// axis; its contents are not reproducible.
 pub struct TimingLog<W: Write> {
     sink: Sink<W>,
     last_tick: Option<u64>,
@@ -66,7 +66,8 @@ impl<W: Write> TimingLog<W> {
         self.sink.path()
     }
 
-    /// Flushes everything so far to the operating system. The owner calls it when no tick will come for a while (pause).
+    /// Flushes everything so far to the operating system. The owner calls it when no tick will come for a while
+    /// (pause).
     pub fn flush(&mut self) -> Result<(), LogError> {
         self.sink.close_chunk()
     }

@@ -45,8 +45,8 @@ impl ReplayReport {
     }
 }
 
-/// Replays a log and compares the hash, every byte of the state, and the removed voxels at every tick, up to the first difference. Does
-/// no timing; that is the caller's job.
+/// Replays a log and compares the hash, every byte of the state, and the removed voxels at every tick, up to the first
+/// difference. Does no timing; that is the caller's job.
 pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: VerifyOptions) -> ReplayReport {
     let mut report = ReplayReport {
         identical_ticks: 0,

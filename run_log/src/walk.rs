@@ -1,8 +1,8 @@
 //! Walks the records of a file that may be damaged anywhere: what can be trusted, and what lies between.
 //!
-//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without a gap. This walk continues:
-//! if a chunk's checksum is wrong but its length leads to a record, it resumes at that record; if a length is wrong, at the next byte
-//! that begins a chunk, header or end marker with a correct checksum.
+//! [`Records`](crate::records::Records) stops at the first damage, because its readers promise ticks without a gap.
+//! This walk continues: if a chunk's checksum is wrong but its length leads to a record, it resumes at that record; if
+//! a length is wrong, at the next byte that begins a chunk, header or end marker with a correct checksum.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -23,8 +23,8 @@ use crate::seal::is_unbroken;
 
 /// Window of a search for the next chunk, in bytes.
 const WINDOW: usize = 1 << 20;
-/// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant. Without it, a file full of fake
-/// chunk starts would be read again for each of them.
+/// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant. Without it, a
+/// file full of fake chunk starts would be read again for each of them.
 const SEARCHED_TIMES: u64 = 8;
 const SEARCHED_BYTES: u64 = 1 << 28;
 /// A file still counts as a log with up to this many wrong bytes in its magic number.
@@ -55,7 +55,8 @@ pub(crate) enum Piece<'a> {
     DataEnd(u64),
     /// Not a record, or a record whose checksum is wrong.
     Lost(Lost),
-    /// The file stops here, inside a record or before the end that the format requires; bytes of the incomplete record.
+    /// The file stops here, inside a record or before the end that the format requires; bytes of the incomplete
+    /// record.
     Cut {
         offset: u64,
         incomplete_bytes: u64,

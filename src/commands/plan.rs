@@ -1,5 +1,5 @@
-//! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`: measures the error that a run
-//! actually made.
+//! `trabecula plan SCENE`: shows which settings meet a scene's tolerance; `trabecula plan --check LOG`: measures the
+//! error that a run actually made.
 
 use std::path::{Path, PathBuf};
 

@@ -69,7 +69,8 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
             controller_proc::process::run(joined.to_living()?, name).map_err(|e| failed(&e))?;
         }
         ProcCommand::Recorder { output, joined } => {
-            // Normally the host sweeps. If the host is killed, this thread sweeps instead, so that the recorder can still finish.
+            // Normally the host sweeps. If the host is killed, this thread sweeps instead, so that the recorder can
+            // still finish.
             let _sweeper = HalfMadeSweeper::of(&joined.session);
             let recorded = recorder_proc::process::run(joined.to_living()?, output);
             recorded.map_err(|error| Failure { code: error.exit_code(), message: error.to_string() })?;
@@ -80,8 +81,8 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
 }
 
 impl Joined {
-    /// The session's folder, if its host is alive. The check covers a host that died before [`end_with_parent`] was set up, because then
-    /// no signal comes.
+    /// The session's folder, if its host is alive. The check covers a host that died before [`end_with_parent`] was
+    /// set up, because then no signal comes.
     fn to_living(&self) -> Result<&Path, Failure> {
         match host_is_alive(&self.session) {
             true => Ok(&self.session),

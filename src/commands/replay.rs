@@ -89,8 +89,8 @@ impl Moment {
 /// Replays a log.
 ///
 /// # Errors
-/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1). Everything in the log is
-/// identical, but it has a gap, is cut or was not ended (3).
+/// Bad input (2): not a log, another build, layout, scene or volume. A difference, or a damaged log (1). Everything in
+/// the log is identical, but it has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     let overrides = Overrides {
         volume: arguments.volume.clone(),

@@ -140,8 +140,8 @@ impl From<PolicyArgument> for Policy {
 /// Runs a scene.
 ///
 /// # Errors
-/// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an output that could not be written (1); a
-/// log with a gap (3); Ctrl-C (130).
+/// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an output that could not
+/// be written (1); a log with a gap (3); Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
     printer::start()
         .map_err(|cause| Failure::failed(format!("standard output cannot be written: {cause}")))?;

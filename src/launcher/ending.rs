@@ -1,8 +1,8 @@
 //! Ends a run.
 //!
-//! Order: the physics exits once its consumers have received everything; the DRR process and the controllers exit when the physics says
-//! so; the recorder is stopped last, when nobody publishes any more. A signal shortens every wait except the recorder's, which must
-//! finish the log; a second signal ends that one too.
+//! Order: the physics exits once its consumers have received everything; the DRR process and the controllers exit when
+//! the physics says so; the recorder is stopped last, when nobody publishes any more. A signal shortens every wait
+//! except the recorder's, which must finish the log; a second signal ends that one too.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -21,8 +21,8 @@ const LOOK_TIME: Duration = Duration::from_millis(5);
 const END_LIMIT: Duration = Duration::from_secs(130);
 /// The same limit after a failure.
 const FAILED_LIMIT: Duration = Duration::from_secs(10);
-/// The same limit after a signal: once for the physics, then once for all others together, which get half of it before they receive
-/// SIGTERM.
+/// The same limit after a signal: once for the physics, then once for all others together, which get half of it before
+/// they receive SIGTERM.
 const HURRIED_LIMIT: Duration = Duration::from_secs(1);
 /// How long a controller that ignores the end of the run may continue before it is asked to end.
 const CONTROLLER_END_TIME: Duration = Duration::from_secs(3);
@@ -47,7 +47,8 @@ struct Wait<'a> {
 }
 
 impl Wait<'_> {
-    /// Whether a limit has expired. The hurried limit counts from the signal, or from the start of the wait if the signal came earlier.
+    /// Whether a limit has expired. The hurried limit counts from the signal, or from the start of the wait if the
+    /// signal came earlier.
     fn is_over(&mut self, limit: Duration, hurried_limit: Duration) -> bool {
         if self.hurried.is_none() && self.end.is_set() {
             self.hurried = Some(Instant::now());
@@ -98,8 +99,8 @@ impl Ending<'_> {
         (over, if is_deaf { outcome } else { self.with_end_of(RECORDER, outcome, parts) })
     }
 
-    /// Ends the physics. It stays until the DRR process and the recorder have everything; if one of them dies, or the user is in a hurry,
-    /// it is told to stop waiting.
+    /// Ends the physics. It stays until the DRR process and the recorder have everything; if one of them dies, or the
+    /// user is in a hurry, it is told to stop waiting.
     fn end_physics(&self, limit: Duration, stops: bool, parts: &mut [Part]) {
         let (mut wait, mut asked) = (self.wait(), false);
         loop {
@@ -141,7 +142,8 @@ impl Ending<'_> {
             }
             let is_over = wait.is_over(limit, HURRIED_LIMIT);
             for (part, asked) in &mut others {
-                // When the physics ends it tells the DRR process and the controllers, but some controllers do not listen.
+                // When the physics ends it tells the DRR process and the controllers, but some controllers do not
+                // listen.
                 let own_time = if part.name == DRR { END_LIMIT } else { CONTROLLER_END_TIME };
                 if !*asked && (at_once || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
                     part.ask_to_end();
@@ -174,8 +176,8 @@ impl Ending<'_> {
         }
     }
 
-    /// A run whose log could not be finished, or whose last frames are missing, has failed even if all its ticks were run. An interrupted
-    /// run may lack frames.
+    /// A run whose log could not be finished, or whose last frames are missing, has failed even if all its ticks were
+    /// run. An interrupted run may lack frames.
     fn with_end_of(&self, name: &str, outcome: Outcome, parts: &mut [Part]) -> Outcome {
         let expected = self.end.is_urgent() || (name == DRR && outcome == Outcome::Interrupted);
         let found = parts.iter_mut().find(|part| part.name == name);
@@ -188,8 +190,8 @@ impl Ending<'_> {
         died
     }
 
-    /// Tells the recorder the end reason for the log: through a file in the session's folder, or, if that has been removed, in the run's
-    /// folder.
+    /// Tells the recorder the end reason for the log: through a file in the session's folder, or, if that has been
+    /// removed, in the run's folder.
     fn write_reason(&self, in_output: &mut Option<SavedFile>, outcome: &Outcome, parts: &[Part]) {
         let reason = match outcome {
             Outcome::Completed => EndReason::Completed,

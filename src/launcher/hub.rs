@@ -79,8 +79,8 @@ pub enum HubError {
     },
 }
 
-/// How the parts wait for each other. In real time the next state is a period away: a hybrid wait would yield in vain, and yielding may
-/// lose the core for as long as a renderer's thread wants it.
+/// How the parts wait for each other. In real time the next state is a period away: a hybrid wait would yield in vain,
+/// and yielding may lose the core for as long as a renderer's thread wants it.
 fn wait_for_each_other(scene: &Scene) -> Wait {
     match (scene.run.mode, scene.run.wait) {
         (Mode::Realtime, Wait::Hybrid) => Wait::Event,

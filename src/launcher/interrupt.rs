@@ -1,5 +1,5 @@
-//! What a signal to the launcher does at each stage of a run. A dedicated thread handles it, so that the launcher responds even while it
-//! reads a volume or draws a figure.
+//! What a signal to the launcher does at each stage of a run. A dedicated thread handles it, so that the launcher
+//! responds even while it reads a volume or draws a figure.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -16,7 +16,8 @@ const URGENT_LIMIT: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
 enum Stage {
-    /// Nothing runs yet and nothing can be lost: a signal ends the process and removes these folders if they are empty.
+    /// Nothing runs yet and nothing can be lost: a signal ends the process and removes these folders if they are
+    /// empty.
     Before(Vec<PathBuf>),
     /// Parts are running or ending.
     Running,
@@ -45,7 +46,8 @@ impl Interrupts {
         Ok(Interrupts { end, stage })
     }
 
-    /// Creates the run's folder. A signal before the run begins removes it, along with any parent folders created for it.
+    /// Creates the run's folder. A signal before the run begins removes it, along with any parent folders created for
+    /// it.
     ///
     /// # Errors
     /// Any error of `make`.

@@ -71,14 +71,15 @@ pub fn end_all_at_once() {
     running().iter().for_each(Hold::end_at_once);
 }
 
-/// Makes this process the subreaper: orphans of a killed keeper become its children and are killed with it. Only for a process whose
-/// children are all parts. A viewer must not be among them: its orphan is a browser, which the user keeps.
+/// Makes this process the subreaper: orphans of a killed keeper become its children and are killed with it. Only for a
+/// process whose children are all parts. A viewer must not be among them: its orphan is a browser, which the user
+/// keeps.
 pub fn adopt() {
     ADOPTS.store(set_child_subreaper(Some(getpid())).is_ok(), Ordering::Relaxed);
 }
 
-/// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process may spawn another just
-/// before it is killed.
+/// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process may
+/// spawn another just before it is killed.
 fn end_left_behind() {
     let end = Instant::now() + KEEPER_LIMIT;
     let mut killed = Vec::new();

@@ -257,8 +257,8 @@ impl Running<'_> {
         }
     }
 
-    /// Whether the run was already over when the part at this index ended. The physics notifies its readers one by one and may be delayed
-    /// in between, so a part that exited cleanly has most likely heard before we did.
+    /// Whether the run was already over when the part at this index ended. The physics notifies its readers one by one
+    /// and may be delayed in between, so a part that exited cleanly has most likely heard before we did.
     fn run_has_ended_for(&mut self, index: usize) -> Result<bool, RunError> {
         let since = Instant::now();
         loop {
@@ -287,8 +287,8 @@ impl Running<'_> {
     }
 }
 
-/// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics does. The physics exits cleanly
-/// only after the run is over, and no part may exit before that.
+/// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics does. The
+/// physics exits cleanly only after the run is over, and no part may exit before that.
 pub(super) fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
     let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());

@@ -51,8 +51,8 @@ pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<(Volume, [u8; 32
     Ok(Some((volume, hash)))
 }
 
-/// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is something to drill; marrow
-/// only in thicker regions.
+/// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is something
+/// to drill; marrow only in thicker regions.
 const MASK_MODEL: MaskModel = MaskModel {
     cortical_thickness_m: 2.0e-3,
     cortical_hu: 1500,

@@ -1,8 +1,8 @@
 //! Measures the error that a run actually made, by re-running its commands on the reference rung.
 //!
-//! The reference is the tool with its own flexures, six degrees of freedom each, `hybrid`, at half the step. It starts where the log
-//! starts and gets every u_k of the log, so that the error includes everything that drilling accumulates; the tip is compared at a sample
-//! of the ticks.
+//! The reference is the tool with its own flexures, six degrees of freedom each, `hybrid`, at half the step. It starts
+//! where the log starts and gets every u_k of the log, so that the error includes everything that drilling
+//! accumulates; the tip is compared at a sample of the ticks.
 
 use std::path::Path;
 use std::time::Instant;

@@ -27,7 +27,8 @@ pub struct Given {
 }
 
 impl Given {
-    /// The settings that a scene fixes; `text` is the scene file's text, needed to tell a step that was written from the default.
+    /// The settings that a scene fixes; `text` is the scene file's text, needed to tell a step that was written from
+    /// the default.
     pub fn of(scene: &Scene, text: &str) -> Given {
         let table: toml::Table = toml::from_str(text).unwrap_or_default();
         let names_dt = table.get("run").is_some_and(|run| run.get("dt_ms").is_some());
@@ -41,8 +42,8 @@ impl Given {
         }
     }
 
-    /// Balls are allowed only if the scene names them: their drilled path is off by up to 12 mm, which a bound on the position at rest
-    /// does not reveal.
+    /// Balls are allowed only if the scene names them: their drilled path is off by up to 12 mm, which a bound on the
+    /// position at rest does not reveal.
     fn allows(&self, settings: &Settings) -> bool {
         self.rung.is_none_or(|rung| rung == settings.rung)
             && self.links.is_none_or(|links| links == settings.links)
@@ -98,7 +99,8 @@ impl Choice {
     }
 }
 
-/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene states no tip or path error.
+/// Writes the cheapest settings within the scene's tolerance into the scene; `None` if the scene states no tip or path
+/// error.
 ///
 /// # Errors
 /// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes.
@@ -141,8 +143,8 @@ fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, F
     }
 }
 
-/// Gravity or a tendon across the bending plane, or bodies, which push from any direction: the planar rungs were not measured under those
-/// loads.
+/// Gravity or a tendon across the bending plane, or bodies, which push from any direction: the planar rungs were not
+/// measured under those loads.
 fn leaves_the_plane(scene: &Scene) -> bool {
     let (along, toward) = (scene.tool.direction, scene.tool.bend_toward);
     let across = cross(&along, &toward);
@@ -189,8 +191,8 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], bone: bool) -> Failure {
 pub struct ModelError {
     /// Name of the rung.
     pub model: String,
-    /// R.m.s. error of the drilled path of the default scene: for exactly these settings, or the range over all settings measured with
-    /// the same rung and contact.
+    /// R.m.s. error of the drilled path of the default scene: for exactly these settings, or the range over all
+    /// settings measured with the same rung and contact.
     pub path_mm: [f64; 2],
 }
 
@@ -268,7 +270,8 @@ bend_toward = [1.0, 0.0, 0.0]
         (Scene::parse(&text, Path::new("planned.toml")).unwrap(), text)
     }
 
-    /// Errors and costs in the expected order: fewer links, larger steps and simpler rungs are cheaper and less accurate.
+    /// Errors and costs in the expected order: fewer links, larger steps and simpler rungs are cheaper and less
+    /// accurate.
     fn rows() -> Vec<Row> {
         let mut rows = Vec::new();
         for (rung, place) in Rung::ALL.into_iter().zip(1..) {
@@ -340,7 +343,8 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(bone.text().contains("drilled") && !free.text().contains("drilled"));
     }
 
-    /// Regression: balls are cheaper in this table and good enough for a tip tolerance; without `path_mm` they were chosen.
+    /// Regression: balls are cheaper in this table and good enough for a tip tolerance; without `path_mm` they were
+    /// chosen.
     #[test]
     fn a_tolerance_never_chooses_balls() {
         let bone = |more: &str| planned(&format!("volume = {{ phantom = \"block\" }}\n{more}"));

@@ -1,7 +1,7 @@
 //! Finds the cheapest physics settings whose measured errors meet a scene's tolerance.
 //!
-//! The errors and costs are those of `table.csv`, which `trabecula chart physics` measures and writes again as `physics-plan.csv`; a test
-//! compares a part of it with a fresh measurement.
+//! The errors and costs are those of `table.csv`, which `trabecula chart physics` measures and writes again as
+//! `physics-plan.csv`; a test compares a part of it with a fresh measurement.
 
 pub mod check;
 mod choice;

@@ -18,8 +18,8 @@ use crate::launcher::volume_source;
 
 /// The frames of a log, each paired with what the renderer makes of the same tick, C-arm and seed now.
 ///
-/// The log decides what a frame shows: the reply gives its tick, the scene or the request its C-arm, the scene its seed; the state and
-/// the removed voxels are those of that tick.
+/// The log decides what a frame shows: the reply gives its tick, the scene or the request its C-arm, the scene its
+/// seed; the state and the removed voxels are those of that tick.
 pub struct FrameReplay<'l> {
     log: &'l OpenedLog,
     view: VolumeView<'l>,
@@ -82,7 +82,8 @@ impl<'l> FrameReplay<'l> {
     /// Renders a recorded frame again; none if its tick lies in a gap of the log.
     ///
     /// # Errors
-    /// The reply disagrees with the frame or with the request; the log lacks the frame's tick; the renderer refuses the frame.
+    /// The reply disagrees with the frame or with the request; the log lacks the frame's tick; the renderer refuses
+    /// the frame.
     pub fn render(&mut self, recorded: &Frame) -> Result<Option<FrameRecord>, Failure> {
         let geometry = self.replies.geometry_of(recorded).map_err(|difference| {
             Failure::failed(format!("frame {}: {difference}{}", recorded.sequence, self.log.label()))
@@ -111,7 +112,8 @@ impl<'l> FrameReplay<'l> {
         Ok(Some(FrameRecord { frame: rendered.frame, image: Some(rendered.prefix), pixels }))
     }
 
-    /// Reads the log up to the state that the frame shows, and collects the voxels removed until then. False if the state lies in a gap.
+    /// Reads the log up to the state that the frame shows, and collects the voxels removed until then. False if the
+    /// state lies in a gap.
     fn advance_to(&mut self, frame: &Frame) -> Result<bool, Failure> {
         while self.state.tick < frame.tick {
             let Some(record) = self.ticks.next() else { break };
@@ -152,8 +154,8 @@ fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>
     Ok((predrilled, simulation.gone()))
 }
 
-/// Renders the frames of ticks in `from..=to` again and compares them with their recordings; returns how many there are, and how many
-/// have ticks in a gap.
+/// Renders the frames of ticks in `from..=to` again and compares them with their recordings; returns how many there
+/// are, and how many have ticks in a gap.
 ///
 /// # Errors
 /// The log has no such frames (2); the first frame that differs (1), or a log that cannot be read.

@@ -1,7 +1,9 @@
-//! Runs live controllers against a log: they receive its states, and their answers are compared with the latched commands.
+//! Runs live controllers against a log: they receive its states, and their answers are compared with the latched
+//! commands.
 //!
-//! Open loop: the states and frames come from the log. Closed loop: the physics is stepped in lockstep with the live controllers'
-//! answers, and the frames are rendered. Both stop at the first difference; up to there, both show the controllers the same states.
+//! Open loop: the states and frames come from the log. Closed loop: the physics is stepped in lockstep with the live
+//! controllers' answers, and the frames are rendered. Both stop at the first difference; up to there, both show the
+//! controllers the same states.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -134,8 +136,8 @@ struct Answers {
 }
 
 impl Answers {
-    /// Reads the commands as sent, if the timing lane lies beside the log: in real time not every command was latched, and a controller
-    /// must see the same states as in the run. Otherwise reads the latched ones.
+    /// Reads the commands as sent, if the timing lane lies beside the log: in real time not every command was latched,
+    /// and a controller must see the same states as in the run. Otherwise reads the latched ones.
     fn read(log: &OpenedLog, indices: &[usize]) -> Result<Answers, Failure> {
         let mut expected = vec![BTreeMap::new(); indices.len()];
         let mut replies = BTreeMap::new();

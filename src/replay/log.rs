@@ -45,8 +45,8 @@ impl OpenedLog {
     /// Opens a log, its scene and its volume.
     ///
     /// # Errors
-    /// Bad input: not a log; or a different build, layout, scene or volume, by name, unless mismatches are allowed. Damage: nothing of
-    /// the log can be replayed.
+    /// Bad input: not a log; or a different build, layout, scene or volume, by name, unless mismatches are allowed.
+    /// Damage: nothing of the log can be replayed.
     pub fn open(given: &Path, overrides: &Overrides) -> Result<OpenedLog, Failure> {
         let path = log_path(given);
         let options = ReadOptions { allow_other_layouts: overrides.allow_mismatch };

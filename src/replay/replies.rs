@@ -27,7 +27,8 @@ pub struct Replies {
     waiting: VecDeque<DrrReply>,
     /// The scene's C-arm.
     scene: CArmGeometry,
-    /// Requested C-arms, by controller and request number; a controller may reuse a number. Empty without the timing lane.
+    /// Requested C-arms, by controller and request number; a controller may reuse a number. Empty without the timing
+    /// lane.
     requests: BTreeMap<(u32, u64), Vec<CArmGeometry>>,
     path: PathBuf,
     options: ReadOptions,

@@ -124,8 +124,8 @@ pub struct Report {
     pub missing: Vec<ReportError>,
 }
 
-/// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others still are, and existing files
-/// are never replaced.
+/// Writes the report of a run into its folder. Files are independent: if one cannot be written, the others still are,
+/// and existing files are never replaced.
 ///
 /// # Errors
 /// [`ReportError::Histogram`]: there are no numbers. Logs that cannot be read are not an error.

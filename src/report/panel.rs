@@ -323,7 +323,8 @@ fn clip(points: &[Point], area: Rect) -> Vec<Vec<Point>> {
     runs
 }
 
-/// Clips a line segment to a rectangle (Liang and Barsky 1984); also returns whether the result reaches the segment's end.
+/// Clips a line segment to a rectangle (Liang and Barsky 1984); also returns whether the result reaches the segment's
+/// end.
 fn clip_piece(a: Point, b: Point, area: Rect) -> Option<(Point, Point, bool)> {
     let d = (b.0 - a.0, b.1 - a.1);
     let (mut enter, mut leave) = (0.0f64, 1.0f64);

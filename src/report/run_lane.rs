@@ -185,8 +185,8 @@ const MOST_GAPS: usize = 100;
 const SAME_DEPTH_MM: f64 = 0.02;
 
 impl RunLane {
-    /// Reads the file once. Faults become notes. `end_ns` is the simulated length of the run if known, used to choose the middle frame;
-    /// otherwise the scene's length is used.
+    /// Reads the file once. Faults become notes. `end_ns` is the simulated length of the run if known, used to choose
+    /// the middle frame; otherwise the scene's length is used.
     pub fn read(path: &Path, end_ns: Option<u64>) -> RunLane {
         let mut lane = RunLane::default();
         let stream = match MessageStream::open(&LogFile::at(path), ReadOptions::default()) {

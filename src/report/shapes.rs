@@ -18,7 +18,8 @@ use super::grey::encode_png;
 const FONT: &str = "sans-serif";
 /// Pixels per figure unit while drawing; plotters snaps shapes to whole pixels.
 const SCALE: usize = 4;
-/// Squares of this many pixels are averaged into one pixel of the PNG file, because plotters does not antialias wide lines.
+/// Squares of this many pixels are averaged into one pixel of the PNG file, because plotters does not antialias wide
+/// lines.
 const SHRINK: usize = 2;
 
 /// A point of the figure: right and down from the top left corner, in units of half a pixel of the PNG file.
@@ -248,8 +249,8 @@ fn draw_shape<DB: DrawingBackend>(
     }
 }
 
-/// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters' outline of a dense polyline
-/// has spikes.
+/// Draws dashes one by one. In a bitmap, draws each segment separately with round joints, because plotters' outline of
+/// a dense polyline has spikes.
 fn draw_line<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     points: &[Point],

@@ -423,7 +423,8 @@ impl Summary {
             self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
         let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
         rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
-        // Shared memory counts in every process that maps it; the reader wants to know what each process costs by itself.
+        // Shared memory counts in every process that maps it; the reader wants to know what each process costs by
+        // itself.
         let own = self
             .peak_memory_bytes
             .iter()

@@ -62,7 +62,8 @@ pub fn write_png(path: &Path, pictures: &[Picture]) -> Result<(), Failure> {
     Ok(output_file::write(path, bytes)?)
 }
 
-/// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the world frame.
+/// Writes a 32-bit NRRD of one frame: -ln of the readout, or the readout in linear mode; pixels in millimetres in the
+/// world frame.
 pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
     let c_arm = &picture.placed.c_arm;
     let vector = |v: [f64; 3]| format!("({:?},{:?},{:?})", v[0] * 1e3, v[1] * 1e3, v[2] * 1e3);
@@ -93,7 +94,8 @@ pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
         (Ok(columns), Ok(rows)) => (columns, rows),
         _ => return Err(Failure::bad_input("DICOM holds at most 65535 pixels a side")),
     };
-    // UIDs derived from the image content (PS3.5 B.2: 2.25 and a 128-bit number), so that the same frame gives the same file.
+    // UIDs derived from the image content (PS3.5 B.2: 2.25 and a 128-bit number), so that the same frame gives the
+    // same file.
     let content = xxh3_128(picture.greys.as_bytes());
     let uid = |kind: u128| format!("2.25.{}", (content ^ kind) >> 1);
     let mut object = InMemDicomObject::new_empty();

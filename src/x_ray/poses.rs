@@ -137,7 +137,8 @@ impl Pose {
     }
 }
 
-/// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one number.
+/// Reads the poses of a file: TOML or JSON (one table, or a list `pose`), or CSV with a header of keys that hold one
+/// number.
 ///
 /// # Errors
 /// A file that cannot be read, is not one of these, or has an unknown key (2).

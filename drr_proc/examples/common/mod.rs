@@ -19,8 +19,8 @@ pub fn write_png(
     Ok(())
 }
 
-/// Positions along a continuum manipulator: `rigid_m` straight along the unit vector `ahead`, then 27 links of 1.2 mm that turn toward
-/// the unit vector `side` by `bend_rad` in total.
+/// Positions along a continuum manipulator: `rigid_m` straight along the unit vector `ahead`, then 27 links of 1.2 mm
+/// that turn toward the unit vector `side` by `bend_rad` in total.
 pub fn backbone(
     base_m: [f64; 3],
     ahead: [f64; 3],
@@ -39,7 +39,8 @@ pub fn backbone(
     points
 }
 
-/// Nitinol tubes of 6/4 mm between the points, a steel cable of 2 mm in their lumen, a steel burr of 6.5 mm at the end.
+/// Nitinol tubes of 6/4 mm between the points, a steel cable of 2 mm in their lumen, a steel burr of 6.5 mm at the
+/// end.
 pub fn snake(points: &[[f64; 3]]) -> Tool {
     let mut parts = Vec::new();
     for pair in points.windows(2) {

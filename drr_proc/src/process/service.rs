@@ -237,7 +237,8 @@ impl Service {
         if self.in_flight == 0 { Renderer::Idle } else { Renderer::Busy }
     }
 
-    /// Serves requests that arrived after the state that they ask for: in lockstep no further state may arrive before they are answered.
+    /// Serves requests that arrived after the state that they ask for: in lockstep no further state may arrive before
+    /// they are answered.
     fn serve_newest(&mut self) -> Result<(), DrrProcessError> {
         let Some(state) = self.newest.take() else { return Ok(()) };
         while let Some(due) = self.schedule.due(state.tick, self.renderer()) {

@@ -1,4 +1,4 @@
-//! Which cores the two sides run on. A side started while this thread is bound inherits its core.
+//! Chooses the cores of the two sides. A side started while this thread is bound inherits its core.
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
@@ -8,14 +8,14 @@ use trabecula::failure::Failure;
 /// Cores of the two sides.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Cores {
-    /// Each side has one of its own.
+    /// Each side has its own core.
     Two,
-    /// Both sides share one.
+    /// Both sides share a core.
     One,
 }
 
 impl Cores {
-    /// What this machine has.
+    /// The arrangements that this machine allows.
     pub(super) fn available() -> Vec<Cores> {
         if allowed().len() > 1 { vec![Cores::Two, Cores::One] } else { vec![Cores::One] }
     }
@@ -27,7 +27,7 @@ impl Cores {
         }
     }
 
-    /// Has `start` start the other side on its core, and binds this side to its own.
+    /// Runs `start` bound to the other side's core, then binds this side to its own.
     pub(super) fn apart<T>(self, start: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
         let all = allowed();
         let mine = all.first().copied().unwrap_or(0);
@@ -39,7 +39,7 @@ impl Cores {
     }
 }
 
-/// The cores that this process was given when it started.
+/// The cores that this process was allowed when it started.
 fn allowed() -> Vec<usize> {
     static ALLOWED: std::sync::OnceLock<Vec<usize>> = std::sync::OnceLock::new();
     let read = || {
@@ -55,7 +55,7 @@ fn bind(cores: &[usize]) -> Result<(), Failure> {
     sched_setaffinity(None, &set).map_err(failed)
 }
 
-/// Gives this thread all its cores back.
+/// Restores this thread's original cores.
 pub(super) fn release() {
     // It was allowed to run there before.
     let _ = bind(&allowed());

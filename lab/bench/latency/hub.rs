@@ -1,4 +1,4 @@
-//! The hub's side of a client's round trip: publishes states as the physics does and takes the commands.
+//! The hub's side of a client's round trip: publishes states and receives commands as the physics does.
 
 use std::process::Command as Program;
 use std::time::{Duration, Instant};
@@ -30,13 +30,13 @@ name = \"echo\"
 drives = [\"tendon\"]
 external = true
 ";
-/// Longest wait for the client.
+/// How long to wait for the client.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// Round trips with a client in a process of its own.
+/// Measures round trips with a client in a separate process.
 ///
 /// # Errors
-/// The transport's, or the client does not answer.
+/// Any error of the transport, or the client does not answer.
 pub(super) fn measure(
     mut client: Program,
     wait: Wait,
@@ -70,7 +70,7 @@ pub(super) fn measure(
         waker.wake();
         loop {
             if let Some(command) = commands.receive().map_err(failed)? {
-                // Read, as the physics reads it.
+                // Read the message, as the physics would.
                 if command.message().state_tick == state.tick {
                     return Ok(began.elapsed().as_nanos() as u64);
                 }
@@ -80,7 +80,7 @@ pub(super) fn measure(
                 Wait::Yield => std::thread::yield_now(),
                 Wait::Hybrid => {
                     waiter.wait_until(Instant::now() + Duration::from_millis(10), || commands.has_message());
-                    // A client that joins after a state was sent gets it from here.
+                    // A client that joins after a state was published gets it from here.
                     states.deliver_history().map_err(failed)?;
                 }
             }
@@ -95,11 +95,11 @@ pub(super) fn measure(
     let mut samples = Samples::default();
     for round in 0..rounds {
         match trip() {
-            // The first one waits for the client to start.
+            // The first round trip includes the client's start.
             Ok(_) if round == 0 => {}
             Ok(nanoseconds) => samples.add(nanoseconds),
             Err(failure) => {
-                // It may have ended by itself.
+                // It may already have ended.
                 let _ = child.kill();
                 let _ = child.wait();
                 return Err(failure);

@@ -1,5 +1,6 @@
-//! From the publication of a state to the arrival of the command that answers it, by language and way of waiting, beside
-//! bare iceoryx2 and sockets. All are measured in turn in one run: a time is a fact about a machine, a ratio less so.
+//! Measures the time from publishing a state to receiving the command that answers it, by language and wait strategy,
+//! with bare iceoryx2 and sockets for comparison. All are measured alternately in one run, because a time depends on
+//! the machine, a ratio less so.
 
 mod cores;
 mod hub;
@@ -21,7 +22,7 @@ use peers::Programs;
 use trabecula::failure::Failure;
 use trabecula::machine::Machine;
 
-/// Round trips of spinning sides that share a core: each takes two of the scheduler's slices.
+/// Round trips when both sides spin on a shared core: each takes two of the scheduler's slices.
 const SHARED_SPIN_ROUNDS: usize = 50;
 
 /// Who answers.
@@ -54,7 +55,7 @@ impl Peer {
     }
 }
 
-/// What was measured of a peer.
+/// Measurements of one peer.
 #[derive(Debug, Default)]
 struct Row {
     samples: Samples,
@@ -62,10 +63,10 @@ struct Row {
     absent: Option<String>,
 }
 
-/// Measures everything `turns` times in turn with `rounds` round trips each, and prints the table.
+/// Measures every peer `turns` times, alternating, with `rounds` round trips each, and prints the table.
 ///
 /// # Errors
-/// A transport that fails. A language that is not there is said in its row.
+/// A transport that fails. A missing language is reported in its row.
 pub fn run(rounds: usize, turns: usize, python: PathBuf) -> Result<(), Failure> {
     let machine = Machine::watch();
     let programs = Programs::prepare(python);

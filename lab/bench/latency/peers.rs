@@ -1,4 +1,4 @@
-//! The answering sides: how each is started, and those that are this program itself.
+//! The answering sides: how to start each, and those that this program itself implements.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command as Program, Stdio};
@@ -16,22 +16,22 @@ use trabecula::failure::Failure;
 
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// The programs of other languages; where one is missing, the reason.
+/// The programs of other languages; for a missing one, the reason.
 #[derive(Debug)]
 pub(super) struct Programs {
-    /// Removed with everything in it when the measurement is over.
+    /// Deleted with its content when the measurement is over.
     _folder: Option<tempfile::TempDir>,
     library: Result<PathBuf, String>,
     c: Result<PathBuf, String>,
     python: PathBuf,
 }
 
-/// Folder of the sources that this program was built from.
+/// Source folder that this program was built from.
 fn sources() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/clients"))
 }
 
-/// The library beside this program.
+/// The client library beside this program.
 fn library() -> Result<PathBuf, String> {
     let program = std::env::current_exe().map_err(|cause| cause.to_string())?;
     let folder = program.parent().unwrap_or(Path::new("."));
@@ -64,7 +64,7 @@ fn compile_c(folder: &Path, library: &Path) -> Result<PathBuf, String> {
 }
 
 impl Programs {
-    /// Compiles and looks for what is needed.
+    /// Compiles the C program and looks for what the others need.
     pub(super) fn prepare(python: PathBuf) -> Programs {
         let library = library();
         let folder = tempfile::tempdir().map_err(|cause| cause.to_string());
@@ -75,7 +75,7 @@ impl Programs {
         Programs { _folder: folder.ok(), library, c, python }
     }
 
-    /// The answering side of a language, or why there is none.
+    /// Command line of a language's answering side, or why it is missing.
     pub(super) fn command(&self, peer: Peer, wait: Wait, rounds: usize) -> Result<Program, String> {
         let how = if wait == Wait::Spin { "spin" } else { "event" };
         let mut command = match peer {
@@ -100,10 +100,10 @@ impl Programs {
     }
 }
 
-/// This program as an answering side.
+/// Command line that starts this program as an answering side.
 ///
 /// # Errors
-/// It does not know where it lies.
+/// This program cannot find its own path.
 pub(super) fn echo_command(peer: Peer, wait: Wait, rounds: usize, address: &str) -> Result<Program, Failure> {
     let name = |value: Option<clap::builder::PossibleValue>| {
         value.map_or_else(String::new, |value| value.get_name().to_owned())
@@ -115,10 +115,10 @@ pub(super) fn echo_command(peer: Peer, wait: Wait, rounds: usize, address: &str)
     Ok(command)
 }
 
-/// Answers as one of the sides that are this program.
+/// Runs as one of the answering sides implemented by this program.
 ///
 /// # Errors
-/// The transport's.
+/// Any error of the transport.
 pub fn answer(peer: Peer, wait: Wait, rounds: usize, address: &str) -> Result<(), Failure> {
     end_with_parent();
     match peer {

@@ -1,4 +1,4 @@
-//! What a controller without shared memory would use: a Unix stream socket, UDP over the loopback.
+//! What a controller without shared memory would use: a Unix stream socket, or UDP over loopback.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::UdpSocket;
@@ -66,10 +66,10 @@ impl Socket {
     }
 }
 
-/// Round trips with the same program in a process of its own.
+/// Measures round trips with this program in a separate process.
 ///
 /// # Errors
-/// The system's.
+/// Any system error.
 pub(super) fn measure(peer: Peer, wait: Wait, rounds: usize, cores: Cores) -> Result<Samples, Failure> {
     let folder = tempfile::tempdir().map_err(failed)?;
     let path = folder.path().join("socket");
@@ -82,7 +82,7 @@ pub(super) fn measure(peer: Peer, wait: Wait, rounds: usize, cores: Cores) -> Re
     let mut command = echo_command(peer, wait, rounds, &address)?;
     let mut child = cores.apart(|| bind_to_parent(&mut command).spawn().map_err(failed))?;
     let socket = if peer == Peer::Udp {
-        // The other side says hello, and from where.
+        // The other side's first datagram tells its address.
         let (_, from) = udp.recv_from(&mut [0]).map_err(failed)?;
         udp.connect(from).map_err(failed)?;
         Socket::Udp(udp)
@@ -91,7 +91,7 @@ pub(super) fn measure(peer: Peer, wait: Wait, rounds: usize, cores: Cores) -> Re
     };
     let samples = play(socket, wait, rounds).map_err(failed);
     if samples.is_err() {
-        // It may have ended by itself.
+        // It may already have ended.
         let _ = child.kill();
     }
     child.wait().map_err(failed)?;
@@ -112,10 +112,10 @@ fn play(mut socket: Socket, wait: Wait, rounds: usize) -> std::io::Result<Sample
     Ok(samples)
 }
 
-/// The answering side.
+/// Runs the answering side.
 ///
 /// # Errors
-/// The system's.
+/// Any system error.
 pub(super) fn answer(peer: Peer, wait: Wait, rounds: usize, address: &str) -> Result<(), Failure> {
     let mut socket = if peer == Peer::Udp {
         let udp = UdpSocket::bind("127.0.0.1:0").map_err(failed)?;

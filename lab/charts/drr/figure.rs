@@ -12,7 +12,7 @@ use plotters::style::{BLACK, Color, FontStyle, Palette99, WHITE, register_font};
 use super::Point;
 use trabecula::failure::Failure;
 
-/// Draws the points of two threads (triangles: peers); the line is the time of reading the finest volume once.
+/// Draws the points of two threads (triangles: peers); the line is the time to read the finest volume once.
 pub fn draw(points: &[Point], stream_ms: f64) -> Result<String, Failure> {
     let mut text = String::new();
     draw_into(&mut text, points, stream_ms)

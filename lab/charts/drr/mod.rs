@@ -1,8 +1,9 @@
-//! `trabecula chart drr`: each projector's error against its time, on a phantom whose line integrals are closed.
+//! `trabecula chart drr`: each projector's error against its time, on a phantom with line integrals in closed form.
 //!
-//! The phantom's box is 256 x 256 x 200 mm, at full resolution 512 x 512 x 400 voxels of 0.5 mm; source to isocentre 700 mm, to the
-//! detector 1000 mm, detector 307 mm square. Times are those of a full frame at a new pose, without noise and blur, as least and
-//! median of rounds; errors are relative to the root mean square (r.m.s.) and the maximum of the reference.
+//! The phantom's box is 256 x 256 x 200 mm, at full resolution 512 x 512 x 400 voxels of 0.5 mm; source to isocentre
+//! 700 mm, to the detector 1000 mm, detector 307 mm square. Times are those of a full frame at a new pose, without
+//! noise and blur, as minimum and median over rounds; errors are relative to the root mean square (r.m.s.) and the
+//! maximum of the reference.
 
 mod figure;
 mod peers;
@@ -24,14 +25,14 @@ use xray::{
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
 
-/// What to measure and where to put it.
+/// What to measure, and where to write it.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub out: PathBuf,
     pub quick: bool,
     pub peers: Option<PathBuf>,
     pub rounds: usize,
-    /// The file of the projectors' errors to write instead of a chart.
+    /// If set, write this file of projector errors instead of a chart.
     pub rungs: Option<PathBuf>,
 }
 
@@ -40,32 +41,32 @@ pub struct Plan {
 pub struct Point {
     /// Projector, or peer.
     pub method: String,
-    /// Voxel size divided by that of the full resolution.
+    /// Voxel size as a multiple of the full-resolution one.
     pub coarseness: usize,
     pub pose: &'static str,
     pub threads: usize,
-    /// Of each round.
+    /// Time of each round.
     pub times_ms: Vec<f64>,
-    /// Against the closed line integrals, and against Siddon's sum in f64 of the full resolution.
+    /// Errors against the closed-form line integrals, and against Siddon's sum in f64 at full resolution.
     pub exact: Errors,
     pub siddon: Errors,
 }
 
 impl Point {
-    /// Least and median of the rounds.
+    /// Minimum and median over the rounds.
     pub fn least_and_median_ms(&self) -> (f64, f64) {
         let mut times = self.times_ms.clone();
         times.sort_by(f64::total_cmp);
         (times.first().copied().unwrap_or(0.0), times.get(times.len() / 2).copied().unwrap_or(0.0))
     }
 
-    /// Whether somebody else's.
+    /// Whether the point is a peer's.
     pub fn is_peer(&self) -> bool {
         self.method.starts_with("peer:")
     }
 }
 
-/// Differences of an image from a reference, relative to the reference.
+/// Differences between an image and a reference, relative to the reference.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Errors {
     pub rms: f64,
@@ -73,7 +74,7 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Of `image` from `reference`.
+    /// Errors of `image` against `reference`.
     pub fn of(image: &[f64], reference: &[f64]) -> Errors {
         let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
         let difference = largest(&mut image.iter().zip(reference).map(|(a, b)| (a - b).abs()));
@@ -90,7 +91,7 @@ pub struct PosedReference {
     pub siddon: Vec<f64>,
 }
 
-/// The product's standard projector, which is timed again beside each peer.
+/// The default projector, timed again next to each peer.
 pub const STANDARD: (&str, Projector) = ("slice_ordered 1", Projector::SLICE_ORDERED);
 
 /// The projectors of the chart, from exact to fast.
@@ -175,7 +176,7 @@ fn sample(phantom: &Phantom, coarseness: usize) -> Result<Sample, xray::DrrError
     Ok(Sample { grid, hu, coarseness })
 }
 
-/// No noise, no blur, no window to be found, and all values above -1000 HU attenuate: what is timed is the projection.
+/// No noise, no blur, no window search, and all values above -1000 HU attenuate: only the projection is timed.
 fn parameters(projector: Projector, threads: usize) -> DrrParameters {
     DrrParameters {
         projector,
@@ -224,9 +225,9 @@ fn measure(
 ) -> Result<(), xray::DrrError> {
     let view = VolumeView::new(sample.grid, &sample.hu)?;
     let mut renderer = DrrRenderer::new(&view, parameters(projector, threads), &ThisMachine)?;
-    // Copies of the volume are made when it is loaded, not with a frame.
+    // Copies of the volume are made when it is loaded, not per frame.
     poses.iter().try_for_each(|pose| renderer.prepare(&view, &pose.c_arm))?;
-    // Siddon's times spread little and are long.
+    // Siddon's times are long and vary little.
     let rounds = if projector == Projector::Siddon { 1 } else { rounds };
     let mut times = vec![Vec::new(); poses.len()];
     let mut images = vec![Vec::new(); poses.len()];
@@ -247,7 +248,7 @@ fn measure(
             (&p.method, p.coarseness, p.pose, p.threads)
                 == (&this.method, this.coarseness, this.pose, this.threads)
         };
-        // Measured before: further rounds of the same point.
+        // Already measured: append more rounds of the same point.
         match points.iter_mut().find(same) {
             Some(before) => before.times_ms.extend(this.times_ms),
             None => points.push(this),
@@ -256,7 +257,8 @@ fn measure(
     Ok(())
 }
 
-/// Least milliseconds to read `bytes` once from memory with 1 and with 2 threads: no projector that reads every voxel is faster.
+/// Shortest time (ms) to read `bytes` once from memory with 1 and with 2 threads: a lower bound for any projector that
+/// reads every voxel.
 fn stream_ms(bytes: usize, rounds: usize) -> [f64; 2] {
     let words = vec![1_u64; bytes / 8];
     [1, 2].map(|threads| {

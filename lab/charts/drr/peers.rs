@@ -15,8 +15,8 @@ use super::{Errors, Plan, Point, PosedReference, STANDARD, Sample};
 use crate::charts::peers::{new_input, run, scripts};
 use trabecula::failure::Failure;
 
-/// Runs every script, and after each the standard projector again, so that both have seen the same machine; one that cannot be
-/// installed or run is a note, not a failure. Returns the notes.
+/// Runs every script, and after each the default projector again, so that both have seen the same machine state. A
+/// script that cannot be installed or run is a note, not a failure. Returns the notes.
 pub fn measure(
     folder: &Path,
     plan: &Plan,

@@ -1,8 +1,8 @@
-//! `xray/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
+//! Writes `xray/src/rungs.csv`, from which a scene's `tolerance.drr_rel` chooses.
 //!
-//! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels; for each projector the largest of the
-//! poses' errors against Siddon's sum in f64, relative and r.m.s., on every eighth pixel in both directions, and the median of the times
-//! of whole frames with two threads.
+//! The thigh of [`reference`](mod@reference) in 512 x 512 x 400 voxels of 0.5 mm; three poses, 512 x 512 pixels. For
+//! each projector: the largest error over the poses against Siddon's sum in f64, relative and r.m.s., on every eighth
+//! pixel in both directions; and the median time of full frames with two threads.
 
 use std::path::Path;
 use std::time::Instant;
@@ -17,12 +17,12 @@ use super::{POSES, failed, parameters, projectors};
 use crate::bench::samples::median;
 use trabecula::failure::Failure;
 
-/// Pixels along each side of the detector, and every how many of them the error is taken.
+/// Pixels along each side of the detector, and the stride at which the error is sampled.
 const SIDE: u32 = 512;
 const STRIDE: u32 = 8;
 const FIELD_M: f64 = 0.3072;
 
-/// What the errors are measured on.
+/// The problem that the errors are measured on.
 struct Problem {
     grid: Grid,
     hu: Vec<i16>,
@@ -50,13 +50,13 @@ impl Problem {
         VolumeView::new(self.grid, &self.hu)
     }
 
-    /// Line integrals of every eighth pixel, of all poses one after the other.
+    /// Line integrals of every eighth pixel, of all poses in turn.
     fn integrals(&self, projector: Projector) -> Result<Vec<f64>, DrrError> {
         let view = self.view()?;
         let mut renderer = DrrRenderer::new(&view, parameters(projector, 2), &ThisMachine)?;
         let mut all = Vec::new();
         for c_arm in &self.c_arms {
-            // Rays that are traced one by one do not need their neighbours.
+            // Projectors that trace rays one by one do not need the neighbouring rays.
             let alone = matches!(projector, Projector::Siddon | Projector::Joseph);
             let (c_arm, stride) = if alone { (every(c_arm, STRIDE), 1) } else { (*c_arm, STRIDE as usize) };
             let mut image = vec![0; c_arm.pixels()];
@@ -67,7 +67,7 @@ impl Problem {
         Ok(all)
     }
 
-    /// Median milliseconds of the poses' frames.
+    /// Median time of the poses' frames, in ms.
     fn frame_ms(&self, projector: Projector, rounds: usize) -> Result<f64, DrrError> {
         let view = self.view()?;
         let mut renderer = DrrRenderer::new(&view, parameters(projector, 2), &ThisMachine)?;
@@ -82,7 +82,7 @@ impl Problem {
         Ok(median(&times))
     }
 
-    /// Each projector with its largest error of the poses.
+    /// Each projector with its largest error over the poses.
     fn errors(&self) -> Result<Vec<(Projector, f64)>, DrrError> {
         let exact = self.integrals(Projector::Siddon)?;
         let pixels = exact.len() / self.c_arms.len();
@@ -98,7 +98,7 @@ impl Problem {
     }
 }
 
-/// The C-arm of every `stride`-th pixel, from the first on.
+/// The C-arm reduced to every `stride`-th pixel, starting with the first.
 fn every(c_arm: &CArm, stride: u32) -> CArm {
     let (columns, rows) = (c_arm.columns.div_ceil(stride), c_arm.rows.div_ceil(stride));
     let middle = |n: u32| f64::from(stride) * (f64::from(n) - 1.0) / 2.0;
@@ -114,12 +114,12 @@ fn every(c_arm: &CArm, stride: u32) -> CArm {
 /// Measures the projectors and writes the file.
 ///
 /// # Errors
-/// A volume that does not fit into the memory, a file that cannot be written (1).
+/// A volume that does not fit into memory, a file that cannot be written (1).
 pub fn write(path: &Path, rounds: usize) -> Result<(), Failure> {
     let problem = Problem::new().map_err(failed)?;
     let mut text = "projector,parameter,error_rel,frame_ms\n".to_owned();
     for (projector, error_rel) in problem.errors().map_err(failed)? {
-        // The slow ones' times spread little.
+        // The slow projectors' times vary little.
         let rounds = if projector == Projector::Siddon { 1 } else { rounds };
         let frame_ms = problem.frame_ms(projector, rounds).map_err(failed)?;
         text.extend(ladder::line_of(projector, error_rel, frame_ms).map(|line| line + "\n"));
@@ -141,7 +141,8 @@ mod tests {
         assert_eq!(measured.len(), table.len());
         for (projector, error_rel) in measured {
             let rung = table.iter().find(|rung| rung.projector == projector).unwrap();
-            // Errors do not depend on the machine. Four digits are written; 1 % leaves room for another order of a kernel's sums.
+            // Errors do not depend on the machine. Four digits are written; 1 % allows for a different summation order
+            // in a kernel.
             assert!(
                 (error_rel - rung.error_rel).abs() <= 0.01 * error_rel,
                 "{projector:?}: {error_rel:e}, the table says {:e}: write it with `trabecula chart drr --rungs`",

@@ -1,9 +1,9 @@
-//! How far off the polychromatic table is from its sum over energies, and one energy from both.
+//! Errors of the polychromatic table against its sum over energies, and of a single energy against both.
 
 use xray::spectrum::SpectrumTable;
 use xray::{DrrError, Material, Spectrum};
 
-/// Tissue before the other material, metres.
+/// Tissue in front of the other material, metres.
 const TISSUE_M: f64 = 0.2;
 
 /// Errors at a tube voltage.
@@ -11,14 +11,15 @@ pub struct SpectrumErrors {
     pub tube_kv: f64,
     /// Largest difference of the table's -ln I over 490 mm of tissue and 155 mm of bone.
     pub table: f64,
-    /// Photon energy at which 200 mm of tissue attenuate as with the spectrum, keV.
+    /// Photon energy at which 200 mm of tissue attenuates as much as with the spectrum, keV.
     pub effective_kev: f64,
-    /// By how much that one energy overrates 20 mm of cortical bone and 3 mm of nitinol behind that tissue, relative.
+    /// By how much that single energy overestimates 20 mm of cortical bone and 3 mm of nitinol behind that tissue,
+    /// relative.
     pub bone_20_mm: f64,
     pub nitinol_3_mm: f64,
 }
 
-/// Of three tube voltages.
+/// Errors at three tube voltages.
 pub fn errors() -> Result<Vec<SpectrumErrors>, DrrError> {
     [60.0, 90.0, 120.0].into_iter().map(at).collect()
 }
@@ -35,7 +36,7 @@ fn at(tube_kv: f64) -> Result<SpectrumErrors, DrrError> {
         }
     }
     let before = table.exact(TISSUE_M, 0.0, &nothing);
-    // Water's coefficient falls with the energy.
+    // Water's attenuation coefficient decreases with energy.
     let (mut low, mut high) = (30.0, tube_kv);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);

@@ -1,4 +1,4 @@
-//! The chart's numbers: `drr.csv`, and the table that is printed and written as `drr.md`.
+//! The chart's numbers: `drr.csv`, and the table printed and written as `drr.md`.
 
 use std::fmt::Write;
 
@@ -30,7 +30,7 @@ pub fn text(points: &[Point], stream_ms: &[f64; 2], spectrum: &[SpectrumErrors])
     text
 }
 
-/// Every point in a row.
+/// One row per point.
 pub fn csv(points: &[Point]) -> String {
     let mut csv =
         "method,coarseness,pose,threads,least_ms,median_ms,exact_rms,exact_max,siddon_rms,siddon_max\n"
@@ -46,7 +46,7 @@ pub fn csv(points: &[Point]) -> String {
     csv
 }
 
-/// The points of the finest volume: a line for each method and number of threads, the poses side by side.
+/// The points of the finest volume: one line per method and number of threads, the poses side by side.
 fn full_resolution(points: &[Point]) -> String {
     let finest = points.iter().map(|p| p.coarseness).min();
     let at_full: Vec<&Point> = points.iter().filter(|p| Some(p.coarseness) == finest).collect();
@@ -91,8 +91,9 @@ fn error(value: f64) -> String {
     if value == 0.0 { "0".to_owned() } else { format!("{value:.2e}") }
 }
 
-/// Sentences on the standard projector at full resolution with two threads: in each pose the fastest peer of equal or larger error
-/// against the closed integrals over our time, of the least and of the median times; and the median of the poses.
+/// Sentences about the default projector at full resolution with two threads. For each pose: the time of the fastest
+/// peer with an equal or larger error against the closed-form integrals, divided by our time, from the minimum and
+/// from the median times; then the median over the poses.
 fn ratio_to_peers(points: &[Point]) -> Option<String> {
     let finest = points.iter().map(|p| p.coarseness).min()?;
     let at_full: Vec<&Point> = points.iter().filter(|p| p.coarseness == finest && p.threads == 2).collect();

@@ -10,7 +10,8 @@ use crate::charts::method::Method;
 use trabecula::failure::Failure;
 use trabecula::plan::{Row, Settings};
 
-/// Links of each rung; the tool has 27 flexures. Fewer than the error of the links warrants are not worth a richer rung.
+/// Links of each rung; the tool has 27 flexures. A richer rung is not worth its cost while the error from few links
+/// dominates.
 const LINKS: [(Rung, &[usize]); 4] = [
     (Rung::ConstantCurvature, &[27]),
     (Rung::Planar, &[4, 8, 13, 27]),
@@ -28,14 +29,14 @@ const CONVERGED: Settings = Settings {
 };
 /// Voxel of the default scene, mm.
 const SPACING_MM: f64 = 0.5;
-/// Voxel that the default scene is compared with, mm.
+/// The coarser voxel size to compare with, mm.
 pub const COARSE_MM: f64 = 1.0;
-/// Times that the drilled path is timed; the least counts.
+/// Timed repetitions of the drilled path; the shortest counts.
 const TIMINGS: usize = 3;
-/// Share of the drilled path with little effort.
+/// Fraction of the drilled path used with quick effort.
 const QUICK_SHARE: f64 = 0.02;
 
-/// The settings measured with an effort.
+/// The settings to measure at this effort.
 pub fn settings(effort: Effort) -> Vec<Settings> {
     let (euler, contact) = (SceneIntegrator::LinearlyImplicitEuler, ContactVoxels::Planes);
     if effort == Effort::Quick {
@@ -52,7 +53,7 @@ pub fn settings(effort: Effort) -> Vec<Settings> {
     }
     let mut all = Vec::new();
     for (rung, links) in LINKS {
-        // The arc knows one integrator; the full rung is there for its accuracy.
+        // The arc has only one integrator; the full rung is included for its accuracy.
         let integrators: &[SceneIntegrator] = match rung {
             Rung::ConstantCurvature => &[euler],
             Rung::Full => &[SceneIntegrator::Hybrid],
@@ -67,14 +68,15 @@ pub fn settings(effort: Effort) -> Vec<Settings> {
     all
 }
 
-/// The contact matters to what touches bone only: the other kind is measured with the step of most scenes, where the drilled path is.
+/// The contact kind only matters when the tool touches bone. The other kind is measured with the time step of most
+/// scenes, and only where the drilled path is measured.
 fn with_the_other_contact(settings: &Settings) -> Option<Settings> {
     let drilled = is_drilled(settings) && settings.dt_ms == 1.0;
     drilled.then_some(Settings { contact: ContactVoxels::Balls, ..*settings })
 }
 
-/// Whether the drilled path is measured with these: in contact both integrators are linearly implicit Euler, so that one of
-/// them varies what the other shows.
+/// Whether to measure the drilled path with these settings. In contact both integrators are linearly implicit Euler,
+/// so varying one of them is enough.
 fn is_drilled(settings: &Settings) -> bool {
     let hybrid = settings.integrator == SceneIntegrator::Hybrid;
     match (settings.rung, settings.links) {
@@ -85,7 +87,7 @@ fn is_drilled(settings: &Settings) -> bool {
     }
 }
 
-/// The chart's method of some settings.
+/// The chart's method for these settings.
 pub fn method(settings: &Settings) -> Method {
     let integrator = match settings.integrator {
         SceneIntegrator::LinearlyImplicitEuler => Integrator::LinearlyImplicitEuler,
@@ -97,7 +99,7 @@ pub fn method(settings: &Settings) -> Method {
 /// The errors on the beam, without bone.
 ///
 /// # Errors
-/// Parameters that are refused.
+/// Invalid parameters.
 pub fn on_the_beam(settings: &Settings) -> Result<Row, ManipulatorError> {
     let by = |problem: fn(Method, usize, f64) -> Measured| {
         problem(method(settings), settings.links, settings.dt_ms)
@@ -126,11 +128,11 @@ pub fn on_the_beam(settings: &Settings) -> Result<Row, ManipulatorError> {
     })
 }
 
-/// All settings on all problems, and how far voxels of twice the size lead the drilled path, mm. `save` gets the rows
-/// whenever there is more in them.
+/// Measures all settings on all problems, and how far voxels of twice the size move the drilled path, mm. Calls `save`
+/// with the rows whenever there are new results.
 ///
 /// # Errors
-/// Something is refused, or cannot be saved.
+/// Invalid settings, or results that cannot be saved.
 pub fn measure(
     effort: Effort,
     mut save: impl FnMut(&[Row]) -> Result<(), Failure>,
@@ -152,7 +154,7 @@ pub fn measure(
         let settings = rows[place].settings;
         if is_drilled(&settings) || effort == Effort::Quick {
             let (path, mut us_per_ms) = drilling.run(&settings)?;
-            // The path is the same every time; what else the machine does only adds to the cost.
+            // The path is the same every time; other load on the machine only adds to the cost.
             for _ in 1..if effort == Effort::Quick { 1 } else { TIMINGS } {
                 us_per_ms = us_per_ms.min(drilling.run(&settings)?.1);
             }
@@ -191,8 +193,8 @@ mod tests {
     use super::*;
     use trabecula::plan::{TABLE, table::read};
 
-    /// The errors do not depend on the machine: 1e-3 is the rounding of the table's five digits, and 1 nm the rounding of
-    /// errors that are none.
+    /// The errors do not depend on the machine: 1e-3 covers the rounding of the table's five digits, and 1 nm the
+    /// rounding of errors that are zero.
     #[test]
     fn the_table_of_measured_errors_is_current() {
         let rows = read(TABLE).unwrap();

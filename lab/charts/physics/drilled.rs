@@ -1,4 +1,4 @@
-//! The drilled path of the default scene: its feed and its ramp of the tendon, open loop, by any settings.
+//! The drilled path of the default scene: its feed and tendon ramp, open loop, with any settings.
 
 use std::time::Instant;
 
@@ -14,12 +14,12 @@ use trabecula::launcher::volume_source;
 use trabecula::plan::Settings;
 use trabecula::scenes::BuiltIn;
 
-/// The feed of 28 mm at 1.5 mm/s, before the tool is drawn back.
+/// The feed of 28 mm at 1.5 mm/s, before the tool retracts.
 const DURATION_S: f64 = 18.6;
-/// The burr is looked at this often.
+/// Sampling rate of the burr position.
 const SAMPLES_PER_S: f64 = 100.0;
 
-/// The burr at every sample, and what a simulated millisecond cost (median step), µs.
+/// The burr at every sample, and the cost of a simulated millisecond (median step), µs.
 pub type Drilled = (Vec<Vector3<f64>>, f64);
 
 /// The default scene with its bone.
@@ -30,10 +30,10 @@ pub struct Drilling {
 }
 
 impl Drilling {
-    /// The scene in voxels of a size, for a share of its length.
+    /// The scene with this voxel size, for a fraction of its length.
     ///
     /// # Errors
-    /// The scene or its phantom cannot be made.
+    /// The scene or its phantom cannot be built.
     pub fn new(spacing_mm: f64, share: f64) -> Result<Drilling, Failure> {
         let mut scene = BuiltIn::Femur.scene()?;
         scene.run.mode = Mode::Lockstep;
@@ -90,7 +90,7 @@ impl Drilling {
     }
 }
 
-/// Root mean square of the distance between two paths, mm; not a number if they cannot be compared.
+/// Root mean square of the distance between two paths, mm; NaN if they cannot be compared.
 pub fn distance_mm(path: &[Vector3<f64>], reference: &[Vector3<f64>]) -> f64 {
     if path.len() != reference.len() || path.is_empty() {
         return f64::NAN;

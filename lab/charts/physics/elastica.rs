@@ -1,4 +1,4 @@
-//! The elastica under a dead force across its tip.
+//! The elastica under a dead force perpendicular to its undeformed axis at the tip.
 
 /// Steps of the integration.
 const STEPS: usize = 4000;

@@ -1,4 +1,4 @@
-//! `trabecula chart physics`: error against cost for every rung, integrator and baseline, a panel a problem.
+//! `trabecula chart physics`: error against cost for every rung, integrator and baseline, one panel per problem.
 
 mod candidates;
 mod drilled;
@@ -30,7 +30,7 @@ const HEIGHT: u32 = 1430;
 /// Height of the legend.
 const FOOT: f64 = 250.0;
 const HEAD: f64 = 44.0;
-/// Errors below this are rounding and shown at it, in each problem's unit.
+/// Errors below this are rounding and are drawn at it, in each problem's unit.
 const ROUNDING: f64 = 1e-4;
 /// Okabe and Ito 2008, and greys for the baselines.
 const COLOURS: [RGBColor; 9] = [
@@ -53,24 +53,24 @@ const PEER_COLOURS: [RGBColor; 5] = [
     RGBColor(0, 0, 0),
 ];
 
-/// What is measured, and where to.
+/// What to measure, and where to write it.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// Folder of the files.
+    /// Output folder.
     pub out: PathBuf,
     /// How much.
     pub effort: Effort,
     /// Folder of the peers' scripts.
     pub peers: Option<PathBuf>,
-    /// The settings of plans and the drilled path alone.
+    /// Whether to measure only the settings of plans and the drilled path.
     pub settings_only: bool,
 }
 
-/// What it writes.
+/// The files it writes.
 const FILES: [&str; 4] =
     ["physics-plan.csv", "accuracy-physics.csv", "accuracy-physics.png", "accuracy-physics.svg"];
 
-/// Measures and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder.
+/// Measures, and writes `accuracy-physics.svg`, `.png` and `.csv`, and `physics-plan.csv`, into the folder.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -90,7 +90,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
         peers = peers::measure(scripts, folder, plan.effort)?;
         took("peers", began);
     }
-    // The settings are saved as they come: what has been measured is worth having.
+    // Save the settings as they are measured, so that an interrupted run keeps its results.
     let mut settings = SavedFile::create(&folder.join(FILES[0]))?;
     let save = |rows: &[Row]| Ok(settings.save(trabecula::plan::write(rows))?);
     let began = Instant::now();
@@ -215,7 +215,7 @@ fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, (points, peers)
         if (0.01..1e5).contains(&value) { format!("{value}") } else { format!("{value:.0e}") }
     };
     let x = Axis::logarithmic("time of a simulated millisecond", sound().map(|(us, _)| us), duration_label);
-    // What is worse than 100 mm or the like is not told apart.
+    // Errors worse than 100 mm or equivalent are drawn at the same height.
     let y = Axis::logarithmic(problem.axis(), sound().map(|(_, error)| error).chain([high]), label);
     let mut panel = Panel::new(figure, cell, problem.title(), x, y);
     for (method, colour) in Method::ALL.into_iter().zip(COLOURS) {

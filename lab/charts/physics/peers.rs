@@ -1,8 +1,8 @@
 //! Other simulators on the chart's beam.
 //!
-//! Each `NAME.py` of the folder gets `beam.json` and prints a line for what it measured: `PROBLEM NAME LINKS DT_MS US_PER_MS LOAD
-//! X Z`. In `end_moment` and `tip_force` (LOAD is P L² / EI) X and Z are where the tip rests, across and along, m; in
-//! `vibration` X is the first frequency, Hz.
+//! Each `NAME.py` of the folder gets `beam.json` and prints one line per measurement: `PROBLEM NAME LINKS DT_MS
+//! US_PER_MS LOAD X Z`. In `end_moment` and `tip_force` (LOAD is P L² / EI) X and Z are where the tip rests, across
+//! and along, m; in `vibration` X is the first frequency, Hz.
 
 use std::path::Path;
 
@@ -18,11 +18,11 @@ use crate::charts::peers::{new_input, run, scripts};
 use simulation::manipulator::{Integrator, Rung};
 use trabecula::failure::Failure;
 
-/// Who has a place in the figure.
+/// Peers with a marker in the figure.
 pub const NAMES: [&str; 5] = ["mujoco", "mujoco_cable", "drake", "pybullet", "pyelastica"];
-/// What the scripts measure.
+/// The problems that the scripts measure.
 const PROBLEMS: [Problem; 3] = [Problem::EndMoment, Problem::TipForce, Problem::Vibration];
-/// Beside which of ours.
+/// Our methods to compare with.
 const OURS: [Method; 2] = [
     Method::Rung(Rung::Planar, Integrator::LinearlyImplicitEuler),
     Method::Rung(Rung::Planar, Integrator::Hybrid),
@@ -33,21 +33,22 @@ const OURS: [Method; 2] = [
 pub struct Peer {
     /// Problem.
     pub problem: Problem,
-    /// Who.
+    /// Name of the peer.
     pub name: String,
     /// Links or elements.
     pub links: usize,
     /// Step, ms.
     pub dt_ms: f64,
-    /// Cost of a simulated millisecond, µs.
+    /// Cost per simulated millisecond, µs.
     pub us_per_ms: f64,
-    /// In the problem's unit; the worst load of `tip_force`.
+    /// Error in the problem's unit; for `tip_force`, at the worst load.
     pub error: f64,
-    /// Its cost over that of our cheapest planar setting of no larger error, if there is one; timed before and after the peer.
+    /// Its cost divided by that of our cheapest planar setting with no larger error, if there is one; ours is timed
+    /// before and after the peer.
     pub cost_ratio: Option<f64>,
 }
 
-/// Runs every script; one that cannot be installed or run is told of, and no failure.
+/// Runs every script. One that cannot be installed or run is reported, not a failure.
 ///
 /// # Errors
 /// No folder of scripts, or a file that cannot be written.
@@ -84,7 +85,7 @@ pub fn measure(folder: &Path, out: &Path, effort: Effort) -> Result<Vec<Peer>, F
     Ok(all)
 }
 
-/// The planar rung on the problems of the scripts.
+/// The planar rung on the scripts' problems.
 fn ours(effort: Effort) -> Result<Vec<(Problem, Point)>, Failure> {
     let mut points = Vec::new();
     for problem in PROBLEMS {
@@ -105,7 +106,7 @@ fn between(mut before: Vec<(Problem, Point)>, after: &[(Problem, Point)]) -> Vec
     before
 }
 
-/// Adds a printed line; the loads of one setting become one point. Lines that are none are left out.
+/// Adds a printed line; the loads of one setting become one point. Ignores other lines.
 fn collect(line: &str, peers: &mut Vec<Peer>) {
     let words: Vec<&str> = line.split_whitespace().collect();
     let [problem, name, rest @ ..] = words.as_slice() else { return };
@@ -126,14 +127,14 @@ fn collect(line: &str, peers: &mut Vec<Peer>) {
     let point = Peer { problem, name, links: links as usize, dt_ms, us_per_ms, error, cost_ratio: None };
     let same = |other: &&mut Peer| Peer { us_per_ms, error, ..(*other).clone() } == point;
     match peers.iter_mut().find(same) {
-        // What is not a number is the worst, and stays.
+        // NaN is the worst error and stays.
         Some(other) if error.is_nan() || other.error < error => *other = point,
         Some(_) => (),
         None => peers.push(point),
     }
 }
 
-/// Prints a peer's point, and beside it the cheapest of ours with no larger error.
+/// Prints a peer's point, and next to it our cheapest one with no larger error.
 fn compare(peer: &mut Peer, own: &[(Problem, Point)]) {
     let head = format!(
         "{:<11} {:<19} {:>2} links, dt {:>7} ms: {:>9.2} us/ms, error {:.4}",
@@ -144,7 +145,8 @@ fn compare(peer: &mut Peer, own: &[(Problem, Point)]) {
         peer.us_per_ms,
         peer.error
     );
-    // Euler's own damping hides its frequency: what swings is compared with what keeps its swing.
+    // Euler's numerical damping hides its frequency, so the vibration problem is compared with our other integrator
+    // only.
     let comparable = |problem: Problem, method: Method| problem != Problem::Vibration || method == OURS[1];
     // Two programs that solve the same equations differ by rounding.
     let as_good = own

@@ -1,4 +1,4 @@
-//! The chart's problems: each gives an error against something outside the method, and what a millisecond costs.
+//! The chart's problems. Each gives an error against a solution outside the method, and the cost of a millisecond.
 
 use std::sync::OnceLock;
 use std::time::Instant;
@@ -17,7 +17,7 @@ pub(super) const RIGIDITY_NM2: f64 = 1.3369e-3;
 pub(super) const DENSITY_KG_PER_M: f64 = 0.101;
 /// The pure end moment: 90 degrees.
 pub(super) const END_MOMENT_NM: f64 = 0.06;
-/// First frequency of the beam, `1.8751^2 / (2 pi) sqrt(EI / m) / L^2` with m per length.
+/// First frequency of the beam, `1.8751^2 / (2 pi) sqrt(EI / m) / L^2`, with m the mass per length.
 pub(super) const BEAM_HZ: f64 = 52.556_149_363_366_2;
 /// First three roots of cos x cosh x = -1.
 const ROOTS: [f64; 3] = [1.875_104_068_711_961, 4.694_091_132_974_175, 7.854_757_438_237_613];
@@ -29,22 +29,22 @@ pub enum Problem {
     EndMoment,
     /// A dead force across the tip: P L² / EI of 0.25 to 10; the largest error.
     TipForce,
-    /// A tendon in a channel with friction: the closed form of the continuous channel.
+    /// A tendon in a channel with friction, against the closed form of the continuous channel.
     Capstan,
     /// Free vibration: the first three frequencies and the first mode's decay.
     Vibration,
-    /// Pulled against a wall, frictionless, suddenly: the path against that of 64 links at 0.05 ms.
+    /// A sudden pull against a frictionless wall: the path against that of 64 links at 0.05 ms.
     Wall,
     /// The default scene, drilled open loop: the burr's path against that of the full rung at 0.5 ms.
     Drilled,
 }
 
 impl Problem {
-    /// Those of the beam, in the order of the panels; the drilled path is the sixth.
+    /// The beam problems, in panel order; the drilled path is the sixth panel.
     pub const BEAM: [Problem; 5] =
         [Problem::EndMoment, Problem::TipForce, Problem::Capstan, Problem::Vibration, Problem::Wall];
 
-    /// Key in the CSV.
+    /// Name in the CSV.
     pub fn key(self) -> &'static str {
         match self {
             Problem::EndMoment => "end_moment",
@@ -82,26 +82,26 @@ impl Problem {
 /// A measured point.
 #[derive(Debug, Clone)]
 pub struct Point {
-    /// Who.
+    /// Method measured.
     pub method: Method,
     /// Links of the tool.
     pub links: usize,
     /// Step, ms.
     pub dt_ms: f64,
-    /// Median time of a step over its length: what a simulated millisecond costs, µs.
+    /// Cost of a simulated millisecond, µs: the median step time divided by the step length.
     pub us_per_ms: f64,
-    /// In the problem's unit; not finite if the method lost the tool.
+    /// Error in the problem's unit; not finite if the method lost the tool.
     pub error: f64,
     /// Other figures by name.
     pub more: Vec<(&'static str, f64)>,
 }
 
-/// How much is measured.
+/// How much to measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
-    /// A few points: for tests.
+    /// A few points, for tests.
     Quick,
-    /// All of them.
+    /// All points.
     Full,
 }
 
@@ -153,22 +153,22 @@ fn still() -> Drive {
     Drive::still(rest())
 }
 
-/// A uniform beam that 30 N on a tendon at 2 mm bend by 90 degrees, on a mount that does not show.
+/// A uniform beam that 30 N on a tendon at 2 mm bends by 90 degrees, on a mount too stiff to matter.
 fn beam(method: Method, links: usize, damping_ratio: f64) -> ManipulatorParameters {
     let mut p = ManipulatorParameters::uniform_beam(links, LENGTH_M, RIGIDITY_NM2);
     p.damping_ratio = damping_ratio;
-    // Explicit springs are stable on a softer mount only: 1 µm at the largest load.
+    // Explicit springs are stable only on a softer mount, which gives by 1 µm at the largest load.
     p.mount_stiffness_n_per_m = [if method == Method::Explicit { 1e7 } else { 1e9 }; 3];
-    // Thin, so that shear and stretch of the full rung do not show: the closed forms know none.
+    // Thin, so that the full rung's shear and stretch, which the closed forms lack, are negligible.
     p.tube_radii_m = [1e-5, 0.0];
     p.tendon.offset_m = 2e-3;
     p
 }
 
-/// Measures a problem for a method; one point a setting.
+/// Measures a problem with a method; one point per setting.
 ///
 /// # Errors
-/// Parameters that are refused.
+/// Invalid parameters.
 pub fn measure(problem: Problem, method: Method, effort: Effort) -> Result<Vec<Point>, ManipulatorError> {
     settings(problem, method, effort)
         .into_iter()
@@ -187,14 +187,14 @@ pub fn measure(problem: Problem, method: Method, effort: Effort) -> Result<Vec<P
         .collect()
 }
 
-/// Links and step (ms) of each point. Statics vary the links, dynamics the step.
+/// Links and step (ms) of each point. Static problems vary the links, dynamic ones the step.
 fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64)> {
     let quick = effort == Effort::Quick;
     let arc = matches!(method, Method::Rung(Rung::ConstantCurvature, _));
     let slow = matches!(method, Method::Rapier(_));
     let dynamic = matches!(problem, Problem::Vibration | Problem::Wall);
     match (dynamic, method) {
-        // What is stable: 2 / omega of the highest mode, far less with its damper.
+        // Stability limit: 2 / omega of the highest mode, much less with its damper.
         (false, Method::Explicit) => {
             if quick {
                 vec![(4, 2e-3)]
@@ -202,7 +202,7 @@ fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64
                 vec![(4, 2e-3), (8, 5e-4)]
             }
         }
-        // The mount's damper on half a link, 374 N s/m on 0.22 g, bounds the step: 1.2 µs.
+        // The mount's damper on half a link, 374 N s/m on 0.22 g, limits the step to 1.2 µs.
         (true, Method::Explicit) => {
             if quick {
                 Vec::new()
@@ -220,10 +220,10 @@ fn settings(problem: Problem, method: Method, effort: Effort) -> Vec<(usize, f64
     }
 }
 
-/// Cost in µs a simulated millisecond, error in the problem's unit, other figures.
+/// Cost in µs per simulated millisecond, error in the problem's unit, other figures.
 pub(super) type Measured = Result<(f64, f64, Vec<(&'static str, f64)>), ManipulatorError>;
 
-/// The explicit method cannot be damped critically: its swing is waited for.
+/// The explicit method cannot be critically damped, so wait until its oscillation has died out.
 fn static_damping(method: Method) -> (f64, f64) {
     if method == Method::Explicit { (0.05, 0.25) } else { (1.0, 0.6) }
 }
@@ -261,7 +261,7 @@ pub(super) fn tip_force(method: Method, links: usize, dt_ms: f64) -> Measured {
         let [x, z] = elastica(load);
         let exact = Vector3::new(x, 0.0, z) * LENGTH_M;
         let error = lost(&run.tool, (run.tool.tip_m() - exact).norm() * 1e6);
-        // A NaN must win.
+        // NaN must win.
         worst = if error.is_nan() { error } else { worst.max(error) };
         more.push((name, error));
         all.nanoseconds.append(&mut run.nanoseconds);
@@ -301,8 +301,8 @@ fn capstan_tip_m(mu: f64, k0_length: f64) -> Vector3<f64> {
     sum * (LENGTH_M * h / 3.0)
 }
 
-/// Modes by the answer to a burst of force at and beside the frequency that the beam has; decay of the first by its
-/// envelope over ten periods.
+/// Finds the modes from the response to a force burst at and around the beam's frequencies; the first mode's decay
+/// from its envelope over ten periods.
 fn vibration(method: Method, links: usize, dt_ms: f64) -> Measured {
     let (dt_s, density) = (dt_ms * 1e-3, DENSITY_KG_PER_M);
     let beam_hz = ROOTS.map(|root| {
@@ -311,7 +311,7 @@ fn vibration(method: Method, links: usize, dt_ms: f64) -> Measured {
     let mut clock = Run::new(method, &beam(method, links, 0.0), &[], dt_s)?;
     let mut errors = [f64::NAN; 3];
     for (mode, hz) in beam_hz.into_iter().enumerate() {
-        // Fewer than eight steps a period show no frequency.
+        // With fewer than eight steps per period the frequency cannot be resolved.
         if hz * dt_s > 0.125 {
             continue;
         }
@@ -339,7 +339,7 @@ fn vibration(method: Method, links: usize, dt_ms: f64) -> Measured {
 fn decay(method: Method, links: usize, dt_s: f64, hz: f64) -> Result<f64, ManipulatorError> {
     let ratio = 0.02;
     let mut run = Run::new(method, &beam(method, links, ratio), &[], dt_s)?;
-    // Brought to its shape slowly, then let go; the higher modes die within the first period.
+    // Deflect slowly, then release; the higher modes die out within the first period.
     let force_n = Vector3::x() * 0.01;
     let bent = Drive { tip: Wrench { force_n, ..Wrench::zero() }, ..still() };
     let settle = if method == Method::Explicit { 0.4 } else { 1.0 };
@@ -367,7 +367,7 @@ fn decay(method: Method, links: usize, dt_s: f64, hz: f64) -> Result<f64, Manipu
 
 type Path = Vec<Vector3<f64>>;
 
-/// The tip at every millisecond of 0.2 s of a sudden pull, against a wall or in free space.
+/// The tip at every millisecond during 0.2 s of a sudden pull, against a wall or in free space.
 fn pull(method: Method, links: usize, dt_ms: f64, walls: &[Wall]) -> Result<(Run, Path), ManipulatorError> {
     let mut p = beam(method, links, 0.1);
     p.contact.friction_coefficient = 0.0;
@@ -381,7 +381,7 @@ fn pull(method: Method, links: usize, dt_ms: f64, walls: &[Wall]) -> Result<(Run
     Ok((run, path))
 }
 
-/// The paths that the errors are measured against, computed once.
+/// Reference paths for the errors, computed once.
 static CONVERGED_WALL: OnceLock<Path> = OnceLock::new();
 static CONVERGED_SWING: OnceLock<Path> = OnceLock::new();
 

@@ -1,19 +1,19 @@
-//! A sphere of the tool at rest on a flat wall of voxels: what the contact kind alone makes wrong.
+//! A tool sphere at rest on a flat wall of voxels: the error of the contact kind alone.
 
 use ipc_types::scene::ContactVoxels;
 use nalgebra::Vector3;
 use simulation::bone::{BoneError, BoneField, BoneParameters, ContactBuffer, GridGeometry};
 use simulation::contact_kind;
 
-/// Proxy spheres of the flexures (Phalen et al. 2023).
+/// Radius of the flexures' proxy spheres (Phalen et al. 2023).
 const RADIUS_MM: f64 = 3.0;
-/// Solid layers of voxels, and voxels across.
+/// Number of solid voxel layers, and of voxels across.
 const LAYERS: usize = 8;
 const ACROSS: usize = 40;
-/// Places over one voxel, in each direction.
+/// Positions over one voxel, in each direction.
 const PLACES: usize = 8;
 
-/// Largest error of the height at which a sphere rests on the wall, over places within a voxel, mm.
+/// Largest error of the height at which a sphere rests on the wall, over positions within a voxel, mm.
 ///
 /// # Errors
 /// The grid is refused.
@@ -25,7 +25,7 @@ pub fn voxel_wall_mm(contact: ContactVoxels, spacing_mm: f64) -> Result<f64, Bon
         .collect();
     let parameters = BoneParameters { contact: contact_kind(Some(contact)), ..BoneParameters::default() };
     let field = BoneField::new(geometry, &hu, parameters)?;
-    // Voxel centres are on whole multiples.
+    // Voxel centres lie at integer multiples.
     let wall_m = (LAYERS as f64 - 0.5) * h;
     let mut worst_m: f64 = 0.0;
     for place in 0..PLACES * PLACES {
@@ -36,7 +36,7 @@ pub fn voxel_wall_mm(contact: ContactVoxels, spacing_mm: f64) -> Result<f64, Bon
     Ok(worst_m * 1e3)
 }
 
-/// Height of the centre at which the smallest gap is zero, by bisection: the gap grows with the height.
+/// Height of the centre at which the smallest gap is zero, by bisection: the gap increases with height.
 fn resting_height_m(field: &BoneField, x: f64, y: f64, wall_m: f64) -> f64 {
     let radius_m = RADIUS_MM * 1e-3;
     let mut buffer = ContactBuffer::with_capacity(8);

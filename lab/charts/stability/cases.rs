@@ -1,4 +1,4 @@
-//! The hard cases.
+//! The hard cases of the stability map.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use simulation::baselines::Wall;
@@ -6,15 +6,18 @@ use simulation::manipulator::{BaseMotion, ManipulatorError, ManipulatorParameter
 
 use crate::charts::method::{Drive, Method, Tool};
 
-/// Half of the tunnel's width: the burr's radius and 50 µm, m.
+/// Half the tunnel's width: the burr's radius plus 50 µm, m.
 const TUNNEL_M: f64 = 3.3e-3;
-/// Burr centre of the straight tool from the flange, m.
+/// Distance of the straight tool's burr centre from the flange, m.
 const REACH_M: f64 = 0.071_470_28;
-/// Euler's load of the tool clamped at its base, N: the least load along the axis at the burr whose moment the flexures do not hold.
+/// Euler's buckling load of the tool clamped at its base, N: the smallest axial load at the burr that the flexures
+/// cannot resist.
 const EULER_N: f64 = 1.306;
-/// Loads along the axis over Euler's: one that buckles the tool to 100 degrees, and one that turns it back on itself.
+/// Axial loads as multiples of Euler's load: one that buckles the tool to 100 degrees, and one that folds it back on
+/// itself.
 const BUCKLING: [f64; 2] = [1.5, 2.3];
-/// Their share across the axis: 0.4 degrees. A tool is pushed no truer; without it the straight shape is an answer, too.
+/// Transverse fraction of these loads: 0.4 degrees. No real push is better aligned, and without it the straight shape
+/// would be a solution too.
 const ACROSS: f64 = 1.0 / 150.0;
 
 /// What happens to the tool.
@@ -28,22 +31,22 @@ pub enum Case {
     Tunnel,
     /// 8 N into the corner of three walls.
     Corner,
-    /// A load along the axis of 1.5 times Euler's, at once.
+    /// An axial load of 1.5 times Euler's load, applied at once.
     Buckling,
-    /// The base comes at 0.5 m/s and presses the burr on a wall across.
+    /// The base approaches at 0.5 m/s and presses the burr onto a transverse wall.
     MovedBase,
-    /// The wall, 10 m from the origin and turned.
+    /// The stiff wall, 10 m from the origin and rotated.
     FarAnatomy,
-    /// Pressed on a wall that vanishes.
+    /// Pressed against a wall that then vanishes.
     Leaving,
-    /// 2.3 times Euler's, at once.
+    /// An axial load of 2.3 times Euler's load, applied at once.
     FarBuckling,
 }
 
 /// How a run ended.
 #[derive(Debug, Clone, Copy)]
 pub struct Ending {
-    /// Burr centre in the frame of the base at the start, m.
+    /// Burr centre in the initial base frame, m.
     pub tip_m: Vector3<f64>,
     /// Whether the tool was lost.
     pub lost: bool,
@@ -52,7 +55,7 @@ pub struct Ending {
 }
 
 impl Case {
-    /// All of them; the last is beyond what a large step claims ([`Case::is_claimed`]).
+    /// All cases; the last one is beyond what a large step is claimed to handle ([`Case::is_claimed`]).
     pub const ALL: [Case; 9] = [
         Case::TensionStep,
         Case::StiffWall,
@@ -65,14 +68,14 @@ impl Case {
         Case::FarBuckling,
     ];
 
-    /// Whether ours is claimed to be right at every step. A dead load on the burr enters a step with the shape at its start: what
-    /// it adds to the stiffness is not in the operator. Above twice Euler's load a step that inertia does not hold goes to and fro
-    /// between two shapes.
+    /// Whether our methods are claimed to be right at every step size. A dead load on the burr enters a step with the
+    /// shape at the step's start, so the operator lacks the load's contribution to the stiffness. Above twice Euler's
+    /// load, a step too long for inertia to limit it oscillates between two shapes.
     pub fn is_claimed(self) -> bool {
         self != Case::FarBuckling
     }
 
-    /// Key in the CSV and label in the map.
+    /// Name in the CSV and in the map.
     pub fn key(self) -> &'static str {
         match self {
             Case::TensionStep => "tension step 0-30 N",
@@ -101,7 +104,7 @@ impl Case {
         }
     }
 
-    /// Base frame of the start in the world.
+    /// Initial base frame in the world.
     fn place(self) -> Isometry3<f64> {
         match self {
             Case::FarAnatomy => Isometry3::from_parts(
@@ -114,7 +117,7 @@ impl Case {
 
     fn seconds(self) -> f64 {
         match self {
-            // Near Euler's load the tool is soft: its swings end late.
+            // Near Euler's load the tool is soft and oscillates for longer.
             Case::Buckling | Case::FarBuckling => 2.0,
             Case::MovedBase => 0.8,
             _ => 0.5,
@@ -126,7 +129,7 @@ impl Case {
         let mut drive = Drive::still(BaseMotion::at_rest(place));
         match self {
             Case::TensionStep => drive.tension_n = 30.0,
-            // Loads grow with the stiffness where shape decides the case.
+            // Where the shape decides the case, loads scale with the stiffness.
             Case::Buckling | Case::FarBuckling => {
                 let load_n = EULER_N * BUCKLING[usize::from(self == Case::FarBuckling)] * stiffness;
                 drive.tip = Wrench { force_n: Vector3::new(ACROSS, 0.0, -1.0) * load_n, ..Wrench::zero() };
@@ -144,10 +147,10 @@ impl Case {
         drive
     }
 
-    /// Plays the case.
+    /// Runs the case.
     ///
     /// # Errors
-    /// Parameters that are refused.
+    /// Invalid parameters.
     pub fn play(
         self,
         method: Method,
@@ -169,7 +172,7 @@ impl Case {
             if tool.is_lost() {
                 break;
             }
-            // The largest of each half of the last fifth.
+            // The maximum of each half of the last fifth.
             if k * 10 >= steps * 9 {
                 late = late.max(tool.energy_j());
             } else if k * 10 >= steps * 8 {
@@ -185,7 +188,7 @@ impl Case {
 mod tests {
     use super::*;
 
-    /// The load at which the linearised moments of the load, `P (x_tip - x_i)`, are those of the flexures: power iteration.
+    /// The load at which its linearised moments, `P (x_tip - x_i)`, equal those of the flexures: power iteration.
     #[test]
     fn eulers_load_is_that_of_the_tool() {
         let p = ManipulatorParameters::jhu_27();

@@ -1,4 +1,4 @@
-//! The map as a figure: a column a case, a row a method; inside, stiffness across, mass and step down.
+//! The stability map: one column per case, one row per method; in each block, stiffness across, mass and step down.
 
 use plotters::style::RGBColor;
 
@@ -11,10 +11,10 @@ use trabecula::report::shapes::{Anchor, Figure, Shape};
 
 const LEFT: f64 = 160.0;
 const TOP: f64 = 96.0;
-/// A cell, and the gap between blocks.
+/// Size of a cell, and gap between blocks.
 const SIZE: (f64, f64) = (24.0, 6.0);
 const GAP: f64 = 12.0;
-/// Told apart with any colour vision, and by lightness in grey.
+/// Distinguishable with any colour vision, and by lightness in greyscale.
 const COLOURS: [(Verdict, RGBColor, &str); 3] = [
     (Verdict::Converged, RGBColor(0, 158, 115), "converged"),
     (Verdict::Wrong, RGBColor(240, 200, 80), "wrong"),
@@ -60,7 +60,7 @@ fn draw_cell(figure: &mut Figure, (x, y): (f64, f64), cell: &Cell) {
     let row = (index(&MASS, cell.mass) * DT_MS.len() + index(&DT_MS, cell.dt_ms)) as f64;
     let colour =
         COLOURS.iter().find(|(verdict, ..)| *verdict == cell.verdict).map_or(NONE, |(_, colour, _)| *colour);
-    // A hair of white between the masses.
+    // A thin white gap between the masses.
     let height = if (row as usize + 1).is_multiple_of(DT_MS.len()) { SIZE.1 - 1.0 } else { SIZE.1 };
     area(figure, (x + column * SIZE.0, y + row * SIZE.1), (SIZE.0 - 1.0, height), colour);
 }

@@ -19,39 +19,39 @@ use cases::{Case, Ending};
 use trabecula::failure::{EXIT_INTERRUPTED, Failure};
 use trabecula::output::{refuse_existing, within};
 
-/// All stiffnesses times these.
+/// Factors applied to all stiffnesses.
 pub const STIFFNESS: [f64; 4] = [1.0, 10.0, 100.0, 1000.0];
-/// All masses times these.
+/// Factors applied to all masses.
 pub const MASS: [f64; 3] = [1.0, 0.1, 0.01];
 /// Steps, ms.
 pub const DT_MS: [f64; 5] = [0.5, 1.0, 2.0, 5.0, 10.0];
-/// A tip within this of the converged one has converged, m.
+/// A tip within this distance of the converged one counts as converged, m.
 const TOLERANCE_M: f64 = 0.2e-3;
 /// Largest step of the converged solutions, ms.
 const REFERENCE_DT_MS: f64 = 0.25;
-/// One radian of the first mode of the tool (26 Hz), ms.
+/// One radian of the tool's first mode (26 Hz), ms.
 const FIRST_MODE_MS: f64 = 6.0;
 
-/// Time between two lines of progress.
+/// Interval between progress lines.
 const SAY_EVERY: Duration = Duration::from_secs(5);
 
-/// What became of a run.
+/// Result of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
     /// At rest where the converged solution rests.
     Converged,
-    /// Somewhere else, or not at rest.
+    /// At rest elsewhere, or not at rest.
     Wrong,
-    /// Not finite, or out of any tool's reach.
+    /// Not finite, or beyond the tool's reach.
     Blown,
 }
 
 /// A cell of the map.
 #[derive(Debug, Clone, Copy)]
 pub struct Cell {
-    /// Who.
+    /// Method measured.
     pub method: Method,
-    /// Which case.
+    /// Case measured.
     pub case: Case,
     /// Factor of the stiffnesses.
     pub stiffness: f64,
@@ -59,7 +59,7 @@ pub struct Cell {
     pub mass: f64,
     /// Step, ms.
     pub dt_ms: f64,
-    /// What became of it.
+    /// Result of the run.
     pub verdict: Verdict,
     /// Distance of the tip from the converged one, m.
     pub off_m: f64,
@@ -67,7 +67,7 @@ pub struct Cell {
     pub energy_grew: bool,
 }
 
-/// Measures and writes `stability.svg`, `.png` and `.csv` into the folder; prints the counts.
+/// Measures, writes `stability.svg`, `.png` and `.csv` into the folder, and prints the counts.
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -88,7 +88,7 @@ pub fn run(folder: &Path, quick: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The tool of the scenes, frictionless on its walls, its stops out of reach: Rapier's has none.
+/// The scenes' tool, frictionless on its walls, with its stops out of reach because Rapier's tool has none.
 fn tool(stiffness: f64, mass: f64) -> ManipulatorParameters {
     let mut p = ManipulatorParameters::jhu_27();
     p.joint_stiffness_nm_per_rad.iter_mut().for_each(|k| *k *= stiffness);
@@ -101,7 +101,7 @@ fn tool(stiffness: f64, mass: f64) -> ManipulatorParameters {
     p
 }
 
-/// Rungs are held to their own converged solution, baselines to that of the planar rung.
+/// A rung is compared with its own converged solution, a baseline with that of the planar rung.
 fn reference_of(method: Method) -> Method {
     match method {
         Method::Rung(rung, _) => Method::Rung(rung, Integrator::LinearlyImplicitEuler),
@@ -109,15 +109,15 @@ fn reference_of(method: Method) -> Method {
     }
 }
 
-/// Within a radian of the first mode, whose frequency goes with the root of stiffness over mass.
+/// Within a radian of the first mode, whose frequency scales with the square root of stiffness over mass.
 fn reference_dt_ms(stiffness: f64, mass: f64) -> f64 {
     REFERENCE_DT_MS.min(FIRST_MODE_MS / (stiffness / mass).sqrt())
 }
 
-/// A run to make: method, case, factor of stiffness, factor of mass, step in ms.
+/// One run: method, case, stiffness factor, mass factor, step in ms.
 type Job = (Method, Case, f64, f64, f64);
 
-/// How many runs are done, on the error stream every few seconds.
+/// Reports the number of finished runs on standard error every few seconds.
 struct Progress {
     done: AtomicUsize,
     all: usize,
@@ -141,7 +141,7 @@ impl Progress {
     }
 }
 
-/// Makes all runs on all cores. When the process is asked to end, what is done is returned.
+/// Runs all jobs on all cores. If the process is asked to end, returns the finished ones.
 fn measure(quick: bool, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorError> {
     let pick = |all: &[f64]| if quick { vec![all[0], all[all.len() - 1]] } else { all.to_vec() };
     let (mut jobs, mut references): (Vec<Job>, Vec<Job>) = (Vec::new(), Vec::new());
@@ -187,7 +187,7 @@ fn measure(quick: bool, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorError>
 }
 
 fn verdict(ending: &Ending, off_m: f64) -> Verdict {
-    // The tool is 71 mm long: what is farther than that from the converged tip has come apart.
+    // The tool is 71 mm long: a tip farther than this from the converged one means that the tool has come apart.
     if ending.lost || !off_m.is_finite() || off_m > 0.15 {
         Verdict::Blown
     } else if off_m <= TOLERANCE_M {
@@ -197,7 +197,7 @@ fn verdict(ending: &Ending, off_m: f64) -> Verdict {
     }
 }
 
-/// The cases that are claimed, and where the one that is not is right.
+/// Prints the claimed cases, and where the unclaimed one is right.
 fn print_counts(cells: &[Cell]) {
     let head = ["method", "converged", "wrong", "blown", "energy grew", "2.3 x Euler's load"];
     say!("{:<20} {:>9} {:>6} {:>6} {:>12}  {}", head[0], head[1], head[2], head[3], head[4], head[5]);
@@ -218,13 +218,13 @@ fn print_counts(cells: &[Cell]) {
     }
 }
 
-/// How many are right, and up to which step, in radians of the first mode, all are.
+/// How many are right, and the step, in radians of the first mode, up to which all are.
 fn right_steps(cells: &[&Cell]) -> String {
     let angle = |cell: &Cell| cell.dt_ms / FIRST_MODE_MS * (cell.stiffness / cell.mass).sqrt();
     let right = cells.iter().filter(|cell| cell.verdict == Verdict::Converged).count();
     let wrong = cells.iter().filter(|cell| cell.verdict != Verdict::Converged);
     let least = wrong.map(|cell| angle(cell)).fold(f64::INFINITY, f64::min);
-    // Steps as long as that one, but for rounding, are not below it.
+    // Steps equal to that one up to rounding are not below it.
     let below = cells.iter().map(|cell| angle(cell)).filter(|own| *own < 0.999 * least).fold(0.0, f64::max);
     format!("{right} of {} right, all up to {below:.1} rad a step", cells.len())
 }

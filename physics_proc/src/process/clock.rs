@@ -29,10 +29,11 @@ impl Sleeper {
         Sleeper { wait, cores: allowed_cores() }
     }
 
-    /// Waits until the monotonic clock reaches `deadline_ns`. A signal ends the wait early. Never spins on a single core.
+    /// Waits until the monotonic clock reaches `deadline_ns`. A signal ends the wait early. Never spins on a single
+    /// core.
     ///
-    /// Does not yield just before the deadline: a yield could hand the core to a renderer's thread, which Linux would not preempt before
-    /// its next tick, up to 4 ms later.
+    /// Does not yield just before the deadline: a yield could hand the core to a renderer's thread, which Linux would
+    /// not preempt before its next tick, up to 4 ms later.
     pub(super) fn wait_until(&self, deadline_ns: u64) {
         match self.wait {
             Wait::Event => sleep_until(deadline_ns),

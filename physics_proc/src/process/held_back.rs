@@ -1,6 +1,7 @@
 //! Detects what suspended the whole process: a cgroup quota, a freezer, a stop signal.
 //!
-//! The files are opened once and read only after a long gap, so that ticks that are on time or slightly late pay nothing.
+//! The files are opened once and read only after a long gap, so that ticks that are on time or slightly late pay
+//! nothing.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;

@@ -1,14 +1,14 @@
 //! A file written by its own thread, so that a stalled disk does not stall the recorder.
 //!
-//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT` where the file system
-//! supports it. That skips the copy into the page cache, which takes a fraction of the processor time (`examples/disk_cost.rs` measures
-//! it) and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs, FUSE) it uses ordinary writes. The finished file is the
-//! same either way.
+//! Bytes go into preallocated, page-aligned buffers that are reused. The thread writes them with `O_DIRECT` where the
+//! file system supports it. That skips the copy into the page cache, which takes a fraction of the processor time
+//! (`examples/disk_cost.rs` measures it) and avoids long, non-preemptible copies in the kernel. Elsewhere (tmpfs,
+//! FUSE) it uses ordinary writes. The finished file is the same either way.
 //!
 //! During direct writes the file may end in up to one block of zeros, which pad its last block.
 //!
-//! The thread syncs to disk once a second (`fdatasync`) and before the file is closed, so a power failure loses about the last second.
-//! The recorder does not wait for the sync either.
+//! The thread syncs to disk once a second (`fdatasync`) and before the file is closed, so a power failure loses about
+//! the last second. The recorder does not wait for the sync either.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -42,8 +42,8 @@ pub struct BackgroundOptions {
 }
 
 impl BackgroundOptions {
-    /// 32 MiB, in buffers small enough that a flush every 10 ms does not use up the pool: half a second of 2 MiB images at 30 Hz. Only
-    /// buffers that are used become resident.
+    /// 32 MiB, in buffers small enough that a flush every 10 ms does not use up the pool: half a second of 2 MiB
+    /// images at 30 Hz. Only buffers that are used become resident.
     pub const RUN: BackgroundOptions =
         BackgroundOptions { buffers: 64, buffer_bytes: 512 << 10, direct: true, fresh: true };
     /// 2 MiB: more than half a second of the timing lane.
@@ -106,8 +106,8 @@ impl Shared {
 
 /// A file being written by its own thread.
 ///
-/// `write` copies; it blocks only when all buffers are full. `flush` hands the data to the thread and does not wait for the disk. An
-/// error of the thread is returned by the next call and by [`close`](BackgroundFile::close).
+/// `write` copies; it blocks only when all buffers are full. `flush` hands the data to the thread and does not wait
+/// for the disk. An error of the thread is returned by the next call and by [`close`](BackgroundFile::close).
 pub struct BackgroundFile {
     shared: Arc<Shared>,
     current: Option<Buffer>,

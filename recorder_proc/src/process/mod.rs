@@ -1,9 +1,10 @@
 //! The recorder process: receives every message of every service and writes the two logs.
 //!
-//! It polls: nobody has to wake it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]. One thread drains them and
-//! assembles the log, another writes the files ([`background`](crate::background)). The physics waits for its `Progress` in lockstep, and
-//! in real time with `recording.on_full = "wait"`. Otherwise a recorder that falls behind by more than its queues leaves a gap: it
-//! reports the gap at once in an event, counts it in the log's end, and returns it as the exit code ([`RecorderError::Gap`]).
+//! It polls: nobody has to wake it, so it costs the physics nothing. Its queues hold [`RECORDER_QUEUE_TICKS`]. One
+//! thread drains them and assembles the log, another writes the files ([`background`](crate::background)). The physics
+//! waits for its `Progress` in lockstep, and in real time with `recording.on_full = "wait"`. Otherwise a recorder that
+//! falls behind by more than its queues leaves a gap: it reports the gap at once in an event, counts it in the log's
+//! end, and returns it as the exit code ([`RecorderError::Gap`]).
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -90,8 +91,8 @@ impl RecorderError {
 /// Name of the session-folder file that says where the run is recorded.
 pub const OUTPUT_FILE: &str = "output";
 
-/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then drains its queues and
-/// finishes both logs.
+/// Records a session into `run.mcap` and `timing.mcap` of a folder until it is asked to end (SIGTERM); then drains its
+/// queues and finishes both logs.
 ///
 /// # Errors
 /// Any [`RecorderError`].

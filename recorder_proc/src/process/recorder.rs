@@ -30,8 +30,8 @@ const LOOK_TIME: Duration = Duration::from_millis(2);
 const PROGRESS_TICKS: u64 = 64;
 /// Number of states to read before the other queues are polled again.
 const TICKS_PER_ROUND: usize = 16;
-/// Number of messages to read from a client service before the other queues are polled again, so that a flooding client cannot keep the
-/// recorder from the ticks.
+/// Number of messages to read from a client service before the other queues are polled again, so that a flooding
+/// client cannot keep the recorder from the ticks.
 const CLIENT_MESSAGES_PER_ROUND: usize = 256;
 /// Rounds after the run's end, enough to drain the longest client queue (2048 events).
 const LAST_ROUNDS: usize = 8;
@@ -99,8 +99,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Waits for the physics to end. A launcher stops the recorder only when nobody publishes any more, but if the launcher was killed,
-    /// all parts are asked to end at once. Everything that the physics publishes until its end must reach the log.
+    /// Waits for the physics to end. A launcher stops the recorder only when nobody publishes any more, but if the
+    /// launcher was killed, all parts are asked to end at once. Everything that the physics publishes until its end
+    /// must reach the log.
     fn outlast_physics(&mut self) -> Result<(), RecorderError> {
         let limit = Instant::now() + ORPHANED_LIMIT;
         while !self.run_has_ended && Instant::now() < limit {
@@ -110,8 +111,9 @@ impl Recorder {
         Ok(())
     }
 
-    /// Reads some ticks, and everything else that waits. In lockstep the physics runs as fast as states are read: a recorder that kept
-    /// reading states would starve the other queues, and they would overflow. Returns whether a state arrived.
+    /// Reads some ticks, and everything else that waits. In lockstep the physics runs as fast as states are read: a
+    /// recorder that kept reading states would starve the other queues, and they would overflow. Returns whether a
+    /// state arrived.
     fn take_round(&mut self) -> Result<bool, RecorderError> {
         let came = self.take_ticks()?;
         self.take_frames()?;
@@ -253,7 +255,8 @@ impl Recorder {
     }
 
     pub fn finish(self, output: &Path, recorded: Recorded) -> Result<(), RecorderError> {
-        // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about to write it.
+        // Another signal may arrive before the launcher's reason. If the run is over, the launcher is about to write
+        // it.
         let limit = Instant::now() + ORPHANED_LIMIT;
         let launcher_lives = || host_is_alive(&self.session_folder);
         while self.run_has_ended && self.reason_path().is_none() && launcher_lives() && Instant::now() < limit
@@ -300,8 +303,8 @@ fn finish_file(
     Ok(marker)
 }
 
-/// Copies a service's waiting messages into the timing lane. A client message of the wrong size is not a valid message and is not logged;
-/// its recipient has already reported it in an event.
+/// Copies a service's waiting messages into the timing lane. A client message of the wrong size is not a valid message
+/// and is not logged; its recipient has already reported it in an event.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
     timing: &mut TimingLog<BackgroundFile>,

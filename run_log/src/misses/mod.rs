@@ -36,9 +36,9 @@ use cause::CAUSES;
 
 /// The deadline misses of a run.
 ///
-/// On a virtual machine, unknown time counts as stolen as far as the machine's own counter (`/proc/stat`) shows it: at that miss, or at
-/// earlier misses up to one counter step back, because the counter moves in steps of 10 ms. The stolen total therefore never exceeds the
-/// counter.
+/// On a virtual machine, unknown time counts as stolen as far as the machine's own counter (`/proc/stat`) shows it: at
+/// that miss, or at earlier misses up to one counter step back, because the counter moves in steps of 10 ms. The
+/// stolen total therefore never exceeds the counter.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Misses {
     /// Number of ticks.
@@ -51,10 +51,11 @@ pub struct Misses {
     pub by_cause: [u64; CAUSES],
     /// Lost time over all misses.
     pub lost: LostTime,
-    /// Time stolen from a late tick's core in up to 100 ms before it, summed over all misses, according to the machine's own counter
-    /// (`/proc/stat`, in steps of 10 ms). Upper bound on the time counted as stolen here.
+    /// Time stolen from a late tick's core in up to 100 ms before it, summed over all misses, according to the
+    /// machine's own counter (`/proc/stat`, in steps of 10 ms). Upper bound on the time counted as stolen here.
     pub steal_counter_ns: u64,
-    /// Ticks with a late command from a controller. In real time this costs no time: the controller's last command holds.
+    /// Ticks with a late command from a controller. In real time this costs no time: the controller's last command
+    /// holds.
     pub late_controller_ticks: u64,
     /// Unknown time that the counter's next step may confirm, and the misses that it dominates.
     pending_ns: u64,
@@ -133,8 +134,8 @@ impl Misses {
         self.missed() - self.recorded
     }
 
-    /// Share of the lost time with an identified cause; none without lost time. Misses without readings are excluded, because their lost
-    /// time is unknown.
+    /// Share of the lost time with an identified cause; none without lost time. Misses without readings are excluded,
+    /// because their lost time is unknown.
     pub fn confirmed_share(&self) -> Option<f64> {
         let total_ns = self.lost.total_ns();
         let named_ns = total_ns - self.lost.of(Cause::Unknown).min(total_ns);

@@ -45,8 +45,8 @@ pub struct ExportArguments {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log, after writing the rows
-/// before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
+/// Not a log, no such topic or field, an unknown file extension, an output that already exists (2); a damaged log,
+/// after writing the rows before the damage, or a full disk (1); a log that has a gap, is cut or was not ended (3).
 pub fn run(arguments: &ExportArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
     let (what, verdict) = match arguments.frames {
@@ -135,8 +135,8 @@ fn name(sequence: u64, tick: u64) -> String {
     format!("frame_{sequence:06}_tick_{tick:08}.png")
 }
 
-/// The image paths, checked so that an export is refused before its first image. The frames' geometry is in chunks of its own, so this is
-/// quick; faults of the log are reported when its images are read.
+/// The image paths, checked so that an export is refused before its first image. The frames' geometry is in chunks of
+/// its own, so this is quick; faults of the log are reported when its images are read.
 fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
     let mut names = Names { folder: &arguments.output, paths: Vec::new() };
     let range = (arguments.from, arguments.to);

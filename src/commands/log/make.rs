@@ -25,7 +25,8 @@ pub struct RepairArguments {
 /// Repairs a log and reports what is lost.
 ///
 /// # Errors
-/// Not a log, no header, or an output that already exists (2); a disk error (1); the log had faults, which the report lists (3).
+/// Not a log, no header, or an output that already exists (2); a disk error (1); the log had faults, which the report
+/// lists (3).
 pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let report = repair(&log_path(&arguments.log), &arguments.output)?;
     super::answered(report.write(out))?;

@@ -47,8 +47,8 @@ pub enum LogCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// Not a log, or an output that already exists (2); two logs that differ, a damaged log, a full disk (1); the work is done, but the log
-/// has a gap, is cut or was not ended (3).
+/// Not a log, or an output that already exists (2); two logs that differ, a damaged log, a full disk (1); the work is
+/// done, but the log has a gap, is cut or was not ended (3).
 pub fn run(command: &LogCommand) -> Result<(), Failure> {
     let mut out = say::out();
     let read = ReadOptions::default();
@@ -100,7 +100,8 @@ fn worse(first: u8, second: u8) -> u8 {
     }
 }
 
-/// Ends a command that has finished its work, with the exit code of the log's verdict. The faults have already been printed.
+/// Ends a command that has finished its work, with the exit code of the log's verdict. The faults have already been
+/// printed.
 fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     let _ = out.flush();
     match code {
@@ -109,7 +110,8 @@ fn concluded(out: &mut Out<'_>, code: u8) -> Result<(), Failure> {
     }
 }
 
-/// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the command ends.
+/// Ignores an answer that could not be written: a closed pipe is fine, and any other output error is reported when the
+/// command ends.
 fn answered(result: Result<(), LogError>) -> Result<(), Failure> {
     match result {
         Err(LogError::Output { .. }) => Ok(()),
