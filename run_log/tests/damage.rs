@@ -1,4 +1,4 @@
-//! Logs that are cut, flipped, or miss a message.
+//! Logs that are truncated, have flipped bits, or lack a message.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use common::*;
 use run_log::*;
 
-/// Ends of the chunks of a whole file with the last state tick in each: by walking the records' lengths here and by
+/// Chunk ends of a whole file with the last state tick in each: found by walking the record lengths here and by
 /// reading each prefix with the mcap crate's own reader.
 fn chunk_ends(bytes: &[u8]) -> Vec<(usize, u64)> {
     let (mut at, mut ends) = (8, Vec::new());
@@ -70,7 +70,7 @@ impl std::io::Write for Shared {
     }
 }
 
-/// What `kill -9` leaves behind is what has been handed over so far.
+/// `kill -9` leaves everything that has been flushed so far.
 #[test]
 fn a_killed_writer_loses_at_most_100_ms() {
     let file = Shared::default();
@@ -113,7 +113,7 @@ fn a_missing_message_is_named_and_counted() {
     assert!(matches!(error, LogError::Gap { topic: "/state", tick: 50, .. }));
     assert_eq!((last, marker.lost), (49, BTreeMap::from([("/state".to_string(), 3)])));
 
-    // Removals happen at ticks 3, 10, 17, …, behind the two messages of tick 0.
+    // Removals happen at ticks 3, 10, 17, …, after the two messages of tick 0.
     let steps_17 = removed_bytes(17, 5, 19, &[1700, 1701, 1702, 1703, 1704]);
     let (error, last, marker) = without(&steps, |s| matches!(s, Step::Removed(m) if *m == steps_17));
     assert!(matches!(error, LogError::Gap { topic: "/removed", tick: 17, .. }));
@@ -134,7 +134,7 @@ fn a_missing_message_is_named_and_counted() {
     assert!(matches!(error, LogError::Gap { topic: "/state", tick: 0, .. }), "{error}");
 }
 
-/// The log of a stranger may pack removals without end into few bytes, and never say a state.
+/// An untrusted log may compress endless removals into few bytes and never write a state.
 #[test]
 fn removals_that_no_volume_can_hold_are_refused() {
     let log = |dimensions: [u32; 3], messages: u64, voxels: usize| {
@@ -157,7 +157,7 @@ fn removals_that_no_volume_can_hold_are_refused() {
     let endless = log([100, 10, 3], 5000, 600);
     refused(&endless, "removals of 3600 voxels in a tick, the volume has 3000");
     refused(&log([4, 4, 4], 1000, 0), "removals of 66 voxels in a tick, the volume has 64");
-    // As many as it has are none too many.
+    // As many as the volume has is fine.
     let error = open_bytes(&log([100, 10, 3], 5, 600)).err().unwrap();
     assert!(matches!(error, LogError::NoStates { .. }), "{error}");
 }
@@ -180,8 +180,8 @@ fn a_missing_frame_is_named_and_counted() {
     assert_eq!(info.ending.marker.unwrap().lost["/drr/frame"], 1);
 }
 
-/// A flipped byte in a chunk is found by its CRC before any of its messages is seen; elsewhere by a length, a number,
-/// or the data section's CRC. What was read before is right, and nothing panics.
+/// A flipped byte in a chunk is found by its CRC before any of its messages is returned; elsewhere by a length, a
+/// number, or the data section's CRC. Everything read before is correct, and nothing panics.
 #[test]
 fn flipped_bytes_never_panic_and_never_pass() {
     let bytes = write_log(&run_messages(400, None));
@@ -222,7 +222,7 @@ fn flipped_bytes_never_panic_and_never_pass() {
     println!("2500 flips: {refused} refused at opening, {stopped} named");
 }
 
-/// Several changes at once, splices, and noise behind a real start.
+/// Several changes at once, splices, and noise after a genuine start.
 #[test]
 fn garbage_never_panics() {
     let bytes = write_log(&run_messages(120, None));

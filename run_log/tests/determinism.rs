@@ -28,7 +28,7 @@ fn the_same_messages_make_the_same_file() {
     assert_ne!(digest(&a), digest(&write_log(&other)));
 }
 
-/// The recorder's queues may be emptied in any turn.
+/// The recorder may drain its queues in any order.
 fn interleaved(steps: &[Step], choices: &[u8]) -> Vec<Step> {
     let of = |kind: fn(&Step) -> bool| steps.iter().filter(|s| kind(s)).cloned().collect::<Vec<_>>();
     let mut queues = [
@@ -64,7 +64,7 @@ proptest! {
     }
 }
 
-/// Frames and their replies, each some ticks later than the physics came to their tick.
+/// Frames and their replies, each delayed by some ticks after the tick that it shows.
 fn delayed(steps: &[Step], mut ticks: impl FnMut() -> u64) -> Vec<Step> {
     let (mut tick, mut out, mut waiting) = (0, Vec::new(), std::collections::VecDeque::new());
     for step in steps {
@@ -84,7 +84,8 @@ fn delayed(steps: &[Step], mut ticks: impl FnMut() -> u64) -> Vec<Step> {
     out
 }
 
-/// How long the renderer takes does not show in the file, up to 300 ms; beyond, the file is another, the run the same.
+/// Rendering times of up to 300 ms do not show in the file; with longer ones the file differs, but the run is the
+/// same.
 #[test]
 fn the_speed_of_the_renderer_does_not_matter() {
     let steps = run_messages(2000, None);

@@ -1,4 +1,5 @@
-//! What makes logs of logs takes time in proportion to the log, however many chunks it has: 300,000 chunks took over 40 s.
+//! Commands that write logs from logs take time proportional to the log, however many chunks it has. Regression:
+//! 300,000 chunks took over 40 s.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -14,7 +15,7 @@ use messages::layout::Message;
 use run_log::*;
 use zerocopy::{FromZeros, IntoBytes};
 
-/// A source that counts the bytes that are read from it.
+/// A source that counts the bytes read from it.
 struct Counted {
     source: Cursor<Vec<u8>>,
     bytes: Rc<Cell<u64>>,
@@ -34,7 +35,7 @@ impl Seek for Counted {
     }
 }
 
-/// Bytes that a repair reads of a log, by the log's own.
+/// Bytes that a repair reads, as a multiple of the log's size.
 fn read_by_repair(log: Vec<u8>) -> f64 {
     let (length, bytes) = (log.len() as f64, Rc::new(Cell::new(0)));
     let source = Counted { source: Cursor::new(log), bytes: Rc::clone(&bytes) };
@@ -42,7 +43,7 @@ fn read_by_repair(log: Vec<u8>) -> f64 {
     bytes.get() as f64 / length
 }
 
-/// A timing lane with a chunk a message.
+/// A timing lane with one chunk per message.
 fn many_chunks(chunks: u64) -> Vec<u8> {
     let mut log = TimingLog::create(Vec::new(), &header()).unwrap();
     let timing = FrameTiming::new_zeroed();
@@ -53,7 +54,8 @@ fn many_chunks(chunks: u64) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-/// Not time, which another program's load decides, but bytes: each is read once, or as often as the buffers overlap.
+/// Counts bytes rather than time, which other load on the machine would affect. Each byte is read once, or as often as
+/// the buffers overlap.
 #[test]
 fn a_log_of_many_chunks_is_read_once_and_not_once_a_chunk() {
     for chunks in [1000, 20_000] {
@@ -61,7 +63,7 @@ fn a_log_of_many_chunks_is_read_once_and_not_once_a_chunk() {
         let times = read_by_repair(whole.clone());
         println!("{chunks} chunks, {} bytes: read {times:.2} times", whole.len());
         assert!(times < 2.0, "{times}");
-        // A damage is searched behind, not from the start.
+        // The search starts after the damage, not at the start of the file.
         let mut changed = whole.clone();
         (0..40).for_each(|n| changed[(n + 1) * (whole.len() / 50)] ^= 0x55);
         let times = read_by_repair(changed);
@@ -70,14 +72,14 @@ fn a_log_of_many_chunks_is_read_once_and_not_once_a_chunk() {
     }
 }
 
-/// A stranger's file may look like the start of a chunk at every few bytes: each would be unpacked.
+/// An untrusted file may contain something like the start of a chunk every few bytes, each of which would be unpacked.
 #[test]
 fn what_looks_like_chunks_everywhere_is_given_up() {
     let mut log = many_chunks(1);
     let at = log.len() - 40;
     log.truncate(at);
     let room = 600_000_usize;
-    // Uncompressed chunks that reach to the end of the file, with a wrong checksum.
+    // Uncompressed chunks that extend to the end of the file, with a wrong checksum.
     while log.len() < at + room {
         let records = (at + room - log.len()) as u64;
         let mut head = vec![6];
@@ -92,6 +94,6 @@ fn what_looks_like_chunks_everywhere_is_given_up() {
     let length = log.len() as f64;
     let bytes = read_by_repair(log) * length;
     println!("{bytes:.2e} bytes read of {length}");
-    // To the end each time, they would be 3e9.
+    // Reading to the end each time would take 3e9 bytes.
     assert!(bytes < 3e8, "{bytes:.2e}");
 }

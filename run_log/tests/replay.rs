@@ -1,4 +1,4 @@
-//! Replay, differences, and the tools that people use.
+//! Replay, differences, and the user-facing tools.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -32,7 +32,7 @@ fn the_first_difference_is_named_with_its_bits() {
     assert_eq!(first.path, "t_world_link[7].position_m[2]");
     assert_eq!(first.ulps, Some(1));
     assert_eq!(first.recorded.unwrap().bits() + 1, first.replayed.unwrap().bits());
-    // Besides, only the two words of the hash.
+    // The other two are the words of the hash.
     assert_eq!(divergence.total, 3);
     assert_eq!(divergence.differences[1].path, "hash[0]");
 
@@ -43,7 +43,7 @@ fn the_first_difference_is_named_with_its_bits() {
     assert_eq!((divergence.tick, divergence.differences[1].path.as_str()), (52, "removed_in_tick"));
 }
 
-/// A simulation that computes the right state and reports the wrong voxels.
+/// A simulation that computes the right state but reports the wrong voxels.
 struct WrongVoxels(Toy);
 
 impl Plant for WrongVoxels {
@@ -231,7 +231,7 @@ fn cat_writes_selected_fields_as_json() {
     assert_eq!(found.len(), 3);
     assert_eq!((&found[0]["topic"], &found[0]["tick"]), (&"/state".into(), &51.into()));
     let position = &found[0]["message"]["t_world_link[7].position_m"];
-    // JSON text keeps every bit of a finite f64.
+    // JSON text preserves every bit of a finite f64.
     let bits: Vec<u64> = position.as_array().unwrap().iter().map(|v| v.as_f64().unwrap().to_bits()).collect();
     assert_eq!(bits, toy.state.t_world_link[7].position_m.map(f64::to_bits));
     assert_eq!(found[0]["message"]["removed_total"], toy.state.removed_total);
@@ -251,7 +251,7 @@ fn cat_writes_selected_fields_as_json() {
     }
 }
 
-/// Every scalar of every message is found under its path at its offset.
+/// Every scalar of every message is found under its path, at its offset.
 #[test]
 fn differences_of_one_byte_name_one_field() {
     for description in messages::ALL {
@@ -260,7 +260,7 @@ fn differences_of_one_byte_name_one_field() {
             let mut changed = zeros.clone();
             changed[at] = 1;
             let found = difference::compare("/x", 0, description, &zeros, &changed).unwrap();
-            // The count of a tail that is not there is one field as any other.
+            // The count of a missing tail is a field like any other.
             assert_eq!(found.total, 1, "{} byte {at}", description.name);
             let place = fields::find(description, &found.differences[0].path).unwrap();
             assert!((place.offset..place.offset + place.size).contains(&at));

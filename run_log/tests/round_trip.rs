@@ -1,4 +1,4 @@
-//! What is written is what is read.
+//! What is written can be read back unchanged.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -48,7 +48,7 @@ fn a_reset_puts_voxels_back_and_time_goes_on() {
     assert_eq!(ticks.len(), 500);
     let restored: Vec<_> = ticks.iter().filter_map(|t| Some((t.state.tick, t.restored.clone()?))).collect();
     assert_eq!(restored, [(322, PREDRILLED.to_vec())]);
-    // Tick 325 is the first after the reset that drills: 325 = 46 * 7 + 3.
+    // Tick 325 is the first one after the reset that drills: 325 = 46 * 7 + 3.
     assert_eq!((ticks[320].state.removed_total, ticks[321].state.removed_total), (4 + 46 * 5, 4));
     assert_eq!((ticks[324].removed.len(), ticks[324].state.removed_total), (5, 9));
     let states = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
@@ -85,7 +85,7 @@ fn other_readers_see_the_same_bytes() {
     }
     assert_eq!((images, states.next().is_none()), (4, true));
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    // Images lie alone: a chunk with an image holds nothing else.
+    // Images get their own chunks: a chunk with an image holds nothing else.
     let image = summary.channels.values().find(|channel| channel.topic == "/drr/image").unwrap().id;
     let with_image: Vec<_> =
         summary.chunk_indexes.iter().filter(|c| c.message_index_offsets.contains_key(&image)).collect();
@@ -180,7 +180,7 @@ fn a_log_without_ticks_still_has_its_header() {
     let log = RunLog::create(Vec::new(), &header()).unwrap();
     let bytes = log.finish(EndReason::Interrupted, &BTreeMap::new()).unwrap().1;
     assert!(matches!(open_bytes(&bytes), Err(LogError::NoStates { .. })));
-    // Cut, it is another matter.
+    // A truncated log gives a different error.
     assert!(matches!(open_bytes(&bytes[..bytes.len() - 100]), Err(LogError::NoInitialState { .. })));
     let info = info(&named("run.mcap", &bytes), ReadOptions::default()).unwrap();
     assert_eq!(info.ending.marker.unwrap().reason, EndReason::Interrupted);

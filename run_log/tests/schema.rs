@@ -1,4 +1,5 @@
-//! The schemas' text, read by a parser of its own and laid out by the rules of CDR, gives the offsets of the structs.
+//! Parses the schemas' text with an independent parser, lays them out by the rules of CDR, and compares the offsets
+//! with those of the structs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 use std::collections::BTreeMap;
@@ -15,7 +16,7 @@ enum Length {
 
 type Fields = Vec<(String, Length, String)>;
 
-/// Definitions by type name; the root's is empty.
+/// Definitions by type name; the root's name is empty.
 fn parse(text: &str) -> BTreeMap<String, Fields> {
     let (mut types, mut name) = (BTreeMap::new(), String::new());
     types.insert(String::new(), Fields::new());
@@ -56,9 +57,10 @@ fn scalar_size(kind: &str) -> Option<usize> {
     })
 }
 
-/// Walks a message as an XCDR1 stream (DDS-XTypes 1.3, 7.4.1): a scalar is aligned to its size, counted from the
-/// body's start; a structure has no alignment of its own; a string or a sequence is its length as uint32, then content.
-/// Notes the offset of each scalar, `path@offset`; `lengths` gives the lengths of strings and sequences in turn.
+/// Walks a message as an XCDR1 stream (DDS-XTypes 1.3, 7.4.1): a scalar is aligned to its size, counted from the start
+/// of the body; a structure has no alignment of its own; a string or a sequence is its length as uint32, then its
+/// content. Records the offset of each scalar as `path@offset`; `lengths` gives the lengths of strings and sequences
+/// in order.
 struct Walk<'a> {
     types: &'a BTreeMap<String, Fields>,
     at: usize,
@@ -126,7 +128,7 @@ fn every_message_is_a_cdr_message_of_its_schema() {
         let mut expected = Vec::new();
         described(description, 0, "", &mut expected);
         if let Some(tail) = description.tail {
-            // Three elements behind the struct, without a hole; a string is one scalar here.
+            // Three elements directly after the struct; a string is one scalar here.
             let count = if tail.ros_type == "string" { 1 } else { 3 };
             for i in 0..count {
                 let index = if tail.ros_type == "string" { String::new() } else { format!("[{i}]") };

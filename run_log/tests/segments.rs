@@ -1,4 +1,4 @@
-//! Keyframes in a log: replay from them, in parallel, and what is wrong with them.
+//! Keyframes in a log: replaying from them, in parallel, and detecting bad ones.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -52,7 +52,7 @@ fn segments_prove_the_whole_run_on_any_number_of_threads() {
         let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &toy, &to);
         assert_eq!((report.replay.identical_ticks, report.replay.is_identical()), (250, true));
     }
-    // Without a keyframe, one segment.
+    // Without keyframes there is one segment.
     let plain = write_log(&run_messages(300, None));
     let report = verify_segments(&mut open_bytes(&plain).unwrap(), &toy, &options(4));
     assert_eq!((report.replay.identical_ticks, report.identical_keyframes), (300, 0));
@@ -92,11 +92,11 @@ fn a_replay_begins_at_the_last_keyframe_before_a_tick() {
     assert_eq!(report.identical_keyframes, 3);
 }
 
-/// It must neither wait for a worker that is gone nor call a log proven that nobody has looked at.
+/// The replay must neither wait for a dead worker nor call ticks proven that nobody has replayed.
 #[test]
 fn a_panic_while_a_simulation_is_built_is_a_simulation_error() {
     let panicked = Some((0, "the simulation panicked (its message is above)".to_string()));
-    // Short, so that all of it fits into the queues, and long.
+    // A short log that fits into the queues, and a long one.
     for bytes in [write_log(&run_messages(20, None)), log_with(900, |_, _| ())] {
         for threads in [1, 3] {
             let make = || -> Result<Toy, String> { panic!("this toy cannot be built") };
@@ -107,7 +107,7 @@ fn a_panic_while_a_simulation_is_built_is_a_simulation_error() {
     }
 }
 
-/// Whatever lies behind it, a keyframe or a reply that differs is a difference of the logs.
+/// A differing keyframe or reply makes the logs different, whatever follows it.
 #[test]
 fn logs_whose_keyframes_or_replies_differ_are_not_identical() {
     let save = |name: &str, bytes: &[u8]| named(name, bytes);
@@ -134,7 +134,7 @@ fn logs_whose_keyframes_or_replies_differ_are_not_identical() {
     assert_eq!((differs.topic, differs.differences[0].path.as_str()), (topics::DRR_REPLY, "requester"));
 }
 
-/// A keyframe that is not the run's is found at its tick, before it can lead anything astray.
+/// A tampered keyframe is detected at its tick, before it can affect anything else.
 #[test]
 fn an_altered_keyframe_differs_at_its_tick() {
     let altered = log_with(900, |tick, bytes| {
@@ -185,7 +185,7 @@ fn a_missing_part_of_a_keyframe_is_told_and_costs_no_tick() {
     assert_eq!(gap.lost, marker.lost);
 }
 
-/// Frames that came late, and keyframes, keep their places when a log is written again in its order.
+/// Late frames and keyframes keep their places when a log is rewritten in its own order.
 #[test]
 fn a_log_written_again_in_its_order_has_the_same_bytes() {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
@@ -204,7 +204,7 @@ fn a_log_written_again_in_its_order_has_the_same_bytes() {
                 log.keyframe(part).unwrap();
             });
         }
-        // Some frames 90 ticks after their own, some 600, later than their place is.
+        // Some frames arrive up to 90 ticks late, others up to 600, which is past their place in the log.
         if state.tick % 600 == 0 || (state.tick % 90 == 0 && state.tick < 500) {
             feed(&mut log, &std::mem::take(&mut late)).unwrap();
         }

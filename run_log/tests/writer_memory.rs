@@ -1,4 +1,4 @@
-//! Why the writer of the `mcap` crate is not used: its memory grows with the file, this one's does not.
+//! Why we do not use the `mcap` crate's writer: its memory grows with the file, ours does not.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -19,11 +19,11 @@ use zerocopy::IntoBytes;
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
-/// Ticks of a simulated minute at 1 kHz; the timing lane closes a chunk every 100 of them.
+/// Ticks per simulated minute at 1 kHz; the timing lane closes a chunk every 100 of them.
 const MINUTE: u64 = 60_000;
 const CHUNK: u64 = 100;
 
-/// An index that is kept elsewhere.
+/// An index stored outside the heap.
 struct Elsewhere;
 
 impl Write for Elsewhere {
@@ -47,7 +47,7 @@ impl Seek for Elsewhere {
     }
 }
 
-/// Growth of the heap from the first to the fourth simulated minute, bytes per minute.
+/// Heap growth from the first to the fourth simulated minute, bytes per minute.
 fn growth_per_minute(mut write: impl FnMut(u64)) -> isize {
     (0..MINUTE).for_each(&mut write);
     let region = Region::new(ALLOCATOR);
@@ -80,7 +80,7 @@ fn the_crates_writer_grows_with_the_file_and_this_one_does_not() {
         }
     });
     println!("bytes a minute: {own_growth} of this writer, {crates_growth} of the crate's");
-    // A buffer may grow once more; 600 chunk indexes of more than 100 bytes each are another matter.
+    // A buffer may grow once more; 600 chunk indexes of more than 100 bytes each would exceed this.
     assert!(own_growth.abs() < 8 << 10, "{own_growth}");
     assert!(crates_growth > 60_000, "{crates_growth}");
 }

@@ -1,4 +1,4 @@
-//! A small deterministic simulation and the messages of a run made with it.
+//! A small deterministic simulation, and the messages of a run with it.
 #![allow(
     clippy::unwrap_used,
     clippy::panic,
@@ -33,7 +33,7 @@ pub fn header() -> LogHeader {
     }
 }
 
-/// What a controller asks for at a tick: any function of the tick will do.
+/// The command of a tick: an arbitrary function of the tick.
 pub fn latched(tick: u64) -> Latched {
     let mut message = Latched::zeroed();
     message.tick = tick;
@@ -44,18 +44,18 @@ pub fn latched(tick: u64) -> Latched {
     message
 }
 
-/// Voxels that are gone from the start, as many as two messages.
+/// Voxels that are missing from the start, enough for two messages.
 pub const PREDRILLED: [u32; 4] = [4_000_000_000, 2, 9, 1];
 
-/// A simulation with nothing in it but feedback from commands to state, so that one wrong bit changes everything after.
+/// A simulation that only feeds commands back into the state, so that one wrong bit changes everything after it.
 pub struct Toy {
     pub state: State,
     pub removed: Vec<u32>,
-    /// Tick whose link pose is off by one unit in the last place.
+    /// Tick at which a link pose is off by one unit in the last place.
     pub fault_tick: Option<u64>,
-    /// Tick that forgets to remove a voxel.
+    /// Tick that fails to remove a voxel.
     pub forget_tick: Option<u64>,
-    /// Tick that it cannot make.
+    /// Tick that fails.
     pub fail_tick: Option<u64>,
 }
 
@@ -184,7 +184,8 @@ pub enum Step {
     Frame(Vec<u8>),
 }
 
-/// The messages of a run in the order of the physics: a frame every 40 ticks, a reset if asked for.
+/// The messages of a run in the order in which the physics sends them: a frame every 40 ticks, and a reset if
+/// requested.
 pub fn run_messages(ticks: u64, reset_at: Option<u64>) -> Vec<Step> {
     let mut toy = Toy::new();
     let (mut steps, mut sequence, mut frames) = (Vec::new(), 0, 0);
@@ -251,8 +252,8 @@ pub fn open_bytes(bytes: &[u8]) -> Result<LogReader, LogError> {
     )?)
 }
 
-/// A log whose metadata records lack their own checksums, as those of earlier builds: what a test changes in them is then
-/// not damage.
+/// Removes the checksums inside the metadata records, as in logs of earlier builds, so that a test can edit them
+/// without causing damage.
 pub fn unsealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let key = b"\x05\0\0\0crc32";
     let places: Vec<usize> =
@@ -261,7 +262,7 @@ pub fn unsealed(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
-/// A log in memory under a name.
+/// A named log in memory.
 pub fn named(name: &str, bytes: &[u8]) -> LogBytes {
     LogBytes::new(name, bytes)
 }
