@@ -1,4 +1,5 @@
-//! The thread that writes: same bytes whichever way, errors that come back, a file that ends where it should.
+//! The writer thread: the same bytes with either kind of write, errors that reach the caller, a file with the right
+//! end.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -16,15 +17,16 @@ const SMALL: BackgroundOptions =
     BackgroundOptions { buffers: 2, buffer_bytes: 8192, direct: true, fresh: false };
 
 fn folders() -> Vec<tempfile::TempDir> {
-    // tmpfs (no O_DIRECT, or one that is not one) and whatever holds the target folder (usually a disk).
+    // tmpfs (without O_DIRECT, or only pretending to have it) and whatever file system holds the target folder
+    // (usually a disk).
     let shm = Path::new("/dev/shm");
     let mut folders = vec![tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap()];
     folders.extend(shm.is_dir().then(|| tempfile::tempdir_in(shm).unwrap()));
     folders
 }
 
-/// Random pieces and flushes: the file holds exactly the bytes, directly or not, and at each flush at least what was
-/// flushed before the buffers ran out, followed by nothing but less than a block of zeros.
+/// Random pieces and flushes: the file holds exactly the bytes, with or without direct writes. After each flush it
+/// holds at least what was flushed before the buffers ran out, followed by at most less than a block of zeros.
 #[test]
 fn any_pieces_and_flushes_leave_the_same_bytes() {
     for folder in folders() {
@@ -67,14 +69,14 @@ fn a_log_written_by_the_thread_is_the_log_written_at_once() {
     assert!(std::fs::read(&path).unwrap() == write_log(&steps));
 }
 
-/// What a recorder killed between two writes leaves: zeros up to a block's end. They are a cut, not damage; anything
-/// else behind them, or more of them, is damage.
+/// A recorder killed between two writes leaves zeros up to the end of a block. They mean a truncated log, not damage;
+/// anything else after them, or more zeros, is damage.
 #[test]
 fn a_log_that_ends_in_a_block_of_zeros_is_cut() {
     let bytes = write_log(&run_messages(300, None));
     let whole = open_bytes(&bytes).unwrap().map(Result::unwrap).count();
     for (zeros, readable) in [(1, true), (9, true), (4000, true), (9000, false)] {
-        // Behind the last complete chunk: the index and everything after is not there yet.
+        // After the last complete chunk: the index and everything after it is not there yet.
         let cut = bytes.len() / 2;
         let mut reader = open_bytes(&bytes[..cut]).unwrap();
         let ticks = reader.by_ref().map(Result::unwrap).count();

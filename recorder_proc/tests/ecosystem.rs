@@ -1,4 +1,4 @@
-//! The programs that people open logs with: rosbags, rerun, pandas' Parquet reader, Lichtblick's layout, the guide.
+//! The programs that people use to open logs: rosbags, rerun, pandas' Parquet reader, Lichtblick's layout, the guide.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -23,7 +23,7 @@ fn text(output: Output) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// One test, so that the environment is made once.
+/// A single test, so that the environment is created once.
 #[test]
 fn rosbags_rerun_pyarrow_and_the_guides_five_lines_read_a_log() {
     let modules = "mcap_ros2.reader, rosbags.highlevel, rerun, pyarrow";
@@ -98,7 +98,7 @@ fn strings<'a>(value: &'a Value, out: &mut Vec<&'a str>) {
     }
 }
 
-/// Every message path of the shipped layout is a topic and a field of this build.
+/// Every message path in the shipped layout names a topic and a field of this build.
 #[test]
 fn the_lichtblick_layout_names_topics_and_fields_that_exist() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../viewer_proc/lichtblick-layout.json");
@@ -119,7 +119,7 @@ fn the_lichtblick_layout_names_topics_and_fields_that_exist() {
         }
     }
     assert!(topics_seen >= 8 && fields_seen >= 6);
-    // Every panel of the arrangement is configured, and no other.
+    // Every panel of the arrangement is configured, and no others.
     let panels: BTreeSet<&str> =
         layout["configById"].as_object().unwrap().keys().map(String::as_str).collect();
     let mut arranged = Vec::new();
@@ -128,7 +128,7 @@ fn the_lichtblick_layout_names_topics_and_fields_that_exist() {
     assert_eq!(arranged, panels);
 }
 
-/// Units, frame and layout stand in each channel's metadata; scene and calibration are attached.
+/// Each channel's metadata gives units, frame and layout; scene and calibration are attached.
 #[test]
 fn channels_say_their_units_and_layouts() {
     let bytes = write_log(&run_messages(5, None));

@@ -1,4 +1,4 @@
-//! Logs packed anew, joined and split: the same messages in the same order.
+//! Logs recompressed, joined and split: the same messages in the same order.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -8,7 +8,7 @@ use recorder_proc::log_file::LogFile;
 use recorder_proc::rewritten::{Sizes, cat_files, compress, split};
 use run_log::*;
 
-/// Messages of a whole file by the mcap crate's own reader: topic, number, bytes.
+/// Messages of a whole file, read by the mcap crate's own reader: topic, number, bytes.
 fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
     let read = mcap::MessageStream::new(bytes).unwrap().map(Result::unwrap);
     read.map(|m| (m.channel.topic.clone(), m.sequence, m.data.to_vec())).collect()
@@ -36,7 +36,7 @@ fn a_packed_log_holds_the_same_run() {
     }
     println!("{sizes:?}");
     assert!(sizes[4].2 < sizes[0].2);
-    // The recorder's own packing gives the recorder's own bytes: nothing else was changed on the way.
+    // With the recorder's compression the result equals the recorder's file, so nothing else has changed.
     assert!(std::fs::read(folder.path().join("Lz4(0).mcap")).unwrap() == std::fs::read(&input).unwrap());
 }
 
@@ -70,13 +70,13 @@ fn joined_logs_split_into_what_they_were() {
     let joined = folder.path().join("joined.mcap");
     cat_files(&inputs, &joined).unwrap();
 
-    // Another reader sees both runs beside each other.
+    // Another reader sees both runs.
     let bytes = std::fs::read(&joined).unwrap();
     let states = |prefix: &str| {
         messages(&bytes).iter().filter(|(topic, _, _)| *topic == format!("{prefix}/state")).count()
     };
     assert_eq!((states("/run1"), states("/run2")), (301, 451));
-    // Ours does not take it for one run.
+    // Our reader does not take it for one run.
     let error = LogReader::open(&LogFile::at(&joined)).err().unwrap();
     assert!(
         matches!(error, LogError::SeveralRuns { .. }) && error.to_string().contains("log split"),
@@ -92,7 +92,7 @@ fn joined_logs_split_into_what_they_were() {
         assert!(std::fs::read(path).unwrap() == *original, "{}", path.display());
     }
     assert!(matches!(split(&inputs[0], &out), Err(LogError::NotWhole { .. })));
-    // A run that cannot be written leaves none of the others, and what was there as it was.
+    // If one run cannot be written, none is, and existing files stay as they were.
     std::fs::remove_file(&paths[0]).unwrap();
     assert!(matches!(split(&joined, &out), Err(LogError::Exists { path }) if path == paths[1]));
     assert!(!paths[0].exists() && std::fs::read(&paths[1]).unwrap() == runs[1]);

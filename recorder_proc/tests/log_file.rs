@@ -1,4 +1,4 @@
-//! Logs in files: what is said when one cannot be opened or written, and where the index of a long log waits.
+//! Logs in files: errors for one that cannot be opened or written, and where the index of a long log waits.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -27,7 +27,7 @@ fn errors_name_the_file_and_the_cause() {
     assert!(error.to_string().contains("it is no regular file"), "{error}");
 }
 
-/// `/dev/full` fails every write with ENOSPC, as a full disk does.
+/// `/dev/full` fails every write with ENOSPC, like a full disk.
 #[test]
 fn a_full_disk_is_an_error_with_the_path() {
     let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
@@ -46,7 +46,7 @@ fn a_full_disk_is_an_error_with_the_path() {
     );
 }
 
-/// Counts the bytes that wait.
+/// Counts the waiting bytes.
 struct Watched {
     index: Box<dyn IndexStore>,
     bytes: Arc<AtomicU64>,
@@ -74,7 +74,7 @@ impl Seek for Watched {
     }
 }
 
-/// Open files of this process that lie in a folder and have no name there.
+/// This process's open files that lie in a folder but are unlinked.
 fn nameless_files(folder: &Path) -> usize {
     let links = std::fs::read_dir("/proc/self/fd").unwrap().flatten();
     let targets = links.filter_map(|link| std::fs::read_link(link.path()).ok());
@@ -83,7 +83,7 @@ fn nameless_files(folder: &Path) -> usize {
     targets.filter(|target| is_nameless(target)).count()
 }
 
-/// More indexes than are held in memory: the recorder grew by 0.7 MiB a minute.
+/// Regression: with more indexes than memory holds, the recorder grew by 0.7 MiB per minute.
 #[test]
 fn chunk_indexes_beyond_the_memory_go_to_the_disk_and_leave_no_file() {
     let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();

@@ -1,4 +1,4 @@
-//! Another language's reader of the same files: `mcap-ros2-support` for Python.
+//! A reader in another language on the same files: `mcap-ros2-support` for Python.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -17,7 +17,7 @@ use zerocopy::{FromBytes, IntoBytes};
 
 const PACKAGES: [&str; 2] = ["mcap==1.6.0", "mcap-ros2-support==0.6.0"];
 
-/// The scalars of a message as the Python script prints them, read from the struct's bytes by its description.
+/// The scalars of a message as the Python script prints them, read from the struct's bytes using its description.
 fn expected(description: &'static Description, bytes: &[u8], prefix: &str, out: &mut BTreeSet<String>) {
     for field in description.schema_fields() {
         let size = field.size / field.array_length.unwrap_or(1);
@@ -42,7 +42,7 @@ fn expected(description: &'static Description, bytes: &[u8], prefix: &str, out: 
     }
 }
 
-/// A state with other bits in every field. Exponents stay below the one of infinity and NaN.
+/// A state with random bits in every field. Exponents stay below that of infinity and NaN.
 fn random_state(random: &mut Rng, tick: u64, removed: u32) -> State {
     let words: Vec<u64> = (0..State::DESCRIPTION.size / 8).map(|_| random.u64(..) & !(1 << 62)).collect();
     let mut state = State::read_from_bytes(words.as_bytes()).unwrap();

@@ -1,4 +1,4 @@
-//! Logs that are cut or damaged anywhere, repaired: what is there is kept, what is gone is counted.
+//! Repair of logs truncated or damaged anywhere: what is present is kept, what is lost is counted.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -13,7 +13,7 @@ use recorder_proc::rewritten::repair;
 use run_log::*;
 use zerocopy::IntoBytes;
 
-/// Messages of a whole file by the mcap crate's own reader: topic, number, bytes.
+/// Messages of a whole file, read by the mcap crate's own reader: topic, number, bytes.
 fn messages(bytes: &[u8]) -> Vec<(String, u32, Vec<u8>)> {
     let read = mcap::MessageStream::new(bytes).unwrap().map(Result::unwrap);
     read.map(|m| (m.channel.topic.clone(), m.sequence, m.data.to_vec())).collect()
@@ -59,8 +59,8 @@ fn ticks_of(bytes: &[u8]) -> (u64, LogReader, Option<LogError>) {
     (ticks, reader, error)
 }
 
-/// Whatever is left of a log is a whole log after its repair: other readers find an index, every tick that the cut log
-/// had is there, and the end marker says what happened.
+/// A log truncated anywhere is whole after its repair: other readers find an index, every tick of the truncated log is
+/// there, and the end marker says what happened.
 #[test]
 fn a_cut_log_is_whole_after_its_repair() {
     let folder = tempfile::tempdir().unwrap();
@@ -71,7 +71,7 @@ fn a_cut_log_is_whole_after_its_repair() {
     for round in 0..120 {
         let cut = if round == 0 { bytes.len() - 1 } else { random.usize(..bytes.len()) };
         let Ok(mut reader) = open_bytes(&bytes[..cut]) else {
-            // Without its first state a log may still have a header; without that it is none.
+            // A log without its first state may still have a header; without a header it is not a log.
             match repaired(folder.path(), &bytes[..cut]) {
                 Ok(found) => assert_eq!(found.report.complete_tick, None),
                 Err(LogError::NotMcap { .. } | LogError::NoHeader { .. }) => {}
@@ -99,8 +99,8 @@ fn a_cut_log_is_whole_after_its_repair() {
     assert!(repaired_count > 80, "{repaired_count}");
 }
 
-/// A chunk whose bytes have changed is left out; what it held is counted by topic, what follows it is kept, and no
-/// reader takes the gap for nothing.
+/// A chunk with changed bytes is left out. Its messages are counted as lost by topic, everything after it is kept, and
+/// every reader reports the gap.
 #[test]
 fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
     let folder = tempfile::tempdir().unwrap();
@@ -145,7 +145,7 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
             assert!(line.ends_with(&format!("{count} MISSING")), "{text}");
             assert!(text.contains(&format!("{count} messages of {topic} to damage")), "{text}");
         }
-        // A repaired log is not repaired further.
+        // Repairing a repaired log changes nothing.
         let again = repaired(folder.path(), &found.bytes).unwrap();
         assert!(again.report.pieces.is_empty() && again.report.lost() == *counts, "{:?}", again.report);
         assert!(again.report.before == again.report.after && !again.report.was_whole(), "{:?}", again.report);
@@ -153,8 +153,9 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
     }
 }
 
-/// Damage in the chunk that declares every topic takes that chunk and no more: the summary declares them again, wherever it
-/// stands now, and in a log that was cut besides, the order in which every run lane declares them.
+/// Damage in the chunk that declares every topic loses only that chunk. The declarations are taken from the summary,
+/// wherever it now is, or, in a log that is also truncated, from the fixed order in which every run lane declares its
+/// topics.
 #[test]
 fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
     let folder = tempfile::tempdir().unwrap();
@@ -177,7 +178,7 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
         assert!(all.ends_with(&kept), "{what}");
         assert_eq!(found.report.topics["/state"], repair::TopicRepair { recovered: 600, lost: 1 }, "{what}");
         assert_eq!((found.report.undeclared, found.report.last_tick), (0, Some(600)), "{what}");
-        // Schemas are there too, and the log reads as far as its gap.
+        // The schemas are present too, and the log can be read up to its gap.
         let summary = mcap::Summary::read(&found.bytes).unwrap().unwrap();
         let original = mcap::Summary::read(&bytes).unwrap().unwrap();
         for channel in summary.channels.values() {
@@ -198,7 +199,7 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
         assert_eq!(count, kept.len(), "{what}");
     }
 
-    // A topic of the timing lane is declared with its first message.
+    // In the timing lane, a topic is declared with its first message.
     let bytes = write_timing(&[("/command/a", 500), ("/command/b", 900), ("/command/a", 1300)]);
     let all = messages(&bytes);
     let mut flipped = bytes.clone();
@@ -206,7 +207,7 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
     flipped[(start + end) / 2] ^= 1;
     let found = repaired(folder.path(), &flipped).unwrap();
     assert!(messages(&found.bytes) == all[1..] && found.report.lost()["/command/a"] == 1);
-    // Without the summary nothing tells the topic of what is left: that is said.
+    // Without the summary nothing identifies the topic of the remaining messages, and the repair reports that.
     let data_end = mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[2].clone();
     let cut = (data_end.chunk_start_offset + data_end.chunk_length) as usize;
     let found = repaired(folder.path(), &flipped[..cut]).unwrap();
@@ -216,7 +217,7 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
     assert!(String::from_utf8(text).unwrap().contains("1 messages whose topic is declared nowhere"));
 }
 
-/// A timing lane with a chunk a message.
+/// A timing lane with one chunk per message.
 fn write_timing(messages: &[(&str, u64)]) -> Vec<u8> {
     let mut log = TimingLog::create(Vec::new(), &header()).unwrap();
     for (topic, tick) in messages {
@@ -231,7 +232,7 @@ fn write_timing(messages: &[(&str, u64)]) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-/// MCAP writes a schema once: the chunk that holds it may be one that is passed over.
+/// MCAP writes a schema only once, possibly in a chunk that the reader skips.
 #[test]
 fn a_topic_whose_schema_lies_in_a_chunk_that_is_passed_over_is_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -254,13 +255,13 @@ fn a_topic_whose_schema_lies_in_a_chunk_that_is_passed_over_is_read() {
     }
 }
 
-/// Without the repair's note at its start, a jump in the numbers is damage.
+/// Without the repair record at its start, a jump in the numbers is damage.
 #[test]
 fn a_gap_that_no_repair_has_told_is_damage() {
     let folder = tempfile::tempdir().unwrap();
     let bytes = write_log(&run_messages(500, None));
     let (start, end, _) = chunks(&bytes)[2].clone();
-    // The chunk is cut out cleanly: every length and every chunk's checksum is right.
+    // The chunk is cut out cleanly: every length and every chunk's checksum is correct.
     let spliced = [&bytes[..start], &bytes[end..]].concat();
     let (_, _, error) = ticks_of(&spliced);
     assert!(matches!(error, Some(LogError::Damaged { .. })), "{error:?}");
@@ -270,7 +271,8 @@ fn a_gap_that_no_repair_has_told_is_damage() {
     assert!(matches!(error, Some(LogError::Gap { .. })), "{error:?}");
 }
 
-/// Any bytes changed, moved or left out: the repair ends, what it keeps was in the log, and what it says adds up.
+/// Whatever bytes are changed, moved or removed: the repair terminates, everything it keeps was in the log, and its
+/// counts add up.
 #[test]
 fn any_damage_is_repaired_or_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -308,7 +310,7 @@ fn any_damage_is_repaired_or_refused() {
         let kept = messages(&found.bytes);
         let mut rest = all.iter();
         assert!(kept.iter().all(|message| rest.any(|original| original == message)));
-        // What stands in chunks that nothing has touched is kept, whatever else is gone.
+        // Untouched chunks are kept, whatever else is lost.
         let there = |(start, end, _): &&(usize, usize, _)| {
             changed.windows(end - start).any(|window| window == &bytes[*start..*end])
         };
@@ -325,7 +327,8 @@ fn any_damage_is_repaired_or_refused() {
     assert!(refused < 150 && kept_all > 20);
 }
 
-/// 1000 cuts and 1000 flipped bits of a small log: never a panic, never a tick that was not in the log, never silence.
+/// 1000 truncations and 1000 bit flips of a small log: never a panic, never a tick that was not in the log, never an
+/// unreported loss.
 #[test]
 fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
     let bytes = write_log(&run_messages(60, None));
@@ -363,7 +366,7 @@ fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
     }
 }
 
-/// Reading one topic passes over the other chunks and gives the same messages; a gap in it is still damage.
+/// Reading one topic skips the other chunks and gives the same messages; a gap in that topic is still damage.
 #[test]
 fn one_topic_is_read_without_the_others() {
     let folder = tempfile::tempdir().unwrap();

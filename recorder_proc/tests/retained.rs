@@ -1,6 +1,6 @@
-//! What a log makes its reader keep is bounded by kind: a log of 49 kB took 1.6 GB of schema names.
+//! How much a log makes its reader keep is bounded by kind. Regression: a log of 49 kB took 1.6 GB of schema names.
 //!
-//! Counted is every byte that is allocated, given back or not: more than was ever held at once.
+//! Counts every allocated byte, freed or not, which is an upper bound on what was ever held at once.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -22,7 +22,7 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 /// More than any reader needs for these logs, and less than a third of what they would make it keep.
 const MOST_BYTES: usize = 128 << 20;
 
-/// What an action allocates.
+/// Bytes that an action allocates.
 fn allocated<T>(act: impl FnOnce() -> T) -> (T, usize) {
     let region = Region::new(ALLOCATOR);
     let result = act();
@@ -37,7 +37,7 @@ fn text(text: &[u8]) -> Vec<u8> {
     [&(text.len() as u32).to_le_bytes()[..], text].concat()
 }
 
-/// A chunk of these records, packed.
+/// A chunk of these records, compressed.
 fn chunk(records: &[u8]) -> Vec<u8> {
     let packed = zstd::encode_all(records, 1).unwrap();
     let size = (records.len() as u64).to_le_bytes();
@@ -59,7 +59,7 @@ fn channel(id: u16, topic: &[u8], fact: &[u8]) -> Vec<u8> {
     )
 }
 
-/// The start of a log: all before its first chunk.
+/// The start of a log: everything before its first chunk.
 fn start() -> Vec<u8> {
     let whole = write_log(&run_messages(0, None));
     let mut at = 8;
@@ -79,7 +79,7 @@ fn save_named(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     save(folder, name, bytes)
 }
 
-/// Reads a log with every reader; each says what was too much, and keeps no more than it may.
+/// Reads a log with every reader; each must report what exceeds its limit, and stay within its memory bound.
 fn refused(bytes: &[u8], name: &str, what: &str) {
     let folder = tempfile::tempdir().unwrap();
     let (log, output) = (save_named(folder.path(), name, bytes), folder.path().join("out.mcap"));
@@ -96,7 +96,7 @@ fn refused(bytes: &[u8], name: &str, what: &str) {
     );
 }
 
-/// One test, since the counter is the whole process's.
+/// A single test, because the counter covers the whole process.
 #[test]
 fn a_log_of_few_bytes_makes_no_reader_keep_many() {
     const LONG: usize = 200 << 10;
@@ -116,7 +116,7 @@ fn a_log_of_few_bytes_makes_no_reader_keep_many() {
     refused(&many(&|id| schema(id, &numbered(id), b""), 5000), "schemas", "schemas, at most 4096");
     let declared = |id: u16| [schema(1, b"a", b""), channel(id, &numbered(id), b"")].concat();
     refused(&many(&declared, 5000), "channels", "channels, at most 4096");
-    // What is only read is no reader's concern, but a repair writes it again.
+    // A reader does not keep these records, but a repair writes them again.
     refused(
         &many(&|id| schema(id, &numbered(id), &name), 2000),
         "schema texts",
@@ -124,10 +124,10 @@ fn a_log_of_few_bytes_makes_no_reader_keep_many() {
     );
     let described = |id: u16| [schema(1, b"a", b""), channel(id, &numbered(id), &name)].concat();
     refused(&many(&described, 2000), "channel facts", "bytes of schemas and channels");
-    // One channel, declared again and again under another topic.
+    // One channel, declared again and again under different topics.
     let renamed = |id: u16| [schema(1, b"a", b""), channel(1, &numbered(id), b"")].concat();
     refused(&many(&renamed, 5000), "topics of a channel", "channels, at most 4096");
-    // Records beside the chunks are not packed: their parts are what costs.
+    // Records outside the chunks are not compressed; the cost is in their many parts.
     let entries: Vec<u8> =
         (0..400_000_u32).flat_map(|n| [text(&n.to_le_bytes()), text(b"")].concat()).collect();
     let metadata = record(12, &[text(b"x"), text(&entries)].concat());
@@ -139,12 +139,12 @@ fn a_log_of_few_bytes_makes_no_reader_keep_many() {
     index_of_many_chunks();
 }
 
-/// A keyframe is put together of parts: as many as its first one says.
+/// A keyframe is assembled from parts: as many as the first one announces.
 fn keyframe_of_a_gigabyte() {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let steps = run_messages(3, None);
     feed(&mut log, &steps).unwrap();
-    // Each part in a chunk of its own.
+    // Each part goes into its own chunk.
     log.keep_places();
     log.close_chunk().unwrap();
     let data = vec![0; 1 << 20];
@@ -165,7 +165,7 @@ fn keyframe_of_a_gigabyte() {
     assert!(read_bytes < MOST_BYTES, "{read_bytes}");
 }
 
-/// An index of 200,000 chunks is kept in a fraction of its own bytes.
+/// An index of 200,000 chunks is kept in a fraction of its size on disk.
 fn index_of_many_chunks() {
     let mut entry = vec![0; 16];
     entry.extend(99_u64.to_le_bytes());

@@ -53,7 +53,7 @@ fn a_csv_has_a_line_a_message_and_a_column_a_number() {
     assert_eq!(count, 90);
 }
 
-/// The values as another implementation's reader would have them: the parquet crate's, which knows nothing of ours.
+/// Reads the values back with an independent implementation: the parquet crate, which shares no code with ours.
 #[test]
 fn a_parquet_file_holds_the_same_numbers() {
     let folder = tempfile::tempdir().unwrap();
@@ -86,7 +86,7 @@ fn what_is_not_there_is_named() {
     let description = description_of_topic(&LogFile::at(&path), "/state").unwrap();
     let error = columns(description, &["tip_mm".to_owned()]).unwrap_err().to_string();
     assert!(error.contains("tip_mm"), "{error}");
-    // All fields of a state, with every pose's numbers.
+    // All fields of a state, including every scalar of every pose.
     let all = columns(description, &[]).unwrap();
     assert_eq!(all.iter().map(|c| if c.ros_type == "float64" { 8 } else { 0 }).sum::<usize>() % 8, 0);
     assert!(all.iter().any(|column| column.name == "t_world_link[26].orientation_xyzw[3]"));

@@ -1,4 +1,4 @@
-//! One verdict on a log: of every changed bit, every cut and every gap, whoever reads it says the same.
+//! One verdict per log: all readers say the same about every changed bit, every truncation and every gap.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, missing_docs)]
 
 mod common;
@@ -14,7 +14,7 @@ use run_log::segments::Passed;
 use run_log::*;
 use zerocopy::IntoBytes;
 
-/// Where the records of a whole file begin, and the file's length.
+/// Offsets of a whole file's records, and the file's length.
 fn boundaries(bytes: &[u8]) -> Vec<usize> {
     let (mut at, mut found) = (8, vec![0]);
     while at < bytes.len() - 8 {
@@ -26,7 +26,7 @@ fn boundaries(bytes: &[u8]) -> Vec<usize> {
     found
 }
 
-/// What a reader gets of a log: header, messages in their order.
+/// What a reader gets from a log: the header, and the messages in order.
 #[derive(PartialEq, Debug)]
 struct Content {
     header: LogHeader,
@@ -42,7 +42,7 @@ fn content(path: &Path) -> Option<Content> {
     Some(Content { header: stream.header().clone(), messages })
 }
 
-/// What info, replay and repair say of a log; none if they refuse it.
+/// The verdicts of info, replay and repair on a log; none if they refuse it.
 fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     let log = save(folder, "in.mcap", bytes);
     let output = folder.join("out.mcap");
@@ -56,7 +56,7 @@ fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     });
     let repaired = repair(&log, &output).ok();
     if let Some(report) = &repaired {
-        // The result is a log without damage: intact, or with a gap that it tells.
+        // The result is a log without damage: intact, or with a gap that it declares.
         let after = verdict(&LogFile::at(&output), ReadOptions::default()).unwrap();
         assert_eq!(after, report.after);
         assert!(after.faults.iter().all(|fault| matches!(fault, Fault::Gap(_))), "{after}");
@@ -66,7 +66,8 @@ fn said(folder: &Path, bytes: &[u8]) -> [Option<Verdict>; 3] {
     [info, replayed, repaired.map(|report| report.before)]
 }
 
-/// 12 of 300 flipped bits were "nothing was wrong with it", exit code 0; one in the header made a whole log unreadable.
+/// Regression: 12 of 300 flipped bits gave "nothing was wrong with it", exit code 0; one in the header made a whole
+/// log unreadable.
 #[test]
 fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
     let folder = tempfile::tempdir().unwrap();
@@ -79,7 +80,7 @@ fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
     }
     let mut random = Rng::with_seed(20);
     let ends = boundaries(&bytes);
-    // Anywhere, and in the first bytes of each record, where its type and length stand.
+    // Anywhere, and in the first bytes of each record, which hold its type and length.
     let mut flips: Vec<usize> = (0..1500).map(|_| random.usize(..8 * bytes.len())).collect();
     for at in &ends[..ends.len() - 2] {
         flips.extend((0..32).map(|_| 8 * at + random.usize(..8 * 9)));
@@ -94,7 +95,7 @@ fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
         read_all += u32::from(!differs);
         for (who, verdict) in ["info", "replay", "repair"].into_iter().zip(&all) {
             match verdict {
-                // Every changed bit is covered by some checksum or length.
+                // Every changed bit is covered by a checksum or a length.
                 Some(verdict) => {
                     assert!(!verdict.is_intact() && exit_code(verdict) != 0, "{who}: bit {bit}: {verdict}");
                 }
@@ -113,7 +114,7 @@ fn every_flipped_bit_that_changes_what_a_reader_gets_is_named_by_all() {
     assert!(changed_content > 500 && read_all > 500);
 }
 
-/// Cuts at every boundary of a record, and one byte beside it.
+/// Truncates at every record boundary, and one byte off it.
 #[test]
 fn every_cut_is_named_by_all() {
     let folder = tempfile::tempdir().unwrap();
@@ -134,7 +135,8 @@ fn every_cut_is_named_by_all() {
     assert!(named > 3 * 20, "{named}");
 }
 
-/// The header was a single point of failure: any of its bits, or a lost block, and a whole log was refused.
+/// Regression: the header was a single point of failure. Any flipped bit in it, or a lost block, made a whole log
+/// unreadable.
 #[test]
 fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
     let folder = tempfile::tempdir().unwrap();
@@ -163,12 +165,12 @@ fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
             assert!(verdict.faults.len() == 1 && verdict.faults.iter().any(named), "{copy:?}: {verdict}");
         }
         assert!(content(&folder.path().join("in.mcap")).unwrap() == whole, "{copy:?}");
-        // The repaired log has both again.
+        // The repaired log has both copies again.
         let repaired = folder.path().join("out.mcap");
         assert!(verdict(&LogFile::at(&repaired), ReadOptions::default()).unwrap().is_intact());
         assert!(content(&repaired).unwrap() == whole);
     }
-    // A lost block that takes the second copy with it: what lies behind is the repair's.
+    // A lost block that includes the second copy: only a repair reads on after it.
     let mut changed = bytes.clone();
     changed[second.0..second.1].fill(0);
     let [info, _, repaired] = said(folder.path(), &changed);
@@ -176,7 +178,8 @@ fn a_log_whose_first_or_second_header_is_destroyed_reads_as_before() {
     assert!(content(&folder.path().join("out.mcap")).unwrap() == whole);
 }
 
-/// A gap costs the ticks up to the next keyframe, no more: replay, its parts and the repaired log go on there.
+/// A gap costs only the ticks up to the next keyframe: the full replay, partial replays and the repaired log all
+/// resume there.
 #[test]
 fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     let folder = tempfile::tempdir().unwrap();
@@ -186,7 +189,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     for step in run_messages(600, None) {
         let is_lost = match &step {
             Step::Latched(m) => gaps.iter().any(|gap| gap.contains(&m.tick)),
-            // The states of the first gap come a little later than its commands.
+            // The states of the first gap come slightly later than its commands.
             Step::State(m) => gaps.iter().any(|gap| gap.contains(&(m.tick - u64::from(m.tick > 0)))),
             _ => false,
         };
@@ -220,7 +223,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
         report.identical_keyframes, 3,
         "200, 400 and 500 begin a part; 100, 300 and 600 are made again"
     );
-    // From behind a gap, and from within one: the keyframe before it.
+    // Starting after a gap, and inside one: the replay begins at the keyframe before it.
     for (from, keyframe, ticks) in
         [(450, 400, 70 + 100), (330, 300, 20 + 70 + 100), (120, 100, 120 + 70 + 100)]
     {
@@ -228,7 +231,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
         assert_eq!(start.as_ref().map(|saved| saved.tick), Some(keyframe));
         assert_eq!(verified(&bytes, start).replay.identical_ticks, ticks, "from {from}");
     }
-    // A damaged chunk is a gap once it is repaired, that of the start too.
+    // Once repaired, a damaged chunk is a gap, even at the start.
     let path = save(folder.path(), "in.mcap", &write_keyframes(600));
     let whole = std::fs::read(&path).unwrap();
     let chunks: Vec<usize> = boundaries(&whole).into_iter().filter(|at| whole.get(*at) == Some(&6)).collect();
@@ -244,7 +247,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     }
 }
 
-/// A log with a keyframe every 100 ticks, from tick 200 on.
+/// A log with a keyframe every 100 ticks, starting at tick 200.
 fn write_keyframes(ticks: u64) -> Vec<u8> {
     let mut log = RunLog::create(Vec::new(), &header()).unwrap();
     let mut parts = 0;
@@ -262,7 +265,7 @@ fn write_keyframes(ticks: u64) -> Vec<u8> {
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
 
-/// A stalled recorder's gap: 886 messages missing were "nothing was wrong with it".
+/// Regression: a stalled recorder's gap of 886 missing messages gave "nothing was wrong with it".
 #[test]
 fn a_gap_is_named_by_all_with_its_ticks_and_topics() {
     let folder = tempfile::tempdir().unwrap();
