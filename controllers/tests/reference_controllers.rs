@@ -1,4 +1,4 @@
-//! The reference controllers, each in the loop with the physics in this process.
+//! The reference controllers, each in a closed loop with the physics in this process.
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ fn config(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs").join(name)
 }
 
-/// Steps the scene with its controller to the end; every command must be accepted by the physics.
+/// Steps the scene with its controller to the end; the physics must accept every command.
 fn play(scene: &Scene, ct: Option<CtView>, controller: &mut dyn Controller) -> State {
     let mut run = InProcess::new(scene, Simulation::new(scene, ct).unwrap());
     for _ in 0..scene.tick_count() {
@@ -39,8 +39,8 @@ fn play(scene: &Scene, ct: Option<CtView>, controller: &mut dyn Controller) -> S
     *run.plant().state()
 }
 
-/// The block of the scenes, 40 × 40 × 60 mm of 0.5 mm voxels around the origin, its half at +x denser by `ratio`.
-/// (Density 131 + 1.067 HU kg/m³ is the line of the drilling law.)
+/// The block of the scenes, 40 × 40 × 60 mm of 0.5 mm voxels around the origin, its half at +x denser by `ratio`. (The
+/// drilling law's density is 131 + 1.067 HU kg/m³.)
 fn block(ratio: f64) -> (GridGeometry, Vec<i16>) {
     let dims = [80, 80, 120];
     let origin = dims.map(|n| -0.25e-3 * (n as f64 - 1.0));
@@ -76,8 +76,8 @@ fn a_sweep_without_friction_measures_the_closed_form() {
         let expected = (row.commanded * parameters.tendon.offset_m * compliance).to_degrees();
         println!("{} N: {:.4} deg, closed form {expected:.4} deg", row.commanded, row.bend_deg);
         assert_eq!(row.tension_n, row.commanded);
-        // The tendon runs along chords between its holes, so that its lever shrinks with the bend: cos(q/2) and the gap's
-        // part, at 2 degrees a flexure below a hundredth; and what the level has not settled.
+        // The tendon runs along chords between its holes, so its lever arm shrinks with the bend: cos(q/2) and the
+        // gap's part, below one hundredth at 2 degrees per flexure; the rest is the level's incomplete settling.
         assert!((row.bend_deg - expected).abs() <= 0.02 * expected + 0.02);
     }
 }
@@ -97,7 +97,7 @@ fn a_sweep_by_displacement_reaches_its_levels_and_friction_shows_as_hysteresis()
     assert!(up.tension_n > down.tension_n * 1.05, "friction: more to pull than to let go");
 }
 
-/// The calibration that the scenes use is the one that their sweep measures.
+/// The calibration file that the scenes use matches what their sweep measures.
 #[test]
 fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
     let stored = Calibration::load(&config("calibration/tension_sweep.csv"), &read).unwrap();
@@ -105,7 +105,7 @@ fn the_calibration_of_the_scenes_is_that_of_the_present_model() {
     assert_eq!(stored.rows.len(), measured.rows.len());
     for (stored, measured) in stored.rows.iter().zip(&measured.rows) {
         assert_eq!(stored.commanded, measured.commanded);
-        // The file has six decimals; a model that is changed on purpose asks for a new file.
+        // The file has six decimals; a deliberate change of the model needs a new file.
         assert!(
             (stored.bend_deg - measured.bend_deg).abs() < 0.02,
             "at {} N the file says {} deg, the model bends {} deg; write it again with `trabecula calibrate`",
@@ -138,7 +138,7 @@ fn drill(name: &str) -> f64 {
 #[test]
 fn the_measured_shape_brings_the_burr_nearer_to_the_target_than_the_calibration_alone() {
     let (open, closed) = (drill("curved_open_loop.toml"), drill("curved_shape_feedback.toml"));
-    // The published system's claim is a tip within 3 mm.
+    // The published system claims a tip error within 3 mm.
     assert!(closed < open && closed < 1.5, "{open} mm open, {closed} mm closed");
 }
 
@@ -167,7 +167,7 @@ fn the_burr_skives_away_from_the_denser_half() {
     assert!(aside_mm[1] > 0.5 && aside_mm[1] > 3.0 * aside_mm[0].abs());
 }
 
-/// A plan that bends farther than its calibration is refused before anything moves.
+/// A plan that bends farther than its calibration covers is refused before anything moves.
 #[test]
 fn a_target_beyond_the_calibration_is_refused() {
     let text = std::fs::read_to_string(config("curved_open_loop.toml")).unwrap();
@@ -183,7 +183,8 @@ fn a_target_beyond_the_calibration_is_refused() {
     assert!(error.contains("no_such.csv") && error.contains("trabecula calibrate"), "{error}");
 }
 
-/// Such a target gave an arc of a negative angle, for which the calibration's tension is 0 N: the tool went straight on.
+/// Regression: such a target gave an arc with a negative angle, for which the calibration's tension is 0 N, so the
+/// tool went straight on.
 #[test]
 fn a_target_on_the_side_away_from_the_bend_is_refused() {
     let text = std::fs::read_to_string(config("curved_open_loop.toml")).unwrap();
@@ -199,8 +200,8 @@ fn a_target_on_the_side_away_from_the_bend_is_refused() {
     assert!(CurvedDrillingController::new(plan, &scene, &read).is_ok(), "straight ahead is no side");
 }
 
-/// A controller that had drilled went on where it was when the run was set back: the tension of the end of its ramp in
-/// front of the bone.
+/// Regression: after a reset, a controller that had been drilling carried on where it was and pulled the tension of
+/// the ramp's end in front of the bone.
 #[test]
 fn a_reset_sets_the_reference_controllers_back() {
     let scene = load(&config("curved_shape_feedback.toml")).unwrap();
@@ -210,7 +211,7 @@ fn a_reset_sets_the_reference_controllers_back() {
     let skiving = SkivingController::new(skiving.controller[0].skiving.as_ref().unwrap());
     let begin =
         *Simulation::new(&scene, Some(CtView { geometry: block(1.0).0, hu: &block(1.0).1 })).unwrap().state();
-    // 20 mm further on, 3 mm aside and as many voxels gone.
+    // 20 mm deeper, 3 mm to the side, with that many voxels gone.
     let mut deep = State { removed_total: 5_000, tick: 4_000, sim_time_s: 4.0, ..begin };
     for pose in [&mut deep.t_world_flange, &mut deep.t_world_burr, &mut deep.t_world_base] {
         pose.position_m[2] += 0.02;
