@@ -10,7 +10,7 @@ use messages::{Frame, Keyframe, Latched, Removed, State};
 use zerocopy::FromBytes;
 
 use crate::end::EndMarker;
-use crate::limits::MAX_TOLD;
+use crate::limits::MAX_REPORTED;
 use crate::stream::TopicCount;
 use crate::topics;
 
@@ -186,7 +186,7 @@ impl Continuity {
             }
             let entry = stretch.messages.entry(topic).or_default();
             *entry = entry.saturating_add(count);
-        } else if self.stretches.len() < MAX_TOLD {
+        } else if self.stretches.len() < MAX_REPORTED {
             let messages = BTreeMap::from([(topic, count)]);
             self.stretches.push(Stretch { first_tick: first, last_tick: last, messages });
         } else {

@@ -1,21 +1,22 @@
 //! Logs of a run as MCAP: writing, reading, repairing, comparing, replaying and tabulating them.
 //!
-//! A run leaves two logs. `run.mcap`, the deterministic lane, is a function of the scene and the latched commands: its bytes depend
-//! only on the sequence of messages written to it. `timing.mcap` holds wall-clock times and everything that depends on them.
+//! A run produces two logs. `run.mcap`, the deterministic lane, is a function of the scene and the latched commands:
+//! its bytes depend only on the sequence of messages written to it. `timing.mcap` holds wall-clock times and
+//! everything that depends on them.
 //!
-//! A record is the raw message behind [`CDR_LITTLE_ENDIAN`](messages::layout::CDR_LITTLE_ENDIAN), so any reader of `cdr` with `ros2msg`
-//! schemas can show it. Chunks are closed every 100 ms of simulated time, and their CRCs are checked when they are read. A log cut at
-//! any byte can be read up to its last complete tick.
+//! A record is the raw message after a [`CDR_LITTLE_ENDIAN`](messages::layout::CDR_LITTLE_ENDIAN) header, so any
+//! reader of `cdr` with `ros2msg` schemas can show it. Chunks are closed every 100 ms of simulated time, and their
+//! CRCs are checked on reading. A log truncated at any byte can be read up to its last complete tick.
 //!
-//! **Boundary:** bytes in, bytes out. It writes to any `Write` and reads any `Read + Seek` ([`LogSource`]); it opens no files, reads no
-//! clock and starts no thread that outlives the call. Logs in files, the recorder and the build's identity are `recorder_proc`. It knows
-//! no simulation either: a log is verified against any [`Plant`](messages::Plant).
+//! **Boundary:** bytes in, bytes out. It writes to any `Write` and reads any `Read + Seek` ([`LogSource`]); it opens
+//! no files, reads no clock and starts no thread that outlives the call. Log files, the recorder and the build's
+//! identity are in `recorder_proc`. It does not depend on the simulation either: a log is verified against any
+//! [`Plant`](messages::Plant).
 //!
-//! **Invariants:** the bytes of `run.mcap` do not depend on when messages arrive. A reader trusts no length and no count before it has
-//! checked it. No single damaged record makes a log unreadable, and whatever is skipped is reported.
+//! **Invariants:** the bytes of `run.mcap` do not depend on when messages arrive. A reader checks every length and
+//! count before it trusts it. No single damaged record makes a log unreadable, and everything skipped is reported.
 //!
 //! Writing a log into memory and reading it back:
-//!
 //! ```
 //! use std::collections::BTreeMap;
 //!
@@ -36,12 +37,12 @@
 //! };
 //! let mut log = RunLog::create(Vec::new(), &header)?;
 //! log.state(&State::zeroed())?;
-//! // The command of tick 1 comes after its effect; the log has them in order.
+//! // The command of tick 1 arrives after its effect; the log puts them in order.
 //! log.state(&State { tick: 1, ..State::zeroed() })?;
 //! log.latched(&Latched { tick: 0, ..Latched::zeroed() })?;
 //! let (_, bytes) = log.finish(EndReason::Completed, &BTreeMap::new())?;
 //!
-//! // Cut anywhere behind its ticks it still gives them back.
+//! // Truncated anywhere after its ticks, the log still returns them.
 //! let cut = bytes.len() - 40;
 //! let mut reader = LogReader::open(&LogBytes::new("example.mcap", &bytes[..cut]))?;
 //! let ticks: Vec<u64> = reader.by_ref().map(|tick| Ok(tick?.state.tick)).collect::<Result<_, run_log::LogError>>()?;
@@ -58,9 +59,9 @@
 //! | [`reader`], [`frames`](mod@frames), [`stream`] | ticks, frames, single messages of a log |
 //! | [`verdict`](mod@verdict), [`continuity`], [`opening`] | what is wrong with a log: one answer for every command |
 //! | [`verify`](mod@verify), [`segments`] | replaying a log and comparing tick by tick, in one pass or in parallel |
-//! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | what people ask of a log, as text |
+//! | [`info`](mod@info), [`cat`](mod@cat), [`diff`](mod@diff) | summarising, printing and comparing logs as text |
 //! | [`misses`], [`gaps`] | why ticks began late; messages that never arrived |
-//! | [`repair`](mod@repair), [`join`] | logs made of logs: repaired, packed, joined, split |
+//! | [`repair`](mod@repair), [`join`] | logs made from logs: repaired, recompressed, joined, split |
 //! | [`columns`], [`csv`] | a topic as a table |
 
 pub mod cat;

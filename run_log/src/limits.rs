@@ -24,7 +24,7 @@ pub(crate) const MAX_SCENE_BYTES: usize = 16 << 20;
 /// Longest index that is used; above that, every chunk is read.
 pub(crate) const MAX_INDEX_BYTES: u64 = 64 << 20;
 /// Maximum number of damaged pieces, and of stretches of missing ticks, that a report lists.
-pub(crate) const MAX_TOLD: usize = 64;
+pub(crate) const MAX_REPORTED: usize = 64;
 
 /// How many declarations a reader keeps so far.
 #[derive(Debug, Default)]

@@ -57,7 +57,7 @@ enum Loaded {
     /// Loaded into `record`; holds its type.
     Record(u8),
     /// An unwanted chunk, skipped.
-    PassedOver,
+    Skipped,
     /// The file ends inside the record; number of the record's bytes present.
     Incomplete(u64),
 }
@@ -141,7 +141,7 @@ impl Records {
     }
 
     /// Skips these chunks from now on. The whole-file checksum is then not checked; those of the chunks read are.
-    pub fn pass_over(&mut self, chunks: BTreeSet<u64>) {
+    pub fn skip_chunks(&mut self, chunks: BTreeSet<u64>) {
         self.data_crc = self.data_crc.take().filter(|_| chunks.is_empty());
         self.unwanted = chunks;
     }
@@ -152,7 +152,7 @@ impl Records {
     }
 
     /// Stops checking the whole-file checksum, because the reason for a mismatch is already known.
-    pub fn forget_checksum(&mut self) {
+    pub fn ignore_checksum(&mut self) {
         self.data_crc = None;
     }
 
@@ -165,7 +165,7 @@ impl Records {
             let start = self.offset;
             let opcode = match self.load()? {
                 Loaded::Record(opcode) => opcode,
-                Loaded::PassedOver => continue,
+                Loaded::Skipped => continue,
                 Loaded::Incomplete(incomplete_bytes) => {
                     self.finished = true;
                     return Ok(FileRecord::Cut(Cut { offset: start, incomplete_bytes }));
@@ -215,7 +215,7 @@ impl Records {
                 source,
             })?;
             self.offset += RECORD_HEADER as u64 + length;
-            return Ok(Loaded::PassedOver);
+            return Ok(Loaded::Skipped);
         }
         self.read_up_to(length, |_| ())?;
         if (self.record.len() as u64) < length {

@@ -19,7 +19,7 @@ use crate::end::{Cut, END_RECORD, EndMarker, EndReason, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, SCENE_ATTACHMENT, other_layout};
 use crate::index::Summary;
-use crate::limits::{Declared, MAX_TOLD};
+use crate::limits::{Declared, MAX_REPORTED};
 use crate::opening::Parts;
 use crate::reader::LogReader;
 use crate::records::Attached;
@@ -282,7 +282,7 @@ impl Survey {
             Piece::DataEnd(offset) => self.data_end = Some(offset),
             Piece::Lost(lost) => {
                 self.report.left_out_bytes += lost.bytes;
-                match self.report.pieces.len() < MAX_TOLD {
+                match self.report.pieces.len() < MAX_REPORTED {
                     true => self.report.pieces.push(lost),
                     false => self.report.more_pieces += 1,
                 }

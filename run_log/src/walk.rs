@@ -25,12 +25,12 @@ use crate::seal::is_unbroken;
 const WINDOW: usize = 1 << 20;
 /// Budget for unpacking and copying over all searches: a multiple of the file's length plus a constant. Without it, a
 /// file full of fake chunk starts would be read again for each of them.
-const SEARCHED_TIMES: u64 = 8;
-const SEARCHED_BYTES: u64 = 1 << 28;
+const SEARCH_BUDGET_FACTOR: u64 = 8;
+const SEARCH_BUDGET_BYTES: u64 = 1 << 28;
 /// A file still counts as a log with up to this many wrong bytes in its magic number.
 const WRONG_MAGIC_BYTES: usize = 2;
 /// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
-const LOOK: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
+const LOOKAHEAD_BYTES: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
 /// What a walk finds, in file order.
 pub(crate) enum Piece<'a> {
@@ -157,7 +157,7 @@ impl<R: Read + Seek> Walker<R> {
     fn open(&mut self) -> io::Result<()> {
         self.length = self.source.seek(SeekFrom::End(0))?;
         self.position = self.length;
-        self.budget = self.length.saturating_mul(SEARCHED_TIMES).saturating_add(SEARCHED_BYTES);
+        self.budget = self.length.saturating_mul(SEARCH_BUDGET_FACTOR).saturating_add(SEARCH_BUDGET_BYTES);
         self.read(0, MAGIC.len() as u64)?;
         self.at = MAGIC.len() as u64;
         Ok(())
@@ -278,7 +278,7 @@ impl<R: Read + Seek> Walker<R> {
         while start < self.length {
             window.clear();
             self.go_to(start)?;
-            let looked = (WINDOW + LOOK) as u64;
+            let looked = (WINDOW + LOOKAHEAD_BYTES) as u64;
             self.position += self.source.by_ref().take(looked).read_to_end(&mut window)? as u64;
             for i in 0..window.len().min(WINDOW) {
                 let rest = &window[i..];

@@ -1,24 +1,25 @@
-//! Why ticks began late: the lost time of each miss, split into causes by the readings in its [`TickTiming`].
+//! Why ticks began late: splits the lost time of each miss into causes, using the readings in its [`TickTiming`].
 //!
-//! A miss is a tick that began more than a period behind its deadline; all of its lateness is lost, since the schedule
-//! starts anew from there. The lateness has two parts. Up to the *overrun* the last tick's work was still going on;
-//! behind it the thread was due and had not begun.
+//! A miss is a tick that began more than a period after its deadline. All of its lateness is lost, because the
+//! schedule restarts from there. The lateness has two parts: the *overrun*, while the previous tick's work was still
+//! running, and then the time during which the thread was due but had not begun.
 //!
 //! | part | time | cause |
 //! |---|---|---|
-//! | overrun | off the core, held back by a quota (`cpu.stat`) | throttled |
+//! | overrun | off the core, throttled by a quota (`cpu.stat`) | throttled |
 //! | overrun | off the core, in the run queue (`schedstat`) | run queue |
 //! | overrun | off the core, stopped or frozen (SIGCONT, `cgroup.stat.local`) | stopped |
-//! | overrun | off the core otherwise: a disk was waited for, the thread gave its core away, neither | page fault, blocked, nothing seen |
-//! | overrun | on the core: 2 µs a page fault, then the rest | page fault, own computation |
-//! | due | waiting for the recorder, as the scene wants it | recorder |
-//! | due | held back by a quota, in the run queue, stopped or frozen | throttled, run queue, stopped |
-//! | due | taking the controllers' commands | controllers |
-//! | due | otherwise: the timer was late although nobody held the core | nothing seen |
+//! | overrun | off the core otherwise: waiting for a disk, yielding voluntarily, or neither | page fault, blocked, no evidence |
+//! | overrun | on the core: 2 µs per page fault, then the rest | page fault, own computation |
+//! | due | waiting for the recorder, as the scene requires | recorder |
+//! | due | throttled by a quota, in the run queue, stopped or frozen | throttled, run queue, stopped |
+//! | due | collecting the controllers' commands | controllers |
+//! | due | otherwise: the timer fired late although the core was free | no evidence |
 //!
-//! What nothing was seen for is called stolen as far as the machine's steal counter shows as much ([`Misses`]), and unknown beyond
-//! that. The kernel leaves stolen time out of a thread's processor time (`CONFIG_PARAVIRT_TIME_ACCOUNTING`). One that does not
-//! charges it to the thread; then what the counter says beyond its step of 10 ms is taken from the computation.
+//! Time without evidence counts as stolen as far as the machine's steal counter covers it ([`Misses`]), and as
+//! unknown beyond that. With `CONFIG_PARAVIRT_TIME_ACCOUNTING` the kernel excludes stolen time from a thread's
+//! processor time. A kernel without it charges stolen time to the thread; then whatever the counter shows beyond its
+//! step of 10 ms is subtracted from the computation.
 
 use messages::{RunStatus, TickTiming};
 use zerocopy::FromBytes;

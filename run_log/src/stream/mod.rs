@@ -115,7 +115,7 @@ impl MessageStream {
         if let Ok(mut source) = log.open()
             && let Some(summary) = Summary::read(&mut source, None)
         {
-            stream.records.pass_over(summary.chunks_without(topics));
+            stream.records.skip_chunks(summary.chunks_without(topics));
             // A file holds each schema once, possibly in a skipped chunk.
             stream.schemas = summary.schemas.into_iter().map(|(id, (header, _))| (id, header.name)).collect();
         }
@@ -312,7 +312,7 @@ impl MessageStream {
     fn second_is_bad(&mut self, cause: String) {
         self.has_second = true;
         // The damaged header already explains a wrong whole-file checksum.
-        self.records.forget_checksum();
+        self.records.ignore_checksum();
         self.header_fault.get_or_insert((HeaderCopy::Second, cause));
     }
 
