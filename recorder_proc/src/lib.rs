@@ -1,14 +1,14 @@
-//! The recorder process, and logs in files: the shell around `run_log`.
+//! The recorder process, and log files: the I/O shell around `run_log`.
 //!
-//! The recorder takes every message of a session and hands it to the writers of [`run_log`], which decide what the logs hold and in
-//! which order. Here are the transport, the clock, the threads and the files: how a log is opened and created, how its bytes get to the
-//! disk while the run goes on, and which build it names.
+//! The recorder receives every message of a session and passes it to the writers of [`run_log`], which decide what
+//! the logs hold and in which order. This crate provides the transport, the clock, the threads and the files: how a
+//! log is opened and created, how its bytes reach the disk during the run, and which build it names.
 //!
-//! **Boundary:** it knows sessions and files, and nothing of MCAP. What a log holds and what is wrong with it is `run_log`'s.
+//! **Boundary:** it knows sessions and files, and nothing of MCAP. The content of a log, and what is wrong with it,
+//! is the job of `run_log`.
 //!
-//! **Invariants:** writing to the disk never holds up the taking of messages until all buffers are full; an existing file is never
-//! replaced by the recorder or by a tool; a tool's output is whole or absent.
-//!
+//! **Invariants:** disk writes never block the receiving of messages until all buffers are full; neither the recorder
+//! nor a tool ever replaces an existing file; a tool's output is complete or absent.
 //! ```
 //! use recorder_proc::log_file::{LogFile, create_run};
 //! use run_log::{LogHeader, LogReader, EndReason, RunMode};
@@ -37,9 +37,9 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`process`], [`reason_file`] | the recorder; how it is told why a run ends |
-//! | [`background`] | the thread that writes |
-//! | [`log_file`], [`rewritten`] | logs in files; files made of log files |
+//! | [`process`], [`reason_file`] | the recorder; how it learns why a run ends |
+//! | [`background`] | the writer thread |
+//! | [`log_file`], [`rewritten`] | logs in files; log files made from log files |
 //! | [`parquet_file`] | a topic as a Parquet file |
 //! | [`build_info`], [`exit_code`](mod@exit_code) | this build; a verdict as an exit code |
 

@@ -25,7 +25,7 @@ use crate::background::BackgroundFile;
 use crate::reason_file;
 
 /// Longest time between polls: a small fraction of what the queues hold.
-const LOOK_TIME: Duration = Duration::from_millis(2);
+const POLL_PERIOD: Duration = Duration::from_millis(2);
 /// Number of states after which progress is reported within a round.
 const PROGRESS_TICKS: u64 = 64;
 /// Number of states to read before the other queues are polled again.
@@ -74,7 +74,7 @@ impl Recorder {
         self.report_progress(0)?;
         let mut quiet_since = Instant::now();
         while !end.is_set() {
-            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
+            self.ports.waiter.wait_until(Instant::now() + POLL_PERIOD, || self.ports.states.has_message());
             // A physics process that joins later must see this recorder.
             self.ports.progress.deliver_history()?;
             if self.take_round()? {
@@ -88,7 +88,7 @@ impl Recorder {
         }
         // The launcher writes the end reason before it asks. Its lock may briefly outlive it.
         if self.reason_path().is_none() || !host_is_alive(&self.session_folder) {
-            self.outlast_physics()?;
+            self.wait_for_physics()?;
         }
         for _ in 0..LAST_ROUNDS {
             self.take_round()?;
@@ -102,10 +102,10 @@ impl Recorder {
     /// Waits for the physics to end. A launcher stops the recorder only when nobody publishes any more, but if the
     /// launcher was killed, all parts are asked to end at once. Everything that the physics publishes until its end
     /// must reach the log.
-    fn outlast_physics(&mut self) -> Result<(), RecorderError> {
+    fn wait_for_physics(&mut self) -> Result<(), RecorderError> {
         let limit = Instant::now() + ORPHANED_LIMIT;
         while !self.run_has_ended && Instant::now() < limit {
-            self.ports.waiter.wait_until(Instant::now() + LOOK_TIME, || self.ports.states.has_message());
+            self.ports.waiter.wait_until(Instant::now() + POLL_PERIOD, || self.ports.states.has_message());
             self.take_round()?;
         }
         Ok(())
@@ -134,7 +134,7 @@ impl Recorder {
             let missing = self.newest_tick + 1..tick;
             self.newest_tick = tick;
             if !missing.is_empty() {
-                self.tell_of_gap(&missing)?;
+                self.report_gap(&missing)?;
             }
             if self.newest_tick >= self.reported_tick + PROGRESS_TICKS {
                 self.report_progress(self.newest_tick)?;
@@ -209,7 +209,7 @@ impl Recorder {
     }
 
     /// Reports a gap at once, because the recording may no longer serve the run's purpose.
-    fn tell_of_gap(&mut self, missing: &Range<u64>) -> Result<(), RecorderError> {
+    fn report_gap(&mut self, missing: &Range<u64>) -> Result<(), RecorderError> {
         if !self.gap_warnings.allows(now_ns()) {
             return Ok(());
         }
@@ -261,7 +261,7 @@ impl Recorder {
         let launcher_lives = || host_is_alive(&self.session_folder);
         while self.run_has_ended && self.reason_path().is_none() && launcher_lives() && Instant::now() < limit
         {
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
         let reason_path = self.reason_path();
         let reason = match reason_path.as_deref().map(reason_file::read) {
