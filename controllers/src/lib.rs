@@ -1,11 +1,10 @@
-//! What a controller is, and the built-in ones.
+//! The controller interface, and the built-in controllers.
 //!
-//! A controller is anything that turns a [`State`] into a [`Command`] once a tick.
+//! A controller is anything that turns a [`State`] into a [`Command`] once per tick.
 //!
-//! **Boundary:** a controller sees what a client sees, and nothing of the simulation. This crate opens no file: whoever makes a controller
-//! hands in how a text is read. **Invariant:** the controllers here are deterministic: no clock, no randomness, so that a lockstep run
-//! repeats bit for bit.
-//!
+//! **Boundary:** a controller sees what a client sees, and nothing of the simulation. This crate opens no files: its
+//! caller passes in a function that reads a text. **Invariant:** the controllers here are deterministic, with no
+//! clock and no randomness, so that a lockstep run repeats bit for bit.
 //! ```
 //! use controllers::Controller;
 //! use messages::layout::Message;
@@ -45,22 +44,22 @@ pub use tip_finder::{TipSighting, find_tip};
 use messages::{Command, Frame, State};
 use scene::Scene;
 
-/// What a controller does.
+/// A controller: answers states with commands.
 pub trait Controller {
-    /// Answers a state. `command` comes with `sequence` and `state_tick` filled in and every mode at "none".
+    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode set to "none".
     fn step(&mut self, state: &State, command: &mut Command);
 
-    /// Sees a frame (mono16, rows top to bottom). Called before the step of the tick at which it is there.
+    /// Receives a frame (mono16, rows top to bottom). Called before the step of the tick at which the frame is available.
     fn frame(&mut self, _frame: &Frame, _pixels: &[u16]) {}
 
-    /// A message for the log since the last call, if any.
+    /// A message for the log, if there is a new one since the last call.
     fn remark(&mut self) -> Option<String> {
         None
     }
 }
 
-/// The built-in controller that a scene gives this name; `None` if it is not a built-in one. `read` gives the text of the calibration that
-/// it may need.
+/// The scene's built-in controller of this name; `None` if it is not built in. `read` returns the text of the
+/// calibration file that it may need.
 ///
 /// # Errors
 /// Its calibration cannot be used.

@@ -15,9 +15,9 @@ const WINDOW_M: f64 = 0.008;
 /// Pixels below this fraction of full scale count as metal.
 const DARK_SHARE: f64 = 0.12;
 /// Number of dark pixels allowed beyond the front as noise.
-const STRAY_PIXELS: usize = 2;
+const MAX_STRAY_PIXELS: usize = 2;
 /// Minimum number of dark pixels for a sighting.
-const FEWEST_PIXELS: usize = 20;
+const MIN_PIXELS: usize = 20;
 
 /// Where the burr was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,12 +43,12 @@ pub fn find_tip(
     let expected = Vector2::from(expected);
     let direction = (Vector2::from(front) - expected).try_normalize(1e-9)?;
     let dark = dark_pixels(c_arm, pixels, &expected, WINDOW_M * pixels_per_m);
-    if dark.len() < FEWEST_PIXELS {
+    if dark.len() < MIN_PIXELS {
         return None;
     }
     let mut along: Vec<f64> = dark.iter().map(|p| (p - expected).dot(&direction)).collect();
     along.sort_by(f64::total_cmp);
-    let end = along[along.len() - 1 - STRAY_PIXELS];
+    let end = along[along.len() - 1 - MAX_STRAY_PIXELS];
     let radius = radius_m * pixels_per_m;
     let burr: Vec<Vector2<f64>> = dark
         .into_iter()
@@ -57,7 +57,7 @@ pub fn find_tip(
             offset > end - 2.0 * radius && offset <= end
         })
         .collect();
-    if burr.len() < FEWEST_PIXELS {
+    if burr.len() < MIN_PIXELS {
         return None;
     }
     let across = Vector2::new(-direction.y, direction.x);
