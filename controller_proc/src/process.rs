@@ -22,7 +22,7 @@ use controllers::{CalibrationError, Controller, built_in};
 
 /// In lockstep, how long to wait for a frame that is due.
 const FRAME_LIMIT: Duration = Duration::from_secs(120);
-const LOOK_TIME: Duration = Duration::from_millis(100);
+const POLL_PERIOD: Duration = Duration::from_millis(100);
 
 /// Why a controller process ends early.
 #[derive(Debug, Error)]
@@ -87,7 +87,7 @@ pub fn run_controller(
     let mut sequence = 0;
     let mut newest_tick = 0;
     while !end.is_set() && !ports.run_has_ended()? {
-        ports.waiter.wait_until(Instant::now() + LOOK_TIME, || ports.states.has_message());
+        ports.waiter.wait_until(Instant::now() + POLL_PERIOD, || ports.states.has_message());
         let Some(state) = ports.states.receive_newest()? else { continue };
         let state = state.message();
         ports.frames_for(state.tick, controller, &end)?;

@@ -25,7 +25,7 @@ use super::ports::Ports;
 /// Maximum number of jobs that wait for the renderer.
 const QUEUE: usize = 2;
 /// Longest wait for a message before the ports are polled again.
-const LOOK_TIME: Duration = Duration::from_millis(2);
+const POLL_PERIOD: Duration = Duration::from_millis(2);
 /// Number of states to read before requests are polled again.
 const STATES_PER_ROUND: usize = 32;
 /// Maximum number of states between progress reports.
@@ -121,7 +121,7 @@ impl Service {
         while !end.is_set() {
             let ports = &self.ports;
             let arrived = || ports.states.has_message() || ports.requests.has_message();
-            ports.waiter.wait_until(Instant::now() + LOOK_TIME, arrived);
+            ports.waiter.wait_until(Instant::now() + POLL_PERIOD, arrived);
             self.take_requests()?;
             self.serve_newest()?;
             self.take_states()?;

@@ -14,7 +14,7 @@ use super::disturbance::number;
 /// Shortest gap that a quota or a freezer can explain: both suspend a process for milliseconds.
 const LONG_GAP_NS: i64 = 5_000_000;
 /// Maximum depth of the cgroup hierarchy to watch.
-const MOST_GROUPS: usize = 8;
+const MAX_GROUPS: usize = 8;
 
 /// Counters of the cgroups that this process is in, and whether it received SIGCONT.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ impl HeldBack {
             let counter = |folder: &PathBuf| {
                 files.iter().find_map(|(file, key, unit_ns)| Counter::open(&folder.join(file), key, *unit_ns))
             };
-            groups.iter().filter_map(counter).take(MOST_GROUPS).collect()
+            groups.iter().filter_map(counter).take(MAX_GROUPS).collect()
         };
         HeldBack {
             // The first is cheap because the kernel does not sum over child groups; the last is version 1's.
