@@ -74,13 +74,13 @@ fn main() -> ExitCode {
         Ok(Some(Command::Proc(part))) => {
             trabecula::commands::proc::run(&part).unwrap_or_else(|failure| program::end(Err(failure)))
         }
-        Ok(Some(Command::User(command))) => program::end(obey(&command)),
+        Ok(Some(Command::User(command))) => program::end(dispatch(&command)),
         Ok(None) => program::end(Ok(())),
         Err(failure) => program::end(Err(failure)),
     }
 }
 
-fn obey(command: &UserCommand) -> Result<(), Failure> {
+fn dispatch(command: &UserCommand) -> Result<(), Failure> {
     match command {
         UserCommand::Bench(command) => commands::bench::run(command),
         UserCommand::Stress(arguments) => commands::stress::run(arguments),

@@ -26,7 +26,7 @@ const MEBIBYTE: f64 = 1_048_576.0;
 const LANES: [&str; 2] = ["run.mcap", "timing.mcap"];
 /// Memory samples over the run, and how many of them are printed.
 const SAMPLES: f64 = 120.0;
-const SAMPLES_A_LINE: usize = 4;
+const SAMPLES_PER_LINE: usize = 4;
 /// Fraction of the run that a slowed feed takes.
 const FEED_SHARE: f64 = 0.9;
 /// Slowest feed that a scene may have.
@@ -151,7 +151,7 @@ impl Watch {
         let mut own = Memory::default();
         own.measure("self");
         self.growth.add("launcher", at, own.private);
-        if self.samples.is_multiple_of(SAMPLES_A_LINE) {
+        if self.samples.is_multiple_of(SAMPLES_PER_LINE) {
             let done_min = at.as_secs_f64() / 60.0;
             let missed = snapshot.status.map_or(0, |status| status.missed_ticks);
             let left_min = (self.minutes - done_min).max(0.0);

@@ -13,7 +13,7 @@ use simulation::manipulator::{
 const MARGIN_M: f64 = 1e-3;
 
 /// A burr farther from the flange than this counts as lost, m: the tool is 71 mm long.
-const FARTHEST_M: f64 = 10.0;
+const MAX_REACH_M: f64 = 10.0;
 
 /// A way to step the tool.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -154,7 +154,7 @@ impl Tool {
         };
         let reach_m = (self.tip_m() - drive.base.t_world_base.translation.vector).norm();
         // Written so that NaN counts as lost too.
-        let sound = self.energy_j().is_finite() && reach_m <= FARTHEST_M;
+        let sound = self.energy_j().is_finite() && reach_m <= MAX_REACH_M;
         self.lost = refused || !sound;
     }
 

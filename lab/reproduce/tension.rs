@@ -15,7 +15,7 @@ use trabecula::report::panel::{Panel, Rect};
 use trabecula::report::shapes::{Figure, Stroke};
 
 const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
-const MOST_N: f64 = 14.0;
+const MAX_TENSION_N: f64 = 14.0;
 /// Duration of the loading, and of the unloading, s: 240 periods of the first mode.
 const RAMP_S: f64 = 8.0;
 const DT_S: f64 = 2e-3;
@@ -60,7 +60,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
                 own.friction,
                 0.5 * core::f64::consts::PI / arc_mm()
             ),
-            None => say!("friction {}: below 90 degrees up to {MOST_N} N", own.friction),
+            None => say!("friction {}: below 90 degrees up to {MAX_TENSION_N} N", own.friction),
         }
     }
     plan.draw(&draw(&loops)?, "reproduce-4-tension")
@@ -75,7 +75,7 @@ fn sweep(friction: f64) -> Result<Loop, ManipulatorError> {
     let mut own = Loop { friction, loading: Vec::new(), unloading: Vec::new(), right_angle: None };
     for k in 0..=2 * steps {
         let share = if k <= steps { k } else { 2 * steps - k } as f64 / steps as f64;
-        let tension = MOST_N * share;
+        let tension = MAX_TENSION_N * share;
         let tendon = TendonCommand::Force([tension, 0.0]);
         tool.step(DT_S, &StepInput { base, tendon, tip_wrench: Wrench::zero(), contacts: &[] })?;
         let bend_deg = tool.bend_rad().to_degrees();
@@ -117,7 +117,8 @@ fn at(values: &[(f64, f64)], tension: f64) -> f64 {
 fn draw(loops: &[Loop]) -> Result<Figure, Failure> {
     let mut figure = Figure::new(760, 480).map_err(|cause| Failure::failed(cause.to_string()))?;
     let cell = Rect { x: 0.0, y: 8.0, width: 760.0, height: 468.0 };
-    let (x, y) = (Axis::linear("tension (N)", 0.0, MOST_N, 7), Axis::linear("bend (degrees)", 0.0, 135.0, 6));
+    let (x, y) =
+        (Axis::linear("tension (N)", 0.0, MAX_TENSION_N, 7), Axis::linear("bend (degrees)", 0.0, 135.0, 6));
     let title = "Bend against tension: loading full, unloading dashed";
     let mut panel = Panel::new(&mut figure, cell, title, x, y);
     for (own, colour) in loops.iter().zip(COLOURS) {

@@ -20,7 +20,7 @@ pub const FOAM_KG_PER_M3: f64 = 160.0;
 /// Length of the feed beyond the pilot hole, mm.
 pub const INSERTION_MM: f64 = 30.0;
 /// Smallest bend of the published experiments, degrees.
-const LEAST_BEND_DEG: f64 = 40.0;
+const MIN_BEND_DEG: f64 = 40.0;
 const REMOVED: RGBColor = RGBColor(214, 226, 236);
 const TOOL: RGBColor = RGBColor(0, 114, 178);
 
@@ -77,7 +77,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
             format!("{:.3}", case.outcome.deepest_m * 1e3),
             format!("{}", case.outcome.most_contacts),
             format!("{:.3}", case.outcome.fastest_rad_per_s),
-            if case.outcome.is_finite() && bend_deg >= LEAST_BEND_DEG { "yes" } else { "no" }.to_owned(),
+            if case.outcome.is_finite() && bend_deg >= MIN_BEND_DEG { "yes" } else { "no" }.to_owned(),
         ]);
     }
     table.finish(&plan.out, "reproduce-1-tunnel.csv")?;

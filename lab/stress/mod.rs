@@ -29,7 +29,7 @@ use trabecula::machine::Confinement;
 use trabecula::machine::Machine;
 use trabecula::scenes::SceneSource;
 
-const LOOK_TIME: Duration = Duration::from_millis(20);
+const POLL_PERIOD: Duration = Duration::from_millis(20);
 /// How long a run that is asked to end may take; its recorder is never cut short.
 const END_LIMIT: Duration = Duration::from_secs(140);
 /// Maximum time of a run beyond its own duration: startup on one core with neighbours is slow.
@@ -157,7 +157,7 @@ fn test(
                 Some(status) if status.success() => break None,
                 Some(status) => break Some(format!("{status}: {}", said(&part.last_words()))),
                 None if began.elapsed() > limit => break Some("the run did not end".to_owned()),
-                None => std::thread::sleep(LOOK_TIME),
+                None => std::thread::sleep(POLL_PERIOD),
             }
         }
     };

@@ -33,7 +33,7 @@ const REFERENCE_DT_MS: f64 = 0.25;
 const FIRST_MODE_MS: f64 = 6.0;
 
 /// Interval between progress lines.
-const SAY_EVERY: Duration = Duration::from_secs(5);
+const PROGRESS_PERIOD: Duration = Duration::from_secs(5);
 
 /// Result of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -133,7 +133,7 @@ impl Progress {
     fn tick(&self) {
         let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
         let Ok(mut said) = self.said.try_lock() else { return };
-        if said.elapsed() > SAY_EVERY {
+        if said.elapsed() > PROGRESS_PERIOD {
             *said = Instant::now();
             let rest = self.began.elapsed().as_secs_f64() * (self.all - done) as f64 / done as f64;
             tell!("stability: {done} of {} runs, about {rest:.0} s left", self.all);
