@@ -82,7 +82,7 @@ pub fn main() -> ExitCode {
         Ok(Some(Command::Proc(part))) => {
             commands::proc::run(&part).unwrap_or_else(|failure| program::end(Err(failure)))
         }
-        Ok(Some(Command::User(command))) => program::end(obey(&command)),
+        Ok(Some(Command::User(command))) => program::end(dispatch(&command)),
         Ok(None) => program::end(Ok(())),
         Err(failure) => program::end(Err(failure)),
     }
@@ -102,7 +102,7 @@ fn command() -> Result<Option<Command>, Failure> {
     program::parsed(parsed)
 }
 
-fn obey(command: &UserCommand) -> Result<(), Failure> {
+fn dispatch(command: &UserCommand) -> Result<(), Failure> {
     match command {
         UserCommand::Run(arguments) => commands::run::run(arguments),
         UserCommand::Replay(arguments) => commands::replay::run(arguments),

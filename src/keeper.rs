@@ -26,11 +26,11 @@ use crate::failure::Failure;
 /// The launcher sends this to kill everything at once.
 pub const END_AT_ONCE: u8 = b'K';
 /// How long the program may take to end after the launcher has ended.
-const GRACE: Duration = Duration::from_secs(2);
+const GRACE_PERIOD: Duration = Duration::from_secs(2);
 /// How long killed processes may take to disappear; the kernel is left to deal with any stuck in an uninterruptible
 /// system call.
 const KILL_LIMIT: Duration = Duration::from_secs(2);
-const KILL_LOOK: Duration = Duration::from_millis(2);
+const KILL_POLL_PERIOD: Duration = Duration::from_millis(2);
 
 /// What the keeper reports to the launcher about the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -151,7 +151,7 @@ impl Kept {
                 Ok(News::Signal(_)) => self.ask_to_end(),
                 Ok(News::Alone) => {
                     self.ask_to_end();
-                    self.kill_at = Some(Instant::now() + GRACE);
+                    self.kill_at = Some(Instant::now() + GRACE_PERIOD);
                 }
                 Ok(News::EndAtOnce) | Err(_) => break,
             }
@@ -186,7 +186,7 @@ impl Kept {
             if left.is_empty() || Instant::now() >= end {
                 return;
             }
-            std::thread::sleep(KILL_LOOK);
+            std::thread::sleep(KILL_POLL_PERIOD);
         }
     }
 }

@@ -37,20 +37,20 @@ static HURRIED: AtomicBool = AtomicBool::new(false);
 
 /// Priority of a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Worth {
+enum Priority {
     Echo,
     Word,
     Answer,
 }
 
-impl Worth {
+impl Priority {
     /// Queue limit in bytes for a text of this priority.
     fn room(self) -> usize {
         match self {
-            Worth::Echo => ECHO_BYTES,
-            Worth::Word => WORD_BYTES,
+            Priority::Echo => ECHO_BYTES,
+            Priority::Word => WORD_BYTES,
             // A line every two seconds, and a table.
-            Worth::Answer => usize::MAX,
+            Priority::Answer => usize::MAX,
         }
     }
 }
@@ -58,7 +58,7 @@ impl Worth {
 #[derive(Debug)]
 struct Piece {
     to: Arc<File>,
-    worth: Worth,
+    priority: Priority,
     bytes: Vec<u8>,
 }
 
@@ -69,22 +69,22 @@ struct Queue {
     /// Total of all waiting texts.
     bytes: usize,
     /// Lines dropped and not yet reported.
-    left_out: usize,
+    dropped: usize,
     /// Why the answer could not be written.
     failed: Option<String>,
 }
 
 impl Queue {
-    fn push(&mut self, to: &Arc<File>, worth: Worth, bytes: Vec<u8>) {
+    fn push(&mut self, to: &Arc<File>, priority: Priority, bytes: Vec<u8>) {
         self.bytes += bytes.len();
-        self.waiting.push_back(Arc::new(Piece { to: Arc::clone(to), worth, bytes }));
+        self.waiting.push_back(Arc::new(Piece { to: Arc::clone(to), priority, bytes }));
     }
 
-    fn tell_left_out(&mut self, to: &Arc<File>) {
-        if self.left_out > 0 {
-            let text = format!("trabecula: {} lines not shown: they were not read\n", self.left_out);
-            self.left_out = 0;
-            self.push(to, Worth::Word, text.into_bytes());
+    fn report_dropped(&mut self, to: &Arc<File>) {
+        if self.dropped > 0 {
+            let text = format!("trabecula: {} lines not shown: they were not read\n", self.dropped);
+            self.dropped = 0;
+            self.push(to, Priority::Word, text.into_bytes());
         }
     }
 }
@@ -119,7 +119,7 @@ impl Printer {
             let written = write_all(&piece.to, &piece.bytes);
             queue = self.lock();
             if let Err(cause) = written
-                && piece.worth == Worth::Answer
+                && piece.priority == Priority::Answer
                 && !is_gone(&cause)
             {
                 queue.failed.get_or_insert(cause.to_string());
@@ -130,24 +130,24 @@ impl Printer {
         }
     }
 
-    fn push(&self, to: &Arc<File>, worth: Worth, bytes: &[u8]) {
+    fn push(&self, to: &Arc<File>, priority: Priority, bytes: &[u8]) {
         let mut queue = self.lock();
-        if queue.bytes.saturating_add(bytes.len()) > worth.room() {
-            queue.left_out += bytes.iter().filter(|byte| **byte == b'\n').count();
+        if queue.bytes.saturating_add(bytes.len()) > priority.room() {
+            queue.dropped += bytes.iter().filter(|byte| **byte == b'\n').count();
             return;
         }
-        queue.tell_left_out(to);
-        queue.push(to, worth, bytes.to_vec());
+        queue.report_dropped(to);
+        queue.push(to, priority, bytes.to_vec());
         self.changed.notify_all();
     }
 
     /// Waits until everything is written, up to the limit for what waits.
     fn finish(&self, to: &Arc<File>, began: Instant, is_hurried: &dyn Fn() -> bool) -> Result<(), String> {
         let mut queue = self.lock();
-        queue.tell_left_out(to);
+        queue.report_dropped(to);
         self.changed.notify_all();
         while !queue.waiting.is_empty() {
-            let answers = queue.waiting.iter().filter(|piece| piece.worth == Worth::Answer).count();
+            let answers = queue.waiting.iter().filter(|piece| piece.priority == Priority::Answer).count();
             let limit = match (is_hurried(), answers) {
                 (true, _) => HURRIED_LIMIT,
                 (false, 0) => WORD_LIMIT,
@@ -234,9 +234,9 @@ pub fn is_behind() -> bool {
     PRINTERS.get().is_some_and(|printers| !printers[1].lock().waiting.is_empty())
 }
 
-fn put(stream: usize, worth: Worth, bytes: &[u8]) -> std::io::Result<usize> {
+fn put(stream: usize, priority: Priority, bytes: &[u8]) -> std::io::Result<usize> {
     match (PRINTERS.get(), STREAMS.get()) {
-        (Some(printers), Some(streams)) => printers[stream].push(&streams[stream], worth, bytes),
+        (Some(printers), Some(streams)) => printers[stream].push(&streams[stream], priority, bytes),
         _ if stream == 0 => say::standard_output().write_all(bytes)?,
         _ => stderr().write_all(bytes)?,
     }
@@ -256,10 +256,10 @@ pub struct Words;
 pub struct Echo;
 
 macro_rules! stream {
-    ($name:ident, $stream:expr, $worth:expr) => {
+    ($name:ident, $stream:expr, $priority:expr) => {
         impl Write for $name {
             fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-                put($stream, $worth, bytes)
+                put($stream, $priority, bytes)
             }
 
             fn flush(&mut self) -> std::io::Result<()> {
@@ -269,9 +269,9 @@ macro_rules! stream {
     };
 }
 
-stream!(Answers, 0, Worth::Answer);
-stream!(Words, 1, Worth::Word);
-stream!(Echo, 1, Worth::Echo);
+stream!(Answers, 0, Priority::Answer);
+stream!(Words, 1, Priority::Word);
+stream!(Echo, 1, Priority::Echo);
 
 #[cfg(test)]
 mod tests {
@@ -287,9 +287,9 @@ mod tests {
         let line = [b"x".repeat(99), b"\n".to_vec()].concat();
         // More than a pipe and the queue hold; how much exactly depends on what the printer has taken meanwhile.
         let lines = 5000;
-        (0..lines).for_each(|_| printer.push(&to, Worth::Echo, &line));
-        printer.push(&to, Worth::Word, b"a word\n");
-        printer.push(&to, Worth::Answer, b"the answer\n");
+        (0..lines).for_each(|_| printer.push(&to, Priority::Echo, &line));
+        printer.push(&to, Priority::Word, b"a word\n");
+        printer.push(&to, Priority::Answer, b"the answer\n");
         // Nobody reads the pipe.
         let finish = |hurried: bool| printer.finish(&to, Instant::now(), &|| hurried);
         assert!(finish(true).is_err());
@@ -309,14 +309,14 @@ mod tests {
         let full = Arc::new(File::options().write(true).open("/dev/full").unwrap());
         let printer = Printer::start().unwrap();
         let finish = |to: &Arc<File>| printer.finish(to, Instant::now(), &|| false);
-        printer.push(&full, Worth::Word, b"a word\n");
+        printer.push(&full, Priority::Word, b"a word\n");
         assert_eq!(finish(&full), Ok(()));
-        printer.push(&full, Worth::Answer, b"the answer\n");
+        printer.push(&full, Priority::Answer, b"the answer\n");
         assert!(finish(&full).unwrap_err().contains("No space left"));
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
         let closed = Arc::new(File::from(std::os::fd::OwnedFd::from(writer)));
-        printer.push(&closed, Worth::Answer, b"the answer\n");
+        printer.push(&closed, Priority::Answer, b"the answer\n");
         assert_eq!(finish(&closed), Ok(()));
     }
 }

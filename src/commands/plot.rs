@@ -21,8 +21,8 @@ const HEAD: f64 = 40.0;
 /// Number of bins over the run. Each is drawn as its minimum and maximum, so that no peak is lost.
 const BINS: usize = 2000;
 /// Maximum number of lines per panel, and of panels per figure.
-const MOST_LINES: usize = 8;
-const MOST_PANELS: usize = 8;
+const MAX_LINES: usize = 8;
+const MAX_PANELS: usize = 8;
 
 /// Arguments of `plot`.
 #[derive(Debug, Args)]
@@ -47,8 +47,8 @@ pub struct PlotArguments {
 pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
     let description = description_of_topic(&LogFile::at(&log), &arguments.topic)?;
-    if arguments.fields.len() > MOST_PANELS {
-        let text = format!("{} fields; a figure shows {MOST_PANELS} at most", arguments.fields.len());
+    if arguments.fields.len() > MAX_PANELS {
+        let text = format!("{} fields; a figure shows {MAX_PANELS} at most", arguments.fields.len());
         return Err(Failure::bad_input(text));
     }
     let folder =
@@ -60,7 +60,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let mut panels = Vec::new();
     for field in &arguments.fields {
         let mut chosen = columns(description, std::slice::from_ref(field))?;
-        chosen.truncate(MOST_LINES);
+        chosen.truncate(MAX_LINES);
         panels.push((field.as_str(), chosen));
     }
     let all: Vec<Column> = panels.iter().flat_map(|(_, columns)| columns.iter().cloned()).collect();

@@ -162,7 +162,7 @@ fn replay(
     let verdict = at_end.then_some(verdict);
     let wall_s = began.elapsed().as_secs_f64();
     let told =
-        Told { verified: arguments.verify, first, keyframes, gaps, verdict, label: log.label(), wall_s };
+        Remarks { verified: arguments.verify, first, keyframes, gaps, verdict, label: log.label(), wall_s };
     let ended_early = report.log_error.is_none() && report.simulation_error.is_none();
     if ended_early && report.divergence.is_none() && from > 0 {
         let last = report.last_tick;
@@ -237,10 +237,10 @@ fn step_only(
 }
 
 /// Maximum number of gaps listed individually.
-const MAX_GAPS_TOLD: usize = 64;
+const MAX_GAPS_LISTED: usize = 64;
 
 /// What to print about a replay besides its report.
-struct Told {
+struct Remarks {
     verified: bool,
     first: u64,
     keyframes: u64,
@@ -251,7 +251,7 @@ struct Told {
     wall_s: f64,
 }
 
-impl Told {
+impl Remarks {
     /// Exit code of a replay without differences.
     fn exit_code(&self) -> u8 {
         let of_gaps = if self.gaps.is_empty() { 0 } else { EXIT_GAP };
@@ -287,10 +287,10 @@ impl Told {
         if self.verified {
             say!("{} keyframes, all identical", self.keyframes);
         }
-        for gap in self.gaps.iter().take(MAX_GAPS_TOLD) {
+        for gap in self.gaps.iter().take(MAX_GAPS_LISTED) {
             say!("{gap}");
         }
-        if let Some(more) = self.gaps.len().checked_sub(MAX_GAPS_TOLD).filter(|more| *more > 0) {
+        if let Some(more) = self.gaps.len().checked_sub(MAX_GAPS_LISTED).filter(|more| *more > 0) {
             say!("and {more} gaps more");
         }
         if let Some(verdict) = &self.verdict {

@@ -16,7 +16,7 @@ use super::hub::{DRR, PHYSICS, RECORDER};
 use super::part::Part;
 use super::run::{Outcome, RunPlan, has_gap, judge};
 
-const LOOK_TIME: Duration = Duration::from_millis(5);
+const POLL_PERIOD: Duration = Duration::from_millis(5);
 /// How long a part may take to end.
 const END_LIMIT: Duration = Duration::from_secs(130);
 /// The same limit after a failure.
@@ -123,7 +123,7 @@ impl Ending<'_> {
                 return;
             }
             physics.measure();
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
     }
 
@@ -155,7 +155,7 @@ impl Ending<'_> {
                 }
                 part.measure();
             }
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
     }
 
@@ -166,7 +166,7 @@ impl Ending<'_> {
             if wait.is_over(VIEWER_LIMIT, HURRIED_LIMIT / 2) {
                 viewer.kill();
             }
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
     }
 

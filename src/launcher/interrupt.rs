@@ -12,7 +12,7 @@ use crate::failure::EXIT_INTERRUPTED;
 use crate::printer;
 
 /// How long the launcher may take to exit once all its parts have been killed.
-const URGENT_LIMIT: Duration = Duration::from_secs(2);
+const EXIT_LIMIT: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
 enum Stage {
@@ -113,7 +113,7 @@ fn answer(stage: &Stage, ask: Ask) {
             part::end_all_at_once();
             // The launcher cleans up after its parts; if it hangs, the next run does.
             std::thread::spawn(|| {
-                std::thread::sleep(URGENT_LIMIT);
+                std::thread::sleep(EXIT_LIMIT);
                 std::process::exit(EXIT_INTERRUPTED.into());
             });
             tell!("trabecula: {signal}: everything ends at once; `trabecula log repair` finishes the log");

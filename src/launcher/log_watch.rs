@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Interval between checks.
-const LOOK: Duration = Duration::from_millis(250);
+const CHECK_PERIOD: Duration = Duration::from_millis(250);
 
 /// Watches `run.mcap`. Otherwise the recorder would keep writing to an unlinked file, and nobody would notice.
 #[derive(Debug)]
@@ -25,7 +25,7 @@ impl LogWatch {
 
     /// What happened to the log, if it is no longer in place.
     pub(super) fn look(&mut self) -> Option<String> {
-        if self.looked.elapsed() < LOOK {
+        if self.looked.elapsed() < CHECK_PERIOD {
             return None;
         }
         self.looked = Instant::now();
@@ -58,7 +58,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut watch = LogWatch::new(folder.path());
         let mut look = || {
-            watch.looked -= LOOK;
+            watch.looked -= CHECK_PERIOD;
             watch.look()
         };
         assert_eq!(look(), None, "not made yet");

@@ -32,13 +32,13 @@ const START_LIMIT: Duration = Duration::from_secs(20);
 const KEEPER_LIMIT: Duration = Duration::from_secs(3);
 
 /// Interval between checks for orphans of a killed keeper.
-const LEFT_LOOK: Duration = Duration::from_millis(2);
+const ORPHAN_POLL_PERIOD: Duration = Duration::from_millis(2);
 
 /// Every part not yet reaped, so that another thread can kill all of them ([`end_all_at_once`]).
 static RUNNING: Mutex<Vec<Hold>> = Mutex::new(Vec::new());
 
 /// Whether this process is the subreaper of its parts' descendants.
-static ADOPTS: AtomicBool = AtomicBool::new(false);
+static IS_SUBREAPER: AtomicBool = AtomicBool::new(false);
 
 /// What is needed to kill a part.
 #[derive(Debug, Clone)]
@@ -75,15 +75,15 @@ pub fn end_all_at_once() {
 /// process whose children are all parts. A viewer must not be among them: its orphan is a browser, which the user
 /// keeps.
 pub fn adopt() {
-    ADOPTS.store(set_child_subreaper(Some(getpid())).is_ok(), Ordering::Relaxed);
+    IS_SUBREAPER.store(set_child_subreaper(Some(getpid())).is_ok(), Ordering::Relaxed);
 }
 
 /// Kills the orphans of a killed keeper; a keeper that exits normally leaves none. Repeats, because a process may
 /// spawn another just before it is killed.
-fn end_left_behind() {
+fn kill_orphans() {
     let end = Instant::now() + KEEPER_LIMIT;
     let mut killed = Vec::new();
-    while ADOPTS.load(Ordering::Relaxed) && Instant::now() < end {
+    while IS_SUBREAPER.load(Ordering::Relaxed) && Instant::now() < end {
         let parts: Vec<Option<Pid>> = running().iter().map(|hold| hold.pid).collect();
         let left: Vec<Pid> = children().into_iter().filter(|pid| !parts.contains(&Some(*pid))).collect();
         if left.is_empty() {
@@ -94,7 +94,7 @@ fn end_left_behind() {
             let _ = kill_process(pid, Signal::KILL);
         }
         killed.extend(left);
-        std::thread::sleep(LEFT_LOOK);
+        std::thread::sleep(ORPHAN_POLL_PERIOD);
     }
     for pid in killed {
         let _ = waitpid(Some(pid), WaitOptions::NOHANG);
@@ -242,7 +242,7 @@ impl Part {
         running().retain(|hold| hold.pid != self.hold.pid);
         self.status = self.child.wait().ok();
         if self.hold.leash.is_some() {
-            end_left_behind();
+            kill_orphans();
         }
     }
 

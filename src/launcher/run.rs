@@ -21,9 +21,9 @@ use super::replacements::Replacements;
 use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
-const LOOK_TIME: Duration = Duration::from_millis(20);
+const POLL_PERIOD: Duration = Duration::from_millis(20);
 /// How long after a part has learned that the run is over the same message may take to reach the launcher.
-const NEWS_LIMIT: Duration = Duration::from_secs(1);
+const END_NOTICE_LIMIT: Duration = Duration::from_secs(1);
 
 /// What to run, and how.
 #[derive(Debug, Clone)]
@@ -245,7 +245,7 @@ impl Running<'_> {
                 return Ok(Outcome::Interrupted);
             }
             if let Some(index) = self.parts.iter_mut().position(|part| part.ended().is_some()) {
-                match self.without(index)? {
+                match self.part_ended(index)? {
                     Some(outcome) => return Ok(outcome),
                     None => continue,
                 }
@@ -253,7 +253,7 @@ impl Running<'_> {
             if let Some(how) = log.as_mut().and_then(LogWatch::look) {
                 return Ok(Outcome::LogGone(how));
             }
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
     }
 
@@ -265,15 +265,15 @@ impl Running<'_> {
             self.subscriptions.look()?;
             let run_has_ended = self.subscriptions.status.is_some_and(|status| status.phase == PHASE_ENDED);
             let has_failed = self.parts[index].ended().is_none_or(|status| !status.success());
-            if run_has_ended || has_failed || self.end.is_set() || since.elapsed() >= NEWS_LIMIT {
+            if run_has_ended || has_failed || self.end.is_set() || since.elapsed() >= END_NOTICE_LIMIT {
                 return Ok(run_has_ended);
             }
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
     }
 
     /// Handles a part that has ended; returns the outcome if that ends the run.
-    fn without(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
+    fn part_ended(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
         let run_has_ended = self.run_has_ended_for(index)?;
         let tick = self.subscriptions.state.as_ref().map_or(0, |state| state.tick);
         let goes_on = match run_has_ended {

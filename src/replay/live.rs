@@ -37,7 +37,7 @@ use crate::launcher::part::Part;
 const CONNECT_LIMIT: Duration = Duration::from_secs(60);
 /// How long a controller may take to end.
 const END_LIMIT: Duration = Duration::from_secs(5);
-const LOOK_TIME: Duration = Duration::from_millis(20);
+const POLL_PERIOD: Duration = Duration::from_millis(20);
 
 /// Which controllers are live, and how far to replay.
 #[derive(Debug, Clone)]
@@ -409,7 +409,7 @@ impl ReplayedSession<'_> {
             self.stage.status.deliver_history().map_err(failed)?;
             self.stage.frames.iter().try_for_each(Publisher::deliver_history).map_err(failed)?;
             let commands = &self.stage.live[live].commands;
-            self.stage.waiter.wait_until(Instant::now() + LOOK_TIME, || commands.has_message());
+            self.stage.waiter.wait_until(Instant::now() + POLL_PERIOD, || commands.has_message());
         }
     }
 

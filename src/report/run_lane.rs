@@ -171,7 +171,7 @@ pub struct RunLane {
     pub peaks: Peaks,
     /// Frames.
     pub frames: Frames,
-    /// Ticks with missing states: first and last of each gap, at most [`MOST_GAPS`] gaps.
+    /// Ticks with missing states: first and last of each gap, at most [`MAX_GAPS`] gaps.
     pub missing_ticks: Vec<[u64; 2]>,
     /// Messages lost, by topic, according to the end marker.
     pub lost: BTreeMap<String, u64>,
@@ -180,7 +180,7 @@ pub struct RunLane {
 }
 
 /// Maximum number of gaps listed.
-const MOST_GAPS: usize = 100;
+const MAX_GAPS: usize = 100;
 /// The mount deflects by this much under load.
 const SAME_DEPTH_MM: f64 = 0.02;
 
@@ -261,7 +261,7 @@ impl RunLane {
         }
         match &mut self.last {
             Some(last) => {
-                if state.tick > last.tick.saturating_add(1) && self.missing_ticks.len() < MOST_GAPS {
+                if state.tick > last.tick.saturating_add(1) && self.missing_ticks.len() < MAX_GAPS {
                     self.missing_ticks.push([last.tick + 1, state.tick - 1]);
                 }
                 **last = state;
