@@ -25,7 +25,7 @@ pub fn voxel_wall_mm(contact: ContactVoxels, spacing_mm: f64) -> Result<f64, Bon
         .collect();
     let parameters = BoneParameters { contact: contact_kind(Some(contact)), ..BoneParameters::default() };
     let field = BoneField::new(geometry, &hu, parameters)?;
-    // Voxel centres lie at integer multiples.
+    // Voxel centres lie at integer multiples of the spacing.
     let wall_m = (LAYERS as f64 - 0.5) * h;
     let mut worst_m: f64 = 0.0;
     for place in 0..PLACES * PLACES {
