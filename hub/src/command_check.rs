@@ -1,4 +1,4 @@
-//! What a command must be before it may reach the model.
+//! Checks a command before it reaches the model.
 
 use thiserror::Error;
 
@@ -12,13 +12,13 @@ use scene::Drives;
 
 const MAX_JOINT_RAD: f64 = core::f64::consts::TAU;
 const MAX_JOINT_RATE_RAD_PER_S: f64 = core::f64::consts::TAU;
-/// Quaternions are stored rounded; this is far above rounding and far below any wrong use.
+/// Quaternions are stored rounded; this is far above rounding and far below any real mistake.
 const QUATERNION_TOLERANCE: f64 = 1e-6;
 
-/// Why a command is refused. It then changes nothing.
+/// Why a command is refused. A refused command changes nothing.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum CommandRefusal {
-    /// A number is not finite or outside its range.
+    /// A number is not finite or out of range.
     #[error("`{field}` is {value}, allowed is {lowest} to {highest}")]
     OutOfRange {
         /// Field with its index.
@@ -30,14 +30,14 @@ pub enum CommandRefusal {
         /// Highest allowed.
         highest: f64,
     },
-    /// A mode is not one.
+    /// A mode is unknown.
     #[error("`{field}` is {value}, expected {expected}")]
     UnknownMode {
         /// Field.
         field: &'static str,
         /// Value given.
         value: u32,
-        /// The modes there are.
+        /// Valid modes.
         expected: &'static str,
     },
     /// The orientation is not a unit quaternion.
@@ -52,7 +52,7 @@ pub enum CommandRefusal {
         /// Its length.
         length: f64,
     },
-    /// The scene gives this part to another controller, or to none.
+    /// The scene assigns this part of the tool to another controller, or to none.
     #[error(
         "`{field}` drives the {part}, which the scene does not give to this controller; add it to its `drives`"
     )]
@@ -62,15 +62,15 @@ pub enum CommandRefusal {
         /// Part of the tool.
         part: &'static str,
     },
-    /// The sequence number does not rise.
+    /// The sequence number does not increase.
     #[error("`sequence` is {sequence}, expected more than {last}")]
     OldSequence {
         /// Number given.
         sequence: u64,
-        /// Newest accepted.
+        /// Newest accepted number.
         last: u64,
     },
-    /// The command answers an older state than one before it did.
+    /// The command answers an older state than an earlier command did.
     #[error("`state_tick` is {state_tick}, but an earlier command of this connection answered {last}")]
     PastState {
         /// Tick given.
@@ -78,7 +78,7 @@ pub enum CommandRefusal {
         /// Tick of the newest accepted command.
         last: u64,
     },
-    /// The command answers a state that there has not been.
+    /// The command answers a state that does not exist yet.
     #[error("`state_tick` is {state_tick}, but the newest state is {newest}")]
     FutureState {
         /// Tick given.
@@ -89,7 +89,7 @@ pub enum CommandRefusal {
 }
 
 fn range(field: impl Fn() -> String, value: f64, lowest: f64, highest: f64) -> Result<(), CommandRefusal> {
-    // A NaN is in no range.
+    // Written so that NaN fails.
     if value >= lowest && value <= highest {
         return Ok(());
     }
@@ -103,11 +103,11 @@ fn ranges(name: &str, values: &[f64], lowest: f64, highest: f64) -> Result<(), C
         .try_for_each(|(i, value)| range(|| format!("{name}[{i}]"), *value, lowest, highest))
 }
 
-/// Checks ranges, modes, order and authority. `last_sequence` is the number of the newest accepted command (0 before the
-/// first), `newest_tick` that of the newest state.
+/// Checks ranges, modes, order and authority. `last_sequence` is the number of the newest accepted command (0 before the first),
+/// `newest_tick` the tick of the newest state.
 ///
 /// # Errors
-/// The first [`CommandRefusal`] that is found.
+/// The first [`CommandRefusal`] found.
 pub fn check(
     command: &Command,
     drives: &[Drives],
@@ -187,7 +187,7 @@ fn check_insertion(command: &Command) -> Result<(), CommandRefusal> {
         return Err(CommandRefusal::NotAUnitVector { length });
     }
     range(|| "arm_depth_m".to_owned(), command.arm_depth_m, -MAX_DEPTH_M, MAX_DEPTH_M)?;
-    // A feed of 0 would never arrive: the smallest positive number is the least.
+    // An insertion at speed 0 would never arrive, so the minimum is the smallest positive number.
     range(|| "arm_speed_m_per_s".to_owned(), command.arm_speed_m_per_s, f64::MIN_POSITIVE, MAX_SPEED_M_PER_S)
 }
 

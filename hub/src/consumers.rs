@@ -1,28 +1,28 @@
-//! Who must take every state, and how far they are.
+//! Which parts must take every state, and how far each one has got.
 
 use messages::Part;
 
 use crate::environment::Environment;
 
-/// Reports that are taken in one look.
+/// Most reports read per poll.
 const REPORTS_PER_LOOK: usize = 64;
 
-/// The parts that take every state.
+/// The parts that must take every state.
 #[derive(Debug, Clone)]
 pub(crate) struct Consumers {
     list: Vec<Consumer>,
-    /// Reports of other programs that have been mentioned.
+    /// Reports from other programs already accounted for.
     foreign: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Consumer {
     part: Part,
-    /// None: not connected yet.
+    /// `None` until it connects.
     tick: Option<u64>,
 }
 
-/// Whom the hub waits for.
+/// Which consumers the hub waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Whom {
     Everybody,
@@ -37,7 +37,7 @@ impl Consumers {
         }
     }
 
-    /// Takes in what they have reported.
+    /// Reads the reports that have arrived.
     pub(crate) fn update<E: Environment>(&mut self, env: &mut E) -> Result<(), E::Error> {
         for _ in 0..REPORTS_PER_LOOK {
             let Some(report) = env.receive_report()? else { break };
@@ -48,25 +48,25 @@ impl Consumers {
         Ok(())
     }
 
-    /// Reports of programs that are no consumer, since this was asked last.
+    /// Reports from programs that are not consumers, since the last call.
     pub(crate) fn new_foreign_reports<E: Environment>(&mut self, env: &E) -> u64 {
         let foreign = env.foreign_reports();
         foreign - std::mem::replace(&mut self.foreign, foreign)
     }
 
-    /// The first one that has not connected.
+    /// The first consumer that has not connected.
     pub(crate) fn missing(&self) -> Option<Part> {
         self.list.iter().find(|consumer| consumer.tick.is_none()).map(|consumer| consumer.part)
     }
 
-    /// The first one of these that has not taken the state of `tick`.
+    /// The first of these that has not taken the state of `tick`.
     pub(crate) fn behind(&self, tick: u64, whom: Whom) -> Option<Part> {
         let mut these =
             self.list.iter().filter(|consumer| whom == Whom::Everybody || consumer.part == Part::Recorder);
         these.find(|consumer| consumer.tick.is_none_or(|taken| taken < tick)).map(|consumer| consumer.part)
     }
 
-    /// The same, with what they have reported since the last look where that may matter.
+    /// As [`behind`](Consumers::behind), but reads new reports first if they could change the answer.
     pub(crate) fn still_behind<E: Environment>(
         &mut self,
         env: &mut E,

@@ -1,4 +1,4 @@
-//! What the hub needs from outside: ports, a clock, and whoever asks the run to end.
+//! What the hub needs from outside: ports, a clock, and the request to end the run.
 
 use messages::{
     Command, Keyframe, Latched, Part, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
@@ -7,58 +7,58 @@ use messages::{
 use crate::pacing::Start;
 use crate::rate_limit::Connection;
 
-/// Where the messages go that are a function of the scene and the latched commands alone: ports, a log, nowhere.
+/// Sink for the messages that depend only on the scene and the latched commands: ports, a log, or nothing.
 pub trait Outputs {
-    /// Why a message cannot be sent.
+    /// Why a message could not be sent.
     type Error;
 
-    /// u_k, before the state that it leads to.
+    /// Sends u_k, before the state it leads to.
     ///
     /// # Errors
-    /// It cannot be sent; the run ends.
+    /// The message could not be sent; the run ends.
     fn send_latched(&mut self, latched: &Latched) -> Result<(), Self::Error>;
 
-    /// Voxels that a tick removed, by linear index.
+    /// Sends the voxels that a tick removed, by linear index.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), Self::Error>;
 
-    /// x_k.
+    /// Sends x_k.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_state(&mut self, state: &State) -> Result<(), Self::Error>;
 
-    /// One part of a keyframe.
+    /// Sends one part of a keyframe.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_keyframe(&mut self, keyframe: &Keyframe, part: &[u8]) -> Result<(), Self::Error>;
 }
 
-/// A message that has arrived.
+/// A received message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Incoming<M> {
-    /// A copy of it, so that what is checked is what is used, whatever its writer does meanwhile; and who sent it.
+    /// A copy of the message and its sender. A copy, because the sender could change shared memory between the check and the use.
     Message(M, Connection),
-    /// Bytes that are no such message, and why.
+    /// Not a valid message, and why.
     Malformed(String),
 }
 
-/// How far a consumer says that it is.
+/// A consumer's progress report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Report {
-    /// Who; as the transport knows it, not as the message says.
+    /// The sender, identified by the transport rather than by the message.
     pub part: Part,
-    /// Every state up to this tick has been taken.
+    /// The consumer has taken every state up to this tick.
     pub tick: u64,
 }
 
-/// An event for people, by one of the `EVENT_` and `SEVERITY_` constants.
+/// An event in words for the operator, with one of the `EVENT_` and one of the `SEVERITY_` constants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Note<'t> {
-    /// Tick at which it was noticed.
+    /// Tick at which the hub noticed it.
     pub tick: u64,
     /// One of the `SEVERITY_` constants.
     pub severity: u32,
@@ -68,7 +68,7 @@ pub struct Note<'t> {
     pub text: &'t str,
 }
 
-/// The hub's surroundings. No call waits: what is to be waited for, [`Hub::advance`](crate::Hub::advance) returns.
+/// The hub's surroundings. No call blocks; what to wait for is returned by [`Hub::advance`](crate::Hub::advance).
 pub trait Environment: Outputs {
     /// Monotonic clock, ns.
     fn now_ns(&self) -> u64;
@@ -76,80 +76,80 @@ pub trait Environment: Outputs {
     /// Whether the process has been asked to end.
     fn end_requested(&self) -> bool;
 
-    /// The oldest command of a controller that has not been taken.
+    /// Takes the oldest command in a controller's queue.
     ///
     /// # Errors
     /// The queue cannot be read; the run ends.
     fn receive_command(&mut self, controller: usize) -> Result<Option<Incoming<Command>>, Self::Error>;
 
-    /// Whether a command of a controller waits.
+    /// Whether a controller's queue holds a command.
     fn has_command(&self, controller: usize) -> bool;
 
-    /// The oldest request to run control that has not been taken.
+    /// Takes the oldest run-control request in the queue.
     ///
     /// # Errors
     /// As [`Environment::receive_command`].
     fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, Self::Error>;
 
-    /// The oldest report of a consumer that has not been taken.
+    /// Takes the oldest consumer report in the queue.
     ///
     /// # Errors
     /// As [`Environment::receive_command`].
     fn receive_report(&mut self) -> Result<Option<Report>, Self::Error>;
 
-    /// Reports so far from programs that are not a consumer.
+    /// Reports so far from programs that are not consumers.
     fn foreign_reports(&self) -> u64;
 
-    /// Where the run stands.
+    /// Sends the run's status.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_status(&mut self, status: &RunStatus) -> Result<(), Self::Error>;
 
-    /// Wall-clock facts of a tick.
+    /// Sends a tick's wall-clock timing.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_timing(&mut self, timing: &TickTiming) -> Result<(), Self::Error>;
 
-    /// The answer to a request to run control.
+    /// Sends the reply to a run-control request.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_control_reply(&mut self, reply: &RunControlReply) -> Result<(), Self::Error>;
 
-    /// An event.
+    /// Sends an event.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn send_event(&mut self, note: &Note<'_>) -> Result<(), Self::Error>;
 
-    /// Wakes the controllers that sleep.
+    /// Wakes sleeping controllers.
     fn wake_controllers(&mut self);
 
-    /// Wakes the consumers that sleep.
+    /// Wakes sleeping consumers.
     fn wake_consumers(&mut self);
 
-    /// Hands the newest state to subscribers that have come since the last one was sent.
+    /// Delivers the newest state to subscribers that connected after it was sent.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn deliver_state_history(&mut self) -> Result<(), Self::Error>;
 
-    /// The same for the run's status.
+    /// Delivers the newest run status to subscribers that connected after it was sent.
     ///
     /// # Errors
     /// As [`Outputs::send_latched`].
     fn deliver_status_history(&mut self) -> Result<(), Self::Error>;
 
-    /// The work of a tick is done, and the thread is about to wait for the next one (real time).
+    /// Called in real time when a tick's work is done and the thread is about to wait for the next deadline.
     fn work_ends(&mut self) {}
 
-    /// A tick has begun. Fills in what the kernel says was done to the thread since the last one; `start` is none in lockstep.
+    /// Called when a tick begins. Fills in what the kernel reports about the thread since the last tick; `start` is `None` in lockstep.
     fn tick_begins(&mut self, start: Option<(u64, Start)>, timing: &mut TickTiming) {
         let _ = (start, timing);
     }
 
-    /// A status is about to be sent: ten times a second and at each change.
+    /// Called before a status is sent: ten times a second and at each change.
     fn status_is_due(&mut self) {}
 }

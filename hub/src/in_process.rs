@@ -1,4 +1,4 @@
-//! Lockstep without processes: controllers in the same thread answer each state, and the plant steps.
+//! Lockstep in one thread, without processes: controllers answer each state as function calls, and the plant steps.
 
 use messages::{Command, Latched, Plant, State};
 use scene::{Mode, Scene};
@@ -7,16 +7,16 @@ use thiserror::Error;
 use crate::command_check::CommandRefusal;
 use crate::latch::Latch;
 
-/// What a controller does with a state.
+/// How a controller answers a state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
-    /// It sends the command that it has filled in.
+    /// Send the command it filled in.
     Command,
-    /// It sends nothing; its last command holds.
+    /// Send nothing; its last command is held.
     Nothing,
 }
 
-/// Why a tick cannot be made.
+/// Why a tick failed.
 #[derive(Debug, Error)]
 pub enum InProcessError<P> {
     /// A command is invalid.
@@ -26,15 +26,15 @@ pub enum InProcessError<P> {
         controller: usize,
         /// Tick.
         tick: u64,
-        /// Why.
+        /// Reason.
         cause: CommandRefusal,
     },
-    /// The plant refuses the tick.
+    /// The plant rejected the tick.
     #[error("tick {tick}: {cause}")]
     Plant {
         /// Tick.
         tick: u64,
-        /// Its reason.
+        /// Reason from the plant.
         cause: P,
     },
 }
@@ -81,7 +81,7 @@ pub struct InProcess<P> {
 }
 
 impl<P: Plant> InProcess<P> {
-    /// A run of the scene's controllers with this plant; it is lockstep, whatever mode the scene says.
+    /// A run of the scene's controllers with this plant. Always lockstep, whatever mode the scene sets.
     pub fn new(scene: &Scene, plant: P) -> InProcess<P> {
         let controllers = scene.controller.len();
         let mut scene = scene.clone();
@@ -89,13 +89,13 @@ impl<P: Plant> InProcess<P> {
         InProcess { plant, latch: Latch::new(&scene), controllers }
     }
 
-    /// What is controlled.
+    /// The plant.
     pub fn plant(&self) -> &P {
         &self.plant
     }
 
-    /// u_k, from what `answer` makes of x_k for each controller of the scene. It is given the controller's index, x_k, and a command
-    /// with `sequence` and `state_tick` filled in and every mode at "none".
+    /// Latches u_k. Calls `answer` once per controller of the scene, with the controller's index, x_k, and a command that has `sequence`
+    /// and `state_tick` filled in and every mode at "none".
     ///
     /// # Errors
     /// [`InProcessError::Refused`].
@@ -115,7 +115,7 @@ impl<P: Plant> InProcess<P> {
         Ok(self.latch.latch(tick, false))
     }
 
-    /// x_{k+1} from u_k.
+    /// Steps the plant from x_k to x_{k+1} under u_k.
     ///
     /// # Errors
     /// [`InProcessError::Plant`].
@@ -123,7 +123,7 @@ impl<P: Plant> InProcess<P> {
         self.plant.step(latched).map_err(|cause| InProcessError::Plant { tick: latched.tick, cause })
     }
 
-    /// Both.
+    /// Runs one tick: [`latch`](InProcess::latch), then [`step`](InProcess::step).
     ///
     /// # Errors
     /// Any [`InProcessError`].

@@ -1,7 +1,7 @@
-//! Latching: deciding u_k, the commands that hold for tick k.
+//! Latching: decides u_k, the commands in force at tick k.
 //!
-//! Pure: what has been offered, in its order, decides. A controller's newest valid command holds; when it answers a
-//! state that is more than `hold_ticks` old, or is waited for no longer, the safe command holds instead.
+//! Pure: the result depends only on which commands were offered and in which order. A controller's newest valid command is held; once it
+//! answers a state more than `hold_ticks` old, or the controller is released, the safe command replaces it.
 
 use messages::{
     ARM_HOLD, BURR_SPEED, Command, Latched, LatchedCommand, MAX_CONTROLLERS, SOURCE_FRESH, SOURCE_HELD,
@@ -11,7 +11,7 @@ use scene::{Drives, Mode, Scene};
 
 use crate::command_check::{CommandRefusal, check};
 
-/// The commands of all controllers, and what is latched of them.
+/// All controllers' newest commands, and the decision of the last latch.
 #[derive(Debug, Clone)]
 pub struct Latch {
     slots: Vec<Slot>,
@@ -22,18 +22,18 @@ pub struct Latch {
 struct Slot {
     drives: Vec<Drives>,
     newest: Option<Command>,
-    /// Of the newest accepted command of this connection.
+    /// Sequence number of the newest accepted command on this connection.
     last_sequence: u64,
     last_state_tick: u64,
     /// Not latched yet.
     fresh: bool,
-    /// Nobody waits for it: see [`Latch::release`].
+    /// Replaced by the safe command until the next one: see [`Latch::release`].
     released: bool,
     source: u32,
 }
 
 impl Latch {
-    /// A latch for the scene's controllers. In lockstep nothing is late, so nothing is replaced by the safe command.
+    /// A latch for the scene's controllers. In lockstep no command is late, so the safe command never replaces one for its age.
     pub fn new(scene: &Scene) -> Latch {
         let slot = |drives: &Vec<Drives>| Slot {
             drives: drives.clone(),
@@ -50,7 +50,7 @@ impl Latch {
         }
     }
 
-    /// Takes a command of a controller if it is valid; the newest state is `tick`.
+    /// Accepts a controller's command if it is valid; `tick` is that of the newest state.
     ///
     /// # Errors
     /// The [`CommandRefusal`]; nothing has changed then.
@@ -69,18 +69,18 @@ impl Latch {
         Ok(())
     }
 
-    /// A controller has connected anew: it begins its numbers again. Until it commands, its last command acts on.
+    /// A controller has reconnected and restarts its sequence numbers. Its last command stays in force until its next one.
     pub fn connect(&mut self, controller: usize) {
         let slot = &mut self.slots[controller];
         (slot.last_sequence, slot.last_state_tick) = (0, 0);
     }
 
-    /// Replaces a controller's command by the safe one, until its next command.
+    /// Replaces a controller's command with the safe one, until its next command.
     pub fn release(&mut self, controller: usize) {
         self.slots[controller].released = true;
     }
 
-    /// Whether a controller has been released and has not commanded since.
+    /// Whether a controller has been released and has sent no command since.
     pub fn is_released(&self, controller: usize) -> bool {
         self.slots[controller].released
     }
@@ -95,7 +95,7 @@ impl Latch {
         self.slots[controller].newest.is_some()
     }
 
-    /// What [`Latch::latch`] last decided for a controller: one of the `SOURCE_` constants.
+    /// Source that the last [`Latch::latch`] chose for a controller: one of the `SOURCE_` constants.
     pub fn source(&self, controller: usize) -> u32 {
         self.slots[controller].source
     }
@@ -134,7 +134,7 @@ impl Slot {
         LatchedCommand { source, controller_index: 0, age_ticks, command }
     }
 
-    /// Burr off, arm stopped, tension as it is; of these, what the controller drives.
+    /// Burr off, arm stopped, tension held at its current value; only for what the controller drives.
     fn safe_command(&self, last: &Command) -> Command {
         let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
         if self.drives.contains(&Drives::Burr) {

@@ -1,7 +1,7 @@
-//! Rate-limits the notes about a late controller: the first one at once, then at most one a second, with the number of notes left out in
-//! between. A controller that is slower than the tick is late at nearly every tick; `TickTiming.late_controllers` lists them all.
+//! Rate-limits the notes about a late controller: the first at once, then at most one a second, each with the number left out since. A
+//! controller slower than the tick is late at nearly every tick; `TickTiming.late_controllers` lists them all.
 
-/// Least simulated time between two notes.
+/// Minimum simulated time between two notes.
 const QUIET_NS: u64 = 1_000_000_000;
 
 /// Notes of one kind about one controller.
@@ -31,7 +31,7 @@ impl LateNotes {
 mod tests {
     use super::*;
 
-    /// At 120 answers a second a thousand notes were sent in eight seconds.
+    /// A controller that answers 120 times a second is late in a thousand ticks within eight seconds.
     #[test]
     fn the_first_note_is_sent_at_once_and_then_one_a_second_with_the_number_left_out() {
         let mut notes = LateNotes::default();

@@ -1,10 +1,10 @@
-//! How far the physics may run in front of the recorder.
+//! How far the physics may run ahead of the recorder.
 
 use messages::services::{FRAME, KEYFRAME, KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, RECORDER_QUEUE_TICKS};
 use scene::{OnFull, Scene};
 
-/// Ticks in real time so that none of its queues overflows; none if it need not care.
-/// A quarter of the queues of what comes once a tick, and no more than half of what those of frames and keyframes hold.
+/// Lead in ticks, in real time, at which none of the recorder's queues overflows; `None` if there is no limit. At most a quarter of each
+/// per-tick queue, and half of the frame and keyframe queues.
 pub fn recorder_lead_ticks(scene: &Scene) -> Option<u64> {
     if scene.recording.on_full == OnFull::Gap {
         return None;

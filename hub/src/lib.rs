@@ -1,15 +1,15 @@
 //! The tick as a state machine without I/O: latching, run control, pacing, what is published when.
 //!
 //! [`Hub`] owns the tick. It waits for nothing, reads no clock and knows no transport: [`Hub::advance`] does what can be done now
-//! through an [`Environment`] and returns what is to be waited for. The physics process drives it with shared memory and the machine's
-//! clock; the tests here drive it with queues in memory and a clock that they turn.
+//! through an [`Environment`] and returns what to wait for. The physics process drives it with shared memory and the machine's clock; the
+//! tests drive it with queues in memory and a simulated clock.
 //!
-//! **Boundary:** it decides, and nothing else: what lies in shared memory, sleeps, is drawn or written is the environment's affair; what a
-//! step computes is the [`Plant`](messages::Plant)'s. Times come in as nanoseconds of whatever clock the environment has.
+//! **Boundary:** the hub only decides. Shared memory, sleeping, rendering and writing belong to the environment; computing a step
+//! belongs to the [`Plant`](messages::Plant). Times are nanoseconds of the environment's clock.
 //!
-//! **Invariants**, held against every schedule of `hub_simulator`: u_k is out before its effect, x_{k+1} after it, each once and in
-//! order; a refused command changes nothing; no tick is made while the run rests or ends; no consumer is left too far behind; every
-//! ending has a reason; no wait is without a limit.
+//! **Invariants**, held against every schedule of `hub_simulator`: u_k is published before its effect and x_{k+1} after it, each once and
+//! in order; a refused command changes nothing; no tick is made while the run is paused or ending; no consumer falls too far behind; every
+//! ending has a reason; every wait has a limit.
 //!
 //! ```text
 //! connect:  publish x_0 until every consumer and every controller has answered
@@ -18,16 +18,17 @@
 //!           u_k := latch                                          (validated; late commands held, then the safe one)
 //!           publish u_k
 //!           x_{k+1}, h_{k+1} := step(x_k, u_k)
-//!           publish removed voxels, then x_{k+1}; wake the readers that sleep
+//!           publish removed voxels, then x_{k+1}; wake sleeping readers
 //! end:      publish the phase "ended", wait until the consumers have taken the last state
 //! ```
 //!
-//! While somebody records, every `recording.keyframe_interval_s` a keyframe follows the state.
+//! With a recorder, a keyframe follows the state every `recording.keyframe_interval_s`.
 //!
-//! A deadline that has passed is not caught up silently: a tick that begins more than one period late counts as
-//! missed, and the schedule is moved by the time lost, so ticks never bunch up.
+//! A missed deadline is never made up silently: a tick that begins more than one period late counts as missed, and the schedule moves by
+//! the time lost, so ticks never bunch up.
 //!
-//! The latch alone, in real time: a command is fresh in the tick that takes it, then held, then, too old, the safe one replaces it.
+//! The latch on its own, in real time: a command is fresh in the tick that takes it, then held; once it is too old, the safe command
+//! replaces it.
 //!
 //! ```
 //! use std::path::Path;
@@ -69,10 +70,10 @@
 //!
 //! | module | what it holds |
 //! |---|---|
-//! | [`run_lane`] | one tick: what is stepped, and what is published of it in which order; also for replays |
+//! | [`run_lane`] | one tick: what it steps, and what it publishes in which order; also for replays |
 //! | [`in_process`] | the same tick with controllers in the same thread: benches, calibration, tests |
-//! | [`latch`], [`command_check`] | u_k from the commands that have come |
-//! | [`rate_limit`], [`patience`] | limits per sender; limits of waiting |
+//! | [`latch`], [`command_check`] | u_k from the commands received |
+//! | [`rate_limit`], [`patience`] | rate limits per sender; timeouts |
 //! | [`x_ray`] | which X-ray frames are due at which tick; used by the DRR process, not by [`Hub`] |
 
 pub mod command_check;

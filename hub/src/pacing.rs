@@ -1,6 +1,6 @@
 //! When ticks begin in real time.
 
-/// Absolute deadlines on the monotonic clock, one a period.
+/// Absolute deadlines on the monotonic clock, one per period.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     period_ns: u64,
@@ -8,22 +8,22 @@ pub struct Schedule {
     missed: u64,
 }
 
-/// How a tick began.
+/// When a tick began, relative to its deadline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Start {
-    /// How long after its deadline.
+    /// Time since the deadline, ns.
     pub lateness_ns: i64,
-    /// Whether that was more than a period.
+    /// Whether the tick began more than one period late.
     pub missed: bool,
 }
 
 impl Schedule {
-    /// The first deadline is `now_ns`.
+    /// A schedule whose first deadline is `now_ns`.
     pub fn new(period_ns: u64, now_ns: u64) -> Schedule {
         Schedule { period_ns, next_ns: now_ns, missed: 0 }
     }
 
-    /// Goes on at `now_ns` after a pause, which is no miss; what was missed before still counts.
+    /// Resumes at `now_ns` after a pause. The pause does not count as a miss; earlier misses still count.
     pub fn go_on(&mut self, now_ns: u64) {
         self.next_ns = now_ns;
     }
@@ -33,7 +33,7 @@ impl Schedule {
         self.next_ns
     }
 
-    /// A tick begins now. After a miss the schedule starts anew from here: lost time is not made up for.
+    /// Begins a tick now. After a miss the schedule restarts from here: lost time is not made up.
     pub fn begin(&mut self, now_ns: u64) -> Start {
         let lateness_ns = now_ns as i64 - self.next_ns as i64;
         let missed = lateness_ns > self.period_ns as i64;
@@ -61,12 +61,12 @@ mod tests {
         assert_eq!(schedule.begin(5100), Start { lateness_ns: 100, missed: false });
         assert_eq!(schedule.deadline_ns(), 6000);
         assert_eq!(schedule.begin(8500), Start { lateness_ns: 2500, missed: true });
-        // No burst of three ticks: the next one is a period from now.
+        // No burst to catch up: the next tick is one period from now.
         assert_eq!(schedule.deadline_ns(), 9500);
         assert_eq!(schedule.missed(), 1);
     }
 
-    /// A run that was paused said afterwards that it had missed nothing before.
+    /// A pause must not reset the count of missed deadlines.
     #[test]
     fn misses_before_a_pause_still_count() {
         let mut schedule = Schedule::new(1000, 5000);

@@ -1,13 +1,13 @@
-//! Limits of waiting that count only time in which the process ran.
+//! Timeouts that count only time in which the process ran.
 
 const MS: u64 = 1_000_000;
-/// Most of the time between two looks that counts, as long as it is no more than half of the limit. What is longer was
-/// spent stopped (Ctrl-Z, SIGSTOP, a frozen container): the other side had stood still too, or could not be heard.
+/// Most time between two polls that counts toward a limit, capped at half of the limit. A longer gap means the process was stopped (Ctrl-Z,
+/// SIGSTOP, a frozen container); then the other side was stopped too, or could not be heard.
 const LONGEST_LOOK_NS: u64 = 1000 * MS;
-/// Time between two looks.
+/// Poll interval.
 const LOOK_NS: u64 = 200 * MS;
 
-/// A limit of waiting.
+/// A timeout.
 #[derive(Debug, Clone)]
 pub struct Patience {
     limit_ns: u64,
@@ -16,24 +16,24 @@ pub struct Patience {
 }
 
 impl Patience {
-    /// A limit that begins now.
+    /// A timeout that starts now.
     pub fn new(limit_ns: u64, now_ns: u64) -> Patience {
         Patience { limit_ns, left_ns: limit_ns, looked_ns: now_ns }
     }
 
-    /// Whether it is over; to be asked again before [`next_look_ns`](Patience::next_look_ns).
+    /// Whether the timeout has expired. Call again before [`next_look_ns`](Patience::next_look_ns).
     pub fn is_over(&mut self, now_ns: u64) -> bool {
         let passed_ns = now_ns.saturating_sub(std::mem::replace(&mut self.looked_ns, now_ns));
         self.left_ns = self.left_ns.saturating_sub(passed_ns.min(LONGEST_LOOK_NS).min(self.limit_ns / 2));
         self.left_ns == 0
     }
 
-    /// Until when one may wait before it is asked again.
+    /// Latest time of the next call to [`is_over`](Patience::is_over).
     pub fn next_look_ns(&self, now_ns: u64) -> u64 {
         now_ns + LOOK_NS.min(self.limit_ns / 4).min(self.left_ns)
     }
 
-    /// The whole limit.
+    /// The full limit, ns.
     pub fn limit_ns(&self) -> u64 {
         self.limit_ns
     }
@@ -43,7 +43,7 @@ impl Patience {
 mod tests {
     use super::*;
 
-    /// A run that was suspended with Ctrl-Z ended when it was woken: its controller had not answered "within the limit".
+    /// A run suspended with Ctrl-Z must not time out its controllers when it resumes.
     #[test]
     fn time_spent_stopped_does_not_count() {
         for limit_ns in [500 * MS, 60_000 * MS] {

@@ -1,23 +1,23 @@
-//! Rate limits per sender and for warnings, so that a client that floods can neither stall the tick nor fill the log.
+//! Rate limits per sender and for warnings, so that a flooding client can neither stall the tick nor fill the log.
 
 const MS: u64 = 1_000_000;
 
-/// Messages that a queue which every client may write is looked through for at a time. Taking one and passing it over is
-/// faster than sending it, so even a queue that is filled all the time runs empty now and then.
+/// Most messages read per poll from a queue that every client may write to. Taking and skipping a message is faster than sending one, so
+/// even a queue under constant flood runs empty now and then.
 pub const LOOKED_AT: usize = 256;
 
-/// Messages of one connection that count within [`PERIOD_NS`]: more than a program can send that waits for its answers.
+/// Messages accepted from one connection within [`PERIOD_NS`]: more than a program can send that waits for its replies.
 const EACH: usize = 64;
 const PERIOD_NS: u64 = 10 * MS;
-/// Warnings that are sent one by one within [`WARNING_PERIOD_NS`].
+/// Warnings sent individually within [`WARNING_PERIOD_NS`].
 const WARNINGS: usize = 16;
 const WARNING_PERIOD_NS: u64 = 100 * MS;
 
-/// One connection of a program that sends: another number each time that it connects.
+/// One connection of a sender; the number changes each time it reconnects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Connection(pub u128);
 
-/// How many messages of each connection count.
+/// Rate limit for messages, per connection.
 #[derive(Debug, Clone, Default)]
 pub struct RateLimit {
     began_ns: u64,
@@ -25,7 +25,7 @@ pub struct RateLimit {
 }
 
 impl RateLimit {
-    /// Whether one more message of this connection is within its share.
+    /// Whether one more message of this connection is within its limit.
     pub fn allows(&mut self, connection: Connection, now_ns: u64) -> bool {
         if now_ns.saturating_sub(self.began_ns) >= PERIOD_NS {
             self.began_ns = now_ns;
@@ -44,7 +44,7 @@ impl RateLimit {
     }
 }
 
-/// How many warnings are sent one by one; further ones are counted, and their number is sent.
+/// Rate limit for warnings: those over the limit are counted, and their number is sent.
 #[derive(Debug, Clone, Default)]
 pub struct WarningLimit {
     began_ns: u64,
@@ -53,7 +53,7 @@ pub struct WarningLimit {
 }
 
 impl WarningLimit {
-    /// Whether one more warning is sent; if not, it counts.
+    /// Whether to send one more warning; if not, counts it as suppressed.
     pub fn allows(&mut self, now_ns: u64) -> bool {
         if self.suppressed == 0 && now_ns.saturating_sub(self.began_ns) >= WARNING_PERIOD_NS {
             *self = WarningLimit { began_ns: now_ns, ..WarningLimit::default() };
@@ -64,7 +64,7 @@ impl WarningLimit {
         allowed
     }
 
-    /// How many warnings were not sent, when it is time to say so.
+    /// The number of suppressed warnings, when it is time to report it.
     pub fn take_suppressed(&mut self, now_ns: u64) -> Option<u64> {
         let suppressed = self.suppressed;
         if suppressed == 0 || now_ns.saturating_sub(self.began_ns) < WARNING_PERIOD_NS {
@@ -79,7 +79,7 @@ impl WarningLimit {
 mod tests {
     use super::*;
 
-    /// In lockstep a flood is looked at many thousand times a second: a bound on each look bounded nothing.
+    /// In lockstep the queue is polled many thousand times a second, so a limit per poll alone bounds nothing.
     #[test]
     fn warnings_beyond_the_first_are_counted_and_said_once() {
         let mut limit = WarningLimit::default();

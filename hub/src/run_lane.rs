@@ -1,4 +1,4 @@
-//! One tick of the run lane: what is stepped, and what is published of it in which order.
+//! One tick of the run lane: what it steps, and what it publishes in which order.
 //!
 //! ```text
 //! publish u_k
@@ -7,7 +7,7 @@
 //! if due, publish the keyframe of x_{k+1}
 //! ```
 //!
-//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so that a log and its replay agree to the byte.
+//! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay agree to the byte.
 
 use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_TICK};
 use messages::{Keyframe, Latched, Plant, Removed};
@@ -15,59 +15,59 @@ use thiserror::Error;
 
 use crate::environment::Outputs;
 
-/// Why a tick of the run lane cannot be made.
+/// Why a tick of the run lane failed.
 #[derive(Debug, Error)]
 pub enum LaneError<O, P> {
-    /// The plant refuses it.
+    /// The plant rejected it.
     #[error("{0}")]
     Plant(P),
-    /// A message cannot be sent.
+    /// A message could not be sent.
     #[error("{0}")]
     Output(O),
 }
 
-/// Errors of a lane with these outputs and this plant.
+/// Result of a lane with these outputs and this plant.
 type Outcome<O, P> = Result<(), LaneError<<O as Outputs>::Error, <P as Plant>::Error>>;
 
-/// When the parts of a tick ended, on the outputs' clock.
+/// When each phase of a tick ended, on the outputs' clock.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TickMarks {
-    /// u_k was out.
+    /// u_k was published.
     pub latched_ns: u64,
     /// The plant had stepped.
     pub stepped_ns: u64,
-    /// Everything was out.
+    /// Everything was published.
     pub published_ns: u64,
 }
 
-/// The run lane of one run: its sequence numbers, and when keyframes are due.
+/// The run lane of one run: its sequence numbers and when keyframes are due.
 #[derive(Debug)]
 pub struct RunLane {
     removed_messages: u64,
     keyframe_parts: u64,
     keyframe_period_ticks: Option<u64>,
-    /// Empty without keyframes.
+    /// Empty if the lane has no keyframes.
     buffer: Vec<u8>,
 }
 
 impl RunLane {
-    /// A lane with a keyframe every so many ticks, or with none.
+    /// A lane with a keyframe every `keyframe_period_ticks` ticks, or without keyframes.
     pub fn new(keyframe_period_ticks: Option<u64>) -> RunLane {
         let buffer = vec![0; if keyframe_period_ticks.is_some() { MAX_KEYFRAME_BYTES } else { 0 }];
         RunLane { removed_messages: 0, keyframe_parts: 0, keyframe_period_ticks, buffer }
     }
 
-    /// A lane of which somebody else decides when a keyframe is due: a replay, where the log does.
+    /// A lane whose caller decides when a keyframe is due: a replay follows its log.
     pub fn with_keyframes_on_demand() -> RunLane {
         RunLane { buffer: vec![0; MAX_KEYFRAME_BYTES], ..RunLane::new(None) }
     }
 
-    /// `Removed` messages so far.
+    /// `Removed` messages sent so far.
     pub fn removed_messages(&self) -> u64 {
         self.removed_messages
     }
 
-    /// Publishes x_0, with the holes that are there before the run, in as many messages of tick 0 as they need.
+    /// Publishes x_0 and the predrilled voxels, in as many messages of tick 0 as they need.
     ///
     /// # Errors
     /// [`LaneError::Output`].
@@ -78,10 +78,10 @@ impl RunLane {
         out.send_state(plant.state()).map_err(LaneError::Output)
     }
 
-    /// Makes a tick and publishes it, but for its keyframe. `now_ns` reads the clock of whoever wants to know how long it took.
+    /// Makes a tick and publishes everything but its keyframe. `now_ns` reads the caller's clock, for the tick's timing.
     ///
     /// # Errors
-    /// Any [`LaneError`]; the tick is then lost, and the plant not to be used any more.
+    /// Any [`LaneError`]; the tick is then lost and the plant unusable.
     pub fn tick<P: Plant, O: Outputs>(
         &mut self,
         plant: &mut P,
@@ -102,10 +102,10 @@ impl RunLane {
         Ok(TickMarks { latched_ns, stepped_ns, published_ns: now_ns(out) })
     }
 
-    /// Publishes the present state's keyframe if one is due.
+    /// Publishes the keyframe of the current state if one is due.
     ///
     /// # Errors
-    /// [`LaneError::Plant`]: the state does not fit into a keyframe, which changes nothing.
+    /// [`LaneError::Plant`]: the state does not fit into a keyframe; nothing has changed.
     pub fn keyframe_if_due<P: Plant, O: Outputs>(&mut self, plant: &P, out: &mut O) -> Outcome<O, P> {
         match self.keyframe_period_ticks {
             Some(period) if plant.state().tick.is_multiple_of(period) => self.keyframe(plant, out),
@@ -113,7 +113,7 @@ impl RunLane {
         }
     }
 
-    /// Publishes the present state's keyframe.
+    /// Publishes the keyframe of the current state.
     ///
     /// # Errors
     /// As [`RunLane::keyframe_if_due`].

@@ -1,4 +1,4 @@
-//! Taking the controllers' commands.
+//! Receives the controllers' commands.
 
 use messages::services::COMMAND;
 use messages::{EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, Plant, SEVERITY_WARNING};
@@ -7,22 +7,22 @@ use super::{Hub, MS, Outcome};
 use crate::environment::{Environment, Incoming, Note};
 use crate::rate_limit::{Connection, WarningLimit};
 
-/// A controller's side.
+/// The hub's view of one controller.
 #[derive(Debug, Clone)]
 pub(super) struct Controller {
     pub(super) name: String,
-    /// Whether the run may begin without it.
+    /// Whether the run may start without it.
     pub(super) optional: bool,
     /// How long the start waits for it.
     pub(super) connect_limit_ns: u64,
-    /// From the newest state's publication to the command that answers it; 0 before.
+    /// Time from publishing the newest state to the command that answers it; 0 until one does.
     pub(super) round_trip_ns: u64,
-    /// Number of the newest command that was taken off the queue.
+    /// Sequence number of the newest command taken off the queue.
     seen_sequence: u64,
-    /// Commands that never came and of which nothing has been said.
+    /// Lost commands not yet reported.
     lost: u64,
     pub(super) warnings: WarningLimit,
-    /// The connection that the newest command came over.
+    /// The newest command's connection.
     connection: Option<Connection>,
 }
 
@@ -42,8 +42,8 @@ impl Controller {
 }
 
 impl<P: Plant> Hub<P> {
-    /// Takes the commands that have arrived; what is invalid is refused, said, and changes nothing. A controller that
-    /// floods is read no longer than its queue is, so that it cannot hold up the tick, and its refusals are said together.
+    /// Takes the commands that have arrived. Invalid ones are refused, reported, and change nothing. Each call reads at most one queue
+    /// length per controller and reports refusals together, so a flooding controller cannot stall the tick.
     pub(super) fn collect_commands<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         for index in 0..self.controllers.len() {
             for _ in 0..COMMAND.queue_length {
@@ -69,7 +69,7 @@ impl<P: Plant> Hub<P> {
         Ok(())
     }
 
-    /// Offers a command to the latch; returns why it was refused.
+    /// Offers a command to the latch; returns the reason if the latch refuses it.
     fn offer<E: Environment>(
         &mut self,
         env: &E,
@@ -106,7 +106,7 @@ impl<P: Plant> Hub<P> {
     }
 }
 
-/// Commands between the newest one seen and this one: a client numbers its commands without a gap, so these were overwritten.
+/// Commands between the newest one seen and this one. Clients number their commands without gaps, so these were overwritten.
 fn overwritten(seen: &mut u64, sequence: u64) -> u64 {
     let gap = sequence.saturating_sub(seen.saturating_add(1));
     *seen = sequence.max(*seen);

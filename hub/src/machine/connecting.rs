@@ -1,4 +1,4 @@
-//! The start: everybody's connection.
+//! The start of a run: waits until everyone is connected.
 
 use messages::{PHASE_CONNECTING, Plant};
 
@@ -11,7 +11,7 @@ use crate::environment::Environment;
 use crate::patience::Patience;
 
 impl<P: Plant> Hub<P> {
-    /// Publishes the initial state until everybody has answered it, or the run is to end.
+    /// Publishes the initial state until every part has answered it or the run is to end.
     pub(super) fn connect<E: Environment>(
         &mut self,
         env: &mut E,
@@ -21,7 +21,7 @@ impl<P: Plant> Hub<P> {
         self.consumers.update(env)?;
         let missing = self.consumers.missing();
         if missing.is_none() && !self.shown {
-            // Only now, so that no consumer misses the first messages.
+            // Not before the consumers are connected, or they would miss the first messages.
             self.lane.begin(&self.plant, env).map_err(lane_failed(0))?;
             self.state_is_out(env);
             self.shown = true;
@@ -70,7 +70,7 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::Ready, Some(Next::GetReady)))
     }
 
-    /// A controller that the run does not begin without and that has not commanded yet.
+    /// A required controller that has not sent a command yet.
     fn awaited_controller(&self) -> Option<usize> {
         let mut all = self.controllers.iter().enumerate();
         all.find(|(index, controller)| !controller.optional && !self.latch.has_command(*index))

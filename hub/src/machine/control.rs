@@ -1,4 +1,4 @@
-//! Run control, and saying where the run stands.
+//! Run control and run status.
 
 use messages::{
     CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
@@ -11,11 +11,11 @@ use super::{Awaited, Hub, Outcome, REST_LOOK_NS, STATUS_PERIOD_NS, Stage, Step, 
 use crate::environment::{Environment, Incoming, Note};
 use crate::rate_limit::{Connection, LOOKED_AT};
 
-/// Messages of a wrong length that one look takes off the queue of run control.
+/// Messages of the wrong length that one poll takes off the run-control queue.
 const MALFORMED_AT_ONCE: usize = 64;
 
 impl<P: Plant> Hub<P> {
-    /// Does what run control asks for; each program has its share, so that a flood cannot stall the tick.
+    /// Executes run-control requests, rate-limited per program so that a flood cannot stall the tick.
     pub(super) fn obey<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         let mut asked = false;
         for _ in 0..LOOKED_AT {
@@ -39,7 +39,7 @@ impl<P: Plant> Hub<P> {
         if asked { self.send_status(env, self.phase(), When::Now) } else { Ok(()) }
     }
 
-    /// The next request to run control; a message of a wrong length is none.
+    /// The next run-control request; skips messages of the wrong length.
     fn next_request<E: Environment>(
         &mut self,
         env: &mut E,
@@ -73,7 +73,7 @@ impl<P: Plant> Hub<P> {
 
     fn obey_one(&mut self, request: &RunControl) -> bool {
         match request.action {
-            // Steps that are not made yet are given up: what was asked for last counts.
+            // Drops steps still to be made: the newest request wins.
             CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0),
             CONTROL_RESUME => (self.paused, self.steps_left) = (false, 0),
             CONTROL_STEP if self.paused => self.steps_left = self.steps_left.saturating_add(request.ticks),
@@ -84,7 +84,7 @@ impl<P: Plant> Hub<P> {
         true
     }
 
-    /// Paused: looks again after a while.
+    /// Paused: polls again after a while.
     pub(super) fn rest<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         self.send_status(env, PHASE_PAUSED, When::IfDue)?;
         env.deliver_state_history()?;
@@ -100,7 +100,7 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Says where the run stands.
+    /// Publishes the run's status.
     pub(super) fn send_status<E: Environment>(
         &mut self,
         env: &mut E,
@@ -138,11 +138,11 @@ impl<P: Plant> Hub<P> {
     }
 }
 
-/// When a status is sent.
+/// When to send a status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum When {
-    /// At once: something has changed.
+    /// At once, because something has changed.
     Now,
-    /// If the last one was long enough ago.
+    /// Only if the last one is old enough.
     IfDue,
 }

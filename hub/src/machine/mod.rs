@@ -24,16 +24,16 @@ use commands::Controller;
 const MS: u64 = 1_000_000;
 const NS_PER_S: u64 = 1000 * MS;
 
-/// In lockstep the hub runs no further ahead of a consumer than this; half of the state's queue.
+/// How far the hub may run ahead of a consumer in lockstep: half of the state queue.
 const LEAD_TICKS: u64 = 256;
-/// How long every part may take to connect: a DRR process reads the whole volume first.
+/// How long a part may take to connect; a DRR process first reads the whole volume.
 const CONNECT_LIMIT_NS: u64 = 60_000 * MS;
-/// How long a consumer may stand still in lockstep: a full frame of a large CT takes seconds.
+/// How long a consumer may make no progress in lockstep; a full frame of a large CT takes seconds.
 const CONSUMER_LIMIT_NS: u64 = 120_000 * MS;
-/// The same at the end of a run that a signal has ended; what the consumers have not taken yet stays in their queues.
+/// As above, when a signal has ended the run; whatever the consumers have not taken stays in their queues.
 const ABANDONED_LIMIT_NS: u64 = 500 * MS;
 const STATUS_PERIOD_NS: u64 = 100 * MS;
-/// Between two looks while the run rests, while parts connect, and while a consumer is behind.
+/// Poll interval while the run is paused, while parts connect, and while a consumer is behind.
 const REST_LOOK_NS: u64 = 20 * MS;
 const CONNECT_LOOK_NS: u64 = MS;
 const REPORT_LOOK_NS: u64 = 2 * MS;
@@ -41,29 +41,29 @@ const REPORT_LOOK_NS: u64 = 2 * MS;
 const _: () = assert!(2 * LEAD_TICKS <= messages::services::STATE.queue_length as u64);
 const _: () = assert!(ABANDONED_LIMIT_NS < CONSUMER_LIMIT_NS && REPORT_LOOK_NS < STATUS_PERIOD_NS);
 
-/// What of a scene and of its session the hub must know.
+/// What the hub needs to know of a scene and its session.
 #[derive(Debug, Clone)]
 pub struct Settings {
     /// Lockstep or real time.
     pub mode: Mode,
-    /// Period of the tick.
+    /// Tick period, ns.
     pub period_ns: u64,
-    /// Ticks of the whole run.
+    /// Length of the run in ticks.
     pub tick_count: u64,
-    /// Ticks between two keyframes; none without a recorder.
+    /// Ticks between two keyframes; `None` without a recorder.
     pub keyframe_period_ticks: Option<u64>,
-    /// How far in front of its consumers the hub may run in lockstep.
+    /// How many ticks the hub may run ahead of its consumers in lockstep.
     pub lead_ticks: u64,
-    /// How far in front of the recorder the hub may run in real time; none: as far as it gets.
+    /// How many ticks the hub may run ahead of the recorder in real time; `None` for no limit.
     pub recorder_lead_ticks: Option<u64>,
     /// How long lockstep waits for an answer.
     pub controller_limit_ns: u64,
-    /// The parts that take every state.
+    /// The parts that must take every state.
     pub consumers: Vec<Part>,
 }
 
 impl Settings {
-    /// Of a scene in a session with these consumers.
+    /// The settings of a scene in a session with these consumers.
     pub fn new(scene: &Scene, consumers: &[Part]) -> Settings {
         let recorded = consumers.contains(&Part::Recorder);
         Settings {
@@ -82,15 +82,15 @@ impl Settings {
 /// Why a run ends early.
 #[derive(Debug, Error)]
 pub enum HubError<E, P> {
-    /// A message cannot be sent or taken.
+    /// A message could not be sent or received.
     #[error("{0}")]
     Environment(E),
-    /// The plant refuses a tick.
+    /// The plant rejected a tick.
     #[error("tick {tick}: {cause}")]
     Plant {
         /// Tick.
         tick: u64,
-        /// Its reason.
+        /// Reason from the plant.
         cause: P,
     },
     /// A consumer never connected.
@@ -101,7 +101,7 @@ pub enum HubError<E, P> {
         /// Time waited.
         limit_s: u64,
     },
-    /// A controller never commanded.
+    /// A controller never sent a command.
     #[error("controller `{name}` did not connect within {limit_s} s")]
     ControllerNotConnected {
         /// Its name.
@@ -142,72 +142,72 @@ impl<E, P> From<E> for HubError<E, P> {
 /// The outcome of a part of the machine.
 type Outcome<T, P, E> = Result<T, HubError<<E as crate::Outputs>::Error, <P as Plant>::Error>>;
 
-/// What is to be done before the hub is advanced again.
+/// What to do before the next [`Hub::advance`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Next {
     /// Wait.
     Wait(Wait),
-    /// Everybody has connected: get ready for the ticks (priorities, memory), then advance.
+    /// Every part has connected: prepare the thread for the ticks (priorities, memory), then advance.
     GetReady,
     /// The run is over.
     Ended,
 }
 
-/// A wait. To advance early is allowed, and only costs a look.
+/// A wait. Advancing early is allowed and costs only a poll.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Wait {
-    /// When it ends at the latest, on the environment's clock.
+    /// Latest end of the wait, on the environment's clock, ns.
     pub until_ns: u64,
     /// What else ends it.
     pub on: Awaited,
 }
 
-/// What ends a wait before its time.
+/// What ends a wait early.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Awaited {
-    /// Nothing; a moment is let pass.
+    /// Nothing; a short sleep between polls.
     Nothing,
-    /// Nothing: it is the deadline of a tick, to be met exactly.
+    /// Nothing: this is a tick's deadline and must be met exactly.
     Deadline,
-    /// A request to run control.
+    /// A run-control request.
     Control,
-    /// A report of a consumer.
+    /// A consumer's report.
     Report,
     /// A command of this controller.
     Command(usize),
 }
 
-/// Where the machine stands between two advances.
+/// Where the machine is between two advances.
 #[derive(Debug, Clone)]
 enum Stage {
-    /// Until every part and every controller that the run does not begin without is there.
+    /// Waits until every part and every required controller has connected.
     Connecting {
         consumers: Patience,
-        /// Of each controller, from when there is a state to answer.
+        /// One timeout per controller, running from the time when there is a state to answer.
         controllers: Vec<Patience>,
     },
-    /// Connected; the first deadline is now.
+    /// All connected; the first deadline is now.
     Ready,
-    /// A tick is to be prepared, unless the run ends or rests.
+    /// A tick is due, unless the run ends or is paused.
     TickDue,
-    /// Paused: a moment has been let pass.
+    /// Paused; the poll interval has passed.
     Rested,
-    /// Some consumers must have taken the state of a tick first, so that their queues do not overflow.
+    /// Waits until these consumers have taken the state of `tick`, so that their queues do not overflow.
     ConsumersBehind { tick: u64, whom: Whom, patience: Patience, began_ns: u64 },
-    /// Real time.
+    /// Waits for the deadline (real time).
     AwaitDeadline,
-    /// Lockstep; it was waited for the answer of the controller `silent`.
+    /// Waits for answers (lockstep); `silent` is the controller last waited for.
     AwaitAnswers { patience: Patience, silent: Option<usize> },
-    /// The last tick has been made.
+    /// The last tick is done.
     Ending { patience: Patience, abandoned: Patience },
-    /// Over, or failed.
+    /// Ended or failed.
     Over,
 }
 
-/// What a stage comes to: the next stage, and whether to return from the advance first.
+/// The result of a stage: the next stage, and what to return from the advance first, if anything.
 type Step = (Stage, Option<Next>);
 
-/// The tick.
+/// The tick as a state machine.
 #[derive(Debug)]
 pub struct Hub<P> {
     plant: P,
@@ -232,17 +232,17 @@ pub struct Hub<P> {
     control_limit: RateLimit,
     control_warnings: WarningLimit,
     status_sent_ns: Option<u64>,
-    /// A state that does not fit into a keyframe has been mentioned.
+    /// Whether the event "state does not fit into a keyframe" has been sent.
     keyframe_refused: bool,
-    /// Facts of the tick that comes or is being made.
+    /// Timing of the coming or current tick.
     timing: TickTiming,
     sources: [u32; MAX_CONTROLLERS],
-    /// Of commands that begin to be held, and of safe commands.
+    /// Notes per controller: one for commands that start being held, one for safe commands.
     late_notes: [[LateNotes; 2]; MAX_CONTROLLERS],
 }
 
 impl<P: Plant> Hub<P> {
-    /// A hub whose run has not begun.
+    /// A hub before the start of its run.
     pub fn new(scene: &Scene, plant: P, settings: Settings, now_ns: u64) -> Hub<P> {
         Hub {
             plant,
@@ -275,17 +275,17 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Ticks made.
+    /// Ticks made so far.
     pub fn tick(&self) -> u64 {
         self.tick
     }
 
-    /// What is controlled.
+    /// The plant.
     pub fn plant(&self) -> &P {
         &self.plant
     }
 
-    /// Does what can be done now, up to the next wait.
+    /// Does everything that can be done now, up to the next wait.
     ///
     /// # Errors
     /// Any [`HubError`]; the run is over then.
@@ -317,7 +317,7 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Between two ticks: obeys run control, and says what the next tick waits for.
+    /// Between two ticks: executes run control and decides what the next tick waits for.
     fn prepare<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         if self.tick >= self.settings.tick_count || self.ends(env) {
             return self.finish(env);
@@ -357,18 +357,18 @@ impl<P: Plant> Hub<P> {
         self.stopped || env.end_requested()
     }
 
-    /// Paused, with no step left to make.
+    /// Whether the run is paused with no step left to make.
     fn rests(&self) -> bool {
         self.paused && self.steps_left == 0
     }
 }
 
-/// A wait for something, at most until a time.
+/// A wait for `on`, until `until_ns` at the latest.
 fn wait(on: Awaited, until_ns: u64) -> Option<Next> {
     Some(Next::Wait(Wait { until_ns, on }))
 }
 
-/// What a tick of the run lane failed by, as the run's error.
+/// Turns an error of the run lane into the run's error.
 fn lane_failed<E, P>(tick: u64) -> impl Fn(LaneError<E, P>) -> HubError<E, P> {
     move |cause| match cause {
         LaneError::Output(cause) => HubError::Environment(cause),

@@ -1,4 +1,4 @@
-//! Making a tick.
+//! Makes a tick.
 
 use messages::{
     EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_RUN, EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS,
@@ -45,13 +45,13 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::TickDue, None))
     }
 
-    /// A state has been published: round trips begin, and the controllers that sleep are woken.
+    /// After publishing a state: starts the round-trip clocks and wakes sleeping controllers.
     pub(super) fn state_is_out<E: Environment>(&mut self, env: &mut E) {
         self.published_ns = env.now_ns();
         env.wake_controllers();
     }
 
-    /// A state that does not fit into a keyframe has none, which is said once.
+    /// Publishes a keyframe if one is due. A state that does not fit gets none; this is reported once.
     fn publish_keyframe<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         match self.lane.keyframe_if_due(&self.plant, env) {
             Ok(()) => Ok(()),
@@ -66,7 +66,7 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Says when a controller's command begins to be held, or is replaced by the safe one; see
+    /// Reports when a controller's command starts being held or is replaced by the safe one; see
     /// [`LateNotes`](crate::late_notes::LateNotes).
     fn report_sources<E: Environment>(&mut self, env: &mut E, latched: &Latched) -> Outcome<(), P, E> {
         for (index, controller) in self.controllers.iter().enumerate() {
@@ -94,7 +94,7 @@ impl<P: Plant> Hub<P> {
         for refusal in self.plant.refusals() {
             self.refused_commands += u64::from(!refusal.stopped_later);
             let controller = &mut self.controllers[refusal.controller_index as usize];
-            // A goal that cannot be reached may come at every tick.
+            // Rate-limited: an unreachable goal can repeat at every tick.
             if !controller.warnings.allows(env.now_ns()) {
                 continue;
             }
@@ -107,7 +107,7 @@ impl<P: Plant> Hub<P> {
     }
 }
 
-/// Bit i: controller i's command is not of this tick.
+/// Bit i is set if controller i's command is not from this tick.
 fn late_controllers(latched: &Latched) -> u32 {
     let count = (latched.controller_count as usize).min(MAX_CONTROLLERS);
     let late = latched.commands[..count].iter().enumerate();

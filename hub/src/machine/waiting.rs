@@ -1,5 +1,5 @@
-//! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, of which time spent
-//! stopped takes no part, and looks at the request to end.
+//! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, does not count time spent stopped
+//! against it, and checks for the request to end.
 
 use messages::{EVENT_SAFE_COMMAND, PHASE_ENDED, Plant};
 use scene::Mode;
@@ -14,7 +14,7 @@ use crate::environment::Environment;
 use crate::patience::Patience;
 
 impl<P: Plant> Hub<P> {
-    /// Real time.
+    /// Waits for the tick's deadline (real time).
     pub(super) fn await_deadline<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         if self.ends(env) {
             return Ok((Stage::TickDue, None));
@@ -31,8 +31,8 @@ impl<P: Plant> Hub<P> {
         self.make_tick(env, start)
     }
 
-    /// No consumer is left further behind than its queues hold: in lockstep none; in real time with `recording.on_full = "wait"` the
-    /// recorder.
+    /// Keeps every consumer within the capacity of its queues: in lockstep all consumers; in real time the recorder, if `recording.on_full
+    /// = "wait"`.
     pub(super) fn await_consumers<E: Environment>(
         &mut self,
         env: &mut E,
@@ -59,7 +59,7 @@ impl<P: Plant> Hub<P> {
         Ok((stage, wait(Awaited::Report, until_ns)))
     }
 
-    /// What is waited for next when no consumer is behind.
+    /// The next stage once no consumer is behind.
     fn consumers_are_there(&mut self, now_ns: u64, began_ns: u64) -> Stage {
         match self.settings.mode {
             Mode::Realtime => {
@@ -73,7 +73,7 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Lockstep: every controller answers x_k.
+    /// Lockstep: waits until every controller has answered x_k.
     pub(super) fn await_answers<E: Environment>(
         &mut self,
         env: &mut E,
@@ -88,7 +88,7 @@ impl<P: Plant> Hub<P> {
             }
             self.send_status(env, self.phase(), When::IfDue)?;
             if !came {
-                // A controller that has come back needs the state that it is to answer.
+                // A reconnected controller needs the state it has to answer.
                 env.deliver_state_history()?;
             }
         }
@@ -101,7 +101,7 @@ impl<P: Plant> Hub<P> {
                 env.tick_begins(None, &mut self.timing);
                 return self.make_tick(env, crate::Start { lateness_ns: 0, missed: false });
             };
-            // At every turn, also when messages come that are no answer.
+            // Checked every time round, so that a stream of messages that answer nothing cannot put the limit off.
             if patience.is_over(env.now_ns()) {
                 self.give_up(env, silent)?;
                 continue;
@@ -112,13 +112,13 @@ impl<P: Plant> Hub<P> {
         }
     }
 
-    /// Whether lockstep need not wait for a controller: it has answered, or may stay away and is not here.
+    /// Whether lockstep need not wait for a controller: it has answered, or it is optional and not connected.
     fn is_settled(&self, index: usize) -> bool {
         let away = !self.latch.has_command(index) || self.latch.is_released(index);
         (away && self.controllers[index].optional) || self.latch.has_answer(index, self.tick)
     }
 
-    /// A controller has not answered within its limit in lockstep: without an optional one the run goes on.
+    /// A controller missed its limit in lockstep: an optional one is released and the run goes on without it.
     fn give_up<E: Environment>(&mut self, env: &mut E, silent: usize) -> Outcome<(), P, E> {
         let limit_ms = self.settings.controller_limit_ns as f64 * 1e-6;
         let controller = &self.controllers[silent];
@@ -135,7 +135,7 @@ impl<P: Plant> Hub<P> {
         self.warn(env, silent, EVENT_SAFE_COMMAND, &text)
     }
 
-    /// Says that the run is over.
+    /// Publishes that the run is over.
     pub(super) fn finish<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         let text = format!("the run ended at tick {} of {}", self.tick, self.settings.tick_count);
         self.inform(env, &text)?;
@@ -146,7 +146,7 @@ impl<P: Plant> Hub<P> {
         Ok((Stage::Ending { patience, abandoned: Patience::new(ABANDONED_LIMIT_NS, now_ns) }, None))
     }
 
-    /// Stays until the consumers have everything.
+    /// Waits until the consumers have taken everything.
     pub(super) fn await_last<E: Environment>(
         &mut self,
         env: &mut E,
@@ -158,7 +158,7 @@ impl<P: Plant> Hub<P> {
             return Ok((Stage::Over, Some(Next::Ended)));
         };
         let now_ns = env.now_ns();
-        // Asked to end by a signal, somebody is in a hurry, or dead: nobody may be there to take the last state.
+        // After a signal the wait is short: the user is in a hurry, or a consumer has died and will never take the last state.
         if env.end_requested() && (!self.shown || abandoned.is_over(now_ns)) {
             return Ok((Stage::Over, Some(Next::Ended)));
         }

@@ -1,9 +1,9 @@
 //! Which X-ray frames are rendered at which tick, and which removed voxels they show.
 //!
-//! **Boundary:** as in the rest of this crate, it decides and does nothing: the DRR process takes the messages, renders and publishes.
+//! **Boundary:** as in the rest of this crate, it only decides; the DRR process takes the messages, renders and publishes.
 //!
-//! **Invariants:** in lockstep the frames depend on ticks and requests alone, never on how long rendering takes; no program's requests
-//! take the place of another's; a frame shows exactly the voxels that were removed up to its tick, or the run fails.
+//! **Invariants:** in lockstep the frames depend only on ticks and requests, never on how long rendering takes; one program's requests
+//! never displace another's; a frame shows exactly the voxels removed up to its tick, or the run fails.
 //!
 //! ```
 //! use hub::x_ray::{Due, Renderer, Schedule, ScheduleSettings};

@@ -1,4 +1,4 @@
-//! Removed voxels between their arrival and the frame that no longer shows them.
+//! Holds removed voxels from their arrival until the first frame that shows them gone.
 
 use std::collections::VecDeque;
 
@@ -7,13 +7,13 @@ use thiserror::Error;
 /// The voxels that one tick removed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RemovedBatch {
-    /// The tick; 0 for what the scene predrills.
+    /// The tick; 0 for the scene's predrilled voxels.
     pub tick: u64,
     /// Counts the batches, from 1, rising by one.
     pub sequence: u64,
     /// Number of voxels removed up to and with this tick.
     pub total: u64,
-    /// Whether all removed voxels were restored first, as a reset does.
+    /// Whether all removed voxels were first restored, as by a reset.
     pub restore_first: bool,
     /// Linear indices.
     pub voxels: Vec<u32>,
@@ -22,13 +22,13 @@ pub struct RemovedBatch {
 /// What has changed since the last frame.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RemovedSince {
-    /// Whether all removed voxels are restored before `voxels` are removed.
+    /// Whether to restore all removed voxels before removing `voxels`.
     pub restore_first: bool,
-    /// Linear indices in the order of their removal; after a restore, beginning with the predrilled ones.
+    /// Linear indices in order of removal; after a restore, the predrilled voxels come first.
     pub voxels: Vec<u32>,
 }
 
-/// Removed voxels were lost, so that frames would show bone that is gone.
+/// Removed voxels were lost: frames would show bone that is gone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum RemovedLost {
     /// The newest batches have not come.
@@ -53,7 +53,7 @@ pub enum RemovedLost {
     },
 }
 
-/// Pairs removed voxels with the states that they belong to.
+/// Matches removed voxels to the states they belong to.
 #[derive(Debug, Default)]
 pub struct Removals {
     waiting: VecDeque<RemovedBatch>,
@@ -66,7 +66,7 @@ pub struct Removals {
 }
 
 impl Removals {
-    /// Queues a batch; they come in the order of their ticks.
+    /// Queues a batch. Batches must come in tick order.
     pub fn receive(&mut self, batch: RemovedBatch) {
         let (before, received) = (self.sequence, batch.sequence);
         // Totals do not show it if the states in between are lost, too.
@@ -77,7 +77,7 @@ impl Removals {
         self.waiting.push_back(batch);
     }
 
-    /// Takes in the batches up to the state of a tick, by which `removed_total` voxels have been removed.
+    /// Takes in the batches up to the state of `tick`, by which `removed_total` voxels have been removed.
     ///
     /// # Errors
     /// Batches are missing.

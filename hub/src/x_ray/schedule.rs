@@ -1,4 +1,4 @@
-//! Which ticks are rendered: those of the scene's frame rate, and those that programs ask for.
+//! Which ticks are rendered: those due at the scene's frame rate and those that programs request.
 
 use std::collections::VecDeque;
 
@@ -9,35 +9,35 @@ use thiserror::Error;
 
 use crate::rate_limit::Connection;
 
-/// Requests of one program that may wait; further ones are refused as busy.
+/// Requests that one program may have pending; further ones are refused as busy.
 const MAX_WAITING_EACH: usize = 8;
-/// Requests of all programs that may wait: enough for as many programs as may be connected.
+/// Requests that all programs together may have pending: enough for every program that can connect.
 const MAX_WAITING: usize = MAX_WAITING_EACH * DRR_REQUEST.max_publishers;
 
-/// A frame to be rendered now.
+/// A frame to render now.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Due {
-    /// The scene's frame rate wants it.
+    /// Due at the scene's frame rate.
     Scheduled,
-    /// A program asked for it.
+    /// Requested by a program.
     Requested(DrrRequest),
 }
 
 /// Whether the renderer can start at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Renderer {
-    /// It has nothing to do.
+    /// Nothing to do.
     Idle,
-    /// It renders, or has jobs waiting.
+    /// Rendering, or has jobs queued.
     Busy,
 }
 
-/// What of a scene decides about its frames.
+/// The scene settings that decide which frames are due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ScheduleSettings {
     /// Real time or lockstep.
     pub mode: Mode,
-    /// Ticks from one frame to the next; `None` if frames come on request only.
+    /// Ticks between two frames; `None` if frames are rendered only on request.
     pub period_ticks: Option<u64>,
     /// The last tick of the run.
     pub end_tick: u64,
@@ -46,7 +46,7 @@ pub struct ScheduleSettings {
 }
 
 impl ScheduleSettings {
-    /// Those of a scene.
+    /// The settings of a scene.
     pub fn of(scene: &Scene) -> ScheduleSettings {
         let drives_c_arm = |drives: &[Drives]| drives.contains(&Drives::CArm);
         ScheduleSettings {
@@ -62,42 +62,42 @@ impl ScheduleSettings {
     }
 }
 
-/// Why a request for a frame is refused.
+/// Why a frame request is refused.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Refusal {
-    /// Another program than the one it names sent it.
+    /// The request names a controller that did not send it.
     #[error("it says that controller {claimed} asks, but another program sent it")]
     OtherSender {
-        /// The controller that it names.
+        /// The controller it names.
         claimed: u32,
     },
     /// Only one controller may move the C-arm.
     #[error("the scene gives the C-arm to another controller")]
     NotTheDriver,
-    /// Its C-arm is refused, for this reason.
+    /// The requested C-arm is invalid, for this reason.
     #[error("{0}")]
     Geometry(String),
-    /// Its tick comes after the end of the run.
+    /// The requested tick is after the end of the run.
     #[error("`tick` is {tick}, the run ends at {end_tick}")]
     AfterTheEnd {
-        /// The tick that it asks for.
+        /// The requested tick.
         tick: u64,
         /// The last tick of the run.
         end_tick: u64,
     },
-    /// Too many of the program's requests, or of all, wait already.
+    /// Too many requests pending, from this program or from all.
     #[error("too many requests wait")]
     Busy,
 }
 
 impl Refusal {
-    /// `DrrReply.status`.
+    /// The code for `DrrReply.status`.
     pub fn status(&self) -> u32 {
         if *self == Refusal::Busy { DRR_BUSY } else { DRR_REFUSED }
     }
 }
 
-/// A request that waits for its tick.
+/// A request waiting for its tick.
 #[derive(Debug)]
 struct Waiting {
     from: Connection,
@@ -115,7 +115,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// At the beginning of a run.
+    /// A schedule at the start of a run.
     pub fn new(settings: ScheduleSettings) -> Schedule {
         Schedule { settings, next_tick: 0, requests: VecDeque::new(), shown_tick: None }
     }
@@ -125,11 +125,11 @@ impl Schedule {
         self.settings.period_ticks.is_some()
     }
 
-    /// Queues a request. `sender` is the index of the controller that sent it, `u32::MAX` for any other program; `geometry` says whether
-    /// the frame's C-arm is a valid one.
+    /// Queues a request. `sender` is the index of the controller that sent it, or `u32::MAX` for any other program; `geometry` says whether
+    /// the requested C-arm is valid.
     ///
     /// # Errors
-    /// Why it is refused; then nothing has changed.
+    /// Why the request is refused; nothing has changed then.
     pub fn request(
         &mut self,
         from: Connection,
@@ -157,8 +157,8 @@ impl Schedule {
         Ok(())
     }
 
-    /// A frame that is due at the state of this tick and is then rendered; to be called until there is none. In lockstep every scheduled
-    /// tick counts and the caller waits for the renderer; in real time a frame is due only when the renderer is idle.
+    /// Returns a frame due at the state of this tick; the caller renders it and calls again until there is none. In lockstep every
+    /// scheduled tick counts and the caller waits for the renderer; in real time a scheduled frame is due only when the renderer is idle.
     pub fn due(&mut self, tick: u64, renderer: Renderer) -> Option<Due> {
         if self.settings.mode == Mode::Realtime && renderer == Renderer::Busy {
             return None;
@@ -168,7 +168,7 @@ impl Schedule {
         Some(due)
     }
 
-    /// The frame of the last state of the run, unless one shows it already.
+    /// The frame of the run's last state, unless a frame already shows it.
     pub fn last(&mut self, tick: u64) -> Option<Due> {
         (self.shown_tick.replace(tick) != Some(tick)).then_some(Due::Scheduled)
     }
@@ -248,7 +248,7 @@ mod tests {
         assert_eq!(order, [(9, 0), (12, 0), (12, 1), (12, 2), (12, 3)]);
     }
 
-    /// All programs shared 16 places: one that asked for ticks far ahead took them from everybody.
+    /// One program that requests ticks far ahead must not use up the other programs' places.
     #[test]
     fn a_program_that_floods_takes_no_place_from_another() {
         let mut schedule = schedule(Mode::Lockstep, None);
