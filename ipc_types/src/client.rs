@@ -1,4 +1,4 @@
-//! Joining a session, and making ports in it.
+//! Joins a session and opens ports in it.
 
 use std::cell::Cell;
 use std::path::Path;
@@ -29,9 +29,9 @@ use crate::session::{
 use crate::shared_memory::{SharedMemory, require_free};
 use crate::wake::{Waiter, WakeFlags, Waker, Way, YieldBackoff, allowed_cores};
 
-/// How long a client waits for a session to be announced, or for a service to be there.
+/// How long a client waits for a session's announcement, or for a service.
 const JOIN_TIME: Duration = Duration::from_secs(10);
-/// How long a service that has been announced is looked for again.
+/// How long a client retries to open an announced service.
 const OPEN_TIME: Duration = Duration::from_secs(2);
 const RETRY_TIME: Duration = Duration::from_millis(5);
 
@@ -45,7 +45,7 @@ impl Session {
         Session::join_within(folder, JOIN_TIME)
     }
 
-    /// The same with a limit of its own.
+    /// As [`join`](Session::join), with a time limit.
     ///
     /// # Errors
     /// As [`Session::join`].
@@ -62,13 +62,12 @@ impl Session {
         Ok(Session { folder: folder.to_owned(), handle, claims, id, announcement, node, flags })
     }
 
-    /// Whether the session's host is running. Its folder may have been removed meanwhile.
+    /// Whether the session's host is running; works even if its folder has been removed.
     pub fn host_is_alive(&self) -> bool {
         is_locked(&self.handle)
     }
 
-    /// Whether the announcement still lies in the session's folder: a host that ends takes it away, one that is killed
-    /// leaves it.
+    /// Whether the announcement is still in the session's folder. A host removes it when it ends; a killed host leaves it behind.
     pub fn is_announced(&self) -> bool {
         rustix::fs::accessat(&self.handle, ANNOUNCEMENT_FILE, Access::EXISTS, AtFlags::empty()).is_ok()
     }
@@ -78,12 +77,12 @@ impl Session {
         &self.folder
     }
 
-    /// What a program's environment must say for it to be this controller.
+    /// The environment variables that make a program this controller.
     pub fn how_to_connect(&self, controller: &str) -> String {
         format!("{SESSION_VARIABLE}={} {CONTROLLER_VARIABLE}={controller}", self.folder.display())
     }
 
-    /// The transport itself, for measurements beside the session's services.
+    /// The transport's node, for measurements outside the session's services.
     pub fn node(&self) -> &Node<ipc::Service> {
         &self.node
     }
@@ -105,16 +104,16 @@ impl Session {
         })
     }
 
-    /// A publisher of a service; its whole shared memory is reserved.
+    /// A publisher for a service, with all its shared memory reserved.
     ///
     /// # Errors
-    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] for a service of a part that this
-    /// program is not ([`Session::claim`]), or a transport failure.
+    /// [`SessionError::Layout`], [`SessionError::SharedMemory`], [`SessionError::Reserved`] for a service of a part that this program is
+    /// not ([`Session::claim`]), or a transport failure.
     pub fn publisher<M: Message>(&self, service: &Service) -> Result<Publisher<M>, SessionError> {
         self.named_publisher(service.name, service)
     }
 
-    /// The publisher of a controller's commands: one at a time.
+    /// The publisher of a controller's commands; only one at a time.
     ///
     /// # Errors
     /// [`SessionError::ControllerTaken`], and those of [`Session::publisher`].
@@ -123,7 +122,7 @@ impl Session {
         self.named_publisher(&services::command_name(controller), &services::COMMAND)
     }
 
-    /// A subscriber of a service.
+    /// A subscriber to a service.
     ///
     /// # Errors
     /// [`SessionError::Layout`] or a transport failure.
@@ -131,8 +130,8 @@ impl Session {
         self.named_subscriber(service.name, service)
     }
 
-    /// A subscriber that keeps only the newest message, so that the writer goes round a few samples that stay in its
-    /// cache instead of filling a long queue for a reader that looks seldom.
+    /// A subscriber that keeps only the newest message. The writer then cycles through a few cached samples instead of filling a long queue
+    /// for a reader that rarely polls.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -140,7 +139,7 @@ impl Session {
         self.named_subscriber(service.name, &Service { queue_length: 1, ..*service })
     }
 
-    /// A subscriber with the longest queue, for whoever must not lose a message when it stands still for seconds.
+    /// A subscriber with the longest queue, for readers that must not lose a message even if they stall for seconds.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -157,7 +156,7 @@ impl Session {
         self.named_subscriber(&services::command_name(controller), &services::COMMAND)
     }
 
-    /// The same with the longest queue.
+    /// As [`command_subscriber`](Session::command_subscriber), with the longest queue.
     ///
     /// # Errors
     /// As [`Session::command_subscriber`].
@@ -166,7 +165,7 @@ impl Session {
         self.named_subscriber(&services::command_name(controller), &lossless(&services::COMMAND))
     }
 
-    /// Lets this process sleep until somebody wakes it.
+    /// Lets this process sleep until another wakes it.
     ///
     /// # Errors
     /// A transport failure.
@@ -178,7 +177,7 @@ impl Session {
         let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
         self.flags.welcome(reader.slot());
         let way = match reader {
-            // They look at their queues in intervals: nobody waits for them.
+            // They poll at intervals; nobody waits for them.
             Reader::Recorder | Reader::Drr => Way::Hybrid,
             Reader::Physics | Reader::Controller(_) => {
                 let spinning = 1 + self.announcement.controllers.len();
@@ -209,7 +208,7 @@ impl Session {
         Ok(Waker { notifier, flags: self.flags.clone(), reader: reader.slot(), service, spared, listeners })
     }
 
-    /// Frees what processes that were killed have left in this session.
+    /// Frees what killed processes have left in this session.
     pub fn clean_up_dead_nodes(&self) {
         self.node.try_cleanup_dead_nodes();
     }
@@ -234,7 +233,7 @@ impl Session {
         let builder = || self.node.service_builder(&service_name).publish_subscribe::<[u8]>();
         let end = Instant::now() + OPEN_TIME;
         let mut opened = builder().open_with_attributes(&attributes);
-        // The host has announced it, so it is there: on a loaded machine a look at it may still fail for a moment.
+        // The host has announced the service, so it exists; on a loaded machine opening it may still fail briefly.
         while matches!(opened, Err(PublishSubscribeOpenError::DoesNotExist)) && Instant::now() < end {
             std::thread::sleep(RETRY_TIME);
             opened = builder().open_with_attributes(&attributes);
@@ -264,7 +263,7 @@ impl Session {
         let mut builder = self.open::<M>(name)?;
         let mut made = publisher_of(&mut builder, &service);
         if matches!(made, Err(PublisherCreateError::ExceedsMaxSupportedPublishers)) {
-            // Programs that were killed hold their places until somebody cleans up behind them.
+            // Killed programs hold their slots until somebody cleans up.
             self.node.try_cleanup_dead_nodes();
             made = publisher_of(&mut builder, &service);
         }

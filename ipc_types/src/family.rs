@@ -1,4 +1,4 @@
-//! Parents and children: a process that ends with its parent, and all that descends from one.
+//! Parents and children: ties a process's life to its parent's, and finds all descendants of a process.
 
 use std::os::unix::process::CommandExt;
 use std::process::Command;
@@ -6,30 +6,29 @@ use std::process::Command;
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, getpid, getppid, set_parent_process_death_signal, setsid};
 
-/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves nothing running.
-/// A parent that has died before is not noticed: a part asks its session's lock afterwards
-/// ([`host_is_alive`](crate::session::host_is_alive)).
+/// Has the kernel send SIGTERM to this process when its parent dies, so that a killed launcher leaves no orphans. This misses a parent that
+/// died earlier, so a part checks its session's lock afterwards ([`host_is_alive`](crate::session::host_is_alive)).
 pub fn end_with_parent() {
-    // Where the kernel refuses, the process still ends when its session's state stops.
+    // If the kernel refuses, the process still ends when its session's states stop.
     let _ = set_parent_process_death_signal(Some(Signal::TERM));
 }
 
-/// Has the kernel do the same to a program that is to be started, and makes it a session of its own: that keeps the
-/// terminal's Ctrl-C from it, as the launcher ends its parts in order, and the kernel then shares cores between it and all
-/// else ([`prioritise`](crate::process::prioritise)). The thread that starts it counts as its parent.
+/// As [`end_with_parent`], for a program about to be started. Also makes it a session of its own: the terminal's Ctrl-C then does not reach
+/// it, because the launcher ends its parts in order, and the kernel shares cores between it and everything else
+/// ([`prioritise`](crate::process::prioritise)). The thread that starts it counts as its parent.
 pub fn bind_to_parent(command: &mut Command) -> &mut Command {
     bind_to_parent_with(command, Signal::TERM)
 }
 
-/// The same with another signal.
+/// As [`bind_to_parent`], with another signal.
 pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Command {
     let parent = getpid();
-    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes three
-    // system calls (prctl, getppid, setsid), allocates nothing and takes no lock.
+    // SAFETY: the closure runs between fork and exec, where only async-signal-safe calls are allowed; it makes three system calls (prctl,
+    // getppid, setsid), allocates nothing and takes no lock.
     unsafe {
         command.pre_exec(move || {
             let _ = set_parent_process_death_signal(Some(signal));
-            // A parent that died between the fork and this line sends nothing any more.
+            // A parent that died between the fork and this line sends no signal.
             if getppid() != Some(parent) {
                 return Err(Errno::SRCH.into());
             }
@@ -39,8 +38,8 @@ pub fn bind_to_parent_with(command: &mut Command, signal: Signal) -> &mut Comman
     }
 }
 
-/// All living processes that descend from one, whatever group or session they have made for themselves. What a process
-/// leaves behind when it ends counts as its nearest subreaper's (`PR_SET_CHILD_SUBREAPER`).
+/// All living descendants of a process, whatever group or session they have created. Orphans count as children of their nearest subreaper
+/// (`PR_SET_CHILD_SUBREAPER`).
 pub fn descendants(of: Pid) -> Vec<Pid> {
     let pairs = families();
     let mut found = vec![of];
@@ -53,7 +52,7 @@ pub fn descendants(of: Pid) -> Vec<Pid> {
     found
 }
 
-/// The living processes whose parent is this one.
+/// This process's living children.
 pub fn children() -> Vec<Pid> {
     let own = getpid();
     families().into_iter().filter(|(_, parent)| *parent == own).map(|(child, _)| child).collect()
@@ -65,11 +64,11 @@ fn families() -> Vec<(Pid, Pid)> {
     entries.filter_map(|entry| parentage(entry.file_name().to_str()?)).collect()
 }
 
-/// A process and its parent; none for one that is dead.
+/// A process and its parent; `None` if it is dead.
 fn parentage(process: &str) -> Option<(Pid, Pid)> {
     let pid = Pid::from_raw(process.parse().ok()?)?;
     let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    // State and parent stand behind the name, which may hold anything (proc_pid_stat(5)).
+    // State and parent follow the name, which may contain anything (proc_pid_stat(5)).
     let mut fields = text.rsplit_once(')')?.1.split_whitespace();
     let is_dead = matches!(fields.next()?, "Z" | "X");
     let parent = Pid::from_raw(fields.next()?.parse().ok()?)?;

@@ -1,9 +1,9 @@
-//! Removes shared memory that a process was killed while making.
+//! Removes shared memory that a process was killed while creating.
 //!
-//! The transport makes a segment in two steps, `shm_open` and `ftruncate`. Whoever opens one that has no size yet waits for the second step
-//! without a limit (iceoryx2 0.10, `dynamic_storage/posix_shared_memory.rs`, the arm `MappingSizeIsZero`). A process that is killed between
-//! the two would so hang every other one that opens the segment, or cleans up after the dead. Removing the name ends their wait with an
-//! error.
+//! The transport creates a segment in two steps, `shm_open` and `ftruncate`. A process that opens a segment of size zero waits for the
+//! second step without a limit (iceoryx2 0.10, `dynamic_storage/posix_shared_memory.rs`, the arm `MappingSizeIsZero`). If the creator is
+//! killed between the two, every process that opens the segment, or cleans up after dead processes, hangs. Removing the name ends their
+//! wait with an error.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,13 +15,13 @@ use std::time::{Duration, Instant};
 use crate::session::SessionId;
 use crate::shared_memory::SharedMemory;
 
-/// Between two looks at the session's segments.
+/// Time between two sweeps.
 const LOOK_TIME: Duration = Duration::from_millis(200);
-/// How long a segment may have no size though all processes that its name tells of live. It is microseconds; of a process in another PID
-/// namespace nothing else is known.
+/// How long a segment may have size zero while every process in its name is alive. Creation takes microseconds; the timeout is the only
+/// evidence about a creator in another PID namespace.
 const LONGEST_MAKING: Duration = Duration::from_secs(10);
 
-/// A thread that removes half-made segments of a session until it is dropped.
+/// A thread that removes a session's half-made segments until it is dropped.
 #[derive(Debug)]
 pub struct HalfMadeSweeper {
     is_over: Arc<AtomicBool>,
@@ -29,19 +29,19 @@ pub struct HalfMadeSweeper {
 }
 
 impl HalfMadeSweeper {
-    /// Sweeps the session of this folder.
+    /// Sweeps the session in this folder.
     ///
     /// # Errors
-    /// The folder is no session's; the system refuses the thread, or to open the folder of shared memory.
+    /// The folder is not a session's; the system refuses to start the thread or to open the shared-memory folder.
     pub fn of(session: &Path) -> std::io::Result<HalfMadeSweeper> {
         let id = SessionId::of(session).ok_or(std::io::ErrorKind::InvalidInput)?;
         HalfMadeSweeper::start(id.shared_memory_prefix())
     }
 
-    /// Sweeps the segments whose names begin so.
+    /// Sweeps the segments whose names start with `prefix`.
     ///
     /// # Errors
-    /// The system refuses the thread, or to open the folder.
+    /// The system refuses to start the thread or to open the folder.
     pub(crate) fn start(prefix: String) -> std::io::Result<HalfMadeSweeper> {
         let memory = SharedMemory::open()?;
         let is_over = Arc::new(AtomicBool::new(false));
@@ -62,13 +62,13 @@ impl Drop for HalfMadeSweeper {
         self.is_over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             thread.thread().unpark();
-            // It does not panic; if it did, nothing more is swept.
+            // The thread does not panic; if it did, sweeping simply stops.
             let _ = thread.join();
         }
     }
 }
 
-/// Removes every segment that had no size at the look before either and whose maker is dead.
+/// Removes every segment that also had size zero at the last sweep and whose creator is dead.
 fn look(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String, Instant>, now: Instant) {
     let empty = memory.empty_segments(prefix);
     empty_since.retain(|name, _| empty.contains(name));
@@ -85,17 +85,17 @@ fn look(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String, 
     }
 }
 
-/// The processes whose numbers a segment's name tells: bits 64 to 95 of each of the transport's unique numbers (iceoryx2-bb-posix 0.10,
-/// `UniqueSystemId`). A connection has the numbers of both its ends.
+/// Process numbers in a segment's name: bits 64 to 95 of each of the transport's unique numbers (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
+/// A connection's name holds the numbers of both ends.
 fn makers(name: &str) -> impl Iterator<Item = u32> + '_ {
     let numbers = name.split(['_', '.']).filter_map(|part| part.parse::<u128>().ok());
     numbers.filter(|number| *number > u128::from(u64::MAX)).map(|number| (number >> 64) as u32)
 }
 
-/// Whether no process of this number lives here.
+/// Whether no process with this number is alive here.
 fn is_dead(process: u32) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
-    // The state stands behind the name, which may hold anything (proc_pid_stat(5)).
+    // The state follows the name, which may contain anything (proc_pid_stat(5)).
     stat.rsplit_once(')').is_none_or(|(_, rest)| matches!(rest.trim_start().get(..1), Some("Z" | "X")))
 }
 

@@ -1,5 +1,5 @@
-//! Who a message comes from, as the transport knows it and not as the message says: which controller asks, and whether
-//! what claims to be a part's is that part's.
+//! Identifies a message's sender by the transport, not by what the message claims: which controller sent it, and whether a part's message
+//! really comes from that part.
 
 use std::cell::{Cell, RefCell};
 use std::io;
@@ -16,7 +16,7 @@ use crate::ports::Received;
 use crate::services;
 use crate::session::{ByteService, Session, SessionError, create_file, file_error, read_file};
 
-/// File in the session's folder that says which node a part is.
+/// File in the session's folder that records a part's node.
 fn file(part: Part) -> &'static str {
     match part {
         Part::Host => "part.host",
@@ -27,7 +27,7 @@ fn file(part: Part) -> &'static str {
 }
 
 impl Session {
-    /// Says that this program is a part, before it opens the part's ports. There is one of each.
+    /// Claims a part for this program, before it opens the part's ports. Each part exists once.
     ///
     /// # Errors
     /// [`SessionError::PartTaken`]; a file that cannot be written.
@@ -44,7 +44,7 @@ impl Session {
         }
     }
 
-    /// Whether this program may write a service with these writers.
+    /// Whether this program is one of these writers.
     pub(crate) fn is_one_of(&self, writers: &[Part]) -> bool {
         let node = self.node.id().value();
         writers.is_empty()
@@ -52,14 +52,13 @@ impl Session {
     }
 }
 
-/// Numbers of the nodes that the parts are, once they have been read: a claim never changes, and the session's folder may be
-/// removed before a part's first message on some service comes.
+/// Node number of each part, once read. Cached, because a claim never changes and the session's folder may be removed before a part sends
+/// its first message on some service.
 #[derive(Debug, Default)]
 pub(crate) struct Claims([OnceLock<u128>; Part::ALL.len()]);
 
 impl Claims {
-    /// Number of the node that a part is. Where it has to be read, all claims are: one part's first message comes when the
-    /// others have claimed theirs.
+    /// A part's node number. The first lookup reads all claims: when one part's first message arrives, the others have made theirs.
     fn node_of(&self, folder: &OwnedFd, part: Part) -> Option<u128> {
         let Claims(nodes) = self;
         if nodes[part as usize].get().is_none() {
@@ -74,23 +73,23 @@ impl Claims {
     }
 }
 
-/// Connections that a reader remembers; of one that comes back after so many others is asked again.
+/// Connections that a reader remembers; an older one is looked up again.
 const KNOWN_CONNECTIONS: usize = 32;
 
-/// Tells a part's messages from those of programs that have taken a free port of the part's service.
+/// Tells a part's messages from those of programs that took a free port of the part's service.
 #[derive(Debug)]
 pub(crate) struct Guard {
     service: ByteService,
     folder: OwnedFd,
     claims: Arc<Claims>,
     writers: &'static [Part],
-    /// Connections that have been looked at.
+    /// Connections already identified.
     known: RefCell<Vec<(UniquePublisherId, Option<Part>)>>,
     strangers: Cell<u64>,
 }
 
 impl Guard {
-    /// None for a service that every client may write.
+    /// `None` for a service that every client may write.
     pub(crate) fn of(
         session: &Session,
         service: ByteService,
@@ -105,7 +104,7 @@ impl Guard {
         Ok(Some(Guard { service, folder, claims, writers, known, strangers }))
     }
 
-    /// The part at the other end of a connection; a stranger is counted.
+    /// The part at the other end of a connection. Counts strangers.
     pub(crate) fn part_of(&self, sender: UniquePublisherId) -> Option<Part> {
         let known = self.known.borrow().iter().find(|(known, _)| *known == sender).map(|(_, part)| *part);
         let part = known.unwrap_or_else(|| {
@@ -123,8 +122,8 @@ impl Guard {
         part
     }
 
-    /// A part that has ended has no port any more, though its last messages may still wait: then its process decides, which
-    /// the number of its port carries as that of its node does.
+    /// Once a part has ended its port is gone, but its last messages may still be queued. It is then identified by its process number,
+    /// which both the port's and the node's number contain.
     fn look_for(&self, sender: UniquePublisherId) -> Option<Part> {
         let process = |number: u128| (number >> 64) as u32;
         let node = publishers(&self.service).find(|details| details.publisher_id == sender);
@@ -139,16 +138,16 @@ impl Guard {
         self.writers.iter().copied().find(is_it)
     }
 
-    /// Messages of strangers so far.
+    /// Messages from strangers so far.
     pub(crate) fn strangers(&self) -> u64 {
         self.strangers.get()
     }
 }
 
-/// Who may ask the DRR process for frames, by the ports that are connected.
+/// Tells who may request frames from the DRR process, from the connected ports.
 ///
-/// A program has one node in a session, and all its ports belong to it: who holds the command port of a controller is
-/// this controller, and no request can claim to be another's.
+/// A program has one node in a session, and all its ports belong to it. The program that holds a controller's command port is that
+/// controller, so no request can impersonate another's.
 #[derive(Debug)]
 pub struct Requesters {
     requests: ByteService,
@@ -156,7 +155,7 @@ pub struct Requesters {
 }
 
 impl Session {
-    /// A view of who is connected.
+    /// A view of the connected programs.
     ///
     /// # Errors
     /// As [`Session::subscriber`].
@@ -171,8 +170,7 @@ impl Session {
 }
 
 impl Requesters {
-    /// Index of the controller that has sent a request; none if it came from an observer, or from a program that has
-    /// gone meanwhile.
+    /// Index of the controller that sent a request; `None` if it came from an observer or from a program that has since ended.
     pub fn controller_of(&self, request: &Received<DrrRequest>) -> Option<usize> {
         let Sender(sender) = request.sender();
         let node = publishers(&self.requests).find(|details| details.publisher_id == sender)?.node_id;
@@ -189,19 +187,19 @@ fn publishers(service: &ByteService) -> impl Iterator<Item = PublisherDetails> {
     all.into_iter()
 }
 
-/// One connection of a program that sends: another one each time that it connects.
+/// One connection of a sender; a sender that reconnects gets a new one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sender(UniquePublisherId);
 
 impl Sender {
-    /// A number that no other connection has.
+    /// A number unique to this connection.
     pub fn number(self) -> u128 {
         self.0.value()
     }
 }
 
 impl<M: Message> Received<M> {
-    /// Which connection this message came over.
+    /// The connection this message came over.
     pub fn sender(&self) -> Sender {
         Sender(self.sample.header().publisher_id())
     }

@@ -1,12 +1,12 @@
-//! The transport: sessions, ports, waiting and waking over iceoryx2, and what else every process of the hub does alike.
+//! The transport: sessions, ports, waiting and waking over iceoryx2, and what all processes of the hub share.
 //!
-//! **Boundary:** it moves messages and knows none of their meaning; nothing below it (`messages`, `scene`) knows iceoryx2. It hands both on
-//! under their names, so that a client names one crate.
+//! **Boundary:** it moves messages without knowing their meaning; nothing below it (`messages`, `scene`) knows iceoryx2. It re-exports both, so
+//! that a client depends on one crate.
 //!
-//! **Invariants:** only the host creates services; nobody blocks a writer, and whoever loses a message can see it; each `unsafe` states its
-//! proof. What is created is reserved and touched first, so that a full `/dev/shm` is an error and no signal.
+//! **Invariants:** only the host creates services; no reader blocks a writer, and a reader that loses a message can tell; each `unsafe`
+//! states its proof. New memory is reserved and touched first, so that a full `/dev/shm` is an error and not a signal.
 //!
-//! A client joins a session, opens ports of its services and takes what has arrived:
+//! A client joins a session, opens ports of its services and takes the messages that have arrived:
 //!
 //! ```no_run
 //! use std::path::Path;
@@ -29,12 +29,12 @@
 //! |---|---|
 //! | [`messages`], [`layout`], [`services`] | the crate `messages` |
 //! | [`session`], [`ports`], [`wake`] | creating and joining a session, sending and receiving, waiting and waking |
-//! | [`own`] | what a child of `fork` inherits and does not clean up |
-//! | [`identity`] | which controller a message comes from, as the transport knows it |
+//! | [`own`] | resources that a `fork` child inherits but must not clean up |
+//! | [`identity`] | which controller or part sent a message, according to the transport |
 //! | [`scene`], [`scene_file`] | the crate `scene`; scenes from files |
 //! | [`text_file`] | reading text files that a user names |
-//! | [`process`] | exit codes, priorities, events: what every process does alike |
-//! | [`clock`], [`signals`], [`family`] | the monotonic clock; being asked to end; parents and children |
+//! | [`process`] | exit codes, priorities, events: what all processes share |
+//! | [`clock`], [`signals`], [`family`] | the monotonic clock; requests to end; parents and children |
 //! | [`reference`](mod@reference) | docs/messages.md, generated |
 
 mod client;

@@ -1,10 +1,10 @@
-//! What belongs to the process that made it, and not to a child that `fork` copies it into.
+//! Resources that belong to the process that created them and not to its `fork` children.
 //!
-//! A child of `fork` has every port of its parent in its memory, and would close them where it ends: the parent's places in
-//! the services, its files and its shared memory would go. So each of them is an [`Own`], which only its maker cleans up.
+//! A `fork` child has a copy of every port of its parent and would close them when it ends, which would free the parent's slots in the
+//! services, its files and its shared memory. Each of these is therefore an [`Own`], which only its creator cleans up.
 //!
-//! A process knows itself by a page that the kernel wipes in every child (`MADV_WIPEONFORK`): a look at it is one load,
-//! where asking for the process number is a system call, and no way of forking goes past it.
+//! A process recognises itself by a page that the kernel zeroes in every child (`MADV_WIPEONFORK`). Checking it is one load, where `getpid`
+//! is a system call, and it works however the process forks.
 
 use core::mem::ManuallyDrop;
 use core::ops::{Deref, DerefMut};
@@ -13,26 +13,26 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use memmap2::{MmapMut, MmapRaw};
 
-/// Which process this is: another number in every child than in any of its ancestors.
+/// Identifies a process: each child's number differs from all of its ancestors'.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Generation(u64);
 
 impl Generation {
-    /// That of the calling process.
+    /// The calling process's number.
     pub fn current() -> Generation {
         static PAGE: OnceLock<Option<MmapRaw>> = OnceLock::new();
-        // Copied into a child as it is, so that the child counts on from its parent's number.
+        // Inherited by a child, which counts on from its parent's number.
         static NEWEST: AtomicU64 = AtomicU64::new(0);
         let Some(page) = PAGE.get_or_init(wiped_page) else {
             return Generation(u64::from(std::process::id()));
         };
-        // SAFETY: the mapping is a page long, aligned to it, and lives as long as the program, which reads and writes these
-        // eight bytes through atomics only.
+        // SAFETY: the mapping is one page long, page-aligned, and lives as long as the program, which reads and writes these eight bytes
+        // only through atomics.
         let mark = unsafe { AtomicU64::from_ptr(page.as_mut_ptr().cast::<u64>()) };
         match mark.load(Ordering::Relaxed) {
             0 => {
                 let next = NEWEST.fetch_add(1, Ordering::Relaxed) + 1;
-                // Another thread may have been first.
+                // Another thread may have set it first.
                 let set = mark.compare_exchange(0, next, Ordering::Relaxed, Ordering::Relaxed);
                 Generation(set.err().unwrap_or(next))
             }
@@ -41,16 +41,15 @@ impl Generation {
     }
 }
 
-/// A page that is all zeros in a child; none where the kernel has no such pages (before Linux 4.14).
+/// A page that is zeroed in a child; `None` if the kernel cannot do that (before Linux 4.14).
 fn wiped_page() -> Option<MmapRaw> {
     let page: MmapRaw = MmapMut::map_anon(size_of::<u64>()).ok()?.into();
-    // SAFETY: the range is that of a mapping which is private, anonymous and alive, and the advice changes nothing in this
-    // process.
+    // SAFETY: the range is a live, private, anonymous mapping, and the advice changes nothing in this process.
     let outcome = unsafe { libc::madvise(page.as_mut_ptr().cast(), page.len(), libc::MADV_WIPEONFORK) };
     (outcome == 0).then_some(page)
 }
 
-/// A value that is dropped only by the process that made it.
+/// A value that only the process that created it drops.
 #[derive(Debug)]
 pub struct Own<T> {
     value: ManuallyDrop<T>,
@@ -58,12 +57,12 @@ pub struct Own<T> {
 }
 
 impl<T> Own<T> {
-    /// Takes a value of this process.
+    /// Makes this process the value's owner.
     pub fn new(value: T) -> Own<T> {
         Own { value: ManuallyDrop::new(value), made_by: Generation::current() }
     }
 
-    /// Whether this process has made it; if not, it is its parent's.
+    /// Whether this process owns it; if not, its parent does.
     pub fn is_ours(&self) -> bool {
         self.made_by == Generation::current()
     }
@@ -86,7 +85,7 @@ impl<T> DerefMut for Own<T> {
 impl<T> Drop for Own<T> {
     fn drop(&mut self) {
         if self.is_ours() {
-            // SAFETY: this is the only place that drops the value, and nothing uses it behind the drop of its owner.
+            // SAFETY: nothing else drops the value, and nothing uses it after its owner's drop.
             unsafe { ManuallyDrop::drop(&mut self.value) };
         }
     }
@@ -114,7 +113,7 @@ mod tests {
         let before = Generation::current();
         let own = Own::new(Bell(bell));
         assert!(own.is_ours());
-        // SAFETY: the child allocates nothing, drops a value whose drop makes at most one system call, and ends with `_exit`.
+        // SAFETY: the child allocates nothing, drops a value whose drop makes at most one system call, and exits with `_exit`.
         let child = unsafe { libc::fork() };
         if child == 0 {
             let is_foreign = !own.is_ours() && Generation::current() != before;

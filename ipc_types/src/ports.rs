@@ -1,4 +1,4 @@
-//! Publishers and subscribers of messages: bytes in shared memory, checked against their layout at both ends.
+//! Publishers and subscribers: messages are bytes in shared memory, checked against their layout at both ends.
 
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
@@ -15,13 +15,13 @@ use crate::layout::Message;
 use crate::messages::Part;
 use crate::own::Own;
 
-/// Messages of a wrong length that one look takes off a queue: whoever floods with them holds nobody up.
+/// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
-/// The same for messages of strangers on a part's service: more than any queue holds, because what comes behind them must
-/// not come late.
+/// The same limit for strangers' messages on a part's service. More than any queue holds, because the part's own messages behind them must
+/// not be late.
 const STRANGERS_AT_ONCE: usize = 1 << 14;
 
-/// Why a message could not be sent or taken.
+/// Why a message could not be sent or received.
 #[derive(Debug, Error)]
 pub enum PortError {
     /// The publisher could not get a free sample.
@@ -31,9 +31,9 @@ pub enum PortError {
     Loan {
         /// Service name.
         service: String,
-        /// Bytes asked for.
+        /// Bytes requested.
         bytes: usize,
-        /// Most bytes of a message of this publisher.
+        /// Largest message of this publisher, bytes.
         limit: usize,
         /// iceoryx2's reason.
         cause: String,
@@ -54,14 +54,14 @@ pub enum PortError {
         /// iceoryx2's reason.
         cause: String,
     },
-    /// A message has not the length that its type and its own count say.
+    /// A message's length does not match its type and its own count.
     #[error("service `{service}`: a message of {bytes} bytes arrived, expected {expected}")]
     Length {
         /// Service name.
         service: String,
-        /// Bytes that came.
+        /// Bytes received.
         bytes: usize,
-        /// What was expected.
+        /// Expected length.
         expected: String,
     },
 }
@@ -84,12 +84,12 @@ impl<M: Message> Publisher<M> {
         self.send_parts(&[message.as_bytes()])
     }
 
-    /// Sends a message and the elements behind it; the message's last field must be their count.
+    /// Sends a message and the elements that follow it; the message's last field must be their count.
     pub fn send_with_tail(&self, message: &M, tail: &[u8]) -> Result<(), PortError> {
         self.send_parts(&[message.as_bytes(), tail])
     }
 
-    /// Sends the concatenation of some byte strings as one message.
+    /// Sends the concatenation of `parts` as one message.
     pub fn send_parts(&self, parts: &[&[u8]]) -> Result<(), PortError> {
         let bytes = parts.iter().map(|part| part.len()).sum();
         let mut sample = self.raw.loan_slice_uninit(bytes).map_err(|cause| PortError::Loan {
@@ -106,7 +106,7 @@ impl<M: Message> Publisher<M> {
             }
             rest = tail;
         }
-        // SAFETY: the sample has exactly as many bytes as the parts together, and the loop wrote each part.
+        // SAFETY: the sample is exactly as long as all parts together, and the loop has written each part.
         let sample = unsafe { sample.assume_init() };
         sample
             .send()
@@ -127,7 +127,7 @@ impl<M: Message> Publisher<M> {
 pub struct Subscriber<M> {
     raw: Own<RawSubscriber<ipc::Service, [u8], ()>>,
     name: String,
-    /// Of a service that parts of the hub alone write.
+    /// Present on services that only parts of the hub may write.
     guard: Option<Guard>,
     message: PhantomData<M>,
 }
@@ -141,10 +141,10 @@ impl<M: Message> Subscriber<M> {
         Subscriber { raw: Own::new(raw), name, guard, message: PhantomData }
     }
 
-    /// The oldest message that waits, if any. Its bytes stay in shared memory until the return value is dropped.
+    /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value is dropped.
     ///
-    /// A message of a wrong length is taken off the queue and reported. What a program has sent that is not the part whose
-    /// service this is, is passed over and counted ([`Subscriber::strangers`]).
+    /// Takes a message of the wrong length off the queue and returns an error. On a part's service, skips and counts messages from programs
+    /// that are not that part ([`Subscriber::strangers`]).
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
         for _ in 0..STRANGERS_AT_ONCE {
             let sample = self.raw.receive().map_err(|cause| PortError::Receive {
@@ -164,13 +164,13 @@ impl<M: Message> Subscriber<M> {
         Ok(None)
     }
 
-    /// Messages so far of programs that are not the part whose service this is.
+    /// Messages so far from programs that are not the part that owns the service.
     pub fn strangers(&self) -> u64 {
         self.guard.as_ref().map_or(0, Guard::strangers)
     }
 
-    /// The oldest message of a right length that waits, if any, for services that every client may write: others are
-    /// taken off the queue and handed to `refused`, so many at a time that the caller goes on.
+    /// Takes the oldest valid message, if any, on services that every client may write. Messages of the wrong length go to `refused`, a
+    /// limited number per call so that the caller is not held up.
     ///
     /// # Errors
     /// [`PortError::Receive`].
@@ -187,7 +187,7 @@ impl<M: Message> Subscriber<M> {
         Ok(None)
     }
 
-    /// The newest message that waits, if any; older ones are dropped.
+    /// Takes the newest message in the queue, if any, and drops the older ones.
     pub fn receive_newest(&self) -> Result<Option<Received<M>>, PortError> {
         let mut newest = None;
         while let Some(received) = self.receive()? {
@@ -196,18 +196,18 @@ impl<M: Message> Subscriber<M> {
         Ok(newest)
     }
 
-    /// Whether a message waits.
+    /// Whether the queue holds a message.
     pub fn has_message(&self) -> bool {
         self.raw.has_samples().unwrap_or(true)
     }
 }
 
-/// A message in shared memory. Whoever decides on its content first copies it: its writer is another process.
+/// A message in shared memory. Copy it before deciding on its content: its writer is another process and could change it.
 #[derive(Debug)]
 pub struct Received<M> {
     pub(crate) sample: Own<Sample<ipc::Service, [u8], ()>>,
     part: Option<Part>,
-    /// The message, if it does not lie aligned in shared memory.
+    /// A copy, if the message is not aligned in shared memory.
     copy: Option<Box<M>>,
 }
 
@@ -230,18 +230,18 @@ impl<M: Message> Received<M> {
         Ok(Received { sample: Own::new(sample), part, copy })
     }
 
-    /// The part that has sent it; none on services that every client may write.
+    /// The part that sent it; `None` on services that every client may write.
     pub fn part(&self) -> Option<Part> {
         self.part
     }
 
-    /// The message without what follows it. Not a copy.
+    /// The message without its tail. Not a copy.
     pub fn message(&self) -> &M {
         match &self.copy {
             Some(copy) => copy,
-            // SAFETY: `new` has found at least a message's bytes and, as there is no copy, has proved with
-            // `ref_from_prefix` that a reference to an `M` may point at them; the sample keeps them where they are
-            // for as long as `self` lives, and no writer is given them before it is dropped.
+            // SAFETY: `new` checked that the sample holds at least a message's bytes and, as there is no copy, proved with
+            // `ref_from_prefix` that they form a valid `&M`. The sample keeps them in place for as long as `self` lives, and no writer gets
+            // them before it is dropped.
             None => unsafe { &*self.sample.payload().as_ptr().cast::<M>() },
         }
     }
@@ -251,7 +251,7 @@ impl<M: Message> Received<M> {
         &self.sample.payload()[M::DESCRIPTION.size..]
     }
 
-    /// All bytes, as they lie in shared memory.
+    /// All bytes, as in shared memory.
     pub fn bytes(&self) -> &[u8] {
         self.sample.payload()
     }

@@ -1,4 +1,4 @@
-//! What every process of the hub does alike: end when asked, end with its parent, send events.
+//! What all processes of the hub share: they end when asked, end with their parent, and send events.
 
 use std::io::Write;
 use std::path::Path;
@@ -18,28 +18,28 @@ pub use crate::signals::EndRequest;
 
 /// Exit code of a run that failed.
 pub const EXIT_FAILED: u8 = 1;
-/// Exit code for bad input: nothing was written, nothing was lost.
+/// Exit code for bad input: nothing written, nothing lost.
 pub const EXIT_BAD_INPUT: u8 = 2;
-/// Exit code for work that is done, but of which the log lacks something: a gap, a cut, no end.
+/// Exit code for finished work with an incomplete log: a gap, a cut, no end.
 pub const EXIT_GAP: u8 = 3;
 
 /// How long a process waits for the volume.
 pub const VOLUME_LIMIT: Duration = Duration::from_secs(60);
 
-/// Exit code of a program that ran a part, after it has said what went wrong.
+/// Prints the error, if any, and returns the exit code of a program that ran a part.
 pub fn conclude(program: &str, outcome: Result<(), impl std::error::Error>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // A terminal that has gone is no reason to panic.
+            // Ignored, because a closed terminal is no reason to panic.
             let _ = writeln!(std::io::stderr(), "{program}: {}", foreign_text::plain(&error.to_string()));
             ExitCode::from(EXIT_FAILED)
         }
     }
 }
 
-/// Waits for the volume; it stays in shared memory as long as the return value lives. `None` if it did not come within
-/// [`VOLUME_LIMIT`], or the process was asked to end first.
+/// Waits for the volume, which stays in shared memory as long as the return value lives. `None` if it did not arrive within
+/// [`VOLUME_LIMIT`] or the process was asked to end first.
 ///
 /// # Errors
 /// The transport's.
@@ -57,20 +57,20 @@ pub fn await_volume(
     Ok(None)
 }
 
-/// Processor time of a process so far, in user and in system mode.
+/// CPU time that a process has used, user and system.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ProcessorTime {
-    /// Of all its threads.
+    /// All its threads.
     pub own: Duration,
-    /// Of the processes that it started and that have ended.
+    /// Child processes that have ended.
     pub children: Duration,
 }
 
 impl ProcessorTime {
-    /// Of a process by its number, or of `self`; none for one that is gone.
+    /// CPU time of the process with this number, or of `self`; `None` if it is gone.
     pub fn of(process: &str) -> Option<ProcessorTime> {
         let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-        // Fields 14 to 17 of all, 11 to 14 behind the name, which may hold anything (proc_pid_stat(5)); hundredths of a second.
+        // Fields 14 to 17 of the file, 11 to 14 after the name, which may contain anything (proc_pid_stat(5)); in hundredths of a second.
         let (_, fields) = text.rsplit_once(')')?;
         let mut times = fields.split_whitespace().skip(11).map(|field| field.parse::<u64>().ok());
         let mut two = || Some(Duration::from_millis(10 * (times.next()?? + times.next()??)));
@@ -78,36 +78,35 @@ impl ProcessorTime {
     }
 }
 
-/// What a part is to the run, the most urgent first. Under overload a later one gives way to an earlier one.
+/// What a part does for the run, most urgent first. Under overload an earlier role preempts a later one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Keeps the tick.
     Physics,
     /// Commands for the next tick.
     Controller,
-    /// Late for nobody, as its queues hold [`RECORDER_QUEUE_TICKS`](crate::services::RECORDER_QUEUE_TICKS): it may be delayed, never
-    /// starved.
+    /// May be delayed, but must never starve: its queues hold [`RECORDER_QUEUE_TICKS`](crate::services::RECORDER_QUEUE_TICKS).
     Recorder,
-    /// Frames: their rate may fall.
+    /// Renders frames; the frame rate may drop.
     Drr,
-    /// Progress for people.
+    /// Shows progress to the user.
     Viewer,
 }
 
-/// How the scheduler treats a part.
+/// How a part is scheduled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Priority {
-    /// `SCHED_FIFO` priority; none: time-shared.
+    /// `SCHED_FIFO` priority; `None` for time-shared.
     pub fifo: Option<i32>,
-    /// Nice value, where it is time-shared: a step is a quarter more or less of the core's time (sched(7)).
+    /// Nice value if time-shared: one step changes the share of the core by a quarter (sched(7)).
     pub nice: i32,
-    /// Time slice that it asks for, where it is time-shared and not the kernel's own (about 3 ms): one with a short slice
-    /// takes the core from one with a long slice as soon as it wakes (Linux 6.12, `PREEMPT_SHORT`). It needs no right.
+    /// Time slice to request if time-shared, instead of the kernel's default (about 3 ms). A thread with a short slice preempts one with a
+    /// long slice as soon as it wakes (Linux 6.12, `PREEMPT_SHORT`). Needs no privilege.
     pub slice_ns: Option<u64>,
 }
 
 impl Role {
-    /// What a part of this role should have. The numbers below 50 stay below the kernel's own interrupt threads.
+    /// The priority for this role. FIFO priorities stay below 50, where the kernel's interrupt threads run.
     pub fn priority(self, policy: Policy) -> Priority {
         let (fifo, nice, slice_ns) = match self {
             Role::Physics => (Some(40), -15, Some(SHORTEST_SLICE_NS)),
@@ -120,21 +119,20 @@ impl Role {
     }
 }
 
-/// The kernel takes no shorter one.
+/// The kernel's minimum.
 const SHORTEST_SLICE_NS: u64 = 100_000;
 
-/// Gives this thread, and those that it starts from now on, the priority of a role, or what the system permits of it:
-/// more weight than others needs a right (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), less does not. Returns what
-/// it has got.
+/// Gives this thread, and the threads it starts from now on, a role's priority, as far as the system permits. Raising it needs a privilege
+/// (`CAP_SYS_NICE`, or RLIMIT_NICE and RLIMIT_RTPRIO), lowering it does not. Returns the priority in effect.
 ///
-/// Linux shares a core between sessions first and between the threads of one only then (autogroup, sched(7)): a process
-/// that leads a session of its own gives that the same nice value, which else would count among its own threads only.
+/// Linux shares a core between sessions first, and only then between a session's threads (autogroup, sched(7)). A session leader therefore
+/// sets the same nice value for its session; otherwise the value would count only among its own threads.
 pub fn prioritise(role: Role, policy: Policy) -> Priority {
     let wanted = role.priority(policy);
     let own = |nice: i32| rustix::process::setpriority_process(None, nice).is_ok();
     let nice = if own(wanted.nice) { wanted.nice } else { 0 };
     if rustix::process::getsid(None).is_ok_and(|leader| leader == rustix::process::getpid()) {
-        // Kernels without autogroups have no such file, and need none.
+        // Kernels without autogroups have no such file and need none.
         let _ = std::fs::write("/proc/self/autogroup", nice.to_string());
     }
     let slice_ns = wanted.slice_ns.filter(|slice_ns| set_slice(*slice_ns, nice).is_ok());
@@ -142,7 +140,7 @@ pub fn prioritise(role: Role, policy: Policy) -> Priority {
     Priority { fifo, nice, slice_ns }
 }
 
-/// `struct sched_attr` in its first version (sched_setattr(2)).
+/// `struct sched_attr`, first version (sched_setattr(2)).
 #[repr(C)]
 struct SchedulingAttributes {
     size: u32,
@@ -155,7 +153,7 @@ struct SchedulingAttributes {
     period_ns: u64,
 }
 
-/// Asks for a time slice for this thread, which is time-shared with this nice value. Kernels before 6.12 take no notice.
+/// Requests a time slice for this thread, which is time-shared with this nice value. Kernels before 6.12 ignore it.
 ///
 /// # Errors
 /// The system does not permit it.
@@ -170,27 +168,26 @@ pub fn set_slice(slice_ns: u64, nice: i32) -> std::io::Result<()> {
         deadline_ns: 0,
         period_ns: 0,
     };
-    // SAFETY: 0 names the calling thread; the pointer is to a whole sched_attr of the size that it states, which
-    // outlives the call, and the kernel writes to it only its own size where it knows a smaller one. The last argument
-    // holds flags, of which there are none.
+    // SAFETY: 0 names the calling thread. The pointer is to a whole `sched_attr` of the size it states, which outlives the call; the kernel
+    // writes only its own size to it, if it knows a smaller one. The last argument is flags, none set.
     let outcome = unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &raw mut attributes, 0) };
     if outcome == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
 
-/// Puts this thread under `SCHED_FIFO`; threads that it starts later are not (`SCHED_RESET_ON_FORK`).
+/// Puts this thread under `SCHED_FIFO`, but not the threads it starts later (`SCHED_RESET_ON_FORK`).
 ///
 /// # Errors
 /// The system does not permit it.
 pub fn set_fifo(priority: i32) -> std::io::Result<()> {
     let parameters = libc::sched_param { sched_priority: priority };
-    // SAFETY: 0 names the calling thread; the second pointer is to a whole sched_param that outlives the call, and the
-    // kernel only reads it.
+    // SAFETY: 0 names the calling thread. The second pointer is to a whole `sched_param` that outlives the call, and the kernel only reads
+    // it.
     let outcome =
         unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, &parameters) };
     if outcome == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
 }
 
-/// The scene of a session, as the launcher laid it into the session's folder.
+/// The scene of a session, from the file that the launcher put into the session's folder.
 ///
 /// # Errors
 /// As [`crate::scene_file::load`].
@@ -207,7 +204,7 @@ pub struct EventSender {
 }
 
 impl EventSender {
-    /// Events of this sender (one of the `SENDER_` constants).
+    /// An event sender for this process (one of the `SENDER_` constants).
     ///
     /// # Errors
     /// As [`Session::publisher`].
@@ -215,7 +212,7 @@ impl EventSender {
         Ok(EventSender { publisher: session.publisher(&services::EVENT)?, sender, sequence: 0 })
     }
 
-    /// Sends one event. Text beyond the limit is cut at a character.
+    /// Sends one event. Text over the limit is cut at a character boundary.
     ///
     /// # Errors
     /// The transport's.
@@ -236,7 +233,7 @@ impl EventSender {
         self.publisher.send_parts(&[event.as_bytes(), &text.as_bytes()[..end], &[0]])
     }
 
-    /// Sends a piece of information.
+    /// Sends an informational event.
     ///
     /// # Errors
     /// The transport's.

@@ -1,4 +1,4 @@
-//! Scenes from files.
+//! Loads scenes from files.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! The names of a session's shared memory in `/dev/shm`, a folder where every user of the machine may have files: what is
-//! changed, reserved or removed there is first opened and found to be this user's own.
+//! A session's names in `/dev/shm`, a folder where every user of the machine can create files. Anything to be changed, reserved or removed
+//! there is first opened and checked to belong to this user.
 
 use std::fmt::{self, Display, Formatter};
 use std::io;
@@ -8,14 +8,14 @@ use std::os::fd::{AsFd, OwnedFd};
 use rustix::fs::{AtFlags, CWD, Dir, FallocateFlags, FileType, Mode, OFlags, Stat};
 use rustix::io::Errno;
 
-/// Where shared memory lies.
+/// The shared-memory folder.
 const FOLDER: &str = "/dev/shm";
 
-/// The open folder of shared memory.
+/// The shared-memory folder, open.
 #[derive(Debug)]
 pub(crate) struct SharedMemory(OwnedFd);
 
-/// A segment that could not be given its memory.
+/// A segment whose memory could not be reserved.
 #[derive(Debug)]
 pub(crate) struct Short {
     pub(crate) bytes: u64,
@@ -34,7 +34,7 @@ impl SharedMemory {
         names.filter(|name| name.starts_with(prefix)).collect()
     }
 
-    /// Names of a session's segments that have no size: those being made, or half made by a process that was killed meanwhile.
+    /// Names of a session's segments of size zero: still being created, or left by a creator that was killed.
     pub(crate) fn empty_segments(&self, prefix: &str) -> Vec<String> {
         let is_empty = |name: &String| {
             let stat = rustix::fs::statat(&self.0, name, AtFlags::SYMLINK_NOFOLLOW);
@@ -43,7 +43,7 @@ impl SharedMemory {
         self.names(prefix).into_iter().filter(is_empty).collect()
     }
 
-    /// Opens a file if it is this user's own and has one name only; a link, or what another user has put there, is not.
+    /// Opens a file if it belongs to this user and has exactly one name. Skips links and other users' files.
     fn open_own(&self, name: &str, access: OFlags) -> Option<(OwnedFd, Stat)> {
         let flags = access | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let file = rustix::fs::openat(&self.0, name, flags, Mode::empty()).ok()?;
@@ -51,8 +51,8 @@ impl SharedMemory {
         (is_own(&stat) && stat.st_nlink == 1).then_some((file, stat))
     }
 
-    /// Takes everybody else's rights to a session's shared memory. The transport's first node makes one segment that all
-    /// users may write, for nodes of several users, which a session has none of.
+    /// Closes a session's shared memory to other users. The transport's first node makes one segment world-writable, for nodes of several
+    /// users; a session has none.
     pub(crate) fn close_to_others(&self, prefix: &str) -> io::Result<()> {
         for name in self.names(prefix) {
             if let Some((file, _)) = self.open_own(&name, OFlags::RDONLY) {
@@ -67,17 +67,17 @@ impl SharedMemory {
         for name in self.names(prefix) {
             let stat = rustix::fs::statat(&self.0, &name, AtFlags::SYMLINK_NOFOLLOW);
             if stat.is_ok_and(|stat| is_own(&stat)) {
-                // It may be gone already.
+                // Already gone is fine.
                 let _ = rustix::fs::unlinkat(&self.0, &name, AtFlags::empty());
             }
         }
     }
 
-    /// Gives every data segment of a session its memory now, so that a full `/dev/shm` is an error here and not a SIGBUS in
-    /// the first write.
+    /// Reserves the memory of every data segment of a session now, so that a full `/dev/shm` is an error here rather than a SIGBUS at the
+    /// first write.
     pub(crate) fn reserve(&self, prefix: &str) -> Result<(), Short> {
         for name in self.names(prefix).iter().filter(|name| name.ends_with(".data")) {
-            // A segment of a process that has ended meanwhile needs no memory any more.
+            // The segment of a process that has just ended needs no memory.
             let Some((file, stat)) = self.open_own(name, OFlags::WRONLY) else { continue };
             let bytes = u64::try_from(stat.st_size).unwrap_or(0);
             if bytes > 0 {
@@ -94,46 +94,46 @@ fn is_own(stat: &Stat) -> bool {
         && stat.st_uid == rustix::process::geteuid().as_raw()
 }
 
-/// The transport touches memory before it is reserved; where there is none that is a SIGBUS, so a port is made only
-/// where there is enough.
+/// Checks for free memory before a port is created: the transport touches its memory before we can reserve it, and that is a SIGBUS if
+/// there is none.
 pub(crate) fn require_free(bytes: u64) -> Result<(), Short> {
     match rustix::fs::statvfs(FOLDER) {
         Ok(stat) if stat.f_blocks > 0 && stat.f_bavail * stat.f_frsize < bytes => {
             Err(Short { bytes, cause: Errno::NOSPC.into() })
         }
-        // A file system that does not say may have enough.
+        // A file system that does not report it may have enough.
         _ => Ok(()),
     }
 }
 
-/// Files that must be left for what follows a look: a port makes several at once.
+/// Free files required, because a port creates several at once.
 const FILES_LEFT: u64 = 8;
 
-/// Why a file cannot be made in shared memory.
+/// Why no file can be created in shared memory.
 #[derive(Debug)]
 pub(crate) enum Refused {
     /// The system's reason.
     System(Errno),
-    /// There is room for bytes, but for too few files.
+    /// Enough bytes, but too few files.
     NoFiles {
-        /// How many there are.
+        /// Files left.
         left: u64,
     },
 }
 
-/// Whether shared memory takes files and bytes at all. The transport says of a segment that it could not make neither where nor why.
+/// Why shared memory takes no more files or bytes, if so. The transport reports neither where nor why it failed to create a segment.
 pub(crate) fn refusal() -> Option<Refused> {
     refusal_of(FOLDER)
 }
 
 fn refusal_of(folder: &str) -> Option<Refused> {
-    // A file without a name: nothing is to be cleared up.
+    // An unnamed file needs no cleanup.
     let flags = OFlags::RDWR | OFlags::TMPFILE | OFlags::CLOEXEC;
     let made = rustix::fs::openat(CWD, folder, flags, Mode::RUSR | Mode::WUSR);
     let stat = rustix::fs::statvfs(folder).ok().filter(|stat| stat.f_files > 0);
     let left = stat.map_or(u64::MAX, |stat| stat.f_favail);
     match made.and_then(|file| rustix::fs::fallocate(file, FallocateFlags::empty(), 0, 1)) {
-        // A file system that cannot make such files may yet take others.
+        // A file system without unnamed files may still take named ones.
         Ok(()) | Err(Errno::OPNOTSUPP | Errno::ISDIR) if left >= FILES_LEFT => None,
         Err(cause) if left >= FILES_LEFT => Some(Refused::System(cause)),
         _ => Some(Refused::NoFiles { left }),
@@ -177,8 +177,7 @@ mod tests {
 
     const PREFIX: &str = "trabecula010_0123456789a_";
 
-    /// Links and other users' files under a session's names were given another mode, the file that a link leads to
-    /// included, and removed.
+    /// Links and other users' files under a session's names must be left alone, including the file that a link points to.
     #[test]
     fn planted_files_and_links_keep_their_mode_and_stay() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The signals that a process of the hub hears, and how it answers them: asked to end, going on after a stop.
+//! The signals that a process of the hub handles: requests to end, and resuming after a stop.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,12 +8,11 @@ use signal_hook::consts::{SIGCONT, SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::signal_name;
 
-/// Signals within this time are one request: `timeout` signals a process and then its group, a terminal that closes
-/// says so twice.
+/// Signals within this time count as one request: `timeout` signals a process and then its group, and a closing terminal sends SIGHUP
+/// twice.
 const ONE_REQUEST: Duration = Duration::from_millis(300);
 
-/// Set when the process has been asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped
-/// connection).
+/// Set when the process is asked to end: SIGTERM, SIGINT (Ctrl-C), SIGHUP (a closed terminal, a dropped connection).
 #[derive(Debug, Clone, Default)]
 pub struct EndRequest {
     asked: Arc<AtomicBool>,
@@ -23,9 +22,9 @@ pub struct EndRequest {
 /// A request to end, with the name of its signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ask {
-    /// The first.
+    /// The first request.
     First(&'static str),
-    /// A later one: whoever asks does not want to wait.
+    /// A repeated request: the user does not want to wait.
     Again(&'static str),
 }
 
@@ -42,11 +41,11 @@ impl EndRequest {
         Ok(request)
     }
 
-    /// As [`install`](EndRequest::install); besides, a thread of its own hands each request to `answer` at once, whatever
-    /// the rest of the process is busy with.
+    /// As [`install`](EndRequest::install), with a thread that hands each request to `answer` at once, however busy the rest of the process
+    /// is.
     ///
     /// # Errors
-    /// The system refuses to install a handler, or to start the thread.
+    /// The system refuses to install a handler or to start the thread.
     pub fn answered(mut answer: impl FnMut(Ask) + Send + 'static) -> std::io::Result<EndRequest> {
         let mut signals = Signals::new(heard_signals())?;
         let request = EndRequest::install()?;
@@ -76,18 +75,18 @@ impl EndRequest {
         self.asked.load(Ordering::Relaxed)
     }
 
-    /// Whether it has been asked again. A SIGHUP is never the second request: whoever has gone cannot be impatient.
+    /// Whether it has been asked again. SIGHUP never counts as the second request: the user has left and cannot be impatient.
     pub fn is_urgent(&self) -> bool {
         self.urged.load(Ordering::Relaxed)
     }
 }
 
-/// Set when the process goes on after it was stopped (SIGSTOP, Ctrl-Z, a debugger's detach): such a stop ends with SIGCONT.
+/// Set when the process resumes after a stop (SIGSTOP, Ctrl-Z, a debugger's detach); the kernel then sends SIGCONT.
 #[derive(Debug, Clone, Default)]
 pub struct Continued(Arc<AtomicBool>);
 
 impl Continued {
-    /// From now on SIGCONT sets the flag; the process goes on as before.
+    /// From now on SIGCONT sets the flag; the process resumes as before.
     ///
     /// # Errors
     /// The system refuses to install a handler.
@@ -97,7 +96,7 @@ impl Continued {
         Ok(Continued(flag))
     }
 
-    /// Whether it has gone on since this was asked last.
+    /// Whether the process has resumed since the last call.
     pub fn take(&self) -> bool {
         self.0.load(Ordering::Relaxed) && self.0.swap(false, Ordering::Relaxed)
     }

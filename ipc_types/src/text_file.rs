@@ -1,12 +1,12 @@
-//! Text files that a user names: scenes, poses, calibrations. A device, a pipe or a file without end is refused by name, not waited
-//! for and not read until the memory is full.
+//! Reads text files that a user names: scenes, poses, calibrations. A device, a pipe or an endless file is rejected by name; reading it
+//! would block or fill the memory.
 
 use std::fs::OpenOptions;
 use std::io::{self, Read};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// Longest text file that is read; the largest of ours, a batch of poses, has a hundredth of it.
+/// Size limit, bytes. Our largest text file, a batch of poses, is a hundredth of it.
 pub const MAX_TEXT_BYTES: u64 = 16 << 20;
 
 /// Reads a regular file of at most [`MAX_TEXT_BYTES`] as UTF-8.
@@ -14,7 +14,7 @@ pub const MAX_TEXT_BYTES: u64 = 16 << 20;
 /// # Errors
 /// The system's; not a regular file; too long; not UTF-8.
 pub fn read(path: &Path) -> io::Result<String> {
-    // Without waiting: a pipe opens at once, and is then seen to be one.
+    // Non-blocking, so that opening a pipe returns and the type check can reject it.
     let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
     if !file.metadata()?.is_file() {
         return Err(io::Error::other("not a regular file"));

@@ -1,4 +1,4 @@
-//! The part of docs/messages.md that says how a program joins a session with iceoryx2 alone.
+//! The part of docs/messages.md that explains how to join a session with iceoryx2 alone.
 
 use crate::messages::PHASE_ENDED;
 use crate::services::{self, SAMPLES_HELD};
@@ -7,7 +7,7 @@ use crate::session::{
 };
 use crate::wake::FLAG_STRIDE;
 
-/// How a program joins, with names, numbers and offsets from where the hub has them.
+/// The text, with names, numbers and offsets taken from the hub's own constants.
 pub(crate) fn transport_reference() -> String {
     let prefix = prefix_of("<name of the folder>");
     let command = services::command_name("<controller>");

@@ -1,16 +1,15 @@
-//! Waiting for messages: look for a short while, then sleep until woken.
+//! Waiting for messages: poll for a short while, then sleep until woken.
 //!
-//! How long a reader looks before it sleeps is its [`Way`]. None of them holds a core that another part needs: a reader
-//! spins only while there are more cores than spinning parts; otherwise it yields between two looks, and where a yield
-//! loses the core to somebody else, it sleeps instead, for this wait and the next ones ([`YieldBackoff`]).
+//! How long a reader polls before it sleeps is set by its [`Way`]. No reader holds a core that another part needs: it spins only while
+//! there are more cores than spinning parts; otherwise it yields between two polls. If a yield loses the core to another thread, it sleeps
+//! instead, for this wait and the next ones ([`YieldBackoff`]).
 //!
-//! A writer must not pay for waking a reader that is awake, and a reader must not burn a core that another part
-//! needs. So a reader that is about to sleep says so in a flag that it shares with its writers, looks at its queues
-//! once more, and then blocks on its iceoryx2 event; a writer sends the event only if the flag is up. The flag starts
-//! raised, so that a client that knows nothing of it is always woken.
+//! Waking must be free while the reader is awake. A reader about to sleep therefore raises a flag that it shares with its writers, polls
+//! its queues once more, and then blocks on its iceoryx2 event; a writer sends the event only if the flag is raised. The flag starts
+//! raised, so a client that does not know about it is always woken.
 //!
-//! Why no wake-up is lost: the reader stores the flag before it looks at the queue, the writer stores into the queue
-//! before it reads the flag, and both put a sequentially consistent fence between. At least one sees the other's.
+//! No wake-up is lost: the reader stores the flag before it polls the queue, the writer stores into the queue before it reads the flag, and
+//! both have a sequentially consistent fence in between. At least one of them sees the other's store.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -29,25 +28,25 @@ use crate::own::Own;
 use crate::scene::{Policy, Wait};
 use crate::session::{EventService, FLAGS_FILE, create_file};
 
-/// How long a reader yields before it sleeps. Measured: pure spinning collapses a thousandfold when spinners outnumber
-/// cores; yielding for 20 µs costs nothing there and catches nearly every answer of a running peer.
+/// How long a reader yields before it sleeps. Measured: pure spinning is a thousand times slower once spinners outnumber cores; yielding
+/// for 20 µs costs nothing there and catches nearly every answer of a running peer.
 pub const YIELD_TIME: Duration = Duration::from_micros(20);
 
-/// Shortest sleep. iceoryx2 hands it to the kernel as `SO_RCVTIMEO` in whole microseconds, and 0 of them is no limit at
-/// all: a reader with less than 1 µs left would sleep until somebody wakes it, which for the recorder nobody does.
+/// Shortest sleep. iceoryx2 passes it to the kernel as `SO_RCVTIMEO` in whole microseconds, and 0 means no limit: a reader with less than 1
+/// µs left would sleep until woken, and nobody wakes the recorder.
 const SHORTEST_SLEEP: Duration = Duration::from_micros(10);
-/// Longest sleep before a reader looks again by itself.
+/// Longest sleep before a reader polls again by itself.
 const LONGEST_SLEEP: Duration = Duration::from_millis(10);
 
 /// Bytes between two readers' flags: a cache line.
 pub(crate) const FLAG_STRIDE: usize = 64;
-/// Readers that a session can have.
+/// Most readers in a session.
 pub(crate) const FLAG_COUNT: usize = 32;
 
-/// A flag that is up for a reader that has not waited yet.
+/// Flag of a reader that has not waited yet: raised.
 const NEW: u32 = 2;
 
-/// The page of flags, one cache line a reader, shared by all processes of a session.
+/// The page of flags, one cache line per reader, shared by all processes of a session.
 #[derive(Debug, Clone)]
 pub(crate) struct WakeFlags {
     map: Arc<MmapRaw>,
@@ -62,7 +61,7 @@ impl WakeFlags {
         Ok(flags)
     }
 
-    /// Maps the file that the host has made.
+    /// Maps the file that the host created.
     pub(crate) fn open(folder: impl AsFd) -> std::io::Result<WakeFlags> {
         let flags = OFlags::RDWR | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let file = File::from(rustix::fs::openat(folder, FLAGS_FILE, flags, Mode::empty())?);
@@ -73,16 +72,15 @@ impl WakeFlags {
         Ok(WakeFlags { map: Arc::new(map) })
     }
 
-    /// Raises the flag of a reader that has just come: whoever had given up waking the one before it wakes this one.
+    /// Raises the flag of a new reader, so that writers that had given up on its predecessor wake it.
     pub(crate) fn welcome(&self, reader: usize) {
         self.flag(reader).store(NEW, Ordering::SeqCst);
     }
 
     fn flag(&self, reader: usize) -> &AtomicU32 {
         assert!(reader < FLAG_COUNT, "a session has {FLAG_COUNT} readers at most");
-        // SAFETY: the mapping is page-aligned, FLAG_STRIDE × FLAG_COUNT bytes long (checked when it was mapped) and
-        // lives as long as `self`; `reader` is in range, so the four bytes lie inside and are aligned. Every process
-        // reads and writes them through atomics only.
+        // SAFETY: the mapping is page-aligned, FLAG_STRIDE × FLAG_COUNT bytes long (checked when mapped) and lives as long as `self`;
+        // `reader` is in range, so the four bytes lie inside and are aligned. Every process accesses them only through atomics.
         unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().add(reader * FLAG_STRIDE).cast::<u32>()) }
     }
 }
@@ -94,25 +92,25 @@ pub struct Waker {
     pub(crate) flags: WakeFlags,
     pub(crate) reader: usize,
     pub(crate) service: EventService,
-    /// Messages yet for which nobody is woken, because nobody was there.
+    /// Messages left to skip before the writer tries to wake again, after it found no listener.
     pub(crate) spared: Cell<u32>,
-    /// Listeners that there were then.
+    /// Number of listeners at that time.
     pub(crate) listeners: Cell<usize>,
 }
 
 impl Waker {
-    /// Messages after one that woke nobody for which nobody is woken.
+    /// Number of messages to skip after a wake-up that reached nobody.
     const PATIENCE: u32 = 64;
 
-    /// Wakes the reader if it sleeps. Call it after the message has been sent.
+    /// Wakes the reader if it sleeps. Call it after sending the message.
     pub fn wake(&self) {
         self.try_to_wake();
     }
 
-    /// The same; returns whether that took a system call.
+    /// As [`wake`](Waker::wake); returns whether it took a system call.
     ///
-    /// A reader that is killed in its sleep leaves its flag up. So a writer that has found nobody to wake does not try again
-    /// each time, but when somebody has come, when the flag has been down, or after some messages.
+    /// A reader killed in its sleep leaves its flag raised. A writer that woke nobody therefore does not retry at every message, but only
+    /// when the number of listeners has changed, when the flag has been down, or after some messages.
     pub fn try_to_wake(&self) -> bool {
         fence(Ordering::SeqCst);
         let flag = self.flags.flag(self.reader).load(Ordering::Relaxed);
@@ -132,7 +130,7 @@ impl Waker {
     }
 }
 
-/// Cores that this thread may use; 1 where the system does not say.
+/// Cores that this thread may use; 1 if the system does not tell.
 pub fn allowed_cores() -> usize {
     rustix::thread::sched_getaffinity(None).map_or(1, |cores| cores.count().max(1) as usize)
 }
@@ -140,19 +138,19 @@ pub fn allowed_cores() -> usize {
 /// What a waiting thread does before it sleeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
-    /// Looks again and again, and never sleeps.
+    /// Polls continuously and never sleeps.
     Spin,
-    /// The same, but offers its core in between.
+    /// As `Spin`, but yields between polls.
     Yield,
-    /// Looks for [`YIELD_TIME`], offering its core in between, while nobody takes it.
+    /// Polls for [`YIELD_TIME`] and yields in between, as long as the core stays free; then sleeps.
     Hybrid,
     /// Sleeps at once.
     Sleep,
 }
 
 impl Way {
-    /// The way of one of `spinning` parts on `cores` cores. On one core nothing spins. Where there are no more cores than
-    /// parts that spin they yield, and under `SCHED_FIFO`, where a yield lets no other part run, they sleep.
+    /// How one of `spinning` parts waits on `cores` cores. On one core it sleeps. If the parts that spin leave no core free they yield, or
+    /// sleep under `SCHED_FIFO`, where a yield lets no other part run.
     pub fn of(wait: Wait, policy: Policy, spinning: usize, cores: usize) -> Way {
         match (wait, policy) {
             (Wait::Event, _) => Way::Sleep,
@@ -165,7 +163,7 @@ impl Way {
     }
 }
 
-/// Stops a thread from yielding for a while after a yield has cost it the core.
+/// Stops a thread from yielding for a while after a yield lost it the core.
 #[derive(Debug, Default)]
 pub struct YieldBackoff {
     /// Number of waits that still skip yielding.
@@ -206,7 +204,7 @@ pub struct Waiter {
 }
 
 impl Waiter {
-    /// Waits until `ready` returns true or the deadline has passed; returns whether it is ready.
+    /// Waits until `ready` returns true or the deadline passes; returns whether it is ready.
     pub fn wait_until(&self, deadline: Instant, mut ready: impl FnMut() -> bool) -> bool {
         let flag = self.flags.flag(self.reader);
         flag.store(0, Ordering::Relaxed);
@@ -223,12 +221,12 @@ impl Waiter {
                 self.drain();
                 return is_ready;
             }
-            // A wait that fails (a signal) is a wait that ended early; the loop looks again.
+            // A failed wait (a signal) is just an early wake-up; the loop polls again.
             let _ = self.listener.timed_wait(|_| {}, left.clamp(SHORTEST_SLEEP, LONGEST_SLEEP));
         }
     }
 
-    /// Looks without sleeping, as its way is; returns whether it is ready.
+    /// Polls without sleeping, as the way prescribes; returns whether it is ready.
     fn look(&self, deadline: Instant, ready: &mut impl FnMut() -> bool) -> bool {
         let end = match self.way {
             Way::Sleep => return ready(),
@@ -256,7 +254,7 @@ impl Waiter {
     }
 
     fn drain(&self) {
-        // Left-over notifications would only end the next sleep early.
+        // Leftover notifications would only end the next sleep early.
         let _ = self.listener.try_wait(|_| {});
     }
 }

@@ -1,4 +1,4 @@
-//! `session.json`: what the host tells those who join.
+//! `session.json`: what the host tells programs that join.
 
 use std::collections::BTreeMap;
 use std::os::fd::OwnedFd;
@@ -13,32 +13,32 @@ use super::{ICEORYX2_VERSION, SessionError};
 use crate::scene::{Policy, Wait};
 use crate::services;
 
-/// File of the announcement.
+/// File name of the announcement.
 pub(crate) const ANNOUNCEMENT_FILE: &str = "session.json";
 const RETRY_TIME: Duration = Duration::from_millis(5);
 
-/// What `session.json` says.
+/// Content of `session.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Announcement {
-    /// Process of the host.
+    /// Process number of the host.
     pub pid: u32,
     /// Version of the transport.
     pub iceoryx2: String,
     /// Version of the hub.
     pub trabecula: String,
-    /// Layout hash by service.
+    /// Layout hash of each service.
     pub layouts: BTreeMap<String, String>,
     /// Controllers in the scene's order.
     pub controllers: Vec<String>,
-    /// Bytes of the volume message; 0 without a volume.
+    /// Size of the volume message, bytes; 0 without a volume.
     pub volume_bytes: usize,
-    /// Bytes of a frame message; 0 without DRR.
+    /// Size of a frame message, bytes; 0 without DRR.
     pub frame_bytes: usize,
-    /// Whether a recorder takes part; the physics then waits for it.
+    /// Whether a recorder takes part; if so, the physics waits for it.
     pub recorder: bool,
     /// How physics and controllers wait for each other.
     pub wait: Wait,
-    /// How the scheduler treats them.
+    /// How physics and controllers are scheduled.
     pub policy: Policy,
 }
 
@@ -59,7 +59,7 @@ pub(crate) fn await_announcement(
     }
 }
 
-/// The versions come first: what else another version writes is its own affair.
+/// Checks the versions first, because another version's file may have other fields.
 fn announcement_of(text: &str, folder: &Path, path: &Path) -> Result<Announcement, SessionError> {
     let malformed = |cause: serde_json::Error| SessionError::File {
         path: path.to_owned(),
@@ -77,7 +77,7 @@ fn announcement_of(text: &str, folder: &Path, path: &Path) -> Result<Announcemen
     serde_json::from_value(value).map_err(malformed)
 }
 
-/// Compares the layout of every service that the hub has with this program's.
+/// Compares the layout of each of the hub's services with this program's.
 pub(crate) fn check_layouts(announcement: &Announcement) -> Result<(), SessionError> {
     for (name, theirs) in &announcement.layouts {
         let kind = name.split('/').next().unwrap_or(name);

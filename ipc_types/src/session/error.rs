@@ -1,4 +1,4 @@
-//! Why a session cannot be made or joined.
+//! Why a session cannot be created or joined.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use super::places::{Searched, Unfit};
 use crate::messages::Part;
 use crate::shared_memory::{Short, refusal};
 
-/// Why a session could not be made or joined.
+/// Why a session could not be created or joined.
 #[derive(Debug, Error)]
 pub enum SessionError {
     /// A file or folder of the session could not be used.
@@ -22,22 +22,22 @@ pub enum SessionError {
         /// The system's reason.
         cause: io::Error,
     },
-    /// No session is at this place.
+    /// No session found.
     #[error("{searched}")]
     NoSession {
-        /// Where it was looked for.
+        /// The places searched.
         searched: Searched,
     },
-    /// No session has, or will ever have, such a name.
+    /// No session has, or could ever have, this name.
     #[error(
         "`{given}` can be no session: the name of a session, and of its folder, is {} letters and digits, as `trabecula run` prints it",
         SessionId::LENGTH
     )]
     NotASession {
-        /// What was given.
+        /// The name given.
         given: String,
     },
-    /// Somebody else could read or change the sessions in this folder.
+    /// Other users could read or change the sessions in this folder.
     #[error(
         "{path}: {cause}; sessions lie in a folder of this user's own that only this user may enter: remove this one, or set \
          XDG_RUNTIME_DIR to one that is"
@@ -48,7 +48,7 @@ pub enum SessionError {
         /// What is wrong with it.
         cause: Unfit,
     },
-    /// A session needs a name that nobody can guess.
+    /// No random numbers for a session name that nobody can guess.
     #[error(
         "the system's generator of random numbers cannot be read ({cause}); a session needs a random name"
     )]
@@ -56,7 +56,7 @@ pub enum SessionError {
         /// The system's reason.
         cause: String,
     },
-    /// The hub speaks another version of the transport.
+    /// The hub uses another version of the transport.
     #[error(
         "the hub of {path} uses iceoryx2 {theirs}, this program {ICEORYX2_VERSION}; build both from one version"
     )]
@@ -66,7 +66,7 @@ pub enum SessionError {
         /// The hub's version.
         theirs: String,
     },
-    /// The hub is of another version.
+    /// The hub has another version.
     #[error(
         "the hub of {path} is Trabecula {theirs}, this program is {}; build both from one version",
         env!("CARGO_PKG_VERSION")
@@ -77,7 +77,7 @@ pub enum SessionError {
         /// The hub's version.
         theirs: String,
     },
-    /// A service has another layout than this program was built with.
+    /// A service's layout differs from the one this program was built with.
     #[error(
         "service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; build both from one version"
     )]
@@ -86,31 +86,31 @@ pub enum SessionError {
         service: String,
         /// Message name.
         message: &'static str,
-        /// Layout hash of the hub.
+        /// The hub's layout hash.
         theirs: String,
-        /// Layout hash of this program.
+        /// This program's layout hash.
         ours: String,
     },
-    /// A port that belongs to a part of the hub.
+    /// The port is reserved for a part of the hub.
     #[error("service `{service}` is written by {writers} alone, which this program is not")]
     Reserved {
         /// Service name.
         service: String,
-        /// Who may write it.
+        /// Parts that may write it.
         writers: String,
     },
-    /// The session has this part already.
+    /// Another program already is this part of the session.
     #[error("{part} of this session is another program; there is one of each")]
     PartTaken {
-        /// Which.
+        /// The part.
         part: Part,
     },
-    /// The scene names no such controller.
+    /// The scene has no such controller.
     #[error("the scene has no controller `{name}`; it has: {known}")]
     UnknownController {
-        /// Name asked for.
+        /// The name requested.
         name: String,
-        /// Names of the scene.
+        /// Names in the scene.
         known: String,
     },
     /// Another controller already writes this service.
@@ -118,47 +118,47 @@ pub enum SessionError {
         "a controller named `{name}` is already connected to this session; a name drives one controller at a time"
     )]
     ControllerTaken {
-        /// Its name.
+        /// The controller's name.
         name: String,
     },
-    /// No more programs can be connected to a service.
+    /// The service has no free slot.
     #[error("service `{service}`: {limit} programs {what} it already, which is the most; end one of them")]
     Crowded {
         /// Service name.
         service: String,
         /// Whether they read or write.
         what: &'static str,
-        /// How many there may be.
+        /// Number of slots.
         limit: usize,
     },
-    /// Shared memory is short.
+    /// Not enough shared memory.
     #[error(
         "/dev/shm: {bytes} bytes of shared memory for service `{service}` cannot be reserved ({cause}); free some or enlarge it"
     )]
     SharedMemory {
         /// Service name.
         service: String,
-        /// Bytes asked for.
+        /// Bytes requested.
         bytes: u64,
         /// The system's reason.
         cause: io::Error,
     },
-    /// Shared memory takes no files.
+    /// No file can be created in shared memory.
     #[error("/dev/shm: {action} of service `{service}` failed: {cause}")]
     NoSharedMemory {
         /// Service name.
         service: String,
-        /// What was tried.
+        /// What failed.
         action: &'static str,
-        /// Why, and what to do.
+        /// Why, and what to do about it.
         cause: String,
     },
-    /// iceoryx2 refused something else.
+    /// Any other iceoryx2 error.
     #[error("service `{service}`: {action} failed ({cause})")]
     Transported {
         /// Service name.
         service: String,
-        /// What was tried.
+        /// What failed.
         action: &'static str,
         /// iceoryx2's reason.
         cause: String,

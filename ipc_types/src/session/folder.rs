@@ -1,10 +1,10 @@
-//! A session's folder: made, locked, proved dead, removed; always by its handle, so that what was checked is what is
+//! A session's folder: creates, locks, checks and removes it. All operations go through its handle, so that what was checked is what is
 //! changed.
 //!
-//! The host holds a lock on the folder itself for as long as it lives, and the kernel frees it however the host ends.
-//! This alone says whether a session is alive: a process number may be another's by now or mean another process in a
-//! container, and a name may have been removed (by the end of a login, or a cleaner of `/tmp`, which leave locked folders
-//! alone if they are polite). The folder's marker says whose name it is: what has none is nobody's session.
+//! The host holds a lock on the folder for as long as it lives, and the kernel releases it however the host ends. The lock is the only
+//! proof that a session is alive: a process number may have been reused or mean another process in a container, and a name may have been
+//! removed (by a logout, or a cleaner of `/tmp`; well-behaved ones leave locked folders alone). The marker file names the session; a folder
+//! without one is no session.
 
 use std::ffi::CStr;
 use std::fs::File;
@@ -20,30 +20,30 @@ use super::places::{Place, Unfit, open_private, places};
 use super::{SessionError, file_error};
 use crate::shared_memory::SharedMemory;
 
-/// File whose text is the session's name.
+/// File that holds the session's name.
 const MARKER: &str = "session.id";
-/// Longest name of a socket (unix(7)).
+/// Longest socket name, bytes (unix(7)).
 const MAX_SOCKET_NAME: usize = 108;
-/// Digits of a listener's number in the name of its socket, for a process that has made ten thousand ports. With more the
-/// transport refuses the listener.
+/// Digits of a listener's number in its socket name, in a process that has made ten thousand ports. With more digits the transport refuses
+/// to create the listener.
 const LISTENER_DIGITS: usize = 33;
 /// The transport's sockets are `ROOT/PREFIX_NUMBER.event`.
 pub(crate) const MAX_ROOT_PATH: usize =
     MAX_SOCKET_NAME - "/".len() - PREFIX_LENGTH - LISTENER_DIGITS - ".event".len();
 
-/// The host's own folder, which goes when it is dropped.
+/// The host's own folder; removed on drop.
 #[derive(Debug)]
 pub(crate) struct HostFolder {
     pub(crate) path: PathBuf,
     pub(crate) id: SessionId,
     /// Locked.
     handle: OwnedFd,
-    /// The folder of sessions.
+    /// The folder that holds all sessions.
     above: OwnedFd,
 }
 
 impl HostFolder {
-    /// Makes a folder in a place. It appears unlocked and empty, as one without a marker is nobody's.
+    /// Creates a session folder in `place`. It starts unlocked and empty; without a marker it is no session yet.
     pub(crate) fn create(place: &Place) -> Result<HostFolder, SessionError> {
         let above = place.open_or_make()?;
         loop {
@@ -56,14 +56,14 @@ impl HostFolder {
                 Err(cause) => return Err(system(cause)),
             }
             let handle = match open_private(&above, Path::new(&id.to_string())) {
-                // Another host has found it empty before it was locked, and removed it.
+                // Another host saw it empty before it was locked and removed it.
                 Err(Unfit::Missing) => continue,
                 other => other.map_err(|cause| SessionError::Unfit { path: path.clone(), cause })?,
             };
             flock(&handle, FlockOperation::LockExclusive).map_err(system)?;
             match create_file(&handle, MARKER, id.to_string().as_bytes()) {
                 Ok(()) => return Ok(HostFolder { path, id, handle, above }),
-                // The same, a moment later.
+                // The same race, a moment later.
                 Err(cause) if cause.kind() == io::ErrorKind::NotFound => {}
                 Err(cause) => return Err(file_error(&path)(cause)),
             }
@@ -74,7 +74,7 @@ impl HostFolder {
         &self.handle
     }
 
-    /// Writes a file that appears whole.
+    /// Writes a file atomically.
     pub(crate) fn write(&self, name: &str, content: &[u8]) -> Result<(), SessionError> {
         let hidden = format!(".{name}");
         let written = create_file(&self.handle, &hidden, content)
@@ -89,15 +89,14 @@ impl Drop for HostFolder {
     }
 }
 
-/// Makes a file that is not there yet, readable by this user alone.
+/// Creates a new file, readable only by this user.
 pub(crate) fn create_file(folder: impl AsFd, name: &str, content: &[u8]) -> io::Result<()> {
     let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
     let file = openat(folder, name, flags, Mode::RUSR | Mode::WUSR)?;
     File::from(file).write_all(content)
 }
 
-/// Reads a file of a session's folder; it is no link, nothing that keeps a reader waiting, and not longer than a session's
-/// files are.
+/// Reads a file of a session's folder. Refuses links and anything a read could block on, and reads no more than a session's files can hold.
 pub(crate) fn read_file(folder: impl AsFd, name: &str) -> io::Result<String> {
     const LONGEST: u64 = 1 << 20;
     let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -113,7 +112,7 @@ pub(crate) fn read_file(folder: impl AsFd, name: &str) -> io::Result<String> {
 /// Opens a session's folder by its path.
 ///
 /// # Errors
-/// [`SessionError::NoSession`] where there is none, [`SessionError::Unfit`] for one of somebody else's.
+/// [`SessionError::NoSession`] if there is none, [`SessionError::Unfit`] if others can change it.
 pub(crate) fn open(path: &Path) -> Result<OwnedFd, SessionError> {
     open_private(rustix::fs::CWD, path).map_err(|cause| match cause {
         Unfit::Missing | Unfit::NotAFolder => {
@@ -123,11 +122,11 @@ pub(crate) fn open(path: &Path) -> Result<OwnedFd, SessionError> {
     })
 }
 
-/// Whether the host of a session's folder is running: it holds the folder's lock. The handle must not be the host's own.
+/// Whether the folder's host is running, that is, holds the lock. `folder` must not be the host's own handle.
 pub(crate) fn is_locked(folder: impl AsFd) -> bool {
     match flock(folder.as_fd(), FlockOperation::NonBlockingLockShared) {
         Ok(()) => {
-            // Nobody else waits for it; it would go with the handle anyway.
+            // Nobody waits for it, and closing the handle would release it anyway.
             let _ = flock(folder, FlockOperation::Unlock);
             false
         }
@@ -140,7 +139,7 @@ pub fn host_is_alive(folder: &Path) -> bool {
     open(folder).is_ok_and(is_locked)
 }
 
-/// Folders of all running sessions of this user that have this name, or of all.
+/// Folders of this user's running sessions: those with this name, or all.
 pub fn running_sessions(name: Option<&str>) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for place in places() {
@@ -155,7 +154,7 @@ pub fn running_sessions(name: Option<&str>) -> Vec<PathBuf> {
     found
 }
 
-/// The running session that was announced last, if there is one.
+/// The running session announced last, if any.
 pub fn newest_session() -> Option<PathBuf> {
     let announced = |folder: PathBuf| {
         let since =
@@ -165,7 +164,7 @@ pub fn newest_session() -> Option<PathBuf> {
     running_sessions(None).into_iter().filter_map(announced).max().map(|(_, folder)| folder)
 }
 
-/// Removes the sessions of hosts that are no longer running, wherever this user's sessions lie. Returns how many.
+/// Removes the sessions of hosts that are no longer running, in all of this user's places. Returns how many.
 pub fn wipe_dead_sessions() -> usize {
     places().iter().filter_map(|place| place.open().ok()).map(|sessions| wipe_dead_in(&sessions)).sum()
 }
@@ -174,8 +173,8 @@ fn wipe_dead_in(sessions: &OwnedFd) -> usize {
     session_names(sessions).map(|id| wipe_if_dead(sessions, &id)).filter(|wiped| *wiped).count()
 }
 
-/// Removes a session's folder if it is one: a real folder of this user's alone, whose lock is free, and which holds the
-/// marker with its own name; or an empty one, of a host that was killed before it could mark it.
+/// Removes a session's folder if it is safe to: a real folder of this user, closed to others, whose lock is free and whose marker holds its
+/// own name; or an empty one, left by a host killed before it wrote the marker.
 fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
     let name = id.to_string();
     let Ok(folder) = open_private(sessions, Path::new(&name)) else { return false };
@@ -187,7 +186,7 @@ fn wipe_if_dead(sessions: &OwnedFd, id: &SessionId) -> bool {
             remove(sessions, id, &folder);
             true
         }
-        // The system refuses to remove one in which anything lies.
+        // The system refuses to remove a folder that is not empty.
         Err(cause) if cause.kind() == io::ErrorKind::NotFound => {
             unlinkat(sessions, &name, AtFlags::REMOVEDIR).is_ok()
         }
@@ -199,15 +198,15 @@ fn session_names(sessions: &OwnedFd) -> impl Iterator<Item = SessionId> {
     names(sessions).into_iter().filter_map(|(name, _)| SessionId::parse(name.to_str().ok()?))
 }
 
-/// Names in a folder, and what they are of.
+/// Names and types of a folder's entries.
 fn names(folder: impl AsFd) -> Vec<(Box<CStr>, FileType)> {
     let entries = Dir::read_from(folder).into_iter().flatten().flatten();
     let others = entries.filter(|entry| !matches!(entry.file_name().to_bytes(), b"." | b".."));
     others.map(|entry| (entry.file_name().into(), entry.file_type())).collect()
 }
 
-/// Removes a session: its shared memory and its folder, the marker last, so that the next host goes on where this one may be
-/// interrupted. What is gone already is no error.
+/// Removes a session's shared memory and folder, the marker last, so that the next host can finish an interrupted removal. What is already
+/// gone is no error.
 fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
     if let Ok(memory) = SharedMemory::open() {
         memory.remove(&id.shared_memory_prefix());
@@ -217,7 +216,7 @@ fn remove(sessions: &OwnedFd, id: &SessionId, folder: &OwnedFd) {
     let _ = unlinkat(sessions, id.to_string(), AtFlags::REMOVEDIR);
 }
 
-/// Removes what lies in an open folder, never what a link in it leads to.
+/// Removes the content of an open folder, but follows no link.
 fn remove_content(folder: &OwnedFd, kept: Option<&str>) {
     for (name, kind) in names(folder) {
         if kept.is_some_and(|kept| name.to_bytes() == kept.as_bytes()) {

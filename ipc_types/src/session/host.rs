@@ -1,4 +1,4 @@
-//! The host's side of a session: it makes every service before it announces the session, and removes all at its end.
+//! The host's side of a session: it creates every service before it announces the session, and removes everything at the end.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -24,42 +24,41 @@ use crate::wake::WakeFlags;
 
 const MAX_NODES: usize = 64;
 
-/// The host's side: it owns the services and removes them at its end.
+/// The host's side: owns the services and removes them at the end.
 #[derive(Debug)]
 pub struct SessionHost {
-    /// The session as its own first client.
+    /// The host as a client of its own session.
     pub session: Session,
     _byte_services: Vec<ByteService>,
     _event_services: Vec<EventService>,
-    /// Until all of that is gone: what is dropped opens segments, which may be half made.
+    /// Dropped after everything above: dropping those opens segments, which may be half made.
     _sweeper: HalfMadeSweeper,
     /// Removed last.
     folder: HostFolder,
 }
 
-/// What the host must know to make the services of a scene.
+/// What the host needs to know to create a scene's services.
 #[derive(Debug, Clone)]
 pub struct SessionPlan {
     /// Controllers in the scene's order.
     pub controllers: Vec<String>,
-    /// Bytes of the volume message; 0 without a volume.
+    /// Size of the volume message, bytes; 0 without a volume.
     pub volume_bytes: usize,
-    /// Bytes of a frame message; 0 without DRR.
+    /// Size of a frame message, bytes; 0 without DRR.
     pub frame_bytes: usize,
-    /// Whether a recorder takes part; the physics then waits for it.
+    /// Whether a recorder takes part; if so, the physics waits for it.
     pub recorder: bool,
     /// How physics and controllers wait for each other.
     pub wait: Wait,
-    /// How the scheduler treats them.
+    /// How physics and controllers are scheduled.
     pub policy: Policy,
 }
 
 impl SessionHost {
-    /// Creates a session with all its services and announces it. Where it may not lie is refused before any session of a dead
-    /// host is removed.
+    /// Creates a session with all its services. An unusable place is an error before any dead host's session is removed.
     ///
     /// # Errors
-    /// Any [`SessionError`] but those of joining.
+    /// Any [`SessionError`] except those of joining.
     pub fn create(plan: &SessionPlan) -> Result<SessionHost, SessionError> {
         let all = places();
         let nowhere = || SessionError::NoSession { searched: Searched::places(None) };
@@ -99,7 +98,7 @@ impl SessionHost {
             policy: plan.policy,
         };
         let session = Session {
-            // Not the handle that holds the lock: asking through that one would give it away.
+            // A new handle: testing the lock through the handle that holds it would release it.
             handle: folder::open(&folder.path)?,
             claims: Arc::default(),
             folder: folder.path.clone(),
@@ -118,7 +117,7 @@ impl SessionHost {
         })
     }
 
-    /// Writes `session.json`, from which on clients may join. The file appears whole.
+    /// Writes `session.json` atomically; clients can join from then on.
     pub fn announce(&self) -> Result<(), SessionError> {
         let text = serde_json::to_string_pretty(&self.session.announcement).map_err(|cause| {
             file_error(&self.session.folder.join(ANNOUNCEMENT_FILE))(std::io::Error::other(cause))

@@ -1,4 +1,4 @@
-//! Names of sessions: random, so that nobody can be there before.
+//! Session names: random, so that nobody can create files under one in advance.
 
 use std::fmt::{self, Display, Formatter};
 use std::path::Path;
@@ -8,10 +8,10 @@ use foreign_text::foreign_path;
 use super::places::last_name;
 use super::{ANNOUNCEMENT_FILE, SessionError};
 
-/// Name of a session: [`SessionId::LENGTH`] letters and digits from the system's generator of random numbers.
+/// A session's name: [`SessionId::LENGTH`] letters and digits from the system's random number generator.
 ///
-/// Nobody can guess it, and so plant files under the names that a session will use; and two hubs whose process numbers are
-/// the same, in two containers with one `/dev/shm`, do not have the same.
+/// Nobody can guess it and plant files under the names a session will use. It also differs between two hubs with the same process number,
+/// in two containers that share `/dev/shm`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SessionId(String);
 
@@ -21,7 +21,7 @@ impl SessionId {
     /// 62^11 is more than 2^64.
     pub const LENGTH: usize = 11;
 
-    /// A new one.
+    /// A new random name.
     ///
     /// # Errors
     /// [`SessionError::NoRandomness`].
@@ -31,7 +31,7 @@ impl SessionId {
             let mut bytes = [0; 4 * SessionId::LENGTH];
             getrandom::fill(&mut bytes)
                 .map_err(|cause| SessionError::NoRandomness { cause: cause.to_string() })?;
-            // Six bits a digit; what is none of the 62 is left out, so that each is as likely as another.
+            // Six bits per digit. Values beyond the 62 digits are skipped, so that all digits are equally likely.
             let digits = bytes.iter().filter_map(|byte| DIGITS.get(usize::from(byte & 63)));
             text.extend(digits.map(|digit| char::from(*digit)));
         }
@@ -39,21 +39,21 @@ impl SessionId {
         Ok(SessionId(text))
     }
 
-    /// Takes a name that is exactly one of a session.
+    /// Accepts only a well-formed session name.
     pub fn parse(name: &str) -> Option<SessionId> {
         let fits = name.len() == SessionId::LENGTH && name.bytes().all(|byte| byte.is_ascii_alphanumeric());
         fits.then(|| SessionId(name.to_owned()))
     }
 
-    /// The session whose folder this is, by its name.
+    /// The session that a folder belongs to, by its name.
     pub fn of(folder: &Path) -> Option<SessionId> {
         last_name(folder).and_then(SessionId::parse)
     }
 
-    /// Whether what somebody gives as a session's name or folder can be one, now or later: nobody is to wait for what cannot.
+    /// Whether a name or folder could ever be a session's; if not, waiting for it is pointless.
     ///
     /// # Errors
-    /// [`SessionError::NotASession`]: no hub gives such a name, and none of another version has announced itself there.
+    /// [`SessionError::NotASession`]: no hub gives such a name, and no other version has announced itself there.
     pub fn can_be(folder: &Path) -> Result<(), SessionError> {
         match SessionId::of(folder).is_some() || folder.join(ANNOUNCEMENT_FILE).exists() {
             true => Ok(()),
@@ -61,13 +61,13 @@ impl SessionId {
         }
     }
 
-    /// What the names of its shared memory begin with: they carry the transport's version.
+    /// Prefix of its shared-memory names; it contains the transport's version.
     pub fn shared_memory_prefix(&self) -> String {
         prefix_of(&self.0)
     }
 }
 
-/// The same of any name: what the reference writes for a session whose name it does not know.
+/// The prefix for any name; the message reference uses a placeholder.
 pub(crate) fn prefix_of(name: &str) -> String {
     format!("trabecula010_{name}_")
 }

@@ -1,9 +1,8 @@
-//! A session: one hub's services in shared memory, apart from those of every other hub on the machine.
+//! A session: one hub's services in shared memory, isolated from those of every other hub on the machine.
 //!
-//! The launcher is the host: it creates every service before it announces the session in `session.json`, because a
-//! process killed while it creates a service poisons the name for good (measured with iceoryx2 0.10). Clients only
-//! open. The session's folder and shared memory go when the host ends; a session whose host was killed is wiped by the
-//! next host that starts.
+//! The launcher is the host. It creates every service before it announces the session in `session.json`, because a process killed while
+//! creating a service makes the name unusable for good (measured with iceoryx2 0.10). Clients only open services. The host removes the
+//! session's folder and shared memory when it ends; if it was killed, the next host to start removes them.
 
 mod announcement;
 mod error;
@@ -40,11 +39,11 @@ pub use id::SessionId;
 pub(crate) use id::prefix_of;
 pub use places::{Place, Searched, Unfit, passed_over, places};
 
-/// The iceoryx2 version that the hub speaks; another version does not join.
+/// The hub's iceoryx2 version; programs with another version cannot join.
 pub const ICEORYX2_VERSION: &str = "0.10.0";
-/// Environment variable that holds the folder of the session to join.
+/// Environment variable: the folder of the session to join.
 pub const SESSION_VARIABLE: &str = "TRABECULA_SESSION";
-/// Environment variable that holds the name of the controller that a program is.
+/// Environment variable: the controller that a program is.
 pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
 
 /// The file of wake flags in a session's folder.
@@ -53,13 +52,13 @@ pub(crate) const FLAGS_FILE: &str = "wake.flags";
 pub(crate) type ByteService = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
 pub(crate) type EventService = event::PortFactory<ipc::Service>;
 
-/// A session seen by one process: its node and the way to its services.
+/// A session as one process sees it: its node and access to the services.
 #[derive(Debug)]
 pub struct Session {
     pub(crate) folder: PathBuf,
-    /// The open folder: it can be asked whether the host lives even when its name is gone.
+    /// The open folder: tells whether the host is alive even after the folder's name is gone.
     pub(crate) handle: OwnedFd,
-    /// Which node each part is, as far as this program has asked.
+    /// The node of each part, as far as this program has looked it up.
     pub(crate) claims: Arc<Claims>,
     pub(crate) id: SessionId,
     pub(crate) announcement: Announcement,
@@ -67,7 +66,7 @@ pub struct Session {
     pub(crate) flags: WakeFlags,
 }
 
-/// Who waits on an event of its own.
+/// The readers, each with its own wake-up event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reader {
     /// The physics process.
@@ -76,7 +75,7 @@ pub enum Reader {
     Drr,
     /// The recorder process.
     Recorder,
-    /// The scene's controller of this index.
+    /// The scene's controller with this index.
     Controller(usize),
 }
 
@@ -118,9 +117,9 @@ pub(crate) fn create_node(folder: &Path, id: &SessionId) -> Result<Node<ipc::Ser
         let cause = refused.to_string();
         return Err(SessionError::NoSharedMemory { service: "session".to_owned(), action, cause });
     }
-    // The node's and the services' own segments come before any port's.
+    // The node's and the services' own segments are created before any port's.
     require_free(CONNECTIONS_BYTES).map_err(short_memory("session"))?;
-    // Every failure comes back as an error of ours; the transport's own log would only say it twice.
+    // Every failure is returned as our own error; the transport's log would only repeat it.
     set_log_level(LogLevel::Fatal);
     NodeBuilder::new()
         .config(&transport_config(folder, id)?)

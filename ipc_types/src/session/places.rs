@@ -1,8 +1,7 @@
-//! Where the sessions of this user lie: in one folder of its own below the user's run-time folder, or below `/tmp`.
+//! Where this user's sessions are: in one folder of their own below the user's run-time folder, or below `/tmp`.
 //!
-//! A host takes the first place that may hold sessions and says which it passed over, and why; what is wrong with the
-//! folder of sessions itself is refused. A client looks in all places: programs of one user (a desktop, an ssh
-//! connection, cron) do not all have the same environment.
+//! A host takes the first usable place, and reports which one it skipped and why; a problem with the sessions folder itself is an error. A
+//! client searches all places, because programs of one user (a desktop, an ssh connection, cron) do not all have the same environment.
 
 use std::ffi::{OsStr, OsString};
 use std::fmt::{self, Display, Formatter};
@@ -17,86 +16,86 @@ use super::SessionError;
 use super::folder::MAX_ROOT_PATH;
 use super::id::SessionId;
 
-/// Name of the folder that holds sessions and nothing else: no clone, and no folder of a user's, has it.
+/// Name of the folder that holds only sessions. No clone of this repository and no user's folder is called that.
 const NAME: &str = "trabecula-hubs";
 const VARIABLE: &str = "XDG_RUNTIME_DIR";
-/// Where the run-time folder lies on most systems, for programs that are started without the variable.
+/// Default run-time folder, for programs started without the environment variable.
 const RUN_USER: &str = "/run/user";
 const TEMPORARY: &str = "/tmp";
 
 /// Why a folder may not hold sessions.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Unfit {
-    /// The variable holds nothing.
+    /// The variable is empty.
     #[error("it is empty")]
     Empty,
-    /// The path depends on who uses it.
+    /// The path is relative, so it depends on the working directory.
     #[error("it is not an absolute path")]
     Relative,
-    /// Nothing is there.
+    /// It does not exist.
     #[error("it does not exist")]
     Missing,
-    /// Where it leads may change.
+    /// It is a link, whose target may change.
     #[error("it is a link")]
     Link,
-    /// It is something else.
+    /// It is not a folder.
     #[error("it is not a folder")]
     NotAFolder,
-    /// Somebody else could change what is in it.
+    /// It belongs to another user, who could change its content.
     #[error("it belongs to user {owner}, this program runs as user {user}")]
     NotOwn {
-        /// Whose it is.
+        /// Its owner.
         owner: u32,
-        /// Whose this process is.
+        /// This process's user.
         user: u32,
     },
-    /// Somebody else could read or change what is in it.
+    /// Other users could read or change its content.
     #[error("its mode is {mode:o}, expected 700: others may enter it")]
     NotPrivate {
         /// Its permissions.
         mode: u32,
     },
-    /// Others may remove or rename what is in it.
+    /// Other users could remove or rename its content.
     #[error("its mode is {mode:o}, expected 1777: everybody may remove what others have there")]
     NotSticky {
         /// Its permissions.
         mode: u32,
     },
-    /// The transport's sockets have names of 108 bytes at most.
+    /// The path is too long: the transport's socket names have at most 108 bytes.
     #[error("it has {bytes} bytes; with more than {limit} the names of sockets below it are too long")]
     TooLong {
-        /// Bytes of the path.
+        /// Length of the path, bytes.
         bytes: usize,
-        /// Most that it may have.
+        /// Longest path allowed, bytes.
         limit: usize,
     },
-    /// The system refuses to look.
+    /// The system denies access.
     #[error("{0}")]
     System(Errno),
 }
 
-/// One place that may hold sessions.
+/// A place that may hold sessions.
 #[derive(Debug, Clone)]
 pub struct Place {
-    /// Folder of the sessions.
+    /// The sessions folder.
     sessions: PathBuf,
-    /// The folder above it: a run-time folder, or `/tmp`.
+    /// Its parent: a run-time folder, or `/tmp`.
     above: PathBuf,
     kind: Kind,
-    /// Why it is passed over.
+    /// Why it is skipped.
     unfit: Option<Unfit>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    /// Named by the variable.
+    /// Named by the environment variable.
     Named,
-    /// The usual one, which this process's environment does not name.
+    /// The default, not named by this process's environment.
     Usual,
     Temporary,
 }
 
-/// What is wrong with a folder that is to be this user's own and closed to everybody else.
+/// Checks that a folder belongs to this user and is closed to others.
 fn private(stat: &Stat) -> Result<(), Unfit> {
     let user = rustix::process::geteuid().as_raw();
     match FileType::from_raw_mode(stat.st_mode) {
@@ -111,7 +110,7 @@ fn private(stat: &Stat) -> Result<(), Unfit> {
     if mode & 0o077 == 0 { Ok(()) } else { Err(Unfit::NotPrivate { mode }) }
 }
 
-/// Opens a folder that is no link; what is checked afterwards is what was opened.
+/// Opens a folder that is not a link, so that later checks apply to what was opened.
 fn open_folder(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
     let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
     rustix::fs::openat(above.as_fd(), path, flags, Mode::empty()).map_err(|cause| match cause {
@@ -124,7 +123,7 @@ fn open_folder(above: impl AsFd, path: &Path) -> Result<OwnedFd, Unfit> {
     })
 }
 
-/// Opens a folder if it is this user's own, no link, and closed to everybody else.
+/// Opens a folder if it belongs to this user, is not a link, and is closed to others.
 ///
 /// # Errors
 /// What is wrong with it.
@@ -143,7 +142,7 @@ impl Place {
         place
     }
 
-    /// The folder of its sessions.
+    /// The sessions folder.
     pub fn path(&self) -> &Path {
         &self.sessions
     }
@@ -166,7 +165,7 @@ impl Place {
         if self.kind != Kind::Temporary {
             return open_private(CWD, &self.above);
         }
-        // Everybody's: what is in it is safe as long as only its owner may remove it.
+        // World-writable is safe as long as only a file's owner may remove it.
         let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
         let above =
             rustix::fs::openat(CWD, &self.above, flags, Mode::empty()).map_err(|cause| match cause {
@@ -178,16 +177,16 @@ impl Place {
         if mode & 0o022 != 0 && mode & 0o1000 == 0 { Err(Unfit::NotSticky { mode }) } else { Ok(above) }
     }
 
-    /// Opens the folder of its sessions.
+    /// Opens the sessions folder.
     ///
     /// # Errors
-    /// What is wrong with it, or that it is not there.
+    /// What is wrong with it, or that it does not exist.
     pub(crate) fn open(&self) -> Result<OwnedFd, Unfit> {
         let name = self.sessions.file_name().unwrap_or(OsStr::new(NAME));
         open_private(self.open_above()?, Path::new(name))
     }
 
-    /// The same, and makes it first where there is none.
+    /// As [`open`](Place::open), but creates the folder if it does not exist.
     pub(crate) fn open_or_make(&self) -> Result<OwnedFd, SessionError> {
         let refused = |cause: Unfit| SessionError::Unfit { path: self.sessions.clone(), cause };
         let above =
@@ -220,13 +219,13 @@ impl Place {
     }
 }
 
-/// Every place, in the order in which a host takes them.
+/// Every place, in the order a host tries them.
 pub fn places() -> Vec<Place> {
     places_of(std::env::var_os(VARIABLE), rustix::process::geteuid().as_raw())
 }
 
 fn places_of(variable: Option<OsString>, user: u32) -> Vec<Place> {
-    // Without a `/` at its end, which would have a link followed.
+    // Drops a trailing `/`, which would make the system follow a link.
     let plain = |path: &Path| path.components().collect::<PathBuf>();
     let named = variable.map(|folder| plain(Path::new(&folder)));
     let usual = Path::new(RUN_USER).join(user.to_string());
@@ -238,10 +237,9 @@ fn places_of(variable: Option<OsString>, user: u32) -> Vec<Place> {
     all
 }
 
-/// The place that a host takes, and what is to be said of the one that it passes over.
+/// The place that a host takes, and a note about the one it skipped.
 ///
-/// A folder that the environment does not name is not taken: a run of cron's would lose it when the user's last login
-/// ends.
+/// Never takes a folder that the environment does not name: a run started by cron would lose it when the user's last login ends.
 pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
     let chosen = all.iter().find(|place| place.kind != Kind::Usual && place.unfit.is_none())?;
     let passed = all.iter().find(|place| place.kind == Kind::Named).and_then(|place| {
@@ -252,12 +250,12 @@ pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
     Some((chosen, passed))
 }
 
-/// What is to be said of a run-time folder that holds no sessions though the environment names it.
+/// A note about a run-time folder that the environment names but that holds no sessions.
 pub fn passed_over() -> Option<String> {
     choose(&places()).and_then(|(_, passed)| passed)
 }
 
-/// Where a session was looked for, and what was found there.
+/// Where a session was searched for, and what was found there.
 #[derive(Debug, Clone)]
 pub struct Searched {
     name: Option<String>,
@@ -265,12 +263,12 @@ pub struct Searched {
 }
 
 impl Searched {
-    /// Every place of this user; `name` is that of the session, if one was named.
+    /// All places of this user; `name` is the session's, if given.
     pub fn places(name: Option<&str>) -> Searched {
         Searched { name: name.map(str::to_owned), places: places() }
     }
 
-    /// One folder.
+    /// A single folder.
     pub fn folder(folder: &Path) -> Searched {
         Searched { name: Some(folder.display().to_string()), places: Vec::new() }
     }
@@ -293,7 +291,7 @@ impl Display for Searched {
     }
 }
 
-/// True where a path's last part is a name, as a folder's is.
+/// The path's last component, if it is a plain name.
 pub(crate) fn last_name(path: &Path) -> Option<&str> {
     match path.components().next_back()? {
         Component::Normal(name) => name.to_str(),
@@ -315,7 +313,7 @@ mod tests {
         (place.path().to_owned(), said)
     }
 
-    /// Every run-time folder that is none of this user's own is passed over with its reason, and never made.
+    /// A run-time folder that does not belong to this user is skipped with its reason, and never created.
     #[test]
     fn a_run_time_folder_that_is_not_the_users_own_is_passed_over() {
         let temporary = PathBuf::from(format!("/tmp/{NAME}-{}", rustix::process::geteuid().as_raw()));
@@ -354,7 +352,7 @@ mod tests {
         assert!(!own.join("n").exists(), "nothing is made on the way");
     }
 
-    /// A run from cron, `sudo` or ssh has no variable where a desktop has one: each is looked for where the other would be.
+    /// A run from cron, `sudo` or ssh lacks the variable that a desktop has: each must be found where the other would create it.
     #[test]
     fn every_place_is_looked_in_and_named() {
         let user = rustix::process::geteuid().as_raw();
