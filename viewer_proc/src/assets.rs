@@ -1,4 +1,4 @@
-//! The page's files: part of the program, or read from a folder while the page is being worked on.
+//! The page's files: built into the program, or read from a folder during development of the page.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -8,13 +8,13 @@ include!(concat!(env!("OUT_DIR"), "/assets.rs"));
 /// A file of the page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Asset {
-    /// For the Content-Type header.
+    /// Value of the Content-Type header.
     pub media_type: &'static str,
     /// Content.
     pub bytes: Cow<'static, [u8]>,
 }
 
-/// The file at a URL's path; `/` is the page itself. None if there is none.
+/// The file at a URL path; `/` is the page itself. `None` if there is no such file.
 pub fn asset(path: &str, folder: Option<&Path>) -> Option<Asset> {
     let path = path.split(['?', '#']).next().unwrap_or(path);
     let name = if path == "/" { "index.html" } else { path.strip_prefix('/')? };
@@ -26,7 +26,7 @@ pub fn asset(path: &str, folder: Option<&Path>) -> Option<Asset> {
     Some(Asset { media_type: media_type(name), bytes })
 }
 
-/// A path below the folder; none for one that would leave it.
+/// A path below the folder; `None` if it would leave the folder.
 fn inside(folder: &Path, name: &str) -> Option<PathBuf> {
     let plain = name.split('/').all(|part| !part.is_empty() && !part.starts_with('.'));
     plain.then(|| folder.join(name))

@@ -1,5 +1,4 @@
-//! Where the sources put their messages and the clients' connections take them. Nobody waits here: a source hands its
-//! message over and goes on.
+//! The board between the sources and the clients' connections. No source ever blocks here: it hands its message over and continues.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -19,13 +18,13 @@ use crate::queue::{Outgoing, Payload, Queue};
 /// Most subscriptions of one client.
 pub const MAX_SUBSCRIPTIONS: usize = 256;
 
-/// Notices that a client is told of when it subscribes.
+/// Notices kept for clients that subscribe later.
 const NOTICES_KEPT: u32 = 64;
 
 /// One client's side of the board.
 #[derive(Debug, Default)]
 pub struct Client {
-    /// Rung when something waits.
+    /// Notified when a message is queued.
     pub bell: Notify,
     state: Mutex<ClientState>,
 }
@@ -33,31 +32,31 @@ pub struct Client {
 #[derive(Debug, Default)]
 struct ClientState {
     queue: Queue,
-    /// Channel by subscription.
+    /// Channel number by subscription.
     subscriptions: BTreeMap<u32, u32>,
 }
 
 impl Client {
-    /// The next messages ([`Queue::take`]), and how many were dropped since the last call.
+    /// Takes the next messages ([`Queue::take`]), and the number dropped since the last call.
     pub fn take(&self, bytes: usize) -> (Vec<Outgoing>, u64) {
         let mut state = lock(&self.state);
         (state.queue.take(bytes), state.queue.take_dropped())
     }
 }
 
-/// Channels, clients, and the newest message of each channel.
+/// Channels, clients, and each channel's newest message.
 #[derive(Debug)]
 pub struct Board {
     channels: Channels,
     clients: Mutex<Vec<Arc<Client>>>,
-    /// Newest message by channel and slot, for whoever subscribes later.
+    /// Newest message by channel and slot, for clients that subscribe later.
     kept: Mutex<BTreeMap<(u32, u32), (u64, Payload)>>,
-    /// Bit i: somebody has subscribed to channel i, modulo 64.
+    /// Bit i: some client has subscribed to channel i, modulo 64.
     wanted: AtomicU64,
     time_ns: AtomicU64,
     /// Number of the next notice.
     notices: AtomicU32,
-    /// What is called stolen is held against the machine's counter over all ticks.
+    /// Attributes late ticks. Kept across ticks, because stolen time is checked against the machine's counter over all of them.
     misses: Mutex<Misses>,
 }
 
@@ -80,35 +79,35 @@ impl Board {
         &self.channels
     }
 
-    /// The simulated time of the newest message.
+    /// Simulated time of the newest message, ns.
     pub fn time_ns(&self) -> u64 {
         self.time_ns.load(Ordering::Relaxed)
     }
 
-    /// Sets the simulated time.
+    /// Sets the simulated time, ns.
     pub fn set_time_ns(&self, time_ns: u64) {
         self.time_ns.store(time_ns, Ordering::Relaxed);
     }
 
-    /// Whether somebody wants a topic. May say yes for a topic that nobody wants.
+    /// Whether anybody subscribes to a topic. May return true when nobody does.
     pub fn wants(&self, topic: &str) -> bool {
         let Some(id) = self.channels.id(topic) else { return false };
         self.wanted.load(Ordering::Relaxed) & (1 << (id % 64)) != 0
     }
 
-    /// Hands out a log's message: parts of a body, behind the CDR header.
+    /// Publishes a log message: the CDR header, then the parts of its body.
     pub fn publish_cdr(&self, topic: &str, time_ns: u64, parts: &[&[u8]]) {
         let mut bytes = CDR_LITTLE_ENDIAN.to_vec();
         parts.iter().for_each(|part| bytes.extend_from_slice(part));
         self.publish(topic, time_ns, 0, bytes);
     }
 
-    /// Hands out a JSON message.
+    /// Publishes a JSON message.
     pub fn publish_json(&self, topic: &str, value: &serde_json::Value) {
         self.publish(topic, self.time_ns(), 0, value.to_string().into_bytes());
     }
 
-    /// Tells the user something. Whoever comes later is told the last `NOTICES_KEPT`.
+    /// Notifies the user. Clients that subscribe later get the last `NOTICES_KEPT`.
     pub fn notice(&self, level: &str, text: &str) {
         let number = self.notices.fetch_add(1, Ordering::Relaxed);
         let value = serde_json::json!({"level": level, "text": text});
@@ -120,7 +119,7 @@ impl Board {
         }
     }
 
-    /// Hands out a message and keeps it as the newest of its channel and slot; before a late tick's timing, its cause.
+    /// Publishes a message and keeps it as the newest of its channel and slot. Before a late tick's timing, also publishes the cause.
     pub fn publish(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
         if topic == topics::TICK_TIMING
             && let Some(miss) = self.miss_of(&bytes)
@@ -130,7 +129,7 @@ impl Board {
         self.hand_out(topic, time_ns, slot, bytes);
     }
 
-    /// Main cause of a late tick, as the page shows it; none for a tick in time.
+    /// Main cause of a late tick, as the page shows it; `None` for a tick on time.
     fn miss_of(&self, timing: &[u8]) -> Option<serde_json::Value> {
         let timing = TickTiming::read_from_bytes(timing.strip_prefix(CDR_LITTLE_ENDIAN.as_slice())?).ok()?;
         let lost = lock(&self.misses).add(&timing)?;
@@ -145,7 +144,7 @@ impl Board {
         let Some(id) = self.channels.id(topic) else { return };
         let Some(channel) = self.channels.get(id) else { return };
         let payload: Payload = bytes.into();
-        // Clients subscribe under the same lock: each gets this message once, as kept or as sent.
+        // Clients subscribe under the same lock, so each gets this message exactly once, kept or sent.
         let mut kept = lock(&self.kept);
         kept.insert((id, slot), (time_ns, Arc::clone(&payload)));
         for client in lock(&self.clients).iter() {
@@ -163,14 +162,14 @@ impl Board {
         }
     }
 
-    /// A new client.
+    /// Adds a client.
     pub fn join(&self) -> Arc<Client> {
         let client = Arc::new(Client::default());
         lock(&self.clients).push(Arc::clone(&client));
         client
     }
 
-    /// A client has gone.
+    /// Removes a client.
     pub fn leave(&self, client: &Arc<Client>) {
         lock(&self.clients).retain(|other| !Arc::ptr_eq(other, client));
         self.count_wanted();
@@ -181,10 +180,10 @@ impl Board {
         lock(&self.clients).len()
     }
 
-    /// A client subscribes and is given the newest message of the channel, of a surface all blocks.
+    /// Subscribes a client and gives it the channel's newest message; for a surface, all blocks.
     ///
     /// # Errors
-    /// No such channel, a number that is taken, too many; the text says so.
+    /// No such channel, a number already in use, too many subscriptions; the text says which.
     pub fn subscribe(&self, client: &Client, wanted: Subscription) -> Result<(), String> {
         let Subscription { id, channel_id } = wanted;
         let Some(channel) = self.channels.get(channel_id) else {
@@ -214,10 +213,10 @@ impl Board {
         Ok(())
     }
 
-    /// A client wants a subscription no more.
+    /// Ends a client's subscription.
     ///
     /// # Errors
-    /// It has no such subscription.
+    /// The client has no such subscription.
     pub fn unsubscribe(&self, client: &Client, subscription: u32) -> Result<(), String> {
         {
             let mut state = lock(&client.state);
@@ -241,7 +240,7 @@ impl Board {
     }
 }
 
-/// A panic elsewhere leaves the data whole: every change is one insertion.
+/// Ignores poisoning: every change is a single insertion, so a panic elsewhere leaves the data intact.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! The channels: topics of the logs, helpers for Lichtblick, and those that only the page reads.
+//! The channels: the logs' topics, topics for Lichtblick, and topics that only the page reads.
 
 use ipc_types::layout::{Description, Message};
 use ipc_types::messages::{
@@ -8,63 +8,63 @@ use run_log::topics;
 
 use crate::protocol::Advertisement;
 
-/// What the scene is (JSON).
+/// The scene (JSON).
 pub const INFO: &str = "/view/info";
-/// The bone's surface, a message a block ([`crate::surface::mesh`]).
+/// The bone's surface, one message per block ([`crate::surface::mesh`]).
 pub const SURFACE: &str = "/view/surface";
 /// The connected parts and their rates (JSON).
 pub const PARTS: &str = "/view/parts";
-/// Where the time line stands (JSON; logs only).
+/// Position on the time line (JSON; logs only).
 pub const PLAYBACK: &str = "/view/playback";
-/// The speed that a running session is held to, or none (JSON; live only).
+/// The speed limit of a running session, or none (JSON; live only).
 pub const PACE: &str = "/view/pace";
-/// Remarks to the user (JSON).
+/// Notices for the user (JSON).
 pub const NOTICE: &str = "/view/notice";
-/// Two logs compared (JSON; logs only).
+/// Comparison of two logs (JSON; logs only).
 pub const COMPARE: &str = "/view/compare";
-/// Why a tick began late, before its `TickTiming` (JSON): [`run_log::misses`].
+/// Cause of a late tick, sent before its `TickTiming` (JSON): [`run_log::misses`].
 pub const MISS: &str = "/view/miss";
 /// The tool and its contacts for the 3D panel of Lichtblick and Foxglove (`foxglove.SceneUpdate`, JSON).
 pub const SCENE: &str = "/view/scene";
 
-/// A frame that a client of the viewer has asked for, whole: `Frame` and its image. Scheduled frames do not replace it (live only).
+/// A complete frame that a viewer client requested: `Frame` and its image. Scheduled frames do not replace it (live only).
 pub const ASKED_FRAME: &str = "/view/asked_frame";
 
-/// Before the topics of a second log.
+/// Prefix of a second log's topics.
 pub const SECOND: &str = "/second";
-/// Topics of a second log that are shown.
+/// Topics shown from a second log.
 pub const SECOND_TOPICS: [&str; 3] = [topics::STATE, topics::DRR_FRAME, topics::DRR_IMAGE];
 
-/// What a client that reads slowly misses.
+/// What a slow client misses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
-    /// The oldest of a bounded queue.
+    /// The oldest messages of a bounded queue.
     Stream,
-    /// All but the newest.
+    /// All but the newest message.
     Newest,
 }
 
 /// One channel.
 #[derive(Debug, Clone)]
 pub struct Channel {
-    /// As clients are told.
+    /// The advertisement sent to clients.
     pub advertisement: Advertisement,
     /// What a slow client misses.
     pub policy: Policy,
 }
 
-/// The channels of a session or log, by their numbers.
+/// The channels of a session or log, by number.
 #[derive(Debug, Clone, Default)]
 pub struct Channels(Vec<Channel>);
 
 impl Channels {
-    /// All channels; a command channel for each controller.
+    /// All channels, including one command channel per controller.
     pub fn new(controllers: &[String]) -> Channels {
         let mut channels = Channels::default();
         let newest = [topics::DRR_FRAME, topics::DRR_IMAGE];
         for (topic, description) in topics::RUN {
             let policy = if newest.contains(&topic) { Policy::Newest } else { Policy::Stream };
-            // Keyframes are the physics' own bytes: nothing to look at.
+            // Keyframes are the physics' internal format; there is nothing to show.
             if topic != topics::KEYFRAME {
                 channels.logged(topic, description, policy);
             }
@@ -98,7 +98,7 @@ impl Channels {
         channels
     }
 
-    /// Those of a second log, which is shown beside the first: its own topics behind [`SECOND`].
+    /// Adds the channels of a second log, shown beside the first under the prefix [`SECOND`].
     pub fn add_second(&mut self) {
         for (topic, description) in topics::RUN.iter().filter(|(topic, _)| SECOND_TOPICS.contains(topic)) {
             let newest = [topics::DRR_FRAME, topics::DRR_IMAGE].contains(topic);
@@ -107,17 +107,17 @@ impl Channels {
         }
     }
 
-    /// The channel of a number.
+    /// The channel with this number.
     pub fn get(&self, id: u32) -> Option<&Channel> {
         self.0.get((id as usize).checked_sub(1)?)
     }
 
-    /// The number of a topic.
+    /// A topic's channel number.
     pub fn id(&self, topic: &str) -> Option<u32> {
         self.0.iter().find(|channel| channel.advertisement.topic == topic).map(|c| c.advertisement.id)
     }
 
-    /// What clients are told.
+    /// The advertisements sent to clients.
     pub fn advertisements(&self) -> Vec<Advertisement> {
         self.0.iter().map(|channel| channel.advertisement.clone()).collect()
     }
@@ -146,7 +146,7 @@ impl Channels {
     }
 }
 
-/// The topics of `timing.mcap` but the commands.
+/// The topics of `timing.mcap`, except the commands.
 pub const TIMING: [(&str, &Description); 7] = [
     (topics::TICK_TIMING, TickTiming::DESCRIPTION),
     (topics::FRAME_TIMING, FrameTiming::DESCRIPTION),

@@ -1,4 +1,4 @@
-//! Why a viewer cannot be.
+//! Why a viewer cannot start or run.
 
 use std::net::SocketAddr;
 
@@ -10,26 +10,26 @@ use trabecula_client::ClientError;
 
 use crate::log::file::PlayError;
 
-/// What went wrong, and what to do.
+/// What went wrong, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewerError {
-    /// The port cannot be listened at.
+    /// Cannot listen on the port.
     #[error(
         "{address}: cannot listen there: {cause}; choose another port with --port, or 0 for any free one"
     )]
     Port {
-        /// Address asked for.
+        /// The requested address.
         address: SocketAddr,
         /// The system's reason.
         cause: std::io::Error,
     },
-    /// No randomness for the token.
+    /// No random numbers for the token.
     #[error("/dev/urandom: no control token can be made: {0}")]
     Token(std::io::Error),
     /// The runtime or a thread cannot be started.
     #[error("the server cannot be started: {0}")]
     Runtime(std::io::Error),
-    /// No session to look at.
+    /// No session to view.
     #[error("{0}; or name one with --session")]
     NoSession(Searched),
     /// The session cannot be joined.
@@ -38,10 +38,10 @@ pub enum ViewerError {
     /// Its scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A message cannot be taken.
+    /// A message cannot be received.
     #[error(transparent)]
     Message(#[from] PortError),
-    /// As a controller.
+    /// An error of the viewer as a controller.
     #[error(transparent)]
     Client(#[from] ClientError),
     /// A log cannot be read.
@@ -53,7 +53,7 @@ pub enum ViewerError {
 }
 
 impl ViewerError {
-    /// Whether the user asked for something that cannot be, rather than that something failed.
+    /// Whether the user made an invalid request, as opposed to a failure.
     pub fn is_bad_input(&self) -> bool {
         match self {
             ViewerError::Port { .. }

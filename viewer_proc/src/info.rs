@@ -1,17 +1,17 @@
-//! What `/view/info` says: the scene as the page needs it.
+//! Content of `/view/info`: the scene as the page needs it.
 
 use ipc_types::scene::Scene;
 use serde_json::{Value, json};
 
-/// Name in the scene of the controller that the viewer is.
+/// The viewer's controller name in a scene.
 pub const CONTROLLER: &str = "viewer";
 
 /// The tool's shape, in metres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToolShape {
-    /// z of each flexure from the tool base, straight tool.
+    /// z of each flexure from the tool base, for the straight tool.
     pub joint_positions_m: Vec<f64>,
-    /// From the last flexure to the burr's centre.
+    /// From the last flexure to the burr centre.
     pub tip_offset_m: f64,
     /// Outer radius of the tube.
     pub outer_radius_m: f64,
@@ -19,7 +19,7 @@ pub struct ToolShape {
     pub burr_radius_m: f64,
 }
 
-/// A box in the patient frame, and its voxels.
+/// A volume's bounding box in the patient frame, and its voxel spacing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VolumeBox {
     /// Lowest corner.
@@ -30,7 +30,7 @@ pub struct VolumeBox {
     pub spacing_m: [f64; 3],
 }
 
-/// Where the scene comes from.
+/// Source of the scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Origin {
     /// A running session, by its folder.
@@ -62,7 +62,7 @@ pub fn info(scene: &Scene, origin: &Origin, tool: &ToolShape, volume: Option<&Vo
             "columns": drr.columns, "rows": drr.rows, "pixel_pitch_m": metres(drr.pixel_pitch_mm),
             "rate_hz": drr.rate_hz,
         })),
-        // Of the pixels' 16 bits: the detector's whole range.
+        // The detector's whole range: 16 bits per pixel.
         "window": scene.drr.as_ref().map(|_| json!({"low": 0, "high": 65535})),
     });
     value[key] = json!(place);
@@ -85,8 +85,8 @@ fn scene_part(scene: &Scene) -> Value {
     })
 }
 
-/// Where the burr is to go, as far as the scene says: from its start along the tool to where the bend begins, then to the
-/// target if there is one, else straight to the end of the insertion.
+/// Planned path of the burr, as far as the scene defines it: from its start along the tool to where the bend begins, then to the target if
+/// there is one, otherwise straight to the end of the insertion.
 fn planned_path(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     let start = scene.tool.burr_start_mm;
     let along = |length_mm: f64| -> [f64; 3] {
@@ -104,8 +104,7 @@ fn planned_path(scene: &Scene) -> Option<Vec<[f64; 3]>> {
     path.filter(|points| points.len() > 1)
 }
 
-/// Straight to the knee, then the parabola that leaves it straight on and ends at the target: what a tool does whose
-/// tension rises evenly.
+/// Straight to the knee, then a parabola that continues the line and ends at the target: the path of a tool whose tension rises evenly.
 fn bent(start: [f64; 3], knee: [f64; 3], target: [f64; 3]) -> Vec<[f64; 3]> {
     const PIECES: usize = 24;
     let direction = unit(core::array::from_fn(|axis| knee[axis] - start[axis]));
@@ -121,7 +120,7 @@ fn bent(start: [f64; 3], knee: [f64; 3], target: [f64; 3]) -> Vec<[f64; 3]> {
     core::iter::once(start).chain((0..=PIECES).map(point)).collect()
 }
 
-/// The vector of length 1.
+/// The vector normalised to length 1.
 pub(crate) fn unit(vector: [f64; 3]) -> [f64; 3] {
     let length = vector.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length > 0.0 { vector.map(|x| x / length) } else { vector }

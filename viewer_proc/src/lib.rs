@@ -1,18 +1,18 @@
 //! The viewer: a page in the browser and the Foxglove WebSocket protocol, for a running session or for logs.
 //!
-//! Started only when asked for. It reads a session as any client does and nobody waits for it: it takes what it finds and
-//! drops what its own clients do not take.
+//! Started only on request. It reads a session as any client does and never holds it up: it takes what has arrived and drops what its own
+//! clients do not read in time.
 //!
-//! **Boundary:** the only async runtime; no vendor's code, no request to anything but its own server. **Invariants:** each client's
-//! queue is bounded; who has no token reads and changes nothing.
+//! **Boundary:** the only async runtime; no vendor's code, no request to anything but its own server. **Invariants:** each client's queue
+//! is bounded; a client without the token reads and changes nothing.
 //!
 //! | module | what it holds |
 //! |---|---|
 //! | [`live`] | a running session: messages, run control, driving |
 //! | [`log`] | logs on a time line |
 //! | [`surface`] | the bone's surface, block by block |
-//! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, what clients may ask |
-//! | [`board`], [`queue`], [`channels`] | what clients subscribe to, and what waits for each of them |
+//! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
+//! | [`board`], [`queue`], [`channels`] | what clients subscribe to, and each client's queue |
 //! | [`scene_update`] | the tool for other viewers |
 //! | [`info`](mod@info), [`assets`] | the scene as the page needs it, the page's files |
 

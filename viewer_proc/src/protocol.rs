@@ -1,11 +1,10 @@
 //! The Foxglove WebSocket protocol: text messages, binary messages and their numbers.
 //!
-//! Source: the protocol's specification, `foxglove.websocket.v1` and its successor `foxglove.sdk.v1`, which share
-//! everything that stands here.
+//! Source: the protocol's specification, `foxglove.websocket.v1` and its successor `foxglove.sdk.v1`, which agree on everything used here.
 
 use serde::{Deserialize, Serialize};
 
-/// Subprotocols that the server speaks, the preferred one first.
+/// Supported subprotocols, preferred one first.
 pub const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
 const MESSAGE_DATA: u8 = 1;
@@ -16,15 +15,15 @@ const SERVICE_REQUEST: u8 = 2;
 /// Level of a status message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
-    /// Worth knowing.
+    /// Information.
     Info = 0,
     /// Something was dropped or refused.
     Warning = 1,
-    /// The connection ends, or what was asked for cannot be done.
+    /// The connection ends, or the request cannot be served.
     Error = 2,
 }
 
-/// A channel as it is advertised.
+/// A channel's advertisement.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Advertisement {
@@ -32,37 +31,37 @@ pub struct Advertisement {
     pub id: u32,
     /// Topic.
     pub topic: String,
-    /// `cdr`, `json`, or one of ours.
+    /// `cdr`, `json`, or one of our own.
     pub encoding: String,
     /// Name of the schema.
     pub schema_name: String,
-    /// Its text; the same as in the logs.
+    /// Text of the schema, as in the logs.
     pub schema: String,
     /// `ros2msg`, `jsonschema`, or empty.
     pub schema_encoding: String,
 }
 
-/// What a client says in text.
+/// A client's text message.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase")]
 pub enum ClientText {
-    /// Wants the messages of some channels.
+    /// Subscribes to channels.
     Subscribe {
         /// The subscriptions.
         subscriptions: Vec<Subscription>,
     },
-    /// Wants them no more.
+    /// Ends subscriptions.
     #[serde(rename_all = "camelCase")]
     Unsubscribe {
-        /// Numbers that the client gave.
+        /// Numbers chosen by the client.
         subscription_ids: Vec<u32>,
     },
-    /// Anything else of the protocol: what the server does not offer.
+    /// Any other message of the protocol, which the server does not support.
     #[serde(other)]
     Other,
 }
 
-/// A subscription as a client asks for it.
+/// A client's request for one subscription.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub struct Subscription {
@@ -72,12 +71,12 @@ pub struct Subscription {
     pub channel_id: u32,
 }
 
-/// A call of a service, as a client sends it.
+/// A client's service call.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ServiceCall<'a> {
     /// The service's number.
     pub service: u32,
-    /// Chosen by the client; comes back in the response.
+    /// Chosen by the client; repeated in the response.
     pub call: u32,
     /// Must be `json`.
     pub encoding: &'a str,
@@ -94,12 +93,12 @@ pub fn server_info(name: &str, session: &str) -> String {
     .to_string()
 }
 
-/// Says which channels there are.
+/// Advertises the channels.
 pub fn advertise(channels: &[Advertisement]) -> String {
     serde_json::json!({"op": "advertise", "channels": channels}).to_string()
 }
 
-/// Says which services there are; their numbers count from 1 in this order.
+/// Advertises the services; their numbers start at 1 in this order.
 pub fn advertise_services(names: &[&str]) -> String {
     let service = |(i, name): (usize, &&str)| {
         let half = |what: &str| {
@@ -113,19 +112,19 @@ pub fn advertise_services(names: &[&str]) -> String {
     serde_json::json!({"op": "advertiseServices", "services": services}).to_string()
 }
 
-/// A remark for the person at the client.
+/// A status message for the user.
 pub fn status(level: Level, message: &str) -> String {
     serde_json::json!({"op": "status", "level": level as u8, "message": message}).to_string()
 }
 
-/// A call that could not be made at all.
+/// The response to a call that could not be handled at all.
 pub fn service_failure(call: &ServiceCall<'_>, message: &str) -> String {
     serde_json::json!({"op": "serviceCallFailure", "serviceId": call.service, "callId": call.call,
         "message": message})
     .to_string()
 }
 
-/// A message of a channel: subscription, log time in ns, payload.
+/// A channel message: subscription, log time in ns, payload.
 pub fn message_data(subscription: u32, time_ns: u64, payload: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(13 + payload.len());
     bytes.push(MESSAGE_DATA);
@@ -142,7 +141,7 @@ pub fn time(time_ns: u64) -> Vec<u8> {
     bytes
 }
 
-/// The answer to a call.
+/// The response to a call.
 pub fn service_response(service: u32, call: u32, payload: &[u8]) -> Vec<u8> {
     let encoding = b"json";
     let mut bytes = vec![SERVICE_RESPONSE];
@@ -154,7 +153,7 @@ pub fn service_response(service: u32, call: u32, payload: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Reads a client's binary message; none if it is no call of a service.
+/// Parses a client's binary message; `None` if it is not a service call.
 pub fn service_call(bytes: &[u8]) -> Option<ServiceCall<'_>> {
     let rest = bytes.strip_prefix(&[SERVICE_REQUEST])?;
     let word = |at: usize| Some(u32::from_le_bytes(rest.get(at..at + 4)?.try_into().ok()?));

@@ -1,21 +1,20 @@
-//! What waits to be sent to one client: bounded, so that a client that reads slowly or never costs no more than that.
+//! One client's send queue. Bounded, so that a slow or stalled client costs no more than that.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Most bytes of a stream that wait for one client: about half a second of states at 1 kHz. Older ones are dropped
-/// and counted.
+/// Most bytes of stream messages queued for one client: about half a second of states at 1 kHz. The oldest are dropped and counted.
 pub const STREAM_BYTES: usize = 4 << 20;
 
-/// A message's payload, shared between the clients.
+/// A message's payload, shared among clients.
 pub type Payload = Arc<[u8]>;
 
-/// A message on its way to a client.
+/// A message queued for a client.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outgoing {
-    /// The client's number of the subscription.
+    /// The client's number for the subscription.
     pub subscription: u32,
-    /// Simulated time.
+    /// Simulated time, ns.
     pub time_ns: u64,
     /// Payload.
     pub payload: Payload,
@@ -27,13 +26,13 @@ pub struct Queue {
     stream: VecDeque<Outgoing>,
     stream_bytes: usize,
     newest: BTreeMap<(u32, u32), (u64, Payload)>,
-    /// Slot that was sent last: the others have their turn first.
+    /// Slot sent last; the others take their turn first.
     last_slot: (u32, u32),
     dropped: u64,
 }
 
 impl Queue {
-    /// Takes a message of which every one counts.
+    /// Queues a message of a stream, where every message counts.
     pub fn push_stream(&mut self, message: Outgoing) {
         self.stream_bytes += message.payload.len();
         self.stream.push_back(message);
@@ -46,12 +45,12 @@ impl Queue {
         }
     }
 
-    /// Takes a message of which only the newest of its slot counts.
+    /// Queues a message of which only the newest per slot counts.
     pub fn push_newest(&mut self, message: Outgoing, slot: u32) {
         self.newest.insert((message.subscription, slot), (message.time_ns, message.payload));
     }
 
-    /// The next messages: stream messages up to a number of bytes, then one of the others.
+    /// Takes the next messages: stream messages up to a number of bytes, then one of the others.
     pub fn take(&mut self, bytes: usize) -> Vec<Outgoing> {
         let mut taken = Vec::new();
         let mut count = 0;
@@ -74,7 +73,7 @@ impl Queue {
         taken
     }
 
-    /// Forgets what a subscription still waits for.
+    /// Drops everything queued for a subscription.
     pub fn forget(&mut self, subscription: u32) {
         self.stream.retain(|message| message.subscription != subscription);
         self.stream_bytes = self.stream.iter().map(|message| message.payload.len()).sum();

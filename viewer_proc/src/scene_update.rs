@@ -10,10 +10,10 @@ use crate::channels::SCENE;
 use crate::info::ToolShape;
 
 const PERIOD: Duration = Duration::from_millis(33);
-/// Length of a contact's line for a newton.
+/// Length of a contact's line per newton of force.
 const METRES_PER_NEWTON: f64 = 2e-3;
 
-/// Draws the tool, at 30 Hz at most and only if somebody looks.
+/// Draws the tool, at most at 30 Hz and only if somebody subscribes.
 #[derive(Debug)]
 pub struct Drawer {
     outer_radius_m: f64,
@@ -22,17 +22,17 @@ pub struct Drawer {
 }
 
 impl Drawer {
-    /// A drawer of this tool.
+    /// A drawer for this tool.
     pub fn new(tool: &ToolShape) -> Drawer {
         Drawer { outer_radius_m: tool.outer_radius_m, burr_radius_m: tool.burr_radius_m, last: None }
     }
 
-    /// Whether somebody looks and the last drawing is old.
+    /// Whether somebody subscribes and the last drawing is old enough.
     pub fn is_due(&self, board: &Board) -> bool {
         board.wants(SCENE) && self.last.is_none_or(|last| last.elapsed() >= PERIOD)
     }
 
-    /// Puts a drawing of a state on the board if one is due.
+    /// Puts a drawing of the state on the board if one is due.
     pub fn draw(&mut self, state: &State, time_ns: u64, board: &Board) {
         if self.is_due(board) {
             self.last = Some(Instant::now());

@@ -1,4 +1,4 @@
-//! The services: what a client may ask the simulator or the time line to do.
+//! The services: requests that clients can make to the simulator or the time line.
 
 use std::sync::mpsc;
 
@@ -6,52 +6,52 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
-/// Names in the order of their numbers, from 1.
+/// Service names; their numbers start at 1 in this order.
 pub const SERVICES: [&str; 4] = ["/control", "/drive", "/frame", "/playback"];
 
-/// What `/control` may ask.
+/// Actions of `/control`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Action {
-    /// Stop before the next tick.
+    /// Pause before the next tick.
     Pause,
-    /// Go on.
+    /// Resume.
     Resume,
-    /// While paused, make some ticks.
+    /// Make some ticks while paused.
     Step,
-    /// Back to the initial state.
+    /// Reset to the initial state.
     Reset,
     /// End the run.
     Stop,
-    /// Go on at a part of the run's own speed.
+    /// Limit the run's speed.
     Speed,
 }
 
-/// A request of `/control`.
+/// A `/control` request.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Control {
     /// What to do.
     pub action: Action,
     /// Ticks of a step; 1 if left out.
     pub ticks: Option<u64>,
-    /// Simulated over wall time, for `speed`; none or 0 lifts the limit.
+    /// Ratio of simulated to wall time, for `speed`; none or 0 lifts the limit.
     pub speed: Option<f64>,
 }
 
-/// A request of `/drive`: what the user holds now. What is left out stays as it was.
+/// A `/drive` request: the user's current inputs. Fields left out keep their values.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Drive {
-    /// Tension of each tendon, or of tendon 0 alone.
+    /// Tension of each tendon, or of tendon 0 alone, N.
     pub tendon_n: Option<OneOrMany>,
-    /// Speed along the tool's axis, forward positive.
+    /// Speed along the tool's axis, m/s; forward is positive.
     pub insert_m_per_s: Option<f64>,
-    /// Angular speed of the burr.
+    /// Angular speed of the burr, rad/s.
     pub burr_rad_per_s: Option<f64>,
-    /// Where the C-arm is to stand: a frame is asked for.
+    /// Pose of the C-arm; requests a frame.
     pub c_arm: Option<CArm>,
 }
 
-/// A number or several.
+/// One number or several.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(untagged)]
 pub enum OneOrMany {
@@ -71,15 +71,15 @@ impl OneOrMany {
     }
 }
 
-/// A C-arm by DICOM's angles (0018,1510 and 0018,1511) about the scene's isocentre, or by its pose.
+/// C-arm pose, either by DICOM's angles (0018,1510 and 0018,1511) about the scene's isocentre or as a pose.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct CArm {
-    /// Positive towards the patient's left.
+    /// Positive toward the patient's left, degrees.
     pub primary_angle_deg: Option<f64>,
-    /// Positive is cranial.
+    /// Positive is cranial, degrees.
     pub secondary_angle_deg: Option<f64>,
-    /// Isocentre and axes (x right, y down in the picture, z to the source).
+    /// Isocentre and axes (x right, y down in the image, z to the source).
     pub pose: Option<Pose>,
 }
 
@@ -92,67 +92,67 @@ pub struct Pose {
     pub orientation_xyzw: [f64; 4],
 }
 
-/// A request of `/playback`.
+/// A `/playback` request.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Playback {
     /// What to do.
     pub action: PlaybackAction,
-    /// Where to, for `seek`.
+    /// Target time for `seek`, ns.
     pub time_ns: Option<u64>,
-    /// Simulated over wall time, for `speed`; negative plays backward.
+    /// Ratio of simulated to wall time, for `speed`; negative plays backward.
     pub speed: Option<f64>,
-    /// Kind of mark for `next` and `previous`: event, miss, divergence or gap; none takes any.
+    /// Kind of mark for `next` and `previous`: event, miss, divergence or gap; `None` matches any.
     pub kind: Option<String>,
     /// Ticks of a step, negative for backward; 1 if left out.
     pub ticks: Option<i64>,
 }
 
-/// What `/playback` may ask.
+/// Actions of `/playback`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PlaybackAction {
     /// Play from here.
     Play,
-    /// Stand still.
+    /// Pause.
     Pause,
-    /// Go to a time.
+    /// Jump to a time.
     Seek,
     /// Set the speed.
     Speed,
-    /// Go some ticks on.
+    /// Advance some ticks.
     Step,
-    /// Go to the next mark.
+    /// Jump to the next mark.
     Next,
-    /// Go to the mark before.
+    /// Jump to the previous mark.
     Previous,
 }
 
-/// A request, checked for form and token.
+/// A request whose form and token have been checked.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Request {
-    /// Steer the run.
+    /// Control the run.
     Control(Control),
     /// Drive the tool.
     Drive(Drive),
-    /// A frame from here.
+    /// Render a frame from this pose.
     Frame(CArm),
     /// Move on the time line.
     Playback(Playback),
 }
 
-/// A request with the way back to the client.
+/// A request and the channel for its answer.
 #[derive(Debug)]
 pub struct Call {
     /// The request.
     pub request: Request,
-    /// Takes the answer: none, or what is wrong.
+    /// Takes the answer: done, or what is wrong.
     pub answer: oneshot::Sender<Result<(), String>>,
 }
 
-/// Where the source takes its calls.
+/// Queue of calls to the source.
 pub type Calls = mpsc::Receiver<Call>;
 
-/// Reads a request; the token must be the server's.
+/// Parses a request; the token must be the server's.
 ///
 /// # Errors
 /// What is wrong with it, for the user.
@@ -182,11 +182,11 @@ pub fn read_request(service: u32, payload: &[u8], token: &str) -> Result<Request
     Ok(request)
 }
 
-/// What is said to whoever has no token or another one.
+/// Answer to a client with a missing or wrong token.
 pub(crate) const NO_TOKEN: &str =
     "no or a wrong token: open the page with the address that the viewer printed";
 
-/// Compares two tokens in a time that does not tell where they differ.
+/// Compares two tokens in constant time, so that timing does not reveal where they differ.
 pub(crate) fn same(given: &str, token: &str) -> bool {
     let difference = given.bytes().zip(token.bytes()).fold(0, |all, (a, b)| all | (a ^ b));
     given.len() == token.len() && difference == 0

@@ -1,4 +1,4 @@
-//! The bone's surface of a running session, in a thread of its own that borrows the volume where it lies.
+//! The bone's surface of a running session, meshed in its own thread, which borrows the volume in place.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -20,13 +20,13 @@ use crate::board::Board;
 use crate::surface::Geometry;
 use crate::surface::bone::Bone;
 
-/// Time between two looks at the removals; the queue holds half a second of them at 1 kHz.
+/// Time between two polls of the removals; the queue holds half a second of them at 1 kHz.
 const LOOK_TIME: Duration = Duration::from_millis(4);
-/// Most removals that are taken before the bone is meshed.
+/// Most removals applied before the bone is meshed.
 const ROUND: usize = 4096;
 /// Time between two meshings.
 const MESH_PERIOD: Duration = Duration::from_millis(50);
-/// Time between two looks into the log for removals that were before our time.
+/// Time between two searches of the log for removals from before the viewer joined.
 const LOG_PERIOD: Duration = Duration::from_millis(500);
 
 /// What the thread needs.
@@ -38,7 +38,7 @@ pub(super) struct BoneThread {
 }
 
 impl BoneThread {
-    /// Starts it; `known` is told the volume's grid as soon as that is here.
+    /// Starts the thread; calls `known` with the volume's grid as soon as it has arrived.
     pub(super) fn start(self, known: impl FnOnce(&Geometry) + Send + 'static) {
         std::thread::spawn(move || {
             if let Err(error) = self.run(known) {
@@ -103,7 +103,7 @@ pub(super) fn geometry(volume: &Volume) -> Geometry {
     }
 }
 
-/// The voxels in place, or a copy where they do not lie aligned.
+/// The voxels in place, or a copy if they are not aligned.
 fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
     match <[i16]>::ref_from_bytes(bytes) {
         Ok(hu) => Cow::Borrowed(hu),
@@ -115,12 +115,12 @@ fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
     }
 }
 
-/// Removals in the order of their numbers; those before our time come from the log that is being written.
+/// Removals in sequence order. Those from before the viewer joined come from the log being recorded.
 struct Removals {
     messages: Subscriber<Removed>,
     status: Subscriber<RunStatus>,
     line: Line,
-    /// The log that is being written, if there is one.
+    /// The log being recorded, if any.
     log: Option<PathBuf>,
     looked: Option<Instant>,
     incomplete: bool,
@@ -154,10 +154,10 @@ impl Removals {
         Ok(())
     }
 
-    /// Reads what is missing. Its newest part may not be on the disk yet: it is then read again.
+    /// Reads missing removals from the log. The newest may not be on disk yet; they are read next time.
     fn read_log(&mut self, board: &Board) {
         let Some(path) = &self.log else {
-            // Without a log what was drilled before is not known: it goes on from what is.
+            // Without a log nobody knows what was drilled before; continues from what is here.
             self.line.go_on();
             let text = "nothing is recorded: bone that was drilled before the viewer joined is shown whole";
             return self.say_incomplete(text, board);
@@ -192,13 +192,13 @@ impl Removals {
     }
 }
 
-/// Removals that wait for those before them.
+/// Removals waiting for their predecessors.
 #[derive(Default)]
 struct Line {
     waiting: BTreeMap<u64, (Removed, Vec<u32>)>,
-    /// Number of the last one that was handed out.
+    /// Sequence number of the last one returned.
     last: u64,
-    /// Removals that the physics has sent, as far as is known.
+    /// Highest sequence number known to have been sent.
     sent: u64,
 }
 
@@ -210,20 +210,20 @@ impl Line {
         }
     }
 
-    /// Whether the next one has been sent and is not here.
+    /// Whether the next removal has been sent but not received.
     fn lacks_next(&self) -> bool {
         self.sent > self.last && !self.waiting.contains_key(&(self.last + 1))
     }
 
-    /// Goes on from the first one that is here.
+    /// Skips to the first removal that is here.
     fn go_on(&mut self) {
         if let Some(first) = self.waiting.keys().next() {
             self.last = first - 1;
         }
     }
 
-    /// A log holds its removals in their order: the next one will not come if the log, read up to number `logged`, is
-    /// beyond it. Whether any were stepped over.
+    /// Skips lost removals. A log holds removals in order, so the next one will never come if the log, read up to number `logged`, is past
+    /// it. Returns whether any were skipped.
     fn step_over_lost(&mut self, logged: u64) -> bool {
         let lost = self.lacks_next() && logged > self.last;
         if lost {
@@ -249,12 +249,12 @@ mod tests {
         let keep = |line: &mut Line, sequence: u64| {
             line.keep(Removed { sequence, ..Removed::zeroed() }, &(sequence as u32).to_le_bytes());
         };
-        // Seen: 5 and 6, from the bus. The log has not come as far as 2.
+        // Received: 5 and 6, from the bus. The log does not contain 2 yet.
         [5, 6].into_iter().for_each(|sequence| keep(&mut line, sequence));
         keep(&mut line, 1);
         assert!(!line.step_over_lost(1) && line.next().is_some());
         assert!(line.lacks_next() && !line.step_over_lost(1) && line.next().is_none());
-        // It goes on with 3: 2 will never come, 4 may.
+        // Continues with 3: 2 will never come, 4 may.
         [1, 3].into_iter().for_each(|sequence| keep(&mut line, sequence));
         assert!(line.step_over_lost(3));
         assert_eq!(line.next().map(|(removed, voxels)| (removed.sequence, voxels)), Some((3, vec![3])));

@@ -18,13 +18,13 @@ use crate::board::Board;
 use crate::channels::PACE;
 use crate::services::{Action, Control as Request};
 
-/// Longest step.
+/// Most ticks in one step.
 const MAX_STEP_TICKS: u64 = 1_000_000;
-/// Time between two steps of a run that goes at a given speed.
+/// Time between two steps of a paced run.
 const STEP_PERIOD: Duration = Duration::from_millis(20);
-/// Steps of such a run that may wait at a time.
+/// How far a paced run may fall behind, in steps.
 const MOST_PACES: u32 = 10;
-/// Most speed that may be asked for.
+/// Speed limit.
 const MAX_SPEED: f64 = 1000.0;
 
 type Answer = oneshot::Sender<Result<(), String>>;
@@ -34,33 +34,33 @@ pub(super) struct Control {
     requests: Publisher<RunControl>,
     replies: Subscriber<RunControlReply>,
     physics: Waker,
-    /// Whether the physics has been heard of: what is sent before that is lost.
+    /// Whether the physics has been heard; requests sent before that are lost.
     listens: bool,
-    /// What is sent when it is heard of.
+    /// Requests to send once the physics has been heard.
     unsent: Vec<RunControl>,
     next_id: u64,
     waiting: BTreeMap<u64, Answer>,
     pace: Option<Pace>,
     paced: Instant,
-    /// Speed that clients were told last.
+    /// Speed last published to clients.
     told: Option<f64>,
 }
 
-/// A run slowed down: it is paused, and steps as many ticks as the time allows. Pure: it is told the time that has passed.
+/// Runs the simulation slower: pauses it and requests as many ticks as the elapsed time allows. Pure: the caller supplies the elapsed time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Pace {
     speed: f64,
-    /// Ticks that are due but not yet whole.
+    /// Ticks due, fractional part.
     due: f64,
-    /// The tick that the steps asked for lead to.
+    /// The tick that the requested steps lead to.
     goal: u64,
 }
 
 impl Pace {
-    /// Ticks to ask for now. What a run has no room for, since it is behind by [`MOST_PACES`], is left out.
+    /// Ticks to request now. Limited to a backlog of [`MOST_PACES`] steps; what exceeds it is dropped.
     fn ticks(&mut self, elapsed: Duration, tick: u64, dt_ns: u64) -> u64 {
         let of = |time: Duration| self.speed * time.as_nanos() as f64 / dt_ns.max(1) as f64;
-        // After a stall it goes on from there.
+        // Time lost in a stall is not made up.
         let (due, most) =
             (self.due + of(elapsed.min(MOST_PACES * STEP_PERIOD)), of(MOST_PACES * STEP_PERIOD));
         self.goal = self.goal.max(tick);
@@ -80,7 +80,7 @@ impl Control {
             physics: session.waker(Reader::Physics)?,
             listens: false,
             unsent: Vec::new(),
-            // Other senders count from elsewhere.
+            // Other senders start from other numbers.
             next_id: u64::from(std::process::id()) << 32,
             waiting: BTreeMap::new(),
             pace: None,
@@ -89,7 +89,7 @@ impl Control {
         })
     }
 
-    /// Sends a request; the answer comes when the physics has replied.
+    /// Sends a request; answers once the physics has replied.
     pub(super) fn ask(&mut self, request: &Request, answer: Answer) {
         let outcome = match request.action {
             Action::Speed => self.set_speed(request.speed),
@@ -149,7 +149,7 @@ impl Control {
         Ok(self.next_id)
     }
 
-    /// The physics has been heard of, so it listens.
+    /// The physics has been heard, so it receives requests.
     pub(super) fn physics_listens(&mut self) -> Result<(), PortError> {
         self.listens = true;
         for request in self.unsent.drain(..) {
@@ -159,9 +159,9 @@ impl Control {
         Ok(())
     }
 
-    /// Takes replies, and steps a run that goes at a given speed.
+    /// Takes replies, and steps a paced run.
     pub(super) fn look(&mut self, board: &Board, dt_ns: u64) -> Result<(), PortError> {
-        // Before the answer, so that whoever has that finds the speed on the board.
+        // Published before the answer, so that a client with an answer finds the speed on the board.
         let speed = self.pace.map(|pace| pace.speed);
         if speed != self.told {
             self.told = speed;
@@ -220,7 +220,7 @@ mod tests {
         }
     }
 
-    /// Steps piled up in the physics, which went on for as long after a change of the speed.
+    /// Steps must not pile up in the physics: it would keep running at the old speed after a change.
     #[test]
     fn a_run_that_does_not_get_so_far_has_no_more_than_a_few_steps_before_it() {
         let mut pace = pace(100.0);
@@ -228,13 +228,13 @@ mod tests {
         let asked: u64 = (0..1000).map(|_| pace.ticks(STEP_PERIOD, 7, 1_000_000)).sum();
         assert_eq!(asked, most);
         assert_eq!(pace.ticks(STEP_PERIOD, 7 + most, 1_000_000), 2000, "it goes on when they are made");
-        // A long tick at a low speed: one step at a time, none while it waits.
+        // A tick takes long at a low speed: one step at a time, none while one is pending.
         let mut slow = Pace { speed: 0.1, due: 0.0, goal: 0 };
         let steps: u64 = (0..90).map(|_| slow.ticks(STEP_PERIOD, 3, 100_000_000)).sum();
         assert_eq!(steps, 1);
     }
 
-    /// A speed asked for while the physics was starting was lost, and the page waited 10 s for an answer that never came.
+    /// A speed requested while the physics starts must not be lost, or the page waits 10 s for an answer that never comes.
     #[test]
     fn what_is_asked_before_the_physics_listens_is_sent_when_it_is_heard_of() {
         let plan = SessionPlan {
@@ -267,7 +267,7 @@ mod tests {
         replies.send(&RunControlReply { request_id, tick: 0, action, status: CONTROL_DONE }).unwrap();
         control.look(&board, 1_000_000).unwrap();
         assert_eq!(answered.try_recv(), Ok(Ok(())));
-        // No queue without a limit while it does not.
+        // The queue is bounded until then.
         control.listens = false;
         let waiting: Vec<_> =
             (0..=services::RUN_CONTROL.queue_length).map(|_| ask(&mut control, Action::Pause)).collect();

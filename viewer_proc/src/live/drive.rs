@@ -1,4 +1,4 @@
-//! The keyboard and gamepad as a controller like any other: named `viewer` in the scene, latched and recorded.
+//! Keyboard and gamepad as an ordinary controller: named `viewer` in the scene, latched and recorded.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,22 +14,22 @@ use crate::board::Board;
 use crate::info::{CONTROLLER, unit};
 use crate::services::{CArm, Call, Drive, Request};
 
-/// Without a request for longer the insertion stands still: whoever held the key is gone.
+/// Dead-man timeout: without a request for this long the insertion stops, because whoever held the key is gone.
 const HAND_LIMIT: Duration = Duration::from_millis(300);
-/// Longest time without a look at the calls.
+/// Longest time between two polls for calls.
 const LOOK_TIME: Duration = Duration::from_millis(20);
-/// Feed while the insertion stands: the limit of its path, which must be above 0.
+/// Feed while the insertion is stopped: its path limit, which must be above 0.
 const LEAST_FEED_M_PER_S: f64 = 1e-3;
 const HOW: &str = "the scene has no controller for the viewer; add\n[[controller]]\nname = \"viewer\"\ndrives = [\"tendon\", \"arm\", \"burr\", \"c_arm\"]\nexternal = true\noptional = true\nto it, without what other controllers drive";
 
-/// The way to the thread that drives.
+/// Handle to the driving thread.
 pub(super) struct Driver {
     calls: Option<mpsc::Sender<Call>>,
 }
 
 impl Driver {
-    /// Starts the thread if the scene names the controller. A tick waits for an optional one only from its first command on,
-    /// so it joins when it is first used.
+    /// Starts the thread if the scene names the controller. A tick waits for an optional controller only after its first command, so the
+    /// thread joins on first use.
     pub(super) fn start(session: &Path, scene: &Scene, over: Arc<AtomicBool>, board: Arc<Board>) -> Driver {
         let controller = scene.controller.iter().find(|controller| controller.name == CONTROLLER);
         let Some(controller) = controller.filter(|controller| controller.external) else {
@@ -50,7 +50,7 @@ impl Driver {
         Driver { calls: Some(calls) }
     }
 
-    /// Hands over a call of `/drive` or `/frame`.
+    /// Passes on a `/drive` or `/frame` call.
     pub(super) fn hand_over(&self, call: Call) {
         let refused = match &self.calls {
             None => Some((call, HOW)),
@@ -65,7 +65,7 @@ impl Driver {
     }
 }
 
-/// What the user holds.
+/// The user's current inputs.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Held {
     tension_n: Option<[f64; 4]>,
@@ -143,7 +143,7 @@ impl Hand {
             match client
                 .answer(LOOK_TIME, |state, command| self.held.fill(state, command, self.axis, self.dt_s))
             {
-                // A paused run has no states.
+                // A paused run sends no states.
                 Ok(()) | Err(ClientError::TimedOut(_)) => {}
                 Err(ClientError::Ended | ClientError::HubGone { .. }) => return Ok(()),
                 Err(other) => return Err(other),
@@ -196,7 +196,7 @@ fn within(name: &str, value: f64, lowest: f64, highest: f64) -> Result<f64, Stri
 }
 
 impl Held {
-    /// What is held after a request; refused as a whole.
+    /// The inputs after a request, which is accepted or refused as a whole.
     fn with(mut self, drive: &Drive, drives: &[Drives]) -> Result<Held, String> {
         if let Some(tension) = &drive.tendon_n {
             allowed(drives, Drives::Tendon, "tendon")?;
@@ -221,7 +221,7 @@ impl Held {
         Ok(self)
     }
 
-    /// The command that answers a state. The insertion goes on by its speed; a reset begins it anew.
+    /// Fills in the command that answers a state. The insertion advances at its speed; a reset restarts it.
     fn fill(&mut self, state: &State, command: &mut Command, axis: [f64; 3], dt_s: f64) {
         if state.sim_time_s < self.sim_time_s {
             *self = Held::default();
@@ -246,9 +246,8 @@ impl Held {
     }
 }
 
-/// Pose of a C-arm by DICOM's angles: primary 0 has the detector in front of the chest and grows towards the patient's
-/// left, secondary grows towards the head (DICOM PS3.3, C.8.7.5.1.2). Axes: rows to the right, columns down, z to the
-/// source.
+/// Pose of a C-arm from DICOM's angles (DICOM PS3.3, C.8.7.5.1.2): primary 0 puts the detector in front of the chest and grows toward the
+/// patient's left, secondary grows toward the head. Axes: rows to the right, columns down, z to the source.
 fn c_arm_pose(c_arm: &CArm, drr: &Drr) -> Result<Pose, String> {
     let angle = |given: Option<f64>, scene: f64, name: &str| {
         within(name, given.unwrap_or(scene), -180.0, 180.0).map(f64::to_radians)
@@ -265,9 +264,9 @@ fn c_arm_pose(c_arm: &CArm, drr: &Drr) -> Result<Pose, String> {
     })
 }
 
-/// Unit quaternion of a rotation given by its columns (Shepperd's method).
+/// Unit quaternion of the rotation matrix with these columns (Shepperd's method).
 fn quaternion([x, y, z]: [[f64; 3]; 3]) -> [f64; 4] {
-    // Four times the square of each component, less 1: x, y, z, w.
+    // Four times each component squared, less 1: x, y, z, w.
     let squares = [x[0] - y[1] - z[2], y[1] - x[0] - z[2], z[2] - x[0] - y[1], x[0] + y[1] + z[2]];
     let largest = (0..4).max_by(|a, b| squares[*a].total_cmp(&squares[*b])).unwrap_or(3);
     let products = [
@@ -327,7 +326,7 @@ mod tests {
         refused(r#"{"insert_m_per_s": 5}"#, &[Drives::Arm], "-1 to 1");
     }
 
-    /// Against the pose's definition: AP has the detector in front of the chest, 90° at the patient's left.
+    /// Checked against the definition of the angles: AP has the detector in front of the chest, 90° at the patient's left.
     #[test]
     fn the_c_arm_turns_by_dicoms_angles() {
         let text =

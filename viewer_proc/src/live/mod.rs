@@ -1,4 +1,4 @@
-//! A running session, watched and steered.
+//! Watches and controls a running session.
 
 mod bone;
 mod control;
@@ -27,26 +27,25 @@ use control::Control;
 use drive::Driver;
 use subscriptions::Subscriptions;
 
-/// Time between two looks at the queues, which hold half a second.
+/// Time between two polls of the queues, which hold half a second.
 const LOOK_TIME: Duration = Duration::from_millis(4);
-/// Calls that may wait.
+/// Most calls queued.
 pub(crate) const CALL_QUEUE: usize = 64;
 const ALIVE_LOOK: Duration = Duration::from_millis(200);
 
 /// A session to watch.
 #[derive(Debug, Clone)]
 pub struct LiveOptions {
-    /// Its folder.
+    /// Folder of the session.
     pub session: PathBuf,
-    /// How to serve.
+    /// Server options.
     pub server: ServerOptions,
 }
 
-/// Watches a session until it ends or the process is asked to. `tool` is asked for the tool's shape, `ready` is told the
-/// page's address.
+/// Watches a session until it ends or the process is asked to end. Calls `tool` for the tool's shape, and `ready` with the page's address.
 ///
 /// # Errors
-/// The session cannot be joined, or the port not be listened at.
+/// The session cannot be joined, or the port cannot be opened.
 pub fn view(
     options: &LiveOptions,
     tool: impl FnOnce(&Scene) -> ToolShape,
@@ -82,7 +81,7 @@ pub fn view(
     let serving = std::thread::spawn(move || server.serve());
     let mut live = Live { board, subscriptions, control, driver, called, dt_ns: scene.dt_ns() };
     let watched = live.watch(&session, end);
-    // What was said last is on its way to the clients.
+    // The last messages are still on their way to the clients.
     std::thread::sleep(Duration::from_millis(200));
     over.store(true, Ordering::Relaxed);
     let served = serving.join().unwrap_or(Ok(()));
@@ -110,7 +109,7 @@ impl Live {
             while let Ok(call) = self.called.try_recv() {
                 self.dispatch(call);
             }
-            // A host that was killed leaves its announcement; the physics then ends, too, and says so.
+            // A killed host leaves its announcement behind; the physics then ends too, and reports it.
             if self.subscriptions.run_has_ended() && (session.host_is_alive() || !session.is_announced()) {
                 self.board.notice("info", "the run has ended");
                 return Ok(());

@@ -1,4 +1,4 @@
-//! The list of the run's parts: how often each is heard of, and when last.
+//! The list of the run's parts: how often each sends, and when it last did.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use crate::board::Board;
 use crate::channels::PARTS;
 
 const PERIOD: Duration = Duration::from_secs(1);
-/// A part that has been silent for longer is said to be.
+/// A part silent for longer is shown as silent.
 const SILENT: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -19,7 +19,7 @@ struct Part {
     last: Option<Instant>,
 }
 
-/// What has been heard of each part since the last message.
+/// Messages seen from each part since the last report.
 #[derive(Debug)]
 pub(super) struct Parts {
     parts: BTreeMap<String, Part>,
@@ -36,7 +36,7 @@ impl Parts {
         Parts { parts, order, since: Instant::now() }
     }
 
-    /// Some messages of a part have come.
+    /// Counts messages of a part.
     pub(super) fn saw(&mut self, name: &str, count: usize) {
         if let Some(part) = self.parts.get_mut(name).filter(|_| count > 0) {
             part.count += count;
@@ -44,7 +44,7 @@ impl Parts {
         }
     }
 
-    /// Once a second, says what was heard.
+    /// Publishes the list once a second.
     pub(super) fn publish(&mut self, board: &Board) {
         let elapsed = self.since.elapsed();
         if elapsed < PERIOD {

@@ -1,4 +1,4 @@
-//! Takes the session's messages and puts them on the board under the topics of the logs.
+//! Takes the session's messages and publishes them on the board under the logs' topics.
 
 use std::collections::BTreeSet;
 
@@ -19,10 +19,10 @@ use crate::channels::ASKED_FRAME;
 use crate::info::{CONTROLLER, ToolShape};
 use crate::scene_update::Drawer;
 
-/// Most messages that are taken of one queue before the others are looked at.
+/// Most messages taken from one queue before polling the others.
 const ROUND: usize = 1024;
 
-/// Frames of our own that are awaited; of more, the first have been lost.
+/// Most requested frames to wait for; with more, the first have been lost.
 const MOST_ASKED: usize = 64;
 
 /// The subscriptions.
@@ -34,13 +34,13 @@ pub(super) struct Subscriptions {
     progress: Subscriber<Progress>,
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
-    /// The viewer's place among the controllers.
+    /// The viewer's index among the controllers.
     own_index: Option<u32>,
-    /// Numbers of the frames that the viewer has asked for and that have not come.
+    /// Request numbers of the viewer's frames that have not arrived yet.
     asked: BTreeSet<u64>,
     parts: Parts,
     drawer: Drawer,
-    /// The newest state, until it is drawn.
+    /// The newest state, until drawn.
     newest: Option<State>,
     dt_ns: u64,
     tick: u64,
@@ -48,7 +48,7 @@ pub(super) struct Subscriptions {
     physics_heard: bool,
 }
 
-/// A queue whose messages go to a topic as they are.
+/// A queue whose messages are forwarded unchanged to a topic.
 trait Forward {
     fn look(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError>;
 }
@@ -64,8 +64,8 @@ impl<M: Message> Forward for Topic<M> {
     }
 }
 
-/// Forwards what waits, but for malformed messages: every message if somebody wants the topic, else the newest only.
-/// Returns how many came.
+/// Forwards queued messages: all of them if anybody subscribes to the topic, otherwise only the newest. Skips malformed ones. Returns how
+/// many arrived.
 fn forward<M: Message>(
     subscriber: &Subscriber<M>,
     topic: &str,
@@ -136,17 +136,17 @@ impl Subscriptions {
         })
     }
 
-    /// Whether the run says so.
+    /// Whether the run's status says it has ended.
     pub(super) fn run_has_ended(&self) -> bool {
         self.ended
     }
 
-    /// Whether the physics has said that it is there.
+    /// Whether the physics has been heard.
     pub(super) fn physics_is_heard(&self) -> bool {
         self.physics_heard
     }
 
-    /// Takes what has come since the last look.
+    /// Takes what has arrived since the last poll.
     pub(super) fn look(&mut self, board: &Board) -> Result<(), PortError> {
         self.look_at_states(board)?;
         let time_ns = self.time_ns();
@@ -191,7 +191,7 @@ impl Subscriptions {
             tick = state.tick;
             *newest = Some(*state);
         })?;
-        // Also the last state of a paused run, for whoever looks later.
+        // Also the last state of a paused run, for clients that subscribe later.
         if self.drawer.is_due(board)
             && let Some(state) = self.newest.take()
         {
@@ -210,14 +210,14 @@ impl Subscriptions {
             && let Some(received) = frames.receive_valid(|_| {})?
         {
             count += 1;
-            // A frame's reply is sent before it.
+            // A frame's reply is sent before the frame.
             self.look_at_replies(board)?;
             let frame = received.message();
             let time_ns = frame.tick.saturating_mul(self.dt_ns);
             if self.asked.remove(&frame.sequence) {
                 board.publish_cdr(ASKED_FRAME, time_ns, &[received.bytes()]);
             }
-            // Nobody looks at another frame when a newer one is here.
+            // A frame that has been superseded is not worth publishing.
             if !frames.has_message() {
                 board.publish_cdr(topics::DRR_FRAME, time_ns, &[zerocopy::IntoBytes::as_bytes(frame)]);
                 board.publish_cdr(topics::DRR_IMAGE, time_ns, &[received.tail()]);

@@ -1,4 +1,4 @@
-//! The bone of a log at any time.
+//! The bone at any time of a log.
 
 use ipc_types::messages::Removed;
 
@@ -6,7 +6,7 @@ use crate::board::Board;
 use crate::surface::Geometry;
 use crate::surface::bone::Bone;
 
-/// Voxels of the log's volume.
+/// The voxels of the log's volume.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogVolume {
     /// Grid.
@@ -17,12 +17,12 @@ pub struct LogVolume {
     pub sha256: [u8; 32],
 }
 
-/// Bone, and the removals that have been taken from it.
+/// The bone, with removals applied up to some time.
 pub(super) struct LogBone {
     bone: Bone,
     hu: Vec<i16>,
     removals: Vec<(u64, Removed, Vec<u32>)>,
-    /// Removals in effect: the first so many.
+    /// Number of removals applied, from the first.
     taken: usize,
 }
 
@@ -35,8 +35,8 @@ impl LogBone {
         LogBone { bone: Bone::new(volume.geometry, threshold_hu), hu: volume.hu, removals, taken: 0 }
     }
 
-    /// The bone as it was at a time. Forward takes the removals in between; backward begins at the last reset before that
-    /// time, since a removal is known but not what a reset put back.
+    /// Brings the bone to a time. Going forward applies the removals in between. Going backward restarts at the last reset before that
+    /// time, because the log says what was removed but not what a reset restored.
     pub(super) fn go_to(&mut self, time_ns: u64) {
         let wanted = self.removals.partition_point(|(time, _, _)| *time <= time_ns);
         if wanted < self.taken {
@@ -60,7 +60,7 @@ impl LogBone {
         self.removals[from..to].iter().for_each(|(_, removed, voxels)| self.bone.take(removed, voxels));
     }
 
-    /// Meshes what has changed; whether more waits.
+    /// Meshes what has changed; returns whether more is pending.
     pub(super) fn publish(&mut self, board: &Board) -> bool {
         self.bone.publish(&self.hu, board)
     }
@@ -75,7 +75,7 @@ mod tests {
         (time_ns, removed, voxels.to_vec())
     }
 
-    /// Any way to a time leads to the same bone: that of taking the removals one after the other.
+    /// Every path to a time must give the same bone as applying the removals in order.
     #[test]
     fn the_bone_of_a_time_does_not_depend_on_the_way_there() {
         let geometry = Geometry {

@@ -1,4 +1,4 @@
-//! A log's file: any time of it at once.
+//! Random access to a log's file by simulated time.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -10,7 +10,7 @@ use mcap::Summary;
 use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder};
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 
-/// Longest record that is believed.
+/// Longest record accepted as valid, bytes.
 const MAX_RECORD: usize = 1 << 30;
 
 /// Why a log cannot be played.
@@ -24,7 +24,7 @@ pub enum PlayError {
         /// Reason.
         cause: std::io::Error,
     },
-    /// The index or a chunk is damaged, or there is no index.
+    /// The index or a chunk is damaged, or the index is missing.
     #[error("{}: {cause}; `trabecula log repair` makes a log that can be played", path.display())]
     Damaged {
         /// The file.
@@ -39,7 +39,7 @@ pub enum PlayError {
 pub struct Logged {
     /// Topic.
     pub topic: String,
-    /// Simulated time.
+    /// Simulated time, ns.
     pub time_ns: u64,
     /// CDR header, struct and tail.
     pub payload: Vec<u8>,
@@ -60,7 +60,7 @@ pub struct LogFile {
     summary: Arc<Summary>,
 }
 
-/// A way through a log.
+/// A cursor through a log.
 pub struct Reading {
     log: LogFile,
     reader: IndexedReader,
@@ -93,7 +93,7 @@ impl LogFile {
         Ok(LogFile { path: path.to_owned(), file: Arc::new(file), summary: Arc::new(summary) })
     }
 
-    /// First and last simulated time.
+    /// First and last simulated time, ns.
     pub fn bounds_ns(&self) -> (u64, u64) {
         let chunks = &self.summary.chunk_indexes;
         let first = chunks.iter().map(|chunk| chunk.message_start_time).min().unwrap_or(0);
@@ -101,7 +101,7 @@ impl LogFile {
         (first, last)
     }
 
-    /// The messages of some topics (none: all) after a time, oldest first.
+    /// The messages of some topics (empty: all) after a time, oldest first.
     ///
     /// # Errors
     /// [`PlayError`].
@@ -113,7 +113,7 @@ impl LogFile {
         self.reading(options, topics)
     }
 
-    /// The newest message of a topic up to a time.
+    /// The newest message of a topic at or before a time.
     ///
     /// # Errors
     /// [`PlayError`].
@@ -145,7 +145,7 @@ impl LogFile {
         let mut file: &File = &self.file;
         file.seek(SeekFrom::Start(offset)).map_err(read_error)?;
         let mut bytes = Vec::new();
-        // No memory is taken before the bytes are there.
+        // A forged length must not allocate memory: it grows only as bytes are read.
         file.take(length as u64).read_to_end(&mut bytes).map_err(read_error)?;
         Ok(bytes)
     }

@@ -1,4 +1,4 @@
-//! What stands out in a log: events, missed ticks, gaps, and where two logs part.
+//! Marks for a log: events, missed ticks, gaps, and where two logs diverge.
 
 use std::path::Path;
 
@@ -9,33 +9,33 @@ use run_log::{LogError, LogHeader, MessageStream, ReadOptions, topics};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
-/// Most marks of one kind; of more, the first.
+/// Most marks of one kind; the first ones are kept.
 const MOST: usize = 2000;
-/// Most removed voxels that are held, over all resets: 1 GiB.
+/// Most removed voxels kept, over all resets: 1 GiB.
 const MOST_REMOVED: u64 = 1 << 28;
 
-/// A place on the time line.
+/// A mark on the time line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mark {
-    /// Simulated time.
+    /// Simulated time, ns.
     pub time_ns: u64,
     /// `event`, `miss`, `divergence` or `gap`.
     pub kind: &'static str,
-    /// For people.
+    /// Text for the user.
     pub text: String,
 }
 
 impl Mark {
-    /// As the page reads it.
+    /// As JSON for the page.
     pub fn json(&self) -> Value {
         json!({"time_ns": self.time_ns, "kind": self.kind, "text": self.text})
     }
 }
 
-/// What is known of a run lane after reading it once.
+/// What one pass over a run lane has found.
 #[derive(Debug, Clone)]
 pub struct Outline {
-    /// What the log is about.
+    /// The log's header.
     pub header: LogHeader,
     /// Tick and chained hash of every state, in order.
     pub states: Vec<(u64, [u64; 2])>,
@@ -43,26 +43,26 @@ pub struct Outline {
     pub removals: Vec<(u64, Removed, Vec<u32>)>,
     /// Gaps.
     pub marks: Vec<Mark>,
-    /// Whether there are frames.
+    /// Whether the log has frames.
     pub has_frames: bool,
-    /// What the user should know.
+    /// Notices for the user.
     pub notices: Vec<String>,
-    /// Voxels removed since the last reset, and in all.
+    /// Voxels removed since the last reset, and in total.
     since_reset: u64,
     kept: u64,
-    /// Whether removals are missing at the end.
+    /// Whether removals at the end were dropped.
     cut_short: bool,
 }
 
-/// Reads a run lane through. What is damaged ends it, with a notice.
+/// Reads through a run lane. Stops at damage, with a notice.
 ///
 /// # Errors
-/// It is no log of this build.
+/// Not a log of this build.
 pub fn outline(path: &Path) -> Result<Outline, LogError> {
     let wanted = [topics::STATE, topics::REMOVED, topics::DRR_FRAME].map(str::to_owned);
     let mut stream = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())?;
     let mut outline = Outline::new(stream.header().clone());
-    // What keeps it from being read further is among the faults.
+    // A read error is listed among the faults.
     while let Ok(Some(message)) = stream.next_message() {
         outline.take(message.topic, message.log_time_ns, message.body);
     }
@@ -115,17 +115,17 @@ impl Outline {
         }
     }
 
-    /// Keeps a removal, as long as a run can have made it and the memory holds it: a stranger's log may pack any number of
-    /// them into few bytes.
+    /// Keeps a removal while the total is physically possible and fits into memory: an untrusted log may pack any number of them into few
+    /// bytes.
     fn remove(&mut self, time_ns: u64, removed: Removed, voxels: Vec<u32>) {
-        // One without voxels takes room too.
+        // A removal without voxels takes memory too.
         let count = voxels.len().max(1) as u64;
         if removed.restore_first != 0 {
             self.since_reset = 0;
         }
         self.since_reset += count;
         self.kept += count;
-        // A reset's own message may hold no voxel.
+        // One spare, because a reset's own message may hold no voxel.
         let impossible = self.since_reset > voxels_of(&self.header).saturating_add(1);
         if (impossible || self.kept > MOST_REMOVED) && !self.cut_short {
             self.cut_short = true;
@@ -140,7 +140,7 @@ impl Outline {
         }
     }
 
-    /// Where two logs part.
+    /// Where two logs diverge.
     pub fn divergence(&self, other: &Outline) -> Option<Mark> {
         let (tick, how) = part(&self.states, &other.states)?;
         let text = format!("the two runs {how} tick {tick}");
@@ -148,8 +148,8 @@ impl Outline {
     }
 }
 
-/// The first tick that both have and whose chained hashes differ, or the first one that only one of them has at its end. A gap in one
-/// of them is none: the chain goes on behind it.
+/// The first tick that both logs have with different chained hashes, or the first tick after the shorter log's end. A gap in one log is no
+/// divergence: the chain continues after it.
 fn part(first: &[(u64, [u64; 2])], second: &[(u64, [u64; 2])]) -> Option<(u64, &'static str)> {
     let (mut a, mut b) = (first, second);
     loop {
@@ -165,8 +165,8 @@ fn part(first: &[(u64, [u64; 2])], second: &[(u64, [u64; 2])]) -> Option<(u64, &
     }
 }
 
-/// Events and missed ticks of the timing lane beside a run lane; none without one. Their time is that of the tick that they name: the
-/// log's is when they came to the recorder.
+/// Events and missed ticks from the timing lane beside a run lane; empty without one. Each is placed at the tick it names, because the
+/// log's own time is when the recorder received it.
 pub fn timing_marks(path: &Path, dt_ns: u64) -> Vec<Mark> {
     let wanted = [topics::EVENT, topics::TICK_TIMING].map(str::to_owned);
     let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())
@@ -252,7 +252,7 @@ mod tests {
         all.iter().map(|(tick, hash)| (*tick, [*hash, 0])).collect()
     }
 
-    /// Behind a gap in one log, state was compared with state by their places in the files.
+    /// States must be compared by tick: after a gap in one log, their positions in the files no longer match.
     #[test]
     fn two_logs_part_where_a_tick_of_both_differs_and_not_where_one_has_a_gap() {
         let first = states(&[(0, 1), (1, 2), (2, 3), (3, 4), (4, 5)]);

@@ -1,4 +1,4 @@
-//! Logs on a time line: played, sought, stepped, two of them compared.
+//! Logs on a time line: play, seek, step, and compare two of them.
 
 mod bone;
 pub mod file;
@@ -37,37 +37,37 @@ use player::Player;
 
 pub use bone::LogVolume;
 
-/// Time between two looks.
+/// Time between two polls.
 const LOOK_TIME: Duration = Duration::from_millis(8);
-/// Time between two messages about where the time line stands.
+/// Minimum time between two playback messages.
 const PLAYBACK_PERIOD: Duration = Duration::from_millis(33);
-/// A jump that is farther shows the place it leads to, and not all between.
+/// A longer jump shows only its destination, not everything in between.
 const LONGEST_STRIDE_NS: u64 = 500_000_000;
-/// Slots of the playback topic: whoever joins is given the marks, then where the time line stands.
+/// Slots of the playback topic: a new client gets the marks first, then the position.
 const MARKS_SLOT: u32 = 0;
 const POSITION_SLOT: u32 = 1;
-/// What is sent of the time before a jump, and how long after it: a scrubbing hand jumps often.
+/// How much history to send after a jump, and how long after it. The delay, because dragging the slider makes many jumps.
 const HISTORY_NS: u64 = 10_000_000_000;
 const HISTORY_STATES: u64 = 400;
 const HISTORY_DELAY: Duration = Duration::from_millis(150);
-/// Rows of a comparison.
+/// Most rows in a comparison.
 const MOST_ROWS: usize = 40;
-/// Topics whose newest message shows a time.
+/// Topics whose newest message is shown at the current time.
 const SHOWN: [&str; 5] =
     [topics::LATCHED, topics::STATE, topics::DRR_REPLY, topics::DRR_FRAME, topics::DRR_IMAGE];
 
-/// Logs to look at.
+/// The logs to view.
 #[derive(Debug, Clone)]
 pub struct LogOptions {
-    /// `run.mcap`, or the folder it lies in.
+    /// `run.mcap`, or its folder.
     pub log: PathBuf,
-    /// Another one to compare it with.
+    /// A second log to compare with.
     pub second: Option<PathBuf>,
-    /// How to serve.
+    /// Server options.
     pub server: ServerOptions,
 }
 
-/// What only the command can say about a scene.
+/// What only the command line program knows about a scene.
 pub struct SceneHelp<'a> {
     /// The tool's shape.
     pub tool: &'a dyn Fn(&Scene) -> ToolShape,
@@ -78,7 +78,7 @@ pub struct SceneHelp<'a> {
 /// Shows logs until the process is asked to end.
 ///
 /// # Errors
-/// A log cannot be played, or the port not be listened at.
+/// A log cannot be played, or the port cannot be opened.
 pub fn view(
     options: &LogOptions,
     help: &SceneHelp<'_>,
@@ -159,20 +159,20 @@ struct Show {
     second: Option<Second>,
     player: Player,
     bone: Option<LogBone>,
-    /// Where the messages on the board end; none: nothing has been shown.
+    /// Time up to which messages are on the board; `None` before the first.
     shown_ns: Option<u64>,
     streams: Vec<Stream>,
     drawer: Drawer,
-    /// What is shown has not been drawn for other viewers.
+    /// Whether the current position still has to be drawn for other viewers.
     undrawn: bool,
-    /// When the last jump was made, until its history has been sent.
+    /// Time of the last jump, until its history has been sent.
     jumped: Option<Instant>,
     told: Option<(Instant, Player)>,
 }
 
-/// A way through a log with the message that lies beyond where it stands.
+/// A cursor through a log, with the next message past the current position.
 struct Stream {
-    /// Before its topics.
+    /// Prefix of its topics.
     prefix: &'static str,
     reading: Reading,
     ahead: Option<Logged>,
@@ -241,7 +241,7 @@ impl Show {
         Ok(())
     }
 
-    /// Brings the board to where the time line stands.
+    /// Updates the board to the current position.
     fn show(&mut self) -> Result<(), PlayError> {
         let now = self.player.time_ns();
         if self.shown_ns == Some(now) {
@@ -261,7 +261,7 @@ impl Show {
         self.compare(now)
     }
 
-    /// The tool for other viewers, if one looks; if none does, as soon as one does.
+    /// Draws the tool for other viewers: at once if one is subscribed, otherwise when one subscribes.
     fn draw(&mut self, now: u64) -> Result<(), PlayError> {
         self.undrawn = !self.drawer.is_due(&self.board);
         if !self.undrawn
@@ -313,7 +313,7 @@ impl Show {
         Ok(())
     }
 
-    /// Some time after a jump, what went before it, for the plots: a part of the states, all tick timings.
+    /// Sends the history before a jump, for the plots: a sample of the states, all tick timings.
     fn send_history(&mut self) -> Result<(), PlayError> {
         if self.jumped.is_none_or(|jumped| jumped.elapsed() < HISTORY_DELAY) {
             return Ok(());
@@ -336,7 +336,7 @@ impl Show {
         self.show_newest(now)
     }
 
-    /// Two logs at the same simulated time.
+    /// Compares both logs at the same simulated time.
     fn compare(&self, now: u64) -> Result<(), PlayError> {
         let Some(second) = &self.second else { return Ok(()) };
         let recent = self.told.as_ref().is_some_and(|(told, _)| told.elapsed() < PLAYBACK_PERIOD);
@@ -351,7 +351,7 @@ impl Show {
         Ok(())
     }
 
-    /// Says where the time line stands if that has changed; the marks only the first time.
+    /// Publishes the position if it has changed; the marks only the first time.
     fn tell(&mut self) {
         let due = match &self.told {
             None => true,
@@ -378,7 +378,7 @@ impl Show {
     }
 }
 
-/// What differs first where two logs part: the command of the tick before, or else the state.
+/// The first difference where two logs diverge: the previous tick's command, or else the state.
 fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result<String, PlayError> {
     let looks = [
         (topics::LATCHED, Latched::DESCRIPTION, time_ns.saturating_sub(1)),
@@ -395,8 +395,8 @@ fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result<String, Pl
     Ok(String::new())
 }
 
-/// Fields of two states that differ, at most [`MOST_ROWS`]: the state's own before those of its poses and contacts, of either
-/// the largest relative differences first; of an array the element that differs most.
+/// Fields in which two states differ, at most [`MOST_ROWS`]. The state's own fields come before those of its poses and contacts; within
+/// each group the largest relative difference comes first. For an array, its most different element.
 fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
     let number = |scalar: Option<Scalar>| scalar.map(Scalar::nearest_f64);
     let mut rows: Vec<(f64, String, f64, f64)> = difference::all_differences(State::DESCRIPTION, a, b)
@@ -409,7 +409,7 @@ fn differing_fields(a: &[u8], b: &[u8]) -> Vec<Value> {
         })
         .collect();
     let nested = |row: &(f64, String, f64, f64)| row.1.contains('.');
-    // Stable: equal ones stay in the order of the fields.
+    // A stable sort keeps equal rows in field order.
     rows.sort_by(|one, other| nested(one).cmp(&nested(other)).then(other.0.total_cmp(&one.0)));
     let mut seen = BTreeSet::new();
     rows.retain(|row| seen.insert(row.1.replace(|c: char| c.is_ascii_digit(), "")));

@@ -1,35 +1,35 @@
-//! Where the time line stands, and how it moves. Pure: no clock, no files.
+//! The position on the time line and how it moves. Pure: no clock, no files.
 
 use std::time::Duration;
 
 use super::marks::Mark;
 use crate::services::{Playback, PlaybackAction};
 
-/// Most speed, either way.
+/// Speed limit, in both directions.
 const MAX_SPEED: f64 = 1000.0;
 
 /// The time line.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Player {
-    /// First simulated time.
+    /// First simulated time, ns.
     pub begin_ns: u64,
-    /// Last simulated time.
+    /// Last simulated time, ns.
     pub end_ns: u64,
-    /// Simulated time of a tick.
+    /// Simulated time per tick, ns.
     pub dt_ns: u64,
-    /// Whether it moves.
+    /// Whether it is playing.
     pub playing: bool,
-    /// Simulated over wall time; negative plays backward.
+    /// Ratio of simulated to wall time; negative plays backward.
     pub speed: f64,
-    /// Marks in the order of their times.
+    /// Marks in time order.
     pub marks: Vec<Mark>,
     time_ns: f64,
 }
 
 impl Player {
-    /// At the beginning, standing still.
+    /// Paused at the beginning.
     pub fn new(begin_ns: u64, end_ns: u64, dt_ns: u64, mut marks: Vec<Mark>) -> Player {
-        // A stranger's index may say that a log ends before it begins.
+        // An untrusted index may claim that a log ends before it begins.
         let end_ns = end_ns.max(begin_ns);
         marks.sort_by_key(|mark| mark.time_ns);
         Player {
@@ -43,12 +43,12 @@ impl Player {
         }
     }
 
-    /// Where it stands.
+    /// Current position, ns.
     pub fn time_ns(&self) -> u64 {
         self.time_ns as u64
     }
 
-    /// Some wall time has passed. At either end it stands still.
+    /// Advances by elapsed wall time. Stops at either end.
     pub fn advance(&mut self, elapsed: Duration) {
         if !self.playing {
             return;
@@ -63,7 +63,7 @@ impl Player {
         self.time_ns = time_ns.clamp(self.begin_ns as f64, self.end_ns as f64);
     }
 
-    /// Does what a client asks.
+    /// Executes a client's request.
     ///
     /// # Errors
     /// What is wrong with the request.
@@ -71,7 +71,7 @@ impl Player {
         match request.action {
             PlaybackAction::Play => {
                 self.set_speed(request.speed)?;
-                // From the end it begins anew.
+                // At the end, play restarts from the beginning.
                 if self.speed > 0.0 && self.time_ns() >= self.end_ns {
                     self.go_to(self.begin_ns as f64);
                 }

@@ -1,4 +1,4 @@
-//! One connection: a file of the page, or a client of the Foxglove protocol.
+//! One connection: either a file of the page, or a client of the Foxglove protocol.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -21,21 +21,21 @@ use crate::board::Client;
 use crate::protocol::{self, ClientText, Level};
 use crate::services::{Call, NO_TOKEN, SERVICES, read_request, response, same};
 
-/// Longest message of a client.
+/// Longest client message, bytes.
 pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
-/// Most messages of a client within a second; a user's keys and gamepad make 60.
+/// Most client messages per second; keyboard and gamepad send 60.
 pub const MAX_MESSAGES_PER_S: u32 = 1000;
-/// Longest time that a client may take nothing.
+/// Write timeout: how long a client may read nothing.
 const WRITE_LIMIT: Duration = Duration::from_secs(10);
-/// Bytes that are handed to the socket before the client is listened to again.
+/// Bytes written to the socket before reading from the client again.
 const BATCH_BYTES: usize = 512 << 10;
-/// Longest time for the answer to a call.
+/// Timeout of a service call.
 const CALL_LIMIT: Duration = Duration::from_secs(10);
 const END_LOOK: Duration = Duration::from_millis(100);
 
 type Socket = WebSocketStream<TcpStream>;
 
-/// Answers a request, and serves the WebSocket if it opens one. Who may watch is no guest any more.
+/// Answers a request, and serves the WebSocket if it opens one. A client with permission to watch is no longer a guest.
 pub(super) async fn answer(
     mut stream: TcpStream,
     head: Result<Option<Head>, Refusal>,
@@ -103,15 +103,15 @@ async fn send(stream: &mut TcpStream, status: &str, media_type: &str, bytes: &[u
         }
         stream.shutdown().await
     };
-    // Whoever does not take the answer has left.
+    // A client that does not read the answer has left.
     let _ = tokio::time::timeout(WRITE_LIMIT, write).await;
 }
 
 /// Why a connection ends.
 enum End {
-    /// The client left or does not read.
+    /// The client has left or does not read.
     Gone,
-    /// We close it, saying why.
+    /// The server closes it, with a reason.
     Close(CloseCode, String),
 }
 
@@ -126,8 +126,8 @@ impl From<Error> for End {
     }
 }
 
-/// Serves a client; one that may not watch hears why, and nothing else. A browser tells a page the reason of a closed WebSocket, of one
-/// that was never opened none.
+/// Serves a client. One without permission to watch gets only the reason: a browser shows the page the reason for a closed WebSocket, but
+/// none for one that never opened.
 async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
     let end = match may_watch {
         true => {
@@ -139,7 +139,7 @@ async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
         false => Err(End::Close(CloseCode::Policy, NO_TOKEN.to_owned())),
     };
     if let Err(End::Close(code, reason)) = end {
-        // 123 bytes fit into a close frame.
+        // A close frame holds 123 bytes.
         let mut length = reason.len().min(120);
         while !reason.is_char_boundary(length) {
             length -= 1;
@@ -158,7 +158,7 @@ async fn talk(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Res
     say(socket, Message::text(protocol::advertise_services(&SERVICES))).await?;
     loop {
         let more = talk.send_waiting(socket).await?;
-        // With more to send it only looks whether the client has said something.
+        // With more to send, only polls for client messages.
         let pause = if more { Duration::ZERO } else { END_LOOK };
         tokio::select! {
             biased;
@@ -177,7 +177,7 @@ async fn talk(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Res
     }
 }
 
-/// Sends within the limit: a client that takes nothing has gone.
+/// Sends with a timeout: a client that reads nothing has gone.
 async fn say(socket: &mut Socket, message: Message) -> Result<(), End> {
     tokio::time::timeout(WRITE_LIMIT, socket.send(message)).await.map_err(|_| End::Gone)?.map_err(End::from)
 }
@@ -185,17 +185,17 @@ async fn say(socket: &mut Socket, message: Message) -> Result<(), End> {
 struct Talk<'a> {
     client: &'a Arc<Client>,
     shared: &'a Shared,
-    /// Where answers to calls come in.
+    /// Channel for the answers to calls.
     answers: mpsc::UnboundedSender<Message>,
     since: Instant,
     count: u32,
-    /// Messages that were dropped and that the client has not been told of.
+    /// Dropped messages that have not been reported to the client yet.
     dropped: u64,
     warned: Instant,
 }
 
 impl Talk<'_> {
-    /// Sends a batch of what waits; whether there may be more.
+    /// Sends one batch of queued messages; returns whether there may be more.
     async fn send_waiting(&mut self, socket: &mut Socket) -> Result<bool, End> {
         let (messages, dropped) = self.client.take(BATCH_BYTES);
         let more = !messages.is_empty();
@@ -229,7 +229,7 @@ impl Talk<'_> {
             },
             Message::Binary(bytes) => self.call(socket, &bytes).await,
             Message::Close(_) => Err(End::Gone),
-            // The library answers pings by itself.
+            // The library answers pings itself.
             Message::Ping(_) | Message::Pong(_) | Message::Frame(_) => Ok(()),
         }
     }
@@ -302,7 +302,7 @@ impl Talk<'_> {
                 Ok(Ok(outcome)) => outcome,
                 Ok(Err(_)) | Err(_) => Err("no answer: the run may have ended".to_owned()),
             };
-            // The client may have left meanwhile.
+            // The client may have left.
             let _ =
                 answers.send(Message::binary(protocol::service_response(service, call, &response(&outcome))));
         });

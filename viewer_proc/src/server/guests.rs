@@ -1,5 +1,5 @@
-//! Connections that have not shown the token: a request that is still coming, a file of the page on its way. Anybody may have them, so
-//! they are few, and a new one is worth more than an old one: whoever opens connections and says nothing loses them, and keeps nobody out.
+//! Guests: connections that have not shown the token, such as an incomplete request or a file of the page in transit. Anybody can open
+//! them, so their number is limited and a new one evicts an old one: opening idle connections locks nobody out.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -20,16 +20,16 @@ struct Entry {
 
 #[derive(Debug, Default)]
 struct List {
-    /// The oldest first.
+    /// Oldest first.
     entries: Vec<Entry>,
     next: u64,
 }
 
-/// The guests of a server.
+/// The server's guests.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Guests(Rc<RefCell<List>>);
 
-/// A connection's place among the guests, until it is dropped.
+/// A connection's slot among the guests, until dropped.
 #[derive(Debug)]
 pub(super) struct Guest {
     list: Guests,
@@ -37,7 +37,7 @@ pub(super) struct Guest {
 }
 
 impl Guests {
-    /// Takes a guest in. If there are too many, the oldest of the address that has most of them is closed.
+    /// Admits a guest. If there are too many, closes the oldest guest of the address that has the most.
     pub fn admit(&self, peer: IpAddr) -> Guest {
         let mut list = self.0.borrow_mut();
         if list.entries.len() >= MAX_GUESTS
@@ -52,7 +52,7 @@ impl Guests {
         Guest { list: self.clone(), number }
     }
 
-    /// Says which task serves a guest.
+    /// Registers the task that serves a guest.
     pub fn is_served_by(&self, number: u64, task: AbortHandle) {
         if let Some(entry) = self.0.borrow_mut().entries.iter_mut().find(|entry| entry.number == number) {
             entry.task = Some(task);
@@ -68,7 +68,7 @@ fn oldest_of_most(entries: &[Entry]) -> Option<usize> {
 }
 
 impl Guest {
-    /// Its number.
+    /// The guest's number.
     pub fn number(&self) -> u64 {
         self.number
     }

@@ -1,4 +1,4 @@
-//! The few words of HTTP that a page and a WebSocket's opening need.
+//! The part of HTTP needed to serve a page and open a WebSocket.
 
 use std::net::SocketAddr;
 
@@ -7,10 +7,10 @@ use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
 use crate::protocol::SUBPROTOCOLS;
 
-/// Most bytes of a request's head.
+/// Longest request head, bytes.
 const MAX_HEAD: usize = 8 << 10;
 const MAX_HEADERS: usize = 64;
-/// Of the page: nothing from elsewhere. `blob:` for images that it makes itself.
+/// The page may load nothing from elsewhere. `blob:` is for images that it makes itself.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'";
 
 /// The head of a request.
@@ -21,36 +21,36 @@ pub struct Head {
     /// Path with query.
     pub path: String,
     headers: Vec<(String, String)>,
-    /// What has been read behind the head.
+    /// Bytes already read after the head.
     pub rest: Vec<u8>,
 }
 
-/// Why a request is not served.
+/// Why a request is refused.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refusal {
     /// HTTP status.
     pub status: &'static str,
-    /// For people.
+    /// Text for the user.
     pub text: String,
 }
 
 impl Refusal {
-    /// A refusal.
+    /// A refusal with this status and text.
     pub fn new(status: &'static str, text: impl Into<String>) -> Refusal {
         Refusal { status, text: text.into() }
     }
 }
 
 impl Head {
-    /// A header's value; its name in lower case.
+    /// A header's value; `name` in lower case.
     pub fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
     }
 
-    /// The value of a header that stands there once, as those do that decide who is served; none if it is absent.
+    /// The value of a header that must not repeat, because it decides who is served; `None` if absent.
     ///
     /// # Errors
-    /// It stands there several times: another reader may take another of them.
+    /// It occurs several times; another reader, such as a proxy, may use a different one.
     fn only(&self, name: &str) -> Result<Option<&str>, Refusal> {
         let mut all = self.headers.iter().filter(|(known, _)| known == name);
         match (all.next(), all.next()) {
@@ -61,7 +61,7 @@ impl Head {
         }
     }
 
-    /// A value of the path's query, as it stands there: a token needs no percent signs.
+    /// A raw value from the path's query. Not percent-decoded: a token needs no escapes.
     pub fn query(&self, name: &str) -> Option<&str> {
         let (_, query) = self.path.split_once('?')?;
         let mut pairs = query.split('&').filter_map(|pair| pair.split_once('='));
@@ -74,10 +74,10 @@ impl Head {
     }
 }
 
-/// Reads a request's head. None if the client left.
+/// Reads a request's head; `None` if the client left.
 ///
 /// # Errors
-/// It is too long or no HTTP.
+/// Too long, or not HTTP.
 pub async fn read_head(stream: &mut (impl AsyncRead + Unpin)) -> Result<Option<Head>, Refusal> {
     let mut bytes = Vec::new();
     loop {
@@ -96,10 +96,10 @@ pub async fn read_head(stream: &mut (impl AsyncRead + Unpin)) -> Result<Option<H
     }
 }
 
-/// The head of a request in the bytes that have come; none if it is not all there.
+/// Parses the head of a request; `None` if it is incomplete.
 ///
 /// # Errors
-/// No HTTP.
+/// Not HTTP.
 pub fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
@@ -116,20 +116,20 @@ pub fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
     }))
 }
 
-/// Who may open a WebSocket.
+/// Which pages may open a WebSocket.
 #[derive(Debug, Clone, Default)]
 pub struct Origins {
-    /// Origins beside the page's own, such as `http://localhost:8080`.
+    /// Origins besides the page's own, such as `http://localhost:8080`.
     pub allowed: Vec<String>,
 }
 
 impl Origins {
-    /// Refuses a page from elsewhere: a browser always says where a page is from. The host is checked too, to its last character, so
-    /// that a name that someone points to this machine (DNS rebinding) is not taken for ours. `any_name`: whether any address of this
-    /// machine is ours, since the server listens beyond loopback.
+    /// Refuses requests from other pages, by the origin that a browser always sends. Also compares the host exactly, so that a foreign name
+    /// pointed at this machine (DNS rebinding) is not taken for ours. `any_name`: the server listens beyond loopback, so any address of
+    /// this machine is ours.
     ///
     /// # Errors
-    /// Another host or another origin; none or several of a header.
+    /// Another host or origin; a header that is missing or repeated.
     pub fn check(&self, head: &Head, own: SocketAddr, any_name: bool) -> Result<(), Refusal> {
         let Some(host) = head.only("host")? else {
             return Err(Refusal::new("400 Bad Request", "no header `host`, expected one"));
@@ -147,7 +147,7 @@ impl Origins {
     }
 }
 
-/// Whether a request's host is this server: an address, or the name of loopback, with its port, which a browser leaves out if it is 80.
+/// Whether a request's host is this server: an address or the name of loopback, with its port. Browsers omit port 80.
 fn is_ours(host: &str, own: SocketAddr, any_name: bool) -> bool {
     let name = match host.strip_suffix(&format!(":{}", own.port())) {
         Some(name) => name,
@@ -156,16 +156,16 @@ fn is_ours(host: &str, own: SocketAddr, any_name: bool) -> bool {
     };
     let whole = format!("{name}:{}", own.port());
     let is_address = |it: SocketAddr| {
-        // Written as we write it: no zone, no other spelling of a number.
+        // Only our own spelling: no zone, no other form of a number.
         it.to_string() == whole && (it == own || any_name || it.ip().is_loopback())
     };
     name == "localhost" || whole.parse().is_ok_and(is_address)
 }
 
-/// Answers the opening of a WebSocket.
+/// Answers a WebSocket handshake.
 ///
 /// # Errors
-/// It is none, or of no subprotocol that we speak.
+/// Not a handshake, or no subprotocol that we support.
 pub fn websocket_answer(head: &Head) -> Result<String, Refusal> {
     let key = head.only("sec-websocket-key")?.filter(|key| key.len() == 24);
     let opens = head.has_token("connection", "upgrade")
@@ -187,7 +187,7 @@ pub fn websocket_answer(head: &Head) -> Result<String, Refusal> {
     ))
 }
 
-/// A whole answer but its content.
+/// The head of an answer; its content follows.
 pub fn answer_head(status: &str, media_type: &str, length: usize) -> String {
     format!(
         "HTTP/1.1 {status}\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\nConnection: close\r\n\
@@ -226,7 +226,7 @@ mod tests {
         );
     }
 
-    /// What stood before the last colon was compared, whatever stood behind it.
+    /// The whole host must match, not only the part before the last colon.
     #[test]
     fn a_host_that_only_begins_like_ours_is_refused() {
         for host in [
@@ -257,7 +257,7 @@ mod tests {
         assert!(check(&head("10.0.0.7:8765", None), false).is_err());
         assert!(check(&head("10.0.0.7:8765", None), true).is_ok());
         assert!(check(&head("[::1]:8765", None), false).is_ok());
-        // A browser leaves a port of 80 out.
+        // Browsers omit port 80.
         let origins = Origins::default();
         for (host, ours) in [("127.0.0.1", true), ("127.0.0.1:80", true), ("evil.example", false)] {
             let at_80 = origins.check(&head(host, None), "127.0.0.1:80".parse().unwrap(), false);
@@ -265,7 +265,7 @@ mod tests {
         }
     }
 
-    /// The first of two was looked at; a proxy may take the last.
+    /// Two host headers must be refused: a proxy may use the other one.
     #[test]
     fn headers_that_decide_stand_there_once() {
         let head =

@@ -1,4 +1,4 @@
-//! The server: the page by HTTP, and a WebSocket for each client. One thread, asynchronous.
+//! The server: the page over HTTP, and one WebSocket per client. Asynchronous, on one thread.
 
 mod connection;
 mod guests;
@@ -19,28 +19,28 @@ use crate::services::Call;
 use guests::{Guest, Guests};
 use http::Origins;
 
-/// Most clients of the WebSocket at a time; more are turned away.
+/// Most WebSocket clients at a time; further ones are turned away.
 pub const MAX_CLIENTS: usize = 32;
-/// Longest time from a connection to its request.
+/// Timeout from accepting a connection to its complete request.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);
 const END_LOOK: Duration = Duration::from_millis(50);
 
-/// How to serve.
+/// Server options.
 #[derive(Debug, Clone)]
 pub struct ServerOptions {
-    /// Address to listen at.
+    /// Address to listen on.
     pub bind: IpAddr,
-    /// Port; 0 takes a free one.
+    /// Port; 0 picks a free one.
     pub port: u16,
-    /// Origins beside the page's own that may connect.
+    /// Origins besides the page's own that may connect.
     pub allow_origin: Vec<String>,
-    /// Whether who has no token may watch.
+    /// Whether clients without a token may watch.
     pub watch_by_anyone: bool,
-    /// Reads the page from here instead of from the program.
+    /// Folder to read the page from, instead of the copy in the program.
     pub page_folder: Option<PathBuf>,
 }
 
-/// What every connection needs.
+/// State shared by all connections.
 #[derive(Debug)]
 pub(crate) struct Shared {
     pub board: Arc<Board>,
@@ -50,14 +50,14 @@ pub(crate) struct Shared {
     pub name: String,
     pub origins: Origins,
     pub own: SocketAddr,
-    /// Room for clients.
+    /// Free client slots.
     pub room: Arc<Semaphore>,
     pub any_name: bool,
     pub page_folder: Option<PathBuf>,
     pub end: Arc<AtomicBool>,
 }
 
-/// A server that listens and does not serve yet.
+/// A server that listens but does not serve yet.
 #[derive(Debug)]
 pub struct Server {
     listener: std::net::TcpListener,
@@ -66,7 +66,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Takes the port.
+    /// Opens the port.
     ///
     /// # Errors
     /// [`ViewerError::Port`], [`ViewerError::Token`].
@@ -98,12 +98,12 @@ impl Server {
         Ok(Server { listener, address, shared })
     }
 
-    /// The page's address, with the token that allows to watch and to control.
+    /// The page's URL, with the token that permits watching and control.
     pub fn url(&self) -> String {
         format!("http://{}/#token={}", self.address, self.shared.token)
     }
 
-    /// Where it listens.
+    /// The address it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -113,7 +113,7 @@ impl Server {
         &self.shared.token
     }
 
-    /// Serves until the end is asked for, then lets the clients hear what still waits.
+    /// Serves until the process is asked to end, then flushes the clients' queues.
     ///
     /// # Errors
     /// [`ViewerError::Runtime`].
@@ -127,7 +127,7 @@ impl Server {
             let listener = TcpListener::from_std(self.listener).map_err(ViewerError::Runtime)?;
             let guests = Guests::default();
             while !self.shared.end.load(Ordering::Relaxed) {
-                // A failed accept concerns one client only; so does a limit of open files.
+                // A failed accept, or reaching the limit of open files, must not stop the other clients.
                 let Ok(Ok((stream, peer))) = tokio::time::timeout(END_LOOK, listener.accept()).await else {
                     continue;
                 };
@@ -137,7 +137,7 @@ impl Server {
                     tokio::task::spawn_local(async move { serve_connection(stream, &shared, guest).await });
                 guests.is_served_by(number, task.abort_handle());
             }
-            // The clients see the end by themselves.
+            // Every client connection checks for the end itself.
             let all_have_left = self.shared.room.acquire_many(MAX_CLIENTS as u32);
             let _ = tokio::time::timeout(Duration::from_secs(1), all_have_left).await;
             Ok(())
@@ -146,13 +146,13 @@ impl Server {
 }
 
 async fn serve_connection(mut stream: TcpStream, shared: &Shared, guest: Guest) {
-    // Messages leave at once.
+    // Send without delay (TCP_NODELAY).
     let _ = stream.set_nodelay(true);
     let Ok(head) = tokio::time::timeout(HEAD_LIMIT, http::read_head(&mut stream)).await else { return };
     connection::answer(stream, head, shared, guest).await;
 }
 
-/// 128 bits from the kernel, in hexadecimal.
+/// 128 random bits from the kernel, in hexadecimal.
 fn random_token() -> Result<String, ViewerError> {
     use std::io::Read;
     let mut bytes = [0; 16];

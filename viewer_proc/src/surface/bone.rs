@@ -8,10 +8,10 @@ use crate::board::Board;
 use crate::channels::SURFACE;
 use crate::info::VolumeBox;
 
-/// Blocks that are meshed in one go before others have their turn.
+/// Blocks meshed per call, before other work gets its turn.
 const BLOCKS_AT_ONCE: usize = 64;
 
-/// Voxels, blocks, and what is predrilled.
+/// Voxels, blocks, and the predrilled voxels.
 #[derive(Debug, Clone)]
 pub struct Bone {
     field: Field,
@@ -20,7 +20,7 @@ pub struct Bone {
 }
 
 impl Bone {
-    /// Undrilled bone, nothing of it meshed.
+    /// Undrilled bone, with nothing meshed yet.
     pub fn new(geometry: Geometry, threshold_hu: i16) -> Bone {
         Bone {
             field: Field::new(geometry, threshold_hu),
@@ -39,7 +39,7 @@ impl Bone {
         &mut self.blocks
     }
 
-    /// Takes a removal.
+    /// Applies a removal.
     pub fn take(&mut self, removed: &Removed, voxels: &[u32]) {
         if removed.tick == 0 {
             self.predrilled.extend_from_slice(voxels);
@@ -50,14 +50,14 @@ impl Bone {
         voxels.iter().for_each(|index| self.set(*index, true));
     }
 
-    /// Puts back all but the predrilled voxels.
+    /// Restores all but the predrilled voxels.
     pub fn restore(&mut self) {
         let predrilled = self.predrilled.clone();
         self.field.removed().into_iter().for_each(|index| self.set(index, false));
         predrilled.into_iter().for_each(|index| self.set(index, true));
     }
 
-    /// Takes a voxel out or puts it back, and has the blocks around it meshed again.
+    /// Removes or restores a voxel and marks the blocks around it for meshing.
     pub fn set(&mut self, index: u32, removed: bool) {
         if self.field.set_removed(index, removed)
             && let Some(voxel) = self.field.geometry().voxel(index)
@@ -66,7 +66,7 @@ impl Bone {
         }
     }
 
-    /// Meshes some of the blocks that have changed and puts them on the board. Whether more wait.
+    /// Meshes some of the changed blocks and publishes them. Returns whether more are pending.
     pub fn publish(&mut self, hu: &[i16], board: &Board) -> bool {
         for mesh in self.blocks.mesh_changed(&self.field, hu, BLOCKS_AT_ONCE) {
             board.publish(SURFACE, board.time_ns(), mesh.block, mesh.bytes());
@@ -75,7 +75,7 @@ impl Bone {
     }
 }
 
-/// The box that a grid's voxels fill.
+/// Bounding box of a grid's voxels.
 pub fn volume_box(geometry: &Geometry) -> VolumeBox {
     let last = geometry.dimensions.map(|n| n as f64 - 0.5);
     let corner = |i: usize| {

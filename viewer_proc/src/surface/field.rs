@@ -1,4 +1,4 @@
-//! The voxels that the surface encloses: Hounsfield units with the drilled voxels taken out.
+//! The voxels that the surface encloses: Hounsfield units minus the drilled voxels.
 
 /// The grid of a volume in the patient frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,7 +14,7 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// A point given in voxels, in the patient frame (m).
+    /// Converts a point from voxels to the patient frame (m).
     pub fn world_m(&self, voxel: [f64; 3]) -> [f64; 3] {
         core::array::from_fn(|row| {
             let part = |axis: usize| self.direction[3 * axis + row] * self.spacing_m[axis] * voxel[axis];
@@ -22,7 +22,7 @@ impl Geometry {
         })
     }
 
-    /// A gradient given per voxel, in the patient frame (per m).
+    /// Converts a gradient from per voxel to the patient frame (per m).
     pub fn world_gradient(&self, gradient: [f64; 3]) -> [f64; 3] {
         core::array::from_fn(|row| {
             (0..3).map(|axis| self.direction[3 * axis + row] * gradient[axis] / self.spacing_m[axis]).sum()
@@ -34,7 +34,7 @@ impl Geometry {
         self.dimensions.iter().product()
     }
 
-    /// i, j, k of a linear index; none beyond the grid.
+    /// i, j, k of a linear index; `None` outside the grid.
     pub fn voxel(&self, index: u32) -> Option<[usize; 3]> {
         let [ni, nj, _] = self.dimensions;
         let index = index as usize;
@@ -42,7 +42,7 @@ impl Geometry {
     }
 }
 
-/// Hounsfield units wherever they lie, and which voxels have been drilled away.
+/// Which voxels have been drilled away; the Hounsfield units stay where they are.
 #[derive(Debug, Clone)]
 pub struct Field {
     geometry: Geometry,
@@ -52,7 +52,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// A field of which nothing has been drilled.
+    /// A field with nothing drilled.
     pub fn new(geometry: Geometry, threshold_hu: i16) -> Field {
         Field {
             geometry,
@@ -67,12 +67,12 @@ impl Field {
         &self.geometry
     }
 
-    /// Voxels that have been taken out.
+    /// Number of removed voxels.
     pub fn removed_count(&self) -> u64 {
         self.removed_count
     }
 
-    /// Takes a voxel out, or puts it back. Whether that changed anything.
+    /// Removes or restores a voxel. Returns whether that changed anything.
     pub fn set_removed(&mut self, index: u32, removed: bool) -> bool {
         if index as usize >= self.geometry.voxel_count() {
             return false;
@@ -87,7 +87,7 @@ impl Field {
         true
     }
 
-    /// Linear indices of the voxels that have been taken out.
+    /// Linear indices of the removed voxels.
     pub fn removed(&self) -> Vec<u32> {
         let bits = |(word, bits): (usize, &u64)| {
             let bits = *bits;
@@ -96,9 +96,9 @@ impl Field {
         self.removed.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(bits).collect()
     }
 
-    /// HU above the threshold at the voxels of a row along i, from `first` on; below 0 is outside. Beyond the grid there is no
-    /// bone, so the surface is closed. A drilled voxel is as far outside as it was inside: the surface then runs half-way between
-    /// it and its neighbours.
+    /// HU above the threshold at the voxels of a row along i, starting at `first`; negative is outside. Outside the grid there is no bone,
+    /// so the surface is closed. A drilled voxel is as far outside as it was inside, so the surface runs half-way between it and its
+    /// neighbours.
     pub fn row(&self, hu: &[i16], first: [i64; 3], values: &mut [f32]) {
         values.fill(OUTSIDE);
         let [ni, nj, nk] = self.geometry.dimensions;
@@ -113,7 +113,7 @@ impl Field {
         let Some(hu) = hu.get(row + from as usize..row + to as usize) else { return };
         for ((value, hu), index) in values.iter_mut().zip(hu).zip(row + from as usize..) {
             let above = f32::from(*hu) - f32::from(self.threshold_hu);
-            // At the threshold is bone, as for the physics.
+            // A voxel at the threshold is bone, as in the physics.
             let above = if above == 0.0 { 0.5 } else { above };
             *value = if self.removed[index / 64] >> (index % 64) & 1 != 0 { -above.abs() } else { above };
         }

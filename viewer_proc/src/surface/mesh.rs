@@ -1,4 +1,4 @@
-//! A block's mesh as it goes to the page.
+//! A block's mesh as sent to the page.
 
 const MAGIC: u32 = 0x4853_4D54; // "TMSH"
 const VERSION: u32 = 1;
@@ -6,17 +6,17 @@ const VERSION: u32 = 1;
 /// Triangles of one block, in the patient frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlockMesh {
-    /// Number of the block.
+    /// Block number.
     pub block: u32,
     /// Lowest corner, in steps of `scale_m`.
     pub origin: [i64; 3],
-    /// Length of a step.
+    /// Length of a step, m.
     pub scale_m: f64,
     /// Vertices in steps from the lowest corner.
     pub positions: Vec<[u16; 3]>,
     /// Outward normals in 127ths.
     pub normals: Vec<[i8; 3]>,
-    /// Three vertices a triangle, counterclockwise seen from outside.
+    /// Three vertices per triangle, counterclockwise seen from outside.
     pub indices: Vec<u32>,
 }
 
@@ -27,7 +27,7 @@ impl BlockMesh {
         BlockMesh { block, origin: [0; 3], scale_m: 1.0, positions, normals, indices }
     }
 
-    /// A mesh of vertices in steps from the patient frame's origin, less than 65536 apart.
+    /// A mesh of vertices given in steps from the patient frame's origin, spanning less than 65536 steps.
     pub fn new(
         block: u32,
         scale_m: f64,
@@ -48,19 +48,19 @@ impl BlockMesh {
         }
     }
 
-    /// A vertex in steps from the patient frame's origin: the same for blocks that share it.
+    /// A vertex in steps from the patient frame's origin; identical in blocks that share it.
     pub fn steps(&self, vertex: u32) -> [i64; 3] {
         let position = self.positions[vertex as usize];
         core::array::from_fn(|axis| self.origin[axis] + i64::from(position[axis]))
     }
 
-    /// A vertex in the patient frame.
+    /// A vertex in the patient frame, m.
     pub fn vertex_m(&self, vertex: u32) -> [f64; 3] {
         self.steps(vertex).map(|steps| steps as f64 * self.scale_m)
     }
 
-    /// As on the wire: little-endian; magic, version, block, number of vertices and of indices (u32), origin (3 f32, m),
-    /// scale (f32, m), positions (3 u16), padding to 4 bytes, normals (x, y, z, 0 as i8), indices (u32).
+    /// Wire format, little-endian: magic, version, block, number of vertices and of indices (u32), origin (3 f32, m), scale (f32, m),
+    /// positions (3 u16), padding to 4 bytes, normals (x, y, z, 0 as i8), indices (u32).
     pub fn bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(40 + self.positions.len() * 10 + self.indices.len() * 4);
         let counts = [self.positions.len() as u32, self.indices.len() as u32];

@@ -5,32 +5,31 @@ use std::collections::BTreeSet;
 use super::field::{Field, Geometry};
 use super::mesh::BlockMesh;
 
-/// Voxels along an edge of a block.
+/// Voxels along a block's edge.
 pub const BLOCK: i64 = 24;
-/// Cells along an edge of a block, with those of its lower neighbours.
+/// Cells along a block's edge, including those shared with its lower neighbours.
 const CELLS: usize = BLOCK as usize + 1;
-/// Voxels that these cells touch.
+/// Voxels that these cells touch, along an edge.
 const VOXELS: usize = CELLS + 1;
 
-/// The blocks of a field, and which of them must be meshed again.
+/// The blocks of a field, and which of them need meshing.
 ///
 /// Voxels count from −1, the layer outside the grid, so that edges into the bone begin inside a block.
 #[derive(Debug, Clone)]
 pub struct Blocks {
     counts: [i64; 3],
     changed: BTreeSet<u32>,
-    /// Blocks that have a surface.
+    /// Blocks that currently have a surface.
     shown: BTreeSet<u32>,
     scale_m: f64,
 }
 
 impl Blocks {
-    /// All blocks of a grid, all to be meshed.
+    /// All blocks of a grid, all marked for meshing.
     pub fn new(geometry: &Geometry) -> Blocks {
         let counts = geometry.dimensions.map(|n| (n as u64 + 1).div_ceil(BLOCK as u64) as i64);
         let total = counts.iter().product::<i64>() as u32;
-        // Positions are whole multiples of this: a block with its neighbours' cells spans less than 65536 of them,
-        // whatever its direction.
+        // The length of a step: a block with its neighbours' cells spans less than 65536 steps in any direction.
         let largest = geometry.spacing_m.iter().fold(0.0f64, |all, spacing| all.max(*spacing));
         let scale_m = largest * VOXELS as f64 * 3f64.sqrt() / 65000.0;
         Blocks { counts, changed: (0..total).collect(), shown: BTreeSet::new(), scale_m }
@@ -41,15 +40,14 @@ impl Blocks {
         self.counts.iter().product::<i64>() as usize
     }
 
-    /// Blocks that wait to be meshed.
+    /// Number of blocks waiting to be meshed.
     pub fn changed_count(&self) -> usize {
         self.changed.len()
     }
 
-    /// A voxel has changed: the blocks whose cells touch it must be meshed again.
+    /// Marks the blocks whose cells touch this voxel for meshing.
     pub fn touch(&mut self, voxel: [usize; 3]) {
-        // Cells of voxel v are v − 1 and v; a block meshes the cells from one before its first voxel on, and edges
-        // from its own voxels on.
+        // Voxel v touches cells v − 1 and v. A block meshes cells from one before its first voxel, and edges from its own voxels.
         let range = |axis: usize| {
             let shifted = voxel[axis] as i64 + 1;
             let last = self.counts[axis] - 1;
@@ -65,8 +63,7 @@ impl Blocks {
         }
     }
 
-    /// Meshes blocks that wait, some at most. A block that is empty now and was not is among the result, with no
-    /// vertices.
+    /// Meshes at most `most` of the waiting blocks. A block that has just become empty is returned without vertices.
     pub fn mesh_changed(&mut self, field: &Field, hu: &[i16], most: usize) -> Vec<BlockMesh> {
         let mut meshes = Vec::new();
         while meshes.len() < most
@@ -107,7 +104,7 @@ impl Blocks {
     }
 }
 
-/// The voxels that a block's cells touch.
+/// Field values at the voxels that a block's cells touch.
 struct Samples {
     first: [i64; 3],
     values: Vec<f32>,
@@ -118,7 +115,7 @@ fn place(cell: [usize; 3]) -> usize {
 }
 
 impl Samples {
-    /// Reads them; whether there are some on both sides.
+    /// Samples the field; returns whether there are voxels on both sides of the surface.
     fn fill(&mut self, field: &Field, hu: &[i16]) -> bool {
         let [i, j, k] = self.first;
         for (number, row) in self.values.chunks_exact_mut(VOXELS).enumerate() {
@@ -134,16 +131,16 @@ impl Samples {
     }
 }
 
-/// No vertex.
+/// Marks a cell without a vertex.
 const NONE: u32 = u32::MAX;
 
 struct Builder<'a> {
     samples: Samples,
     field: &'a Field,
     scale_m: f64,
-    /// Number of a cell's vertex, by its place; [`NONE`]: it has none yet.
+    /// Vertex number of each cell; [`NONE`] if it has none yet.
     vertices: Vec<u32>,
-    /// Vertices in whole steps of the scale.
+    /// Vertices in whole steps.
     order: Vec<[i64; 3]>,
     normals: Vec<[i8; 3]>,
     indices: Vec<u32>,
@@ -151,12 +148,12 @@ struct Builder<'a> {
 
 const CORNERS: [[usize; 3]; 8] =
     [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]];
-/// Corners at the ends of a cell's edges.
+/// The two corners of each of a cell's edges.
 const EDGES: [[usize; 2]; 12] =
     [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
 
 impl Builder<'_> {
-    /// A quadrilateral for each edge that begins at a voxel of this block and passes through the surface.
+    /// Adds a quadrilateral for each edge that begins at a voxel of this block and crosses the surface.
     fn faces(&mut self) {
         for k in 1..VOXELS - 1 {
             for j in 1..VOXELS - 1 {
@@ -183,9 +180,9 @@ impl Builder<'_> {
             cell[v] -= dv;
             self.vertex(cell)
         };
-        // Around the edge counterclockwise, seen against it.
+        // Counterclockwise around the edge, seen against its direction.
         let ring = [corner(1, 1), corner(0, 1), corner(0, 0), corner(1, 0)];
-        // From inside to outside the outward normal runs along the edge.
+        // If the edge leads from inside to outside, the outward normal points along it.
         let [a, b, c, d] = if inside { ring } else { [ring[3], ring[2], ring[1], ring[0]] };
         self.indices.extend([a, b, c, a, c, d]);
     }
@@ -208,8 +205,7 @@ impl Builder<'_> {
         number
     }
 
-    /// Mean of the points where the surface crosses a cell's edges, in voxels from its lowest corner, and the cell's mean
-    /// gradient.
+    /// Mean of the points where the surface crosses a cell's edges, in voxels from its lowest corner, and the cell's mean gradient.
     fn crossing(&self, cell: [usize; 3]) -> ([f64; 3], [f64; 3]) {
         let values: [f64; 8] = core::array::from_fn(|corner| {
             let offset = CORNERS[corner];
@@ -237,7 +233,7 @@ impl Builder<'_> {
     }
 }
 
-/// Outward unit normal in 127ths: bone is where values are high.
+/// Outward unit normal in 127ths; values are higher inside the bone.
 fn normal(gradient: [f64; 3]) -> [i8; 3] {
     let length = gradient.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length == 0.0 { [0, 0, 127] } else { gradient.map(|x| (-127.0 * x / length).round() as i8) }
