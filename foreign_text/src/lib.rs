@@ -1,14 +1,14 @@
-//! Texts of strangers as a terminal may show them.
+//! Makes untrusted text safe to show on a terminal.
 //!
-//! A name in a log, a field of a volume's header or the last words of a program may hold escape sequences that move the cursor,
-//! change the window's title or answer as if the user had typed, line ends that forge a line of ours, or characters that reverse or
-//! hide what stands beside them. Here they are shown as `\u001b`: harmless, visible, and within a JSON text still the same character.
+//! A name in a log, a field of a volume's header or the last words of a program may hold escape sequences that move the cursor, change
+//! the window's title or inject input as if the user had typed it, line ends that forge a line of ours, or characters that reverse or
+//! hide their neighbours. All of these are shown as escapes like `\u001b`: harmless, visible, and in JSON still the same character.
 //!
-//! [`foreign`] shows one value within a line of ours. [`Plain`] is the last gate before the terminal: everything that a command
-//! prints goes through it.
+//! [`foreign`] shows one value within a line of ours. [`Plain`] is the last gate before the terminal: everything that a command prints
+//! goes through it.
 //!
-//! **Boundary:** texts; it opens nothing and prints nothing itself. **Invariant:** what comes out holds no control character but line ends
-//! and tabs that are ours, no character without width and no mark that turns the direction of writing; a value has a bounded length.
+//! **Boundary:** texts only; it opens nothing and prints nothing. **Invariant:** the output holds no control characters except our own
+//! line ends and tabs, no zero-width characters and no direction marks; a value has a bounded length.
 //!
 //! ```
 //! use foreign_text::foreign;
@@ -20,28 +20,28 @@ use std::fmt::{self, Display, Write as _};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Most characters that are shown of a value.
+/// Most characters shown of a value.
 pub const MOST_CHARACTERS: usize = 200;
 
-/// Most characters that are shown of a line that a program wrote.
+/// Most characters shown of a line that a program wrote.
 pub const MOST_OF_A_LINE: usize = 4096;
 
-/// A value of a stranger's file, for one line of ours: no line ends, and no more than [`MOST_CHARACTERS`].
+/// An untrusted value for use within one line of ours: no line ends, at most [`MOST_CHARACTERS`].
 pub fn foreign(text: &str) -> Foreign<'_> {
     Foreign { text, most: MOST_CHARACTERS }
 }
 
-/// A path in which a stranger's names may stand, whole.
+/// A path that may contain untrusted names, in full.
 pub fn foreign_path(path: &Path) -> String {
     foreign_line(&path.to_string_lossy()).to_string()
 }
 
-/// A line that a stranger's program wrote: no more than [`MOST_OF_A_LINE`].
+/// A line from an untrusted program: at most [`MOST_OF_A_LINE`] characters.
 pub fn foreign_line(text: &str) -> Foreign<'_> {
     Foreign { text, most: MOST_OF_A_LINE }
 }
 
-/// A stranger's text; its `Display` is what may be shown of it.
+/// An untrusted text; its `Display` is safe to show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Foreign<'a> {
     text: &'a str,
@@ -62,8 +62,8 @@ impl Display for Foreign<'_> {
     }
 }
 
-/// A text of ours, of any length, in which values of strangers may stand: keeps line ends and tabs, and shows every other character
-/// that a terminal would obey, hide or turn round as its number.
+/// Our own text, of any length, which may contain untrusted values. Keeps line ends and tabs, and escapes every other character that a
+/// terminal would obey, hide or reverse.
 pub fn plain(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
     for c in text.chars() {
@@ -72,7 +72,7 @@ pub fn plain(text: &str) -> String {
     shown
 }
 
-/// Appends a character, or its number in the spelling of JSON.
+/// Appends a character, or its JSON escape.
 fn push(shown: &mut String, c: char) {
     if is_plain(c) {
         return shown.push(c);
@@ -82,28 +82,28 @@ fn push(shown: &mut String, c: char) {
     }
 }
 
-/// Whether a character is seen as itself. The standard library knows which are not: controls, the marks of bidirectional text, what
-/// has no width, and separators other than the space.
+/// Whether a character is visible as itself. The standard library knows which are not: controls, bidirectional marks, zero-width
+/// characters, and separators other than the space.
 fn is_plain(c: char) -> bool {
     if c.is_ascii() {
         return !c.is_ascii_control();
     }
-    // Behind a letter, since a combining mark at the beginning of a text is escaped, too.
+    // Placed after a letter, because a combining mark at the start of a text is escaped, too.
     let mut bytes = [b'a'; 5];
     let length = c.encode_utf8(&mut bytes[1..]).len();
     std::str::from_utf8(&bytes[..=length]).is_ok_and(|text| text.escape_debug().nth(2).is_none())
 }
 
-/// Writes texts as [`plain`] shows them.
+/// A writer that passes text through [`plain`].
 #[derive(Debug)]
 pub struct Plain<W> {
     out: W,
-    /// The beginning of a character whose end has not come yet.
+    /// The first bytes of an incomplete character.
     begun: Vec<u8>,
 }
 
 impl<W: Write> Plain<W> {
-    /// In front of a writer.
+    /// Wraps a writer.
     pub fn new(out: W) -> Plain<W> {
         Plain { out, begun: Vec::new() }
     }
@@ -123,7 +123,7 @@ impl<W: Write> Write for Plain<W> {
                 Err(error) => {
                     let (good, bad) = rest.split_at(error.valid_up_to());
                     shown += &plain(&String::from_utf8_lossy(good));
-                    // No length: the end of the character is still to come.
+                    // No length: the rest of the character has not arrived yet.
                     let Some(length) = error.error_len() else { break bad.to_vec() };
                     shown.push(char::REPLACEMENT_CHARACTER);
                     rest = &bad[length..];
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn an_escaped_json_text_is_the_same_text() {
-        // A JSON writer escapes the controls below the space itself; these it leaves.
+        // A JSON writer escapes only the controls below the space; it leaves these.
         let value = "\u{7f}\u{9b}31m\u{202e}\u{e0041}\u{1f44d}";
         let line = plain(&format!("{{\"text\":\"{value}\"}}"));
         assert!(!line.contains('\u{9b}') && !line.contains('\u{e0041}'), "{line}");

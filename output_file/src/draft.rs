@@ -1,4 +1,4 @@
-//! Files on their way: without a name where the file system has such files.
+//! Drafts: files being written, unnamed if the file system supports that.
 
 use std::fs::{File, Permissions};
 use std::io;
@@ -11,29 +11,29 @@ use tempfile::TempPath;
 
 use crate::{DRAFT_PREFIX, folder_of};
 
-/// As any program's files: what the umask leaves of it.
+/// The usual mode for new files, subject to the umask.
 const MODE: u32 = 0o666;
 
-/// A file that goes with its process unless it is given a name.
+/// A file that vanishes with its process unless it is given a name.
 #[derive(Debug)]
 pub struct Draft {
     file: File,
-    /// A name that says what it is, which is removed with this.
+    /// The draft's own name, if it needs one; removed on drop.
     named: Option<TempPath>,
 }
 
 impl Draft {
-    /// Begins a file in a folder.
+    /// Creates a draft in a folder.
     pub fn begin(folder: &Path) -> io::Result<Draft> {
         let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
         match openat(CWD, folder, flags, Mode::from_raw_mode(MODE)) {
             Ok(file) => Ok(Draft { file: file.into(), named: None }),
-            // Whatever the reason: this one says what is wrong with the folder.
+            // Fall back whatever the reason: if the folder is at fault, this reports it.
             Err(_) => Draft::begin_named(folder),
         }
     }
 
-    /// The same where every file has a name.
+    /// As [`begin`](Draft::begin), for file systems without unnamed files.
     pub fn begin_named(folder: &Path) -> io::Result<Draft> {
         let mut builder = tempfile::Builder::new();
         let builder = builder.prefix(DRAFT_PREFIX).permissions(Permissions::from_mode(MODE));
@@ -41,12 +41,12 @@ impl Draft {
         Ok(Draft { file, named: Some(named) })
     }
 
-    /// What is written to.
+    /// The file to write to.
     pub fn file(&self) -> &File {
         &self.file
     }
 
-    /// Where this process can read it.
+    /// A path under which this process can read it.
     pub fn path(&self) -> PathBuf {
         match &self.named {
             Some(path) => path.to_path_buf(),
@@ -54,7 +54,7 @@ impl Draft {
         }
     }
 
-    /// Gives it a name that nothing has.
+    /// Gives it a name, which must be free.
     pub fn name(self, path: &Path) -> io::Result<()> {
         match self.named {
             Some(named) => named.persist_noclobber(path).map_err(|failed| plain(failed.error)),
@@ -62,7 +62,7 @@ impl Draft {
         }
     }
 
-    /// Gives it a draft's name in the folder of a path.
+    /// Gives it a draft name in the folder of `path`.
     pub fn into_named(mut self, path: &Path) -> io::Result<TempPath> {
         match self.named.take() {
             Some(named) => Ok(named),
@@ -79,7 +79,7 @@ impl Draft {
     }
 }
 
-/// The system's reason without the name of the draft, which means nothing to whoever reads it.
+/// The system's reason without the draft's name, which means nothing to the user.
 pub fn plain(cause: io::Error) -> io::Error {
     match cause.get_ref().and_then(|inner| inner.source()).and_then(|inner| inner.downcast_ref::<io::Error>())
     {

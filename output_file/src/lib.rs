@@ -1,15 +1,15 @@
-//! Files that a command leaves behind: whole and on the disk under their names, or not there, and never over another.
+//! Files that a command leaves behind: each is complete and on disk under its name, or absent, and none overwrites another.
 //!
-//! A file is written as a draft in its folder, brought to the disk, given its name, and then its folder is brought to the disk too:
-//! whoever finds the name finds the whole file, also after the machine has lost its power. A name that something else has is not
-//! taken, also if it was free when the command began. A command that fails or is killed leaves nothing of a file that is not whole:
-//! a draft has no name (`O_TMPFILE`) and goes with its process. Only on file systems that have no such files (NFS, FAT) a killed
-//! command leaves its drafts as hidden files `.trabecula-unfinished-…`, which whoever likes may remove.
+//! A file is written as a draft in its folder, synced to disk and given its name; then its folder is synced too. If the name exists, so
+//! does the whole file, even after a power failure. A name that is taken stays untouched, even if it was free when the command began. A
+//! command that fails or is killed leaves no incomplete file: a draft has no name (`O_TMPFILE`) and vanishes with its process. Only on
+//! file systems without unnamed files (NFS, FAT) does a killed command leave its drafts, as hidden files `.trabecula-unfinished-…`, which
+//! are safe to remove.
 //!
-//! What a close could say of a full or broken disk, `fsync` has said before.
+//! Errors of close are not checked: `fsync` has already reported a full or broken disk.
 //!
-//! **Boundary:** whole files of commands; what is written while others read it (the logs of a run) has its own writer. **Invariant:** it
-//! replaces nothing but what it has written itself.
+//! **Boundary:** whole files of commands; files read while they are written (the logs of a run) have their own writer. **Invariant:** it
+//! replaces nothing but its own files.
 //!
 //! ```
 //! let folder = tempfile::tempdir().unwrap();
@@ -30,19 +30,19 @@ use std::path::{Path, PathBuf};
 use draft::Draft;
 pub use saved::SavedFile;
 
-/// Beginning of the names of drafts that have one.
+/// Prefix of the names of named drafts.
 pub const DRAFT_PREFIX: &str = ".trabecula-unfinished-";
 
-/// Why there is no file.
+/// Why a file was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
-    /// Something has the name already.
+    /// The name is taken.
     #[error("{}: is there already; name a file that is not", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// The folder takes no file.
+    /// The file cannot be created in its folder.
     #[error("{}: cannot be made ({source}); choose a writable folder", path.display())]
     Create {
         /// The file.
@@ -50,7 +50,7 @@ pub enum OutputError {
         /// The system's reason.
         source: io::Error,
     },
-    /// Bytes cannot be written or brought to the disk: full, over a quota, broken.
+    /// Data cannot be written or synced: disk full, over quota, or broken.
     #[error("{}: cannot be written ({source}); free space or choose another folder", path.display())]
     Write {
         /// The file.
@@ -61,16 +61,16 @@ pub enum OutputError {
 }
 
 impl OutputError {
-    /// Bytes of a file cannot be written.
+    /// Maps an error of writing a file.
     pub fn write(path: &Path) -> impl FnOnce(io::Error) -> OutputError + '_ {
         move |source| OutputError::Write { path: path.into(), source }
     }
 }
 
-/// Refuses if one of the files is there, as whatever it may be: also as a link that leads nowhere.
+/// Fails if any of these names is taken, by anything, including a dangling link.
 ///
 /// # Errors
-/// [`OutputError::Exists`] of the first one that is there.
+/// [`OutputError::Exists`], for the first one taken.
 pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), OutputError> {
     match files.iter().find(|file| file.as_ref().symlink_metadata().is_ok()) {
         Some(file) => Err(OutputError::Exists { path: file.as_ref().to_owned() }),
@@ -78,7 +78,7 @@ pub fn refuse_existing<P: AsRef<Path>>(files: &[P]) -> Result<(), OutputError> {
     }
 }
 
-/// A file being written. Dropped before it has its name it leaves nothing.
+/// A file being written. Dropped before it has its name, it leaves nothing.
 #[derive(Debug)]
 pub struct OutputFile {
     draft: Draft,
@@ -86,12 +86,12 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Begins a file.
+    /// Creates a file.
     ///
     /// # Errors
     /// [`OutputError::Exists`], [`OutputError::Create`].
     pub fn create(path: &Path) -> Result<OutputFile, OutputError> {
-        // Asked now too, so that nobody waits for hours to be told.
+        // Checked early too, so that a long job does not fail only at its end.
         refuse_existing(&[path])?;
         OutputFile::begin(path)
     }
@@ -108,12 +108,12 @@ impl OutputFile {
     /// A second handle to write through.
     ///
     /// # Errors
-    /// The system has none to give.
+    /// The system has no more handles.
     pub fn handle(&self) -> Result<File, OutputError> {
         self.draft.file().try_clone().map_err(OutputError::write(&self.path))
     }
 
-    /// Brings the file to the disk.
+    /// Syncs the file to disk.
     ///
     /// # Errors
     /// [`OutputError::Write`]: then there is no file.
@@ -123,7 +123,7 @@ impl OutputFile {
         Ok(WholeFile { draft, path })
     }
 
-    /// Brings the file to the disk and gives it its name.
+    /// Syncs the file to disk and gives it its name.
     ///
     /// # Errors
     /// As [`OutputFile::finish`] and [`WholeFile::keep`].
@@ -142,7 +142,7 @@ impl Write for OutputFile {
     }
 }
 
-/// A file that is whole and on the disk, and has not its name yet. Dropped it leaves nothing.
+/// A file that is complete and synced but has no name yet. Leaves nothing if dropped.
 #[derive(Debug)]
 pub struct WholeFile {
     draft: Draft,
@@ -150,21 +150,21 @@ pub struct WholeFile {
 }
 
 impl WholeFile {
-    /// Where this process can read it until it is kept.
+    /// Path under which this process can read it until it is kept.
     pub fn draft(&self) -> PathBuf {
         self.draft.path()
     }
 
-    /// Where it will lie.
+    /// Its future path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Gives the file its name, and brings that to the disk.
+    /// Gives the file its name and syncs the name to disk.
     ///
     /// # Errors
-    /// [`OutputError::Exists`]; [`OutputError::Write`], what the system says: then there is no new file, or it may be gone if the
-    /// machine loses its power.
+    /// [`OutputError::Exists`]; [`OutputError::Write`] with the system's reason: then there is no new file, or a power failure may remove
+    /// it.
     pub fn keep(self) -> Result<(), OutputError> {
         keep_all(vec![self])
     }
@@ -179,8 +179,8 @@ impl WholeFile {
     }
 }
 
-/// Gives files their names: all of them, or none if one of the names is taken. Should one be taken in that very moment, the files
-/// before it stay, each whole.
+/// Gives all files their names, or none if a name is taken. If one is taken between the check and the naming, the files before it stay,
+/// each whole.
 ///
 /// # Errors
 /// As [`WholeFile::keep`].
@@ -201,7 +201,7 @@ pub fn keep_all(files: Vec<WholeFile>) -> Result<(), OutputError> {
 /// Writes a whole file.
 ///
 /// # Errors
-/// Any [`OutputError`]: then what was there is there still.
+/// Any [`OutputError`]; whatever existed is unchanged.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), OutputError> {
     write_all(&[(path, bytes)])
 }
@@ -220,7 +220,7 @@ pub fn write_all<P: AsRef<Path>, B: AsRef<[u8]>>(files: &[(P, B)]) -> Result<(),
     keep_all(whole.collect::<Result<_, _>>()?)
 }
 
-/// Makes a folder and what is missing above it, all on the disk.
+/// Creates a folder and its missing parents, and syncs them to disk.
 ///
 /// # Errors
 /// The system's.
@@ -231,7 +231,7 @@ pub fn create_folder(path: &Path) -> io::Result<()> {
     missing.into_iter().try_for_each(|made| sync_folder(folder_of(made)))
 }
 
-/// Brings a file to the disk. What has no disk (a pipe, a device) has nothing to bring there.
+/// Syncs a file to disk. Pipes and devices have nothing to sync.
 ///
 /// # Errors
 /// The system's.
@@ -242,7 +242,7 @@ pub fn sync_file(file: &File) -> io::Result<()> {
     }
 }
 
-/// Brings the names in a folder to the disk.
+/// Syncs the names in a folder to disk.
 ///
 /// # Errors
 /// The system's.
@@ -250,7 +250,7 @@ pub fn sync_folder(folder: &Path) -> io::Result<()> {
     sync_file(&File::open(folder)?)
 }
 
-/// The folder that a file lies in.
+/// The folder that contains a file.
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."))
 }
@@ -275,7 +275,7 @@ mod tests {
         let path = folder.path().join("a");
         write(&path, "first").unwrap();
         assert!(matches!(write(&path, "second"), Err(OutputError::Exists { .. })));
-        // One that came meanwhile, and a link that leads nowhere.
+        // A name taken in the meantime, and a dangling link.
         let late = folder.path().join("late");
         let file = OutputFile::create(&late).unwrap();
         std::fs::write(&late, "other").unwrap();
@@ -288,7 +288,7 @@ mod tests {
         assert_eq!(names(folder.path()), ["a", "late", "link"]);
     }
 
-    /// The name was asked for at the start, and then taken whatever had come there.
+    /// A name that was free at the start must not be overwritten if something takes it later.
     #[test]
     fn a_name_that_is_taken_behind_the_last_look_is_not_taken_over() {
         for begin in [Draft::begin, Draft::begin_named] {
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn nothing_half_written_has_the_name() {
-        // As the file system has it, and as one that has no files without a name.
+        // With the file system's own support, and as if it had no unnamed files.
         for begin in [Draft::begin, Draft::begin_named] {
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("a");

@@ -1,4 +1,4 @@
-//! Files that are written again and again.
+//! Files that are saved repeatedly.
 
 use std::fs::Metadata;
 use std::io::{self, ErrorKind, Write};
@@ -11,15 +11,15 @@ use rustix::io::Errno;
 use crate::draft::plain;
 use crate::{OutputError, OutputFile, WholeFile, folder_of, refuse_existing, sync_folder};
 
-/// A file that is written again as there is more to say, whole each time. It replaces what was written through it, and nothing else.
+/// A file that is saved again whenever there is more to record, always atomically. It replaces only its own last version.
 #[derive(Debug)]
 pub struct SavedFile {
     path: PathBuf,
-    /// What was written last.
+    /// The last version saved.
     ours: Option<Identity>,
 }
 
-/// Tells a file from another of its name, and from itself with other content.
+/// Distinguishes a file from another with the same name, and from itself with other content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Identity {
     device: u64,
@@ -46,7 +46,7 @@ impl From<&Metadata> for Identity {
 }
 
 impl SavedFile {
-    /// A file of which nothing is written yet.
+    /// A file with nothing saved yet.
     ///
     /// # Errors
     /// [`OutputError::Exists`].
@@ -55,10 +55,10 @@ impl SavedFile {
         Ok(SavedFile { path: path.into(), ours: None })
     }
 
-    /// Writes the file anew. Until then the last one stays whole.
+    /// Saves the file. The previous version stays whole until then.
     ///
     /// # Errors
-    /// Any [`OutputError`]: then what was there is there still. [`OutputError::Exists`] if that is not what was written last.
+    /// Any [`OutputError`], with the existing file unchanged. [`OutputError::Exists`] if that is not the last version saved.
     pub fn save(&mut self, bytes: impl AsRef<[u8]>) -> Result<(), OutputError> {
         let mut file = OutputFile::begin(&self.path)?;
         file.write_all(bytes.as_ref()).map_err(OutputError::write(&self.path))?;
@@ -74,7 +74,7 @@ impl SavedFile {
 }
 
 impl SavedFile {
-    /// Removes what was written last, and nothing else of its name.
+    /// Removes the last version saved, and no other file of that name.
     ///
     /// # Errors
     /// The system's.
@@ -86,31 +86,31 @@ impl SavedFile {
     }
 }
 
-/// Puts a file in the place of ours. What is there is looked at when it has been taken away, so that nothing can come between.
+/// Replaces our last version. Swaps first and checks what it got afterwards, so that no other program can get in between.
 fn replace(file: WholeFile, ours: &Identity) -> Result<(), OutputError> {
     let WholeFile { draft, path } = file;
     let draft = draft.into_named(&path).map_err(OutputError::write(&path))?;
     let exists = || OutputError::Exists { path: path.clone() };
     let exchange = |draft: &Path| renameat_with(CWD, draft, CWD, &path, RenameFlags::EXCHANGE);
     match exchange(&draft) {
-        // What is in the draft's place now goes with it.
+        // The old version is now in the draft's place and goes with it.
         Ok(()) if Identity::of(&draft).ok() == Some(*ours) => {}
         Ok(()) => {
             if let Err(cause) = exchange(&draft) {
-                // Somebody's file under a draft's name is better than none.
+                // Another program's file: better kept under a draft's name than lost.
                 let _ = draft.keep();
                 return Err(OutputError::Write { path, source: cause.into() });
             }
             return Err(exists());
         }
-        // Somebody has removed it.
+        // The last version has been removed by somebody.
         Err(Errno::NOENT) => {
             draft.persist_noclobber(&path).map_err(|failed| match failed.error.kind() {
                 ErrorKind::AlreadyExists => exists(),
                 _ => OutputError::Write { path: path.clone(), source: plain(failed.error) },
             })?;
         }
-        // File systems that cannot exchange: a look, and the next moment the new one.
+        // File systems without exchange: check, then replace at once.
         Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) => {
             if Identity::of(&path).ok() != Some(*ours) {
                 return Err(exists());
@@ -146,7 +146,7 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
-    /// Whatever had come in the place of the last one was replaced.
+    /// Only the last version may be replaced, nothing that has taken its name since.
     #[test]
     fn what_somebody_put_in_the_place_of_a_saved_file_stays() {
         let folder = tempfile::tempdir().unwrap();
@@ -159,7 +159,7 @@ mod tests {
         std::fs::remove_file(&path).unwrap();
         let mut file = SavedFile::create(&path).unwrap();
         file.save("ours").unwrap();
-        // Another file, one of the same length, our own with a line of somebody's, and a folder.
+        // Another file, one of the same length, our own with a line added, and a folder.
         let other = folder.path().join("other");
         std::fs::write(&other, "mine").unwrap();
         std::fs::rename(&other, &path).unwrap();

@@ -1,4 +1,4 @@
-//! A structural check of a DICOM file before a parser that allocates what a length field promises gets to see it.
+//! Checks the structure of a DICOM file before handing it to a parser that allocates whatever a length field promises.
 //!
 //! Source: DICOM PS3.5 section 7 (data element structure, sequences, encapsulated pixel data) and PS3.10 section 7 (file meta group).
 
@@ -8,7 +8,7 @@ use dicom_core::dictionary::{DataDictionary, DataDictionaryEntry};
 use dicom_object::StandardDataDictionary;
 use std::path::Path;
 
-/// Deepest nesting of sequences that is followed; real files stay below ten.
+/// Deepest nesting of sequences accepted; real files stay below ten.
 const MAX_DEPTH: usize = 16;
 const UNDEFINED: u32 = 0xffff_ffff;
 const ITEM: (u16, u16) = (0xfffe, 0xe000);
@@ -16,7 +16,7 @@ const ITEM_END: (u16, u16) = (0xfffe, 0xe00d);
 const SEQUENCE_END: (u16, u16) = (0xfffe, 0xe0dd);
 const PIXEL_DATA: (u16, u16) = (0x7fe0, 0x0010);
 
-/// How the voxels of a readable file are stored.
+/// How a supported file stores its voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PixelCodec {
     Native,
@@ -24,7 +24,7 @@ pub(crate) enum PixelCodec {
     Jpeg,
 }
 
-/// The encoding of a readable file.
+/// The encoding of a supported file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Transfer {
     explicit_vr: bool,
@@ -38,7 +38,7 @@ pub(crate) fn is_part10(head: &[u8]) -> bool {
     head.get(128..132) == Some(b"DICM".as_slice())
 }
 
-/// The transfer syntaxes that are read, and names for those that are not.
+/// The supported transfer syntaxes, and names for the unsupported ones.
 fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
     let readable =
         |explicit_vr, big_endian, codec, name| Ok(Transfer { explicit_vr, big_endian, codec, name });
@@ -78,8 +78,8 @@ fn transfer(path: &Path, uid: &str) -> Result<Transfer, VolumeError> {
 /// Checks every length in the file against the file, and returns its transfer syntax.
 ///
 /// # Errors
-/// `NotAVolume` without the Part 10 prefix; `Truncated` where a length reaches beyond the file; `Header` for a malformed structure;
-/// `Unsupported` for a transfer syntax that is not read.
+/// `NotAVolume` without the Part 10 prefix; `Truncated` if a length reaches past the file; `Header` for a malformed structure;
+/// `Unsupported` for an unsupported transfer syntax.
 pub(crate) fn scan(path: &Path, bytes: &[u8]) -> Result<Transfer, VolumeError> {
     if !is_part10(bytes) {
         let given = "no `DICM` after 128 bytes (not a DICOM Part 10 file)".to_string();
@@ -88,7 +88,7 @@ pub(crate) fn scan(path: &Path, bytes: &[u8]) -> Result<Transfer, VolumeError> {
     let meta = Scanner { path, bytes, explicit_vr: true, big_endian: false };
     let mut at = 132;
     let mut uid = None;
-    // Where the group ends by its own word, which the parser believes.
+    // Where the group claims to end; the parser trusts this value.
     let mut told = None;
     while meta.u16(at) == Some(0x0002) {
         let element = meta.element(at)?;
@@ -184,8 +184,8 @@ impl Scanner<'_> {
         }
     }
 
-    /// Bytes of one number of an element's value. The parser reads whole numbers and goes on where the last of them ends: of
-    /// a value with a part of one it takes the rest for the next element, lengths and all.
+    /// Bytes per number in an element's value. The parser reads whole numbers and continues after the last one: if the value ends in a
+    /// partial number, it takes those bytes for the next element, lengths and all.
     fn unit(&self, element: &Element) -> u32 {
         let vr = if self.explicit_vr {
             VR::from_binary(element.vr)
@@ -201,7 +201,7 @@ impl Scanner<'_> {
         }
     }
 
-    /// The end of a value of defined length, which must lie within `limit`.
+    /// The end of a value of defined length; must be within `limit`.
     fn value_end(&self, element: &Element, limit: usize) -> Result<usize, VolumeError> {
         let end = element.value as u64 + u64::from(element.length);
         if end > limit as u64 || element.length == UNDEFINED {
@@ -211,7 +211,7 @@ impl Scanner<'_> {
         Ok(end as usize)
     }
 
-    /// Follows elements from `at` to `limit`, or to an item delimiter if `delimited`; returns where they end.
+    /// Walks the elements from `at` to `limit`, or to an item delimiter if `delimited`; returns where they end.
     fn elements(
         &self,
         mut at: usize,
@@ -246,7 +246,7 @@ impl Scanner<'_> {
         Ok(at)
     }
 
-    /// Follows one element, with the items inside it.
+    /// Walks one element and the items inside it.
     fn element_end(&self, element: &Element, limit: usize, depth: usize) -> Result<usize, VolumeError> {
         if element.tag == PIXEL_DATA && element.length == UNDEFINED {
             return self.fragments(element.value, limit);
@@ -263,7 +263,7 @@ impl Scanner<'_> {
             let (field, given) = (tag_name(element.tag), format!("{} bytes", element.length));
             return Err(self.malformed(&field, given, &format!("a multiple of {unit} bytes")));
         }
-        // In implicit VR a sequence shows only by its first item.
+        // In implicit VR only its first item reveals a sequence.
         let looks_like_items = !self.explicit_vr
             && element.tag != PIXEL_DATA
             && element.length >= 8

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 const POSITION: &str = "(0020,0032) ImagePositionPatient";
 const ORIENTATION: &str = "(0020,0037) ImageOrientationPatient";
 
-/// Directions of slices that differ by more than this are different orientations; decimals of DICOM text stay below it.
+/// Slice directions that differ by more than this count as different orientations; the rounding of DICOM decimals stays below it.
 const SAME_DIRECTION: f64 = 1e-3;
 /// Largest sideways drift of the stack that counts as straight, metres (rounded decimals of the positions).
 const STRAIGHT_M: f64 = 5e-5;
@@ -66,8 +66,8 @@ pub(crate) fn read_file(path: &Path, files: DataFiles) -> Result<(Volume, Volume
     assemble(path, slices, Vec::new())
 }
 
-/// The DICOM Part 10 files of a folder, by name, without its subfolders and index; counts the others. A link to such a file elsewhere
-/// is refused unless it is allowed: a folder of a stranger's may hold links to the user's own images.
+/// The DICOM Part 10 files of a folder, by name, without its subfolders and index; counts the others. Refuses a link to such a file
+/// elsewhere unless `where_to` allows it: an untrusted folder may hold links to the user's own images.
 fn dicom_files(folder: &Path, where_to: DataFiles, others: &mut usize) -> Result<Vec<PathBuf>, VolumeError> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(input::io_error(folder, "list"))? {
@@ -140,7 +140,7 @@ fn assemble(
     Ok((volume, info))
 }
 
-/// Everything that must not change within a series.
+/// Checks everything that must not change within a series.
 fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
     let first = &slices[0];
     let mixed = |field: &str, other: &Slice, a: String, b: String| {
@@ -182,7 +182,7 @@ fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
     Ok(())
 }
 
-/// Unit row and column directions; a right angle that is off by rounded decimals only is restored.
+/// Unit row and column directions; restores a right angle that is off only by rounded decimals.
 fn directions(
     path: &Path,
     slice: &Slice,
@@ -247,7 +247,7 @@ fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(),
     Ok(())
 }
 
-/// The distance of neighbouring slices, metres; `along_m` are their ascending positions along the normal.
+/// The distance between neighbouring slices, metres; `along_m` are their ascending positions along the normal.
 fn slice_distance(
     path: &Path,
     slices: &[Slice],

@@ -1,4 +1,4 @@
-//! One DICOM file of a CT series: the header fields that matter, and its pixels.
+//! One DICOM file of a CT series: the header fields needed, and its pixels.
 
 use crate::dicom_scan::{PixelCodec, Transfer, scan};
 use crate::error::VolumeError;
@@ -10,12 +10,12 @@ use dicom_object::{DefaultDicomObject, OpenFileOptions, Tag};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Largest DICOM file that is read: one slice of 16 384 × 16 384 16-bit pixels.
+/// Largest DICOM file accepted: one slice of 16 384 × 16 384 16-bit pixels.
 const MAX_FILE_BYTES: u64 = 1 << 29;
 
 const PIXEL_DATA: Tag = Tag(0x7fe0, 0x0010);
 
-/// What a slice says about itself, unchecked against other slices. Lengths in millimetres, as DICOM stores them.
+/// A slice's header, not yet checked against other slices. Lengths in millimetres, as in DICOM.
 #[derive(Clone, Debug)]
 pub(crate) struct Slice {
     pub path: PathBuf,
@@ -43,7 +43,7 @@ struct Bits {
     signed: bool,
 }
 
-/// Reads and checks the header of a slice. `None` for a DICOM file that is no image (a report, a structure set).
+/// Reads and checks the header of a slice. `None` for a DICOM file that is not an image (a report, a structure set).
 pub(crate) fn read_header(path: &Path) -> Result<Option<Slice>, VolumeError> {
     let bytes = read_bytes(path)?;
     let transfer = scan(path, &bytes)?;
@@ -82,7 +82,7 @@ pub(crate) fn read_header(path: &Path) -> Result<Option<Slice>, VolumeError> {
     }))
 }
 
-/// The series a DICOM file belongs to; `None` if it cannot be told.
+/// The series of a DICOM file; `None` if it cannot be determined.
 pub(crate) fn series_of(path: &Path) -> Option<String> {
     let bytes = read_bytes(path).ok()?;
     scan(path, &bytes).ok()?;
@@ -114,7 +114,7 @@ pub(crate) fn read_pixels(slice: &Slice, sink: &mut HuSink) -> Result<(), Volume
 }
 
 impl Bits {
-    /// The number in a stored sample: the bits below `high`, sign-extended if signed (overlay bits above are dropped).
+    /// The number in a stored sample: the bits up to and including `high`, sign-extended if signed; drops overlay bits above.
     fn value(self, sample: u16) -> f64 {
         let shifted = u32::from(sample) >> (self.high + 1 - self.stored);
         let bits = shifted & ((1 << self.stored) - 1);
@@ -153,7 +153,7 @@ fn parse(path: &Path, bytes: &[u8], header_only: bool) -> Result<DefaultDicomObj
     })
 }
 
-/// An error with its causes on one line.
+/// An error and its causes on one line.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -211,7 +211,7 @@ impl Fields<'_> {
         if self.text(tag)?.is_none() { Ok(None) } else { self.number(tag, name).map(Some) }
     }
 
-    /// Colour images, several frames and transformed values are refused before any pixel is read.
+    /// Refuses colour images, multiple frames and transformed values before reading any pixel.
     fn refuse_other_layouts(&self) -> Result<(), VolumeError> {
         let samples = self.optional(Tag(0x0028, 0x0002), "SamplesPerPixel")?.unwrap_or(1.0);
         let photometric = self.text(Tag(0x0028, 0x0004))?.unwrap_or_else(|| "MONOCHROME2".into());
@@ -274,7 +274,7 @@ impl Fields<'_> {
     }
 }
 
-/// The samples as stored, one u16 each, decoded if they are compressed.
+/// The samples as stored, one u16 each, decompressed if necessary.
 fn stored_samples(slice: &Slice, object: &DefaultDicomObject) -> Result<Vec<u16>, VolumeError> {
     use dicom_core::value::{PrimitiveValue, Value};
     let path = slice.path.as_path();
@@ -328,7 +328,7 @@ fn decode_rle(fragment: &[u8], count: usize, wide: bool) -> Option<Vec<u16>> {
     if word(0)? != planes {
         return None;
     }
-    // PackBits cannot shrink data below 2 bytes for 128: a header cannot promise more than the file can hold.
+    // PackBits turns 128 bytes into 2 at best, so a header cannot promise more than that.
     if count > fragment.len().checked_mul(128)? {
         return None;
     }
@@ -358,11 +358,11 @@ fn decode_rle(fragment: &[u8], count: usize, wide: bool) -> Option<Vec<u16>> {
     Some(samples)
 }
 
-/// Most pixels that a byte of JPEG data can hold: 8 of a lossless image, whose every pixel takes a bit or more; 512 of one in blocks of
-/// 64, whose first coefficient takes a bit or more (ITU-T T.81, annexes F to H).
+/// Most pixels per byte of JPEG data: 8 in a lossless image, where every pixel takes at least a bit; 512 in one coded in blocks of 64,
+/// where a block's first coefficient takes at least a bit (ITU-T T.81, annexes F to H).
 const JPEG_PIXELS_PER_BYTE: u64 = 512;
 
-/// Whether the data end with the end of the image (EOI, `ff d9`); a fragment is padded to an even length, by some programs with more.
+/// Whether the data end with the end-of-image marker (EOI, `ff d9`). A fragment is padded to an even length, by some programs further.
 fn is_ended(data: &[u8]) -> bool {
     let padding = data.iter().rev().take_while(|byte| **byte == 0).count();
     data[..data.len() - padding].ends_with(&[0xff, 0xd9])
@@ -388,7 +388,7 @@ fn decode_jpeg(slice: &Slice, data: &[u8]) -> Result<Vec<u16>, VolumeError> {
         );
         return Err(corrupt(path, "JPEG", reason));
     }
-    // Where data are missing the decoder makes pixels up, and it takes their memory first.
+    // If data are missing, the decoder invents pixels, and allocates them first.
     let pixels = slice.rows as u64 * slice.columns as u64;
     if pixels > data.len() as u64 * JPEG_PIXELS_PER_BYTE {
         let reason = format!("{} bytes cannot hold {pixels} pixels", data.len());

@@ -5,7 +5,7 @@
 
 /// Squared distance, m², from each voxel centre to the nearest voxel centre of `sites`; infinite if there is no site.
 ///
-/// `sites` and the result are i fastest with `dims`. Stored as f32, computed in f64: exact to a relative 6e-8.
+/// `sites` and the result have dimensions `dims`, i fastest. Stored as f32, computed in f64: exact to a relative 6e-8.
 pub fn squared_distance_m2(dims: [usize; 3], spacing_m: [f64; 3], sites: &[bool]) -> Vec<f32> {
     let mut field: Vec<f32> = sites.iter().map(|site| if *site { 0.0 } else { f32::INFINITY }).collect();
     let longest = dims.into_iter().max().unwrap_or(0);
@@ -30,7 +30,7 @@ struct Row {
     values: Vec<f64>,
     /// Positions (metres) and heights of the parabolas in the lower envelope.
     vertices: Vec<(f64, f64)>,
-    /// Where each parabola of the envelope begins, metres.
+    /// Start of each parabola's interval in the envelope, metres.
     begins: Vec<f64>,
 }
 
@@ -55,7 +55,7 @@ impl Row {
             let position = i as f64 * spacing_m;
             let mut begin = f64::NEG_INFINITY;
             while let Some(&(other, other_height)) = self.vertices.last() {
-                // Where the new parabola goes below the last one.
+                // Where the new parabola drops below the last one.
                 let crossing = ((height + position * position) - (other_height + other * other))
                     / (2.0 * (position - other));
                 if self.begins.last().is_some_and(|last| crossing <= *last) {

@@ -1,5 +1,5 @@
-//! The one error type of this crate: each variant is one cause, and says which file and field, what was given,
-//! what was expected, and what to do.
+//! The one error type of this crate. Each variant is one cause, and says which file and field, what was given, what was expected, and what
+//! to do.
 
 use foreign_text::{foreign, foreign_path};
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ pub enum VolumeError {
     /// A file could not be written.
     #[error(transparent)]
     Output(#[from] output_file::OutputError),
-    /// The file is none of the formats this crate reads.
+    /// Not a format that this crate reads.
     #[error(
         "{}: not a volume: {}; expected NIfTI (.nii, .nii.gz, .hdr/.img), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a DICOM series (a folder or one of its files)", foreign_path(.path), foreign(.given)
     )]
@@ -40,10 +40,10 @@ pub enum VolumeError {
         field: String,
         /// The value found.
         given: String,
-        /// What a valid file has there.
+        /// What a valid file contains there.
         expected: String,
     },
-    /// The format allows it, this crate does not read it.
+    /// Valid in the format, but not supported by this crate.
     #[error("{}: field `{}`: given {}, which is not supported; expected {expected}", foreign_path(.path), foreign(.field), foreign(.given))]
     Unsupported {
         /// File.
@@ -55,7 +55,7 @@ pub enum VolumeError {
         /// What is supported, and how to convert.
         expected: String,
     },
-    /// The header promises more data than the file holds.
+    /// The header promises more data than the file contains.
     #[error(
         "{}: `{}` is truncated: {given_bytes} bytes are there, {expected_bytes} are needed; copy or export the file again", foreign_path(.path), foreign(.field)
     )]
@@ -66,10 +66,10 @@ pub enum VolumeError {
         field: String,
         /// Bytes found.
         given_bytes: u64,
-        /// Bytes the header asks for.
+        /// Bytes the header requires.
         expected_bytes: u64,
     },
-    /// A compressed stream does not decode.
+    /// A compressed stream cannot be decoded.
     #[error("{}: the {codec} data does not decode: {}; copy or export the file again", foreign_path(.path), foreign(.reason))]
     Corrupt {
         /// File.
@@ -79,7 +79,7 @@ pub enum VolumeError {
         /// The decoder's message.
         reason: String,
     },
-    /// A header names a file for its voxels that lies elsewhere than beside it: it would make a picture of any file of the user's.
+    /// A header names a data file outside its own folder. Refused, because it could turn any of the user's files into a picture.
     #[error(
         "{}: `{}`: given {}, which leads out of the header's folder; expected a file in it; move it there, or allow it (`--allow-elsewhere`)", foreign_path(.path),
         foreign(.field),
@@ -131,7 +131,7 @@ pub enum VolumeError {
         /// The voxel type found.
         given: String,
     },
-    /// A voxel distance that is zero, negative, infinite or not a number.
+    /// A voxel spacing that is zero, negative, infinite or not a number.
     #[error("{}: `{}`: given {}; expected three distances between {MIN_SPACING_M:e} m and {MAX_SPACING_M} m", foreign_path(.path), foreign(.field), foreign(.given))]
     Spacing {
         /// File.
@@ -141,7 +141,7 @@ pub enum VolumeError {
         /// The value found.
         given: String,
     },
-    /// The axes do not span space, or are not numbers.
+    /// The axes do not span space, or are not finite.
     #[error("{}: `{}`: given {}; expected three linearly independent, finite axis directions", foreign_path(.path), foreign(.field), foreign(.given))]
     SingularDirection {
         /// File.
@@ -165,7 +165,7 @@ pub enum VolumeError {
         /// The tolerance, a cosine.
         tolerance: f64,
     },
-    /// Slices at unequal distances.
+    /// Unevenly spaced slices.
     #[error(
         "{}: `{}`: given {}; expected slices at equal distances within {tolerance_m} m; resample the series first", foreign_path(.path), foreign(.field), foreign(.given)
     )]
@@ -189,7 +189,7 @@ pub enum VolumeError {
         /// Where the gap is.
         given: String,
     },
-    /// Two slices at one position.
+    /// Two slices at the same position.
     #[error("{}: `{}`: given {}; expected one slice a position; remove the copies", foreign_path(.path), foreign(.field), foreign(.given))]
     DuplicateSlices {
         /// Folder or file.
@@ -209,7 +209,7 @@ pub enum VolumeError {
         /// The values found.
         given: String,
     },
-    /// A value given by the caller (not by a file) is unusable.
+    /// An argument from the caller (not from a file) is unusable.
     #[error("`{}`: given {}; expected {expected}", foreign(.field), foreign(.given))]
     Argument {
         /// Name of the argument.

@@ -1,4 +1,4 @@
-//! Opening files and compressed streams without trusting what they promise.
+//! Opens files and compressed streams without trusting the sizes they claim.
 
 use crate::error::VolumeError;
 use std::fs::File;
@@ -24,8 +24,8 @@ impl Codec {
         }
     }
 
-    /// Upper bound of what `compressed` bytes decode to. Deflate cannot exceed 1032:1 (zlib technical notes). bzip2 can go on for ever
-    /// on next to nothing (45 MB in 45 bytes); what is believed of it is a hundred times what a mask reaches, and any small volume.
+    /// Upper bound of what `compressed` bytes decode to. Deflate cannot exceed 1032:1 (zlib technical notes). bzip2 has no useful bound (45
+    /// MB in 45 bytes), so this limit is ours: a hundred times what a mask reaches, and any small volume.
     fn most_bytes(self, compressed: u64) -> u64 {
         match self {
             Codec::Raw => compressed,
@@ -35,17 +35,17 @@ impl Codec {
     }
 }
 
-/// Most bytes that are decoded from each byte of bzip2, beyond [`BZIP2_FREE_BYTES`].
+/// Most bytes accepted from each byte of bzip2, beyond [`BZIP2_FREE_BYTES`].
 const BZIP2_RATIO: u64 = 10_000;
 const BZIP2_FREE_BYTES: u64 = 16 << 20;
 
-/// Where the files may lie that a header names, or that a folder holds as links.
+/// Where the files may be that a header names, or that a folder links to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DataFiles {
-    /// In the folder of the header, when all links are followed.
+    /// In the header's folder, after following all links.
     #[default]
     Beside,
-    /// Anywhere: who wrote the header is trusted.
+    /// Anywhere: the author of the header is trusted.
     Anywhere,
 }
 
@@ -56,7 +56,7 @@ pub(crate) fn io_error(path: &Path, action: &'static str) -> impl FnOnce(std::io
 
 /// Opens a regular file; returns it with its length.
 pub(crate) fn open(path: &Path) -> Result<(File, u64), VolumeError> {
-    // The type is asked before opening: opening a pipe would wait for a writer.
+    // Checks the type before opening, because opening a pipe would block until it has a writer.
     let metadata = std::fs::metadata(path).map_err(io_error(path, "open"))?;
     if !metadata.is_file() {
         return Err(VolumeError::NotAVolume { path: path.into(), given: "not a regular file".into() });
@@ -65,7 +65,7 @@ pub(crate) fn open(path: &Path) -> Result<(File, u64), VolumeError> {
     Ok((file, metadata.len()))
 }
 
-/// A decoded stream of a file from byte `offset` on, and the most bytes it can hold.
+/// The decoded content of a file from byte `offset` on, and the most bytes it can hold.
 pub(crate) fn open_stream(
     path: &Path,
     offset: u64,
@@ -91,7 +91,7 @@ pub(crate) fn open_stream(
     Ok((stream, codec.most_bytes(length - offset)))
 }
 
-/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`, or is not believed to (bzip2).
+/// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`; for bzip2 by our own limit.
 pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> Result<(), VolumeError> {
     if most_bytes >= needed_bytes {
         return Ok(());
@@ -104,7 +104,7 @@ pub(crate) fn check_length(path: &Path, most_bytes: u64, needed_bytes: u64) -> R
     })
 }
 
-/// Fills `buffer` as far as the stream goes; returns the bytes read. A stream cut in the middle counts as ended there.
+/// Fills `buffer` until the stream ends; returns the bytes read. A stream cut in the middle counts as ended there.
 pub(crate) fn read_full(
     path: &Path,
     codec: &'static str,
@@ -125,7 +125,7 @@ pub(crate) fn read_full(
     Ok(filled)
 }
 
-/// Reads and drops `count` bytes.
+/// Reads and discards `count` bytes.
 pub(crate) fn skip(
     path: &Path,
     codec: &'static str,
@@ -150,10 +150,10 @@ pub(crate) fn skip(
     Ok(())
 }
 
-/// What follows the voxels of a stream that `field` says the size of, `needed` bytes of at most `most_bytes`.
+/// Checks what follows the voxels of a stream: `field` states its size, `needed` of at most `most_bytes` bytes.
 ///
-/// More compressed bytes mean that the header is wrong, and every voxel with it. Behind raw voxels other programs leave
-/// padding and trailers; ITK and nibabel read the voxels and pass over the rest, and so it is done here, with a note.
+/// Extra compressed bytes mean that the header is wrong, and every voxel with it. After raw voxels other programs leave padding and
+/// trailers; ITK and nibabel read the voxels and ignore the rest, and so does this reader, with a note.
 pub(crate) fn check_end(
     path: &Path,
     field: &str,
@@ -179,7 +179,7 @@ pub(crate) fn check_end(
     })
 }
 
-/// The first bytes of a stream, up to `count`.
+/// The first bytes of a stream, at most `count`.
 pub(crate) fn head(path: &Path, offset: u64, codec: Codec, count: usize) -> Result<Vec<u8>, VolumeError> {
     let (mut reader, _) = open_stream(path, offset, codec)?;
     let mut bytes = vec![0; count];
@@ -190,7 +190,7 @@ pub(crate) fn head(path: &Path, offset: u64, codec: Codec, count: usize) -> Resu
 
 /// The data file that a header names in `field`: relative names are relative to the header's folder.
 ///
-/// What is returned has no link in it, so that what is opened is what was checked.
+/// The returned path contains no link, so that the file opened is the file checked.
 pub(crate) fn data_file(
     header: &Path,
     field: &str,
@@ -207,7 +207,7 @@ pub(crate) fn data_file(
     })
 }
 
-/// The folder that a path lies in.
+/// The folder that contains a path.
 pub(crate) fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -215,7 +215,7 @@ pub(crate) fn folder_of(path: &Path) -> &Path {
     }
 }
 
-/// Where a path leads when all links are followed; none if that is not in the folder and has to be.
+/// The target of a path after following all links; `None` if it must be in `folder` and is not.
 pub(crate) fn inside(folder: &Path, path: &Path, files: DataFiles) -> Result<Option<PathBuf>, VolumeError> {
     if files == DataFiles::Anywhere {
         return Ok(Some(path.to_owned()));

@@ -1,11 +1,10 @@
 //! CT volumes for the hub: readers, a synthetic femur with known landmarks, and geometry in world LPS.
 //!
-//! Everything ends as one [`Volume`]: Hounsfield units as `i16`, i fastest, with spacing, origin and direction in the world frame
-//! (LPS, metres). Reading never resamples or reorders voxels, it only converts the geometry, which [`voxel_grid`] checks; [`resample`]
-//! is for who asks.
+//! Every reader returns one [`Volume`]: Hounsfield units as `i16`, i fastest, with spacing, origin and direction in the world frame (LPS,
+//! metres). Readers never resample or reorder voxels; they only convert the geometry, which [`voxel_grid`] checks. [`resample`] is explicit.
 //!
-//! **Boundary:** it knows nothing of processes or scenes. **Invariants:** every length in a file is checked before memory is taken for it;
-//! no file outside of a header's folder is opened unless the caller allows it; what is sheared, unevenly spaced, incomplete or mixed is
+//! **Boundary:** it knows nothing of processes or scenes. **Invariants:** every length in a file is checked before memory is allocated for
+//! it; no file outside a header's folder is opened unless the caller allows it; sheared, unevenly spaced, incomplete or mixed volumes are
 //! refused, never assumed to be uniform.
 //!
 //! ```

@@ -4,21 +4,21 @@ use crate::edt::squared_distance_m2;
 use crate::error::VolumeError;
 use crate::volume::Volume;
 
-/// How a solid 0/1 mask is filled. The result is synthetic: only the outline comes from the patient.
+/// How to fill a solid 0/1 mask. The result is synthetic: only the outline comes from the patient.
 ///
-/// The defaults are typical of a proximal femur: cortex and cancellous bone at the Hounsfield units that
-/// rho [kg/m³] = 131 + 1.067 HU (Rho et al. 1995, Med Eng Phys 17:347) gives for 1.73 and 0.5 to 0.2 g/cm³.
+/// The defaults are typical of a proximal femur: cortex and cancellous bone at the Hounsfield units that rho [kg/m³] = 131 + 1.067 HU (Rho
+/// et al. 1995, Med Eng Phys 17:347) gives for 1.73 and 0.5 to 0.2 g/cm³.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaskModel {
     /// Thickness of the cortical shell under the surface, metres.
     pub cortical_thickness_m: f64,
     /// Hounsfield units of the shell.
     pub cortical_hu: i16,
-    /// Hounsfield units of cancellous bone just under the shell.
+    /// Hounsfield units of cancellous bone directly under the shell.
     pub cancellous_outer_hu: i16,
-    /// Hounsfield units of cancellous bone at `marrow_depth_m`; between them linear with depth.
+    /// Hounsfield units of cancellous bone at `marrow_depth_m`; linear with depth in between.
     pub cancellous_inner_hu: i16,
-    /// Depth under the surface from which on there is marrow, metres.
+    /// Depth under the surface at which marrow starts, metres.
     pub marrow_depth_m: f64,
     /// Hounsfield units of marrow.
     pub marrow_hu: i16,
@@ -48,8 +48,8 @@ impl Default for MaskModel {
 
 /// Replaces a 0/1 mask by synthetic Hounsfield units: cortical shell, cancellous bone graded with depth, marrow core, soft tissue, air.
 ///
-/// Depth is the exact Euclidean distance from the voxel centre to the nearest centre outside, less half the smallest spacing (the surface lies
-/// between the two). Where the mask reaches the edge of the volume the bone is taken as cut: no shell is put on that face.
+/// Depth is the exact Euclidean distance from the voxel centre to the nearest centre outside, minus half the smallest spacing (the surface
+/// lies between the two). If the mask reaches the edge of the volume, the bone counts as cut there: that face gets no shell.
 ///
 /// # Errors
 /// [`VolumeError::Argument`] if the volume is not a mask (0 and one other value, both present) or the model has a negative thickness.
@@ -61,7 +61,7 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
     let part = Part::around(volume, &inside, reach_m);
     let bone: Vec<bool> = part.indices().map(|index| inside[index]).collect();
     let outside: Vec<bool> = bone.iter().map(|b| !b).collect();
-    // The surface lies half a voxel from the last centre inside.
+    // The surface is half a voxel from the last centre inside.
     let half_m = 0.5 * volume.spacing_m.iter().copied().fold(f64::INFINITY, f64::min);
     let to_outside = squared_distance_m2(part.dims, volume.spacing_m, &outside);
     let to_bone = squared_distance_m2(part.dims, volume.spacing_m, &bone);
@@ -113,7 +113,7 @@ fn check_model(model: &MaskModel) -> Result<(), VolumeError> {
     Ok(())
 }
 
-/// The one value besides zero.
+/// The mask's one value other than zero.
 fn mask_label(volume: &Volume) -> Result<i16, VolumeError> {
     let refuse = |given: String| VolumeError::Argument {
         field: "volume",
@@ -142,7 +142,7 @@ struct Part {
 }
 
 impl Part {
-    /// The bounding box of `inside`, grown by `reach_m` as far as the volume goes.
+    /// The bounding box of `inside`, grown by `reach_m` within the volume.
     fn around(volume: &Volume, inside: &[bool], reach_m: f64) -> Self {
         let [ni, nj, _] = volume.dims;
         let (mut low, mut high) = (volume.dims, [0; 3]);

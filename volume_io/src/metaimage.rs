@@ -54,7 +54,7 @@ impl<'a> Header<'a> {
         let bytes = input::head(path, 0, Codec::Raw, MAX_HEADER_BYTES)?;
         let mut fields = BTreeMap::new();
         let mut at = 0;
-        // `ElementDataFile` is the last field by definition: what follows its line is data.
+        // `ElementDataFile` is by definition the last field; everything after its line is data.
         while at < bytes.len() && !fields.contains_key("ElementDataFile") {
             let end = bytes[at..].iter().position(|b| *b == b'\n').map_or(bytes.len(), |n| at + n);
             let line = bytes[at..end].strip_suffix(b"\r").unwrap_or(&bytes[at..end]);
@@ -136,7 +136,7 @@ impl<'a> Header<'a> {
             "MET_UCHAR" => Scalar::U8,
             "MET_SHORT" => Scalar::I16,
             "MET_USHORT" => Scalar::U16,
-            // MetaIO fixes long at four bytes (metaTypes.h), whatever the machine that wrote the file.
+            // MetaIO defines long as four bytes (metaTypes.h), whatever machine wrote the file.
             "MET_INT" | "MET_LONG" => Scalar::I32,
             "MET_UINT" | "MET_ULONG" => Scalar::U32,
             "MET_LONG_LONG" => Scalar::I64,
@@ -197,7 +197,7 @@ impl<'a> Header<'a> {
         placement(self.path, names, spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m), axes)
     }
 
-    /// The intensity function is applied by some readers and ignored by others (ITK ignores it): no value can be trusted.
+    /// Refused because readers disagree: some apply the intensity function, others ignore it (ITK does), so no value can be trusted.
     fn refuse_intensity_function(&self) -> Result<(), VolumeError> {
         for (name, neutral) in
             [("ElementToIntensityFunctionSlope", 1.0), ("ElementToIntensityFunctionOffset", 0.0)]
@@ -236,7 +236,7 @@ impl<'a> Header<'a> {
     ) -> Result<Codec, VolumeError> {
         let needed = layout.byte_count(count);
         let codec = if self.flag("CompressedData", false)? {
-            // MetaIO writes zlib streams and reads gzip as well.
+            // MetaIO writes zlib streams but reads gzip as well.
             let magic = input::head(path, start, Codec::Raw, 2)?;
             if magic == [0x1f, 0x8b] { Codec::Gzip } else { Codec::Zlib }
         } else {

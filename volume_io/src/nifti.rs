@@ -46,20 +46,20 @@ pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo)
     Ok((volume, info))
 }
 
-/// gzip or raw, by the first two bytes and not by the name.
+/// gzip or raw, judged by the first two bytes rather than the name.
 fn codec_of(path: &Path) -> Result<Codec, VolumeError> {
     let magic = input::head(path, 0, Codec::Raw, 2)?;
     Ok(if magic == [0x1f, 0x8b] { Codec::Gzip } else { Codec::Raw })
 }
 
-/// The RAS affine as LPS geometry in metres: x and y change sign.
+/// Converts the RAS affine to LPS geometry in metres: x and y change sign.
 fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Placement, VolumeError> {
     let [x, y, z] = *affine;
     let lps = [x.map(|v| -v), y.map(|v| -v), z];
     let axes = columns(lps.map(|row| [row[0], row[1], row[2]]));
     let names =
         GeometryFields { spacing: "pixdim or srow", direction: "srow or quatern", origin: "srow or qoffset" };
-    // Of a zero column, the direction is the fault that matters: no voxel size can be told from it.
+    // Report the direction of a zero column rather than its size: it is the fault that matters.
     let singular = axes.iter().any(|axis| {
         let length = norm(*axis);
         !(length.is_finite() && length > 0.0)
@@ -83,7 +83,7 @@ fn image_of(header: &Path, files: DataFiles) -> Result<PathBuf, VolumeError> {
         given: "ni1 or ni2: the voxels are in a separate file".into(),
         expected: "an .img or .img.gz file beside a header named .hdr or .hdr.gz".into(),
     })?;
-    // It has the header's name, but may be a link.
+    // The name derives from the header's, but the file may be a link.
     let name = image.file_name().unwrap_or_default().to_string_lossy().into_owned();
     input::data_file(header, "magic", &name, files)
 }

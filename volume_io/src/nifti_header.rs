@@ -1,7 +1,7 @@
 //! The NIfTI-1 and NIfTI-2 headers: fields, checks and the affine.
 //!
 //! Sources: nifti1.h and nifti2.h (NIfTI DFWG, 2003 and 2011). Parsed here because the `nifti` crate does not read NIfTI-2 and because
-//! every field is checked before a byte of data is read; the tests compare the result with the `nifti` crate.
+//! every field must be checked before any data is read; the tests compare the result with the `nifti` crate.
 
 use crate::error::VolumeError;
 use crate::scalar::{Endian, Layout, Scalar, Scale};
@@ -12,7 +12,7 @@ pub(crate) const NIFTI1_SIZE: usize = 348;
 /// Bytes of a NIfTI-2 header.
 pub(crate) const NIFTI2_SIZE: usize = 540;
 
-/// What a NIfTI header says, after its checks. Geometry is still RAS and in the file's unit.
+/// A checked NIfTI header. Geometry is still RAS and in the file's unit.
 pub(crate) struct NiftiHeader {
     /// 1 or 2.
     pub version: u8,
@@ -21,9 +21,9 @@ pub(crate) struct NiftiHeader {
     pub layout: Layout,
     /// Bytes before the voxels.
     pub data_offset: u64,
-    /// The voxels follow in the same file (`n+1`, `n+2`), or are in an .img file (`ni1`, `ni2`).
+    /// Whether the voxels follow in the same file (`n+1`, `n+2`) or are in an .img file (`ni1`, `ni2`).
     pub single_file: bool,
-    /// Metres a unit.
+    /// Metres per unit.
     pub unit_m: f64,
     pub unit_name: &'static str,
     /// Rows of the voxel-to-RAS affine.
@@ -31,7 +31,7 @@ pub(crate) struct NiftiHeader {
     pub notes: Vec<String>,
 }
 
-/// The version and byte order that the first four bytes announce.
+/// Version and byte order from the first four bytes.
 pub(crate) fn sniff(bytes: &[u8]) -> Option<(u8, Endian)> {
     let first: [u8; 4] = bytes.get(..4)?.try_into().ok()?;
     for endian in [Endian::Little, Endian::Big] {
@@ -46,7 +46,7 @@ pub(crate) fn sniff(bytes: &[u8]) -> Option<(u8, Endian)> {
     None
 }
 
-/// Reads fields at byte offsets; bytes beyond the end read as zero (the length is checked before).
+/// Reads fields at byte offsets; bytes past the end read as zero (the caller checks the length first).
 struct Fields<'a> {
     bytes: &'a [u8],
     endian: Endian,
@@ -80,7 +80,7 @@ impl Fields<'_> {
     }
 }
 
-/// The same quantities from both versions, unchecked.
+/// The fields common to both versions, unchecked.
 struct RawHeader {
     magic: [u8; 4],
     dim: [i64; 8],
@@ -194,7 +194,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<NiftiHeader, VolumeErro
         let expected = format!("a whole number of bytes, at least {least}");
         return Err(wrong("vox_offset", raw.vox_offset.to_string(), &expected));
     }
-    // nifti1.h: a slope of zero means that no scaling is stored; nibabel reads a slope that is not a number in the same way.
+    // nifti1.h: a slope of zero means that no scaling is stored; nibabel treats a NaN slope the same way.
     let scale = if raw.slope == 0.0 || raw.slope.is_nan() {
         Scale::IDENTITY
     } else {
@@ -277,7 +277,7 @@ fn dimensions(path: &Path, dim: &[i64; 8]) -> Result<[usize; 3], VolumeError> {
     }
 }
 
-/// Metres a unit of length, from `xyzt_units`; bits 0 to 2 hold the spatial unit.
+/// Metres per unit of length, from `xyzt_units`; bits 0 to 2 hold the spatial unit.
 fn unit(path: &Path, xyzt_units: i64) -> Result<(f64, &'static str), VolumeError> {
     match xyzt_units & 0x07 {
         0 => Ok((1e-3, "mm (assumed: the file states none)")),
@@ -321,7 +321,7 @@ fn affine(raw: &RawHeader, notes: &mut Vec<String>) -> [[f64; 4]; 3] {
 fn quaternion_affine(raw: &RawHeader) -> [[f64; 4]; 3] {
     let [b, c, d] = raw.quatern;
     let square = b * b + c * c + d * d;
-    // Rounding to f32 can push the norm above 1: then a is 0 and the rest is normalised (nifti_quatern_to_mat44).
+    // Rounding to f32 can push the norm above 1; then a is 0 and the rest is normalised (nifti_quatern_to_mat44).
     let (a, b, c, d) = if square > 1.0 - 1e-7 {
         let scale = 1.0 / square.sqrt();
         (0.0, b * scale, c * scale, d * scale)

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use voxel_grid::Placement;
 
-/// Fields by lower-case name, and the length of the header in bytes (the voxels of an attached file follow).
+/// Fields by lower-case name, and the header's length in bytes (the voxels of an attached file follow).
 struct Header<'a> {
     path: &'a Path,
     files: DataFiles,
@@ -19,7 +19,7 @@ struct Header<'a> {
     length: u64,
 }
 
-/// Where the spatial axes point, as signs that turn the file's space into LPS.
+/// Directions of the spatial axes, as signs that convert the file's space to LPS.
 struct Space {
     to_lps: [f64; 3],
     name: String,
@@ -126,7 +126,7 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// Three spatial axes, or the error that says what else it is.
+    /// The sizes of three spatial axes, or an error that says what the file has instead.
     fn dimensions(&self) -> Result<[usize; 3], VolumeError> {
         let rank = self.require("dimension", "3")?;
         let given_sizes = self.require("sizes", "three positive whole numbers")?;
@@ -189,9 +189,9 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// Metres a unit of length; all three axes must agree.
+    /// Metres per unit of length; all three axes must agree.
     fn unit(&self) -> Result<(f64, String), VolumeError> {
-        // `space units` holds one quoted name an axis; `units` is its counterpart where no space is given.
+        // `space units` holds one quoted name per axis; `units` is its counterpart in files without a space.
         let Some((field, text)) = ["space units", "units"].iter().find_map(|f| self.get(f).map(|t| (*f, t)))
         else {
             return Ok((1e-3, "mm (assumed: the file states none)".into()));
@@ -341,7 +341,7 @@ impl<'a> Header<'a> {
         value.ok_or_else(|| wrong(self.path, field, text, &expected))
     }
 
-    /// The file that holds the voxels, and the byte where they start after `line skip`.
+    /// The file that holds the voxels, and the byte at which they start after `line skip`.
     fn data_start(&self) -> Result<(std::path::PathBuf, u64), VolumeError> {
         let lines = self.whole("line skip", 0)?;
         let (path, start) = match self.get("data file") {
@@ -412,13 +412,13 @@ impl<'a> Header<'a> {
     }
 }
 
-/// Length of a decoded stream; decodes it and keeps nothing.
+/// Length of a decoded stream; decodes it without keeping the data.
 fn decoded_length(path: &Path, start: u64, codec: Codec) -> Result<u64, VolumeError> {
     let (mut reader, most_bytes) = input::open_stream(path, start, codec)?;
     if codec == Codec::Raw {
         return Ok(most_bytes);
     }
-    // Twice the largest volume of the widest type: a stream that goes on is a decompression bomb.
+    // Twice the largest volume of the widest type: anything longer is a decompression bomb.
     let most_bytes = most_bytes.min(16 * voxel_grid::MAX_VOXELS as u64);
     let mut buffer = vec![0_u8; 1 << 16];
     let mut length = 0;
@@ -438,7 +438,7 @@ fn decoded_length(path: &Path, start: u64, codec: Codec) -> Result<u64, VolumeEr
     }
 }
 
-/// The spelling of the format definition for names that come in two spellings.
+/// The spelling in the format definition, for names with two spellings.
 fn canonical(name: &str) -> String {
     match name {
         "datafile" => "data file",

@@ -1,4 +1,4 @@
-//! Writing NRRD: gzip-compressed int16 in left-posterior-superior space, millimetres.
+//! Writes NRRD: gzip-compressed int16 in left-posterior-superior space, millimetres.
 
 use crate::error::VolumeError;
 use crate::volume::Volume;
@@ -10,12 +10,12 @@ use std::path::Path;
 
 /// Writes `volume` to `path` as an attached, gzip-compressed NRRD in LPS and millimetres.
 ///
-/// Voxels and sizes survive a round trip exactly; spacing, origin and direction to rounding (1e-15 relative), because the format
-/// stores metres as millimetres and the product of direction and spacing.
+/// Voxels and sizes survive a round trip exactly; spacing, origin and direction to rounding (1e-15 relative), because the format stores
+/// metres as millimetres and the product of direction and spacing.
 ///
 /// # Errors
-/// [`VolumeError::Output`] when the file is there already or cannot be written, then nothing is left of it; as
-/// [`Volume::check`] for a volume that is not consistent.
+/// [`VolumeError::Output`] if the file exists or cannot be written, in which case nothing is left of it; as [`Volume::check`] for an
+/// inconsistent volume.
 pub fn write_nrrd(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeError> {
     let path = path.as_ref();
     volume.check(path)?;
@@ -27,7 +27,7 @@ pub fn write_nrrd(path: impl AsRef<Path>, volume: &Volume) -> Result<(), VolumeE
 fn write_into(file: &mut OutputFile, volume: &Volume) -> std::io::Result<()> {
     let mut writer = BufWriter::with_capacity(1 << 16, file);
     writer.write_all(header(volume).as_bytes())?;
-    // Level 6 is gzip's own default: higher levels cost several times the time for a few per cent.
+    // Level 6 is gzip's own default; higher levels take several times as long for a few per cent.
     let mut encoder = GzEncoder::new(writer, Compression::new(6));
     let mut buffer = [0_u8; 8192];
     for chunk in volume.hu.chunks(buffer.len() / 2) {

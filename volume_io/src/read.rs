@@ -1,4 +1,4 @@
-//! Reading a volume of any supported format: the format is told from the content, and by the name where content cannot tell.
+//! Reads a volume of any supported format. The content decides the format; the name only where the content cannot.
 
 use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles, lower_name};
@@ -14,12 +14,12 @@ pub fn read(path: impl AsRef<Path>) -> Result<Volume, VolumeError> {
     read_with_info(path).map(|(volume, _)| volume)
 }
 
-/// Reads a CT volume and says what was found and what was assumed.
+/// Reads a CT volume and reports what was found and what was assumed.
 ///
-/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached; raw, gzip, bzip2, text), MetaImage (.mha, .mhd; raw,
-/// zlib, text) and DICOM CT series (a folder, or any one of its files; uncompressed, RLE, JPEG). Geometry is converted to LPS and
-/// metres; voxels stay in their order. Slope and intercept are applied; fractions are rounded (halves away from zero) and values beyond
-/// `i16` clamped, both counted in the notes. A file without units is taken as millimetres.
+/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached; raw, gzip, bzip2, text), MetaImage (.mha, .mhd; raw, zlib,
+/// text) and DICOM CT series (a folder, or any one of its files; uncompressed, RLE, JPEG). Geometry is converted to LPS and metres; voxels
+/// stay in their order. Slope and intercept are applied; fractions are rounded (halves away from zero) and values beyond `i16` clamped,
+/// both counted in the notes. A file without units is read as millimetres.
 ///
 /// # Errors
 /// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what is expected.
@@ -27,7 +27,7 @@ pub fn read_with_info(path: impl AsRef<Path>) -> Result<(Volume, VolumeInfo), Vo
     read_where(path, DataFiles::Beside)
 }
 
-/// As [`read_with_info`], with a choice of where data files of headers and links of a folder may lead.
+/// As [`read_with_info`]; `files` sets where a header's data files and a folder's links may point.
 ///
 /// # Errors
 /// As [`read_with_info`].

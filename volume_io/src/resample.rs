@@ -1,4 +1,4 @@
-//! Resampling to smaller (or larger) cubic voxels.
+//! Resamples to smaller (or larger) cubic voxels.
 
 use std::path::Path;
 
@@ -6,12 +6,11 @@ use crate::error::VolumeError;
 use crate::volume::Volume;
 use voxel_grid::MAX_VOXELS;
 
-/// The same body in cubic voxels of `spacing_m`, by trilinear interpolation between voxel centres; axes and outer extent
-/// are kept, values at the rim are those of the outermost centres. A binary mask is best resampled after
-/// [`mask_to_hu`](crate::mask_to_hu).
+/// Resamples to cubic voxels of `spacing_m` by trilinear interpolation between voxel centres. Keeps axes and outer extent; values at the
+/// rim are those of the outermost centres. Resample a binary mask after [`mask_to_hu`](crate::mask_to_hu).
 ///
 /// # Errors
-/// [`VolumeError::Argument`] if the spacing is not a length above 0, or the result would have more than [`MAX_VOXELS`].
+/// [`VolumeError::Argument`] if the spacing is not a positive length, or the result would have more than [`MAX_VOXELS`].
 pub fn resample(volume: &Volume, spacing_m: f64) -> Result<Volume, VolumeError> {
     volume.check(Path::new("volume to resample"))?;
     let refuse = |given: String, expected: &str| VolumeError::Argument {
@@ -89,7 +88,7 @@ fn interpolate(volume: &Volume, i: &Sample, j: &Sample, k: &Sample) -> i16 {
 mod tests {
     use super::*;
 
-    /// HU that are linear in the world's coordinates.
+    /// HU linear in world coordinates.
     fn linear(dims: [usize; 3], spacing_m: [f64; 3]) -> Volume {
         let direction = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
         let mut volume = Volume {
@@ -116,7 +115,7 @@ mod tests {
         let coarse = linear([8, 7, 6], [3e-3, 2e-3, 4e-3]);
         let fine = resample(&coarse, 1e-3).unwrap();
         assert_eq!(fine.dims, [24, 14, 24]);
-        // Inside the outermost centres; 1 HU for the rounding of the coarse values, 1 for that of the fine ones.
+        // Inside the outermost centres; 1 HU for rounding the coarse values, 1 for the fine ones.
         for (i, j, k) in [(5, 4, 5), (12, 7, 11), (20, 11, 20)] {
             let p = fine.voxel_to_world_m([i as f64, j as f64, k as f64]);
             let exact = p[0] * 2e4 - p[1] * 3e4 + p[2] * 1e4;

@@ -1,4 +1,4 @@
-//! From stored numbers to Hounsfield units: voxel types, byte orders, scaling, rounding, clamping.
+//! Converts stored numbers to Hounsfield units: voxel types, byte orders, scaling, rounding, clamping.
 
 use crate::error::VolumeError;
 use crate::input::{Codec, read_full};
@@ -37,7 +37,7 @@ impl Endian {
 }
 
 impl Scalar {
-    /// Bytes a voxel.
+    /// Bytes per voxel.
     pub fn size(self) -> usize {
         match self {
             Scalar::I8 | Scalar::U8 => 1,
@@ -62,7 +62,7 @@ impl Scalar {
         }
     }
 
-    /// Name with byte order, where the order matters.
+    /// Name, with the byte order if it matters.
     pub fn describe(self, endian: Endian) -> String {
         if self.size() == 1 { self.name().into() } else { format!("{} {}", self.name(), endian.name()) }
     }
@@ -100,7 +100,7 @@ pub(crate) struct Scale {
 impl Scale {
     pub const IDENTITY: Self = Self { slope: 1.0, intercept: 0.0 };
 
-    /// Refuses a slope of zero and anything that is not a finite number.
+    /// Refuses a slope of zero and any non-finite number.
     pub fn checked(path: &Path, field: &str, slope: f64, intercept: f64) -> Result<Self, VolumeError> {
         if slope.is_finite() && intercept.is_finite() && slope != 0.0 {
             return Ok(Self { slope, intercept });
@@ -114,7 +114,7 @@ impl Scale {
     }
 }
 
-/// Collects voxels as `i16`, and counts what could not be kept as it was.
+/// Collects voxels as `i16` and counts those it had to change.
 #[derive(Debug, Default)]
 pub(crate) struct HuSink {
     pub hu: Vec<i16>,
@@ -124,7 +124,7 @@ pub(crate) struct HuSink {
 }
 
 impl HuSink {
-    /// Appends one stored number. Halves round away from zero; what is not a number becomes air.
+    /// Appends one stored number. Halves round away from zero; NaN becomes air.
     pub fn push(&mut self, stored: f64, scale: Scale) {
         let value = if scale == Scale::IDENTITY { stored } else { scale.slope * stored + scale.intercept };
         if value.is_nan() {
@@ -142,7 +142,7 @@ impl HuSink {
         self.hu.push(kept as i16);
     }
 
-    /// The voxels, and a note for each kind of change that was made.
+    /// The voxels; adds a note for each kind of change made.
     pub fn finish(self, notes: &mut Vec<String>) -> Vec<i16> {
         let mut note = |count: u64, what: &str| {
             if count > 0 {
@@ -180,7 +180,7 @@ impl Layout {
         sink: &mut HuSink,
     ) -> Result<(), VolumeError> {
         let size = self.scalar.size();
-        // Of a raw file the length is known to suffice; a compressed stream may still hold less than it could.
+        // A raw file's length has been checked already; a compressed stream may still hold less than its upper bound.
         if codec == Codec::Raw.name() {
             sink.hu.reserve_exact(count);
         }

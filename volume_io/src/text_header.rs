@@ -5,7 +5,7 @@ use crate::input::{Codec, open_stream, read_full};
 use crate::scalar::{HuSink, Scale};
 use std::path::Path;
 
-/// Longest text header that is read, bytes.
+/// Longest text header accepted, bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 1 << 20;
 
 /// A [`VolumeError::Header`] for a field of a text header.
@@ -43,7 +43,7 @@ pub(crate) fn sizes(path: &Path, field: &str, text: &str) -> Result<[usize; 3], 
     Ok(out)
 }
 
-/// Metres a unit of length by its name or symbol.
+/// Metres per unit of length, by its name or symbol.
 pub(crate) fn unit_of_length(name: &str) -> Option<(f64, &'static str)> {
     match name.trim().to_lowercase().as_str() {
         "m" | "meter" | "metre" | "meters" | "metres" => Some((1.0, "m")),
@@ -75,7 +75,7 @@ pub(crate) fn read_ascii(
     };
     loop {
         let got = read_full(path, Codec::Raw.name(), reader.as_mut(), &mut buffer)?;
-        // One separator after the end closes the last word.
+        // A separator after the end terminates the last word.
         let end: &[u8] = if got == 0 { b" " } else { &[] };
         for &byte in buffer[..got].iter().chain(end) {
             if !(byte.is_ascii_whitespace() || byte == b',') {

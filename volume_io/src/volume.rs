@@ -14,7 +14,7 @@ use voxel_grid::{GridError, MAX_ORIGIN_M, MAX_VOXELS, PERPENDICULAR_TOLERANCE, P
 pub struct Volume {
     /// Voxels along i, j, k.
     pub dims: [usize; 3],
-    /// Distance of neighbouring voxel centres along i, j, k, metres.
+    /// Distance between neighbouring voxel centres along i, j, k, metres.
     pub spacing_m: [f64; 3],
     /// Centre of voxel (0, 0, 0), world LPS, metres.
     pub origin_m: [f64; 3],
@@ -36,7 +36,7 @@ impl Volume {
         self.hu.len()
     }
 
-    /// Position of voxel (i, j, k) in `hu`; `None` outside the volume.
+    /// Index of voxel (i, j, k) in `hu`; `None` outside the volume.
     pub fn index(&self, voxel: [usize; 3]) -> Option<usize> {
         let [i, j, k] = voxel;
         let [ni, nj, nk] = self.dims;
@@ -81,15 +81,15 @@ impl Volume {
         HuStatistics { min_hu, max_hu, mean_hu: sum as f64 / self.hu.len().max(1) as f64 }
     }
 
-    /// Checks everything a consumer relies on: sizes that agree, accepted spacing, finite origin, orthonormal directions.
+    /// Checks everything a consumer relies on: matching sizes, accepted spacing, finite origin, orthonormal directions.
     ///
     /// # Errors
-    /// The first rule that is broken, with the same variants as the readers use; `path` names the volume in the message.
+    /// The first violated rule, with the same variants that the readers use; `path` names the volume in the message.
     pub fn check(&self, path: &Path) -> Result<(), VolumeError> {
         self.grid(path).map(|_| ())
     }
 
-    /// Where its voxels lie.
+    /// The volume's grid.
     ///
     /// # Errors
     /// As [`Volume::check`].
@@ -108,7 +108,7 @@ impl Volume {
         VoxelGrid::placed(self.dims, placement).map_err(|_| too_large(path, "dims", self.dims))
     }
 
-    /// Voxels on a grid without dimensions.
+    /// A volume of these voxels at this placement.
     pub(crate) fn placed(dims: [usize; 3], placement: &Placement, hu: Vec<i16>) -> Volume {
         let (spacing_m, origin_m) = (placement.spacing_m(), placement.origin_m());
         Volume { dims, spacing_m, origin_m, direction: columns(placement.axes()), hu }
@@ -126,7 +126,7 @@ pub struct HuStatistics {
     pub mean_hu: f64,
 }
 
-/// What a person wants to know about a volume that was read; its `Display` is a short text of several lines.
+/// Summary of a volume that was read; its `Display` is a short text of several lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeInfo {
     /// File format, for example `NIfTI-1 (gzip)`.
@@ -145,12 +145,12 @@ pub struct VolumeInfo {
     pub direction: [[f64; 3]; 3],
     /// Range and mean.
     pub hu: HuStatistics,
-    /// Anything a reader did that changes values or rests on an assumption.
+    /// Every assumption and every change of values that the reader made.
     pub notes: Vec<String>,
 }
 
 impl VolumeInfo {
-    /// Describes `volume` with what its reader knows about the file.
+    /// Describes `volume`, with what its reader knows about the file.
     pub fn new(
         volume: &Volume,
         format: String,
@@ -206,7 +206,7 @@ pub(crate) struct GeometryFields {
 }
 
 impl GeometryFields {
-    /// What the grid refuses, with the file's own words for it; `axes` are the unit axes that it was given.
+    /// Turns a [`GridError`] into an error with the format's own field names; `axes` are the unit axes given.
     fn error(self, path: &Path, error: GridError, axes: [[f64; 3]; 3]) -> VolumeError {
         let path = path.to_owned();
         match error {
@@ -235,7 +235,7 @@ impl GeometryFields {
     }
 }
 
-/// Where voxels lie, from spacing and axis directions; `axes` are the columns (any positive length, LPS).
+/// A placement from spacing and axis directions; `axes` are the columns (any positive length, LPS).
 pub(crate) fn placement(
     path: &Path,
     names: GeometryFields,
@@ -254,10 +254,10 @@ pub(crate) fn placement(
         if !(length.is_finite() && length > 1e-12) {
             return Err(singular());
         }
-        // Adding zero turns −0 into +0: two files that mean the same geometry then compare and print the same.
+        // Adding zero turns −0 into +0, so that two files with the same geometry compare and print the same.
         *out = axis.map(|c| c / length + 0.0);
     }
-    // Linear dependence is told apart from shear: a volume of zero thickness cannot be resampled, a sheared one can.
+    // Linear dependence and shear are different errors: a volume of zero thickness cannot be resampled, a sheared one can.
     let triple = dot(unit[0], cross(unit[1], unit[2]));
     if !(triple.is_finite() && triple.abs() > 1e-6) {
         return Err(singular());
@@ -265,7 +265,7 @@ pub(crate) fn placement(
     Placement::new(spacing_m, origin_m.map(|o| o + 0.0), unit).map_err(|error| names.error(path, error, unit))
 }
 
-/// The number of voxels, if a volume may have so many; `field` names the dimensions.
+/// The number of voxels, if within the limit; `field` names the dimensions.
 pub(crate) fn voxel_count(path: &Path, field: &str, dims: [usize; 3]) -> Result<usize, VolumeError> {
     if dims.contains(&0) {
         return Err(VolumeError::Header {

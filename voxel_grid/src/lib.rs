@@ -1,13 +1,12 @@
 //! Where the voxels of a CT lie in the world (patient frame, LPS, metres): dimensions, spacing, origin and axes.
 //!
-//! A [`VoxelGrid`] is checked when it is made and cannot be changed, so what one reader takes no later one refuses: files
-//! (`volume_io`), the message in shared memory (`messages`), the physics (`simulation`) and the X-ray (`xray`) all come here.
+//! A [`VoxelGrid`] is checked on creation and immutable, so a grid that one reader accepts, all accept: files (`volume_io`), the message
+//! in shared memory (`messages`), the physics (`simulation`) and the X-ray (`xray`) all use it.
 //!
-//! Its axes are perpendicular to rounding. Files say them with few digits (DICOM six, NIfTI as f32), so axes within
-//! [`PERPENDICULAR_TOLERANCE`] are made perpendicular, the first kept and the others turned towards it (Gram-Schmidt): what DICOM
-//! defines, where the direction of the rows stands and that of the slices is the normal of the image. ITK takes NIfTI files within the
-//! same tolerance and makes their axes perpendicular too. What is further off is sheared: only resampling would put its voxels where
-//! the file says, so it is refused.
+//! Its axes are perpendicular to rounding. Files store them with few digits (DICOM six, NIfTI as f32), so axes within
+//! [`PERPENDICULAR_TOLERANCE`] are made perpendicular by Gram-Schmidt, which keeps the first axis and adjusts the others. This matches
+//! DICOM, where the row direction is stored and the slice direction is the normal of the image. ITK applies the same tolerance and
+//! correction to NIfTI files. Axes further off are sheared and refused: only resampling could put the voxels where the file says.
 //!
 //! ```
 //! use voxel_grid::{GridError, VoxelGrid};
@@ -22,23 +21,23 @@
 //! # Ok::<(), GridError>(())
 //! ```
 
-/// Most voxels of a volume (2^29, 1 GiB of `i16`): a bound that a hostile header cannot exceed.
+/// Most voxels of a volume (2^29, 1 GiB of `i16`), to limit what a hostile header can claim.
 pub const MAX_VOXELS: usize = 1 << 29;
 /// Most voxels along one axis: keeps the projectors' 32.32 fixed-point arithmetic far from overflow.
 pub const MAX_VOXELS_ALONG_AXIS: usize = 1 << 16;
-/// Smallest distance of neighbouring voxels.
+/// Smallest distance between neighbouring voxels.
 pub const MIN_SPACING_M: f64 = 1e-6;
-/// Largest distance of neighbouring voxels.
+/// Largest distance between neighbouring voxels.
 pub const MAX_SPACING_M: f64 = 0.1;
-/// Largest coordinate of the first voxel. No patient lies further from anything.
+/// Largest coordinate of the first voxel, far beyond any real patient's position.
 pub const MAX_ORIGIN_M: f64 = 100.0;
-/// Largest deviation of the axes' dot products from those of perpendicular unit vectors that counts as rounding: for two axes the cosine
-/// of their angle (0.006 degrees; a slice 500 mm away is then moved by 0.05 mm).
+/// Largest deviation from orthonormal axes that counts as rounding, in their dot products: for two axes, the cosine of their angle (0.006
+/// degrees, which moves a slice 500 mm away by 0.05 mm).
 pub const PERPENDICULAR_TOLERANCE: f64 = 1e-4;
-/// Axes this close to perpendicular stay bit for bit.
+/// Axes this close to perpendicular are kept bit for bit.
 const EXACT: f64 = 1e-12;
 
-/// Why there is no such grid.
+/// Why a grid is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum GridError {
     /// No voxel, or too many.
@@ -49,7 +48,7 @@ pub enum GridError {
         /// Voxels along i, j, k.
         dims: [usize; 3],
     },
-    /// A spacing that is no length of a voxel.
+    /// A spacing that is no plausible voxel size.
     #[error(
         "a voxel spacing of {spacing_m:?} m; expected {MIN_SPACING_M:e} to {MAX_SPACING_M} m along each axis"
     )]
@@ -57,7 +56,7 @@ pub enum GridError {
         /// Spacing along i, j, k.
         spacing_m: [f64; 3],
     },
-    /// A first voxel that is nowhere near.
+    /// A first voxel implausibly far away.
     #[error("an origin of {origin_m:?} m; expected -{MAX_ORIGIN_M} to {MAX_ORIGIN_M} m in each coordinate")]
     Origin {
         /// Centre of voxel (0, 0, 0).
@@ -69,7 +68,7 @@ pub enum GridError {
          volume to a rectangular grid first"
     )]
     Sheared {
-        /// Largest deviation of a dot product of two axes; infinite where one is not a number.
+        /// Largest deviation of a dot product of two axes; infinite if one is not a number.
         deviation: f64,
     },
 }
@@ -82,7 +81,7 @@ pub struct VoxelGrid {
 }
 
 impl VoxelGrid {
-    /// A grid; `axes[a]` is the direction of index axis a in the world. A left-handed grid is allowed: voxels are never reordered.
+    /// A checked grid; `axes[a]` is the direction of index axis a in the world. Left-handed grids are allowed: voxels are never reordered.
     ///
     /// # Errors
     /// Any [`GridError`].
@@ -95,7 +94,7 @@ impl VoxelGrid {
         VoxelGrid::placed(dims, Placement::new(spacing_m, origin_m, axes)?)
     }
 
-    /// A grid of so many voxels, placed.
+    /// A grid of these dimensions at a placement.
     ///
     /// # Errors
     /// [`GridError::Dimensions`].
@@ -114,7 +113,7 @@ impl VoxelGrid {
         self.dims.iter().product()
     }
 
-    /// Distance of neighbouring voxel centres along i, j, k.
+    /// Distance between neighbouring voxel centres along i, j, k.
     pub fn spacing_m(&self) -> [f64; 3] {
         self.placement.spacing_m
     }
@@ -130,7 +129,7 @@ impl VoxelGrid {
     }
 }
 
-/// A grid without its dimensions, for a reader that learns these last.
+/// A grid without dimensions, for a reader that learns them last.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
     spacing_m: [f64; 3],
@@ -142,9 +141,9 @@ impl Placement {
     /// As [`VoxelGrid::new`].
     ///
     /// # Errors
-    /// Any [`GridError`] but that of dimensions.
+    /// Any [`GridError`] except that of dimensions.
     pub fn new(spacing_m: [f64; 3], origin_m: [f64; 3], axes: [[f64; 3]; 3]) -> Result<Placement, GridError> {
-        // A NaN is in no range.
+        // Written so that NaN fails.
         if !spacing_m.iter().all(|s| (MIN_SPACING_M..=MAX_SPACING_M).contains(s)) {
             return Err(GridError::Spacing { spacing_m });
         }
@@ -154,7 +153,7 @@ impl Placement {
         Ok(Placement { spacing_m, origin_m, axes: perpendicular(axes)? })
     }
 
-    /// Distance of neighbouring voxel centres along i, j, k.
+    /// Distance between neighbouring voxel centres along i, j, k.
     pub fn spacing_m(&self) -> [f64; 3] {
         self.spacing_m
     }
@@ -170,13 +169,13 @@ impl Placement {
     }
 }
 
-/// The number of voxels, if a volume may have so many.
+/// The number of voxels, if within the limits.
 ///
 /// # Errors
 /// [`GridError::Dimensions`].
 pub fn voxel_count(dims: [usize; 3]) -> Result<usize, GridError> {
     let each = dims.iter().all(|n| (1..=MAX_VOXELS_ALONG_AXIS).contains(n));
-    // Cannot overflow: three axes of 2^16.
+    // Cannot overflow: three axes of at most 2^16.
     let count = if each { dims.iter().product() } else { 0 };
     if each && count <= MAX_VOXELS { Ok(count) } else { Err(GridError::Dimensions { dims }) }
 }
@@ -196,7 +195,7 @@ fn perpendicular(axes: [[f64; 3]; 3]) -> Result<[[f64; 3]; 3], GridError> {
     Ok([x, y, z])
 }
 
-/// Largest deviation of the axes' dot products from those of perpendicular unit vectors; infinite if one is not a number.
+/// Largest deviation of the axes' dot products from those of orthonormal axes; infinite if one is not a number.
 fn deviation(axes: &[[f64; 3]; 3]) -> f64 {
     let mut largest = 0.0_f64;
     for (i, a) in axes.iter().enumerate() {
@@ -218,7 +217,7 @@ fn unit(a: [f64; 3]) -> [f64; 3] {
     a.map(|x| x / length)
 }
 
-/// `a` without its part along a unit vector, of length `along`.
+/// `a` minus its component `along` in the direction of the unit vector.
 fn without(a: [f64; 3], unit: [f64; 3], along: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] - unit[i] * along)
 }
@@ -271,8 +270,8 @@ mod tests {
     }
 
     proptest! {
-        /// Within the tolerance the axes become perpendicular to rounding and move by no more than they were off, and once they are so
-        /// they stay bit for bit.
+        /// Within the tolerance, axes become perpendicular to rounding, move by no more than their error, and stay bit for bit from then
+        /// on.
         #[test]
         fn axes_within_the_tolerance_become_perpendicular_once(
             turn in prop::array::uniform3(-3.0..3.0_f64),
@@ -300,7 +299,7 @@ mod tests {
         }
     }
 
-    /// Axes turned about x, then y, then z.
+    /// Axes rotated about x, then y, then z.
     fn rotated(turn: [f64; 3]) -> [[f64; 3]; 3] {
         let mut axes = AXES;
         for (about, angle) in turn.into_iter().enumerate() {

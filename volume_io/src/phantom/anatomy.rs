@@ -218,7 +218,7 @@ impl Anatomy {
 pub const AIR_HU: f64 = -1000.0;
 const MUSCLE_HU: f64 = 55.0;
 const FAT_HU: f64 = -105.0;
-/// Apparent bone density that stands for yellow marrow under [`hu_of_density`]: −57 HU, between fat and water.
+/// Apparent bone density that gives yellow marrow's value under [`hu_of_density`]: −57 HU, between fat and water.
 const MARROW_DENSITY: f64 = 0.07;
 
 /// Hounsfield units of an apparent bone density in g/cm³: rho [kg/m³] = 131 + 1.067 HU (Rho, Hobatho, Ashman 1995, Med Eng Phys
@@ -227,7 +227,7 @@ pub fn hu_of_density(rho_g_cm3: f64) -> f64 {
     (1000.0 * rho_g_cm3 - 131.0) / 1.067
 }
 
-/// Share of a voxel that lies inside a surface `depth` voxel widths below its centre: a linear ramp, as a box average gives.
+/// Fraction of a voxel inside a surface `depth` voxel widths below its centre: a linear ramp, as from a box average.
 pub fn coverage(depth: f64) -> f64 {
     (depth + 0.5).clamp(0.0, 1.0)
 }

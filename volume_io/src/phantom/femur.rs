@@ -11,7 +11,7 @@ const BOX_LOW_MM: [f64; 3] = [-85.0, -44.0, -125.0];
 /// Size of the volume, mm.
 const BOX_SIZE_MM: [f64; 3] = [120.0, 100.0, 160.0];
 
-/// What the femur phantom is built from. The anatomy is the same at every spacing.
+/// Parameters of the femur phantom. The anatomy is the same at every spacing.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FemurSpec {
     /// Edge of the cubic voxels, metres; 0.25e-3 to 2e-3.
@@ -42,7 +42,7 @@ impl Default for FemurSpec {
     }
 }
 
-/// Where things are in the femur phantom, world LPS, metres.
+/// Landmarks of the femur phantom, world LPS, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FemurLandmarks {
     /// Centre of the femoral head.
@@ -65,10 +65,10 @@ pub struct FemurLandmarks {
     pub lesser_trochanter_m: [f64; 3],
 }
 
-/// Builds the femur phantom: a synthetic right proximal femur in a slim thigh, with air around; no pelvis.
+/// Builds the femur phantom: a synthetic right proximal femur in a slim thigh, surrounded by air; no pelvis.
 ///
-/// A voxel is the field at its centre, with surfaces blended over one voxel (at least 0.5 mm) as a CT's partial volume does, so that the
-/// half-way surface is the same at every spacing. Hounsfield units lie within −1000..=1700.
+/// A voxel is the field at its centre. Surfaces are blended over one voxel (at least 0.5 mm), like a CT's partial-volume effect, so that
+/// the half-way surface is the same at every spacing. Hounsfield units lie within −1000..=1700.
 ///
 /// # Errors
 /// [`VolumeError::Argument`] for a value outside the ranges of [`FemurSpec`].
@@ -182,7 +182,7 @@ impl Field for FemurField {
 
     fn region(&self, center_m: [f64; 3], radius_m: f64) -> Tissue {
         let p = self.local_mm(center_m);
-        // Factor 2: the first-order distances of stretched ellipsoids may overestimate by their axis ratio, here at most 1.6.
+        // Factor 2: the first-order distance of a stretched ellipsoid may overestimate by its axis ratio, here at most 1.6.
         let reach = 2.0 * radius_m * 1e3 + self.blur;
         if self.anatomy.skin_distance(p) > reach {
             Tissue::Air
@@ -219,7 +219,7 @@ impl Field for FemurField {
 mod tests {
     use super::*;
 
-    /// Skipping blocks must not change a voxel: the generated volume against the field evaluated without skipping.
+    /// Skipping blocks must not change any voxel: compares the volume with the field evaluated without skipping.
     #[test]
     fn skipping_changes_nothing() {
         for spacing_m in [1.0e-3, 2.0e-3] {

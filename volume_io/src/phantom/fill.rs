@@ -1,4 +1,5 @@
-//! Fills a grid from a function of position, in parallel: each voxel is computed by itself, so the result cannot depend on the threads.
+//! Fills a grid from a function of position, in parallel. Each voxel is computed independently, so the result cannot depend on the number
+//! of threads.
 
 use crate::error::VolumeError;
 use crate::volume::{IDENTITY_DIRECTION, Volume, voxel_count};
@@ -9,9 +10,9 @@ pub const BLOCK: usize = 8;
 
 /// A field of Hounsfield units over the world.
 pub trait Field: Sync {
-    /// What holds for all points within `radius_m` of `center_m`; computed once a block of voxels.
+    /// What holds for all points within `radius_m` of `center_m`; computed once per block of voxels.
     type Region: Copy;
-    /// Classifies a ball. The result must not change any voxel's value, only the work it takes.
+    /// Classifies a ball. Must not change any voxel's value, only the work to compute it.
     fn region(&self, center_m: [f64; 3], radius_m: f64) -> Self::Region;
     /// Hounsfield units at a point of a classified ball.
     fn hu(&self, region: Self::Region, point_m: [f64; 3]) -> f64;
@@ -64,7 +65,7 @@ pub fn fill<F: Field>(
     Ok(volume)
 }
 
-/// Fills the slices `slab * BLOCK ..` that `voxels` holds.
+/// Fills the slices from `slab * BLOCK` on that `voxels` holds.
 fn fill_slab<F: Field>(grid: Grid, field: &F, slab: usize, voxels: &mut [i16]) {
     let [ni, nj, _] = grid.dims;
     let first_k = slab * BLOCK;
@@ -94,6 +95,6 @@ fn fill_slab<F: Field>(grid: Grid, field: &F, slab: usize, voxels: &mut [i16]) {
 
 /// The nearest whole number, halves upward, clamped to `i16`.
 pub fn to_hu(value: f64) -> i16 {
-    // Shifted to positive numbers, where the cast is a floor.
+    // Shifted to be positive, so that the cast rounds down.
     ((value.clamp(-32768.0, 32767.0) + 32768.5) as i64 - 32768) as i16
 }

@@ -1,4 +1,4 @@
-//! Synthetic volumes whose geometry is known exactly: a right proximal femur, a two-density block, a sphere.
+//! Synthetic volumes with exactly known geometry: a right proximal femur, a two-density block, a sphere.
 //!
 //! None of them is a patient. They are pure functions of their specification: the same bits on every machine and for every number of
 //! threads, and the same shape at every voxel spacing.

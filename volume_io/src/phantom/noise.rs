@@ -1,4 +1,4 @@
-//! Value noise on a lattice whose values are integer hashes: no state, the same everywhere.
+//! Value noise on a lattice of integer hashes: stateless and identical on every machine.
 
 /// A 64-bit finaliser (SplitMix64: Steele, Lea, Flood, OOPSLA 2014; constants of its reference implementation).
 fn mix(mut x: u64) -> u64 {
@@ -19,7 +19,7 @@ fn lattice(seed: u64, i: i64, j: i64, k: i64) -> f64 {
 
 /// Smooth noise in [−1, 1]: lattice values at integer coordinates, blended with the cubic 3t² − 2t³ along each axis.
 pub fn value_noise(seed: u64, p: [f64; 3]) -> f64 {
-    // floor() by way of an integer: exact, and a few instructions where the floor function would be a call.
+    // floor() by way of an integer: exact, and a few instructions instead of a function call.
     let base = p.map(|x| {
         let toward_zero = x as i64 as f64;
         if x < toward_zero { toward_zero - 1.0 } else { toward_zero }

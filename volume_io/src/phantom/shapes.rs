@@ -1,8 +1,8 @@
-//! Implicit surfaces: functions that are negative inside, positive outside, and near the surface close to the distance to it.
+//! Implicit surfaces: functions that are negative inside, positive outside, and close to the distance near the surface.
 //!
-//! Lengths are in millimetres here, because every number of the anatomy is. Sphere and capsule are exact; the ellipsoid and the elliptic
-//! tube use the first-order distance k0 (k0 − 1) / k1 (I. Quilez, "distance functions": value over gradient length), which has the exact
-//! zero set; the smooth union is Quilez's quadratic blend.
+//! Lengths are in millimetres here, like every number of the anatomy. Sphere and capsule are exact; the ellipsoid and the elliptic tube use
+//! the first-order distance k0 (k0 − 1) / k1 (I. Quilez, "distance functions": value over gradient length), which has the exact zero set;
+//! the smooth union is Quilez's quadratic blend.
 
 use crate::volume::{dot, norm};
 
@@ -22,7 +22,7 @@ pub fn smoothstep(from: f64, to: f64, x: f64) -> f64 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Union of two shapes whose edge is rounded over the distance `k`.
+/// Union of two shapes, with the edge rounded over the distance `k`.
 pub fn smooth_union(a: f64, b: f64, k: f64) -> f64 {
     let h = (k - (a - b).abs()).max(0.0) / k;
     a.min(b) - h * h * k * 0.25
@@ -48,7 +48,7 @@ pub fn ellipsoid(q: [f64; 3], radii: [f64; 3]) -> f64 {
     let k0 = norm(scaled);
     let k1 = norm([scaled[0] / radii[0], scaled[1] / radii[1], scaled[2] / radii[2]]);
     if k1 < 1e-9 {
-        // The centre: the smallest half axis is the distance.
+        // At the centre the distance is the smallest half axis.
         return -radii[0].min(radii[1]).min(radii[2]);
     }
     k0 * (k0 - 1.0) / k1

@@ -1,10 +1,10 @@
-//! Blocks and spheres of constant Hounsfield units, for tests whose answer is known in closed form.
+//! Blocks and spheres of constant Hounsfield units, for tests with closed-form answers.
 
 use super::fill::{Field, Grid, fill};
 use crate::error::VolumeError;
 use crate::volume::{Volume, dot, norm};
 
-/// A rectangular block of two materials that meet in a plane, with air around it: for skiving tests and for density steps.
+/// A rectangular block of two materials that meet in a plane, surrounded by air: for skiving tests and density steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlockSpec {
     /// Voxels along x, y, z.
@@ -28,7 +28,7 @@ pub struct BlockSpec {
 }
 
 impl Default for BlockSpec {
-    /// 40 x 30 x 30 mm at 0.5 mm, centred at the world origin; soft below and hard above the plane z = 0; 2.5 mm of air around.
+    /// 40 x 30 x 30 mm at 0.5 mm, centred at the world origin; soft below and hard above the plane z = 0; 2.5 mm of air around it.
     fn default() -> Self {
         Self {
             dims: [80, 60, 60],
