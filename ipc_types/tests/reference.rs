@@ -1,4 +1,4 @@
-//! The generated references, and what every message's layout keeps.
+//! The generated references, and the rules that every message's layout keeps.
 
 use std::path::Path;
 

@@ -108,7 +108,7 @@ fn a_client_of_another_layout_is_refused_with_both_layouts() {
         .unwrap();
     let refusal = Session::join(host.session.folder()).unwrap_err().to_string();
     assert!(refusal.contains("0123456789abcdef") && refusal.contains("State"), "{refusal}");
-    // A message of another type under a known name is refused as well.
+    // A message of another type under a known name must be refused as well.
     host.announce().unwrap();
     let client = Session::join(host.session.folder()).unwrap();
     assert!(client.subscriber::<Event>(&services::STATE).is_err());
@@ -154,8 +154,8 @@ fn a_sleeping_reader_is_woken() {
     assert_eq!(reader.join().unwrap(), (0..200).collect::<Vec<_>>());
 }
 
-/// A wait whose deadline was less than a microsecond away never ended: the kernel was asked to wait for 0 µs, which it
-/// takes for no limit. On a loaded machine the recorder slept through whole runs.
+/// A wait shorter than a microsecond must end: passed to the kernel as 0 µs it would mean no limit, and on a loaded machine the recorder
+/// would sleep through whole runs.
 #[test]
 fn a_wait_ends_however_near_its_deadline_is() {
     let host = SessionHost::create(&plan(&[])).unwrap();
@@ -166,7 +166,7 @@ fn a_wait_ends_however_near_its_deadline_is() {
         let session = Session::join(&folder).unwrap();
         let waiter = session.waiter(Reader::Recorder).unwrap();
         for nanoseconds in (0..20_000).step_by(40) {
-            // Around the end of the yielding, where the wait begins.
+            // Around the end of the yielding phase, where the sleep begins.
             let deadline = Instant::now() + ipc_types::wake::YIELD_TIME + Duration::from_nanos(nanoseconds);
             assert!(!waiter.wait_until(deadline, || false));
         }
@@ -175,13 +175,13 @@ fn a_wait_ends_however_near_its_deadline_is() {
     is_done.recv_timeout(Duration::from_secs(60)).expect("every wait ends");
 }
 
-/// The folder of all sessions, and the host whose session shows where it is.
+/// The sessions folder, and the host whose session shows where it is.
 fn sessions() -> (PathBuf, SessionHost) {
     let host = SessionHost::create(&plan(&[])).unwrap();
     (host.session.folder().parent().unwrap().to_owned(), host)
 }
 
-/// A folder with the name of a session, of this user alone, as a host leaves it that is killed.
+/// A private folder with a session's name, as a killed host leaves it.
 fn left_behind(sessions: &Path) -> TempDir {
     let folder = tempfile::Builder::new().prefix("").rand_bytes(11).tempdir_in(sessions).unwrap();
     fs::set_permissions(folder.path(), Permissions::from_mode(0o700)).unwrap();
@@ -203,13 +203,13 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     let (stale, marked) = (left_behind(&sessions), left_behind(&sessions));
     let segment = segment_of(stale.path());
     fs::write(&segment, b"left behind").unwrap();
-    // What a link leads to is none of the session's.
+    // A link's target does not belong to the session.
     let home = tempfile::tempdir().unwrap();
     fs::write(home.path().join("letter"), "dear").unwrap();
     fs::create_dir(stale.path().join("services")).unwrap();
     std::os::unix::fs::symlink(home.path(), stale.path().join("services/link")).unwrap();
     std::os::unix::fs::symlink(home.path(), stale.path().join("link")).unwrap();
-    // A host that was killed before it could mark its folder.
+    // A host killed before it could mark its folder.
     fs::remove_file(marked.path().join("session.id")).unwrap();
     let _second = SessionHost::create(&plan(&[])).unwrap();
     assert!(!stale.path().exists() && !segment.exists() && !marked.path().exists());
@@ -218,14 +218,14 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     assert!(first.session.host_is_alive() && host_is_alive(first.session.folder()));
 }
 
-/// Every folder below the one of all sessions was removed, whosesoever it was: sources, homes behind links.
+/// Only dead sessions may be removed, never other folders beside them: sources, homes behind links.
 #[test]
 fn a_folder_of_the_users_is_never_wiped() {
     let (sessions, first) = sessions();
     let write = |folder: &Path, name: &str, text: &str| fs::write(folder.join(name), text).unwrap();
     let home = tempfile::tempdir().unwrap();
     write(home.path(), "main.rs", "home");
-    // A folder of sources with any name, one with the name of a session, one that has a marker of another name.
+    // A source folder with any name, one with a session's name, one with another name in its marker.
     let sources = tempfile::Builder::new().prefix("src").tempdir_in(&sessions).unwrap();
     let [unmarked, renamed, open, foreign, locked] = [(); 5].map(|()| left_behind(&sessions));
     fs::remove_file(unmarked.path().join("session.id")).unwrap();
@@ -244,7 +244,7 @@ fn a_folder_of_the_users_is_never_wiped() {
         write(folder, "main.rs", "source");
         fs::write(segment_of(folder), "segment").unwrap();
     }
-    // A link with the name of a session, to a folder that has all that a session has.
+    // A link with a session's name, to a folder with everything that a session has.
     let linked = left_behind(&sessions);
     let link = linked.path().to_owned();
     let real = home.path().join("real");
@@ -262,7 +262,7 @@ fn a_folder_of_the_users_is_never_wiped() {
     fs::remove_file(link).unwrap();
 }
 
-/// A host that had looked at the lock of a session that just ended then wiped the next one, which had its name.
+/// A host that has checked the lock of a session that just ended must not remove a new one of the same name.
 #[test]
 fn a_session_does_not_have_the_name_of_an_earlier_one() {
     let folder = |host: SessionHost| host.session.folder().to_owned();
@@ -270,7 +270,7 @@ fn a_session_does_not_have_the_name_of_an_earlier_one() {
     assert_ne!(first, second);
 }
 
-/// A host looks for dead sessions while another one is being made: what it finds half made is not dead.
+/// A host looks for dead sessions while another is being created; a half-made session is not dead.
 #[test]
 fn a_session_in_the_making_is_not_taken_for_a_dead_one() {
     let over = std::sync::atomic::AtomicBool::new(false);
@@ -291,7 +291,7 @@ fn a_session_in_the_making_is_not_taken_for_a_dead_one() {
     });
 }
 
-/// A client that asked by the name of the folder said that the hub was gone when only the name was.
+/// The hub must not be reported gone when only its folder's name is.
 #[test]
 fn a_host_whose_folder_was_removed_is_alive_to_its_clients_and_cannot_be_joined() {
     let host = SessionHost::create(&plan(&["left"])).unwrap();
@@ -308,8 +308,7 @@ fn a_host_whose_folder_was_removed_is_alive_to_its_clients_and_cannot_be_joined(
     assert_eq!(shared_memory_of(&client), 0);
 }
 
-/// What a port needs is reckoned from what it reserves: not less, and hardly more. For the CT the reckoning was 35 times too
-/// much.
+/// The memory required for a port follows from what it reserves: not less, and hardly more.
 #[test]
 fn a_port_asks_for_the_memory_that_it_reserves() {
     let plan = SessionPlan { volume_bytes: 20_000_000, frame_bytes: 300_000, ..plan(&["left"]) };
@@ -348,7 +347,7 @@ fn a_port_asks_for_the_memory_that_it_reserves() {
     reckoned(services::EVENT, before);
 }
 
-/// A port of a part that is not there was free for everybody, and what came over it was believed.
+/// A stranger must not be able to take the port of an absent part and have its messages believed.
 #[test]
 fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
     let host = SessionHost::create(&plan(&["left"])).unwrap();
@@ -360,7 +359,7 @@ fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
     assert!(matches!(taken, SessionError::PartTaken { part: Part::Physics }), "{taken}");
     let refusal = stranger.publisher::<Keyframe>(&services::KEYFRAME).unwrap_err();
     assert!(refusal.to_string().contains("`keyframe` is written by the physics alone"), "{refusal}");
-    // Past our own library, with the transport itself.
+    // With the transport alone, bypassing our library.
     let service =
         stranger.node().service_builder(&"keyframe".try_into().unwrap()).publish_subscribe::<[u8]>();
     let port = service.open().unwrap().publisher_builder().initial_max_slice_len(64).create().unwrap();
@@ -377,7 +376,7 @@ fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
     assert_eq!((received.message().tick, received.part(), reader.strangers()), (9, Some(Part::Physics), 3));
 }
 
-/// A reader that was killed in its sleep left its flag up, and every message to it cost a system call.
+/// A reader killed in its sleep leaves its flag raised; that must not cost every message a system call.
 #[test]
 fn a_killed_sleeping_reader_costs_its_writers_nothing() {
     const SLEEPER: &str = "TRABECULA_TEST_SLEEPER";
@@ -400,13 +399,13 @@ fn a_killed_sleeping_reader_costs_its_writers_nothing() {
         line.clear();
         assert!(std::io::BufRead::read_line(&mut said, &mut line).unwrap() > 0, "the reader is there");
     }
-    // Into its sleep.
+    // Time to fall asleep.
     std::thread::sleep(Duration::from_millis(200));
     sleeper.kill().unwrap();
     sleeper.wait().unwrap();
     let calls = (0..1000).filter(|_| waker.try_to_wake()).count();
     assert!(calls <= 1000 / 64 + 2, "{calls} system calls for 1000 messages to nobody");
-    // Whoever comes back is woken at once.
+    // A reader that comes back is woken at once.
     let back = Session::join(host.session.folder()).unwrap();
     let _waiter = back.waiter(Reader::Controller(0)).unwrap();
     assert!(waker.try_to_wake());

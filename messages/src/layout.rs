@@ -1,13 +1,13 @@
-//! One source of truth for a message's layout: the Rust type, its `ros2msg` schema, its field table and its layout hash.
+//! The single source for a message's layout: the Rust type, its `ros2msg` schema, its field table and its layout hash.
 //!
-//! A message is declared once, with [`message!`](crate::message). The bytes of such a struct, behind the four bytes of
-//! [`CDR_LITTLE_ENDIAN`], are a valid CDR (XCDR1, little-endian) message of the generated schema, because no field is
-//! padded: `zerocopy::IntoBytes` proves that at compile time.
+//! Each message is declared once, with [`message!`](crate::message). The bytes of such a struct, after the four bytes of
+//! [`CDR_LITTLE_ENDIAN`], are a valid CDR (XCDR1, little-endian) message of the generated schema, because no field is padded:
+//! `zerocopy::IntoBytes` proves that at compile time.
 
 use sha2::{Digest, Sha256};
 
-/// CDR encapsulation header that turns a message's bytes into a `cdr` message of its `ros2msg` schema.
-/// (OMG DDS-XTypes 1.3, 7.6.2.1.2: `CDR_LE`. `00 07` (XCDR2) is refused by common readers.)
+/// CDR encapsulation header that turns a message's bytes into a `cdr` message of its `ros2msg` schema (OMG DDS-XTypes 1.3, 7.6.2.1.2:
+/// `CDR_LE`). Common readers refuse `00 07` (XCDR2).
 pub const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 
 const _: () = assert!(
@@ -15,7 +15,7 @@ const _: () = assert!(
     "messages are little-endian: big-endian targets are not supported"
 );
 
-/// A field's element: a scalar of the ROS interface language, or another message.
+/// The type of a field's elements: a scalar of the ROS interface language, or another message.
 #[derive(Debug, Clone, Copy)]
 pub enum Element {
     /// A scalar, by its ROS name (`float64`, `uint32`, …).
@@ -34,16 +34,16 @@ impl Element {
     }
 }
 
-/// One field of a message: where it lies and what it means.
+/// One field of a message: its position and meaning.
 #[derive(Debug, Clone, Copy)]
 pub struct Field {
     /// Name, ROS-legal, with its unit at the end.
     pub name: &'static str,
-    /// What one element is.
+    /// Type of one element.
     pub element: Element,
     /// Number of elements if the field is a fixed array.
     pub array_length: Option<usize>,
-    /// Offset in bytes from the message's start: the C offset and the CDR offset alike.
+    /// Offset in bytes from the message's start, the same in C and in CDR.
     pub offset: usize,
     /// Size in bytes.
     pub size: usize,
@@ -51,12 +51,12 @@ pub struct Field {
     pub doc: &'static str,
 }
 
-/// What follows a message of variable length: the last field of the struct is the element count.
+/// The tail of a variable-length message: the last field of the struct is its element count.
 #[derive(Debug, Clone, Copy)]
 pub struct Tail {
     /// Name of the sequence in the schema.
     pub name: &'static str,
-    /// ROS element type; `string` for UTF-8 text with a final NUL that the count includes.
+    /// ROS element type; `string` for UTF-8 text with a final NUL, which the count includes.
     pub ros_type: &'static str,
     /// Size of one element in bytes.
     pub element_size: usize,
@@ -67,7 +67,7 @@ pub struct Tail {
 pub struct Description {
     /// Schema name, `trabecula_msgs/msg/<Type>`.
     pub name: &'static str,
-    /// What the message says.
+    /// The message's documentation.
     pub doc: &'static str,
     /// Fields in order. With a tail, the last one is its element count.
     pub fields: &'static [Field],
@@ -79,7 +79,7 @@ pub struct Description {
 
 /// A type that may be a field of a message.
 pub trait WireType {
-    /// What one element is.
+    /// Type of one element.
     const ELEMENT: Element;
     /// Number of elements if this is a fixed array.
     const ARRAY_LENGTH: Option<usize> = None;
@@ -185,11 +185,11 @@ impl Description {
         self.name.rsplit('/').next().unwrap_or(self.name)
     }
 
-    /// Checks that some bytes have the length that the type and their own count say. What follows a `Frame` is an image,
-    /// whose lengths stand in its own prefix.
+    /// Checks that a message's length matches its type and its own count. A `Frame` is followed by an image, whose own prefix states its
+    /// lengths.
     ///
     /// # Errors
-    /// The length that was expected, for people.
+    /// The expected length, as text.
     pub fn check_length(&self, bytes: &[u8]) -> Result<(), String> {
         let Some((message, rest)) = bytes.split_at_checked(self.size) else {
             return Err(format!("at least {} ({})", self.size, self.name));
@@ -208,13 +208,13 @@ impl Description {
         }
     }
 
-    /// The fields that stand in the schema one by one: all, or all but the count of the tail.
+    /// The fields listed in the schema: all of them, except the tail's count.
     pub fn schema_fields(&self) -> &'static [Field] {
         let count = self.fields.len() - usize::from(self.tail.is_some());
         &self.fields[..count]
     }
 
-    /// The `ros2msg` schema text, with each nested message's definition behind it.
+    /// The `ros2msg` schema text, followed by the definition of each nested message.
     pub fn schema(&self) -> String {
         let mut text = self.definition();
         let mut seen = vec![self.name];
@@ -269,7 +269,7 @@ pub fn fingerprint(text: &str) -> String {
     hex(&Sha256::digest(text)[..8])
 }
 
-/// Lower-case hexadecimal digits of some bytes.
+/// Bytes as lower-case hexadecimal digits.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

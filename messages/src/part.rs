@@ -2,10 +2,10 @@
 
 use std::fmt::{self, Display, Formatter};
 
-/// What a session consists of beside its controllers and clients. One program is each of them.
+/// The parts of a session, besides its controllers and clients. Each is exactly one program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
-    /// The launcher, or whoever has made the session.
+    /// The launcher, or another program that created the session.
     Host,
     /// The physics process.
     Physics,

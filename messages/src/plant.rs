@@ -1,55 +1,55 @@
-//! What is controlled: a world that the latched commands step from one state to the next.
+//! The controlled system: a world that latched commands step from one state to the next.
 
 use crate::{Latched, State};
 
-/// x_{k+1} = step(x_k, u_k), a function of nothing else: no clock, no randomness, no I/O.
+/// x_{k+1} = step(x_k, u_k) and nothing else: no clock, no randomness, no I/O.
 ///
 /// The hub, replays and benches drive any plant; `simulation::Simulation` is the real one.
 pub trait Plant {
-    /// Why a tick cannot be made, or a keyframe not written or read.
+    /// Why a tick failed, or a keyframe could not be written or read.
     type Error: core::fmt::Display;
 
     /// x_k: the state after the last tick.
     fn state(&self) -> &State;
 
-    /// Makes the tick whose u_k is `latched`.
+    /// Steps the plant with u_k = `latched`.
     ///
     /// # Errors
-    /// The plant refuses the tick; it is not to be used any more.
+    /// The plant rejects the tick and must not be used any more.
     fn step(&mut self, latched: &Latched) -> Result<(), Self::Error>;
 
     /// Voxels that the last tick removed, by linear index; at most [`MAX_REMOVED_PER_TICK`](crate::services::MAX_REMOVED_PER_TICK).
     fn removed(&self) -> &[u32];
 
-    /// Voxels that are gone from tick 0 on, by linear index, ascending.
+    /// Voxels removed before tick 0, by linear index, ascending.
     fn predrilled(&self) -> &[u32];
 
     /// Parts of the last tick's commands that could not be followed.
     fn refusals(&self) -> &[Refusal];
 
-    /// Writes what a later run continues from, bit for bit; returns its length in bytes.
+    /// Writes what a later run needs to continue bit for bit; returns its length in bytes.
     ///
     /// # Errors
     /// The state does not fit into `buffer`.
     fn write_keyframe(&self, buffer: &mut [u8]) -> Result<usize, Self::Error>;
 
-    /// Continues from what [`Plant::write_keyframe`] wrote. After an error the plant is not to be used.
+    /// Continues from what [`Plant::write_keyframe`] wrote. After an error the plant must not be used.
     ///
     /// # Errors
     /// Not a keyframe, or from another scene.
     fn restore_keyframe(&mut self, keyframe: &[u8]) -> Result<(), Self::Error>;
 }
 
-/// Part of a valid command that the plant could not follow (an unreachable goal), by which this part, tendon or arm, has
-/// not changed; the command's other parts act. Or an accepted arm motion that was given up later.
+/// Part of a valid command that the plant could not follow (an unreachable goal). That part, tendon or arm, is unchanged; the command's
+/// other parts take effect. Or an arm motion that was accepted but given up later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
     /// Index of the controller in the scene.
     pub controller_index: u32,
     /// Sequence number of the command.
     pub sequence: u64,
-    /// Why.
+    /// Reason.
     pub reason: String,
-    /// The command had been accepted: the arm gave its motion up, or stopped a joint, on the way.
+    /// The command was accepted first: the arm gave up its motion, or stopped a joint, on the way.
     pub stopped_later: bool,
 }

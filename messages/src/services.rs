@@ -1,8 +1,8 @@
 //! The services of a session: name, message, lane, and the limits of each queue.
 //!
-//! All services are publish-subscribe over byte slices; the layout hash of the message travels as an attribute. Every
-//! queue is bounded and overwrites its oldest entry, so nothing ever blocks the physics; each message carries a
-//! sequence number or tick, so a loss is seen by whoever suffered it.
+//! All services are publish-subscribe over byte slices; the layout hash of the message travels as an attribute. Every queue is bounded and
+//! overwrites its oldest entry, so nothing ever blocks the physics. Each message carries a sequence number or tick, so a reader can detect
+//! what it lost.
 
 use crate::layout::{Description, Message};
 use crate::part::Part;
@@ -31,34 +31,33 @@ pub struct Service {
     pub description: &'static Description,
     /// Where it is recorded.
     pub lane: Lane,
-    /// Parts of the hub that alone write it; none: every client may.
+    /// The only parts that may write it; empty if every client may.
     pub writers: &'static [Part],
-    /// Entries that a slow subscriber may lag behind before its oldest are overwritten.
+    /// How many entries a slow subscriber may lag before its oldest are overwritten.
     pub queue_length: usize,
-    /// The same for whoever must not lose any: the recorder, and the DRR for removed voxels.
+    /// As above, for subscribers that must not lose any: the recorder, and the DRR process for removed voxels.
     pub lossless_length: usize,
-    /// Newest messages that a late joiner receives.
+    /// Newest messages delivered to a late joiner.
     pub history: usize,
     /// Most publishers at a time.
     pub max_publishers: usize,
     /// Most subscribers at a time.
     pub max_subscribers: usize,
-    /// Most bytes of one message, where that does not depend on the scene; longer ones are split or refused by the
-    /// sender.
+    /// Largest message, bytes, if that does not depend on the scene; the sender splits or refuses longer ones.
     pub max_bytes: usize,
 }
 
-/// Voxels that one tick may remove: the physics carries the rest over to the next tick.
+/// Most voxels removed per tick; the physics carries the rest over to the next tick.
 pub const MAX_REMOVED_PER_TICK: usize = 4096;
-/// Longest keyframe; a state that needs more has none.
+/// Largest keyframe, bytes; a larger state gets none.
 pub const MAX_KEYFRAME_BYTES: usize = 1 << 20;
-/// Most bytes of it in one message.
+/// Most bytes of a keyframe in one message.
 pub const KEYFRAME_PART_BYTES: usize = 16 << 10;
-/// Bytes of an event's text with its NUL.
+/// Bytes of an event's text, including its NUL.
 pub const MAX_EVENT_TEXT: usize = 1024;
 
-/// A whole session has nine subscribers of the run's status: four controllers, DRR, recorder, launcher and the viewer's two. The
-/// others are for clients that only watch. Each costs two samples of every publisher.
+/// A complete session has nine subscribers of the run's status: four controllers, DRR, recorder, launcher and the viewer's two. The rest
+/// are for clients that only watch. Each costs two samples of every publisher.
 const MAX_SUBSCRIBERS: usize = 16;
 
 const fn fixed<M: Message>(
@@ -85,12 +84,11 @@ const ANYBODY: &[Part] = &[];
 const PHYSICS_ONLY: &[Part] = &[Part::Physics];
 const DRR_ONLY: &[Part] = &[Part::Drr];
 
-/// `State`, once a tick. A queue holds half a second of them at 1 kHz, the recorder's [`RECORDER_QUEUE_TICKS`].
+/// `State`, once per tick. A queue holds half a second of them at 1 kHz, the recorder's [`RECORDER_QUEUE_TICKS`].
 pub const STATE: Service = fixed::<State>("state", Lane::Run, PHYSICS_ONLY, 512);
-/// Ticks for which the recorder may stand still and still lose nothing: 4.096 s at 1 kHz. The queues of everything that comes once a
-/// tick are as long.
+/// Ticks for which the recorder may stall without losing anything: 4.096 s at 1 kHz. All per-tick queues have this length.
 pub const RECORDER_QUEUE_TICKS: u64 = STATE.lossless_length as u64;
-/// `Latched`, once a tick, before the state that it leads to.
+/// `Latched`, once per tick, before the state it leads to.
 pub const LATCHED: Service = fixed::<Latched>("latched", Lane::Run, PHYSICS_ONLY, 512);
 /// `Removed`, for ticks that removed voxels.
 pub const REMOVED: Service = Service {
@@ -105,14 +103,14 @@ pub const KEYFRAME: Service = Service {
     max_bytes: Keyframe::DESCRIPTION.size + KEYFRAME_PART_BYTES,
     ..fixed::<Keyframe>("keyframe", Lane::Run, PHYSICS_ONLY, MAX_KEYFRAME_BYTES / KEYFRAME_PART_BYTES)
 };
-/// `Command`, one service a controller: the writer is known by the service. A recorder may be as far behind its answers
-/// as it is behind the states.
+/// `Command`, one service per controller, so that the service identifies the writer. A recorder may lag as far behind on commands as on
+/// states.
 pub const COMMAND: Service =
     Service { history: 0, ..fixed::<Command>("command", Lane::Timing, ANYBODY, 512) };
-/// `Volume`, once; `max_bytes` is that of the scene's volume.
+/// `Volume`, once; `max_bytes` depends on the scene's volume.
 pub const VOLUME: Service =
     Service { lossless_length: 1, max_bytes: 0, ..fixed::<Volume>("volume", Lane::None, &[Part::Host], 1) };
-/// `Frame` with its image; `max_bytes` is that of the scene's detector.
+/// `Frame` with its image; `max_bytes` depends on the scene's detector.
 pub const FRAME: Service = Service { max_bytes: 0, ..fixed::<Frame>("frame", Lane::Run, DRR_ONLY, 8) };
 /// `DrrRequest`.
 pub const DRR_REQUEST: Service = Service {
@@ -154,9 +152,9 @@ pub const FRAME_TIMING: Service =
     Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, DRR_ONLY, 64) };
 
 impl Service {
-    /// Samples that a publisher has, loans of its own included. A queue holds the newest messages, so what lies in all
-    /// queues together is what lies in the longest; besides, every subscriber may hold two. The volume is published
-    /// once: one copy of a CT in memory, not one for each who may read it.
+    /// Samples per publisher, its own loans included. Queues hold the newest messages, so all queues together hold no more than the longest
+    /// one; in addition every subscriber may hold two. The volume is published once: one copy of a CT in memory, not one per possible
+    /// reader.
     pub fn samples(&self) -> usize {
         if self.name == VOLUME.name {
             return 1;
@@ -164,26 +162,26 @@ impl Service {
         self.lossless_length.max(self.history) + SAMPLES_HELD * (self.max_subscribers + 1)
     }
 
-    /// Bytes of shared memory that a publisher reserves, at most.
+    /// Upper bound of the shared memory that a publisher reserves, bytes.
     pub fn reserved_bytes(&self) -> u64 {
         let sample = self.max_bytes + SAMPLE_HEADER;
         SEGMENT_HEADER + (self.samples() * (sample + SAMPLE_INDEX)) as u64
     }
 }
 
-/// What a sample needs beside its payload, at most.
+/// Upper bound of a sample's overhead beside its payload, bytes.
 const SAMPLE_HEADER: usize = 64;
-/// What the segment's allocator needs for each sample, at most.
+/// Upper bound of the segment allocator's overhead per sample, bytes.
 const SAMPLE_INDEX: usize = 8;
-/// What a segment needs beside its samples, at most.
+/// Upper bound of a segment's overhead beside its samples, bytes.
 const SEGMENT_HEADER: u64 = 4096;
-/// What a port needs beside its samples: its connections, and what the others make at the same time.
+/// A port's overhead beside its samples, bytes: its connections, and what other ports allocate at the same time.
 pub const CONNECTIONS_BYTES: u64 = 2 << 20;
 
 /// Samples that a subscriber may hold at a time.
 pub const SAMPLES_HELD: usize = 2;
 
-/// Every service but the commands, of which there is one a controller.
+/// Every service except the commands, which have one per controller.
 pub const ALL: &[Service] = &[
     STATE,
     LATCHED,

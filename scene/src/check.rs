@@ -1,4 +1,4 @@
-//! Ranges and combinations that a scene must keep.
+//! Checks a scene's ranges and combinations of keys.
 
 use std::path::{Path, PathBuf};
 
@@ -48,7 +48,7 @@ pub enum SceneError {
         /// Highest allowed.
         highest: f64,
     },
-    /// Keys that contradict each other, or a text that is not one of the allowed ones.
+    /// Keys contradict each other, or a text is not one of the allowed ones.
     #[error("{file}: `{key}` {}", foreign_line(.problem))]
     Invalid {
         /// Scene file.
@@ -66,7 +66,7 @@ struct Checker<'a> {
 
 impl Checker<'_> {
     fn range(&self, key: &str, value: f64, lowest: f64, highest: f64) -> Result<(), SceneError> {
-        // A NaN is in no range.
+        // Written so that NaN fails.
         if value >= lowest && value <= highest {
             return Ok(());
         }
@@ -251,7 +251,7 @@ fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
         let problem = format!("has {} entries; expected at most {MAX_TENDONS}", scene.tendon.len());
         return Err(checker.invalid("tendon", problem));
     }
-    // With a tolerance the model may follow from the tendons.
+    // A tolerance lets the tendons determine the model.
     let model = scene.manipulator.model;
     let flat = match model {
         None => !scene.tolerance.as_ref().is_some_and(|t| t.tip_mm.is_some() || t.path_mm.is_some()),
@@ -341,7 +341,7 @@ fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
     checker.range("drr.threads", drr.threads as f64, 1.0, 64.0)
 }
 
-/// Exactly one of the two forms, whole. What the numbers mean is checked where they become a C-arm.
+/// Requires exactly one of the two forms, complete. The values are checked where they become a C-arm.
 fn check_c_arm(carm: &CArm, checker: &Checker) -> Result<(), SceneError> {
     let camera = [carm.intrinsics.is_some(), carm.rotation.is_some(), carm.translation_mm.is_some()];
     let points = [
@@ -361,7 +361,7 @@ fn check_c_arm(carm: &CArm, checker: &Checker) -> Result<(), SceneError> {
     Err(checker.invalid("drr.carm", problem))
 }
 
-/// Names of the other parts, and the reasons of an end that are not a part's name: a log's end names who caused it.
+/// Names of the other parts, and end reasons that are not names of parts: a log's end names who caused it.
 const RESERVED_NAMES: [&str; 6] = ["physics", "drr", "recorder", "launcher", "completed", "interrupted"];
 
 fn check_controllers(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
@@ -393,7 +393,7 @@ fn check_controllers(scene: &Scene, checker: &Checker) -> Result<(), SceneError>
     Ok(())
 }
 
-/// The burr is found as the darkest end of the tool, so a controller that looks needs frames in which metal is dark.
+/// Image feedback finds the burr as the darkest end of the tool, so it needs frames in which metal is dark.
 fn check_image_feedback(
     controller: &Controller,
     drr: Option<&Drr>,

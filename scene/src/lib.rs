@@ -1,12 +1,12 @@
-//! Scenes: one TOML file says everything that a run needs.
+//! Scenes: one TOML file holds everything that a run needs.
 //!
-//! Keys carry their unit (`_mm`, `_deg`, `_rpm`); what a scene does not name is not simulated: no `[volume]`, no bone;
-//! no `[drr]`, no X-ray process. Reading checks every key and every range and names file, key, value and allowed range.
+//! Keys carry their unit (`_mm`, `_deg`, `_rpm`); what a scene does not name is not simulated: without `[volume]` no bone, without `[drr]`
+//! no X-ray process. Parsing checks every key and every range; errors name file, key, value and allowed range.
 //!
-//! **Boundary:** a text comes in, a [`Scene`] or a [`SceneError`] goes out. Files are opened elsewhere (`ipc_types::scene_file`).
+//! **Boundary:** text in, a [`Scene`] or a [`SceneError`] out. Files are opened elsewhere (`ipc_types::scene_file`).
 //!
-//! **Invariants:** a [`Scene`] that [`Scene::parse`] returned is within every range and agrees with itself, so nobody behind it checks again;
-//! an unknown key is an error. [`reference`](mod@reference) is made of the declarations, so it lists every key.
+//! **Invariants:** a [`Scene`] from [`Scene::parse`] is within every range and consistent, so no later code checks it again; an unknown
+//! key is an error. [`reference`](mod@reference) is generated from the declarations, so it lists every key.
 //!
 //! ```
 //! use std::path::Path;
@@ -51,7 +51,7 @@ use std::path::Path;
 pub const LONGEST_RUN_S: f64 = 86_400.0;
 
 impl Scene {
-    /// Reads and checks a scene's text; `path` names it in errors, and relative paths in it start there.
+    /// Parses and checks a scene's text; `path` names it in errors, and relative paths in the scene are relative to its folder.
     ///
     /// # Errors
     /// [`SceneError`]: a key is unknown or missing, or a value is out of its range.
@@ -78,7 +78,7 @@ impl Scene {
         if let Some(volume) = &mut self.volume
             && let Some(path) = &mut volume.path
         {
-            // Absolute, because the text is copied into the session and into the log, which lie elsewhere.
+            // Absolute, because the text is copied into the session's folder and into the log.
             let joined = folder.join(&*path);
             *path = std::path::absolute(&joined).unwrap_or(joined);
         }

@@ -1,6 +1,6 @@
-//! The reference of scene files, made of their declaration: `docs/scene.md` is what [`scene_reference`] returns.
+//! Generates the scene reference from the declarations: `docs/scene.md` is the output of [`scene_reference`].
 //!
-//! Names, types and meanings come from the text of `scene/`; defaults from a scene that says only what it must.
+//! Names, types and descriptions come from the source text of `scene/`; defaults from a minimal scene.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::{Scene, SceneError};
 
 const MODEL: &str = concat!(include_str!("model.rs"), include_str!("drr.rs"), include_str!("tolerance.rs"));
 
-/// A scene with every table that has required keys, and in them nothing else.
+/// A scene with every table that has required keys, and only those keys.
 const LEAST: &str = r#"
 name = "least"
 [run]
@@ -116,10 +116,10 @@ struct Entry {
     doc: String,
 }
 
-/// The reference of scene files as Markdown.
+/// The scene reference as Markdown.
 ///
 /// # Errors
-/// The built-in least scene is not one: a key was added that a scene must have.
+/// The built-in minimal scene is invalid: a required key was added.
 pub fn scene_reference() -> Result<String, SceneError> {
     let file = Path::new("least scene of the reference");
     let scene = Scene::parse(LEAST, file)?;
@@ -143,7 +143,7 @@ impl Reference {
         self.items.iter().find(|item| item.name == name)
     }
 
-    /// The table that a key of this type opens, if it does.
+    /// The table that a key of this type opens, if any.
     fn table_of(&self, kind: &str) -> Option<&Item> {
         self.item(inner(kind)).filter(|item| item.entries.iter().any(|entry| !entry.kind.is_empty()))
     }
@@ -216,7 +216,7 @@ impl Reference {
     }
 }
 
-/// The value at a path; of an array of tables, the first that has it.
+/// The value at a path; for an array of tables, from the first that has it.
 fn find<'v>(value: &'v toml::Value, path: &[&str]) -> Option<&'v toml::Value> {
     let Some((first, rest)) = path.split_first() else { return Some(value) };
     match value {
@@ -245,7 +245,7 @@ fn snake_case(name: &str) -> String {
     text
 }
 
-/// The public structures and enumerations of the model, as rustfmt lays them out.
+/// The model's public structs and enums, as rustfmt formats them.
 fn items() -> Vec<Item> {
     let mut all: Vec<Item> = Vec::new();
     let mut doc = String::new();

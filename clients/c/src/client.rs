@@ -1,4 +1,4 @@
-//! One program's connection to a session.
+//! A program's connection to a session.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,21 +22,20 @@ use ipc_types::wake::{Waiter, Waker};
 
 use crate::error::ClientError;
 
-/// How often a waiting client looks whether the hub is alive.
+/// How often a waiting client checks that the hub is alive.
 const HUB_LOOK: Duration = Duration::from_millis(100);
-/// How often an observer, whom nobody wakes, looks for messages.
+/// Poll interval of an observer, which nobody wakes.
 const OBSERVER_LOOK: Duration = Duration::from_micros(200);
 const RETRY_TIME: Duration = Duration::from_millis(10);
-/// Longest wait that a caller may ask for; longer ones overflow clocks.
+/// Longest wait a caller may request; longer ones overflow clocks.
 const LONGEST_WAIT_S: f64 = 1e9;
 
-/// Which session to join, and as whom.
+/// Which session to join, and as which controller.
 #[derive(Debug, Clone)]
 pub struct Connection {
-    /// The session's folder, or its name; `None` takes the folder in `TRABECULA_SESSION`, or else the session of this
-    /// user that was announced last.
+    /// The session's folder or name. `None` uses the folder in `TRABECULA_SESSION`, or else this user's session that was announced last.
     pub session: Option<String>,
-    /// Name of the controller in the scene, or empty for an observer that commands nothing; `None` takes the name in
+    /// The controller's name in the scene, or empty for an observer, which sends no commands. `None` uses the name in
     /// `TRABECULA_CONTROLLER`, or else the scene's only external controller.
     pub controller: Option<String>,
     /// How long to wait for the session.
@@ -56,14 +55,14 @@ impl Connection {
     }
 }
 
-/// What does not change during a session.
+/// Facts that stay constant during a session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Info {
     /// Folder of the session.
     pub folder: PathBuf,
-    /// Name and index of the controller that this client is; `None` for an observer.
+    /// Name and index of this client's controller; `None` for an observer.
     pub controller: Option<(String, usize)>,
-    /// Number of the scene's controllers.
+    /// Number of controllers in the scene.
     pub controller_count: usize,
     /// Whether a tick waits for every controller.
     pub lockstep: bool,
@@ -71,7 +70,7 @@ pub struct Info {
     pub dt_s: f64,
     /// Ticks of the whole run.
     pub tick_count: u64,
-    /// Ticks between two scheduled frames; 0 without.
+    /// Ticks between two scheduled frames; 0 if there are none.
     pub frame_period_ticks: u64,
     /// Pixel columns of a frame; 0 without X-ray.
     pub frame_columns: u32,
@@ -81,8 +80,8 @@ pub struct Info {
     pub has_volume: bool,
 }
 
-/// A connection. It belongs to the thread that made it, and to the process: in a child of `fork` every call is refused with
-/// [`ClientError::Forked`], and its end there disconnects nobody.
+/// A connection. It belongs to the thread and process that made it: in a `fork` child every call fails with [`ClientError::Forked`], and
+/// dropping it there disconnects nobody.
 #[derive(Debug)]
 pub struct Client {
     pub(crate) session: Own<Session>,
@@ -94,17 +93,17 @@ pub struct Client {
     physics: Waker,
     commands: Option<Publisher<Command>>,
     state: Option<Received<State>>,
-    /// Filled by the caller, and copied when it is sent: what is written here later reaches nobody. Boxed: callers of the C
-    /// interface hold its address.
+    /// Filled in by the caller and copied when sent, so later writes have no effect. Boxed, because callers of the C interface hold its
+    /// address.
     command: Box<Command>,
-    /// Whether it has been asked for and not been sent.
+    /// Whether a command has been requested and not yet sent.
     is_begun: bool,
     sequence: u64,
     newest_tick: Option<u64>,
     states_missed: u64,
     newest_status: Option<RunStatus>,
     hub_seen: Instant,
-    /// When this client has heard that the run is over.
+    /// When this client learned that the run is over.
     pub(crate) ended: Option<Instant>,
     control: Option<Control>,
     events: Option<Subscriber<Event>>,
@@ -123,9 +122,9 @@ pub struct Client {
 struct Control {
     publisher: Publisher<RunControl>,
     replies: Subscriber<RunControlReply>,
-    /// The newest request: its number and what it asks for.
+    /// The newest request: its number and its action.
     asked: Option<(u64, u32)>,
-    /// What has not been sent yet, because nobody who would obey has been heard of.
+    /// A request held back until the physics has been heard.
     unsent: Option<RunControl>,
 }
 
@@ -134,13 +133,13 @@ pub(crate) struct Requests {
     pub(crate) publisher: Publisher<DrrRequest>,
     pub(crate) replies: Subscriber<DrrReply>,
     pub(crate) drr: Waker,
-    /// The newest request that the DRR process has said it renders.
+    /// The newest request that the DRR process has accepted for rendering.
     pub(crate) accepted: u64,
 }
 
-/// A duration from seconds as foreign callers give it.
+/// A duration from a foreign caller's seconds.
 pub(crate) fn limit_of(seconds: f64) -> Result<Duration, ClientError> {
-    // A NaN is in no range.
+    // Written so that NaN fails.
     if !(0.0..=f64::INFINITY).contains(&seconds) {
         let expected = "0 or more seconds";
         return Err(ClientError::BadArgument { name: "timeout_s", value: seconds, expected });
@@ -152,8 +151,8 @@ impl Client {
     /// Joins a session.
     ///
     /// # Errors
-    /// No session within the limit, another layout or transport version (by name), a controller that the scene does not
-    /// name or that is connected already.
+    /// No session within the limit, another layout or transport version (by name), a controller that the scene does not name or that is
+    /// already connected.
     pub fn connect(connection: &Connection) -> Result<Client, ClientError> {
         let folder = await_folder(connection)?;
         let session = Session::join_within(&folder, connection.limit)?;
@@ -177,7 +176,7 @@ impl Client {
             status: session.subscriber(&services::RUN_STATUS)?,
             waiter: index.map(|index| session.waiter(Reader::Controller(index))).transpose()?,
             physics: session.waker(Reader::Physics)?,
-            // Last: from here on the name is taken.
+            // Last, because from here on the name is taken.
             commands: info
                 .controller
                 .as_ref()
@@ -209,17 +208,17 @@ impl Client {
         })
     }
 
-    /// Whether this process has connected it, and not the one that it was forked from.
+    /// Whether this process made the connection, rather than a parent that forked it.
     pub(crate) fn is_ours(&self) -> bool {
         self.session.is_ours()
     }
 
-    /// An error in a child of the process that has connected.
+    /// Fails in a child of the process that made the connection.
     pub(crate) fn check_process(&self) -> Result<(), ClientError> {
         if self.is_ours() { Ok(()) } else { Err(ClientError::Forked) }
     }
 
-    /// What does not change during the session.
+    /// Facts that stay constant during the session.
     pub fn info(&self) -> &Info {
         &self.info
     }
@@ -229,8 +228,8 @@ impl Client {
         &self.scene
     }
 
-    /// The newest state, if one has come since the last call; older ones are passed over and counted
-    /// ([`Client::states_missed`]). It stays in shared memory, and is not overwritten, until the next state is taken.
+    /// The newest state, if one has arrived since the last call. Skips older ones and counts them ([`Client::states_missed`]). The state
+    /// stays in shared memory, unchanged, until the next one is taken.
     ///
     /// # Errors
     /// [`ClientError::Ended`] after the last state; the transport's.
@@ -248,7 +247,7 @@ impl Client {
         Ok(self.state.as_ref().filter(|_| came).map(Received::message))
     }
 
-    /// Waits for the newest state as [`Client::poll_state`] gives it: yields for 20 µs, then sleeps until woken.
+    /// Waits for the newest state, as [`Client::poll_state`] returns it: yields for 20 µs, then sleeps until woken.
     ///
     /// # Errors
     /// [`ClientError::TimedOut`], [`ClientError::Ended`] after the last state, [`ClientError::HubGone`]; the transport's.
@@ -259,7 +258,7 @@ impl Client {
         self.state.as_ref().map(Received::message).ok_or(ClientError::Ended)
     }
 
-    /// Waits for the oldest state that has not been taken, for clients that want every one. The queue holds 512.
+    /// Waits for the oldest state not yet taken, for clients that need every state. The queue holds 512.
     ///
     /// # Errors
     /// As [`Client::wait_state`].
@@ -294,12 +293,12 @@ impl Client {
         }
     }
 
-    /// The last state that was taken.
+    /// The last state taken.
     pub fn state(&self) -> Option<&State> {
         self.state.as_ref().filter(|_| self.is_ours()).map(Received::message)
     }
 
-    /// States that were passed over or overwritten before this client took them.
+    /// States that were skipped or overwritten before this client took them.
     pub fn states_missed(&self) -> u64 {
         self.states_missed
     }
@@ -313,7 +312,7 @@ impl Client {
         Ok(false)
     }
 
-    /// Counts the states between the one that is handed out now and the one before.
+    /// Counts the states between this one and the last one returned.
     fn count_missed(&mut self) {
         let Some(tick) = self.state.as_ref().map(|state| state.message().tick) else { return };
         if let Some(before) = self.newest_tick.replace(tick) {
@@ -321,13 +320,13 @@ impl Client {
         }
     }
 
-    /// An error if nothing will come any more.
+    /// Fails if no more states will come.
     fn check_end(&mut self) -> Result<(), ClientError> {
-        // The last state was published before the status; it may have come since the queue was looked at.
+        // The last state is published before the status; it may have arrived since the queue was polled.
         if self.has_ended()? && !self.states.has_message() { Err(ClientError::Ended) } else { Ok(()) }
     }
 
-    /// Whether the run is over; an error if the hub is gone without having said so.
+    /// Whether the run is over. Fails if the hub is gone without announcing the end.
     pub(crate) fn has_ended(&mut self) -> Result<bool, ClientError> {
         if self.ended.is_some() {
             return Ok(true);
@@ -345,7 +344,7 @@ impl Client {
         Ok(false)
     }
 
-    /// Where the run stands, if that has come.
+    /// The run's newest status, if one has arrived.
     ///
     /// # Errors
     /// The transport's.
@@ -357,8 +356,8 @@ impl Client {
         Ok(self.newest_status)
     }
 
-    /// The command that will be sent next: every mode at "none", `sequence` and `state_tick` filled in. The same one until
-    /// it is sent or discarded.
+    /// The next command to send: every mode at "none", `sequence` and `state_tick` filled in. Returns the same one until it is sent or
+    /// discarded.
     ///
     /// # Errors
     /// [`ClientError::Observer`], [`ClientError::Forked`].
@@ -375,11 +374,10 @@ impl Client {
         Ok(&mut self.command)
     }
 
-    /// Sends the command that [`Client::command`] gave, as it is now, and wakes the physics. If that fails it can be sent
-    /// again.
+    /// Sends the command from [`Client::command`] as it is now, and wakes the physics. After an error it can be sent again.
     ///
     /// # Errors
-    /// [`ClientError::Misuse`] if none was asked for, [`ClientError::Forked`]; the transport's.
+    /// [`ClientError::Misuse`] without a command, [`ClientError::Forked`]; the transport's.
     pub fn send(&mut self) -> Result<(), ClientError> {
         self.check_process()?;
         let publisher = self.commands.as_ref().filter(|_| self.is_begun);
@@ -390,12 +388,12 @@ impl Client {
         Ok(())
     }
 
-    /// Forgets the command that has been begun. Without one it does nothing.
+    /// Discards the command being filled in, if any.
     pub fn discard_command(&mut self) {
         self.is_begun = false;
     }
 
-    /// Waits for the newest state, has it answered, and sends the answer.
+    /// Waits for the newest state, lets the callback answer it, and sends the answer.
     ///
     /// # Errors
     /// As [`Client::wait_state`] and [`Client::send`].
@@ -412,7 +410,7 @@ impl Client {
         self.send()
     }
 
-    /// Asks run control for an action (one of the `CONTROL_` constants; `ticks` is for a step) and waits for the answer.
+    /// Sends a run-control request (one of the `CONTROL_` constants; `ticks` is for a step) and waits for the reply.
     ///
     /// # Errors
     /// [`ClientError::ControlRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.
@@ -427,7 +425,7 @@ impl Client {
             Some(control) => control,
             none => none.insert(Control {
                 publisher: self.session.publisher(&services::RUN_CONTROL)?,
-                // Answers to others must not push out the one to this client.
+                // Replies to other clients must not push out the one to this client.
                 replies: self.session.lossless_subscriber(&services::RUN_CONTROL_REPLY)?,
                 asked: None,
                 unsent: None,
@@ -439,21 +437,21 @@ impl Client {
         self.await_control(limit)
     }
 
-    /// Waits on for the answer to the action that was asked for last, when that has timed out.
+    /// Continues to wait for the reply to the last request, after a timeout.
     ///
     /// # Errors
-    /// [`ClientError::Misuse`] if no answer is due; otherwise as [`Client::run_control`].
+    /// [`ClientError::Misuse`] if no reply is due; otherwise as [`Client::run_control`].
     pub fn await_control(&mut self, limit: Duration) -> Result<RunControlReply, ClientError> {
         let deadline = Instant::now() + limit;
         loop {
-            // The answer is published before the end: what is not there by then will not come.
+            // The reply is published before the end: if it is not here by then, it never will be.
             let ended = self.has_ended()?;
             let control =
                 self.control.as_mut().and_then(|control| control.asked.map(|asked| (control, asked)));
             let Some((control, (request_id, action))) = control else {
                 return Err(ClientError::Misuse("no action has been asked for whose answer is due"));
             };
-            // Whoever obeys says first that it is there; what was sent before that is lost.
+            // The physics announces itself first; a request sent before that is lost.
             if self.newest_status.is_some()
                 && let Some(request) = control.unsent.take()
             {
@@ -478,8 +476,8 @@ impl Client {
         }
     }
 
-    /// The oldest event that has not been taken. Events are kept for this client from its first call on. It stays in shared
-    /// memory until the next one has come.
+    /// The oldest event not yet taken. Events are queued from this client's first call on. The event stays in shared memory until the next
+    /// one is returned.
     ///
     /// # Errors
     /// [`ClientError::Forked`]; the transport's.
@@ -496,7 +494,7 @@ impl Client {
         Ok(Some((event.message(), event_text(event))))
     }
 
-    /// Writes a line to the session's events, and so into the log.
+    /// Adds a line to the session's events, which the log records.
     ///
     /// # Errors
     /// [`ClientError::Observer`]; the transport's.
@@ -513,8 +511,8 @@ impl Client {
         Ok(())
     }
 
-    /// The oldest message about removed voxels that has not been taken, with the voxels' indices in place. They are kept
-    /// for this client from its first call on. It stays in shared memory until the next one has come.
+    /// The oldest message about removed voxels not yet taken, with the voxels' indices in place. Messages are queued from this client's
+    /// first call on. The message stays in shared memory until the next one is returned.
     ///
     /// # Errors
     /// [`ClientError::Forked`]; the transport's.
@@ -531,7 +529,7 @@ impl Client {
         Ok(None)
     }
 
-    /// Leaves the session, but for what has been handed out.
+    /// Leaves the session, but keeps what the caller has been given.
     pub(crate) fn leave(self) -> Kept {
         Kept {
             _state: self.state.map(|state| (state, self.states)),
@@ -544,8 +542,7 @@ impl Client {
     }
 }
 
-/// What has been handed out last of each kind, with the port that keeps it as it is: nobody writes there before these are
-/// dropped.
+/// The last message of each kind given to the caller, and its port: the memory is not reused before these are dropped.
 #[derive(Debug)]
 pub(crate) struct Kept {
     _state: Option<(Received<State>, Subscriber<State>)>,
@@ -556,11 +553,11 @@ pub(crate) struct Kept {
     _command: Box<Command>,
 }
 
-/// Puts a message that has come into the place of the one before. That one is given back only here: a caller may still look
-/// at it, and the memory of a sender that has gone is unmapped with its last message.
+/// Replaces the held message with a new one. Only now is the old one released: the caller may still be reading it, and the memory of a
+/// departed sender is unmapped with its last message.
 ///
-/// False, and passed over, if it is of another sender: a session has one sender of each kind that is held, and a stranger
-/// who takes its place must not unmap what a caller has from it.
+/// Returns false and skips the message if it has another sender. A session has one sender of each held kind, and a stranger in its place
+/// must not unmap what the caller is reading.
 pub(crate) fn put<M: Message>(held: &mut Option<Received<M>>, new: Received<M>) -> bool {
     let is_foreign = held.as_ref().is_some_and(|held| held.sender() != new.sender());
     if !is_foreign {
@@ -569,20 +566,20 @@ pub(crate) fn put<M: Message>(held: &mut Option<Received<M>>, new: Received<M>) 
     !is_foreign
 }
 
-/// The text of an event, in place. Its sender is another process: bytes that are no text are none.
+/// The text of an event, in place. Its sender is another process, so invalid UTF-8 is shown as empty.
 pub(crate) fn event_text(event: &Received<Event>) -> &str {
     let bytes = event.tail();
     std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).unwrap_or("")
 }
 
-/// A request number that no other client of the session has, in this process or another.
+/// A request number unique among the session's clients, in all processes.
 pub(crate) fn new_request_id() -> u64 {
     static COUNT: AtomicU64 = AtomicU64::new(1);
     let count = COUNT.fetch_add(1, Ordering::Relaxed) & u64::from(u32::MAX);
     (u64::from(std::process::id()) << 32) | count
 }
 
-/// Looks again and again, with sleep between.
+/// Polls with sleeps in between.
 pub(crate) fn look_until(deadline: Instant, mut ready: impl FnMut() -> bool) {
     while !ready() && Instant::now() < deadline {
         std::thread::sleep(OBSERVER_LOOK);
@@ -596,7 +593,7 @@ fn await_folder(connection: &Connection) -> Result<PathBuf, ClientError> {
     if let Some(given) = &named {
         SessionId::can_be(Path::new(given))?;
     }
-    // A path is one folder; a name may lie in any place where this user's sessions lie.
+    // A path is one folder; a name may be in any of this user's places.
     let look = || match &named {
         Some(path) if path.contains('/') => Some(PathBuf::from(path)).filter(|folder| host_is_alive(folder)),
         Some(name) => running_sessions(Some(name)).pop(),

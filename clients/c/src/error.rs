@@ -6,49 +6,49 @@ use ipc_types::scene::SceneError;
 use ipc_types::session::{Searched, SessionError};
 use thiserror::Error;
 
-/// Why a client cannot do what it was asked.
+/// Why a client call fails.
 #[derive(Debug, Error)]
 pub enum ClientError {
-    /// The session cannot be joined, or a port of it not be opened.
+    /// The session cannot be joined, or one of its ports cannot be opened.
     #[error(transparent)]
     Session(SessionError),
     /// The session's scene cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A message cannot be sent or taken.
+    /// A message cannot be sent or received.
     #[error(transparent)]
     Port(#[from] PortError),
     /// No session was announced in time.
     #[error("{searched}")]
     NoSession {
-        /// Where it was looked for.
+        /// The places searched.
         searched: Searched,
     },
-    /// The client's own declarations of a message are not those of this library.
+    /// The program's declaration of a message differs from this library's.
     #[error(
         "{message}: this program was built with layout {given}, libtrabecula_client {version} has {ours}; build both from one version"
     )]
     Layout {
         /// Message.
         message: String,
-        /// Layout that the program was built with.
+        /// Layout the program was built with.
         given: String,
-        /// Layout of the library.
+        /// Layout in this library.
         ours: String,
         /// Version of the library.
         version: &'static str,
     },
-    /// The scene leaves open which controller is meant.
+    /// The scene does not determine which controller is meant.
     #[error(
         "no controller named, and the scene has {external} external ones; name one of its controllers: {known}"
     )]
     WhichController {
         /// Number of external controllers.
         external: usize,
-        /// Names of the scene.
+        /// Names in the scene.
         known: String,
     },
-    /// The client does not command anything.
+    /// An observer sends no commands.
     #[error("this client joined as an observer; name a controller when it connects to command one")]
     Observer,
     /// The scene has no X-ray.
@@ -62,7 +62,7 @@ pub enum ClientError {
     FrameRefused {
         /// The request.
         request_id: u64,
-        /// Refused or busy.
+        /// `refused` or `busy`.
         how: &'static str,
     },
     /// Run control refused an action.
@@ -71,10 +71,10 @@ pub enum ClientError {
         /// The action.
         action: u32,
     },
-    /// The text of an event is not UTF-8, or a command was to be sent that was not asked for.
+    /// The text of an event is not UTF-8, or there is no command to send.
     #[error("{0}")]
     Misuse(&'static str),
-    /// A number is not one that can be used.
+    /// A number is invalid.
     #[error("`{name}` is {value}, expected {expected}")]
     BadArgument {
         /// Argument.
@@ -84,7 +84,7 @@ pub enum ClientError {
         /// What is allowed.
         expected: &'static str,
     },
-    /// A child of `fork` uses its parent's client.
+    /// A `fork` child uses its parent's client.
     #[error(
         "this client is of the process that this one was forked from, and stays its own; connect a new one here (Python's \
          `multiprocessing`: start method `spawn`, or connect in the child)"
@@ -93,13 +93,13 @@ pub enum ClientError {
     /// The run is over.
     #[error("the run has ended")]
     Ended,
-    /// The hub is gone without an end of the run.
+    /// The hub is gone without announcing the end of the run.
     #[error("the hub of session {folder} is gone")]
     HubGone {
         /// Session folder.
         folder: PathBuf,
     },
-    /// Nothing came in time.
+    /// Nothing arrived in time.
     #[error("nothing came within {:.3} s", .0.as_secs_f64())]
     TimedOut(Duration),
 }
@@ -107,7 +107,7 @@ pub enum ClientError {
 impl From<SessionError> for ClientError {
     fn from(error: SessionError) -> ClientError {
         match error {
-            // One that goes while it is being joined is one that is not there.
+            // A session that disappears while being joined counts as not found.
             SessionError::NoSession { searched } => ClientError::NoSession { searched },
             other => ClientError::Session(other),
         }

@@ -16,9 +16,9 @@ use zerocopy::FromBytes;
 use crate::client::{Client, Requests, look_until, new_request_id, put};
 use crate::error::ClientError;
 
-/// How often a client that waits for the volume looks.
+/// Poll interval while waiting for the volume.
 const RETRY_TIME: Duration = Duration::from_millis(2);
-/// How long after a run's end its last frames may still come.
+/// How long after the end of a run its last frames may arrive.
 const LAST_FRAMES: Duration = Duration::from_secs(1);
 
 const NO_PICTURE: ClientError = ClientError::Misuse("a frame came whose pixels are not those it announces");
@@ -26,9 +26,9 @@ const NO_PICTURE: ClientError = ClientError::Misuse("a frame came whose pixels a
 /// A frame in shared memory.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameView<'a> {
-    /// What it shows.
+    /// Tick, C-arm and size.
     pub frame: &'a Frame,
-    /// Intensities, row after row from the top left; 0 is black.
+    /// Intensities, row by row from the top left; 0 is black.
     pub pixels: &'a [u16],
 }
 
@@ -42,13 +42,12 @@ pub struct VolumeView<'a> {
 }
 
 impl Client {
-    /// Asks for a frame and returns the request's number. `t_world_c_arm` is where the C-arm is to stand: its origin is
-    /// the isocentre, +x runs along the picture's rows to the right, +y along its columns down, +z to the source;
-    /// distances, pixels and pitch are the scene's. `None` takes the scene's C-arm as it stands. The frame shows the
-    /// state of `tick`, or the newest one when that has passed.
+    /// Requests a frame and returns the request's number. `t_world_c_arm` is the pose of the C-arm: its origin is the isocentre, +x runs
+    /// along the image rows to the right, +y along the columns down, +z to the source; distances, pixels and pitch are the scene's. `None`
+    /// uses the scene's C-arm unchanged. The frame shows the state of `tick`, or the newest one if that has passed.
     ///
     /// # Errors
-    /// [`ClientError::NoDrr`], [`ClientError::BadArgument`] for a pose that is none; the transport's.
+    /// [`ClientError::NoDrr`], [`ClientError::BadArgument`] for an invalid pose; the transport's.
     pub fn request_frame(&mut self, t_world_c_arm: Option<&Pose>, tick: u64) -> Result<u64, ClientError> {
         self.check_process()?;
         self.open_frames()?;
@@ -76,13 +75,12 @@ impl Client {
         Ok(request_id)
     }
 
-    /// Waits for a frame: the one of a request, or with 0 the next one of any kind. Frames are kept for this client
-    /// from its first call of this or [`Client::request_frame`] on, 64 at most. It stays in shared memory, and is not
-    /// overwritten, until the next frame is returned.
+    /// Waits for a frame: that of a request, or with 0 the next one of any kind. Frames are queued from this client's first call of this or
+    /// [`Client::request_frame`] on, at most 64. The frame stays in shared memory, unchanged, until the next one is returned.
     ///
     /// # Errors
-    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`] when the
-    /// run is over and no frame is being rendered; the transport's.
+    /// [`ClientError::NoDrr`], [`ClientError::FrameRefused`], [`ClientError::TimedOut`], [`ClientError::Ended`] when the run is over and no
+    /// frame is being rendered; the transport's.
     pub fn wait_frame(&mut self, request_id: u64, limit: Duration) -> Result<FrameView<'_>, ClientError> {
         self.check_process()?;
         self.open_frames()?;
@@ -110,7 +108,7 @@ impl Client {
         self.frame.as_ref().and_then(frame_view).ok_or(NO_PICTURE)
     }
 
-    /// An error when the run has ended and no frame will come: none is being rendered.
+    /// Fails if the run has ended and no frame is being rendered, so none will come.
     fn check_frames_come(&mut self, request_id: u64) -> Result<(), ClientError> {
         let ended = self.has_ended()? && self.ended.is_some_and(|since| since.elapsed() >= LAST_FRAMES);
         let accepted = self.requests.as_ref().map_or(0, |requests| requests.accepted);
@@ -123,7 +121,7 @@ impl Client {
             return Err(ClientError::NoDrr);
         }
         if self.frames.is_none() {
-            // Frames that others ask for must not push out one that this client waits for.
+            // Frames that others request must not push out one that this client waits for.
             self.frames = Some(self.session.lossless_subscriber(&services::FRAME)?);
         }
         Ok(())
@@ -146,7 +144,7 @@ impl Client {
         Ok(())
     }
 
-    /// The CT volume as it was at the start, in place. It stays for as long as the client does.
+    /// The CT volume as at the start of the run, in place. It stays mapped as long as the client lives.
     ///
     /// # Errors
     /// [`ClientError::NoVolume`], [`ClientError::TimedOut`], [`ClientError::Ended`]; the transport's.
@@ -178,7 +176,7 @@ impl Client {
     }
 }
 
-/// A frame's pixels where they lie. Its writer is another process: a picture that is none is not shown.
+/// A frame's pixels in place. Its writer is another process, so an invalid image gives `None`.
 pub(crate) fn frame_view(received: &Received<Frame>) -> Option<FrameView<'_>> {
     let frame = received.message();
     let data = received.tail().get(ImagePrefix::DESCRIPTION.size..)?;
@@ -187,7 +185,7 @@ pub(crate) fn frame_view(received: &Received<Frame>) -> Option<FrameView<'_>> {
     (pixels.len() as u64 == expected).then_some(FrameView { frame, pixels })
 }
 
-/// The scene's C-arm moved to a pose.
+/// The scene's C-arm, moved to a pose.
 fn geometry_at(pose: &Pose, drr: &Drr) -> Result<CArmGeometry, ClientError> {
     let [x, y, z, w] = pose.orientation_xyzw;
     let length = (x * x + y * y + z * z + w * w).sqrt();
@@ -199,7 +197,7 @@ fn geometry_at(pose: &Pose, drr: &Drr) -> Result<CArmGeometry, ClientError> {
     if let Some(value) = pose.position_m.iter().find(|value| !value.is_finite()) {
         return Err(ClientError::BadArgument { name: "position_m", value: *value, expected: "metres" });
     }
-    // Columns of the rotation matrix of a unit quaternion.
+    // Columns of the unit quaternion's rotation matrix.
     let row_axis = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)];
     let column_axis = [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)];
     let to_source = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)];
@@ -221,8 +219,7 @@ fn geometry_at(pose: &Pose, drr: &Drr) -> Result<CArmGeometry, ClientError> {
 mod tests {
     use super::*;
 
-    /// At AP the picture has the patient's right (LPS −x) on its left, the head (+z) up, the source behind the patient
-    /// (+y).
+    /// At AP the image shows the patient's right (LPS −x) on its left and the head (+z) up, with the source behind the patient (+y).
     #[test]
     fn the_c_arm_stands_where_its_pose_says() {
         let text =
@@ -232,7 +229,7 @@ mod tests {
         );
         let scene = ipc_types::scene::Scene::parse(&scene, std::path::Path::new("x.toml")).unwrap();
         let drr = scene.drr.unwrap();
-        // Rows along +x, columns along −z: a turn by −90° about x; +z of the C-arm is then +y of the patient.
+        // Rows along +x, columns along −z: a rotation by −90° about x, so that the C-arm's +z is the patient's +y.
         let half = core::f64::consts::FRAC_1_SQRT_2;
         let pose = Pose { position_m: [0.01, 0.02, 0.03], orientation_xyzw: [-half, 0.0, 0.0, half] };
         let geometry = geometry_at(&pose, &drr).unwrap();

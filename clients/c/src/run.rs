@@ -1,4 +1,4 @@
-//! The loop of a Rust controller.
+//! The main loop of a Rust controller.
 
 use std::time::Duration;
 
@@ -7,12 +7,12 @@ use ipc_types::messages::{Command, State};
 use crate::client::{Client, Connection};
 use crate::error::ClientError;
 
-/// Longest silence of a run that goes on: a paused run publishes nothing, so the loop only looks again.
+/// Longest wait for a state: a paused run publishes none, so the loop just polls again.
 const LOOK_TIME: Duration = Duration::from_secs(1);
 
-/// What a controller does. A closure of these two arguments is one.
+/// A controller. Closures with these two arguments implement it.
 pub trait Controller {
-    /// Answers a state. `command` comes with `sequence` and `state_tick` filled in and every mode at "none".
+    /// Answers a state. `command` arrives with `sequence` and `state_tick` filled in and every mode at "none".
     fn step(&mut self, state: &State, command: &mut Command);
 }
 
@@ -22,16 +22,15 @@ impl<F: FnMut(&State, &mut Command)> Controller for F {
     }
 }
 
-/// Runs a controller in the session and under the name that the environment or the newest session gives, to the end of
-/// the run ([`Connection::default`]).
+/// Runs a controller until the run ends, with the session and name from the environment or the newest session ([`Connection::default`]).
 ///
 /// # Errors
-/// Any [`ClientError`] but [`ClientError::Ended`].
+/// Any [`ClientError`] except [`ClientError::Ended`].
 pub fn run(controller: impl Controller) -> Result<(), ClientError> {
     run_as(&Connection::default(), controller)
 }
 
-/// The same with a session and a name of its own.
+/// As [`run`], with an explicit session and name.
 ///
 /// # Errors
 /// As [`run`].

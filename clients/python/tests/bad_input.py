@@ -69,24 +69,24 @@ def die_with_a_command_begun():
 if sys.argv[1:] == ["die"]:
     die_with_a_command_begun()
 
-# Another layout, and none at all.
+# Another layout, and a missing one.
 handle = ctypes.c_uint64()
 state_layout = next(pair for pair in _generated.LAYOUTS.split(";") if pair.startswith("State="))
 for layouts, words in [
     (_generated.LAYOUTS.replace(state_layout, "State=0123456789abcdef"), ["State", "0123456789abcdef"]),
     ("", ["no such message"]),
-    # All messages the same, but a library of other functions.
+    # All messages match, but the library has other functions.
     (_generated.LAYOUTS.rsplit(";", 1)[0], ["Abi"]),
 ]:
     status = _client._library.trb_connect(layouts.encode(), None, b"pilot", 1.0, ctypes.byref(handle))
     text = _client._library.trb_last_error().decode()
     assert status == t.ERROR_VERSION and all(word in text for word in words), (status, text)
 
-# Every code has its name, and nothing else is exported.
+# Every code has a name, and nothing else is exported.
 assert (t.ARM_SERVO_JV, t.ARM_INSERT, t.ARM_RCM, t.ARM_FAULT, t.MAX_DEPTH_M) == (6, 7, 8, 2, 0.5)
 assert not {"np", "ctypes", "field", "nested"} & set(t.__all__) and {"Client", "ARM_INSERT"} <= set(t.__all__)
 
-# Null pointers and handles that are none.
+# Null pointers and invalid handles.
 assert _client._library.trb_connect(_generated.LAYOUTS.encode(), None, None, 1.0, None) == t.ERROR_NULL
 assert _client._library.trb_send_command(0) == t.ERROR_HANDLE
 assert _client._library.trb_send_command(12345) == t.ERROR_HANDLE
@@ -96,7 +96,7 @@ client = t.Client(controller="pilot")
 client.events()
 assert client.info.controller == "pilot" and not client.info.lockstep
 
-# Connecting twice, under no name, without a command.
+# Connecting twice, without a name, without a command.
 error = refusal(lambda: t.Client(controller="pilot"))
 assert error.status == t.ERROR_TAKEN and "`pilot` is already connected" in str(error), error
 error = refusal(lambda: t.Client(controller="nobody"))
@@ -107,7 +107,7 @@ with t.Client(controller="") as observer:
     assert refusal(lambda: observer.request_frame()).status == t.ERROR_ABSENT
     assert refusal(lambda: observer.volume()).status == t.ERROR_ABSENT
 
-# What is mapped read-only cannot be written, and a field that is none cannot be set.
+# Read-only memory cannot be written, and an unknown field cannot be set.
 state = client.wait_state(LIMIT_S)
 for attempt in [
     lambda: state.joint_position_rad.__setitem__(0, 1.0),
@@ -121,7 +121,7 @@ for attempt in [
     raise AssertionError("written")
 assert np.shares_memory(state.joint_position_rad, state.array["joint_position_rad"])
 
-# Commands that are none. The run begins when both controllers have answered its first state.
+# Invalid commands. The run begins when both controllers have answered its first state.
 with client.command() as command:
     command.tendon_mode = t.TENDON_SERVO_JF
 with t.Client(controller="holder") as holder:
@@ -144,13 +144,13 @@ with t.Client(controller="holder") as holder:
         answer(client, change)
         texts = wait_for_events(client, words)
         assert any("controller `pilot`: command" in text for text in texts), texts
-    # For the past: a number that has been.
+    # A sequence number that was already used.
     answer(client, lambda command: setattr(command, "sequence", 2))
     wait_for_events(client, "`sequence` is 2, expected more than")
-    # An older state than the one answered last.
+    # An older state than the last one answered.
     answer(client, lambda command: setattr(command, "state_tick", 1))
     wait_for_events(client, "`state_tick` is 1, but an earlier command of this connection answered")
-    # The next number follows the one that was sent; the right one is taken up again.
+    # The next number follows the one sent; a valid one is accepted again.
     newest = applied(client, lambda state: True).applied["sequence"][0]
     answer(client, lambda command: setattr(command, "sequence", int(newest) + 100))
     applied(client, lambda state: state.applied["sequence"][0] > newest + 100)
@@ -159,7 +159,7 @@ with t.Client(controller="holder") as holder:
         assert time.monotonic() < deadline, client.status
         time.sleep(0.01)
 
-    # Flooding: what does not fit into the queue is counted and said, the newest command acts.
+    # Flooding: commands that overflow the queue are counted and reported, and the newest takes effect.
     for _ in range(20_000):
         with client.command() as command:
             command.tendon_mode = t.TENDON_SERVO_JF
@@ -167,7 +167,7 @@ with t.Client(controller="holder") as holder:
     wait_for_events(client, "commands never came: a queue holds 512")
     applied(client, lambda state: state.tendon_tension_n[0] > 2.0)
 
-    # Not reading: nobody waits for it, and it learns how much it has missed.
+    # Not reading: nobody waits for this client, and it learns how many states it missed.
     first, missed = client.wait_state(LIMIT_S).tick, client.states_missed
     with t.Client(controller="") as observer:
         while observer.wait_state(LIMIT_S).tick < first + 700:
@@ -175,7 +175,7 @@ with t.Client(controller="holder") as holder:
         assert client.wait_state(LIMIT_S).tick >= first + 700
         assert client.states_missed >= missed + 699, client.states_missed
 
-# Dying with a command begun: the name is free again, and the run goes on.
+# Dying with an unsent command: the name becomes free, and the run continues.
 client.close()
 victim = subprocess.run([sys.executable, __file__, "die"], capture_output=True, text=True)
 assert victim.returncode == -signal.SIGKILL and victim.stdout == "begun\n", victim

@@ -145,7 +145,7 @@ def main():
             phases.append(STATUS.get(message, "phase"))
         if ENDED in phases and not states.has_samples():
             break
-        # It may return early and with nothing: two wake-ups may have been taken for one.
+        # May return early and empty: two wake-ups can be merged into one.
         listener.timed_wait(iceoryx2.Duration.from_secs(LIMIT_S))
         assert time.monotonic() < limit, f"no message within {LIMIT_S} s"
     print(f"answered {sequence} states, the last of tick {answered}")

@@ -26,7 +26,7 @@ tick = client.wait_state(LIMIT_S).tick
 answer(client)
 client.wait_state(LIMIT_S)
 
-# Commands that are none: the tick waits for the one that is.
+# Invalid commands: the tick waits for a valid one.
 for _ in range(5000):
     with client.command() as command:
         command.tendon_mode = t.TENDON_SERVO_JF
@@ -34,13 +34,13 @@ for _ in range(5000):
 answer(client)
 assert client.wait_state(LIMIT_S).tick == tick + 2
 
-# Run control: every request is sent, no answer is waited for.
+# Run control: sends every request and waits for no reply.
 for _ in range(5000):
     assert library.trb_control_run(client._handle, 77, 0, 0.0, None) in (t.ERROR_REFUSED, _client.g.TIMEOUT)
 answer(client)
 assert client.wait_state(LIMIT_S).tick == tick + 3
 
-# Frames: beyond the run's end, and far ahead.
+# Frames: past the end of the run, and far ahead.
 try:
     client.wait_frame(client.request_frame(10**9), LIMIT_S)
     raise AssertionError("not refused")
@@ -49,7 +49,7 @@ except t.Error as error:
 for _ in range(2000):
     client.request_frame(999)
 with t.Client(controller="other") as other:
-    # Another program's place is free.
+    # Another program's requests still get through.
     state = other.wait_state(LIMIT_S)
     request = other.request_frame(state.tick)
     assert other.wait_frame(request, LIMIT_S).frame.request_id == request
@@ -63,7 +63,7 @@ thread.start()
 thread.join()
 assert seen == [t.ERROR_HANDLE], seen
 
-# Waits without an end, or none at all.
+# Invalid timeouts: NaN and negative.
 for wait in [
     lambda: client.wait_state(math.nan),
     lambda: client.volume(math.nan),
@@ -76,7 +76,7 @@ for wait in [
     except t.Error as error:
         assert error.status == t.ERROR_ARGUMENT and "`timeout_s` is" in str(error), error
 
-# A pause is no end; the end ends the wait for a frame that will not come.
+# A pause is not an end; the end stops a wait for a frame that will not come.
 client.run_control(t.CONTROL_PAUSE)
 try:
     client.wait_state(0.3)

@@ -49,7 +49,7 @@ def child(client, hu, expected):
         status = status_of(call)
         assert status == t.ERROR_FORKED, (call, status)
     client.close()
-    # A client of its own.
+    # The child's own client.
     with t.Client(controller="") as observer:
         assert observer.wait_state(LIMIT_S).tick >= 0
         assert int(observer.volume(LIMIT_S).hu.astype(np.int64).sum()) == expected
@@ -92,7 +92,7 @@ if __name__ == "__main__":
     expected = int(hu.astype(np.int64).sum())
     ticks = [answer(client)]
 
-    # A normal exit, which runs every clean-up there is; a hard one; an exec.
+    # A normal exit, which runs every clean-up; a hard exit; an exec.
     assert forked(lambda: child(client, hu, expected), lambda: sys.exit(0)) == 0
     ticks.append(answer(client))
     assert forked(lambda: child(client, hu, expected), lambda: os._exit(0)) == 0
@@ -118,7 +118,7 @@ if __name__ == "__main__":
     subprocess.run([sys.executable, "-c", "pass"], check=True)
     subprocess.run(["true"], check=True, preexec_fn=gc.collect)
     ticks.append(answer(client))
-    # Each of these answers is of a tick of its own: the parent has been connected all the time.
+    # Each answer is for its own tick: the parent was connected the whole time.
     assert ticks == list(range(ticks[0], ticks[0] + len(ticks))), ticks
     held_lock_and_child(client)
     for _ in range(50):

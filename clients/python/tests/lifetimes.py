@@ -65,7 +65,7 @@ def the_last_frame_after_the_end():
 def the_last_removal_after_a_look_in_vain():
     client = t.Client()
     removal = client.next_removed()
-    # The burr is put into the bone.
+    # Drives the burr into the bone.
     for _ in range(900):
         state = client.wait_state(LIMIT_S)
         with client.command() as command:
@@ -121,7 +121,7 @@ def everything_after_close_and_in_any_order():
         except t.Error as error:
             assert error.status == t.ERROR_HANDLE, error
     assert sums(image.pixels, ct.hu, state.joint_position_rad) == before
-    # Other messages do not go where these lie.
+    # Other messages must not overwrite the ones held.
     for _ in range(100):
         answered(mine)
     assert sums(image.pixels, ct.hu, state.joint_position_rad) == before and state.tick == 0
@@ -167,7 +167,7 @@ def everything_at_exit():
 
     threading.Thread(target=read, daemon=True).start()
     KEPT.extend([image, ct, client])
-    # The reference that Python drops last, in whatever order it ends.
+    # The reference that Python drops last, in whichever order it shuts down.
     sys.modules["kept by the interpreter"] = (client, ct.hu)
 
 
@@ -194,7 +194,7 @@ def a_signal_during_a_wait():
                 with client.command() as command:
                     command.tendon_mode = t.TENDON_SERVO_JF
             except (ValueError, t.Error) as error:
-                # The handler has discarded it.
+                # The handler has discarded the command.
                 assert "discarded" in str(error) or "no command to send" in str(error), error
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)

@@ -25,7 +25,7 @@ with t.Client() as client:
             force_n[0] = 3.0
             slice_n, whole, pose = force_n[:1], command.array, command.t_world_base
             position_m = pose.position_m
-        # While the physics reads it.
+        # While the physics is reading it.
         slice_n[0] = 55.0
         text = refused(lambda: setattr(command, "burr_mode", 7))
         assert text == "`burr_mode` of this Command cannot be written: it has been sent", text
@@ -38,7 +38,7 @@ with t.Client() as client:
         refused(lambda: position_m.__setitem__(0, 55.0))
         assert command.tendon_force_n[0] == 3.0 and command.state_tick == state.tick
         assert not np.shares_memory(command.tendon_force_n, slice_n)
-        # Slices of all commands so far: none of them is part of a later one.
+        # Slices of all commands so far; none may alias a later one.
         kept.append(slice_n)
         for earlier in kept[-50:]:
             earlier[0] = 55.0

@@ -9,7 +9,7 @@
                 command.tendon_force_n[0] = 5.0
 
 States, frames and the CT volume are views of shared memory: nothing is copied, and they stay readable for as long as they are
-held. Units are SI and end the names.
+referenced. Units are SI; each name ends in its unit.
 """
 
 from . import _generated

@@ -18,14 +18,14 @@ from ._view import View
 
 _library = load()
 _byref = ctypes.byref
-#: Longest uninterrupted wait inside the library, so that Ctrl-C is heard.
+#: Longest uninterrupted wait inside the library, so that Ctrl-C gets through.
 _SLICE_S = 0.1
 
 _V = TypeVar("_V", bound=View)
 
 
 class Error(RuntimeError):
-    """What the library refused; the text says what was given, what was expected and what to do."""
+    """A failed call. The text says what was given, what was expected and what to do."""
 
     def __init__(self, status: int, text: str) -> None:
         super().__init__(text)
@@ -48,7 +48,7 @@ def _check(status: int) -> None:
 
 
 def _slices(timeout_s: float) -> Iterator[tuple[float, bool]]:
-    """Lengths of the waits inside the library that make up a wait, and whether each is the last."""
+    """Splits a wait into short waits inside the library: their lengths, and whether each is the last."""
     if not timeout_s >= 0.0:
         raise Error(g.ERROR_ARGUMENT, f"`timeout_s` is {timeout_s}, expected 0 or more seconds")
     deadline = time.monotonic() + timeout_s
@@ -64,7 +64,7 @@ def _text(text: Optional[str]) -> Optional[bytes]:
 
 
 def _connected(session: Optional[str], controller: Optional[str], timeout_s: float) -> int:
-    """The handle of a new client."""
+    """Connects a client and returns its handle."""
     handle = ctypes.c_uint64()
     layouts = g.LAYOUTS.encode()
     for slice_s, last in _slices(timeout_s):
@@ -77,7 +77,7 @@ def _connected(session: Optional[str], controller: Optional[str], timeout_s: flo
 
 
 class _Memory:
-    """What a client hands out: it stays as long as this does, in whatever thread, whether the client is there or not."""
+    """Keeps the client's shared memory mapped while this object lives, in any thread and past the client's end."""
 
     def __init__(self, handle: int) -> None:
         self._handle = 0
@@ -91,11 +91,11 @@ class _Memory:
 
 @dataclass(frozen=True)
 class Info:
-    """What does not change during a session."""
+    """Facts that stay constant during a session."""
 
     #: Folder of the session.
     folder: str
-    #: Name of the controller that this client is; empty for an observer.
+    #: Name of this client's controller; empty for an observer.
     controller: str
     #: The whole scene as TOML.
     scene_toml: str
@@ -103,11 +103,11 @@ class Info:
     dt_s: float
     #: Ticks of the whole run.
     tick_count: int
-    #: Ticks between two scheduled frames; 0 without.
+    #: Ticks between two scheduled frames; 0 if there are none.
     frame_period_ticks: int
     #: Index of the controller in the scene; -1 for an observer.
     controller_index: int
-    #: Number of the scene's controllers.
+    #: Number of controllers in the scene.
     controller_count: int
     #: Whether a tick waits for every controller.
     lockstep: bool
@@ -122,7 +122,7 @@ class Info:
 class Image(NamedTuple):
     """An X-ray frame in shared memory."""
 
-    #: What it shows.
+    #: Tick, C-arm and size.
     frame: g.Frame
     #: Intensities as uint16, shape (rows, columns), row 0 at the top; 0 is black.
     pixels: np.ndarray
@@ -138,7 +138,7 @@ class Ct(NamedTuple):
 
 
 class Removal(NamedTuple):
-    """Voxels that are gone from a tick on, in shared memory."""
+    """Voxels removed at a tick, in shared memory."""
 
     #: The message.
     removed: g.Removed
@@ -147,15 +147,15 @@ class Removal(NamedTuple):
 
 
 class SessionEvent(NamedTuple):
-    """Something that happened."""
+    """An event of the session."""
 
-    #: Tick at which it was noticed.
+    #: Tick at which the sender noticed it.
     tick: int
     #: 0 information, 1 warning, 2 error.
     severity: int
-    #: What kind: one of the `EVENT_` constants.
+    #: Kind of event: one of the `EVENT_` constants.
     code: int
-    #: Who says so: one of the `SENDER_` constants.
+    #: Sender: one of the `SENDER_` constants.
     sender: int
     #: What happened.
     text: str
@@ -164,21 +164,21 @@ class SessionEvent(NamedTuple):
 class Client:
     """A connection to a session: as a controller, or as an observer.
 
-    It belongs to the thread that made it, and to the process: in a child made by `fork` every call is refused, and the child's
-    end disconnects nobody (start processes with `spawn`, or connect in the child). Everything that it hands out lies in
-    shared memory, read-only, and shows what is there until the time that each method states; `copy()` keeps it. It stays
-    readable for as long as it is held, in any thread, also when the client is closed or gone. As a context manager a client
-    closes itself.
+    A client belongs to the thread and process that made it. In a `fork` child every call fails, and the child's exit
+    disconnects nobody (start processes with `spawn`, or connect in the child). Returned messages and arrays are read-only
+    views of shared memory. Each method says until when its view stays unchanged; use `copy()` to keep the data. A view stays
+    readable for as long as it is referenced, in any thread, even after the client is closed or gone. Used as a context
+    manager, a client closes itself.
 
     Args:
-        session: The session's folder or name; None takes the folder in the environment variable `TRABECULA_SESSION`, or
+        session: The session's folder or name; None uses the folder in the environment variable `TRABECULA_SESSION`, or
             else this user's session that was announced last.
-        controller: Name of the controller in the scene; "" joins as an observer that commands nothing; None takes the
-            name in `TRABECULA_CONTROLLER`, or else the scene's only external controller.
+        controller: Name of the controller in the scene; "" joins as an observer, which sends no commands; None uses
+            the name in `TRABECULA_CONTROLLER`, or else the scene's only external controller.
         timeout_s: How long to wait for the session.
 
     Raises:
-        Error: No session, another version, an unknown controller, or one that is connected already.
+        Error: No session, another version, an unknown controller, or one that is already connected.
     """
 
     def __init__(
@@ -187,11 +187,11 @@ class Client:
         self._handle = _connected(session, controller, timeout_s)
         self._thread = threading.current_thread()
         self._memory: Optional[_Memory] = _Memory(self._handle)
-        # One for each kind of message: a signal's handler may call between a call and the look at what it gave.
+        # One per kind of message: a signal handler may call the library between a call and the use of its result.
         self._state, self._begun = ctypes.c_void_p(), ctypes.c_void_p()
         self._state_reference, self._begun_reference = _byref(self._state), _byref(self._begun)
         self._views: dict = {}
-        #: Where the library keeps the command to be sent, and the one that the caller fills in.
+        #: The library's command buffer, and the command that the caller fills in.
         self._sending: Optional[memoryview] = None
         self._command: Optional[g.Command] = None
 
@@ -202,14 +202,14 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Leaves the session. What this client has handed out stays readable for as long as it is held.
+        """Leaves the session. Views from this client stay readable for as long as they are referenced.
 
         Raises:
-            Error: Another thread has connected it, and goes on.
+            Error: Another thread made the client and is still running.
         """
         if self._handle:
             status = _library.trb_disconnect(self._handle)
-            # A thread's clients end with it; a parent's stays connected.
+            # A thread's clients end with it; a parent's client stays connected.
             if status != g.ERROR_FORKED and self._is_of_a_running_thread():
                 _check(status)
         self._handle, self._memory, self._views, self._sending = 0, None, {}, None
@@ -217,10 +217,10 @@ class Client:
 
     def __del__(self, disconnect=_library.trb_disconnect) -> None:
         if self._handle:
-            # Refused in another thread than the client's own, which disconnects it at its end.
+            # Fails in a thread other than the client's own, which disconnects it when it ends.
             disconnect(self._handle)
 
-    #: Until it is connected.
+    #: 0 until connected.
     _handle = 0
 
     def _is_of_a_running_thread(self) -> bool:
@@ -237,7 +237,7 @@ class Client:
         return memoryview(memory).cast("B")
 
     def _view(self, message: Type[_V], address: Optional[int]) -> _V:
-        # The samples of a queue lie at addresses that come again and again.
+        # A queue reuses the addresses of its samples.
         view = self._views.get((message, address))
         if view is None:
             view = message(self._bytes(address, message.dtype.itemsize).toreadonly())
@@ -249,7 +249,7 @@ class Client:
         return np.frombuffer(self._bytes(address, size).toreadonly(), dtype) if count else np.empty(0, dtype)
 
     def _await(self, function, timeout_s: float, *arguments: object) -> None:
-        """Calls a waiting function of the library in slices."""
+        """Calls a blocking function of the library in slices."""
         for slice_s, last in _slices(timeout_s):
             status = function(*arguments[:-1], slice_s, arguments[-1])
             if status == g.OK:
@@ -259,7 +259,7 @@ class Client:
 
     @property
     def info(self) -> Info:
-        """What does not change during the session."""
+        """Facts that stay constant during the session."""
         info = g.trb_session_info()
         _check(_library.trb_get_info(self._handle, _byref(info)))
         values = {name: getattr(info, name) for name, *_ in info._fields_}
@@ -269,23 +269,23 @@ class Client:
         return Info(**values)
 
     def wait_state(self, timeout_s: float = 30.0) -> g.State:
-        """Waits for the newest state: yields for 20 µs, then sleeps until woken. It stays, unchanged, until the next state
+        """Waits for the newest state: yields for 20 µs, then sleeps until woken. It stays unchanged until the next state
         is taken.
 
         Raises:
-            TimeoutError: None came in time.
+            TimeoutError: None arrived in time.
             Ended: The run is over.
         """
         self._await(_library.trb_wait_state, timeout_s, self._handle, self._state_reference)
         return self._view(g.State, self._state.value)
 
     def next_state(self, timeout_s: float = 30.0) -> g.State:
-        """Waits for the oldest state that has not been taken, for programs that want every one; 512 are kept."""
+        """Waits for the oldest state not yet taken, for programs that need every state; the queue holds 512."""
         self._await(_library.trb_next_state, timeout_s, self._handle, self._state_reference)
         return self._view(g.State, self._state.value)
 
     def poll_state(self) -> Optional[g.State]:
-        """The newest state if one has come since the last call, without waiting.
+        """The newest state if one has arrived since the last call; does not wait.
 
         Raises:
             Ended: The run is over.
@@ -297,10 +297,10 @@ class Client:
         return self._view(g.State, self._state.value)
 
     def states(self, timeout_s: float = math.inf) -> Iterator[g.State]:
-        """The newest state again and again, until the run is over. A paused run publishes none: this waits on.
+        """Yields the newest state repeatedly until the run is over. While the run is paused, no states come and this waits.
 
         Raises:
-            TimeoutError: None came within `timeout_s`.
+            TimeoutError: None arrived within `timeout_s`.
         """
         while True:
             try:
@@ -311,14 +311,14 @@ class Client:
 
     @property
     def states_missed(self) -> int:
-        """States that were passed over or overwritten before this client took them."""
+        """States that were skipped or overwritten before this client took them."""
         count = ctypes.c_uint64()
         _check(_library.trb_states_missed(self._handle, _byref(count)))
         return count.value
 
     def loan_command(self) -> g.Command:
-        """The command that `send_command` will send: every mode at "none", `sequence` and `state_tick` filled in. It may be
-        written until then, and lies in memory of its own: no later change reaches anybody.
+        """The command that `send_command` will send: every mode at "none", `sequence` and `state_tick` filled in. Writable
+        until then, in its own memory, so later changes have no effect.
         """
         status = _library.trb_loan_command(self._handle, self._begun_reference)
         if status:
@@ -331,11 +331,11 @@ class Client:
         return command
 
     def send_command(self) -> None:
-        """Sends the loaned command as it is now; to write it afterwards raises a ValueError. The physics checks it: a command
-        that it refuses changes nothing. Of one that it takes, a part that the tool cannot follow (a goal out of reach)
-        changes nothing, the others act. Both are counted, and said in an event.
+        """Sends the loaned command as it is now; writing to it afterwards raises a ValueError. The physics checks it: a
+        refused command changes nothing. In an accepted command, a part that the tool cannot follow (a goal out of reach)
+        changes nothing, and the other parts take effect. Both cases are counted and reported in an event.
         """
-        # Taken away first: a signal's handler may begin a command of its own.
+        # Cleared first: a signal handler may begin a command of its own.
         command, self._command = self._command, None
         if command is None:
             return _check(_library.trb_send_command(self._handle))
@@ -351,13 +351,13 @@ class Client:
         command._seal(content, "it has been sent")
 
     def discard_command(self) -> None:
-        """Forgets the loaned command unsent."""
+        """Discards the loaned command without sending it."""
         _check(_library.trb_discard_command(self._handle))
         self._end_command("it has been discarded")
 
     @contextmanager
     def command(self) -> Iterator[g.Command]:
-        """The command that answers the state taken last, sent at the end of the `with` block; an exception discards it."""
+        """The command that answers the last state taken. Sent at the end of the `with` block; an exception discards it."""
         command = self.loan_command()
         try:
             yield command
@@ -372,12 +372,12 @@ class Client:
         position_m: Optional[Sequence[float]] = None,
         orientation_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
     ) -> int:
-        """Asks for an X-ray frame and returns the request's number.
+        """Requests an X-ray frame and returns the request's number.
 
         Args:
-            tick: It shows the state of this tick, or the newest one when that has passed.
-            position_m: Isocentre of the C-arm in the world; None takes the scene's C-arm as it stands.
-            orientation_xyzw: Orientation of the C-arm in the world: +x along the picture's rows to the right, +y along its
+            tick: The frame shows the state of this tick, or the newest one if that has passed.
+            position_m: Isocentre of the C-arm in the world; None uses the scene's C-arm unchanged.
+            orientation_xyzw: Orientation of the C-arm in the world: +x along the image rows to the right, +y along the
                 columns down, +z to the source.
         """
         number = ctypes.c_uint64()
@@ -390,12 +390,12 @@ class Client:
         return number.value
 
     def wait_frame(self, request_id: int = 0, timeout_s: float = 30.0) -> Image:
-        """Waits for the frame of a request, or with 0 for the next one of any kind. Its memory is used again after the next
-        frame. Frames are kept from the first call of this or `request_frame` on, 64 at most.
+        """Waits for the frame of a request, or with 0 for the next one of any kind. Its memory is reused after the next
+        frame. Frames are queued from the first call of this or `request_frame` on, at most 64.
 
         Raises:
-            TimeoutError: None came in time.
-            Ended: The run is over, and none is being rendered.
+            TimeoutError: None arrived in time.
+            Ended: The run is over, and no frame is being rendered.
             Error: The request was refused, or the scene has no X-ray.
         """
         view = g.trb_frame_view()
@@ -406,7 +406,7 @@ class Client:
         return Image(frame, pixels.reshape(geometry.rows, geometry.columns))
 
     def volume(self, timeout_s: float = 30.0) -> Ct:
-        """The CT volume as it was at the start, in place; it stays as it is."""
+        """The CT volume as at the start of the run, in place; it never changes."""
         view = g.trb_volume_view()
         self._await(_library.trb_get_volume, timeout_s, self._handle, _byref(view))
         volume = self._view(g.Volume, view.volume)
@@ -414,11 +414,11 @@ class Client:
         return Ct(volume, hu.reshape(volume.dimensions[::-1]))
 
     def run_control(self, action: int, ticks: int = 0, timeout_s: float = 10.0) -> int:
-        """Asks for an action (`CONTROL_PAUSE` …; `ticks` is for `CONTROL_STEP`) and returns the tick at which it took
-        effect.
+        """Sends a run-control request (`CONTROL_PAUSE` …; `ticks` is for `CONTROL_STEP`) and returns the tick at which it
+        took effect.
 
         Raises:
-            TimeoutError: No answer came in time.
+            TimeoutError: No reply arrived in time.
             Ended: The run is over.
             Error: The action was refused.
         """
@@ -428,7 +428,7 @@ class Client:
         address = reply.array.ctypes.data
         for slice_s, last in _slices(timeout_s):
             status = _library.trb_control_run(self._handle, action, ticks, slice_s, address)
-            # What has been asked for is only waited for from here on.
+            # The request has been sent; from here on only wait for its reply.
             action = 0
             if status != g.TIMEOUT or last:
                 break
@@ -437,7 +437,7 @@ class Client:
 
     @property
     def status(self) -> Optional[g.RunStatus]:
-        """Where the run stands, if that is known: a copy."""
+        """A copy of the run's newest status, if one has arrived."""
         status = g.RunStatus()
         code = _library.trb_get_status(self._handle, status.array.ctypes.data)
         if code == g.TIMEOUT:
@@ -446,7 +446,7 @@ class Client:
         return status
 
     def events(self) -> list[SessionEvent]:
-        """Every event since the last call, as copies; kept from the first call on, 256 at most."""
+        """Copies of all events since the last call; queued from the first call on, at most 256."""
         events: list[SessionEvent] = []
         view = g.trb_event_view()
         while True:
@@ -459,12 +459,12 @@ class Client:
             events.append(SessionEvent(event.tick, event.severity, event.code, event.sender, text))
 
     def remark(self, text: str, severity: int = g.SEVERITY_INFO) -> None:
-        """Writes a line to the session's events, and so into the log."""
+        """Adds a line to the session's events, which the log records."""
         _check(_library.trb_remark(self._handle, severity, text.encode()))
 
     def next_removed(self) -> Optional[Removal]:
-        """The oldest message about removed voxels that has not been taken, if any; kept from the first call on, 512 at
-        most. Its memory is used again after the next one.
+        """The oldest message about removed voxels not yet taken, if any; queued from the first call on, at most 512. Its
+        memory is reused after the next one.
         """
         view = g.trb_removed_view()
         status = _library.trb_next_removed(self._handle, _byref(view))

@@ -9,7 +9,7 @@ from pathlib import Path
 from . import _generated as g
 
 NAME = "libtrabecula_client.so"
-#: Environment variable that holds the path of the library, before every other place.
+#: Environment variable with the library's path; takes precedence over every other place.
 VARIABLE = "TRABECULA_CLIENT_LIBRARY"
 
 
@@ -18,7 +18,7 @@ def _candidates() -> list[Path]:
     if given:
         return [Path(given)]
     here = Path(__file__).resolve().parent
-    # Beside this file in an installed package; in cargo's target folder when run from the sources.
+    # Next to this file in an installed package; in cargo's target folder when run from the sources.
     return [here / NAME, here.parents[2] / "target" / "release" / NAME]
 
 

@@ -1,4 +1,4 @@
-"""Messages where they lie in shared memory: attributes that read bytes in place."""
+"""Views of messages in shared memory: their attributes read the bytes in place."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _V = TypeVar("_V", bound="View")
 
 
 class View:
-    """A message in shared memory, or in memory of its own. Attributes read it in place; nothing is copied.
+    """A message in shared memory or in its own memory. Attributes read it in place; nothing is copied.
 
-    Numbers come as Python numbers, fixed arrays as NumPy views of the same memory. To write one that is read-only raises a
-    ValueError.
+    Numbers are returned as Python numbers, fixed arrays as NumPy views of the same memory. Writing to a read-only message
+    raises a ValueError.
     """
 
     __slots__ = ("_buffer", "_array", "_parts", "_sealed")
@@ -23,25 +23,25 @@ class View:
     _sealed: str
 
     def __init__(self, buffer: Union[memoryview, bytes, bytearray, None] = None, parts: Optional[dict] = None) -> None:
-        """A view of `buffer`; without one, a message of zeros in memory of its own. With `parts` it can be sealed."""
+        """A view of `buffer`; without one, a zeroed message in its own memory. With `parts` it can be sealed."""
         self._buffer = bytearray(self.dtype.itemsize) if buffer is None else buffer
         self._array: Optional[np.ndarray] = None
-        #: What has been handed out that writes into this message, by name; None where nobody seals it.
+        #: Writable views of this message that the caller has, by name; None if it is never sealed.
         self._parts = parts
 
     @property
     def array(self) -> np.ndarray:
-        """The whole message as a NumPy array of no dimension with a structured dtype, in place."""
+        """The whole message in place, as a zero-dimensional NumPy array with a structured dtype."""
         if self._array is None:
             self._array = np.frombuffer(self._buffer, self.dtype, count=1).reshape(())
         return self._array
 
     def copy(self: _V) -> _V:
-        """The same in memory of its own, which may be written."""
+        """A writable copy in its own memory."""
         return type(self)(bytearray(self._buffer))
 
     def _seal(self, content: bytes, why: str) -> None:
-        """From now on it shows this content and cannot be written: neither it nor what it has handed out."""
+        """Freezes the message with this content: neither it nor the views it has returned can be written any more."""
         parts = self._parts
         if parts is None:
             return

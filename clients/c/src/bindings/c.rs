@@ -1,4 +1,4 @@
-//! `include/trabecula.h`.
+//! Generates `include/trabecula.h`.
 
 use ipc_types::layout::{Description, Element, Field};
 
@@ -114,7 +114,7 @@ fn c_type(field: &Field) -> String {
         Element::Message(nested) => format!("trb_{}", snake_case(nested.short_name())),
         Element::Scalar("float64") => "double".to_owned(),
         Element::Scalar("float32") => "float".to_owned(),
-        // ROS names of whole numbers are C's without `_t`.
+        // ROS integer types are C's without `_t`.
         Element::Scalar(whole) => format!("{whole}_t"),
     }
 }
@@ -132,12 +132,12 @@ fn view_structure(view: &View, text: &mut String) {
     asserts(view.name, fields, view.size, text);
 }
 
-/// `const char *` and `text` as `const char *text`.
+/// Joins `const char *` and `text` to `const char *text`.
 fn declaration(c_type: &str, name: &str) -> String {
     if c_type.ends_with('*') { format!("{c_type}{name}") } else { format!("{c_type} {name}") }
 }
 
-/// Handles are `uint64_t` in Rust; the header says which ones are handles.
+/// Handles are `uint64_t` in Rust; the header shows which arguments are handles.
 fn argument_type(name: &str, c_type: &'static str) -> &'static str {
     match (name, c_type) {
         ("client", "uint64_t") => "trb_client",

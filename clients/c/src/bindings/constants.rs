@@ -6,7 +6,7 @@ macro_rules! named {
     ($($name:ident),* $(,)?) => { &[$((stringify!($name), $name as u64)),*] };
 }
 
-/// Whole numbers: codes of fields and lengths of arrays.
+/// Integers: codes of fields and lengths of arrays.
 pub(super) const WHOLE: &[(&str, u64)] = named![
     TENDON_NONE,
     TENDON_SERVO_JF,
@@ -72,7 +72,7 @@ pub(super) const WHOLE: &[(&str, u64)] = named![
     MAX_CONTROLLERS,
 ];
 
-/// Limits of what a command may ask for.
+/// Limits of command values.
 pub(super) const LIMITS: &[(&str, f64)] = &[
     ("MAX_TENSION_N", MAX_TENSION_N),
     ("MAX_DISPLACEMENT_M", MAX_DISPLACEMENT_M),
@@ -86,7 +86,7 @@ pub(super) const LIMITS: &[(&str, f64)] = &[
 mod tests {
     use super::*;
 
-    /// The codes of `servo_jv`, `insert`, `rcm` and others were missing from C, C++, Python and Zig.
+    /// C, C++, Python and Zig must get all codes, such as those of `servo_jv`, `insert` and `rcm`.
     #[test]
     fn every_code_of_a_message_has_its_name_in_every_language() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../messages/src");

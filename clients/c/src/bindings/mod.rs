@@ -13,7 +13,7 @@ use ipc_types::reference::every_message;
 use crate::error::ClientError;
 use crate::ffi::{FUNCTIONS, STATUSES, VIEWS};
 
-/// What stands for the library's own functions, structures and statuses among the layouts.
+/// Entry among the layouts for the library's own functions, structures and statuses.
 const ABI: &str = "Abi";
 
 /// Layouts of all messages, and of the C interface itself: `State=729b226247fc0784;Command=…;Abi=…`.
@@ -25,7 +25,7 @@ pub fn layouts() -> String {
     each.join(";")
 }
 
-/// Identifies the functions with their types, the structures with their offsets, and the statuses.
+/// Hash of the functions with their types, the structures with their offsets, and the statuses.
 fn abi_hash() -> String {
     let mut text = String::new();
     for function in FUNCTIONS {
@@ -41,7 +41,7 @@ fn abi_hash() -> String {
     fingerprint(&text)
 }
 
-/// Compares the layouts that a program was built with to this library's.
+/// Compares the layouts that a program was built with against this library's.
 ///
 /// # Errors
 /// [`ClientError::Layout`] with the first message that differs, or with `Abi`.
@@ -64,11 +64,11 @@ pub fn check_layouts(given: &str) -> Result<(), ClientError> {
             return differs(name, layout, ours);
         }
     }
-    // Also a program whose header had no such entry is of another version.
+    // A program built with a header without this entry has another version, too.
     if abi == abi_hash() { Ok(()) } else { differs(ABI, abi, abi_hash()) }
 }
 
-/// Every message, each behind those that it contains.
+/// Every message, after the messages it contains.
 fn nested_first() -> Vec<&'static Description> {
     fn add(message: &'static Description, all: &mut Vec<&'static Description>) {
         if all.iter().any(|known| known.name == message.name) {
@@ -86,7 +86,7 @@ fn nested_first() -> Vec<&'static Description> {
     all
 }
 
-/// `CArmGeometry` as `c_arm_geometry`.
+/// Converts `CArmGeometry` to `c_arm_geometry`.
 fn snake_case(name: &str) -> String {
     let mut text = String::new();
     for letter in name.chars() {
@@ -98,7 +98,7 @@ fn snake_case(name: &str) -> String {
     text
 }
 
-/// A doc comment as plain lines of at most `width` characters, without Rust's links.
+/// A doc comment as plain lines of at most `width` characters, without rustdoc links.
 fn wrapped(doc: &str, width: usize) -> Vec<String> {
     let plain = doc.replace("[`", "`").replace("`]", "`");
     let mut lines = vec![String::new()];
@@ -132,7 +132,7 @@ mod tests {
         assert!(check_layouts("").is_err(), "no layouts at all is no agreement");
     }
 
-    /// Only messages were compared: a program built against other functions or structures of the library was taken.
+    /// A program built against other functions or structures must be refused even if all messages match.
     #[test]
     fn another_c_interface_is_refused_though_all_messages_are_the_same() {
         let (messages, abi) =

@@ -1,4 +1,4 @@
-//! `clients/python/trabecula/_generated.py`.
+//! Generates `clients/python/trabecula/_generated.py`.
 
 use ipc_types::layout::{Description, Element, Field};
 
@@ -89,7 +89,7 @@ fn class(message: &Description, text: &mut String) {
     let name = message.short_name();
     text.push_str(&format!("\n\nclass {name}(View):\n"));
     docstring(message.doc, text);
-    // A type checker takes a field, which is a descriptor, for an attribute without a slot.
+    // Hidden from type checkers: they take a field, which is a descriptor, for an attribute without a slot.
     text.push_str("    if not TYPE_CHECKING:\n        __slots__ = ()\n\n");
     text.push_str("    dtype = np.dtype(\n        {\n");
     let list = |text: &mut String, key: &str, item: &dyn Fn(&Field) -> String| {

@@ -1,12 +1,12 @@
-//! Declarations that are a Rust item and a line of the C header at once.
+//! Macros whose declarations yield both a Rust item and a line of the C header.
 
 use std::ffi::c_char;
 
 use ipc_types::messages::{Command, Event, Frame, Pose, Removed, RunControlReply, RunStatus, State, Volume};
 
-/// How a type is written in C.
+/// A type's spelling in C.
 pub trait CType {
-    /// Its name; a pointer ends in `*`.
+    /// Its C name; a pointer ends in `*`.
     const C: &'static str;
 }
 
@@ -36,11 +36,11 @@ c_types! {
 pub struct Function {
     /// Name.
     pub name: &'static str,
-    /// What it does.
+    /// What the function does.
     pub doc: &'static str,
     /// Arguments: name and C type.
     pub arguments: &'static [(&'static str, &'static str)],
-    /// C type of what it returns.
+    /// C return type.
     pub returns: &'static str,
 }
 
@@ -49,7 +49,7 @@ pub struct Function {
 pub struct View {
     /// Name in C.
     pub name: &'static str,
-    /// What it holds.
+    /// What the structure holds.
     pub doc: &'static str,
     /// Fields: name, C type, offset, documentation.
     pub fields: &'static [(&'static str, &'static str, usize, &'static str)],
@@ -57,7 +57,7 @@ pub struct View {
     pub size: usize,
 }
 
-/// Functions of the C ABI: the exported Rust functions, and [`Function`]s for the header.
+/// Declares functions of the C ABI: the exported Rust functions, and [`Function`]s for the header.
 macro_rules! functions {
     ($(
         $(#[doc = $doc:literal])*
@@ -84,7 +84,7 @@ macro_rules! functions {
     };
 }
 
-/// Structures of the C ABI: the Rust structs, and [`View`]s for the header.
+/// Declares structures of the C ABI: the Rust structs, and [`View`]s for the header.
 macro_rules! views {
     ($(
         $(#[doc = $doc:literal])*

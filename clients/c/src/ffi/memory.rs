@@ -1,4 +1,5 @@
-//! What a client has handed out, held beyond its end: by languages in which memory lives as long as somebody looks at it.
+//! Keeps the messages that a client gave to its caller mapped after the client's end, for languages in which memory lives as long as
+//! anything refers to it.
 
 use std::sync::atomic::{AtomicPtr, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -9,17 +10,17 @@ use super::outcome::Failure;
 use super::table::{Open, Texts};
 use crate::client::Kept;
 
-/// What stays of a client that has left.
+/// What remains of a client that has left.
 #[derive(Debug)]
 struct Left {
     _kept: Kept,
     _texts: Texts,
 }
 
-// SAFETY: what forbids another thread is the transport's reference count that a port and its samples share, which is not
-// atomic. `Client::leave` has taken each port together with the only sample of it that there is, so both owners of such a
-// count are in here, the thread that counted before has none, and the lock below orders its counting before ours. All else
-// in a port is `Send` by the transport's own word (`SubscriberSharedState`, `Node`), or a value of ours that is.
+// SAFETY: the only obstacle to another thread is the transport's non-atomic reference count, which a port and its samples share.
+// `Client::leave` took each port together with its only sample, so both owners of each count are in here and the previous thread has none;
+// the lock below orders its counting before ours. Everything else in a port is `Send`, declared by the transport (`SubscriberSharedState`,
+// `Node`) or as a value of ours.
 unsafe impl Send for Left {}
 
 /// A client whose memory is held.
@@ -27,7 +28,7 @@ unsafe impl Send for Left {}
 struct Held {
     handle: u64,
     holds: u64,
-    /// What is to stay, once the client has left.
+    /// What to keep once the client has left.
     left: Option<Left>,
 }
 
@@ -37,11 +38,11 @@ struct Registry {
     held: Mutex<Vec<Held>>,
 }
 
-/// This process's registry. A child of `fork` makes one of its own: of its parent's, another thread may have held the lock.
+/// This process's registry. A `fork` child makes its own, because another thread may have held the lock of its parent's.
 fn registry() -> &'static Registry {
     static CURRENT: AtomicPtr<Registry> = AtomicPtr::new(core::ptr::null_mut());
     let known = CURRENT.load(Ordering::Acquire);
-    // SAFETY: null, or a registry that was leaked below, so that it is never freed.
+    // SAFETY: null, or a registry leaked below, so it is never freed.
     if let Some(registry) = unsafe { known.as_ref() }
         && registry.made_by == Generation::current()
     {
@@ -50,16 +51,16 @@ fn registry() -> &'static Registry {
     let new: *mut Registry =
         Box::leak(Box::new(Registry { made_by: Generation::current(), held: Mutex::default() }));
     let set = CURRENT.compare_exchange(known, new, Ordering::AcqRel, Ordering::Acquire);
-    // SAFETY: both this one and one that another thread has put there first were leaked here.
+    // SAFETY: both this registry and one that another thread stored first were leaked here.
     unsafe { &*set.map_or_else(|first| first, |_| new) }
 }
 
 fn held() -> MutexGuard<'static, Vec<Held>> {
-    // A panic leaves the list as it is: each change of it is one assignment.
+    // A panic leaves the list intact: each change is a single assignment.
     registry().held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Holds the memory of a connected client once more.
+/// Adds one hold on the memory of a connected client.
 pub(super) fn hold(handle: u64) {
     let mut all = held();
     match all.iter_mut().find(|held| held.handle == handle) {
@@ -68,22 +69,22 @@ pub(super) fn hold(handle: u64) {
     }
 }
 
-/// Takes one hold back; the last one lets go of what its client has left.
+/// Drops one hold; the last one frees what the client left.
 pub(super) fn release(handle: u64) -> Result<(), Failure> {
     let mut all = held();
     let index = all.iter().position(|held| held.handle == handle).ok_or(Failure::NotHeld(handle))?;
     all[index].holds -= 1;
     let last = (all[index].holds == 0).then(|| all.swap_remove(index));
-    // Unmapping takes a while; nobody waits for it.
+    // Outside the lock, because unmapping takes a while.
     drop(all);
     drop(last);
     Ok(())
 }
 
-/// Ends a client, but for its memory if that is held.
+/// Ends a client, but keeps its memory if held.
 pub(super) fn end(handle: u64, open: Open) {
     if !open.client.is_ours() {
-        // Its parent's: dropped here, it touches nothing.
+        // The parent's: dropping it here has no effect.
         return;
     }
     let left = Left { _kept: open.client.leave(), _texts: open.texts };

@@ -112,14 +112,14 @@ thread_local! {
     static LAST_ERROR: RefCell<CString> = RefCell::default();
 }
 
-/// Runs the body of a function; its failure becomes a status and this thread's last error.
+/// Runs a function's body; a failure becomes a status and this thread's last error.
 pub(super) fn outcome(body: impl FnOnce() -> Result<(), Failure>) -> i32 {
-    // What a panic leaves half done stays inside this library: the client's fields are plain values and ports.
+    // What a panic leaves half done stays inside this library, because the client's fields are plain values and ports.
     let (status, text) = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return OK,
-        // In a signal handler nothing may be allocated.
+        // A signal handler must not allocate.
         Ok(Err(Failure::Busy)) => return ERROR_BUSY,
-        // These two come at every turn of a loop: no text is made for them.
+        // These two occur on every iteration of a loop, so they get no text.
         Ok(Err(Failure::Client(ClientError::TimedOut(_)))) => return TIMEOUT,
         Ok(Err(Failure::Client(ClientError::Ended))) => return ENDED,
         Ok(Err(failure)) => (failure.status(), failure.to_string()),
@@ -127,14 +127,14 @@ pub(super) fn outcome(body: impl FnOnce() -> Result<(), Failure>) -> i32 {
             (ERROR_DEFECT, "a defect of libtrabecula_client; its message is on standard error".to_owned())
         }
     };
-    // A thread that ends has no last error any more.
+    // A thread that is ending no longer has a last error.
     let _ = LAST_ERROR.try_with(|last| {
         *last.borrow_mut() = CString::new(text.replace('\0', " ")).unwrap_or_default();
     });
     status
 }
 
-/// The last error's text of this thread.
+/// This thread's last error text.
 pub(super) fn last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
 }

@@ -1,4 +1,4 @@
-//! The clients of this thread, by handle.
+//! This thread's clients, by handle.
 
 use std::cell::RefCell;
 use std::ffi::CString;
@@ -9,7 +9,7 @@ use super::outcome::Failure;
 use crate::client::Client;
 use crate::error::ClientError;
 
-/// Texts that a client's caller has pointers to.
+/// Texts that the client's caller has pointers to.
 #[derive(Debug)]
 pub(super) struct Texts {
     pub(super) folder: CString,
@@ -17,14 +17,14 @@ pub(super) struct Texts {
     pub(super) scene_toml: CString,
 }
 
-/// A client that is connected.
+/// A connected client.
 #[derive(Debug)]
 pub(super) struct Open {
     pub(super) client: Client,
     pub(super) texts: Texts,
 }
 
-/// A place in the table. However it ends (trb_disconnect, the thread, the program), memory that is held stays.
+/// A slot in the table. Held memory outlives it, however it ends (trb_disconnect, the thread, the program).
 #[derive(Debug)]
 struct Slot {
     handle: u64,
@@ -43,17 +43,17 @@ thread_local! {
     static SLOTS: RefCell<Vec<Slot>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Handles differ over all threads; 0 is none.
+/// Handles are unique across all threads; 0 is never one.
 static NEXT_HANDLE: AtomicU64 = AtomicU64::new(1);
 
-/// Does something with this thread's table. Only a signal handler finds it in use.
+/// Runs `body` on this thread's table. Only a signal handler can find it in use.
 fn with_slots<T>(handle: u64, body: impl FnOnce(&mut Vec<Slot>) -> Result<T, Failure>) -> Result<T, Failure> {
     let done = SLOTS.try_with(|slots| body(&mut *slots.try_borrow_mut().map_err(|_| Failure::Busy)?));
-    // A thread that ends has no table any more.
+    // A thread that is ending no longer has a table.
     done.unwrap_or(Err(Failure::Handle(handle)))
 }
 
-/// Puts a client into this thread's table.
+/// Adds a client to this thread's table.
 pub(super) fn insert(client: Client) -> Result<u64, Failure> {
     let handle = NEXT_HANDLE.fetch_add(1, Ordering::Relaxed);
     let text = |text: String| CString::new(text).unwrap_or_default();
@@ -71,7 +71,7 @@ pub(super) fn insert(client: Client) -> Result<u64, Failure> {
     })
 }
 
-/// Does something with a client of this thread and this process.
+/// Runs `body` on a client of this thread and process.
 pub(super) fn with<T>(
     handle: u64,
     body: impl FnOnce(&mut Open) -> Result<T, ClientError>,

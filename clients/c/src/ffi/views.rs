@@ -1,4 +1,4 @@
-//! Structures of the C ABI that are not messages: pointers into shared memory, and facts of the session.
+//! Structures of the C ABI that are not messages: pointers into shared memory, and session facts.
 
 use std::ffi::c_char;
 
