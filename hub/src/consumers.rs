@@ -5,7 +5,7 @@ use messages::Part;
 use crate::environment::Environment;
 
 /// Most reports read per poll.
-const REPORTS_PER_LOOK: usize = 64;
+const REPORTS_PER_POLL: usize = 64;
 
 /// The parts that must take every state.
 #[derive(Debug, Clone)]
@@ -39,7 +39,7 @@ impl Consumers {
 
     /// Reads the reports that have arrived.
     pub(crate) fn update<E: Environment>(&mut self, env: &mut E) -> Result<(), E::Error> {
-        for _ in 0..REPORTS_PER_LOOK {
+        for _ in 0..REPORTS_PER_POLL {
             let Some(report) = env.receive_report()? else { break };
             for consumer in self.list.iter_mut().filter(|consumer| consumer.part == report.part) {
                 consumer.tick = Some(report.tick);

@@ -16,7 +16,7 @@ use crate::session::SessionId;
 use crate::shared_memory::SharedMemory;
 
 /// Time between two sweeps.
-const LOOK_TIME: Duration = Duration::from_millis(200);
+const SWEEP_PERIOD: Duration = Duration::from_millis(200);
 /// How long a segment may have size zero while every process in its name is alive. Creation takes microseconds; the timeout is the only
 /// evidence about a creator in another PID namespace.
 const LONGEST_MAKING: Duration = Duration::from_secs(10);
@@ -49,7 +49,7 @@ impl HalfMadeSweeper {
         let thread = std::thread::Builder::new().name("half-made".to_owned()).spawn(move || {
             let mut empty_since = BTreeMap::new();
             while !seen_over.load(Ordering::Relaxed) {
-                std::thread::park_timeout(LOOK_TIME);
+                std::thread::park_timeout(SWEEP_PERIOD);
                 look(&memory, &prefix, &mut empty_since, Instant::now());
             }
         })?;

@@ -23,9 +23,9 @@ use ipc_types::wake::{Waiter, Waker};
 use crate::error::ClientError;
 
 /// How often a waiting client checks that the hub is alive.
-const HUB_LOOK: Duration = Duration::from_millis(100);
+const HUB_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// Poll interval of an observer, which nobody wakes.
-const OBSERVER_LOOK: Duration = Duration::from_micros(200);
+const OBSERVER_POLL_PERIOD: Duration = Duration::from_micros(200);
 const RETRY_TIME: Duration = Duration::from_millis(10);
 /// Longest wait a caller may request; longer ones overflow clocks.
 const LONGEST_WAIT_S: f64 = 1e9;
@@ -281,14 +281,14 @@ impl Client {
             if now >= deadline {
                 return Err(ClientError::TimedOut(limit));
             }
-            let slice = deadline.min(now + HUB_LOOK);
+            let slice = deadline.min(now + HUB_CHECK_PERIOD);
             let (states, status) = (&self.states, &self.status);
             let ready = || states.has_message() || status.has_message();
             match &self.waiter {
                 Some(waiter) => {
                     waiter.wait_until(slice, ready);
                 }
-                None => look_until(slice, ready),
+                None => poll_until(slice, ready),
             }
         }
     }
@@ -335,7 +335,7 @@ impl Client {
             self.ended = Some(Instant::now());
             return Ok(true);
         }
-        if self.hub_seen.elapsed() >= HUB_LOOK {
+        if self.hub_seen.elapsed() >= HUB_CHECK_PERIOD {
             if !self.session.host_is_alive() {
                 return Err(ClientError::HubGone { folder: self.info.folder.clone() });
             }
@@ -472,7 +472,7 @@ impl Client {
             if Instant::now() >= deadline {
                 return Err(ClientError::TimedOut(limit));
             }
-            std::thread::sleep(OBSERVER_LOOK);
+            std::thread::sleep(OBSERVER_POLL_PERIOD);
         }
     }
 
@@ -580,9 +580,9 @@ pub(crate) fn new_request_id() -> u64 {
 }
 
 /// Polls with sleeps in between.
-pub(crate) fn look_until(deadline: Instant, mut ready: impl FnMut() -> bool) {
+pub(crate) fn poll_until(deadline: Instant, mut ready: impl FnMut() -> bool) {
     while !ready() && Instant::now() < deadline {
-        std::thread::sleep(OBSERVER_LOOK);
+        std::thread::sleep(OBSERVER_POLL_PERIOD);
     }
 }
 

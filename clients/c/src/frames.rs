@@ -13,7 +13,7 @@ use ipc_types::services;
 use ipc_types::session::Reader;
 use zerocopy::FromBytes;
 
-use crate::client::{Client, Requests, look_until, new_request_id, put};
+use crate::client::{Client, Requests, new_request_id, poll_until, put};
 use crate::error::ClientError;
 
 /// Poll interval while waiting for the volume.
@@ -102,7 +102,7 @@ impl Client {
                 return Err(ClientError::TimedOut(limit));
             }
             let slice = deadline.min(Instant::now() + Duration::from_millis(2));
-            look_until(slice, || frames.has_message());
+            poll_until(slice, || frames.has_message());
             self.check_frames_come(request_id)?;
         }
         self.frame.as_ref().and_then(frame_view).ok_or(NO_PICTURE)

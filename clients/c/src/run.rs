@@ -8,7 +8,7 @@ use crate::client::{Client, Connection};
 use crate::error::ClientError;
 
 /// Longest wait for a state: a paused run publishes none, so the loop just polls again.
-const LOOK_TIME: Duration = Duration::from_secs(1);
+const LONGEST_WAIT: Duration = Duration::from_secs(1);
 
 /// A controller. Closures with these two arguments implement it.
 pub trait Controller {
@@ -37,7 +37,7 @@ pub fn run(controller: impl Controller) -> Result<(), ClientError> {
 pub fn run_as(connection: &Connection, mut controller: impl Controller) -> Result<(), ClientError> {
     let mut client = Client::connect(connection)?;
     loop {
-        match client.answer(LOOK_TIME, |state, command| controller.step(state, command)) {
+        match client.answer(LONGEST_WAIT, |state, command| controller.step(state, command)) {
             Ok(()) | Err(ClientError::TimedOut(_)) => {}
             Err(ClientError::Ended) => return Ok(()),
             Err(other) => return Err(other),

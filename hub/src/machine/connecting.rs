@@ -23,7 +23,7 @@ impl<P: Plant> Hub<P> {
         if missing.is_none() && !self.shown {
             // Not before the consumers are connected, or they would miss the first messages.
             self.lane.begin(&self.plant, env).map_err(lane_failed(0))?;
-            self.state_is_out(env);
+            self.after_state_published(env);
             self.shown = true;
             let limit =
                 |controller: &super::Controller| Patience::new(controller.connect_limit_ns, env.now_ns());

@@ -7,7 +7,7 @@ use messages::{
 };
 use scene::Mode;
 
-use super::{Awaited, Hub, Outcome, REST_LOOK_NS, STATUS_PERIOD_NS, Stage, Step, wait};
+use super::{Awaited, Hub, Outcome, POLL_NS, STATUS_PERIOD_NS, Stage, Step, wait};
 use crate::environment::{Environment, Incoming, Note};
 use crate::rate_limit::{Connection, LOOKED_AT};
 
@@ -89,7 +89,7 @@ impl<P: Plant> Hub<P> {
         self.send_status(env, PHASE_PAUSED, When::IfDue)?;
         env.deliver_state_history()?;
         self.collect_commands(env)?;
-        Ok((Stage::Rested, wait(Awaited::Control, env.now_ns() + REST_LOOK_NS)))
+        Ok((Stage::Rested, wait(Awaited::Control, env.now_ns() + POLL_NS)))
     }
 
     pub(super) fn phase(&self) -> u32 {

@@ -34,7 +34,7 @@ const CONSUMER_LIMIT_NS: u64 = 120_000 * MS;
 const ABANDONED_LIMIT_NS: u64 = 500 * MS;
 const STATUS_PERIOD_NS: u64 = 100 * MS;
 /// Poll interval while the run is paused, while parts connect, and while a consumer is behind.
-const REST_LOOK_NS: u64 = 20 * MS;
+const POLL_NS: u64 = 20 * MS;
 const CONNECT_LOOK_NS: u64 = MS;
 const REPORT_LOOK_NS: u64 = 2 * MS;
 

@@ -21,7 +21,7 @@ impl<P: Plant> Hub<P> {
         let marks = self.lane.tick(&mut self.plant, &latched, env, |env| env.now_ns());
         let marks = marks.map_err(lane_failed(self.tick))?;
         self.tick += 1;
-        self.state_is_out(env);
+        self.after_state_published(env);
         self.publish_keyframe(env)?;
         let mut timing = TickTiming {
             tick: latched.tick,
@@ -46,7 +46,7 @@ impl<P: Plant> Hub<P> {
     }
 
     /// After publishing a state: starts the round-trip clocks and wakes sleeping controllers.
-    pub(super) fn state_is_out<E: Environment>(&mut self, env: &mut E) {
+    pub(super) fn after_state_published<E: Environment>(&mut self, env: &mut E) {
         self.published_ns = env.now_ns();
         env.wake_controllers();
     }

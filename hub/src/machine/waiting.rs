@@ -42,7 +42,7 @@ impl<P: Plant> Hub<P> {
         began_ns: u64,
     ) -> Outcome<Step, P, E> {
         let Some(part) = self.consumers.still_behind(env, tick, whom)? else {
-            return Ok((self.consumers_are_there(env.now_ns(), began_ns), None));
+            return Ok((self.after_consumers(env.now_ns(), began_ns), None));
         };
         self.obey(env)?;
         if self.ends(env) || self.rests() {
@@ -60,7 +60,7 @@ impl<P: Plant> Hub<P> {
     }
 
     /// The next stage once no consumer is behind.
-    fn consumers_are_there(&mut self, now_ns: u64, began_ns: u64) -> Stage {
+    fn after_consumers(&mut self, now_ns: u64, began_ns: u64) -> Stage {
         match self.settings.mode {
             Mode::Realtime => {
                 self.timing.recorder_wait_ns = now_ns.saturating_sub(began_ns);

@@ -21,7 +21,7 @@ use crate::surface::Geometry;
 use crate::surface::bone::Bone;
 
 /// Time between two polls of the removals; the queue holds half a second of them at 1 kHz.
-const LOOK_TIME: Duration = Duration::from_millis(4);
+const POLL_PERIOD: Duration = Duration::from_millis(4);
 /// Most removals applied before the bone is meshed.
 const ROUND: usize = 4096;
 /// Time between two meshings.
@@ -57,7 +57,7 @@ impl BoneThread {
             }
             match volumes.receive()? {
                 Some(volume) => break volume,
-                None => std::thread::sleep(LOOK_TIME),
+                None => std::thread::sleep(POLL_PERIOD),
             }
         };
         let geometry = geometry(volume.message());
@@ -78,7 +78,7 @@ impl BoneThread {
                 bone.publish(hu, &self.board);
                 meshed = Some(Instant::now());
             }
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
         Ok(())
     }

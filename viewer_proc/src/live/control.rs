@@ -23,7 +23,7 @@ const MAX_STEP_TICKS: u64 = 1_000_000;
 /// Time between two steps of a paced run.
 const STEP_PERIOD: Duration = Duration::from_millis(20);
 /// How far a paced run may fall behind, in steps.
-const MOST_PACES: u32 = 10;
+const MAX_BACKLOG_STEPS: u32 = 10;
 /// Speed limit.
 const MAX_SPEED: f64 = 1000.0;
 
@@ -57,12 +57,14 @@ struct Pace {
 }
 
 impl Pace {
-    /// Ticks to request now. Limited to a backlog of [`MOST_PACES`] steps; what exceeds it is dropped.
+    /// Ticks to request now. Limited to a backlog of [`MAX_BACKLOG_STEPS`] steps; what exceeds it is dropped.
     fn ticks(&mut self, elapsed: Duration, tick: u64, dt_ns: u64) -> u64 {
         let of = |time: Duration| self.speed * time.as_nanos() as f64 / dt_ns.max(1) as f64;
         // Time lost in a stall is not made up.
-        let (due, most) =
-            (self.due + of(elapsed.min(MOST_PACES * STEP_PERIOD)), of(MOST_PACES * STEP_PERIOD));
+        let (due, most) = (
+            self.due + of(elapsed.min(MAX_BACKLOG_STEPS * STEP_PERIOD)),
+            of(MAX_BACKLOG_STEPS * STEP_PERIOD),
+        );
         self.goal = self.goal.max(tick);
         let room = (most - (self.goal - tick) as f64).max(0.0).floor();
         let ticks = due.floor().min(room.max(if self.goal == tick { 1.0 } else { 0.0 }));
@@ -224,7 +226,7 @@ mod tests {
     #[test]
     fn a_run_that_does_not_get_so_far_has_no_more_than_a_few_steps_before_it() {
         let mut pace = pace(100.0);
-        let most = 100 * 20 * u64::from(MOST_PACES);
+        let most = 100 * 20 * u64::from(MAX_BACKLOG_STEPS);
         let asked: u64 = (0..1000).map(|_| pace.ticks(STEP_PERIOD, 7, 1_000_000)).sum();
         assert_eq!(asked, most);
         assert_eq!(pace.ticks(STEP_PERIOD, 7 + most, 1_000_000), 2000, "it goes on when they are made");

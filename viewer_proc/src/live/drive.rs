@@ -17,7 +17,7 @@ use crate::services::{CArm, Call, Drive, Request};
 /// Dead-man timeout: without a request for this long the insertion stops, because whoever held the key is gone.
 const HAND_LIMIT: Duration = Duration::from_millis(300);
 /// Longest time between two polls for calls.
-const LOOK_TIME: Duration = Duration::from_millis(20);
+const POLL_PERIOD: Duration = Duration::from_millis(20);
 /// Feed while the insertion is stopped: its path limit, which must be above 0.
 const LEAST_FEED_M_PER_S: f64 = 1e-3;
 const HOW: &str = "the scene has no controller for the viewer; add\n[[controller]]\nname = \"viewer\"\ndrives = [\"tendon\", \"arm\", \"burr\", \"c_arm\"]\nexternal = true\noptional = true\nto it, without what other controllers drive";
@@ -141,7 +141,7 @@ impl Hand {
                 self.held.insert_m_per_s = self.held.insert_m_per_s.map(|_| 0.0);
             }
             match client
-                .answer(LOOK_TIME, |state, command| self.held.fill(state, command, self.axis, self.dt_s))
+                .answer(POLL_PERIOD, |state, command| self.held.fill(state, command, self.axis, self.dt_s))
             {
                 // A paused run sends no states.
                 Ok(()) | Err(ClientError::TimedOut(_)) => {}

@@ -28,7 +28,7 @@ use drive::Driver;
 use subscriptions::Subscriptions;
 
 /// Time between two polls of the queues, which hold half a second.
-const LOOK_TIME: Duration = Duration::from_millis(4);
+const POLL_PERIOD: Duration = Duration::from_millis(4);
 /// Most calls queued.
 pub(crate) const CALL_QUEUE: usize = 64;
 const ALIVE_LOOK: Duration = Duration::from_millis(200);
@@ -125,7 +125,7 @@ impl Live {
                     return Ok(());
                 }
             }
-            std::thread::sleep(LOOK_TIME);
+            std::thread::sleep(POLL_PERIOD);
         }
     }
 

@@ -38,7 +38,7 @@ use player::Player;
 pub use bone::LogVolume;
 
 /// Time between two polls.
-const LOOK_TIME: Duration = Duration::from_millis(8);
+const POLL_PERIOD: Duration = Duration::from_millis(8);
 /// Minimum time between two playback messages.
 const PLAYBACK_PERIOD: Duration = Duration::from_millis(33);
 /// A longer jump shows only its destination, not everything in between.
@@ -235,7 +235,7 @@ impl Show {
             let more = self.bone.as_mut().is_some_and(|bone| bone.publish(&self.board));
             self.tell();
             if !more {
-                std::thread::sleep(LOOK_TIME);
+                std::thread::sleep(POLL_PERIOD);
             }
         }
         Ok(())

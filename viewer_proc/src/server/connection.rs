@@ -31,7 +31,7 @@ const WRITE_LIMIT: Duration = Duration::from_secs(10);
 const BATCH_BYTES: usize = 512 << 10;
 /// Timeout of a service call.
 const CALL_LIMIT: Duration = Duration::from_secs(10);
-const END_LOOK: Duration = Duration::from_millis(100);
+const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 type Socket = WebSocketStream<TcpStream>;
 
@@ -159,7 +159,7 @@ async fn talk(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Res
     loop {
         let more = talk.send_waiting(socket).await?;
         // With more to send, only polls for client messages.
-        let pause = if more { Duration::ZERO } else { END_LOOK };
+        let pause = if more { Duration::ZERO } else { END_CHECK_PERIOD };
         tokio::select! {
             biased;
             message = socket.next() => match message {

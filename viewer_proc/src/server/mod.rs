@@ -23,7 +23,7 @@ use http::Origins;
 pub const MAX_CLIENTS: usize = 32;
 /// Timeout from accepting a connection to its complete request.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);
-const END_LOOK: Duration = Duration::from_millis(50);
+const END_CHECK_PERIOD: Duration = Duration::from_millis(50);
 
 /// Server options.
 #[derive(Debug, Clone)]
@@ -128,7 +128,8 @@ impl Server {
             let guests = Guests::default();
             while !self.shared.end.load(Ordering::Relaxed) {
                 // A failed accept, or reaching the limit of open files, must not stop the other clients.
-                let Ok(Ok((stream, peer))) = tokio::time::timeout(END_LOOK, listener.accept()).await else {
+                let Ok(Ok((stream, peer))) = tokio::time::timeout(END_CHECK_PERIOD, listener.accept()).await
+                else {
                     continue;
                 };
                 let guest = guests.admit(peer.ip());
