@@ -263,7 +263,7 @@ impl Session {
         let mut builder = self.open::<M>(name)?;
         let mut made = publisher_of(&mut builder, &service);
         if matches!(made, Err(PublisherCreateError::ExceedsMaxSupportedPublishers)) {
-            // Killed programs hold their slots until somebody cleans up.
+            // Killed programs hold their slots until a cleanup.
             self.node.try_cleanup_dead_nodes();
             made = publisher_of(&mut builder, &service);
         }

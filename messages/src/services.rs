@@ -169,13 +169,13 @@ impl Service {
     }
 }
 
-/// Upper bound of a sample's overhead beside its payload, bytes.
+/// Upper bound of a sample's overhead besides its payload, bytes.
 const SAMPLE_HEADER: usize = 64;
 /// Upper bound of the segment allocator's overhead per sample, bytes.
 const SAMPLE_INDEX: usize = 8;
-/// Upper bound of a segment's overhead beside its samples, bytes.
+/// Upper bound of a segment's overhead besides its samples, bytes.
 const SEGMENT_HEADER: u64 = 4096;
-/// A port's overhead beside its samples, bytes: its connections, and what other ports allocate at the same time.
+/// A port's overhead besides its samples, bytes: its connections, and what other ports allocate at the same time.
 pub const CONNECTIONS_BYTES: u64 = 2 << 20;
 
 /// Samples that a subscriber may hold at a time.

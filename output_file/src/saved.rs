@@ -103,7 +103,7 @@ fn replace(file: WholeFile, ours: &Identity) -> Result<(), OutputError> {
             }
             return Err(exists());
         }
-        // The last version has been removed by somebody.
+        // Another program has removed the last version.
         Err(Errno::NOENT) => {
             draft.persist_noclobber(&path).map_err(|failed| match failed.error.kind() {
                 ErrorKind::AlreadyExists => exists(),

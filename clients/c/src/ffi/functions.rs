@@ -313,7 +313,7 @@ functions! {
                 let none = || ClientError::TimedOut(core::time::Duration::ZERO);
                 open.client.next_event()?.ok_or_else(none)?;
                 let event = open.client.event.as_ref().ok_or_else(none)?;
-                // In C a text must have its NUL; an event of a broken sender that has none has no text.
+                // C needs the final NUL; a broken sender's event without one is shown without text.
                 let has_nul = event.tail().last() == Some(&0) && !event_text(event).is_empty();
                 let text = if has_nul { event.tail().as_ptr().cast() } else { c"".as_ptr() };
                 Ok(EventPointers { event: event.message(), text })
@@ -341,7 +341,7 @@ functions! {
             let pointers = table::with(client, |open| {
                 let none = ClientError::TimedOut(core::time::Duration::ZERO);
                 let removed = open.client.next_removed()?.ok_or(none)?;
-                // `Removed` is 32 bytes long: what follows lies as aligned as the message itself.
+                // `Removed` is 32 bytes long, so its tail is as aligned as the message itself.
                 Ok(RemovedPointers { removed: removed.message(), voxel_index: removed.tail().as_ptr().cast() })
             })?;
             // SAFETY: not null; the caller promises that it can be written.
