@@ -1,7 +1,7 @@
 //! Shared code of the programs `trabecula` and `trabecula-lab`: commands, the launcher of a run, replay, reports.
 //!
 //! **Boundary:** the laboratory (`lab/`) builds on this crate; nothing here depends on it, except the commands
-//! forwarded to it ([`commands::laboratory`]). **Invariant:** every command prints its answer through [`say`], so that
+//! forwarded to it ([`commands::laboratory`]). **Invariant:** every command prints its answer through [`mod@say`], so that
 //! a failed write is never reported as success, and text from untrusted files never reaches the terminal unescaped.
 
 #![cfg_attr(not(test), warn(clippy::print_stdout))]

@@ -3,7 +3,7 @@
 //! directly.
 //!
 //! Output that does not fit the queue is dropped and counted. The command's answer, its standard output, is never
-//! dropped: [`finish`] waits for it at the end, up to a limit, unless a signal cuts the wait short.
+//! dropped: `finish` waits for it at the end, up to a limit, unless a signal cuts the wait short.
 
 use std::collections::VecDeque;
 use std::fs::File;

@@ -163,7 +163,7 @@ impl Part {
         Part::start_with(name, command.stdin(Stdio::null()), None, echo)
     }
 
-    /// Starts a program through its keeper's command line ([`keeper`](crate::keeper)).
+    /// Starts a program through its keeper's command line (`src/keeper.rs`).
     ///
     /// # Errors
     /// The keeper or its program cannot be started.

@@ -141,7 +141,7 @@ pub enum RunError {
 pub struct RunSnapshot<'a> {
     /// Folder of the session, needed to start external controllers.
     pub session: &'a Path,
-    /// Controllers that the user must start before the run continues: see [`awaited`].
+    /// Controllers that the user must start before the run continues: see `awaited`.
     pub awaited: &'a [String],
     /// Newest state, if any.
     pub state: Option<&'a State>,

@@ -9,7 +9,7 @@
 //! | `timing.png`, `.svg` | step time over the run; distributions of step, lateness and round trip |
 //! | `summary.json` | [`Summary`] |
 //!
-//! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it holds; what is wrong stands in [`LogSummary::notes`](summary::LogSummary::notes).
+//! Each file is on the disk before the next is begun. A log that is cut, damaged or not there gives what it holds; what is wrong stands in `LogSummary::notes`.
 
 pub mod axis;
 pub mod calibration_figure;

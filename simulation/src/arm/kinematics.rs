@@ -76,9 +76,10 @@ impl UrGeometry {
         self.frames(q_rad).t_base_link(6)
     }
 
-    /// The three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign: `[sin q3, sin q5, a2 cos q2
-    /// + a3 cos q23 + d5 sin q234 (m)]`. The arm is singular where a factor is zero, and the sign of each factor is constant within each
-    /// of the eight inverse branches. (Derived from the Denavit-Hartenberg chain; the tests compare it with the numeric determinant.)
+    /// The three factors of the Jacobian determinant, `det J = a2 a3 · elbow · wrist · shoulder` up to sign: `sin q3`, `sin q5` and
+    /// `a2 cos q2 + a3 cos q23 + d5 sin q234` (m). The arm is singular where a factor is zero, and the sign of each factor is constant
+    /// within each of the eight inverse branches. (Derived from the Denavit-Hartenberg chain; the tests compare it with the numeric
+    /// determinant.)
     pub fn singularity_factors(&self, q_rad: &Joints) -> SingularityFactors {
         let q23 = q_rad[1] + q_rad[2];
         let shoulder_m = self.a2_m * libm::cos(q_rad[1])
