@@ -10,13 +10,13 @@
 //! use messages::layout::Message;
 //! use messages::{BURR_SPEED, Command, State};
 //!
-//! /// Turns the burr at 8000 rpm once the tool is a centimetre inside.
+//! /// Turns the burr at 8000 rpm from the second second on.
 //! struct BurrOn;
 //!
 //! impl Controller for BurrOn {
 //!     fn step(&mut self, state: &State, command: &mut Command) {
 //!         command.burr_mode = BURR_SPEED;
-//!         command.burr_speed_rad_per_s = if state.time_s > 1.0 { 8000.0 * std::f64::consts::TAU / 60.0 } else { 0.0 };
+//!         command.burr_speed_rad_per_s = if state.sim_time_s > 1.0 { 8000.0 * std::f64::consts::TAU / 60.0 } else { 0.0 };
 //!     }
 //! }
 //!
