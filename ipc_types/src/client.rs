@@ -2,7 +2,6 @@
 
 use std::cell::Cell;
 use std::path::Path;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use foreign_text::foreign_path;
@@ -22,12 +21,13 @@ use crate::own::Own;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, CONNECTIONS_BYTES, Service};
 use crate::session::{
-    ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, FLAGS_FILE, Reader, SESSION_VARIABLE,
+    ANNOUNCEMENT_FILE, Announcement, ByteService, CONTROLLER_VARIABLE, PAGE_FILE, Reader, SESSION_VARIABLE,
     Session, SessionError, SessionId, await_announcement, check_layouts, create_node, file_error, is_locked,
     open_folder, short_memory, transported,
 };
 use crate::shared_memory::{SharedMemory, require_free};
-use crate::wake::{Waiter, WakeFlags, Waker, Way, YieldBackoff, allowed_cores};
+use crate::shared_page::SharedPage;
+use crate::wake::{Waiter, Waker, Way, YieldBackoff, allowed_cores};
 
 /// How long a client waits for a session's announcement, or for a service.
 const JOIN_TIME: Duration = Duration::from_secs(10);
@@ -57,9 +57,8 @@ impl Session {
         let none = || SessionError::NotASession { given: foreign_path(folder) };
         let id = SessionId::of(folder).ok_or_else(none)?;
         let node = Own::new(create_node(folder, &id)?);
-        let flags = WakeFlags::open(&handle).map_err(file_error(&folder.join(FLAGS_FILE)))?;
-        let claims = Arc::default();
-        Ok(Session { folder: folder.to_owned(), handle, claims, id, announcement, node, flags })
+        let page = SharedPage::open(&handle).map_err(file_error(&folder.join(PAGE_FILE)))?;
+        Ok(Session { folder: folder.to_owned(), handle, id, announcement, node, page })
     }
 
     /// Whether the session's host is running; works even if its folder has been removed.
@@ -175,7 +174,7 @@ impl Session {
         let service =
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
-        self.flags.welcome(reader.slot());
+        self.page.welcome(reader.slot());
         let way = match reader {
             // They poll at intervals; nobody waits for them.
             Reader::Recorder | Reader::Drr => Way::Hybrid,
@@ -186,7 +185,7 @@ impl Session {
         };
         Ok(Waiter {
             listener: Own::new(listener),
-            flags: self.flags.clone(),
+            page: self.page.clone(),
             reader: reader.slot(),
             way,
             yield_backoff: YieldBackoff::default(),
@@ -205,7 +204,7 @@ impl Session {
         let notifier = service.notifier_builder().create().map_err(transported(&name, "notifying"))?;
         let (spared, listeners) = (Cell::new(0), Cell::new(0));
         let notifier = Own::new(notifier);
-        Ok(Waker { notifier, flags: self.flags.clone(), reader: reader.slot(), service, spared, listeners })
+        Ok(Waker { notifier, page: self.page.clone(), reader: reader.slot(), service, spared, listeners })
     }
 
     /// Frees what killed processes have left in this session.
@@ -307,7 +306,7 @@ impl Session {
             },
             other => transported(name, "subscribing")(other),
         })?;
-        let guard = Guard::of(self, factory, service.writers).map_err(file_error(&self.folder))?;
+        let guard = Guard::of(self, factory, service.writers);
         Ok(Subscriber::new(raw, name.to_owned(), guard))
     }
 }

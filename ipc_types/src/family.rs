@@ -64,15 +64,25 @@ fn families() -> Vec<(Pid, Pid)> {
     entries.filter_map(|entry| parentage(entry.file_name().to_str()?)).collect()
 }
 
-/// A process and its parent; `None` if it is dead.
+/// A living process and its parent; none for a dead one, or one whose parent is outside this PID namespace.
 fn parentage(process: &str) -> Option<(Pid, Pid)> {
-    let pid = Pid::from_raw(process.parse().ok()?)?;
+    let parent = living_parent(process)?;
+    Some((Pid::from_raw(process.parse().ok()?)?, Pid::from_raw(parent)?))
+}
+
+/// Whether a process with this number is alive here. A zombie is not.
+pub(crate) fn is_alive(process: u32) -> bool {
+    living_parent(&process.to_string()).is_some()
+}
+
+/// The parent's number of a living process, 0 for a parent outside this PID namespace.
+fn living_parent(process: &str) -> Option<i32> {
     let text = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
     // State and parent follow the name, which may contain anything (proc_pid_stat(5)).
     let mut fields = text.rsplit_once(')')?.1.split_whitespace();
     let is_dead = matches!(fields.next()?, "Z" | "X");
-    let parent = Pid::from_raw(fields.next()?.parse().ok()?)?;
-    (!is_dead).then_some((pid, parent))
+    let parent = fields.next()?.parse().ok()?;
+    (!is_dead).then_some(parent)
 }
 
 #[cfg(test)]

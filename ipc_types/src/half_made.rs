@@ -12,6 +12,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crate::family::is_alive;
+use crate::identity::process_of;
 use crate::session::SessionId;
 use crate::shared_memory::SharedMemory;
 
@@ -77,7 +79,7 @@ fn look(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String, 
             None => {
                 empty_since.insert(name, now);
             }
-            Some(since) if makers(&name).any(is_dead) || now.duration_since(*since) >= LONGEST_MAKING => {
+            Some(since) if !makers(&name).all(is_alive) || now.duration_since(*since) >= LONGEST_MAKING => {
                 memory.remove(&name);
             }
             Some(_) => {}
@@ -85,18 +87,10 @@ fn look(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String, 
     }
 }
 
-/// Process numbers in a segment's name: bits 64 to 95 of each of the transport's unique numbers (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
-/// A connection's name holds the numbers of both ends.
+/// The processes whose numbers are in a segment's name. A connection's name holds those of both ends.
 fn makers(name: &str) -> impl Iterator<Item = u32> + '_ {
     let numbers = name.split(['_', '.']).filter_map(|part| part.parse::<u128>().ok());
-    numbers.filter(|number| *number > u128::from(u64::MAX)).map(|number| (number >> 64) as u32)
-}
-
-/// Whether no process with this number is alive here.
-fn is_dead(process: u32) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
-    // The state follows the name, which may contain anything (proc_pid_stat(5)).
-    stat.rsplit_once(')').is_none_or(|(_, rest)| matches!(rest.trim_start().get(..1), Some("Z" | "X")))
+    numbers.filter(|number| *number > u128::from(u64::MAX)).map(process_of)
 }
 
 #[cfg(test)]

@@ -2,9 +2,6 @@
 //! really comes from that part.
 
 use std::cell::{Cell, RefCell};
-use std::io;
-use std::os::fd::OwnedFd;
-use std::sync::{Arc, OnceLock};
 
 use iceoryx2::identifiers::UniquePublisherId;
 use iceoryx2::prelude::{CallbackProgression, PortFactory};
@@ -14,62 +11,30 @@ use crate::layout::Message;
 use crate::messages::{Command, DrrRequest, Part};
 use crate::ports::Received;
 use crate::services;
-use crate::session::{ByteService, Session, SessionError, create_file, file_error, read_file};
+use crate::session::{ByteService, Session, SessionError};
+use crate::shared_page::SharedPage;
 
-/// File in the session's folder that records a part's node.
-fn file(part: Part) -> &'static str {
-    match part {
-        Part::Host => "part.host",
-        Part::Physics => "part.physics",
-        Part::Drr => "part.drr",
-        Part::Recorder => "part.recorder",
-    }
+/// The process whose number is part of a unique number of the transport: bits 64 to 95 (iceoryx2-bb-posix 0.10, `UniqueSystemId`).
+pub(crate) fn process_of(number: u128) -> u32 {
+    (number >> 64) as u32
 }
 
 impl Session {
     /// Claims a part for this program, before it opens the part's ports. Each part exists once.
     ///
     /// # Errors
-    /// [`SessionError::PartTaken`]; a file that cannot be written.
+    /// [`SessionError::PartTaken`].
     pub fn claim(&self, part: Part) -> Result<(), SessionError> {
-        let node = self.node.id().value();
-        match create_file(&self.handle, file(part), node.to_string().as_bytes()) {
-            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
-                match self.claims.node_of(&self.handle, part) {
-                    Some(other) if other == node => Ok(()),
-                    _ => Err(SessionError::PartTaken { part }),
-                }
-            }
-            other => other.map_err(file_error(&self.folder.join(file(part)))),
+        match self.page.claim(part, self.node.id().value()) {
+            true => Ok(()),
+            false => Err(SessionError::PartTaken { part }),
         }
     }
 
     /// Whether this program is one of these writers.
     pub(crate) fn is_one_of(&self, writers: &[Part]) -> bool {
         let node = self.node.id().value();
-        writers.is_empty()
-            || writers.iter().any(|part| self.claims.node_of(&self.handle, *part) == Some(node))
-    }
-}
-
-/// Node number of each part, once read. Cached, because a claim never changes and the session's folder may be removed before a part sends
-/// its first message on some service.
-#[derive(Debug, Default)]
-pub(crate) struct Claims([OnceLock<u128>; Part::ALL.len()]);
-
-impl Claims {
-    /// A part's node number. The first lookup reads all claims: when one part's first message arrives, the others have made theirs.
-    fn node_of(&self, folder: &OwnedFd, part: Part) -> Option<u128> {
-        let Claims(nodes) = self;
-        if nodes[part as usize].get().is_none() {
-            for (part, node) in Part::ALL.into_iter().zip(nodes) {
-                if let Some(claimant) = read_file(folder, file(part)).ok().and_then(|text| text.parse().ok())
-                {
-                    node.get_or_init(|| claimant);
-                }
-            }
-        }
-        nodes[part as usize].get().copied()
+        writers.is_empty() || writers.iter().any(|part| self.page.node_of(*part) == Some(node))
     }
 }
 
@@ -80,8 +45,7 @@ const KNOWN_CONNECTIONS: usize = 32;
 #[derive(Debug)]
 pub(crate) struct Guard {
     service: ByteService,
-    folder: OwnedFd,
-    claims: Arc<Claims>,
+    page: SharedPage,
     writers: &'static [Part],
     /// Connections already identified.
     known: RefCell<Vec<(UniquePublisherId, Option<Part>)>>,
@@ -90,18 +54,10 @@ pub(crate) struct Guard {
 
 impl Guard {
     /// `None` for a service that every client may write.
-    pub(crate) fn of(
-        session: &Session,
-        service: ByteService,
-        writers: &'static [Part],
-    ) -> io::Result<Option<Guard>> {
-        if writers.is_empty() {
-            return Ok(None);
-        }
-        let folder = session.handle.try_clone()?;
-        let claims = Arc::clone(&session.claims);
+    pub(crate) fn of(session: &Session, service: ByteService, writers: &'static [Part]) -> Option<Guard> {
         let (known, strangers) = (RefCell::default(), Cell::new(0));
-        Ok(Some(Guard { service, folder, claims, writers, known, strangers }))
+        let page = session.page.clone();
+        (!writers.is_empty()).then_some(Guard { service, page, writers, known, strangers })
     }
 
     /// The part at the other end of a connection. Counts strangers.
@@ -125,14 +81,13 @@ impl Guard {
     /// Once a part has ended its port is gone, but its last messages may still be queued. It is then identified by its process number,
     /// which both the port's and the node's number contain.
     fn look_for(&self, sender: UniquePublisherId) -> Option<Part> {
-        let process = |number: u128| (number >> 64) as u32;
         let node = publishers(&self.service).find(|details| details.publisher_id == sender);
         let node = node.map(|details| details.node_id.value());
         let is_it = |part: &Part| {
-            let claimant = self.claims.node_of(&self.folder, *part);
+            let claimant = self.page.node_of(*part);
             claimant.is_some_and(|claimant| match node {
                 Some(node) => claimant == node,
-                None => process(claimant) == process(sender.value()),
+                None => process_of(claimant) == process_of(sender.value()),
             })
         };
         self.writers.iter().copied().find(is_it)

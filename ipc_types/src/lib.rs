@@ -49,6 +49,7 @@ pub mod reference;
 pub mod scene_file;
 pub mod session;
 mod shared_memory;
+mod shared_page;
 pub mod signals;
 pub mod text_file;
 mod transport_reference;

@@ -2,10 +2,8 @@
 
 use crate::messages::PHASE_ENDED;
 use crate::services::{self, SAMPLES_HELD};
-use crate::session::{
-    CONTROLLER_VARIABLE, FLAGS_FILE, ICEORYX2_VERSION, Reader, SESSION_VARIABLE, prefix_of,
-};
-use crate::wake::FLAG_STRIDE;
+use crate::session::{CONTROLLER_VARIABLE, ICEORYX2_VERSION, PAGE_FILE, Reader, SESSION_VARIABLE, prefix_of};
+use crate::shared_page::FLAG_STRIDE;
 
 /// The text, with names, numbers and offsets taken from the hub's own constants.
 pub(crate) fn transport_reference() -> String {
@@ -39,7 +37,7 @@ written from this page, with the PyPI package (test `a_controller_written_from_t
    lockstep tick takes that long.
 
 {table}
-   The flag is a `uint32` in the file `{FLAGS_FILE}` of the session's folder, shared by all (map it, do not copy it): 0 while
+   The flag is a `uint32` in the file `{PAGE_FILE}` of the session's folder, shared by all (map it, do not copy it): 0 while
    the reader is awake. A writer may spare itself the event then; it needs a sequentially consistent fence between its message
    and its look. A controller sets its own flag to 1 when it joins and leaves it so: then each state comes with an event, and
    the controller takes what is in its queues and waits for the next one, with a limit.

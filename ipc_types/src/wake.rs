@@ -12,21 +12,17 @@
 //! both have a sequentially consistent fence in between. At least one of them sees the other's store.
 
 use std::cell::Cell;
-use std::fs::File;
-use std::os::fd::AsFd;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering, fence};
+use std::sync::atomic::{Ordering, fence};
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::{PortFactory, ipc};
-use memmap2::MmapRaw;
-use rustix::fs::{Mode, OFlags};
 
 use crate::own::Own;
 use crate::scene::{Policy, Wait};
-use crate::session::{EventService, FLAGS_FILE, create_file};
+use crate::session::EventService;
+use crate::shared_page::{FLAG_NEW, SharedPage};
 
 /// How long a reader yields before it sleeps. Measured: pure spinning is a thousand times slower once spinners outnumber cores; yielding
 /// for 20 µs costs nothing there and catches nearly every answer of a running peer.
@@ -38,58 +34,11 @@ const SHORTEST_SLEEP: Duration = Duration::from_micros(10);
 /// Longest sleep before a reader polls again by itself.
 const LONGEST_SLEEP: Duration = Duration::from_millis(10);
 
-/// Bytes between two readers' flags: a cache line.
-pub(crate) const FLAG_STRIDE: usize = 64;
-/// Most readers in a session.
-pub(crate) const FLAG_COUNT: usize = 32;
-
-/// Flag of a reader that has not waited yet: raised.
-const NEW: u32 = 2;
-
-/// The page of flags, one cache line per reader, shared by all processes of a session.
-#[derive(Debug, Clone)]
-pub(crate) struct WakeFlags {
-    map: Arc<MmapRaw>,
-}
-
-impl WakeFlags {
-    /// Creates the file in the session's folder, with every flag raised.
-    pub(crate) fn create(folder: impl AsFd) -> std::io::Result<WakeFlags> {
-        create_file(&folder, FLAGS_FILE, &[0; FLAG_STRIDE * FLAG_COUNT])?;
-        let flags = WakeFlags::open(folder)?;
-        (0..FLAG_COUNT).for_each(|reader| flags.flag(reader).store(1, Ordering::SeqCst));
-        Ok(flags)
-    }
-
-    /// Maps the file that the host created.
-    pub(crate) fn open(folder: impl AsFd) -> std::io::Result<WakeFlags> {
-        let flags = OFlags::RDWR | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
-        let file = File::from(rustix::fs::openat(folder, FLAGS_FILE, flags, Mode::empty())?);
-        let map = MmapRaw::map_raw(&file)?;
-        if map.len() != FLAG_STRIDE * FLAG_COUNT {
-            return Err(std::io::Error::other("the file of wake flags has a wrong length"));
-        }
-        Ok(WakeFlags { map: Arc::new(map) })
-    }
-
-    /// Raises the flag of a new reader, so that writers that had given up on its predecessor wake it.
-    pub(crate) fn welcome(&self, reader: usize) {
-        self.flag(reader).store(NEW, Ordering::SeqCst);
-    }
-
-    fn flag(&self, reader: usize) -> &AtomicU32 {
-        assert!(reader < FLAG_COUNT, "a session has {FLAG_COUNT} readers at most");
-        // SAFETY: the mapping is page-aligned, FLAG_STRIDE × FLAG_COUNT bytes long (checked when mapped) and lives as long as `self`;
-        // `reader` is in range, so the four bytes lie inside and are aligned. Every process accesses them only through atomics.
-        unsafe { AtomicU32::from_ptr(self.map.as_mut_ptr().add(reader * FLAG_STRIDE).cast::<u32>()) }
-    }
-}
-
 /// Wakes one reader.
 #[derive(Debug)]
 pub struct Waker {
     pub(crate) notifier: Own<Notifier<ipc::Service>>,
-    pub(crate) flags: WakeFlags,
+    pub(crate) page: SharedPage,
     pub(crate) reader: usize,
     pub(crate) service: EventService,
     /// Messages left to skip before the writer tries to wake again, after it found no listener.
@@ -113,13 +62,13 @@ impl Waker {
     /// when the number of listeners has changed, when the flag has been down, or after some messages.
     pub fn try_to_wake(&self) -> bool {
         fence(Ordering::SeqCst);
-        let flag = self.flags.flag(self.reader).load(Ordering::Relaxed);
+        let flag = self.page.flag(self.reader).load(Ordering::Relaxed);
         if flag == 0 {
             self.spared.set(0);
             return false;
         }
         let (spared, listeners) = (self.spared.get(), self.service.dynamic_config().number_of_listeners());
-        if flag != NEW && spared > 0 && listeners == self.listeners.get() {
+        if flag != FLAG_NEW && spared > 0 && listeners == self.listeners.get() {
             self.spared.set(spared - 1);
             return false;
         }
@@ -199,14 +148,14 @@ pub struct Waiter {
     pub(crate) way: Way,
     pub(crate) yield_backoff: YieldBackoff,
     pub(crate) listener: Own<Listener<ipc::Service>>,
-    pub(crate) flags: WakeFlags,
+    pub(crate) page: SharedPage,
     pub(crate) reader: usize,
 }
 
 impl Waiter {
     /// Waits until `ready` returns true or the deadline passes; returns whether it is ready.
     pub fn wait_until(&self, deadline: Instant, mut ready: impl FnMut() -> bool) -> bool {
-        let flag = self.flags.flag(self.reader);
+        let flag = self.page.flag(self.reader);
         flag.store(0, Ordering::Relaxed);
         if self.look(deadline, &mut ready) {
             return true;

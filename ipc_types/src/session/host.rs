@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
 
 use iceoryx2::prelude::{Node, ipc};
 use iceoryx2::service::attribute::AttributeSpecifier;
@@ -11,7 +10,7 @@ use super::announcement::ANNOUNCEMENT_FILE;
 use super::folder::{self, HostFolder, wipe_dead_sessions};
 use super::places::{Searched, choose, places};
 use super::{
-    Announcement, ByteService, EventService, FLAGS_FILE, ICEORYX2_VERSION, Reader, Session, SessionError,
+    Announcement, ByteService, EventService, ICEORYX2_VERSION, PAGE_FILE, Reader, Session, SessionError,
     create_node, file_error, transported,
 };
 use crate::half_made::HalfMadeSweeper;
@@ -20,7 +19,7 @@ use crate::own::Own;
 use crate::scene::{Policy, Wait};
 use crate::services::{self, SAMPLES_HELD, Service};
 use crate::shared_memory::SharedMemory;
-use crate::wake::WakeFlags;
+use crate::shared_page::SharedPage;
 
 const MAX_NODES: usize = 64;
 
@@ -72,8 +71,8 @@ impl SessionHost {
         memory
             .close_to_others(&folder.id.shared_memory_prefix())
             .map_err(file_error(Path::new("/dev/shm")))?;
-        let flags_path = folder.path.join(FLAGS_FILE);
-        let flags = WakeFlags::create(folder.handle()).map_err(file_error(&flags_path))?;
+        let page_path = folder.path.join(PAGE_FILE);
+        let page = SharedPage::create(folder.handle()).map_err(file_error(&page_path))?;
         let mut layouts = BTreeMap::new();
         let mut byte_services = Vec::new();
         for (name, service) in plan.services() {
@@ -100,12 +99,11 @@ impl SessionHost {
         let session = Session {
             // A new handle: testing the lock through the handle that holds it would release it.
             handle: folder::open(&folder.path)?,
-            claims: Arc::default(),
             folder: folder.path.clone(),
             id: folder.id.clone(),
             announcement,
             node: Own::new(node),
-            flags,
+            page,
         };
         session.claim(Part::Host)?;
         Ok(SessionHost {

@@ -13,7 +13,6 @@ mod places;
 
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -21,18 +20,17 @@ use iceoryx2::prelude::{
 };
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use crate::identity::Claims;
 use crate::own::Own;
 use crate::services::CONNECTIONS_BYTES;
 use crate::shared_memory::{refusal, require_free};
-use crate::wake::WakeFlags;
+use crate::shared_page::SharedPage;
 
 pub use crate::half_made::HalfMadeSweeper;
 pub use announcement::Announcement;
 pub(crate) use announcement::{ANNOUNCEMENT_FILE, await_announcement, check_layouts};
 pub use error::SessionError;
 pub(crate) use error::{file_error, short_memory, transported};
-pub(crate) use folder::{create_file, is_locked, open as open_folder, read_file};
+pub(crate) use folder::{create_file, is_locked, open as open_folder};
 pub use folder::{host_is_alive, newest_session, running_sessions, wipe_dead_sessions};
 pub use host::{SessionHost, SessionPlan};
 pub use id::SessionId;
@@ -46,8 +44,8 @@ pub const SESSION_VARIABLE: &str = "TRABECULA_SESSION";
 /// Environment variable: the controller that a program is.
 pub const CONTROLLER_VARIABLE: &str = "TRABECULA_CONTROLLER";
 
-/// The file of wake flags in a session's folder.
-pub(crate) const FLAGS_FILE: &str = "wake.flags";
+/// The file of the shared page in a session's folder.
+pub(crate) const PAGE_FILE: &str = "wake.flags";
 
 pub(crate) type ByteService = publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
 pub(crate) type EventService = event::PortFactory<ipc::Service>;
@@ -58,12 +56,10 @@ pub struct Session {
     pub(crate) folder: PathBuf,
     /// The open folder: tells whether the host is alive even after the folder's name is gone.
     pub(crate) handle: OwnedFd,
-    /// The node of each part, as far as this program has looked it up.
-    pub(crate) claims: Arc<Claims>,
     pub(crate) id: SessionId,
     pub(crate) announcement: Announcement,
     pub(crate) node: Own<Node<ipc::Service>>,
-    pub(crate) flags: WakeFlags,
+    pub(crate) page: SharedPage,
 }
 
 /// The readers, each with its own wake-up event.
