@@ -68,16 +68,11 @@ enum UserCommand {
 }
 
 fn main() -> ExitCode {
-    let command = program::start()
-        .and_then(|()| program::parsed(Arguments::try_parse().map(|arguments| arguments.command)));
-    match command {
-        Ok(Some(Command::Proc(part))) => {
-            trabecula::commands::proc::run(&part).unwrap_or_else(|failure| program::end(Err(failure)))
-        }
-        Ok(Some(Command::User(command))) => program::end(dispatch(&command)),
-        Ok(None) => program::end(Ok(())),
-        Err(failure) => program::end(Err(failure)),
-    }
+    let parse = || Arguments::try_parse().map(|arguments| arguments.command);
+    program::run(parse, |command| match command {
+        Command::Proc(part) => trabecula::commands::proc::run(&part).map(Some),
+        Command::User(command) => dispatch(&command).map(|()| None),
+    })
 }
 
 fn dispatch(command: &UserCommand) -> Result<(), Failure> {

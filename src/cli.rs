@@ -77,20 +77,15 @@ enum UserCommand {
 
 /// Runs the program.
 pub fn main() -> ExitCode {
-    match program::start().and_then(|()| command()) {
-        // A part prints no answer, and its exit code may be that of a user's program.
-        Ok(Some(Command::Proc(part))) => {
-            commands::proc::run(&part).unwrap_or_else(|failure| program::end(Err(failure)))
-        }
-        Ok(Some(Command::User(command))) => program::end(dispatch(&command)),
-        Ok(None) => program::end(Ok(())),
-        Err(failure) => program::end(Err(failure)),
-    }
+    program::run(command, |command| match command {
+        Command::Proc(part) => commands::proc::run(&part).map(Some),
+        Command::User(command) => dispatch(&command).map(|()| None),
+    })
 }
 
-/// The command requested; none if the user asked for help or the version. Without a command, the default scene runs.
-fn command() -> Result<Option<Command>, Failure> {
-    let parsed = Arguments::try_parse().and_then(|arguments| match arguments.command {
+/// The command requested. Without one, the default scene runs.
+fn command() -> Result<Command, clap::Error> {
+    Arguments::try_parse().and_then(|arguments| match arguments.command {
         Some(command) => Ok(command),
         None => {
             let run = Arguments::try_parse_from(["trabecula", "run"])?.command;
@@ -98,8 +93,7 @@ fn command() -> Result<Option<Command>, Failure> {
                 Arguments::command().error(clap::error::ErrorKind::MissingSubcommand, "expected a command")
             })
         }
-    });
-    program::parsed(parsed)
+    })
 }
 
 fn dispatch(command: &UserCommand) -> Result<(), Failure> {

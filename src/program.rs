@@ -15,11 +15,25 @@ const EXIT_DONE: u8 = 0;
 /// The exit codes, for the help.
 pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is not whole; 130 interrupted";
 
+/// Runs a program: `parse` reads its command line, `dispatch` executes the command. A command that returns an exit code, as a part of a
+/// session does, prints no answer and ends with that code.
+pub fn run<C>(
+    parse: impl FnOnce() -> Result<C, clap::Error>,
+    dispatch: impl FnOnce(C) -> Result<Option<ExitCode>, Failure>,
+) -> ExitCode {
+    let command = start().and_then(|()| parsed(parse()));
+    match command.and_then(|command| command.map_or(Ok(None), dispatch)) {
+        Ok(Some(code)) => code,
+        Ok(None) => end(Ok(())),
+        Err(failure) => end(Err(failure)),
+    }
+}
+
 /// Prepares this process: exceeding the file size limit becomes an error instead of killing the process.
 ///
 /// # Errors
 /// The system refuses the signal handler.
-pub fn start() -> Result<(), Failure> {
+fn start() -> Result<(), Failure> {
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
         .map(drop)
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))
@@ -29,7 +43,7 @@ pub fn start() -> Result<(), Failure> {
 ///
 /// # Errors
 /// Bad input, already reported.
-pub fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
+fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
     match parsed {
         Ok(command) => Ok(Some(command)),
         Err(error) => {
@@ -47,7 +61,7 @@ pub fn parsed<A>(parsed: Result<A, clap::Error>) -> Result<Option<A>, Failure> {
 }
 
 /// Reports a failure unless it has been reported, waits until the answer is written, and returns the exit code.
-pub fn end(outcome: Result<(), Failure>) -> ExitCode {
+fn end(outcome: Result<(), Failure>) -> ExitCode {
     let code = outcome.map_or_else(told, |()| EXIT_DONE);
     ExitCode::from(with_its_answer(code))
 }

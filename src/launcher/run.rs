@@ -22,8 +22,6 @@ use super::volume_source::{self, VolumeFiles};
 use crate::report::{NOT_SHARED, RunFacts};
 
 const POLL_PERIOD: Duration = Duration::from_millis(20);
-/// How long after a part has learned that the run is over the same message may take to reach the launcher.
-const END_NOTICE_LIMIT: Duration = Duration::from_secs(1);
 
 /// What to run, and how.
 #[derive(Debug, Clone)]
@@ -257,24 +255,11 @@ impl Running<'_> {
         }
     }
 
-    /// Whether the run was already over when the part at this index ended. The physics notifies its readers one by one
-    /// and may be delayed in between, so a part that exited cleanly has most likely heard before we did.
-    fn run_has_ended_for(&mut self, index: usize) -> Result<bool, RunError> {
-        let since = Instant::now();
-        loop {
-            self.subscriptions.look()?;
-            let run_has_ended = self.subscriptions.status.is_some_and(|status| status.phase == PHASE_ENDED);
-            let has_failed = self.parts[index].ended().is_none_or(|status| !status.success());
-            if run_has_ended || has_failed || self.end.is_set() || since.elapsed() >= END_NOTICE_LIMIT {
-                return Ok(run_has_ended);
-            }
-            std::thread::sleep(POLL_PERIOD);
-        }
-    }
-
     /// Handles a part that has ended; returns the outcome if that ends the run.
     fn part_ended(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
-        let run_has_ended = self.run_has_ended_for(index)?;
+        // The physics publishes the end before any part can exit because of it.
+        self.subscriptions.look()?;
+        let run_has_ended = self.subscriptions.status.is_some_and(|status| status.phase == PHASE_ENDED);
         let tick = self.subscriptions.state.as_ref().map_or(0, |state| state.tick);
         let goes_on = match run_has_ended {
             true => self.replacements.dismiss(self.plan, &mut self.parts, index),

@@ -261,8 +261,6 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     let run = place.start(&scenes::drill("realtime", 60.0));
     let mut client = joined(&run, "");
     client.run_control(CONTROL_RESUME, 0, LIMIT).unwrap();
-    // By then every process has read from the folder which node is which part; in the first milliseconds of a run it must be there.
-    while client.wait_state(LIMIT).unwrap().tick < 300 {}
     let first = client.wait_state(LIMIT).unwrap().tick;
     let session = run.session();
     let memory = SessionId::of(&session).unwrap().shared_memory_prefix();

@@ -40,15 +40,22 @@ pub fn trabecula(arguments: &[&dyn AsRef<OsStr>]) -> Done {
 }
 
 /// Waits until `found` gives something.
-pub fn wait_for<T>(what: &str, mut found: impl FnMut() -> Option<T>) -> T {
+pub fn wait_for<T>(what: &str, found: impl FnMut() -> Option<T>) -> T {
+    wait_or_tell(found, || {
+        format!("{what} did not happen within {LIMIT:?}\n{}", threads_of(std::process::id()))
+    })
+}
+
+/// The same; `tell` says what did not happen, and what there is to say of it.
+fn wait_or_tell<T>(mut found: impl FnMut() -> Option<T>, tell: impl FnOnce() -> String) -> T {
     let end = Instant::now() + LIMIT;
-    loop {
+    while Instant::now() < end {
         if let Some(value) = found() {
             return value;
         }
-        assert!(Instant::now() < end, "{what} did not happen within {LIMIT:?}\n{}", threads_of_children());
         std::thread::sleep(LOOK);
     }
+    panic!("{}", tell())
 }
 
 /// Sends a signal; the process may be gone already.
@@ -190,17 +197,16 @@ impl Run {
     /// Waits for the end of the launcher.
     pub fn end(mut self) -> Ended {
         let pid = self.pid();
-        let end = Instant::now() + LIMIT;
-        let status = loop {
+        let over = || {
             // For whoever looks afterwards whether anything of it is left.
             let _ = session_of(pid);
-            if let Some(status) = self.child.try_wait().unwrap() {
-                break status;
-            }
-            let hangs = Instant::now() >= end;
-            assert!(!hangs, "no end of the run within {LIMIT:?}\n{}\n{}", self.said(), threads_of(pid));
-            std::thread::sleep(LOOK);
+            self.child.try_wait().unwrap()
         };
+        let words = self.words.path().join("err");
+        let status = wait_or_tell(over, || {
+            let said = fs::read_to_string(&words).unwrap_or_default();
+            format!("no end of the run within {LIMIT:?}\n{said}\n{}", threads_of(pid))
+        });
         let text = |name: &str| fs::read_to_string(self.words.path().join(name)).unwrap();
         let folders = fs::read_dir(&self.output).map(|entries| entries.flatten().map(|e| e.path()).collect());
         let folders: Vec<PathBuf> = folders.unwrap_or_default();
@@ -258,11 +264,6 @@ pub fn parts_of(session: &Path) -> Vec<(String, u32)> {
         }
     }
     parts
-}
-
-/// What each thread of what this test program has started waits for.
-fn threads_of_children() -> String {
-    threads_of(std::process::id())
 }
 
 /// What each thread of a process and of its descendants waits for, as the kernel says it.
