@@ -71,7 +71,7 @@ fn parentage(process: &str) -> Option<(Pid, Pid)> {
 }
 
 /// Whether a process with this number is alive here. A zombie is not.
-pub(crate) fn is_alive(process: u32) -> bool {
+pub fn is_alive(process: u32) -> bool {
     living_parent(&process.to_string()).is_some()
 }
 

@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use fastrand::Rng;
+use ipc_types::family::is_alive;
 use ipc_types::messages::PHASE_ENDED;
 use run_log::EndReason;
 use rustix::process::Signal;
@@ -17,7 +18,7 @@ use crate::common::program::{
     Ended, Guarded, LIMIT, Place, Run, assert_nothing_left, only_entry, parts_of, signal, wait_for,
 };
 use crate::common::scenes;
-use crate::common::terminal::Terminal;
+use crate::common::terminal::{Act, Terminal};
 
 /// Time between two looks at a run that is to end.
 const LOOK: Duration = Duration::from_millis(5);
@@ -172,42 +173,22 @@ fn a_signal_while_the_report_is_made_is_obeyed_and_the_logs_are_whole() {
     assert_eq!((log.ticks.len(), log.marker.unwrap().reason), (40_000, EndReason::Completed));
 }
 
-/// Starts a run with a terminal of its own (Python's standard library has one), reads what it writes there, and closes the
-/// terminal at a line from standard input; then says how the run ended.
-const CLOSING_TERMINAL: &str = "
-import os, pty, select, sys
-pid, terminal = pty.fork()
-if pid == 0:
-    os.execv(sys.argv[1], sys.argv[1:])
-print(pid, flush=True)
-while sys.stdin not in (ready := select.select([terminal, sys.stdin], [], [])[0]):
-    os.read(terminal, 65536)
-os.close(terminal)
-_, status = os.waitpid(pid, 0)
-print(os.waitstatus_to_exitcode(status), flush=True)
-";
-
 /// SIGHUP was not handled: no summary, and session and memory stayed.
 #[test]
 fn a_closed_terminal_ends_the_run_as_sigterm_does() {
     let place = Place::new();
     let (scene, output) = (place.scene(&scenes::drill("realtime", 600.0)), place.path("out"));
-    let mut terminal = Terminal::new(CLOSING_TERMINAL, &scene, &output);
+    let mut terminal = Terminal::new(Act::Close, &scene, &output);
     let (launcher, session) = (terminal.launcher, terminal.session.clone());
     Client::join(&session).wait_for_state(|state| state.tick >= 100);
     terminal.tell("close");
-    wait_for("the launcher's end", || (!is_running(launcher)).then_some(()));
+    wait_for("the launcher's end", || (!is_alive(launcher)).then_some(()));
     assert_eq!(terminal.next_line(), "130");
     assert_nothing_left(launcher);
     let folder = only_entry(&output);
     assert_eq!(read(&folder).marker.unwrap().reason, EndReason::Interrupted);
     assert!(folder.join("summary.json").exists());
     assert_replays(&folder);
-}
-
-fn is_running(process: u32) -> bool {
-    let status = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
-    status.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
 }
 
 #[test]

@@ -18,7 +18,7 @@ use crate::common::program::{
     Guarded, LIMIT, Place, assert_nothing_left, only_entry, parts_of, session_folder, signal, wait_for,
 };
 use crate::common::scenes;
-use crate::common::terminal::Terminal;
+use crate::common::terminal::{Act, Terminal};
 
 /// Two signals within 0.3 s count as one.
 const ANOTHER: Duration = Duration::from_millis(500);
@@ -56,28 +56,12 @@ fn full_pipe() -> (PipeReader, Stdio) {
     (reader, Stdio::from(OwnedFd::from(writer)))
 }
 
-/// Starts a run with a terminal of its own, stops that at a line from standard input, and then says how the run ended.
-const STOPPED_TERMINAL: &str = "
-import os, pty, select, sys
-pid, terminal = pty.fork()
-if pid == 0:
-    os.execv(sys.argv[1], sys.argv[1:])
-print(pid, flush=True)
-while sys.stdin not in (ready := select.select([terminal, sys.stdin], [], [])[0]):
-    os.read(terminal, 65536)
-sys.stdin.readline()
-os.write(terminal, b'\\x13')
-print('stopped', flush=True)
-_, status = os.waitpid(pid, 0)
-print(os.waitstatus_to_exitcode(status), flush=True)
-";
-
 /// The launcher stood in a write to the terminal and heard no signal, until somebody typed Ctrl-Q.
 #[test]
 fn a_signal_beside_a_stopped_terminal_is_obeyed() {
     let place = Place::new();
     let (scene, output) = (place.scene(&scenes::drill("realtime", 600.0)), place.path("out"));
-    let mut terminal = Terminal::new(STOPPED_TERMINAL, &scene, &output);
+    let mut terminal = Terminal::new(Act::Stop, &scene, &output);
     let (launcher, session) = (terminal.launcher, terminal.session.clone());
     let client = Client::join(&session);
     client.wait_for_state(|state| state.tick >= 100);

@@ -8,7 +8,45 @@ use test_support::limited::{COMMAND_LIMIT, Watchdog};
 
 use super::program::{Guarded, session_folder, wait_for};
 
-/// A script of Python that starts its arguments in a new terminal, says their process, and does to the terminal what it is told.
+/// What is done to the terminal when the test tells so, in Python.
+#[derive(Debug, Clone, Copy)]
+pub enum Act {
+    /// It is stopped as by Ctrl-S; then the script says `stopped`.
+    Stop,
+    /// It is closed.
+    Close,
+}
+
+impl Act {
+    fn lines(self) -> &'static str {
+        match self {
+            Act::Stop => "sys.stdin.readline()\nos.write(terminal, b'\\x13')\nprint('stopped', flush=True)",
+            Act::Close => "os.close(terminal)",
+        }
+    }
+}
+
+/// Starts its arguments in a new terminal (Python's standard library has one), says their process, reads what they write, acts at a line
+/// from standard input, and then says how they ended.
+fn script(act: Act) -> String {
+    format!(
+        "
+import os, pty, select, sys
+pid, terminal = pty.fork()
+if pid == 0:
+    os.execv(sys.argv[1], sys.argv[1:])
+print(pid, flush=True)
+while sys.stdin not in (ready := select.select([terminal, sys.stdin], [], [])[0]):
+    os.read(terminal, 65536)
+{}
+_, status = os.waitpid(pid, 0)
+print(os.waitstatus_to_exitcode(status), flush=True)
+",
+        act.lines()
+    )
+}
+
+/// A run in a terminal, to which something is done once.
 pub struct Terminal {
     script: Guarded,
     said: Lines<BufReader<ChildStdout>>,
@@ -21,9 +59,9 @@ pub struct Terminal {
 
 impl Terminal {
     /// Runs a scene there, until its session is there.
-    pub fn new(script: &str, scene: &Path, output: &Path) -> Terminal {
+    pub fn new(act: Act, scene: &Path, output: &Path) -> Terminal {
         let mut command = Command::new("python3");
-        command.args(["-c", script, env!("CARGO_BIN_EXE_trabecula"), "run"]);
+        command.args(["-c", &script(act), env!("CARGO_BIN_EXE_trabecula"), "run"]);
         command.arg(scene).arg("--output").arg(output).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut script = Guarded(command.spawn().unwrap());
         let watchdog = Watchdog::over(&script.0, COMMAND_LIMIT);
