@@ -163,9 +163,7 @@ impl Service {
             let state = Box::new(*received.message());
             drop(received);
             self.take_removals(&state)?;
-            while let Some(due) = self.schedule.due(state.tick, self.renderer()) {
-                self.start(&state, due)?;
-            }
+            self.start_due(&state)?;
             if state.tick >= self.reported_tick + PROGRESS_TICKS {
                 self.reported_tick = state.tick;
                 self.ports.report_progress(state.tick)?;
@@ -241,10 +239,16 @@ impl Service {
     /// they are answered.
     fn serve_newest(&mut self) -> Result<(), DrrProcessError> {
         let Some(state) = self.newest.take() else { return Ok(()) };
-        while let Some(due) = self.schedule.due(state.tick, self.renderer()) {
-            self.start(&state, due)?;
-        }
+        self.start_due(&state)?;
         self.newest = Some(state);
+        Ok(())
+    }
+
+    /// Starts every frame that is due at this state.
+    fn start_due(&mut self, state: &State) -> Result<(), DrrProcessError> {
+        while let Some(due) = self.schedule.due(state.tick, self.renderer()) {
+            self.start(state, due)?;
+        }
         Ok(())
     }
 
