@@ -10,12 +10,14 @@ extern crate trabecula;
 mod bench;
 mod charts;
 mod commands;
+mod random;
 mod reproduce;
 mod stress;
 
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use trabecula::commands::laboratory::about;
 use trabecula::commands::proc::ProcCommand;
 use trabecula::commands::run::RunArguments;
 use trabecula::commands::view::ViewArguments;
@@ -26,8 +28,7 @@ use commands::bench::BenchCommand;
 use commands::chart::ChartCommand;
 use commands::reproduce::ReproduceArguments;
 use commands::stress::{LoadArguments, StressArguments};
-
-/// The laboratory of Trabecula: what it costs, how exact it is, what it does under stress.
+/// Trabecula's laboratory: benchmarks, accuracy measurements and stress tests.
 #[derive(Debug, Parser)]
 #[command(name = "trabecula-lab", version, about, after_help = EXIT_CODES)]
 struct Arguments {
@@ -39,30 +40,28 @@ struct Arguments {
 enum Command {
     #[command(flatten)]
     User(UserCommand),
-    /// One part of a run that is measured.
+    /// One part of a measured run.
     #[command(subcommand, hide = true)]
     Proc(ProcCommand),
 }
 
 #[derive(Debug, Subcommand)]
 enum UserCommand {
-    /// Measure what the hub costs on this machine.
-    #[command(subcommand)]
+    #[command(subcommand, about = about::BENCH)]
     Bench(BenchCommand),
-    /// Run a scene on limited cores beside neighbours, and say why ticks were late.
+    #[command(about = about::STRESS)]
     Stress(StressArguments),
-    /// Measure accuracy against speed, as tables and figures.
-    #[command(subcommand)]
+    #[command(subcommand, about = about::CHART)]
     Chart(ChartCommand),
-    /// Make the published behaviours again, from low-level rules: tunnel, skiving, deviation, bend.
+    #[command(about = about::REPRODUCE)]
     Reproduce(ReproduceArguments),
-    /// A neighbour of a stress test.
+    /// The competing load of a stress test.
     #[command(hide = true)]
     Load(LoadArguments),
-    /// A run that is measured.
+    /// A measured run.
     #[command(hide = true)]
     Run(RunArguments),
-    /// The viewer of a run that is measured.
+    /// The viewer of a measured run.
     #[command(hide = true)]
     View(ViewArguments),
 }
@@ -92,11 +91,12 @@ mod tests {
     use clap::CommandFactory;
 
     /// Commands with an output, and the argument that names it. All are in the table of `tests/processes/outputs.rs`,
-    /// except `stress`, which creates a folder with a new name.
-    const KNOWN: [&str; 7] = [
+    /// except `stress`, which creates a folder with a new name, and `chart flexure`, whose folder only holds a Python environment.
+    const KNOWN: [&str; 8] = [
         "bench soak --output",
         "chart drr --out",
         "chart drr --rungs",
+        "chart flexure --out",
         "chart physics --out",
         "chart stability --out",
         "reproduce --out",

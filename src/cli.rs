@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::commands;
+use crate::commands::bridge::BridgeCommand;
 use crate::commands::calibrate::CalibrateArguments;
 use crate::commands::docs::DocsCommand;
 use crate::commands::doctor::DoctorArguments;
@@ -43,33 +44,36 @@ enum Command {
 enum UserCommand {
     /// Run a scene (the default: the femur).
     Run(RunArguments),
-    /// Step the physics through a log's commands again.
+    /// Replay a log: step the physics through its recorded commands.
     Replay(ReplayArguments),
-    /// Watch and steer a running session in the browser, or look at logs on a time line.
+    /// Watch and control a running session in the browser, or browse logs on a timeline.
     View(ViewArguments),
-    /// Draw fields of a log over time.
+    /// Connect a running session to other software.
+    #[command(subcommand)]
+    Bridge(BridgeCommand),
+    /// Plot log fields over time.
     Plot(PlotArguments),
-    /// Look into logs.
+    /// Inspect, convert and repair logs.
     #[command(subcommand)]
     Log(LogCommand),
-    /// Sweep a tendon and write which tension bends the tip to where.
+    /// Sweep a tendon and record the tip position at each level.
     Calibrate(CalibrateArguments),
-    /// Choose the cheapest settings that keep a scene's tolerance; check the error that a run made.
+    /// Choose the cheapest settings that meet a scene's tolerance, or measure the error of a finished run.
     Plan(PlanArguments),
-    /// Check scenes.
+    /// Check a scene, or write a built-in one to start from.
     #[command(subcommand)]
     Scene(SceneCommand),
-    /// Look into CT volumes.
+    /// Inspect a CT volume, or export the drilled one.
     #[command(subcommand)]
     Volume(VolumeCommand),
-    /// Write a synthetic volume to a file.
+    /// Write a synthetic CT volume to a file.
     Phantom(PhantomArguments),
-    /// Render X-ray frames of a volume to files.
+    /// Render X-ray images of a volume to files.
     Drr(Box<DrrArguments>),
     /// Print generated documentation.
     #[command(subcommand)]
     Docs(DocsCommand),
-    /// Say what this machine permits, what that costs, and what would grant it.
+    /// Check this machine for real-time limits: what each one costs and how to lift it.
     Doctor(DoctorArguments),
     #[command(flatten)]
     Laboratory(LaboratoryCommand),
@@ -83,7 +87,7 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// The command requested. Without one, the default scene runs.
+/// The requested command; without one, `run` with the default scene.
 fn command() -> Result<Command, clap::Error> {
     Arguments::try_parse().and_then(|arguments| match arguments.command {
         Some(command) => Ok(command),
@@ -101,6 +105,7 @@ fn dispatch(command: &UserCommand) -> Result<(), Failure> {
         UserCommand::Run(arguments) => commands::run::run(arguments),
         UserCommand::Replay(arguments) => commands::replay::run(arguments),
         UserCommand::View(arguments) => commands::view::run(arguments),
+        UserCommand::Bridge(command) => commands::bridge::run(command),
         UserCommand::Plot(arguments) => commands::plot::run(arguments),
         UserCommand::Log(command) => commands::log::run(command),
         UserCommand::Calibrate(arguments) => commands::calibrate::run(arguments),

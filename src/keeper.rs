@@ -77,9 +77,9 @@ enum News {
 /// # Errors
 /// The system refuses a required call.
 pub fn run(words: &[OsString]) -> Result<ExitCode, Failure> {
-    let failed = |cause: std::io::Error| Failure::failed(format!("a program cannot be kept: {cause}"));
+    let failed = |cause: std::io::Error| Failure::failed(format!("cannot supervise a program: {cause}"));
     let Some((program, arguments)) = words.split_first() else {
-        return Err(Failure::bad_input("no program to keep"));
+        return Err(Failure::bad_input("no program to supervise"));
     };
     let leash = std::io::stdin().as_fd().try_clone_to_owned().map(UnixStream::from).map_err(failed)?;
     set_child_subreaper(Some(getpid())).map_err(|cause| failed(cause.into()))?;

@@ -11,7 +11,6 @@ pub mod say;
 
 pub mod cli;
 pub mod commands;
-mod doorway;
 pub mod failure;
 mod keeper;
 pub mod launcher;
@@ -20,6 +19,7 @@ pub mod output;
 pub mod plan;
 pub mod printer;
 pub mod program;
+mod redirect_file;
 pub mod replay;
 pub mod report;
 pub mod scenes;

@@ -45,7 +45,7 @@ enum Priority {
 
 impl Priority {
     /// Queue limit in bytes for a text of this priority.
-    fn room(self) -> usize {
+    fn limit_bytes(self) -> usize {
         match self {
             Priority::Echo => ECHO_BYTES,
             Priority::Word => WORD_BYTES,
@@ -82,7 +82,8 @@ impl Queue {
 
     fn report_dropped(&mut self, to: &Arc<File>) {
         if self.dropped > 0 {
-            let text = format!("trabecula: {} lines not shown: they were not read\n", self.dropped);
+            let text =
+                format!("trabecula: {} lines dropped because nothing read standard error\n", self.dropped);
             self.dropped = 0;
             self.push(to, Priority::Word, text.into_bytes());
         }
@@ -132,7 +133,7 @@ impl Printer {
 
     fn push(&self, to: &Arc<File>, priority: Priority, bytes: &[u8]) {
         let mut queue = self.lock();
-        if queue.bytes.saturating_add(bytes.len()) > priority.room() {
+        if queue.bytes.saturating_add(bytes.len()) > priority.limit_bytes() {
             queue.dropped += bytes.iter().filter(|byte| **byte == b'\n').count();
             return;
         }
@@ -299,8 +300,11 @@ mod tests {
         // The printer's handle is dropped with its last piece; the thread waits for more.
         let text = text_within(&reading, ANSWER_LIMIT, "the pipe");
         let shown = text.lines().filter(|line| line.starts_with('x')).count();
-        let told = text.lines().find(|line| line.contains("lines not shown")).unwrap();
-        assert_eq!(told, format!("trabecula: {} lines not shown: they were not read", lines - shown));
+        let told = text.lines().find(|line| line.contains("lines dropped")).unwrap();
+        assert_eq!(
+            told,
+            format!("trabecula: {} lines dropped because nothing read standard error", lines - shown)
+        );
         assert!(text.ends_with("a word\nthe answer\n"), "{}", &text[text.len() - 200..]);
     }
 

@@ -13,7 +13,7 @@ use crate::{printer, say};
 const EXIT_DONE: u8 = 0;
 
 /// The exit codes, for the help.
-pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is not whole; 130 interrupted";
+pub const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed; 2 bad input; 3 done, but the log has a gap or is incomplete; 130 interrupted";
 
 /// Runs a program: `parse` reads its command line, `dispatch` executes the command. A command that returns an exit code, as a part of a
 /// session does, prints no answer and ends with that code.
@@ -81,9 +81,7 @@ fn with_its_answer(code: u8) -> u8 {
     let code = match unwritten {
         None => code,
         Some(cause) => {
-            tell!(
-                "trabecula: standard output: cannot be written ({cause}); what it should have said is lost"
-            );
+            tell!("trabecula: cannot write to standard output ({cause}); the command's output is lost");
             if matches!(code, EXIT_DONE | EXIT_GAP) { EXIT_FAILED } else { code }
         }
     };

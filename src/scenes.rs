@@ -12,16 +12,16 @@ use ipc_types::scene::Scene;
 
 use crate::failure::Failure;
 
-/// A scene inside the program.
+/// A built-in scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum BuiltIn {
-    /// The default: a curve drilled into a synthetic femur.
+    /// Drills a curve into a synthetic femur.
     #[value(name = "femur_curved_drilling")]
     Femur,
-    /// No bone, no X-ray.
+    /// Neither bone nor X-ray.
     #[value(name = "free_space")]
     FreeSpace,
-    /// A sweep of the tendon, for `trabecula calibrate`.
+    /// Sweeps the tendon, for `trabecula calibrate`.
     #[value(name = "tension_sweep")]
     TensionSweep,
 }

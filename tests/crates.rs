@@ -10,8 +10,9 @@ use serde_json::Value;
 use test_support::limited::Limited;
 
 /// Each core and its folder.
-const CORES: [(&str, &str); 10] = [
+const CORES: [(&str, &str); 11] = [
     ("foreign_text", "foreign_text"),
+    ("openigtlink", "openigtlink"),
     ("messages", "messages"),
     ("voxel_grid", "voxel_grid"),
     ("scene", "scene"),
@@ -88,6 +89,15 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
+/// The platform that cargo builds for here, as rustc names it.
+fn host() -> String {
+    let rustc = std::env::var("RUSTC").unwrap_or_else(|_| "rustc".to_owned());
+    let output = Command::new(rustc).arg("-vV").current_dir(root()).limited_output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    let host = text.lines().find_map(|line| line.strip_prefix("host: "));
+    host.unwrap_or_else(|| panic!("rustc -vV: {text}")).to_owned()
+}
+
 /// The normal dependencies of every package of the lock file, by their ids, and the packages' names.
 struct Graph {
     names: BTreeMap<String, String>,
@@ -97,7 +107,10 @@ struct Graph {
 impl Graph {
     fn read() -> Graph {
         let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
-        let arguments = ["metadata", "--offline", "--locked", "--format-version", "1"];
+        // Only what this machine's build needs: cargo has not fetched the crates of other platforms.
+        let platform = host();
+        let arguments =
+            ["metadata", "--offline", "--locked", "--format-version", "1", "--filter-platform", &platform];
         let output = Command::new(cargo).args(arguments).current_dir(root()).limited_output().unwrap();
         assert!(output.status.success(), "cargo metadata: {}", String::from_utf8_lossy(&output.stderr));
         Graph::of(&serde_json::from_slice(&output.stdout).unwrap())

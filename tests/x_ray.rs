@@ -233,8 +233,8 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
         (pose("half.toml"), "give either intrinsics"),
         (pose("unknown.toml"), "unknown field `primary_angle`"),
         (pose("unknown.json"), "unknown field `roll_deg`"),
-        (pose("nan.toml"), "primary_rad is NaN"),
-        (pose("on_it.toml"), "distance of the source from the detector"),
+        (pose("nan.toml"), "`primary_angle_deg`) is NaN degrees; expected -180 to 180 degrees"),
+        (pose("on_it.toml"), "the source is 0 mm from the detector's plane; expected 1 to 10000 mm"),
         (pose("bad.csv"), "line 3"),
         (pose("column.csv"), "no column `roll`"),
         (pose("empty.csv"), "no pose"),
@@ -242,7 +242,13 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
         (plain(&["--sweep", "0"]), "--sweep is 0"),
         (plain(&["--energy-kev", "10"]), "energy_kev is 10"),
         (plain(&["--tube-kv", "20"]), "tube_kv is 20"),
-        (plain(&["--source-detector-mm", "500"]), "source_detector_m is 0.5"),
+        (plain(&["--source-detector-mm", "500"]), "`source_detector_mm` is 500 mm; expected 700 to 10000 mm"),
+        (plain(&["--primary-deg", "200"]), "`--primary-deg`, `primary_angle_deg`) is 200 degrees"),
+        (plain(&["--secondary-deg", "1e300"]), "is 1e300 degrees"),
+        (plain(&["--pixel-pitch-mm", "500"]), "`pixel_pitch_mm` is 500 mm"),
+        (plain(&["--isocentre-mm", "0", "0", "2e5"]), "`isocentre_mm` is 200000 mm"),
+        // A number of frames alone was ignored.
+        (plain(&["--frames", "5"]), "--sweep"),
     ] {
         let more: Vec<&str> = more.iter().map(String::as_str).collect();
         let done = drr(&volume, &output, &more);
@@ -259,4 +265,77 @@ fn bad_input_is_refused_with_code_2_and_nothing_is_written() {
         assert_eq!(done.code, Some(2), "{arguments:?}: {}", done.err);
     }
     assert_eq!(fs::read_dir(place.path()).unwrap().count(), before);
+}
+
+/// Angles and distances were refused in radians and metres.
+#[test]
+fn no_refusal_of_a_pose_speaks_of_radians_or_metres() {
+    let (place, volume) = ball();
+    let output = place.path().join("out.png");
+    for more in [
+        ["--primary-deg", "200"],
+        ["--secondary-deg", "-200"],
+        ["--source-isocentre-mm", "0.5"],
+        ["--source-detector-mm", "20000"],
+        ["--pixel-pitch-mm", "1e-9"],
+    ] {
+        let done = drr(&volume, &output, &more);
+        assert_eq!(done.code, Some(2), "{more:?}: {}", done.err);
+        let words: Vec<&str> = done.err.split(|c: char| !(c.is_alphanumeric() || c == '_')).collect();
+        let bad = |word: &&str| {
+            matches!(*word, "rad" | "m" | "pi") || word.ends_with("_rad") || word.ends_with("_m")
+        };
+        assert!(!words.iter().any(bad), "{}", done.err);
+    }
+}
+
+/// Every frame was a study of its own, of a patient with an incomplete record; angles of zero were -0.
+#[test]
+fn a_sweep_is_one_series_that_dciodvfy_accepts() {
+    let (place, volume) = ball();
+    let path = |name: &str| place.path().join(name);
+    assert_eq!(drr(&volume, &path("s.dcm"), &["--sweep", "-90", "--frames", "3"]).code, Some(0));
+    let bright = ["--display", "bone-bright", "--tube-kv", "80"];
+    assert_eq!(drr(&volume, &path("b.dcm"), &bright).code, Some(0));
+    assert_eq!(drr(&volume, &path("l.dcm"), &["--display", "linear"]).code, Some(0));
+    let sweep: Vec<PathBuf> = (0..3).map(|i| path(&format!("s_{i:04}.dcm"))).collect();
+    let text_of = |file: &Path, group, element| {
+        open_file(file).unwrap().element(Tag(group, element)).unwrap().to_str().unwrap().trim().to_owned()
+    };
+    for (group, element) in [(0x0020, 0x000d), (0x0020, 0x000e)] {
+        let all: Vec<String> = sweep.iter().map(|file| text_of(file, group, element)).collect();
+        assert!(all.iter().all(|uid| *uid == all[0]), "{all:?}");
+    }
+    let instances: Vec<String> = sweep.iter().map(|file| text_of(file, 0x0008, 0x0018)).collect();
+    assert!(instances[0] != instances[1] && instances[1] != instances[2]);
+    let numbers: Vec<String> = sweep.iter().map(|file| text_of(file, 0x0020, 0x0013)).collect();
+    assert_eq!(numbers, ["1", "2", "3"]);
+    for file in &sweep {
+        let angles = [text_of(file, 0x0018, 0x1510), text_of(file, 0x0018, 0x1511)];
+        assert!(angles.iter().all(|angle| !angle.starts_with("-0.0") && angle != "-0"), "{angles:?}");
+    }
+    assert_eq!(text_of(&sweep[0], 0x0020, 0x0020), "L\\F");
+    assert_eq!(text_of(&path("b.dcm"), 0x0018, 0x0060), "80.00000000");
+    // Greys to intensity: the brightest grey of a dark-boned frame is all of it.
+    let object = open_file(&sweep[0]).unwrap();
+    let table = object.element(Tag(0x0028, 0x3000)).unwrap().items().unwrap()[0].clone();
+    let entries = table.element(Tag(0x0028, 0x3006)).unwrap().to_multi_int::<u16>().unwrap();
+    assert!(
+        entries.len() == 65536
+            && entries[65535] == 65535
+            && entries.windows(2).all(|pair| pair[0] <= pair[1])
+    );
+
+    let Ok(found) = Command::new("dciodvfy").arg("-version").limited_output() else {
+        assert!(std::env::var_os("CI").is_none(), "no dciodvfy: install dicom3tools");
+        println!("\n*** SKIPPED: no dciodvfy (Debian package dicom3tools) ***\n");
+        return;
+    };
+    drop(found);
+    for file in sweep.iter().chain(&[path("b.dcm"), path("l.dcm")]) {
+        let output = Command::new("dciodvfy").arg(file).limited_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        println!("{}:\n{said}", file.display());
+        assert!(said.contains("XAImage") && !said.contains("Error"), "{}: {said}", file.display());
+    }
 }

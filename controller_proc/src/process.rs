@@ -3,12 +3,11 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use hub::patience::Patience;
+use hub::x_ray::{ControllerFrames, FrameMark, FrameStep, NoFrame};
 use ipc_types::clock::now_ns;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, Frame, ImagePrefix, PHASE_ENDED, RunStatus,
-    SENDER_CONTROLLER, SEVERITY_WARNING, State,
+    Command, EventCode, Frame, ImagePrefix, Participant, Phase, RunStatus, Severity, State, Tick,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, Role, prioritise, session_scene};
@@ -20,8 +19,8 @@ use thiserror::Error;
 
 use controllers::{CalibrationError, Controller, built_in};
 
-/// In lockstep, how long to wait for a frame that is due.
-const FRAME_LIMIT: Duration = Duration::from_secs(120);
+/// Time between two polls for a frame that is due.
+const FRAME_POLL_PERIOD: Duration = Duration::from_micros(500);
 const POLL_PERIOD: Duration = Duration::from_millis(100);
 
 /// Why a controller process ends early.
@@ -48,11 +47,8 @@ pub enum ControllerError {
         name: String,
     },
     /// A frame that was due did not arrive.
-    #[error("the frame of tick {tick} did not come within {} s; is the DRR process running?", FRAME_LIMIT.as_secs())]
-    NoFrame {
-        /// Tick of the frame.
-        tick: u64,
-    },
+    #[error(transparent)]
+    NoFrame(#[from] NoFrame),
     /// Signals cannot be handled.
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
@@ -85,21 +81,22 @@ pub fn run_controller(
         prioritise(Role::Controller, ports.policy);
     }
     let mut sequence = 0;
-    let mut newest_tick = 0;
+    let mut newest_tick = Tick::START;
     while !end.is_set() && !ports.run_has_ended()? {
         ports.waiter.wait_until(Instant::now() + POLL_PERIOD, || ports.states.has_message());
         let Some(state) = ports.states.receive_newest()? else { continue };
         let state = state.message();
-        ports.frames_for(state.tick, controller, &end)?;
+        let tick = Tick(state.tick);
+        ports.frames_for(tick, controller, &end)?;
         sequence += 1;
         let mut command = Command { sequence, state_tick: state.tick, ..Command::zeroed() };
         controller.step(state, &mut command);
         ports.commands.send(&command)?;
         ports.physics.wake();
         if let Some(remark) = controller.remark() {
-            ports.events.inform(state.tick, EVENT_CONTROLLER, &remark)?;
+            ports.events.inform(tick, EventCode::Controller, &remark)?;
         }
-        newest_tick = ports.report_gap(newest_tick, state.tick)?;
+        newest_tick = ports.report_gap(newest_tick, tick)?;
     }
     Ok(())
 }
@@ -114,6 +111,7 @@ struct Ports {
     waiter: Waiter,
     lockstep: bool,
     policy: Policy,
+    ended: bool,
 }
 
 impl Ports {
@@ -131,83 +129,91 @@ impl Ports {
             states: session.subscriber(&services::STATE)?,
             status: session.subscriber(&services::RUN_STATUS)?,
             frames,
-            events: EventSender::new(&session, SENDER_CONTROLLER + index as u32)?,
+            events: EventSender::new(&session, Participant::Controller(index))?,
             physics: session.waker(Reader::Physics)?,
             commands: session.command_publisher(name)?,
             lockstep: scene.run.mode == Mode::Lockstep,
             policy: scene.run.policy,
+            ended: false,
         })
     }
 
-    fn run_has_ended(&self) -> Result<bool, PortError> {
+    fn run_has_ended(&mut self) -> Result<bool, PortError> {
         let status = self.status.receive_newest()?;
-        Ok(status.is_some_and(|status| status.message().phase == PHASE_ENDED))
+        self.ended |= status.is_some_and(|status| status.message().phase() == Ok(Phase::Ended));
+        Ok(self.ended)
     }
 
+    /// Shows the controller the frames that it is to see before it answers the state of this tick.
     fn frames_for(
         &mut self,
-        tick: u64,
+        tick: Tick,
         controller: &mut dyn Controller,
         end: &EndRequest,
     ) -> Result<(), ControllerError> {
-        match &mut self.frames {
-            Some(frames) if self.lockstep => frames.due(tick, controller, end),
-            Some(frames) => frames.arrived(controller),
-            None => Ok(()),
+        let Some(mut frames) = self.frames.take() else { return Ok(()) };
+        frames.begin(tick);
+        // A run that has ended may have no further frame.
+        while frames.show_arrived(controller)? == FrameStep::Wait && !end.is_set() && !self.run_has_ended()? {
+            std::thread::sleep(FRAME_POLL_PERIOD);
         }
+        if let lost @ 1.. = frames.decide.take_lost() {
+            let text = format!("{lost} frames passed while this controller was busy");
+            self.events.send(tick, Severity::Warning, EventCode::MessagesLost, &text)?;
+        }
+        self.frames = Some(frames);
+        Ok(())
     }
 
     /// Reports states that were overwritten before this controller read them (real time).
-    fn report_gap(&mut self, last: u64, tick: u64) -> Result<u64, PortError> {
-        let missed = tick.saturating_sub(last + 1);
-        if last > 0 && missed > services::STATE.queue_length as u64 {
-            let text = format!("{missed} states passed while this controller was busy");
-            self.events.send(tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
+    fn report_gap(&mut self, last: Tick, tick: Tick) -> Result<Tick, PortError> {
+        let missed = tick.since(last).saturating_sub(1);
+        if last > Tick::START && missed > services::STATE.queue_length as u64 {
+            let text = format!("this controller was busy and missed {missed} states");
+            self.events.send(tick, Severity::Warning, EventCode::MessagesLost, &text)?;
         }
         Ok(tick)
     }
 }
 
-/// The frames that a controller sees: in real time whatever has arrived, in lockstep whatever is due
-/// ([`Scene::frame_seen_at`]).
+/// The frames that a controller sees, as [`ControllerFrames`] decides.
 struct Frames {
     subscriber: Subscriber<Frame>,
+    decide: ControllerFrames,
+    /// Taken from the queue, and seen at a later state.
+    kept: Option<Received<Frame>>,
     scene: Scene,
     pixels: Vec<u16>,
 }
 
 impl Frames {
     fn new(subscriber: Subscriber<Frame>, scene: Scene) -> Frames {
-        Frames { subscriber, scene, pixels: Vec::new() }
+        let decide = ControllerFrames::new(scene.run.mode);
+        Frames { subscriber, decide, kept: None, scene, pixels: Vec::new() }
     }
 
-    fn arrived(&mut self, controller: &mut dyn Controller) -> Result<(), ControllerError> {
-        while let Some(frame) = self.subscriber.receive()? {
-            self.show(&frame, controller);
-        }
-        Ok(())
+    fn begin(&mut self, tick: Tick) {
+        self.decide.begin(self.scene.frame_seen_at(tick.0).map(Tick), now_ns());
     }
 
-    fn due(
-        &mut self,
-        tick: u64,
-        controller: &mut dyn Controller,
-        end: &EndRequest,
-    ) -> Result<(), ControllerError> {
-        let Some(wanted) = self.scene.frame_seen_at(tick) else { return Ok(()) };
-        let mut patience = Patience::new(FRAME_LIMIT.as_nanos() as u64, now_ns());
-        while !patience.is_over(now_ns()) {
-            match self.subscriber.receive()? {
-                Some(frame) if frame.message().tick == wanted && frame.message().request_id == 0 => {
-                    self.show(&frame, controller);
-                    return Ok(());
+    /// Shows what is there; returns whether to wait for more or to answer.
+    fn show_arrived(&mut self, controller: &mut dyn Controller) -> Result<FrameStep, ControllerError> {
+        loop {
+            let next = match self.kept.take() {
+                None => self.subscriber.receive()?,
+                kept => kept,
+            };
+            let mark = next.as_ref().map(|frame| FrameMark::from(frame.message()));
+            match (self.decide.step(mark, now_ns())?, next) {
+                (FrameStep::Show, Some(frame)) => self.show(&frame, controller),
+                (FrameStep::Keep, frame) => {
+                    self.kept = frame;
+                    return Ok(FrameStep::Answer);
                 }
-                Some(_) => {}
-                None if end.is_set() => return Ok(()),
-                None => std::thread::sleep(Duration::from_micros(500)),
+                (step @ (FrameStep::Wait | FrameStep::Answer), _) => return Ok(step),
+                (FrameStep::Skip, _) | (FrameStep::Show, None) => {}
             }
         }
-        Err(ControllerError::NoFrame { tick: wanted })
     }
 
     fn show(&mut self, frame: &Received<Frame>, controller: &mut dyn Controller) {

@@ -8,7 +8,7 @@
 //! At the end it can retract the tool with the burr still turning and the tension following the same ramp down, so
 //! that the last frames show the tunnel.
 
-use messages::{ARM_INSERT, BURR_SPEED, Command, Frame, Pose, State, TENDON_SERVO_JF};
+use messages::{ArmMode, BurrMode, Command, Frame, Pose, State, TendonMode};
 use nalgebra::Vector3;
 use scene::{CurvedDrilling, Feedback, Scene};
 
@@ -210,13 +210,13 @@ impl Controller for CurvedDrillingController {
         let start = self.begin(state);
         let inserted_m =
             (position_m(&state.t_world_flange) - position_m(&start.t_world_flange)).dot(&start.along);
-        command.tendon_mode = TENDON_SERVO_JF;
+        command.tendon_mode = TendonMode::ServoJf.code();
         self.see_shape(&start, state);
         let planned = self.planned_tension_n(&start, inserted_m);
         let corrected = if planned > 0.0 { planned + self.correction_n } else { 0.0 };
         command.tendon_force_n[0] = corrected.max(0.0);
-        command.burr_mode = BURR_SPEED;
-        command.arm_mode = ARM_INSERT;
+        command.burr_mode = BurrMode::Speed.code();
+        command.arm_mode = ArmMode::Insert.code();
         command.arm_axis = start.along.into();
         command.arm_speed_m_per_s = self.plan.feed_mm_per_s * 1e-3;
         if self.waits_for_frame {

@@ -1,4 +1,4 @@
-use messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF};
+use messages::{ArmMode, BurrMode, Command, State, TendonMode};
 use scene::Drives;
 
 use crate::Controller;
@@ -22,11 +22,11 @@ impl Controller for HoldController {
         for part in &self.drives {
             match part {
                 Drives::Tendon => {
-                    command.tendon_mode = TENDON_SERVO_JF;
+                    command.tendon_mode = TendonMode::ServoJf.code();
                     command.tendon_force_n[0] = self.tension_n;
                 }
-                Drives::Arm => command.arm_mode = ARM_HOLD,
-                Drives::Burr => command.burr_mode = BURR_SPEED,
+                Drives::Arm => command.arm_mode = ArmMode::Hold.code(),
+                Drives::Burr => command.burr_mode = BurrMode::Speed.code(),
                 Drives::CArm => {}
             }
         }

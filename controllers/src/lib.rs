@@ -8,21 +8,21 @@
 //! ```
 //! use controllers::Controller;
 //! use messages::layout::Message;
-//! use messages::{BURR_SPEED, Command, State};
+//! use messages::{BurrMode, Command, State};
 //!
 //! /// Turns the burr at 8000 rpm from the second second on.
 //! struct BurrOn;
 //!
 //! impl Controller for BurrOn {
 //!     fn step(&mut self, state: &State, command: &mut Command) {
-//!         command.burr_mode = BURR_SPEED;
+//!         command.burr_mode = BurrMode::Speed.code();
 //!         command.burr_speed_rad_per_s = if state.sim_time_s > 1.0 { 8000.0 * std::f64::consts::TAU / 60.0 } else { 0.0 };
 //!     }
 //! }
 //!
 //! let (state, mut command) = (State::zeroed(), Command::zeroed());
 //! BurrOn.step(&state, &mut command);
-//! assert_eq!((command.burr_mode, command.burr_speed_rad_per_s), (BURR_SPEED, 0.0));
+//! assert_eq!((command.burr_mode, command.burr_speed_rad_per_s), (BurrMode::Speed.code(), 0.0));
 //! ```
 
 mod calibration;

@@ -1,6 +1,6 @@
 //! The skiving test: a straight feed with the burr on, measuring how far the burr drifts off its line.
 
-use messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
+use messages::{ArmMode, BurrMode, Command, State, TendonMode};
 use nalgebra::Vector3;
 use scene::Skiving;
 
@@ -93,11 +93,11 @@ impl Controller for SkivingController {
         }
         let start = *self.start.get_or_insert(begin);
         self.look(&start, state);
-        command.tendon_mode = TENDON_SERVO_JF;
+        command.tendon_mode = TendonMode::ServoJf.code();
         command.tendon_force_n[..2].fill(self.plan.tension_n);
-        command.burr_mode = BURR_SPEED;
+        command.burr_mode = BurrMode::Speed.code();
         command.burr_speed_rad_per_s = self.plan.burr_speed_rpm * core::f64::consts::TAU / 60.0;
-        command.arm_mode = ARM_INSERT;
+        command.arm_mode = ArmMode::Insert.code();
         command.arm_axis = start.along.into();
         command.arm_depth_m = self.plan.depth_mm * 1e-3;
         command.arm_speed_m_per_s = self.plan.feed_mm_per_s * 1e-3;

@@ -1,6 +1,6 @@
 //! Sweeps a tendon up and down in steps, to measure a calibration.
 
-use messages::{ARM_HOLD, BURR_SPEED, Command, State, TENDON_SERVO_JF, TENDON_SERVO_JP};
+use messages::{ArmMode, BurrMode, Command, State, TendonMode};
 use scene::{Drives, TensionSweep};
 
 use crate::Controller;
@@ -104,19 +104,19 @@ impl Controller for TensionSweepController {
         let level = self.commanded(time_s);
         if self.drives.contains(&Drives::Tendon) {
             if self.by_force {
-                command.tendon_mode = TENDON_SERVO_JF;
+                command.tendon_mode = TendonMode::ServoJf.code();
                 command.tendon_force_n[0] = level;
             } else {
-                command.tendon_mode = TENDON_SERVO_JP;
+                command.tendon_mode = TendonMode::ServoJp.code();
                 // The antagonist pays out as much as tendon 0 pulls in.
                 command.tendon_displacement_m[..2].copy_from_slice(&[level, -level]);
             }
         }
         if self.drives.contains(&Drives::Arm) {
-            command.arm_mode = ARM_HOLD;
+            command.arm_mode = ArmMode::Hold.code();
         }
         if self.drives.contains(&Drives::Burr) {
-            command.burr_mode = BURR_SPEED;
+            command.burr_mode = BurrMode::Speed.code();
         }
     }
 

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use ipc_types::process::{conclude, end_with_parent};
+use ipc_types::session::HalfMadeSweeper;
 
 /// Renders the X-ray frames of a running session.
 #[derive(Debug, Parser)]
@@ -18,5 +19,6 @@ struct Arguments {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     end_with_parent();
+    let _sweeper = HalfMadeSweeper::after_host(&arguments.session);
     conclude("drr_proc", drr_proc::process::run(&arguments.session))
 }

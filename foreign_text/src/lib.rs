@@ -41,6 +41,12 @@ pub fn foreign_line(text: &str) -> Foreign<'_> {
     Foreign { text, most: MOST_OF_A_LINE }
 }
 
+/// A number of a file as people write it: with a power of ten where its digits would fill lines (1e300).
+pub fn number(value: f64) -> String {
+    let plain = value == 0.0 || !value.is_finite() || (1e-6..1e9).contains(&value.abs());
+    if plain { value.to_string() } else { format!("{value:e}") }
+}
+
 /// An untrusted text; its `Display` is safe to show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Foreign<'a> {

@@ -3,10 +3,10 @@
 use std::cell::RefCell;
 use std::path::Path;
 
-use hub::latch::Latch;
+use hub::latch::{Latch, Reset};
 use ipc_types::messages::{
     self, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JV, BURR_SPEED,
-    Command, DrrRequest, State, TENDON_MOVE_JP, TENDON_SERVO_JF,
+    Command, ControllerIndex, DrrRequest, State, TENDON_MOVE_JP, TENDON_SERVO_JF, Tick,
 };
 use ipc_types::scene::Scene;
 use simulation::{Simulation, SimulationSnapshot};
@@ -71,11 +71,11 @@ fn commands(world: &mut World, bytes: &[u8]) {
     let mut tick = 0;
     for bytes in bytes.chunks_exact(size_of::<Command>()).take(8) {
         let command = Command::read_from_bytes(bytes).unwrap();
-        if latch.offer(0, &command, tick).is_err() {
+        if latch.offer(ControllerIndex(0), &command, Tick(tick)).is_err() {
             continue;
         }
         for _ in 0..TICKS {
-            let latched = latch.latch(tick, false);
+            let latched = latch.latch(Tick(tick), Reset::No);
             world.simulation.step(&latched).unwrap();
             tick += 1;
             assert!(is_finite(world.simulation.state()), "a number of the state is not finite");

@@ -13,6 +13,7 @@
 pub mod client_message;
 pub mod keyframe;
 pub mod log;
+pub mod openigtlink;
 pub mod seeds;
 pub mod settings;
 pub mod viewer;
@@ -41,4 +42,5 @@ pub const TARGETS: &[Target] = &[
     Target { name: "nrrd", run: volume::nrrd, seeds: seeds::nrrd },
     Target { name: "metaimage", run: volume::metaimage, seeds: seeds::metaimage },
     Target { name: "dicom", run: volume::dicom, seeds: seeds::dicom },
+    Target { name: "openigtlink", run: openigtlink::openigtlink, seeds: openigtlink::seeds },
 ];

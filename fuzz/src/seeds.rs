@@ -28,6 +28,10 @@ use nifti_bytes::NiftiBytes;
 /// Transfer syntaxes of JPEG: baseline, extended, lossless twice.
 pub(crate) const JPEG_SYNTAXES: [&str; 4] =
     ["1.2.840.10008.1.2.4.50", "1.2.840.10008.1.2.4.51", "1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70"];
+/// Transfer syntaxes of JPEG-LS lossless, and of JPEG 2000, which is refused.
+pub(crate) const LATER_SYNTAXES: [&str; 2] = ["1.2.840.10008.1.2.4.80", "1.2.840.10008.1.2.4.90"];
+/// Data set packed by deflate.
+pub(crate) const DEFLATED_SYNTAX: &str = "1.2.840.10008.1.2.1.99";
 /// Transfer syntax of RLE lossless.
 pub(crate) const RLE_SYNTAX: &str = "1.2.840.10008.1.2.5";
 
@@ -250,7 +254,21 @@ pub fn dicom() -> Vec<Vec<u8>> {
         slice(RLE_SYNTAX, Some(rle.clone())).bytes(),
         slice(JPEG_SYNTAXES[3], Some(jpeg.clone())).bytes(),
         [&[4, 4, 5], rle.as_slice()].concat(),
+        [&[5, 4, 5], jpeg_ls().as_slice()].concat(),
+        // Without preamble and file meta group.
+        slice("1.2.840.10008.1.2.1", None).bytes()[132..].to_vec(),
         [&[3, 4, 5], jpeg.as_slice()].concat(),
         [&[0, 4, 5], jpeg.as_slice()].concat(),
     ]
+}
+
+/// A JPEG-LS frame of 5 x 4 pixels (ITU-T T.87): headers, and a scan of arbitrary bits.
+fn jpeg_ls() -> Vec<u8> {
+    let mut data = vec![0xff, 0xd8, 0xff, 0xf7, 0, 11, 12, 0, 4, 0, 5, 1, 1, 0x11, 0];
+    // Presets: MAXVAL, T1, T2, T3, RESET.
+    data.extend([0xff, 0xf8, 0, 13, 1, 0x0f, 0xff, 0, 18, 0, 67, 1, 0x14, 0, 64]);
+    data.extend([0xff, 0xda, 0, 8, 1, 1, 0, 0, 0, 0]);
+    data.extend((0..60_u8).map(|n| n.wrapping_mul(37) & 0x7f));
+    data.extend([0xff, 0xd9]);
+    data
 }

@@ -71,7 +71,7 @@ fn obey(service: u32, payload: &[u8]) {
     let request = read_request(service, payload, TOKEN);
     if let Ok(Request::Playback(playback)) = &request {
         let mut player = Player::new(1_000, 9_000_000_000, 1_000_000, Vec::new());
-        let outcome = player.obey(playback);
+        let outcome = player.apply(playback);
         player.advance(Duration::from_millis(40));
         assert!((1_000..=9_000_000_000).contains(&player.time_ns()));
         assert!(!response(&outcome).is_empty());

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use flate2::Compression;
 use volume_io::Volume;
 
-use crate::seeds::{DicomSlice, JPEG_SYNTAXES, RLE_SYNTAX};
+use crate::seeds::{DEFLATED_SYNTAX, DicomSlice, JPEG_SYNTAXES, LATER_SYNTAXES, RLE_SYNTAX};
 
 /// A folder that is gone with the process, and what lies in it beside the input.
 struct Folder(tempfile::TempDir);
@@ -118,15 +118,19 @@ pub fn metaimage(data: &[u8]) {
     }
 }
 
-/// DICOM: a file, read with its neighbour in the series; or, where it is none, packed pixels of a slice that is valid but
-/// for them. Their first bytes are transfer syntax, rows and columns.
+/// DICOM: a file, read with its neighbour in the series, and its data set deflated by us; or, where it is none, a data set without a
+/// preamble, and packed pixels of a slice that is valid but for them. Their first bytes are transfer syntax, rows and columns.
 pub fn dicom(data: &[u8]) {
     if data.get(128..132) == Some(b"DICM") {
         read("series/001.dcm", data);
+        read("v.dcm", &deflated(data));
         return;
     }
+    if data.first() == Some(&8) {
+        read("v.dcm", data);
+    }
     let [syntax, rows, columns, fragment @ ..] = data else { return };
-    let syntaxes = [JPEG_SYNTAXES.as_slice(), &[RLE_SYNTAX]].concat();
+    let syntaxes = [JPEG_SYNTAXES.as_slice(), &[RLE_SYNTAX], &LATER_SYNTAXES].concat();
     let slice = DicomSlice {
         transfer_syntax: syntaxes[usize::from(*syntax) % syntaxes.len()],
         rows: u16::from(*rows),
@@ -135,4 +139,14 @@ pub fn dicom(data: &[u8]) {
         ..DicomSlice::default()
     };
     read("v.dcm", &slice.bytes());
+}
+
+/// A slice's meta group that says "deflated", and behind it what follows the preamble and the first 200 bytes, deflated.
+fn deflated(data: &[u8]) -> Vec<u8> {
+    let slice = DicomSlice { transfer_syntax: DEFLATED_SYNTAX, ..DicomSlice::default() }.bytes();
+    let told = slice.get(140..144).and_then(|bytes| bytes.try_into().ok()).map_or(0, u32::from_le_bytes);
+    let begin = 144 + told as usize;
+    let mut out = flate2::write::DeflateEncoder::new(Vec::new(), Compression::none());
+    out.write_all(data.get(begin..).unwrap_or_default()).unwrap();
+    [&slice[..begin.min(slice.len())], &out.finish().unwrap()].concat()
 }

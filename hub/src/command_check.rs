@@ -3,10 +3,8 @@
 use thiserror::Error;
 
 use messages::{
-    ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JP, ARM_SERVO_JV,
-    BURR_NONE, BURR_SPEED, Command, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_DISPLACEMENT_M,
-    MAX_POSITION_M, MAX_SPEED_M_PER_S, MAX_TENSION_N, TENDON_MOVE_JP, TENDON_NONE, TENDON_SERVO_JF,
-    TENDON_SERVO_JP,
+    ArmMode, BurrMode, Command, MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_DISPLACEMENT_M, MAX_POSITION_M,
+    MAX_SPEED_M_PER_S, MAX_TENSION_N, TendonMode, Tick, UnknownCode,
 };
 use scene::Drives;
 
@@ -31,14 +29,13 @@ pub enum CommandRefusal {
         highest: f64,
     },
     /// A mode is unknown.
-    #[error("`{field}` is {value}, expected {expected}")]
-    UnknownMode {
-        /// Field.
-        field: &'static str,
+    #[error(transparent)]
+    UnknownMode(#[from] UnknownCode),
+    /// `reserved` is not 0.
+    #[error("`reserved` is {value}, expected 0")]
+    Reserved {
         /// Value given.
         value: u32,
-        /// Valid modes.
-        expected: &'static str,
     },
     /// The orientation is not a unit quaternion.
     #[error("`t_world_base.orientation_xyzw` has length {length}, expected 1")]
@@ -74,17 +71,17 @@ pub enum CommandRefusal {
     #[error("`state_tick` is {state_tick}, but an earlier command of this connection answered {last}")]
     PastState {
         /// Tick given.
-        state_tick: u64,
+        state_tick: Tick,
         /// Tick of the newest accepted command.
-        last: u64,
+        last: Tick,
     },
     /// The command answers a state that does not exist yet.
     #[error("`state_tick` is {state_tick}, but the newest state is {newest}")]
     FutureState {
         /// Tick given.
-        state_tick: u64,
+        state_tick: Tick,
         /// Newest tick.
-        newest: u64,
+        newest: Tick,
     },
 }
 
@@ -112,68 +109,74 @@ pub fn check(
     command: &Command,
     drives: &[Drives],
     last_sequence: u64,
-    newest_tick: u64,
+    newest_tick: Tick,
 ) -> Result<(), CommandRefusal> {
     if command.sequence <= last_sequence {
         return Err(CommandRefusal::OldSequence { sequence: command.sequence, last: last_sequence });
     }
-    if command.state_tick > newest_tick {
-        return Err(CommandRefusal::FutureState { state_tick: command.state_tick, newest: newest_tick });
+    let state_tick = Tick(command.state_tick);
+    if state_tick > newest_tick {
+        return Err(CommandRefusal::FutureState { state_tick, newest: newest_tick });
     }
-    check_modes(command)?;
-    check_authority(command, drives)?;
-    check_values(command)
+    let modes = Modes::of(command)?;
+    check_authority(&modes, drives)?;
+    check_values(command, &modes)
 }
 
-fn check_modes(command: &Command) -> Result<(), CommandRefusal> {
-    let mode = |field, value: u32, highest: u32, expected| {
-        if value <= highest { Ok(()) } else { Err(CommandRefusal::UnknownMode { field, value, expected }) }
-    };
-    mode("tendon_mode", command.tendon_mode, TENDON_MOVE_JP, "0 none, 1 servo_jf, 2 servo_jp or 3 move_jp")?;
-    mode(
-        "arm_mode",
-        command.arm_mode,
-        ARM_RCM,
-        "0 none, 1 servo_jp, 2 move_jp, 3 servo_cp, 4 move_cp, 5 hold, 6 servo_jv, 7 insert or 8 rcm",
-    )?;
-    mode("burr_mode", command.burr_mode, BURR_SPEED, "0 none or 1 speed")?;
-    mode("reserved", command.reserved, 0, "0")
+/// What a command asks of each part of the tool.
+struct Modes {
+    tendon: TendonMode,
+    arm: ArmMode,
+    burr: BurrMode,
 }
 
-fn check_authority(command: &Command, drives: &[Drives]) -> Result<(), CommandRefusal> {
-    let authority = |drives_it: bool, part: Drives, field, name| {
-        let allowed = !drives_it || drives.contains(&part);
-        if allowed { Ok(()) } else { Err(CommandRefusal::NotItsPart { field, part: name }) }
-    };
-    authority(command.tendon_mode != TENDON_NONE, Drives::Tendon, "tendon_mode", "tendons")?;
-    authority(command.arm_mode != ARM_NONE, Drives::Arm, "arm_mode", "arm")?;
-    authority(command.burr_mode != BURR_NONE, Drives::Burr, "burr_mode", "burr")
+impl Modes {
+    fn of(command: &Command) -> Result<Modes, CommandRefusal> {
+        let modes =
+            Modes { tendon: command.tendon_mode()?, arm: command.arm_mode()?, burr: command.burr_mode()? };
+        match command.reserved {
+            0 => Ok(modes),
+            value => Err(CommandRefusal::Reserved { value }),
+        }
+    }
 }
 
-fn check_values(command: &Command) -> Result<(), CommandRefusal> {
-    match command.tendon_mode {
-        TENDON_SERVO_JF => ranges("tendon_force_n", &command.tendon_force_n, 0.0, MAX_TENSION_N)?,
-        TENDON_SERVO_JP | TENDON_MOVE_JP => {
+fn check_authority(modes: &Modes, drives: &[Drives]) -> Result<(), CommandRefusal> {
+    let asked = [
+        (modes.tendon != TendonMode::None, Drives::Tendon, "tendon_mode", "tendons"),
+        (modes.arm != ArmMode::None, Drives::Arm, "arm_mode", "arm"),
+        (modes.burr != BurrMode::None, Drives::Burr, "burr_mode", "burr"),
+    ];
+    match asked.into_iter().find(|(is_asked, part, ..)| *is_asked && !drives.contains(part)) {
+        Some((_, _, field, part)) => Err(CommandRefusal::NotItsPart { field, part }),
+        None => Ok(()),
+    }
+}
+
+fn check_values(command: &Command, modes: &Modes) -> Result<(), CommandRefusal> {
+    match modes.tendon {
+        TendonMode::ServoJf => ranges("tendon_force_n", &command.tendon_force_n, 0.0, MAX_TENSION_N)?,
+        TendonMode::ServoJp | TendonMode::MoveJp => {
             let limit = MAX_DISPLACEMENT_M;
             ranges("tendon_displacement_m", &command.tendon_displacement_m, -limit, limit)?;
         }
-        _ => {}
+        TendonMode::None => {}
     }
-    match command.arm_mode {
-        ARM_SERVO_JP | ARM_MOVE_JP => {
+    match modes.arm {
+        ArmMode::ServoJp | ArmMode::MoveJp => {
             ranges("arm_joint_position_rad", &command.arm_joint_position_rad, -MAX_JOINT_RAD, MAX_JOINT_RAD)?;
         }
-        ARM_SERVO_JV => {
+        ArmMode::ServoJv => {
             let limit = MAX_JOINT_RATE_RAD_PER_S;
             ranges("arm_joint_velocity_rad_per_s", &command.arm_joint_velocity_rad_per_s, -limit, limit)?;
         }
-        ARM_SERVO_CP | ARM_MOVE_CP => check_pose(command)?,
-        ARM_INSERT => check_insertion(command)?,
-        ARM_RCM => {
+        ArmMode::ServoCp | ArmMode::MoveCp => check_pose(command)?,
+        ArmMode::Insert => check_insertion(command)?,
+        ArmMode::Rcm => {
             check_pose(command)?;
             ranges("arm_pivot_m", &command.arm_pivot_m, -MAX_POSITION_M, MAX_POSITION_M)?;
         }
-        _ => {}
+        ArmMode::None | ArmMode::Hold => {}
     }
     range(|| "arm_speed_m_per_s".to_owned(), command.arm_speed_m_per_s, 0.0, MAX_SPEED_M_PER_S)?;
     let field = || "burr_speed_rad_per_s".to_owned();

@@ -1,6 +1,6 @@
 //! Which parts must take every state, and how far each one has got.
 
-use messages::Part;
+use messages::{Part, Tick};
 
 use crate::environment::Environment;
 
@@ -19,7 +19,7 @@ pub(crate) struct Consumers {
 struct Consumer {
     part: Part,
     /// `None` until it connects.
-    tick: Option<u64>,
+    tick: Option<Tick>,
 }
 
 /// Which consumers the hub waits for.
@@ -60,7 +60,7 @@ impl Consumers {
     }
 
     /// The first of these that has not taken the state of `tick`.
-    pub(crate) fn behind(&self, tick: u64, whom: Whom) -> Option<Part> {
+    pub(crate) fn behind(&self, tick: Tick, whom: Whom) -> Option<Part> {
         let mut these =
             self.list.iter().filter(|consumer| whom == Whom::Everybody || consumer.part == Part::Recorder);
         these.find(|consumer| consumer.tick.is_none_or(|taken| taken < tick)).map(|consumer| consumer.part)
@@ -70,7 +70,7 @@ impl Consumers {
     pub(crate) fn still_behind<E: Environment>(
         &mut self,
         env: &mut E,
-        tick: u64,
+        tick: Tick,
         whom: Whom,
     ) -> Result<Option<Part>, E::Error> {
         if self.behind(tick, whom).is_none() {

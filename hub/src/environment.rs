@@ -1,7 +1,8 @@
 //! What the hub needs from outside: ports, a clock, and the request to end the run.
 
 use messages::{
-    Command, Keyframe, Latched, Part, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    Command, ControllerIndex, EventCode, Keyframe, Latched, Part, Removed, RunControl, RunControlReply,
+    RunStatus, Severity, State, Tick, TickTiming,
 };
 
 use crate::pacing::Start;
@@ -52,18 +53,18 @@ pub struct Report {
     /// The sender, identified by the transport rather than by the message.
     pub part: Part,
     /// The consumer has taken every state up to this tick.
-    pub tick: u64,
+    pub tick: Tick,
 }
 
-/// An event in words for the operator, with one of the `EVENT_` and one of the `SEVERITY_` constants.
+/// An event in words for the operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Note<'t> {
     /// Tick at which the hub noticed it.
-    pub tick: u64,
-    /// One of the `SEVERITY_` constants.
-    pub severity: u32,
-    /// One of the `EVENT_` constants.
-    pub code: u32,
+    pub tick: Tick,
+    /// How serious it is.
+    pub severity: Severity,
+    /// What kind of event it is.
+    pub code: EventCode,
     /// Text.
     pub text: &'t str,
 }
@@ -80,10 +81,13 @@ pub trait Environment: Outputs {
     ///
     /// # Errors
     /// The queue cannot be read; the run ends.
-    fn receive_command(&mut self, controller: usize) -> Result<Option<Incoming<Command>>, Self::Error>;
+    fn receive_command(
+        &mut self,
+        controller: ControllerIndex,
+    ) -> Result<Option<Incoming<Command>>, Self::Error>;
 
     /// Whether a controller's queue holds a command.
-    fn has_command(&self, controller: usize) -> bool;
+    fn has_command(&self, controller: ControllerIndex) -> bool;
 
     /// Takes the oldest run-control request in the queue.
     ///

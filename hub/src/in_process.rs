@@ -1,11 +1,11 @@
 //! Lockstep in one thread, without processes: controllers answer each state as function calls, and the plant steps.
 
-use messages::{Command, Latched, Plant, State};
+use messages::{Command, ControllerIndex, Latched, Plant, State, Tick};
 use scene::{Mode, Scene};
 use thiserror::Error;
 
 use crate::command_check::CommandRefusal;
-use crate::latch::Latch;
+use crate::latch::{Latch, Reset};
 
 /// How a controller answers a state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,10 +22,10 @@ pub enum InProcessError<P> {
     /// A command is invalid.
     #[error("controller {controller}: command of tick {tick}: {cause}")]
     Refused {
-        /// Index of the controller in the scene.
-        controller: usize,
+        /// The controller.
+        controller: ControllerIndex,
         /// Tick.
-        tick: u64,
+        tick: Tick,
         /// Reason.
         cause: CommandRefusal,
     },
@@ -33,7 +33,7 @@ pub enum InProcessError<P> {
     #[error("tick {tick}: {cause}")]
     Plant {
         /// Tick.
-        tick: u64,
+        tick: Tick,
         /// Reason from the plant.
         cause: P,
     },
@@ -64,7 +64,7 @@ pub enum InProcessError<P> {
 /// let mut run = InProcess::new(&scene, plant);
 /// for _ in 0..10 {
 ///     run.tick(|_controller, state, command| {
-///         command.tendon_mode = messages::TENDON_SERVO_JF;
+///         command.tendon_mode = messages::TendonMode::ServoJf.code();
 ///         command.tendon_force_n[0] = 0.1 * state.tick as f64;
 ///         Answer::Command
 ///     })?;
@@ -101,18 +101,18 @@ impl<P: Plant> InProcess<P> {
     /// [`InProcessError::Refused`].
     pub fn latch(
         &mut self,
-        mut answer: impl FnMut(usize, &State, &mut Command) -> Answer,
+        mut answer: impl FnMut(ControllerIndex, &State, &mut Command) -> Answer,
     ) -> Result<Latched, InProcessError<P::Error>> {
         let state = self.plant.state();
-        let tick = state.tick;
-        for controller in 0..self.controllers {
-            let mut command = Command { sequence: tick + 1, state_tick: tick, ..Command::zeroed() };
+        let tick = Tick(state.tick);
+        for controller in ControllerIndex::first(self.controllers) {
+            let mut command = Command { sequence: tick.0 + 1, state_tick: tick.0, ..Command::zeroed() };
             if answer(controller, state, &mut command) == Answer::Command {
                 let offered = self.latch.offer(controller, &command, tick);
                 offered.map_err(|cause| InProcessError::Refused { controller, tick, cause })?;
             }
         }
-        Ok(self.latch.latch(tick, false))
+        Ok(self.latch.latch(tick, Reset::No))
     }
 
     /// Steps the plant from x_k to x_{k+1} under u_k.
@@ -120,7 +120,7 @@ impl<P: Plant> InProcess<P> {
     /// # Errors
     /// [`InProcessError::Plant`].
     pub fn step(&mut self, latched: &Latched) -> Result<(), InProcessError<P::Error>> {
-        self.plant.step(latched).map_err(|cause| InProcessError::Plant { tick: latched.tick, cause })
+        self.plant.step(latched).map_err(|cause| InProcessError::Plant { tick: Tick(latched.tick), cause })
     }
 
     /// Runs one tick: [`latch`](InProcess::latch), then [`step`](InProcess::step).
@@ -129,7 +129,7 @@ impl<P: Plant> InProcess<P> {
     /// Any [`InProcessError`].
     pub fn tick(
         &mut self,
-        answer: impl FnMut(usize, &State, &mut Command) -> Answer,
+        answer: impl FnMut(ControllerIndex, &State, &mut Command) -> Answer,
     ) -> Result<(), InProcessError<P::Error>> {
         let latched = self.latch(answer)?;
         self.step(&latched)

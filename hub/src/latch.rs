@@ -4,12 +4,14 @@
 //! answers a state more than `hold_ticks` old, or the controller is released, the safe command replaces it.
 
 use messages::{
-    ARM_HOLD, BURR_SPEED, Command, Latched, LatchedCommand, MAX_CONTROLLERS, SOURCE_FRESH, SOURCE_HELD,
-    SOURCE_NONE, SOURCE_SAFE,
+    ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, LatchedCommand, MAX_CONTROLLERS,
+    Tick,
 };
 use scene::{Drives, Mode, Scene};
 
 use crate::command_check::{CommandRefusal, check};
+
+pub use messages::Reset;
 
 /// All controllers' newest commands, and the decision of the last latch.
 #[derive(Debug, Clone)]
@@ -24,12 +26,12 @@ struct Slot {
     newest: Option<Command>,
     /// Sequence number of the newest accepted command on this connection.
     last_sequence: u64,
-    last_state_tick: u64,
+    last_state_tick: Tick,
     /// Not latched yet.
     fresh: bool,
     /// Replaced by the safe command until the next one: see [`Latch::release`].
     released: bool,
-    source: u32,
+    source: CommandSource,
 }
 
 impl Latch {
@@ -39,10 +41,10 @@ impl Latch {
             drives: drives.clone(),
             newest: None,
             last_sequence: 0,
-            last_state_tick: 0,
+            last_state_tick: Tick::START,
             fresh: false,
             released: false,
-            source: SOURCE_NONE,
+            source: CommandSource::None,
         };
         Latch {
             slots: scene.controller.iter().map(|controller| slot(&controller.drives)).collect(),
@@ -54,15 +56,20 @@ impl Latch {
     ///
     /// # Errors
     /// The [`CommandRefusal`]; nothing has changed then.
-    pub fn offer(&mut self, controller: usize, command: &Command, tick: u64) -> Result<(), CommandRefusal> {
-        let slot = &mut self.slots[controller];
-        let last = slot.last_state_tick;
-        if command.state_tick < last {
-            return Err(CommandRefusal::PastState { state_tick: command.state_tick, last });
+    pub fn offer(
+        &mut self,
+        controller: ControllerIndex,
+        command: &Command,
+        tick: Tick,
+    ) -> Result<(), CommandRefusal> {
+        let slot = &mut self.slots[controller.slot()];
+        let (state_tick, last) = (Tick(command.state_tick), slot.last_state_tick);
+        if state_tick < last {
+            return Err(CommandRefusal::PastState { state_tick, last });
         }
         check(command, &slot.drives, slot.last_sequence, tick)?;
         slot.last_sequence = command.sequence;
-        slot.last_state_tick = command.state_tick;
+        slot.last_state_tick = state_tick;
         slot.newest = Some(*command);
         slot.fresh = true;
         slot.released = false;
@@ -70,42 +77,42 @@ impl Latch {
     }
 
     /// A controller has reconnected and restarts its sequence numbers. Its last command stays in force until its next one.
-    pub fn connect(&mut self, controller: usize) {
-        let slot = &mut self.slots[controller];
-        (slot.last_sequence, slot.last_state_tick) = (0, 0);
+    pub fn connect(&mut self, controller: ControllerIndex) {
+        let slot = &mut self.slots[controller.slot()];
+        (slot.last_sequence, slot.last_state_tick) = (0, Tick::START);
     }
 
     /// Replaces a controller's command with the safe one, until its next command.
-    pub fn release(&mut self, controller: usize) {
-        self.slots[controller].released = true;
+    pub fn release(&mut self, controller: ControllerIndex) {
+        self.slots[controller.slot()].released = true;
     }
 
     /// Whether a controller has been released and has sent no command since.
-    pub fn is_released(&self, controller: usize) -> bool {
-        self.slots[controller].released
+    pub fn is_released(&self, controller: ControllerIndex) -> bool {
+        self.slots[controller.slot()].released
     }
 
     /// Whether a controller's newest command answers the state of this tick.
-    pub fn has_answer(&self, controller: usize, tick: u64) -> bool {
-        self.slots[controller].newest.is_some_and(|command| command.state_tick == tick)
+    pub fn has_answer(&self, controller: ControllerIndex, tick: Tick) -> bool {
+        self.slots[controller.slot()].newest.is_some_and(|command| command.state_tick == tick.0)
     }
 
     /// Whether any command of a controller has been accepted.
-    pub fn has_command(&self, controller: usize) -> bool {
-        self.slots[controller].newest.is_some()
+    pub fn has_command(&self, controller: ControllerIndex) -> bool {
+        self.slots[controller.slot()].newest.is_some()
     }
 
-    /// Source that the last [`Latch::latch`] chose for a controller: one of the `SOURCE_` constants.
-    pub fn source(&self, controller: usize) -> u32 {
-        self.slots[controller].source
+    /// Source that the last [`Latch::latch`] chose for a controller.
+    pub fn source(&self, controller: ControllerIndex) -> CommandSource {
+        self.slots[controller.slot()].source
     }
 
     /// Decides u_k for tick k.
-    pub fn latch(&mut self, tick: u64, reset: bool) -> Latched {
+    pub fn latch(&mut self, tick: Tick, reset: Reset) -> Latched {
         let mut latched = Latched {
-            tick,
+            tick: tick.0,
             controller_count: self.slots.len().min(MAX_CONTROLLERS) as u32,
-            reset: u32::from(reset),
+            reset: reset.code(),
             ..Latched::zeroed()
         };
         for (index, (slot, entry)) in self.slots.iter_mut().zip(&mut latched.commands).enumerate() {
@@ -117,31 +124,31 @@ impl Latch {
 }
 
 impl Slot {
-    fn latch(&mut self, tick: u64, hold_ticks: Option<u64>) -> LatchedCommand {
+    fn latch(&mut self, tick: Tick, hold_ticks: Option<u64>) -> LatchedCommand {
         let Some(command) = self.newest else {
-            self.source = SOURCE_NONE;
+            self.source = CommandSource::None;
             return LatchedCommand::zeroed();
         };
-        let age_ticks = tick.saturating_sub(command.state_tick);
+        let age_ticks = tick.since(Tick(command.state_tick));
         let late = self.released || hold_ticks.is_some_and(|limit| age_ticks > limit);
         let fresh = std::mem::take(&mut self.fresh);
         let (source, command) = match (late, fresh) {
-            (true, _) => (SOURCE_SAFE, self.safe_command(&command)),
-            (false, true) => (SOURCE_FRESH, command),
-            (false, false) => (SOURCE_HELD, command),
+            (true, _) => (CommandSource::Safe, self.safe_command(&command)),
+            (false, true) => (CommandSource::Fresh, command),
+            (false, false) => (CommandSource::Held, command),
         };
         self.source = source;
-        LatchedCommand { source, controller_index: 0, age_ticks, command }
+        LatchedCommand { source: source.code(), controller_index: 0, age_ticks, command }
     }
 
     /// Burr off, arm stopped, tension held at its current value; only for what the controller drives.
     fn safe_command(&self, last: &Command) -> Command {
         let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
         if self.drives.contains(&Drives::Burr) {
-            safe.burr_mode = BURR_SPEED;
+            safe.burr_mode = BurrMode::Speed.code();
         }
         if self.drives.contains(&Drives::Arm) {
-            safe.arm_mode = ARM_HOLD;
+            safe.arm_mode = ArmMode::Hold.code();
         }
         safe
     }

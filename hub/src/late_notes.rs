@@ -1,19 +1,21 @@
 //! Rate-limits the notes about a late controller: the first at once, then at most one a second, each with the number left out since. A
 //! controller slower than the tick is late at nearly every tick; `TickTiming.late_controllers` lists them all.
 
+use messages::Tick;
+
 /// Minimum simulated time between two notes.
 const QUIET_NS: u64 = 1_000_000_000;
 
 /// Notes of one kind about one controller.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LateNotes {
-    noted_tick: Option<u64>,
+    noted_tick: Option<Tick>,
     left_out: u64,
 }
 
 impl LateNotes {
     /// Counts a late answer at `tick`. Returns what to append to the note, or `None` if no note is due.
-    pub fn add(&mut self, tick: u64, period_ns: u64) -> Option<String> {
+    pub fn add(&mut self, tick: Tick, period_ns: u64) -> Option<String> {
         let quiet_ticks = QUIET_NS / period_ns.max(1);
         if self.noted_tick.is_some_and(|noted| tick < noted.saturating_add(quiet_ticks)) {
             self.left_out += 1;
@@ -35,13 +37,15 @@ mod tests {
     #[test]
     fn the_first_note_is_sent_at_once_and_then_one_a_second_with_the_number_left_out() {
         let mut notes = LateNotes::default();
-        let said: Vec<(u64, String)> =
-            (100..5100).step_by(8).filter_map(|tick| Some((tick, notes.add(tick, 1_000_000)?))).collect();
+        let said: Vec<(u64, String)> = (100..5100)
+            .step_by(8)
+            .filter_map(|tick| Some((tick, notes.add(Tick(tick), 1_000_000)?)))
+            .collect();
         let ticks: Vec<u64> = said.iter().map(|(tick, _)| *tick).collect();
         assert_eq!(ticks, [100, 1100, 2100, 3100, 4100]);
         assert_eq!(said[0].1, "");
         assert_eq!(said[1].1, "; 124 more times since tick 100");
-        assert_eq!(notes.add(90_000, 1_000_000).as_deref(), Some("; 124 more times since tick 4100"));
-        assert_eq!(notes.add(95_000, 1_000_000).as_deref(), Some(""), "nothing was left out");
+        assert_eq!(notes.add(Tick(90_000), 1_000_000).as_deref(), Some("; 124 more times since tick 4100"));
+        assert_eq!(notes.add(Tick(95_000), 1_000_000).as_deref(), Some(""), "nothing was left out");
     }
 }

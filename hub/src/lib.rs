@@ -33,8 +33,9 @@
 //! ```
 //! use std::path::Path;
 //!
-//! use hub::latch::Latch;
-//! use messages::{Command, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE, TENDON_SERVO_JF};
+//! use hub::latch::{Latch, Reset};
+//! use messages::CommandSource::{Fresh, Held, Safe};
+//! use messages::{Command, ControllerIndex, TendonMode, Tick};
 //! use scene::Scene;
 //!
 //! let text = r#"
@@ -54,18 +55,19 @@
 //! tension_n = 5.0
 //! "#;
 //! let mut latch = Latch::new(&Scene::parse(text, Path::new("late.toml")).unwrap());
-//! let mut command = Command { sequence: 1, tendon_mode: TENDON_SERVO_JF, ..Command::zeroed() };
+//! let mut command = Command { sequence: 1, tendon_mode: TendonMode::ServoJf.code(), ..Command::zeroed() };
 //! command.tendon_force_n[0] = 5.0;
-//! latch.offer(0, &command, 0).unwrap();
-//! let sources: Vec<u32> = (0..4)
+//! let me = ControllerIndex(0);
+//! latch.offer(me, &command, Tick::START).unwrap();
+//! let sources: Vec<_> = (0..4)
 //!     .map(|tick| {
-//!         latch.latch(tick, false);
-//!         latch.source(0)
+//!         latch.latch(Tick(tick), Reset::No);
+//!         latch.source(me)
 //!     })
 //!     .collect();
-//! assert_eq!(sources, [SOURCE_FRESH, SOURCE_HELD, SOURCE_HELD, SOURCE_SAFE]);
+//! assert_eq!(sources, [Fresh, Held, Held, Safe]);
 //! // The same number again is refused.
-//! assert!(latch.offer(0, &command, 4).is_err());
+//! assert!(latch.offer(me, &command, Tick(4)).is_err());
 //! ```
 //!
 //! | module | what it holds |
@@ -74,7 +76,8 @@
 //! | [`in_process`] | the same tick with controllers in the same thread: benches, calibration, tests |
 //! | [`latch`], [`command_check`] | u_k from the commands received |
 //! | [`rate_limit`], [`patience`] | rate limits per sender; timeouts |
-//! | [`x_ray`] | which X-ray frames are due at which tick; used by the DRR process, not by [`Hub`] |
+//! | [`x_ray`] | which X-ray frames are due at which tick, and seen by controllers; used by their processes, not by [`Hub`] |
+//! | [`viewer`] | what the clients of a viewer get and miss; used by the viewer, not by [`Hub`] |
 
 pub mod command_check;
 mod consumers;
@@ -88,6 +91,7 @@ mod pacing;
 pub mod patience;
 pub mod rate_limit;
 pub mod run_lane;
+pub mod viewer;
 pub mod x_ray;
 
 pub use environment::{Environment, Incoming, Note, Outputs, Report};

@@ -10,7 +10,7 @@
 //! Real processes, replays and the hub's simulator all publish through [`RunLane`], so a log and its replay agree to the byte.
 
 use messages::services::{KEYFRAME_PART_BYTES, MAX_KEYFRAME_BYTES, MAX_REMOVED_PER_TICK};
-use messages::{Keyframe, Latched, Plant, Removed};
+use messages::{Keyframe, Latched, Plant, Removed, Reset, Restores, Tick};
 use thiserror::Error;
 
 use crate::environment::Outputs;
@@ -38,6 +38,16 @@ pub struct TickMarks {
     pub stepped_ns: u64,
     /// Everything was published.
     pub published_ns: u64,
+}
+
+/// The voxels that a tick removed, for one message.
+struct RemovedInTick<'v> {
+    tick: Tick,
+    /// Voxels drilled since the start or the last reset, these included.
+    total: u64,
+    restores: Restores,
+    /// Linear indices.
+    voxels: &'v [u32],
 }
 
 /// The run lane of one run: its sequence numbers and when keyframes are due.
@@ -73,7 +83,8 @@ impl RunLane {
     /// [`LaneError::Output`].
     pub fn begin<P: Plant, O: Outputs>(&mut self, plant: &P, out: &mut O) -> Outcome<O, P> {
         for voxels in plant.predrilled().chunks(MAX_REMOVED_PER_TICK) {
-            self.send_removed(0, voxels, 0, false, out).map_err(LaneError::Output)?;
+            let since = RemovedInTick { tick: Tick::START, total: 0, restores: Restores::Nothing, voxels };
+            self.send_removed(since, out).map_err(LaneError::Output)?;
         }
         out.send_state(plant.state()).map_err(LaneError::Output)
     }
@@ -93,10 +104,13 @@ impl RunLane {
         let latched_ns = now_ns(out);
         plant.step(latched).map_err(LaneError::Plant)?;
         let stepped_ns = now_ns(out);
-        let (state, removed, reset) = (plant.state(), plant.removed(), latched.reset != 0);
+        let (state, removed) = (plant.state(), plant.removed());
+        let reset = latched.reset() == Reset::Yes;
         if reset || !removed.is_empty() {
-            let (tick, total) = (state.tick, state.removed_total);
-            self.send_removed(tick, removed, total, reset, out).map_err(LaneError::Output)?;
+            let (tick, total) = (Tick(state.tick), state.removed_total);
+            let restores = if reset { Restores::Drilled } else { Restores::Nothing };
+            let removed = RemovedInTick { tick, total, restores, voxels: removed };
+            self.send_removed(removed, out).map_err(LaneError::Output)?;
         }
         out.send_state(state).map_err(LaneError::Output)?;
         Ok(TickMarks { latched_ns, stepped_ns, published_ns: now_ns(out) })
@@ -136,22 +150,15 @@ impl RunLane {
         Ok(())
     }
 
-    fn send_removed<O: Outputs>(
-        &mut self,
-        tick: u64,
-        voxels: &[u32],
-        removed_total: u64,
-        restore_first: bool,
-        out: &mut O,
-    ) -> Result<(), O::Error> {
+    fn send_removed<O: Outputs>(&mut self, removed: RemovedInTick<'_>, out: &mut O) -> Result<(), O::Error> {
         self.removed_messages += 1;
         let head = Removed {
-            tick,
+            tick: removed.tick.0,
             sequence: self.removed_messages,
-            removed_total,
-            restore_first: u32::from(restore_first),
-            voxel_index_length: voxels.len() as u32,
+            removed_total: removed.total,
+            restore_first: removed.restores.code(),
+            voxel_index_length: removed.voxels.len() as u32,
         };
-        out.send_removed(&head, voxels)
+        out.send_removed(&head, removed.voxels)
     }
 }

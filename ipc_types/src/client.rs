@@ -15,8 +15,7 @@ use rustix::fs::{Access, AtFlags};
 
 use crate::identity::Guard;
 use crate::layout::Message;
-use crate::messages::Command;
-use crate::messages::Part;
+use crate::messages::{Command, ControllerIndex, Part};
 use crate::own::Own;
 use crate::ports::{Publisher, Subscriber};
 use crate::services::{self, CONNECTIONS_BYTES, Service};
@@ -95,9 +94,10 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError::UnknownController`].
-    pub fn controller_index(&self, name: &str) -> Result<usize, SessionError> {
+    pub fn controller_index(&self, name: &str) -> Result<ControllerIndex, SessionError> {
         let controllers = &self.announcement.controllers;
-        controllers.iter().position(|known| known == name).ok_or_else(|| SessionError::UnknownController {
+        let index = ControllerIndex::first(controllers.len()).find(|index| controllers[index.slot()] == name);
+        index.ok_or_else(|| SessionError::UnknownController {
             name: name.to_owned(),
             known: if controllers.is_empty() { "none".to_owned() } else { controllers.join(", ") },
         })
@@ -174,7 +174,7 @@ impl Session {
         let service =
             self.node.service_builder(&service_name).event().open().map_err(transported(&name, "opening"))?;
         let listener = service.listener_builder().create().map_err(transported(&name, "listening"))?;
-        self.page.welcome(reader.slot());
+        self.page.raise_for_new_reader(reader.slot());
         let way = match reader {
             // They poll at intervals; nobody waits for them.
             Reader::Recorder | Reader::Drr => Way::Hybrid,

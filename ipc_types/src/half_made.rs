@@ -6,6 +6,7 @@
 //! wait with an error.
 
 use std::collections::BTreeMap;
+use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use crate::family::is_alive;
 use crate::identity::process_of;
-use crate::session::SessionId;
+use crate::session::{SessionId, is_locked, open_folder};
 use crate::shared_memory::SharedMemory;
 
 /// Time between two sweeps.
@@ -31,13 +32,16 @@ pub struct HalfMadeSweeper {
 }
 
 impl HalfMadeSweeper {
-    /// Sweeps the session in this folder.
+    /// Sweeps the session in this folder as soon as its host is dead, which until then sweeps by itself. Every part runs one, because each
+    /// may be the last, and started before it joins, because joining opens segments. When it is dropped, it removes what it still finds.
     ///
     /// # Errors
     /// The folder is not a session's; the system refuses to start the thread or to open the shared-memory folder.
-    pub fn of(session: &Path) -> std::io::Result<HalfMadeSweeper> {
+    pub fn after_host(session: &Path) -> std::io::Result<HalfMadeSweeper> {
         let id = SessionId::of(session).ok_or(std::io::ErrorKind::InvalidInput)?;
-        HalfMadeSweeper::start(id.shared_memory_prefix())
+        let folder = open_folder(session).map_err(std::io::Error::other)?;
+        let sweep = Sweep::new(id.shared_memory_prefix())?;
+        HalfMadeSweeper::run(move |is_over| sweep.after_host(&folder, is_over))
     }
 
     /// Sweeps the segments whose names start with `prefix`.
@@ -45,17 +49,59 @@ impl HalfMadeSweeper {
     /// # Errors
     /// The system refuses to start the thread or to open the folder.
     pub(crate) fn start(prefix: String) -> std::io::Result<HalfMadeSweeper> {
-        let memory = SharedMemory::open()?;
+        let sweep = Sweep::new(prefix)?;
+        HalfMadeSweeper::run(move |is_over| sweep.until(is_over))
+    }
+
+    fn run(work: impl FnOnce(&AtomicBool) + Send + 'static) -> std::io::Result<HalfMadeSweeper> {
         let is_over = Arc::new(AtomicBool::new(false));
         let seen_over = Arc::clone(&is_over);
-        let thread = std::thread::Builder::new().name("half-made".to_owned()).spawn(move || {
-            let mut empty_since = BTreeMap::new();
-            while !seen_over.load(Ordering::Relaxed) {
-                std::thread::park_timeout(SWEEP_PERIOD);
-                look(&memory, &prefix, &mut empty_since, Instant::now());
-            }
-        })?;
+        let thread =
+            std::thread::Builder::new().name("half-made".to_owned()).spawn(move || work(&seen_over))?;
         Ok(HalfMadeSweeper { is_over, thread: Some(thread) })
+    }
+}
+
+/// What the thread does.
+struct Sweep {
+    memory: SharedMemory,
+    prefix: String,
+    empty_since: BTreeMap<String, Instant>,
+}
+
+impl Sweep {
+    fn new(prefix: String) -> std::io::Result<Sweep> {
+        Ok(Sweep { memory: SharedMemory::open()?, prefix, empty_since: BTreeMap::new() })
+    }
+
+    fn once(&mut self) {
+        sweep(&self.memory, &self.prefix, &mut self.empty_since, Instant::now());
+    }
+
+    fn until(mut self, is_over: &AtomicBool) {
+        while !is_over.load(Ordering::Relaxed) {
+            std::thread::park_timeout(SWEEP_PERIOD);
+            self.once();
+        }
+    }
+
+    fn after_host(mut self, folder: &OwnedFd, is_over: &AtomicBool) {
+        while is_locked(folder) {
+            if is_over.load(Ordering::Relaxed) {
+                return;
+            }
+            std::thread::park_timeout(SWEEP_PERIOD);
+        }
+        while !is_over.load(Ordering::Relaxed) {
+            self.once();
+            std::thread::park_timeout(SWEEP_PERIOD);
+        }
+        // A client may outlive every part, and has no such thread. Two looks are needed to remove a segment.
+        self.once();
+        if !self.empty_since.is_empty() {
+            std::thread::sleep(SWEEP_PERIOD);
+            self.once();
+        }
     }
 }
 
@@ -71,7 +117,7 @@ impl Drop for HalfMadeSweeper {
 }
 
 /// Removes every segment that also had size zero at the last sweep and whose creator is dead.
-fn look(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String, Instant>, now: Instant) {
+fn sweep(memory: &SharedMemory, prefix: &str, empty_since: &mut BTreeMap<String, Instant>, now: Instant) {
     let empty = memory.empty_segments(prefix);
     empty_since.retain(|name, _| empty.contains(name));
     for name in empty {
@@ -97,6 +143,8 @@ fn makers(name: &str) -> impl Iterator<Item = u32> + '_ {
 mod tests {
     use std::fs::{self, File};
     use std::path::PathBuf;
+
+    use rustix::fs::{FlockOperation, flock};
 
     use super::*;
 
@@ -126,15 +174,34 @@ mod tests {
         let half_made = Segment::make(&prefix, dead.id(), 0);
         let whole = Segment::make(&format!("{prefix}whole"), dead.id(), 10);
         let in_the_making = Segment::make(&prefix, living, 0);
-        let strangers = Segment::make("trabecula_half_made_stranger", dead.id(), 0);
+        let foreign = Segment::make("trabecula_half_made_foreign", dead.id(), 0);
         let memory = SharedMemory::open().unwrap();
         let (mut empty_since, now) = (BTreeMap::new(), Instant::now());
-        look(&memory, &prefix, &mut empty_since, now);
+        sweep(&memory, &prefix, &mut empty_since, now);
         assert!(half_made.0.exists(), "its maker may have died since the name was read");
-        look(&memory, &prefix, &mut empty_since, now);
-        let left = [&half_made, &whole, &in_the_making, &strangers].map(|segment| segment.0.exists());
+        sweep(&memory, &prefix, &mut empty_since, now);
+        let left = [&half_made, &whole, &in_the_making, &foreign].map(|segment| segment.0.exists());
         assert_eq!(left, [false, true, true, true]);
-        look(&memory, &prefix, &mut empty_since, now + LONGEST_MAKING);
+        sweep(&memory, &prefix, &mut empty_since, now + LONGEST_MAKING);
         assert!(!in_the_making.0.exists() && whole.0.exists());
+    }
+
+    /// A run without a recorder hung if its launcher was killed while it made a segment: only launcher and recorder swept.
+    #[test]
+    fn a_part_sweeps_when_its_host_is_dead_and_a_last_time_when_it_ends() {
+        let prefix = format!("trabecula_half_made_after_host_{}_", std::process::id());
+        let mut dead = std::process::Command::new("true").spawn().unwrap();
+        dead.wait().unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let open = || OwnedFd::from(File::open(folder.path()).unwrap());
+        let host = open();
+        flock(&host, FlockOperation::NonBlockingLockExclusive).unwrap();
+        let half_made = Segment::make(&prefix, dead.id(), 0);
+        let ended = AtomicBool::new(true);
+        Sweep::new(prefix.clone()).unwrap().after_host(&open(), &ended);
+        assert!(half_made.0.exists(), "the host sweeps while it is alive");
+        drop(host);
+        Sweep::new(prefix).unwrap().after_host(&open(), &ended);
+        assert!(!half_made.0.exists());
     }
 }

@@ -8,7 +8,7 @@ use iceoryx2::prelude::{CallbackProgression, PortFactory};
 use iceoryx2::service::dynamic_config::publish_subscribe::PublisherDetails;
 
 use crate::layout::Message;
-use crate::messages::{Command, DrrRequest, Part};
+use crate::messages::{Command, ControllerIndex, DrrRequest, Part};
 use crate::ports::Received;
 use crate::services;
 use crate::session::{ByteService, Session, SessionError};
@@ -49,18 +49,18 @@ pub(crate) struct Guard {
     writers: &'static [Part],
     /// Connections already identified.
     known: RefCell<Vec<(UniquePublisherId, Option<Part>)>>,
-    strangers: Cell<u64>,
+    foreign_messages: Cell<u64>,
 }
 
 impl Guard {
     /// `None` for a service that every client may write.
     pub(crate) fn of(session: &Session, service: ByteService, writers: &'static [Part]) -> Option<Guard> {
-        let (known, strangers) = (RefCell::default(), Cell::new(0));
+        let (known, foreign_messages) = (RefCell::default(), Cell::new(0));
         let page = session.page.clone();
-        (!writers.is_empty()).then_some(Guard { service, page, writers, known, strangers })
+        (!writers.is_empty()).then_some(Guard { service, page, writers, known, foreign_messages })
     }
 
-    /// The part at the other end of a connection. Counts strangers.
+    /// The part at the other end of a connection. Counts messages of other programs.
     pub(crate) fn part_of(&self, sender: UniquePublisherId) -> Option<Part> {
         let known = self.known.borrow().iter().find(|(known, _)| *known == sender).map(|(_, part)| *part);
         let part = known.unwrap_or_else(|| {
@@ -73,7 +73,7 @@ impl Guard {
             part
         });
         if part.is_none() {
-            self.strangers.set(self.strangers.get() + 1);
+            self.foreign_messages.set(self.foreign_messages.get() + 1);
         }
         part
     }
@@ -93,9 +93,9 @@ impl Guard {
         self.writers.iter().copied().find(is_it)
     }
 
-    /// Messages from strangers so far.
-    pub(crate) fn strangers(&self) -> u64 {
-        self.strangers.get()
+    /// Messages from other programs so far.
+    pub(crate) fn foreign_messages(&self) -> u64 {
+        self.foreign_messages.get()
     }
 }
 
@@ -125,11 +125,13 @@ impl Session {
 }
 
 impl Requesters {
-    /// Index of the controller that sent a request; `None` if it came from an observer or from a program that has since ended.
-    pub fn controller_of(&self, request: &Received<DrrRequest>) -> Option<usize> {
+    /// The controller that sent a request; `None` if it came from an observer or from a program that has since ended.
+    pub fn controller_of(&self, request: &Received<DrrRequest>) -> Option<ControllerIndex> {
         let Sender(sender) = request.sender();
         let node = publishers(&self.requests).find(|details| details.publisher_id == sender)?.node_id;
-        self.commands.iter().position(|service| publishers(service).any(|details| details.node_id == node))
+        let mut all = ControllerIndex::first(self.commands.len()).zip(&self.commands);
+        all.find(|(_, service)| publishers(service).any(|details| details.node_id == node))
+            .map(|(index, _)| index)
     }
 }
 

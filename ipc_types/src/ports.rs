@@ -17,9 +17,9 @@ use crate::own::Own;
 
 /// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
-/// The same limit for strangers' messages on a part's service. More than any queue holds, because the part's own messages behind them must
+/// The same limit for other programs' messages on a part's service. More than any queue holds, because the part's own messages behind them must
 /// not be late.
-const STRANGERS_AT_ONCE: usize = 1 << 14;
+const MAX_FOREIGN_MESSAGES: usize = 1 << 14;
 
 /// Why a message could not be sent or received.
 #[derive(Debug, Error)]
@@ -144,9 +144,9 @@ impl<M: Message> Subscriber<M> {
     /// Takes the oldest message in the queue, if any. Its bytes stay in shared memory until the return value is dropped.
     ///
     /// Takes a message of the wrong length off the queue and returns an error. On a part's service, skips and counts messages from programs
-    /// that are not that part ([`Subscriber::strangers`]).
+    /// that are not that part ([`Subscriber::foreign_messages`]).
     pub fn receive(&self) -> Result<Option<Received<M>>, PortError> {
-        for _ in 0..STRANGERS_AT_ONCE {
+        for _ in 0..MAX_FOREIGN_MESSAGES {
             let sample = self.raw.receive().map_err(|cause| PortError::Receive {
                 service: self.name.clone(),
                 cause: format!("{cause:?}"),
@@ -165,8 +165,8 @@ impl<M: Message> Subscriber<M> {
     }
 
     /// Messages so far from programs that are not the part that owns the service.
-    pub fn strangers(&self) -> u64 {
-        self.guard.as_ref().map_or(0, Guard::strangers)
+    pub fn foreign_messages(&self) -> u64 {
+        self.guard.as_ref().map_or(0, Guard::foreign_messages)
     }
 
     /// Takes the oldest valid message, if any, on services that every client may write. Messages of the wrong length go to `refused`, a

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use zerocopy::IntoBytes;
 
-use crate::messages::{Event, SEVERITY_INFO, Volume};
+use crate::messages::{Event, EventCode, Participant, Severity, Tick, Volume};
 use crate::ports::{PortError, Publisher, Received, Subscriber};
 use crate::scene::{Policy, Scene, SceneError};
 use crate::services::{self, MAX_EVENT_TEXT};
@@ -199,16 +199,16 @@ pub fn session_scene(folder: &Path) -> Result<Scene, SceneError> {
 #[derive(Debug)]
 pub struct EventSender {
     publisher: Publisher<Event>,
-    sender: u32,
+    sender: Participant,
     sequence: u64,
 }
 
 impl EventSender {
-    /// An event sender for this process (one of the `SENDER_` constants).
+    /// The sender of this process's events.
     ///
     /// # Errors
     /// As [`Session::publisher`].
-    pub fn new(session: &Session, sender: u32) -> Result<EventSender, SessionError> {
+    pub fn new(session: &Session, sender: Participant) -> Result<EventSender, SessionError> {
         Ok(EventSender { publisher: session.publisher(&services::EVENT)?, sender, sequence: 0 })
     }
 
@@ -216,18 +216,24 @@ impl EventSender {
     ///
     /// # Errors
     /// The transport's.
-    pub fn send(&mut self, tick: u64, severity: u32, code: u32, text: &str) -> Result<(), PortError> {
+    pub fn send(
+        &mut self,
+        tick: Tick,
+        severity: Severity,
+        code: EventCode,
+        text: &str,
+    ) -> Result<(), PortError> {
         let mut end = text.len().min(MAX_EVENT_TEXT - 1);
         while !text.is_char_boundary(end) {
             end -= 1;
         }
         self.sequence += 1;
         let event = Event {
-            tick,
+            tick: tick.0,
             sequence: self.sequence,
-            severity,
-            code,
-            sender: self.sender,
+            severity: severity.code(),
+            code: code.code(),
+            sender: self.sender.code(),
             text_length: end as u32 + 1,
         };
         self.publisher.send_parts(&[event.as_bytes(), &text.as_bytes()[..end], &[0]])
@@ -237,8 +243,8 @@ impl EventSender {
     ///
     /// # Errors
     /// The transport's.
-    pub fn inform(&mut self, tick: u64, code: u32, text: &str) -> Result<(), PortError> {
-        self.send(tick, SEVERITY_INFO, code, text)
+    pub fn inform(&mut self, tick: Tick, code: EventCode, text: &str) -> Result<(), PortError> {
+        self.send(tick, Severity::Info, code, text)
     }
 }
 

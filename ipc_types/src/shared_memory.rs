@@ -147,23 +147,23 @@ impl Display for Refused {
             Refused::NoFiles { left } => {
                 return write!(
                     f,
-                    "{left} more files fit into it; remove files there that nobody uses, or enlarge it (`mount -o \
+                    "it has room for only {left} more files; remove unused files there, or allow more (`mount -o \
                      remount,nr_inodes=100k {FOLDER}`)"
                 );
             }
         }
         f.write_str(match self {
             Refused::System(Errno::ROFS) => {
-                "it must be writable: `mount -o remount,rw /dev/shm`; a container needs one of its own, as without `--read-only` or \
-                 with `--tmpfs /dev/shm`"
+                "it must be writable: `mount -o remount,rw /dev/shm`; start a container without `--read-only`, or with \
+                 `--tmpfs /dev/shm`"
             }
             Refused::System(Errno::NOENT | Errno::NOTDIR) => {
-                "it must be there: `mount -t tmpfs tmpfs /dev/shm`"
+                "it must exist: `mount -t tmpfs tmpfs /dev/shm`"
             }
             Refused::System(Errno::ACCESS | Errno::PERM) => {
-                "every user must be able to make files there: its mode is to be 1777"
+                "every user must be able to create files there: set its mode to 1777"
             }
-            _ => "free some or enlarge it",
+            _ => "free some space or enlarge /dev/shm",
         })
     }
 }

@@ -55,7 +55,7 @@ impl SharedPage {
     }
 
     /// Raises the flag of a new reader, so that writers that had given up on its predecessor wake it.
-    pub(crate) fn welcome(&self, reader: usize) {
+    pub(crate) fn raise_for_new_reader(&self, reader: usize) {
         self.flag(reader).store(FLAG_NEW, Ordering::SeqCst);
     }
 

@@ -21,11 +21,11 @@ pub struct EndRequest {
 
 /// A request to end, with the name of its signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ask {
+pub enum EndSignal {
     /// The first request.
     First(&'static str),
     /// A repeated request: the user does not want to wait.
-    Again(&'static str),
+    Repeated(&'static str),
 }
 
 impl EndRequest {
@@ -46,7 +46,7 @@ impl EndRequest {
     ///
     /// # Errors
     /// The system refuses to install a handler or to start the thread.
-    pub fn answered(mut answer: impl FnMut(Ask) + Send + 'static) -> std::io::Result<EndRequest> {
+    pub fn answered(mut answer: impl FnMut(EndSignal) + Send + 'static) -> std::io::Result<EndRequest> {
         let mut signals = Signals::new(heard_signals())?;
         let request = EndRequest::install()?;
         let told = request.clone();
@@ -57,11 +57,11 @@ impl EndRequest {
                 match first {
                     None => {
                         first = Some(Instant::now());
-                        answer(Ask::First(name));
+                        answer(EndSignal::First(name));
                     }
                     Some(at) if signal != SIGHUP && at.elapsed() >= ONE_REQUEST => {
                         told.urged.store(true, Ordering::Relaxed);
-                        answer(Ask::Again(name));
+                        answer(EndSignal::Repeated(name));
                     }
                     Some(_) => {}
                 }

@@ -157,7 +157,7 @@ impl Waiter {
     pub fn wait_until(&self, deadline: Instant, mut ready: impl FnMut() -> bool) -> bool {
         let flag = self.page.flag(self.reader);
         flag.store(0, Ordering::Relaxed);
-        if self.look(deadline, &mut ready) {
+        if self.poll(deadline, &mut ready) {
             return true;
         }
         loop {
@@ -176,7 +176,7 @@ impl Waiter {
     }
 
     /// Polls without sleeping, as the way prescribes; returns whether it is ready.
-    fn look(&self, deadline: Instant, ready: &mut impl FnMut() -> bool) -> bool {
+    fn poll(&self, deadline: Instant, ready: &mut impl FnMut() -> bool) -> bool {
         let end = match self.way {
             Way::Sleep => return ready(),
             Way::Hybrid if !self.yield_backoff.core_seems_free() => return ready(),

@@ -79,5 +79,5 @@ fn the_message_reference_is_up_to_date() {
 
 #[test]
 fn the_scene_reference_is_up_to_date() {
-    assert_written("scene", &scene_reference().unwrap());
+    assert_written("scene", &scene_reference());
 }

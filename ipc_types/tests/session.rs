@@ -2,15 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail the test")]
 
-use std::fs::{self, Permissions};
+use std::fs::{self, File, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{Command, Event, Frame, Keyframe, Part, Removed, State, Volume};
+use ipc_types::messages::{Command, ControllerIndex, Event, Frame, Keyframe, Part, Removed, State, Volume};
 use ipc_types::scene::{Policy, Wait};
 use ipc_types::services::{self, Service};
 use ipc_types::session::{Reader, Session, SessionError, SessionHost, SessionPlan, host_is_alive};
+use rustix::fs::{FlockOperation, flock};
 use tempfile::TempDir;
 
 fn plan(controllers: &[&str]) -> SessionPlan {
@@ -183,10 +184,21 @@ fn sessions() -> (PathBuf, SessionHost) {
 
 /// A private folder with a session's name, as a killed host leaves it.
 fn left_behind(sessions: &Path) -> TempDir {
+    locked(sessions).0
+}
+
+/// The same, not yet left: the hosts of other tests do not remove it before the lock is dropped.
+fn locked(sessions: &Path) -> (TempDir, File) {
     let folder = tempfile::Builder::new().prefix("").rand_bytes(11).tempdir_in(sessions).unwrap();
+    let lock =
+        File::open(folder.path()).ok().filter(|lock| flock(lock, FlockOperation::LockExclusive).is_ok());
+    let Some(lock) = lock.filter(|_| folder.path().exists()) else {
+        // Another test's host was quicker than the lock.
+        return locked(sessions);
+    };
     fs::set_permissions(folder.path(), Permissions::from_mode(0o700)).unwrap();
     fs::write(folder.path().join("session.id"), name_of(folder.path())).unwrap();
-    folder
+    (folder, lock)
 }
 
 fn name_of(folder: &Path) -> String {
@@ -200,7 +212,7 @@ fn segment_of(folder: &Path) -> PathBuf {
 #[test]
 fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     let (sessions, first) = sessions();
-    let (stale, marked) = (left_behind(&sessions), left_behind(&sessions));
+    let [(stale, stale_lock), (marked, marked_lock)] = [(); 2].map(|()| locked(&sessions));
     let segment = segment_of(stale.path());
     fs::write(&segment, b"left behind").unwrap();
     // A link's target does not belong to the session.
@@ -211,6 +223,7 @@ fn the_session_of_a_dead_host_is_wiped_by_the_next_host() {
     std::os::unix::fs::symlink(home.path(), stale.path().join("link")).unwrap();
     // A host killed before it could mark its folder.
     fs::remove_file(marked.path().join("session.id")).unwrap();
+    drop((stale_lock, marked_lock));
     let _second = SessionHost::create(&plan(&[])).unwrap();
     assert!(!stale.path().exists() && !segment.exists() && !marked.path().exists());
     assert_eq!(fs::read(home.path().join("letter")).unwrap(), b"dear");
@@ -347,7 +360,7 @@ fn a_port_asks_for_the_memory_that_it_reserves() {
     reckoned(services::EVENT, before);
 }
 
-/// A stranger must not be able to take the port of an absent part and have its messages believed.
+/// Another program must not be able to take the port of an absent part and have its messages believed.
 #[test]
 fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
     let host = SessionHost::create(&plan(&["left"])).unwrap();
@@ -358,7 +371,7 @@ fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
     let taken = stranger.claim(Part::Physics).unwrap_err();
     assert!(matches!(taken, SessionError::PartTaken { part: Part::Physics }), "{taken}");
     let refusal = stranger.publisher::<Keyframe>(&services::KEYFRAME).unwrap_err();
-    assert!(refusal.to_string().contains("`keyframe` is written by the physics alone"), "{refusal}");
+    assert!(refusal.to_string().contains("only the physics may write service `keyframe`"), "{refusal}");
     // With the transport alone, bypassing our library.
     let service =
         stranger.node().service_builder(&"keyframe".try_into().unwrap()).publish_subscribe::<[u8]>();
@@ -368,12 +381,15 @@ fn a_port_of_a_part_is_refused_to_others_and_what_they_send_is_passed_over() {
         port.loan_slice_uninit(7).unwrap().write_from_fn(|_| 0x5a).send().unwrap();
     }
     assert!(reader.receive().unwrap().is_none());
-    assert_eq!(reader.strangers(), 3);
+    assert_eq!(reader.foreign_messages(), 3);
     drop(port);
     let keyframes = physics.publisher::<Keyframe>(&services::KEYFRAME).unwrap();
     keyframes.send(&Keyframe { tick: 9, ..Keyframe::zeroed() }).unwrap();
     let received = reader.receive().unwrap().unwrap();
-    assert_eq!((received.message().tick, received.part(), reader.strangers()), (9, Some(Part::Physics), 3));
+    assert_eq!(
+        (received.message().tick, received.part(), reader.foreign_messages()),
+        (9, Some(Part::Physics), 3)
+    );
 }
 
 /// A reader killed in its sleep leaves its flag raised; that must not cost every message a system call.
@@ -382,13 +398,13 @@ fn a_killed_sleeping_reader_costs_its_writers_nothing() {
     const SLEEPER: &str = "TRABECULA_TEST_SLEEPER";
     if let Some(folder) = std::env::var_os(SLEEPER) {
         let session = Session::join(Path::new(&folder)).unwrap();
-        let waiter = session.waiter(Reader::Controller(0)).unwrap();
+        let waiter = session.waiter(Reader::Controller(ControllerIndex(0))).unwrap();
         println!("asleep");
         waiter.wait_until(Instant::now() + Duration::from_secs(60), || false);
     }
     let host = SessionHost::create(&plan(&["left"])).unwrap();
     host.announce().unwrap();
-    let waker = host.session.waker(Reader::Controller(0)).unwrap();
+    let waker = host.session.waker(Reader::Controller(ControllerIndex(0))).unwrap();
     let mut sleeper = std::process::Command::new(std::env::current_exe().unwrap());
     sleeper.args(["a_killed_sleeping_reader_costs_its_writers_nothing", "--exact", "--nocapture"]);
     let sleeper = sleeper.env(SLEEPER, host.session.folder()).stdout(std::process::Stdio::piped());
@@ -407,6 +423,6 @@ fn a_killed_sleeping_reader_costs_its_writers_nothing() {
     assert!(calls <= 1000 / 64 + 2, "{calls} system calls for 1000 messages to nobody");
     // A reader that comes back is woken at once.
     let back = Session::join(host.session.folder()).unwrap();
-    let _waiter = back.waiter(Reader::Controller(0)).unwrap();
+    let _waiter = back.waiter(Reader::Controller(ControllerIndex(0))).unwrap();
     assert!(waker.try_to_wake());
 }

@@ -16,7 +16,7 @@ pub struct Growth(BTreeMap<String, Curve>);
 
 /// Summary of a curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Course {
+pub struct GrowthSummary {
     /// After a tenth of the run, in its middle, at its end; bytes.
     pub bytes: [u64; 3],
     /// Median of the slopes between any two samples (Theil and Sen). A queue that once ran full, or one bad sample,
@@ -29,7 +29,7 @@ pub struct Course {
     pub minutes: f64,
 }
 
-impl Course {
+impl GrowthSummary {
     /// What steady growth amounts to between the first and the last sample.
     pub fn growth_bytes(&self) -> f64 {
         self.steady_bytes_per_minute * self.minutes
@@ -43,13 +43,13 @@ impl Growth {
     }
 
     /// The processes, by name, that have lived longer than a tenth of the run.
-    pub fn courses(&self) -> impl Iterator<Item = (&str, Course)> {
-        self.0.iter().filter_map(|(name, curve)| Some((name.as_str(), curve.course()?)))
+    pub fn curves(&self) -> impl Iterator<Item = (&str, GrowthSummary)> {
+        self.0.iter().filter_map(|(name, curve)| Some((name.as_str(), curve.summary()?)))
     }
 }
 
 impl Curve {
-    fn course(&self) -> Option<Course> {
+    fn summary(&self) -> Option<GrowthSummary> {
         let last_min = self.0.last()?.0;
         let settled: Vec<(f64, u64)> =
             self.0.iter().copied().filter(|(minute, _)| *minute >= STARTED_SHARE * last_min).collect();
@@ -59,7 +59,7 @@ impl Curve {
         let bytes_per_minute = median_slope(&settled);
         let steady_bytes_per_minute =
             [first_half, second_half].map(median_slope).into_iter().fold(bytes_per_minute, f64::min);
-        Some(Course { bytes, bytes_per_minute, steady_bytes_per_minute, minutes: last.0 - first.0 })
+        Some(GrowthSummary { bytes, bytes_per_minute, steady_bytes_per_minute, minutes: last.0 - first.0 })
     }
 }
 
@@ -82,23 +82,23 @@ mod tests {
     use super::*;
 
     /// One sample every five seconds for ten minutes.
-    fn course(of: impl Fn(u64) -> u64) -> Course {
+    fn curve(of: impl Fn(u64) -> u64) -> GrowthSummary {
         let mut growth = Growth::default();
         for second in (0..=600).step_by(5) {
             growth.add("part", Duration::from_secs(second), of(second));
         }
-        growth.courses().next().unwrap().1
+        growth.curves().next().unwrap().1
     }
 
     #[test]
     fn a_start_is_no_growth() {
-        let flat = course(|second| if second < 50 { 1000 * second } else { 50_000 });
+        let flat = curve(|second| if second < 50 { 1000 * second } else { 50_000 });
         assert_eq!((flat.bytes, flat.bytes_per_minute, flat.minutes), ([50_000; 3], 0.0, 9.0));
     }
 
     #[test]
     fn a_steady_growth_is_its_slope() {
-        let grown = course(|second| 1_000_000 + 500 * second);
+        let grown = curve(|second| 1_000_000 + 500 * second);
         // 500 bytes per second; the quotient of two f64 has a relative error of 1e-16.
         assert!((grown.bytes_per_minute - 30_000.0).abs() < 1e-6, "{grown:?}");
         assert_eq!(grown.bytes, [1_030_000, 1_165_000, 1_300_000]);
@@ -108,7 +108,7 @@ mod tests {
     /// Regression: growth of -4540 KiB per minute, because the last sample was of a process that had ended.
     #[test]
     fn a_wrong_last_sample_is_no_slope() {
-        let ended = course(|second| if second < 600 { 5_000_000 } else { 0 });
+        let ended = curve(|second| if second < 600 { 5_000_000 } else { 0 });
         assert_eq!(ended.bytes_per_minute, 0.0);
     }
 
@@ -116,14 +116,14 @@ mod tests {
     #[test]
     fn a_queue_that_once_ran_full_is_no_growth() {
         for at in [70, 330, 590] {
-            let stepped = course(|second| 20_000_000 + if second < at { 0 } else { 1_080_000 });
+            let stepped = curve(|second| 20_000_000 + if second < at { 0 } else { 1_080_000 });
             assert!(stepped.growth_bytes() < 1_048_576.0, "step at {at} s: {stepped:?}");
         }
     }
 
     #[test]
     fn a_leak_in_steps_is_a_growth() {
-        let leak = course(|second| 20_000_000 + second / 60 * 300_000);
+        let leak = curve(|second| 20_000_000 + second / 60 * 300_000);
         assert!(leak.growth_bytes() > 2_000_000.0, "{leak:?}");
     }
 
@@ -131,9 +131,13 @@ mod tests {
     fn a_single_sample_has_no_slope() {
         let mut growth = Growth::default();
         growth.add("part", Duration::from_secs(3), 7);
-        let courses: Vec<_> = growth.courses().collect();
-        let none =
-            Course { bytes: [7; 3], bytes_per_minute: 0.0, steady_bytes_per_minute: 0.0, minutes: 0.0 };
-        assert_eq!(courses, [("part", none)]);
+        let curves: Vec<_> = growth.curves().collect();
+        let none = GrowthSummary {
+            bytes: [7; 3],
+            bytes_per_minute: 0.0,
+            steady_bytes_per_minute: 0.0,
+            minutes: 0.0,
+        };
+        assert_eq!(curves, [("part", none)]);
     }
 }

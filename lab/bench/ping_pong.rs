@@ -11,7 +11,7 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{AllocationStrategy, Node, PortFactory as _, ipc};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use ipc_types::layout::Message;
-use ipc_types::messages::{Command, State};
+use ipc_types::messages::{Command, ControllerIndex, State};
 use ipc_types::process::{bind_to_parent, end_with_parent};
 use ipc_types::session::{Reader, SESSION_VARIABLE, Session, SessionHost, SessionPlan};
 use ipc_types::wake::{Waiter, Waker};
@@ -150,7 +150,8 @@ pub fn measure_on(
     let host = SessionHost::create(&plan).map_err(failed)?;
     let session = &host.session;
     let (out, back) = (create(session.node(), PING_SERVICE)?, create(session.node(), PONG_SERVICE)?);
-    let side = Side::new(session, wait, &out, &back, [Reader::Physics, Reader::Controller(0)])?;
+    let side =
+        Side::new(session, wait, &out, &back, [Reader::Physics, Reader::Controller(ControllerIndex(0))])?;
     host.announce().map_err(failed)?;
     let mut child = place(&mut || start_pong(session.folder(), wait, rounds))?;
     let samples = connected(&out, &back).and_then(|()| play(&side, rounds));
@@ -205,7 +206,8 @@ pub fn answer(session: &Path, wait: Wait, rounds: usize) -> Result<(), Failure> 
     end_with_parent();
     let session = Session::join(session).map_err(failed)?;
     let (out, back) = (open(session.node(), PONG_SERVICE)?, open(session.node(), PING_SERVICE)?);
-    let side = Side::new(&session, wait, &out, &back, [Reader::Controller(0), Reader::Physics])?;
+    let side =
+        Side::new(&session, wait, &out, &back, [Reader::Controller(ControllerIndex(0)), Reader::Physics])?;
     let mut message = vec![0_u8; Command::DESCRIPTION.size];
     for _ in 0..rounds {
         message[0] = side.receive()?;

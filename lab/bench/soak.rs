@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use ipc_types::messages::PHASE_RUNNING;
+use ipc_types::messages::{Part as HubPart, Phase};
 use ipc_types::process::{EndRequest, Role, prioritise};
 use ipc_types::scene::{Mode, Policy, Scene};
 use recorder_proc::log_file::LogFile;
@@ -63,7 +63,7 @@ pub fn run(
     // Check now, so that a soak of hours does not end with its log refused.
     if let Some(there) = LANES.iter().map(|lane| folder.join(lane)).find(|path| path.exists()) {
         return Err(Failure::bad_input(format!(
-            "{}: is there already; name another folder",
+            "{}: already exists; choose another folder",
             there.display()
         )));
     }
@@ -71,7 +71,7 @@ pub fn run(
     let plan =
         RunPlan { scene, output: Some(folder.to_owned()), view: None, volume_files: VolumeFiles::default() };
     let mut watch = Watch::new(minutes, plan.scene.run.policy);
-    let result = run_scene(&plan, &end, |snapshot| watch.look(snapshot)).map_err(failed)?;
+    let result = run_scene(&plan, &end, |snapshot| watch.observe(snapshot)).map_err(failed)?;
     let facts = result.facts(String::new());
     let report::Report { summary, missing } = report::write(folder, &facts)?;
     say!("scene {}, {minutes} minutes in real time, recorded; {}", plan.scene.name, facts.outcome);
@@ -131,9 +131,9 @@ impl Watch {
         Watch { minutes, policy, began: None, samples: 0, growth: Growth::default() }
     }
 
-    fn look(&mut self, snapshot: &RunSnapshot) {
+    fn observe(&mut self, snapshot: &RunSnapshot) {
         if self.began.is_none() {
-            if snapshot.status.is_none_or(|status| status.phase < PHASE_RUNNING) {
+            if snapshot.status.is_none_or(|status| status.phase().is_ok_and(|phase| phase < Phase::Running)) {
                 return;
             }
             // The parts have started. This thread only serves the display and must not compete with them.
@@ -150,7 +150,7 @@ impl Watch {
         }
         let mut own = Memory::default();
         own.measure("self");
-        self.growth.add("launcher", at, own.private);
+        self.growth.add(HubPart::Host.name(), at, own.private);
         if self.samples.is_multiple_of(SAMPLES_PER_LINE) {
             let done_min = at.as_secs_f64() / 60.0;
             let missed = snapshot.status.map_or(0, |status| status.missed_ticks);
@@ -216,11 +216,11 @@ fn print_run(result: &RunResult, summary: &Summary) {
 fn print_memory(growth: &Growth) -> Vec<String> {
     say!("\n{:<22} {:>12} {:>12} {:>12} {:>16}", "own memory", "start", "middle", "end", "growth a minute");
     let mut grown = Vec::new();
-    for (name, course) in growth.courses() {
-        let [start, middle, end] = course.bytes.map(|bytes| format!("{:.2} MiB", bytes as f64 / MEBIBYTE));
-        let rate = format!("{:.1} KiB", course.bytes_per_minute / 1024.0);
+    for (name, curve) in growth.curves() {
+        let [start, middle, end] = curve.bytes.map(|bytes| format!("{:.2} MiB", bytes as f64 / MEBIBYTE));
+        let rate = format!("{:.1} KiB", curve.bytes_per_minute / 1024.0);
         say!("{name:<22} {start:>12} {middle:>12} {end:>12} {rate:>16}");
-        if course.growth_bytes() > FLAT_BYTES {
+        if curve.growth_bytes() > FLAT_BYTES {
             grown.push(format!("the memory of `{name}` grows by {rate} a minute, from {start} to {end}"));
         }
     }

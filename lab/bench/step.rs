@@ -6,11 +6,11 @@ use std::time::Instant;
 use controllers::{Controller, built_in};
 use drr_proc::ThisMachine;
 use hub::in_process::{Answer, InProcess};
-use ipc_types::messages::{Latched, State, Volume as VolumeMessage};
+use ipc_types::messages::{Latched, Restores, State, Volume as VolumeMessage};
 use ipc_types::scene::{Drr, Mode, Notch, Scene, ToolRadii};
 use ipc_types::services::MAX_KEYFRAME_BYTES;
 use simulation::{CtView, Simulation, ct_geometry};
-use xray::frame::{Job, Rendered, render_job};
+use xray::frame::{Cache, Job, Rendered, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm};
 use xray::message::volume_view;
 use xray::{CArm, DrrRenderer, VolumeView};
@@ -98,10 +98,10 @@ impl Bench<'_> {
         for tick in 0..scene.tick_count() {
             if let Some(x_ray) = &mut self.x_ray {
                 let plant = self.run.plant();
-                x_ray.see(plant.state(), plant.removed(), scene, &mut controllers)?;
+                x_ray.exchange_frames(plant.state(), plant.removed(), scene, &mut controllers)?;
             }
             let latched = self.run.latch(|index, state, command| {
-                controllers[index].step(state, command);
+                controllers[index.slot()].step(state, command);
                 Answer::Command
             });
             let latched = latched.map_err(failed)?;
@@ -180,7 +180,7 @@ impl<'v> XRay<'v> {
     }
 
     /// Shows the newest frame to the controllers when it is due, and renders the frames due at this state.
-    fn see(
+    fn exchange_frames(
         &mut self,
         state: &State,
         removed: &[u32],
@@ -203,12 +203,12 @@ impl<'v> XRay<'v> {
         self.shown += 1;
         let job = Job {
             state: Box::new(*state),
-            restore_first: false,
+            restores: Restores::Nothing,
             removed: std::mem::take(&mut self.removed),
             sequence: self.shown,
             request_id: 0,
             c_arm,
-            aside: false,
+            cache: Cache::Follows,
             isocentre_m: [0.0; 3],
             notch: self.notch,
             noise_seed: self.noise_seed,

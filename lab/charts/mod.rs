@@ -1,6 +1,7 @@
 //! Charts: measured figures as SVG, PNG and CSV.
 
 pub mod drr;
+pub mod flexure;
 pub mod method;
 mod peers;
 pub mod physics;

@@ -1,4 +1,4 @@
-//! `trabecula bench`: what the hub costs on this machine.
+//! `trabecula bench`: measures the hub's overhead on this machine.
 
 use std::path::{Path, PathBuf};
 
@@ -13,16 +13,15 @@ use crate::bench::{
 use trabecula::commands::run::PolicyArgument;
 use trabecula::failure::Failure;
 use trabecula::scenes::{BuiltIn, SceneSource};
-
-/// A scene in real time, without and with something in turn.
+/// Real-time runs of a scene, alternating without and with the measured part.
 #[derive(Debug, Args)]
 pub struct InTurn {
-    /// Scene; without one, the femur inside the program.
+    /// Scene file; default: the built-in femur.
     scene: Option<PathBuf>,
-    /// Seconds of a run, 1 to 3600.
+    /// Length of each run in seconds, 1 to 3600.
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
-    /// Rounds, 1 to 1000.
+    /// Number of rounds, 1 to 1000.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
     rounds: u64,
 }
@@ -38,70 +37,70 @@ impl InTurn {
 /// What to measure.
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
-    /// The hub's own time of a lockstep tick over processes, beside a bare ping-pong.
+    /// Measure the hub's share of a lockstep tick across processes, next to a bare ping-pong.
     Overhead {
-        /// Scene; it runs in lockstep and is not recorded. Without one, the free space inside the program.
+        /// Scene file; runs in lockstep, unrecorded. Default: the built-in free-space scene.
         scene: Option<PathBuf>,
-        /// Ticks of a round, 100 to 1000000.
+        /// Ticks per round, 100 to 1000000.
         #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
         ticks: u64,
-        /// Rounds, 1 to 1000.
+        /// Number of rounds, 1 to 1000.
         #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
     },
-    /// Physics step and DRR in one process; then a recorded lockstep run: log size, and speed of its replay.
+    /// Time the physics step and the DRR in one process, then the log size and replay speed of a recorded lockstep run.
     Step {
-        /// Scene whose controllers are all built in; without one, the femur inside the program.
+        /// Scene file with built-in controllers only; default: the built-in femur.
         scene: Option<PathBuf>,
-        /// Ticks at most.
+        /// Maximum number of ticks.
         #[arg(long)]
         ticks: Option<u64>,
-        /// Instead of the log: instructions of a step, counted by valgrind (minutes).
+        /// Count the instructions of a step with valgrind instead (takes minutes).
         #[arg(long)]
         instructions: bool,
-        /// No log.
+        /// Skip the recorded run.
         #[arg(long)]
         in_process: bool,
-        /// Rounds in one process, 1 to 100: the least time of each tick is printed too.
+        /// Rounds in one process, 1 to 100; the minimum time of each tick is printed too.
         #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
         rounds: u64,
     },
-    /// Memory of each process with a large volume.
+    /// Measure the memory of each process with a large volume.
     Memory {
-        /// Scene; its volume is resampled to the dimensions. Without one, the femur inside the program.
+        /// Scene file; its volume is resampled to `--dimensions`. Default: the built-in femur.
         scene: Option<PathBuf>,
         /// Voxels along i, j, k.
         #[arg(long, default_value = "512x512x400", value_parser = memory::parse_dimensions)]
         dimensions: [usize; 3],
-        /// Ticks of the run.
+        /// Length of the run in ticks.
         #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(10..=100_000))]
         ticks: u64,
     },
-    /// X-ray line integrals: milliseconds, errors, updates after removals, beside the memory's streaming rate.
+    /// Measure X-ray projectors: time, error and updates after voxel removal, next to the memory bandwidth.
     Drr {
         /// Voxels along i, j, k.
         #[arg(long, default_value = "512x512x400", value_parser = memory::parse_dimensions)]
         dimensions: [usize; 3],
-        /// Rounds, 1 to 1000.
+        /// Number of rounds, 1 to 1000.
         #[arg(long, default_value_t = 9, value_parser = clap::value_parser!(u64).range(1..=1000))]
         rounds: u64,
     },
-    /// State to command and back by language and way of waiting, beside bare iceoryx2 and sockets.
+    /// Measure the state-to-command round trip by language and wait strategy, next to bare iceoryx2 and sockets.
     Latency {
-        /// Round trips of a turn, 10 to 1000000.
+        /// Round trips per turn, 10 to 1000000.
         #[arg(long, default_value_t = 3000, value_parser = clap::value_parser!(u64).range(10..=1_000_000))]
         rounds: u64,
-        /// Turns, 1 to 1000.
+        /// Number of turns, 1 to 1000.
         #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=1000))]
         turns: u64,
-        /// Python with NumPy.
+        /// Python interpreter that has NumPy.
         #[arg(long, default_value = "python3")]
         python: PathBuf,
     },
     /// The answering side of a latency measurement.
     #[command(hide = true)]
     Echo {
-        /// As whom.
+        /// The peer to play.
         #[arg(long, value_enum)]
         peer: latency::Peer,
         /// How both sides wait.
@@ -110,39 +109,39 @@ pub enum BenchCommand {
         /// Round trips.
         #[arg(long)]
         rounds: usize,
-        /// Of the other side's socket.
+        /// Address of the other side's socket.
         #[arg(long)]
         address: String,
     },
-    /// What the readings cost that say why a tick was late.
+    /// Measure the cost of the counters that explain late ticks.
     Readings {
-        /// Ticks, 100 to 1000000.
+        /// Number of ticks, 100 to 1000000.
         #[arg(long, default_value_t = 5000, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
         ticks: u64,
     },
-    /// What the recorder costs the physics: the scene in real time without and with it, in turn.
+    /// Measure how much the recorder slows the physics: real-time runs, alternating without and with it.
     Recorder(InTurn),
-    /// What the viewer costs the physics: the scene in real time without and with it, in turn.
+    /// Measure how much the viewer slows the physics: real-time runs, alternating without and with it.
     Viewer(InTurn),
-    /// What X-ray frames cost the physics: the scene in real time without and with them, in turn.
+    /// Measure how much X-ray frames slow the physics: real-time runs, alternating without and with them.
     Xray {
         #[command(flatten)]
         in_turn: InTurn,
-        /// Frames a second instead of the scene's, 1 to 200.
+        /// Frame rate, 1 to 200 Hz; overrides the scene.
         #[arg(long)]
         rate_hz: Option<f64>,
     },
-    /// A long run in real time with frames: misses by cause, memory of each process over time, log verified by replay.
+    /// Run in real time for long: missed ticks by cause, memory of each process over time, and a replay that verifies the log.
     Soak {
-        /// Scene; a feed is slowed so that it drills all the time. Without one, the femur inside the program.
+        /// Scene file; its feed is slowed so that it drills all the time. Default: the built-in femur.
         scene: Option<PathBuf>,
-        /// Minutes, up to 60.
+        /// Length in minutes, up to 60.
         #[arg(long, default_value_t = 10.0)]
         minutes: f64,
-        /// How the scheduler treats physics and controllers, instead of what the scene says.
+        /// Scheduling policy of physics and controllers; overrides the scene.
         #[arg(long, value_enum)]
         policy: Option<PolicyArgument>,
-        /// Folder that keeps the logs; without it they are removed.
+        /// Keep the logs in this folder; default: remove them.
         #[arg(long)]
         output: Option<PathBuf>,
     },

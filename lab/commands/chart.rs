@@ -4,63 +4,92 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::charts::{drr, physics, stability};
+use crate::charts::{drr, flexure, physics, stability};
 use trabecula::failure::Failure;
 
 /// What to measure.
 #[derive(Debug, Subcommand)]
 pub enum ChartCommand {
-    /// X-ray frames: error against milliseconds for every projector, three poses and three resolutions.
+    /// X-ray frames: error against time for every projector, at three poses and three resolutions.
     Drr(DrrChartArguments),
-    /// Physics: error against cost for every rung, integrator and baseline.
+    /// Physics: error against computing time for every model, integrator and baseline.
     Physics(PhysicsChartArguments),
-    /// Where each method converges, is wrong or blows up.
+    /// Physics: the stiffness of a flexure beside finite elements of the notched tube.
+    Flexure(FlexureChartArguments),
+    /// Physics: random scenes with a tolerance, planned and run; how many exceed it.
+    Promise(PromiseArguments),
+    /// Physics: the step sizes at which each method converges, is inaccurate or diverges.
     Stability(ChartArguments),
 }
-
-/// Where to, and how much.
+/// Arguments of `chart drr`.
 #[derive(Debug, Args)]
 pub struct DrrChartArguments {
-    /// Folder of the files.
+    /// Output folder.
     #[arg(long, default_value = "out/charts")]
     out: PathBuf,
-    /// An eighth of the resolution and a detector of 128 x 128, in seconds.
+    /// Finish in seconds: an eighth of the resolution, 128 x 128 pixels.
     #[arg(long)]
     quick: bool,
-    /// Other projectors on the same volume and poses, by the scripts of this folder: each makes its own Python environment.
+    /// Also run other projectors on the same volume and poses, with this folder's scripts; each creates its own Python environment.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "charts/peers")]
     peers: Option<PathBuf>,
-    /// Timed frames of each point, 1 to 100.
+    /// Timed frames per point, 1 to 100.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
-    /// Write the table from which `tolerance.drr_rel` chooses (`xray/src/rungs.csv`) instead of a chart.
+    /// Instead of a chart, write the table that `tolerance.drr_rel` chooses from (`xray/src/rungs.csv`).
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "peers"])]
     rungs: Option<PathBuf>,
 }
-
-/// Where to, and how much.
+/// Arguments of `chart stability`.
 #[derive(Debug, Args)]
 pub struct ChartArguments {
-    /// Folder of the files.
+    /// Output folder.
     #[arg(long, default_value = "out/charts")]
     out: PathBuf,
-    /// A few points only, in seconds.
+    /// Finish in seconds, with only a few points.
     #[arg(long)]
     quick: bool,
 }
-
-/// Where to, how much, and beside whom.
+/// Arguments of `chart physics`.
 #[derive(Debug, Args)]
 pub struct PhysicsChartArguments {
-    /// Where to, and how much.
+    /// Output folder and effort.
     #[command(flatten)]
     common: ChartArguments,
-    /// Other simulators on the same beam, by the scripts of this folder: each makes its own Python environment.
+    /// Also run other simulators on the same beam, with this folder's scripts; each creates its own Python environment.
     #[arg(long, value_name = "FOLDER", num_args = 0..=1, default_missing_value = "charts/peers/physics")]
     peers: Option<PathBuf>,
-    /// Only the settings that `trabecula plan` chooses from, and the drilled path.
+    /// Measure only the settings that `trabecula plan` chooses from, and the drilled path.
     #[arg(long, conflicts_with = "peers")]
     plan_only: bool,
+}
+
+/// Where to, and by what.
+#[derive(Debug, Args)]
+pub struct FlexureChartArguments {
+    /// Folder of the Python environment.
+    #[arg(long, default_value = "out/charts")]
+    out: PathBuf,
+    /// The folder of the script; it makes its own Python environment.
+    #[arg(long, value_name = "FOLDER", default_value = "charts/peers/flexure")]
+    peers: PathBuf,
+    /// Mesh size at the webs, 0.05 to 0.5 mm.
+    #[arg(long, default_value_t = 0.15)]
+    size_mm: f64,
+}
+
+/// How many scenes, and which.
+#[derive(Debug, Args)]
+pub struct PromiseArguments {
+    /// Scenes in free space, 0 to 10000.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(0..=10_000))]
+    free: u64,
+    /// Scenes in bone, 0 to 10000.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(0..=10_000))]
+    bone: u64,
+    /// Seed of the first scene; the others follow.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
+    seed: u64,
 }
 
 /// Runs the command.
@@ -84,6 +113,15 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
                 peers: arguments.peers.clone(),
                 settings_only: arguments.plan_only,
             })
+        }
+        ChartCommand::Flexure(arguments) => flexure::run(&arguments.out, &arguments.peers, arguments.size_mm),
+        ChartCommand::Promise(arguments) => {
+            let plan =
+                physics::promise::Plan { free: arguments.free, bone: arguments.bone, seed: arguments.seed };
+            match physics::promise::run(&plan)? {
+                0 => Ok(()),
+                exceeded => Err(Failure::failed(format!("{exceeded} scenes exceeded their tolerance"))),
+            }
         }
         ChartCommand::Stability(arguments) => stability::run(&arguments.out, arguments.quick),
     }

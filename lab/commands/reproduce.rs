@@ -6,17 +6,16 @@ use clap::Args;
 
 use crate::reproduce::{self, Plan};
 use trabecula::failure::Failure;
-
-/// Which part, where to, and how much.
+/// Arguments of `reproduce`.
 #[derive(Debug, Args)]
 pub struct ReproduceArguments {
-    /// One part: 1 tunnel, 2 skiving, 3 tip deviation, 4 bend against tension, 5 thrust.
+    /// Run one experiment: 1 tunnel, 2 skiving, 3 tip deviation, 4 bend against tension, 5 thrust.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=5))]
     only: Option<u8>,
-    /// Fewer cases, coarser voxels and faster feeds, in seconds.
+    /// Finish in seconds, with fewer cases, coarser voxels and faster feeds.
     #[arg(long)]
     quick: bool,
-    /// Folder of the files.
+    /// Output folder.
     #[arg(long, default_value = "out/reproduce")]
     out: PathBuf,
 }

@@ -1,4 +1,4 @@
-//! `trabecula stress SCENE`, and the neighbour processes that it starts.
+//! `trabecula stress SCENE`, and the competing processes that it starts.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -20,36 +20,36 @@ use trabecula::scenes::{BuiltIn, SceneSource};
 /// Arguments of `stress`.
 #[derive(Debug, Args)]
 pub struct StressArguments {
-    /// Scene file; it runs in real time. Without one, the femur inside the program.
+    /// Scene file, run in real time; default: the built-in femur.
     pub scene: Option<PathBuf>,
-    /// Numbers of cores that the whole hub and its neighbours may use.
+    /// Numbers of cores to test; the hub and the competing load share them.
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
     pub cores: Vec<usize>,
-    /// Neighbours: none, spin, memory, disk, fork; spin:2 is two of them.
+    /// Competing load: none, spin, memory, disk or fork; spin:2 starts two.
     #[arg(long, value_delimiter = ',', default_value = "none,spin:2")]
     pub load: Vec<Load>,
-    /// How the scheduler treats physics and controllers.
+    /// Scheduling policies of physics and controllers.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "other")]
     pub policy: Vec<PolicyArgument>,
     /// How physics and controllers wait.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "hybrid")]
     pub wait: Vec<WaitArgument>,
-    /// Seconds of each combination, 0.1 to 3600.
+    /// Seconds per combination, 0.1 to 3600.
     #[arg(long, default_value_t = 20.0)]
     pub seconds: f64,
-    /// Seed of the neighbours and of a subset.
+    /// Seed for the load and for `--subset`.
     #[arg(long, default_value_t = 7)]
     pub seed: u64,
-    /// Run only so many combinations, chosen so that they hold as many pairs of settings as they can.
+    /// Run only N combinations, chosen to cover as many pairs of settings as possible.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub subset: Option<u64>,
-    /// CPU quota of the hub with its neighbours in percent of one core, where a control group can be made.
+    /// CPU quota of hub and load together, in percent of one core; needs permission to create a control group.
     #[arg(long, value_name = "PERCENT", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub quota: Option<u64>,
-    /// An older test's stress.json: show what has changed.
+    /// Compare with an earlier test's stress.json.
     #[arg(long, value_name = "JSON")]
     pub compare: Option<PathBuf>,
-    /// Folder below which the test's folder is made.
+    /// Parent of the test's folder.
     #[arg(long, default_value = "out")]
     pub output: PathBuf,
     /// Keep the runs' folders.
@@ -98,7 +98,9 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
     let scene = source.load()?;
     let most = allowed().map_or(1, |cores| cores.len());
     if let Some(cores) = arguments.cores.iter().find(|cores| !(1..=most).contains(*cores)) {
-        return Err(Failure::bad_input(format!("--cores {cores}: this program may use 1 to {most}")));
+        return Err(Failure::bad_input(format!(
+            "--cores is {cores}, allowed on this machine is 1 to {most}"
+        )));
     }
     if !(0.1..=3600.0).contains(&arguments.seconds) {
         return Err(Failure::bad_input(format!(
@@ -110,7 +112,7 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
         scene.controller.iter().find(|controller| controller.external && !controller.optional)
     {
         return Err(Failure::bad_input(format!(
-            "controller `{}` is external: a stress test starts no program of yours; give it a `command` in the scene",
+            "controller `{}` is external, and a stress test has nobody to start it; give it a `command` in the scene",
             controller.name
         )));
     }
@@ -123,7 +125,7 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
     }
     let named = Scene { name: format!("stress-{}", scene.name), ..scene };
     let output = output_folder(&arguments.output, &named).map_err(|cause| {
-        Failure::bad_input(format!("--output {}: cannot be made ({cause})", arguments.output.display()))
+        Failure::bad_input(format!("--output {}: cannot be created ({cause})", arguments.output.display()))
     })?;
     Ok(StressPlan {
         scene: source,
@@ -137,11 +139,10 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
         compare,
     })
 }
-
-/// Arguments of a neighbour.
+/// Arguments of a competing load.
 #[derive(Debug, Args)]
 pub struct LoadArguments {
-    /// What it does.
+    /// Kind of load.
     #[arg(value_enum)]
     pub kind: LoadKindArgument,
     /// Seed.
@@ -154,13 +155,12 @@ pub struct LoadArguments {
     #[arg(long)]
     pub limit_s: u64,
 }
-
-/// What a neighbour does.
+/// Kinds of competing load.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum LoadKindArgument {
     /// Computes.
     Spin,
-    /// Goes over memory.
+    /// Streams through memory.
     Memory,
     /// Writes to the disk.
     Disk,

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::output::{Plan, Table};
 use super::rig::{Block, Trial};
 use super::{skiving, tunnel};
+use crate::random::uniform;
 use trabecula::failure::Failure;
 
 /// Number of perturbed parameter sets per experiment.
@@ -57,15 +58,6 @@ struct Job {
     what: &'static str,
     trial: Trial,
     factors: Factors,
-}
-
-/// SplitMix64 (Steele, Lea and Flood 2014); each call returns one number in [0, 1).
-fn uniform(state: &mut u64) -> f64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mut z = *state;
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
@@ -153,4 +145,26 @@ fn report(plan: &Plan, jobs: &[Job], ends: &[(Vector3<f64>, f64)]) -> Result<(),
         );
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+
+    /// Regression: `full` gave each flexure the axial stiffness of a tube as soft as its notches and ended 4 mm from the others.
+    #[test]
+    fn every_chain_ends_the_tunnel_of_10_newton_at_the_same_place() {
+        let experiment = Experiment::Tunnel;
+        let block = experiment.block(1.0, false);
+        let end = |rung| {
+            let outcome = Trial { rung, ..experiment.trial() }.play(&block, |_, _| {}).unwrap();
+            outcome.burr_m() * 1e3
+        };
+        let [planar, spatial, full] = ["planar", "spatial", "full"].map(end);
+        println!("mm: planar {planar:.3?}, spatial {spatial:.3?}, full {full:.3?}");
+        for (a, b) in [(planar, spatial), (spatial, full), (planar, full)] {
+            assert!((a - b).norm() < 0.2, "planar {planar}, spatial {spatial}, full {full}");
+        }
+    }
 }

@@ -3,7 +3,7 @@
 mod deviation;
 mod output;
 mod planar_burr;
-mod rig;
+pub mod rig;
 mod skiving;
 mod tension;
 mod thrust;

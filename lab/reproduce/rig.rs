@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use hub::in_process::{Answer, InProcess};
-use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, State, TENDON_SERVO_JF};
+use ipc_types::messages::{ArmMode, BurrMode, Command, State, TendonMode};
 use ipc_types::scene::Scene;
 use nalgebra::Vector3;
 use simulation::bone::{GridGeometry, MaterialLaw};
@@ -135,11 +135,11 @@ impl Trial {
         }
         let feeding = time_s >= RAMP_S;
         Some(Command {
-            tendon_mode: TENDON_SERVO_JF,
+            tendon_mode: TendonMode::ServoJf.code(),
             tendon_force_n: [self.tension_n * (time_s / RAMP_S).min(1.0), 0.0, 0.0, 0.0],
-            burr_mode: BURR_SPEED,
+            burr_mode: BurrMode::Speed.code(),
             burr_speed_rad_per_s: self.burr_rpm * core::f64::consts::TAU / 60.0,
-            arm_mode: if feeding { ARM_INSERT } else { ipc_types::messages::ARM_NONE },
+            arm_mode: if feeding { ArmMode::Insert } else { ArmMode::None }.code(),
             arm_axis: [0.0, 0.0, 1.0],
             arm_depth_m: self.insertion_mm * 1e-3,
             arm_speed_m_per_s: self.feed_mm_per_s * 1e-3,

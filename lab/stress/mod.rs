@@ -23,7 +23,7 @@ use load::Loads;
 use plan::{Combination, policy_name, wait_name};
 use report::{StressReport, Tested};
 use trabecula::failure::Failure;
-use trabecula::launcher::part::Part;
+use trabecula::launcher::part::{Part, ProgramOutput};
 use trabecula::launcher::volume_source::VolumeFiles;
 use trabecula::machine::Confinement;
 use trabecula::machine::Machine;
@@ -144,7 +144,7 @@ fn test(
         let seed = Rng::with_seed(plan.seed.wrapping_add(index as u64)).u64(..);
         let _loads = Loads::start(combination.load, seed, &plan.output, limit).map_err(io)?;
         let mut command = command(plan, combination, &logs).map_err(io)?;
-        let mut part = Part::start("run", &mut command, false).map_err(io)?;
+        let mut part = Part::start("run", &mut command, ProgramOutput::Hidden).map_err(io)?;
         let began = Instant::now();
         loop {
             if end.is_set() {

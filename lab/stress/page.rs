@@ -4,7 +4,7 @@ use std::path::Path;
 
 use run_log::Cause;
 
-use super::report::{COLUMNS, StressReport, Tested, causes, comparison, yes};
+use super::report::{COLUMNS, StressReport, Tested, causes, comparison, yes_or_no};
 use trabecula::machine::{Finding, Grade};
 use trabecula::report::axis::duration_label;
 
@@ -114,8 +114,8 @@ fn results(report: &StressReport) -> String {
             number(m.frames_per_s),
             m.frame_age_us.map_or("–".to_owned(), |q| duration_label(q.p50)),
             m.dropped.to_string(),
-            yes(m.log_complete).to_owned(),
-            yes(m.replays).to_owned(),
+            yes_or_no(m.log_complete).to_owned(),
+            yes_or_no(m.replays).to_owned(),
             format!("{stolen_percent:.2} %"),
             failure.clone().unwrap_or_else(|| causes(m)),
         ];

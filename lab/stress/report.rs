@@ -69,7 +69,7 @@ pub const COLUMNS: [Column; 5] = [
 
 /// How much of the lost time has an identified cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Explained {
+pub struct ExplainedShare {
     /// Share of the lost time with an identified cause.
     pub confirmed: f64,
     /// Time attributed to stealing.
@@ -78,9 +78,9 @@ pub struct Explained {
     pub counter_ms: f64,
 }
 
-impl fmt::Display for Explained {
+impl fmt::Display for ExplainedShare {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Explained { confirmed, stolen_ms, counter_ms } = self;
+        let ExplainedShare { confirmed, stolen_ms, counter_ms } = self;
         write!(
             out,
             "{:.1} % of the lost time has a cause that readings confirm; {stolen_ms:.1} ms of it were stolen, the machine's own \
@@ -140,8 +140,8 @@ impl StressReport {
                 or_empty(m.real_time_factor),
                 or_empty(m.frames_per_s),
                 m.dropped,
-                yes(m.log_complete),
-                yes(m.replays),
+                yes_or_no(m.log_complete),
+                yes_or_no(m.replays),
             );
             for (_, of) in COLUMNS {
                 let q = of(m);
@@ -161,7 +161,7 @@ impl StressReport {
     }
 
     /// Summary of the lost time over all combinations; none without lost time.
-    pub fn explained(&self) -> Option<Explained> {
+    pub fn explained(&self) -> Option<ExplainedShare> {
         let all = || self.tested.iter().map(|tested| &tested.measured.misses);
         let lost = |of: &dyn Fn(&str) -> bool| -> f64 {
             let parts = all().flat_map(|misses| &misses.lost_ms);
@@ -170,7 +170,11 @@ impl StressReport {
         let (total_ms, unknown_ms) = (lost(&|_| true), lost(&|name| name == Cause::Unknown.name()));
         let stolen_ms = lost(&|name| name == Cause::Stolen.name());
         let counter_ms: f64 = all().map(|misses| misses.steal_counter_ms).sum();
-        (total_ms > 0.0).then(|| Explained { confirmed: 1.0 - unknown_ms / total_ms, stolen_ms, counter_ms })
+        (total_ms > 0.0).then(|| ExplainedShare {
+            confirmed: 1.0 - unknown_ms / total_ms,
+            stolen_ms,
+            counter_ms,
+        })
     }
 
     /// The earlier test's result for a combination.
@@ -180,7 +184,7 @@ impl StressReport {
 }
 
 /// `yes` or `no`.
-pub fn yes(value: bool) -> &'static str {
+pub fn yes_or_no(value: bool) -> &'static str {
     if value { "yes" } else { "no" }
 }
 
@@ -222,7 +226,7 @@ pub fn table(report: &StressReport) -> String {
             number(m.real_time_factor),
             number(m.frames_per_s),
             m.dropped,
-            yes(m.replays),
+            yes_or_no(m.replays),
             failure.clone().unwrap_or_else(|| causes(m)),
         );
     }

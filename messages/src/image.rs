@@ -1,21 +1,16 @@
-use super::Pose;
+use super::{ControllerIndex, Pose};
 use crate::message;
 
-/// [`DrrRequest::use_geometry`]: the scene's C-arm.
-pub const GEOMETRY_SCENE: u32 = 0;
-/// [`DrrRequest::use_geometry`]: the C-arm in [`DrrRequest::geometry`].
-pub const GEOMETRY_REQUEST: u32 = 1;
-
 message! {
-    /// A C-arm: source point, flat detector, pixel grid. Pixel (0, 0) is top left, as on the screen.
+    /// A C-arm: point source, flat detector, pixel grid. Pixel (0, 0) is at the top left, as on a screen.
     pub struct CArmGeometry = "trabecula_msgs/msg/CArmGeometry" {
-        /// Focal spot, world.
+        /// Focal spot, world frame.
         source_m: [f64; 3],
-        /// Centre of the detector, world.
+        /// Centre of the detector, world frame.
         detector_centre_m: [f64; 3],
-        /// Unit vector along a row, towards growing column numbers, world.
+        /// Unit vector along a row, towards increasing column numbers, world frame.
         row_axis: [f64; 3],
-        /// Unit vector along a column, towards growing row numbers (down in the picture), world.
+        /// Unit vector along a column, towards increasing row numbers (down in the image), world frame.
         column_axis: [f64; 3],
         /// Distance between pixel centres along a row and along a column.
         pixel_pitch_m: [f64; 2],
@@ -27,34 +22,34 @@ message! {
 }
 
 message! {
-    /// The same C-arm as others write it. Camera: s (u, v, 1) = K (R x + t), z towards the detector, pixel centres at
-    /// whole numbers (OpenCV); fx is negative where the picture is seen from the detector's side.
+    /// The same C-arm as a camera and as DICOM positioner angles. Camera: s (u, v, 1) = K (R x + t), z towards the
+    /// detector, pixel centres at integers (OpenCV); fx is negative if the image is seen from the detector's side.
     pub struct CArmProjection = "trabecula_msgs/msg/CArmProjection" {
-        /// K in pixels, row by row.
+        /// K in pixels, row-major.
         intrinsics: [f64; 9],
-        /// R, row by row: rows are the camera's axes in the world.
+        /// R, row-major: the rows are the camera's axes in the world frame.
         rotation: [f64; 9],
-        /// t: the world's origin in the camera.
+        /// t: the world origin in the camera frame.
         translation_m: [f64; 3],
-        /// DICOM (0018,1510): 0 is detector in front of the chest, positive towards the patient's left.
+        /// DICOM (0018,1510): at 0 the detector is in front of the chest; positive towards the patient's left.
         primary_angle_rad: f64,
         /// DICOM (0018,1511): positive is cranial.
         secondary_angle_rad: f64,
-        /// DICOM (0018,1110): source to detector, along its normal.
+        /// DICOM (0018,1110): distance from source to detector, along the detector's normal.
         source_detector_m: f64,
-        /// DICOM (0018,1111): source to the scene's isocentre, along the detector's normal.
+        /// DICOM (0018,1111): distance from source to the scene's isocentre, along the detector's normal.
         source_isocentre_m: f64,
     }
 }
 
 message! {
-    /// Asks for a frame.
+    /// Requests a frame.
     pub struct DrrRequest = "trabecula_msgs/msg/DrrRequest" {
-        /// Chosen by the asker, from 1; comes back in the reply and the frame.
+        /// Chosen by the sender, from 1, and returned in the reply and the frame.
         request_id: u64,
-        /// First tick whose state may be shown; 0 takes the newest.
+        /// Earliest tick that the frame may show; 0 selects the newest.
         tick: u64,
-        /// Index of the asking controller in the scene.
+        /// Index of the requesting controller in the scene.
         requester: u32,
         /// 0 the scene's C-arm, 1 `geometry`.
         use_geometry: u32,
@@ -63,25 +58,25 @@ message! {
     }
 }
 
-/// [`DrrReply::status`]: the frame follows.
-pub const DRR_ACCEPTED: u32 = 0;
-/// [`DrrReply::status`]: the geometry is not one; nothing follows.
-pub const DRR_REFUSED: u32 = 1;
-/// [`DrrReply::status`]: too many requests wait; nothing follows.
-pub const DRR_BUSY: u32 = 2;
+impl DrrRequest {
+    /// [`DrrRequest::requester`] of this sender: a controller, or any other program.
+    pub fn requester_of(sender: Option<ControllerIndex>) -> u32 {
+        sender.map_or(u32::MAX, |controller| controller.0)
+    }
+}
 
 message! {
-    /// Says which tick a frame will show, before it is rendered. One for every frame, asked for or scheduled.
+    /// Announces which tick a frame will show, before it is rendered. Sent for every frame, requested or scheduled.
     pub struct DrrReply = "trabecula_msgs/msg/DrrReply" {
         /// The request's id; 0 for a scheduled frame.
         request_id: u64,
         /// `Frame.sequence` of the frame that follows.
         frame_sequence: u64,
-        /// Tick that it shows.
+        /// Tick that the frame shows.
         tick: u64,
         /// 0 accepted, 1 refused, 2 busy.
         status: u32,
-        /// Index of the controller that asked.
+        /// Index of the requesting controller.
         requester: u32,
         /// C-arm of the frame.
         geometry: CArmGeometry,
@@ -89,15 +84,15 @@ message! {
 }
 
 message! {
-    /// What a frame shows; on the wire an [`ImagePrefix`] and the pixels follow.
+    /// A frame's geometry and content; on the wire, an [`ImagePrefix`] and the pixels follow.
     pub struct Frame = "trabecula_msgs/msg/Frame" {
-        /// Counts the frames, from 1, rising by one.
+        /// Sequence number of the frames: 1, 2, 3 and so on.
         sequence: u64,
         /// The request's id; 0 for a scheduled frame.
         request_id: u64,
-        /// Tick whose state it shows.
+        /// Tick whose state the frame shows.
         tick: u64,
-        /// Voxels gone in it.
+        /// Number of drilled voxels missing in the frame.
         removed_total: u64,
         /// Simulated time of that tick.
         sim_time_s: f64,
@@ -105,24 +100,24 @@ message! {
         pixel_hash: [u64; 2],
         /// Seed of the quantum noise.
         noise_seed: u64,
-        /// Burr centre in this state, axes of the last link.
+        /// Pose of the burr in this state: burr centre, axes of the last link.
         t_world_burr: Pose,
         /// C-arm of the frame.
         geometry: CArmGeometry,
-        /// The same C-arm as camera and as positioner.
+        /// The same C-arm as a camera and as positioner angles.
         projection: CArmProjection,
     }
 }
 
 message! {
-    /// The fixed part of a sensor_msgs/msg/Image whose frame is `c_arm_0` and whose encoding is `mono16`: the bytes
-    /// from here on are that message's CDR body.
+    /// The fixed part of a sensor_msgs/msg/Image with frame `c_arm_0` and encoding `mono16`. From here on, the bytes are
+    /// that message's CDR body.
     pub struct ImagePrefix = "trabecula_msgs/msg/ImagePrefix" {
-        /// Seconds of the simulated time.
+        /// Simulated time, seconds part.
         stamp_sec: i32,
-        /// Nanoseconds of the simulated time.
+        /// Simulated time, nanoseconds part.
         stamp_nanosec: u32,
-        /// 8: length of the frame name with its NUL.
+        /// 8: length of the frame name including its NUL.
         frame_id_length: u32,
         /// `c_arm_0` and a NUL.
         frame_id: [u8; 8],
@@ -130,21 +125,21 @@ message! {
         height: u32,
         /// Pixel columns.
         width: u32,
-        /// 7: length of the encoding with its NUL.
+        /// 7: length of the encoding including its NUL.
         encoding_length: u32,
         /// `mono16` and a NUL.
         encoding: [u8; 7],
         /// 0: little-endian.
         is_bigendian: u8,
-        /// Bytes of a row.
+        /// Bytes per row.
         step: u32,
-        /// Bytes of all pixels.
+        /// Total bytes of pixels.
         data_length: u32,
     }
     tail data: [u8] = "uint8"
 }
 
-/// `ros2msg` schema of sensor_msgs/msg/Image, whose layout [`ImagePrefix`] has.
+/// `ros2msg` schema of sensor_msgs/msg/Image; [`ImagePrefix`] has its layout.
 pub const SENSOR_MSGS_IMAGE_SCHEMA: &str = "\
 std_msgs/Header header
 uint32 height

@@ -1,7 +1,8 @@
 //! The messages: every exchange between the hub's processes, and which service carries it.
 //!
 //! SI units and `f64`; the unit ends the field's name. The world is the patient frame (LPS, metres); `t_parent_child`
-//! is the pose of the child frame in the parent frame. Codes of `uint32` fields are constants beside their message.
+//! is the pose of the child frame in the parent frame. Codes of `uint32` fields are enums, converted where a message is
+//! taken off its port (`codes.rs`).
 //!
 //! One declaration with [`message!`] yields the struct, its `ros2msg` schema, its field table and its layout hash. The message reference,
 //! the C header and the Python declarations are generated from it, too.
@@ -14,11 +15,11 @@
 //!
 //! ```
 //! use messages::layout::Message;
-//! use messages::{Command, TENDON_SERVO_JF};
+//! use messages::{Command, TendonMode};
 //! use zerocopy::{FromBytes, IntoBytes};
 //!
 //! let mut command = Command::zeroed();
-//! command.tendon_mode = TENDON_SERVO_JF;
+//! command.tendon_mode = TendonMode::ServoJf.code();
 //! command.tendon_force_n[0] = 5.0;
 //! let bytes = command.as_bytes();
 //! assert_eq!(Command::read_from_bytes(bytes).unwrap().tendon_force_n[0], 5.0);
@@ -32,25 +33,31 @@
 //! | [`services`] | names, writers, queues and lanes |
 //! | [`part`], [`plant`] | the parts of a session; what a tick steps |
 
+mod codes;
 mod command;
 mod geometry;
 mod hub;
 mod image;
+mod index;
 mod keyframe;
 pub mod layout;
 pub mod part;
+mod participant;
 pub mod plant;
 pub mod services;
 mod state;
 mod timing;
 mod volume;
 
+pub use codes::*;
 pub use command::*;
 pub use geometry::*;
 pub use hub::*;
 pub use image::*;
+pub use index::{ControllerIndex, Tick};
 pub use keyframe::*;
 pub use part::Part;
+pub use participant::*;
 pub use plant::{Plant, Refusal};
 pub use state::*;
 pub use timing::*;
@@ -58,17 +65,17 @@ pub use volume::*;
 
 use crate::layout::{Description, Message};
 
-/// Most flexures (and so links) that a `State` carries.
+/// Maximum number of flexures, and so of links, in a `State`.
 pub const MAX_JOINTS: usize = 32;
-/// Most contacts that a `State` lists; `contact_total` counts all of them.
+/// Maximum number of contacts listed in a `State`; `contact_total` counts all of them.
 pub const MAX_CONTACTS: usize = 40;
-/// Most rigid bodies of a scene.
+/// Maximum number of rigid bodies in a scene.
 pub const MAX_BODIES: usize = 4;
-/// Most tendons of a manipulator.
+/// Maximum number of tendons of a manipulator.
 pub const MAX_TENDONS: usize = 4;
 /// Joints of the arm.
 pub const ARM_JOINTS: usize = 6;
-/// Most controllers of one session.
+/// Maximum number of controllers in a session.
 pub const MAX_CONTROLLERS: usize = 4;
 
 /// Every message that travels on a service, in the order of the message reference.

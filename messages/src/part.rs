@@ -2,24 +2,37 @@
 
 use std::fmt::{self, Display, Formatter};
 
-/// The parts of a session, besides its controllers and clients. Each is exactly one program.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// The parts of a session, besides its controllers and clients. Each is exactly one program. The numbers are those of
+/// [`Event::sender`](crate::Event::sender).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u32)]
 pub enum Part {
     /// The launcher, or another program that created the session.
-    Host,
+    Host = 0,
     /// The physics process.
-    Physics,
+    Physics = 1,
     /// The DRR process.
-    Drr,
+    Drr = 2,
     /// The recorder process.
-    Recorder,
+    Recorder = 3,
 }
 
 impl Part {
     /// All of them.
     pub const ALL: [Part; 4] = [Part::Host, Part::Physics, Part::Drr, Part::Recorder];
+
+    /// Its name, which no controller may have: of its program, in summaries, and in the reason why a run ended.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Part::Host => "launcher",
+            Part::Physics => "physics",
+            Part::Drr => "drr",
+            Part::Recorder => "recorder",
+        }
+    }
 }
 
+/// Its role, for the middle of a sentence.
 impl Display for Part {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

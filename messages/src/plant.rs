@@ -1,6 +1,6 @@
 //! The controlled system: a world that latched commands step from one state to the next.
 
-use crate::{Latched, State};
+use crate::{ControllerIndex, Latched, State};
 
 /// x_{k+1} = step(x_k, u_k) and nothing else: no clock, no randomness, no I/O.
 ///
@@ -44,8 +44,8 @@ pub trait Plant {
 /// other parts take effect. Or an arm motion that was accepted but given up later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refusal {
-    /// Index of the controller in the scene.
-    pub controller_index: u32,
+    /// The controller that sent it.
+    pub controller: ControllerIndex,
     /// Sequence number of the command.
     pub sequence: u64,
     /// Reason.

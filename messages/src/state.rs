@@ -1,44 +1,28 @@
 use super::{ARM_JOINTS, MAX_BODIES, MAX_CONTACTS, MAX_CONTROLLERS, MAX_JOINTS, MAX_TENDONS, Pose, Wrench};
 use crate::message;
 
-/// [`Contact::part`]: a sphere of the rigid shaft.
-pub const PART_SHAFT: u32 = 0;
-/// [`Contact::part`]: a segment sphere.
-pub const PART_SEGMENT: u32 = 1;
-/// [`Contact::part`]: the burr.
-pub const PART_BURR: u32 = 2;
-
 message! {
     /// One contact of a proxy sphere of the tool.
     pub struct Contact = "trabecula_msgs/msg/Contact" {
-        /// Index of the proxy sphere, shaft first, burr last.
+        /// Index of the proxy sphere; the shaft's come first, the burr is last.
         sphere_index: u32,
         /// Part of the tool: 0 shaft, 1 segment, 2 burr.
         part: u32,
-        /// Point on the obstacle's surface, world.
+        /// Contact point on the obstacle's surface, world frame.
         point_m: [f64; 3],
-        /// Unit normal from the obstacle to the sphere, world.
+        /// Unit normal from the obstacle to the sphere, world frame.
         normal: [f64; 3],
-        /// Signed distance of the sphere from the surface; negative is overlap.
+        /// Signed distance between sphere and surface; negative means overlap.
         gap_m: f64,
         /// Normal force on the tool, never negative.
         normal_force_n: f64,
-        /// Friction force on the tool, world.
+        /// Friction force on the tool, world frame.
         friction_force_n: [f64; 3],
     }
 }
 
-/// [`AppliedCommand::source`] and [`LatchedCommand::source`](super::LatchedCommand::source): nothing arrived yet; nothing is driven.
-pub const SOURCE_NONE: u32 = 0;
-/// A command that arrived for this tick.
-pub const SOURCE_FRESH: u32 = 1;
-/// The newest earlier command, held.
-pub const SOURCE_HELD: u32 = 2;
-/// The scene's safe command: burr off, tension held, arm held.
-pub const SOURCE_SAFE: u32 = 3;
-
 message! {
-    /// Which command of a controller the tick that led to this state applied.
+    /// Which command of a controller was applied in the tick that led to this state.
     pub struct AppliedCommand = "trabecula_msgs/msg/AppliedCommand" {
         /// Sequence number of the command; 0 if none.
         sequence: u64,
@@ -51,17 +35,10 @@ message! {
     }
 }
 
-/// [`State::arm_status`]: on its way.
-pub const ARM_MOVING: u32 = 0;
-/// At its goal and at rest.
-pub const ARM_DONE: u32 = 1;
-/// It gave its motion up and stopped, or stopped a joint at the end of its range; an event said why.
-pub const ARM_FAULT: u32 = 2;
-
 message! {
-    /// The whole simulated state after a tick. Published once a tick; `tick` 0 is the initial state.
+    /// The full simulated state after a tick. Published once per tick; `tick` 0 is the initial state.
     pub struct State = "trabecula_msgs/msg/State" {
-        /// Number of ticks made since the run began; a reset does not set it back.
+        /// Number of ticks since the start of the run; a reset does not change it.
         tick: u64,
         /// Simulated time.
         sim_time_s: f64,
@@ -71,64 +48,64 @@ message! {
         removed_total: u64,
         /// Voxels removed in this tick.
         removed_in_tick: u32,
-        /// Number of flexures that are in use in the arrays below.
+        /// Number of flexures; the arrays below use as many entries.
         joint_count: u32,
-        /// Number of tendons in use.
+        /// Number of tendons.
         tendon_count: u32,
-        /// Number of entries of `contacts` in use.
+        /// Number of used entries of `contacts`.
         contact_count: u32,
         /// Number of contacts and near contacts in this tick; `contacts` lists those that carry force.
         contact_total: u32,
-        /// Number of entries of `applied` in use.
+        /// Number of used entries of `applied`.
         controller_count: u32,
-        /// Number of entries of `t_world_body` in use.
+        /// Number of used entries of `t_world_body`.
         body_count: u32,
-        /// Zero.
+        /// Always 0.
         reserved_bodies: u32,
-        /// What the arm follows: the values of the command's `arm_mode`, 5 while it stops or stands.
+        /// The arm's current mode, coded as the command's `arm_mode`; 5 while it stops or is at rest.
         arm_mode: u32,
-        /// 0 moving, 1 at its goal and at rest, 2 gave its motion up or stopped a joint at the end of its range.
+        /// 0 moving, 1 at its goal and at rest, 2 motion aborted or a joint stopped at the end of its range.
         arm_status: u32,
         /// Flexure angles from base to tip, positive toward tendon 0.
         joint_position_rad: [f64; MAX_JOINTS],
-        /// Flexure rates.
+        /// Flexure angle rates.
         joint_velocity_rad_per_s: [f64; MAX_JOINTS],
-        /// Sum of the flexure angles: the bend of the tip against the base.
+        /// Sum of the flexure angles: the bend of the tip relative to the base.
         bend_rad: f64,
         /// Angular speed of the burr.
         burr_speed_rad_per_s: f64,
-        /// Normal force with which the burr presses on bone.
+        /// Normal force between burr and bone.
         burr_force_n: f64,
-        /// Energy that the burr has put into cutting since the start.
+        /// Energy spent on cutting since the start.
         cutting_energy_j: f64,
         /// Tension at the proximal end of each tendon.
         tendon_tension_n: [f64; MAX_TENDONS],
-        /// Pull of each tendon from its straight, unloaded length; positive is pulled.
+        /// Displacement of each tendon from its straight, unloaded length; positive when pulled.
         tendon_displacement_m: [f64; MAX_TENDONS],
-        /// Tool base (start of the rigid shaft), the mount's deflection included; +z along the straight tool, +x toward
-        /// tendon 0.
+        /// Pose of the tool base (start of the rigid shaft), including the mount's deflection; +z along the straight tool,
+        /// +x toward tendon 0.
         t_world_base: Pose,
-        /// Front of the burr: its centre plus its radius along the last link's +z.
+        /// Pose of the tip, the front of the burr: its centre plus its radius along the last link's +z.
         t_world_tip: Pose,
-        /// Burr centre, axes of the last link.
+        /// Pose of the burr: its centre, axes of the last link.
         t_world_burr: Pose,
-        /// Pose of each link behind its flexure, base to tip.
+        /// Pose of each link just after its flexure, base to tip.
         t_world_link: [Pose; MAX_JOINTS],
         /// Arm joint angles, base to wrist.
         arm_joint_position_rad: [f64; ARM_JOINTS],
-        /// Arm joint rates.
+        /// Arm joint velocities.
         arm_joint_velocity_rad_per_s: [f64; ARM_JOINTS],
-        /// Elastic deflection of the arm's joints, part of `arm_joint_position_rad`; 0 without joint compliance.
+        /// Elastic deflection of the arm's joints, included in `arm_joint_position_rad`; 0 without joint compliance.
         arm_joint_deflection_rad: [f64; ARM_JOINTS],
-        /// Distance from singularity: Yoshikawa's manipulability |det J| in m³; the UR5's is mostly 0.05 to 0.1.
+        /// Distance from singularity: Yoshikawa's manipulability |det J| in m³; for the UR5 mostly 0.05 to 0.1.
         arm_manipulability_m3: f64,
         /// Pose of the arm's flange.
         t_world_flange: Pose,
-        /// Wrench of the tool on the flange, about the tool base, world axes.
+        /// Wrench that the tool exerts on the flange, about the tool base, world axes.
         flange_wrench: Wrench,
-        /// Pose of each rigid body of the scene, in its order.
+        /// Pose of each rigid body, in the scene's order.
         t_world_body: [Pose; MAX_BODIES],
-        /// Contacts that carry force, in the order of the spheres.
+        /// Contacts that carry force, in the order of their spheres.
         contacts: [Contact; MAX_CONTACTS],
         /// The command of each controller that this tick applied.
         applied: [AppliedCommand; MAX_CONTROLLERS],

@@ -3,33 +3,60 @@ use voxel_grid::{GridError, VoxelGrid};
 use crate::message;
 
 message! {
-    /// Voxels that are gone from this tick on, published before the state of the tick, and only for ticks that removed
-    /// some. Messages of tick 0 hold the holes that the scene predrills, which `removed_total` does not count.
+    /// Voxels that are removed from this tick on. Published before the tick's state, and only for ticks that remove
+    /// voxels. Messages of tick 0 hold the scene's predrilled holes, which `removed_total` does not count.
     pub struct Removed = "trabecula_msgs/msg/Removed" {
-        /// `State.tick` of the state in which they are gone.
+        /// `State.tick` of the first state without them.
         tick: u64,
-        /// Counts these messages, from 1, rising by one.
+        /// Sequence number of these messages: 1, 2, 3 and so on.
         sequence: u64,
-        /// Voxels drilled since the start or the last reset, these included.
+        /// Voxels drilled since the start or the last reset, including these.
         removed_total: u64,
-        /// 1 if all drilled voxels, not the predrilled ones, are put back before these are removed (a reset).
+        /// 1 after a reset: first restore all drilled voxels (not the predrilled ones), then remove these.
         restore_first: u32,
-        /// Number of entries of `voxel_index`.
+        /// Number of entries in `voxel_index`.
         voxel_index_length: u32,
     }
     tail voxel_index: [u32] = "uint32"
 }
 
+/// What a tick put back before it removed voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Restores {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// All drilled voxels, as a reset does; the predrilled ones stay gone.
+    Drilled,
+}
+
+impl Restores {
+    /// [`Removed::restore_first`] of it.
+    pub const fn code(self) -> u32 {
+        match self {
+            Restores::Nothing => 0,
+            Restores::Drilled => 1,
+        }
+    }
+}
+
+impl Removed {
+    /// What was put back first.
+    pub fn restores(&self) -> Restores {
+        if self.restore_first != 0 { Restores::Drilled } else { Restores::Nothing }
+    }
+}
+
 message! {
-    /// The CT volume: geometry, then Hounsfield units, x fastest. Published once; late joiners receive it.
+    /// The CT volume: geometry, then Hounsfield units with x varying fastest. Published once; late joiners receive it.
     pub struct Volume = "trabecula_msgs/msg/Volume" {
         /// SHA-256 of geometry and voxels.
         sha256: [u8; 32],
-        /// World position of the centre of voxel (0, 0, 0).
+        /// Position of the centre of voxel (0, 0, 0), world frame.
         origin_m: [f64; 3],
         /// Distance between voxel centres along i, j, k.
         spacing_m: [f64; 3],
-        /// Unit axes of i, j, k in the world, one after the other.
+        /// Unit vectors along i, j, k in the world frame, one after the other.
         direction: [f64; 9],
         /// Number of voxels along i, j, k.
         dimensions: [u32; 3],
@@ -40,10 +67,10 @@ message! {
 }
 
 impl Volume {
-    /// Where its voxels lie.
+    /// The grid of its voxels.
     ///
     /// # Errors
-    /// The message holds no grid.
+    /// The geometry is not a valid grid.
     pub fn grid(&self) -> Result<VoxelGrid, GridError> {
         let [a, b, c, d, e, f, g, h, i] = self.direction;
         let dims = self.dimensions.map(|n| n as usize);

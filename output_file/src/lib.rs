@@ -37,13 +37,13 @@ pub const DRAFT_PREFIX: &str = ".trabecula-unfinished-";
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
     /// The name is taken.
-    #[error("{}: is there already; name a file that is not", path.display())]
+    #[error("{}: already exists; choose another name", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
     },
     /// The file cannot be created in its folder.
-    #[error("{}: cannot be made ({source}); choose a writable folder", path.display())]
+    #[error("{}: cannot be created ({source}); choose a writable folder", path.display())]
     Create {
         /// The file.
         path: PathBuf,
@@ -351,7 +351,7 @@ mod tests {
     fn a_reason_names_the_file_and_not_its_draft() {
         let error = write(Path::new("/proc/self/x"), "").unwrap_err().to_string();
         assert!(
-            error.starts_with("/proc/self/x: cannot be made (") && !error.contains(DRAFT_PREFIX),
+            error.starts_with("/proc/self/x: cannot be created (") && !error.contains(DRAFT_PREFIX),
             "{error}"
         );
     }

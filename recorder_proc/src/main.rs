@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use ipc_types::process::end_with_parent;
+use ipc_types::session::HalfMadeSweeper;
 
 /// Records a running session.
 #[derive(Debug, Parser)]
@@ -21,6 +22,7 @@ struct Arguments {
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     end_with_parent();
+    let _sweeper = HalfMadeSweeper::after_host(&arguments.session);
     match recorder_proc::process::run(&arguments.session, &arguments.output) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

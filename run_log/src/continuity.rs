@@ -71,13 +71,36 @@ struct Numbered {
     last_tick: u64,
 }
 
+/// Messages that are missing, and where.
+#[derive(Debug, Clone, Copy)]
+struct Missing {
+    first_tick: u64,
+    last_tick: u64,
+    count: u64,
+    place: Place,
+}
+
+/// How well it is known which ticks a loss affects.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    /// The first and last ticks are those affected.
+    Exact,
+    /// It lies somewhere between these ticks.
+    Between,
+}
+
 impl Numbered {
-    /// The range of ticks in which messages before this one are missing, and how many.
-    fn see(&mut self, number: u64, tick: u64) -> Option<(u64, u64, u64)> {
+    /// What is missing before this message.
+    fn see(&mut self, number: u64, tick: u64) -> Option<Missing> {
         let expected = self.last.saturating_add(1);
         let first = self.last_tick.saturating_add(u64::from(self.last > 0));
         (self.last, self.last_tick) = (number, tick);
-        (number != expected).then(|| (first.min(tick), tick, number.saturating_sub(expected).max(1)))
+        (number != expected).then(|| Missing {
+            first_tick: first.min(tick),
+            last_tick: tick,
+            count: number.saturating_sub(expected).max(1),
+            place: Place::Between,
+        })
     }
 }
 
@@ -158,29 +181,32 @@ impl Continuity {
 
     /// A message of a topic that has exactly one message per tick.
     fn ticks(&mut self, topic: &'static str, expected: u64, found: u64) {
-        match found.checked_sub(expected) {
-            Some(0) => {}
-            Some(missing) => self.note(topic, (expected, found - 1, missing), true),
+        let place = Place::Exact;
+        let missing = match found.checked_sub(expected) {
+            Some(0) => return,
+            Some(count) => Missing { first_tick: expected, last_tick: found - 1, count, place },
             // The number went backwards.
-            None => self.note(topic, (found, found, 1), true),
-        }
+            None => Missing { first_tick: found, last_tick: found, count: 1, place },
+        };
+        self.note(topic, missing);
     }
 
-    fn numbered(&mut self, topic: &'static str, missing: Option<(u64, u64, u64)>) {
+    fn numbered(&mut self, topic: &'static str, missing: Option<Missing>) {
         if let Some(missing) = missing {
-            self.note(topic, missing, false);
+            self.note(topic, missing);
         }
     }
 
-    /// Records a loss between two ticks; if `exact`, those two ticks are the first and last affected.
-    fn note(&mut self, topic: &'static str, (first, last, count): (u64, u64, u64), exact: bool) {
+    /// Records a loss.
+    fn note(&mut self, topic: &'static str, missing: Missing) {
+        let Missing { first_tick: first, last_tick: last, count, place } = missing;
         let total = self.lost.entry(topic).or_default();
         *total = total.saturating_add(count);
         let touches = |s: &&mut Stretch| {
             first <= s.last_tick.saturating_add(1) && s.first_tick <= last.saturating_add(1)
         };
         if let Some(stretch) = self.stretches.iter_mut().rev().find(touches) {
-            if exact {
+            if place == Place::Exact {
                 stretch.first_tick = stretch.first_tick.min(first);
                 stretch.last_tick = stretch.last_tick.max(last);
             }

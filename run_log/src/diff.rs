@@ -161,14 +161,14 @@ fn compare_ticks(
                 };
                 let (long, short, ending) =
                     (long.path().display(), short.path().display(), ending.describe());
-                out.remarks.push(format!("{long} goes on, {short} ends: {ending}"));
+                out.remarks.push(format!("{short} ends first, {long} continues: {ending}"));
                 break;
             }
         }
         (x, y) = (next_tick(&mut a)?, next_tick(&mut b)?);
     }
     for (path, count) in [first, second].into_iter().zip(alone).filter(|(_, count)| *count > 0) {
-        out.remarks.push(format!("{count} ticks are in {} alone", path.path().display()));
+        out.remarks.push(format!("{count} ticks are only in {}", path.path().display()));
     }
     // The verdict covers the whole log, so read both to the end even if they differ earlier.
     for reader in [&mut a, &mut b] {

@@ -71,7 +71,7 @@ pub enum LogError {
         found: String,
     },
     /// The file ends before its header, or another program wrote it.
-    #[error("{}: no header of this hub before byte {offset}: cut too early or not a log of this hub", path.display())]
+    #[error("{}: no Trabecula header before byte {offset}: the file is cut too early or is not a Trabecula log", path.display())]
     NoHeader {
         /// The file.
         path: PathBuf,
@@ -79,7 +79,7 @@ pub enum LogError {
         offset: u64,
     },
     /// The file holds several runs.
-    #[error("{}: holds {} runs; `trabecula log split` makes a log of each", path.display(), foreign(.runs))]
+    #[error("{}: holds {} runs; `trabecula log split` writes one log per run", path.display(), foreign(.runs))]
     SeveralRuns {
         /// The file.
         path: PathBuf,
@@ -87,7 +87,7 @@ pub enum LogError {
         runs: String,
     },
     /// The output file already exists.
-    #[error("{}: is there already; name a file that is not", path.display())]
+    #[error("{}: already exists; choose another name", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
@@ -136,7 +136,7 @@ pub enum LogError {
     },
     /// The log holds more of something than a reader keeps in memory.
     #[error(
-        "{}: {found} {what}, at most {most} are kept: no log of this hub has so many",
+        "{}: {found} {what}, at most {most} are allowed: no Trabecula log has so many",
         path.display()
     )]
     TooMuch {
@@ -179,7 +179,7 @@ pub enum LogError {
     },
     /// A whole log without states: there is nothing to replay.
     #[error(
-        "{}: a whole log, but without states: it is not a run's `run.mcap`, or the run ended before its first state",
+        "{}: complete, but without states: not a run's `run.mcap`, or the run ended before its first state",
         path.display()
     )]
     NoStates {

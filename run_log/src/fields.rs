@@ -150,9 +150,9 @@ pub fn find(description: &'static Description, path: &str) -> Result<Place, Stri
             size: field.size,
         };
         if let Some(index) = index {
-            let length = field.array_length.ok_or_else(|| format!("'{name}' is no array"))?;
+            let length = field.array_length.ok_or_else(|| format!("'{name}' is not an array"))?;
             if index >= length {
-                return Err(format!("'{name}' has {length} elements, index {index} is beyond"));
+                return Err(format!("'{name}' has {length} elements, index {index} is out of range"));
             }
             place.offset += index * element_size(field);
             place.array_length = None;
@@ -163,7 +163,7 @@ pub fn find(description: &'static Description, path: &str) -> Result<Place, Stri
         }
         match (place.element, place.array_length) {
             (Element::Message(nested), None) => (current, offset) = (nested, place.offset),
-            (Element::Message(_), Some(_)) => return Err(format!("'{name}' is an array: say which element")),
+            (Element::Message(_), Some(_)) => return Err(format!("'{name}' is an array: give an index")),
             (Element::Scalar(_), _) => return Err(format!("'{name}' has no fields")),
         }
     }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use messages::services::{FRAME, STATE};
-use messages::{DRR_ACCEPTED, DrrReply, Frame};
+use messages::{DrrReply, DrrStatus, Frame};
 
 use crate::header::{LogHeader, RunMode};
 
@@ -81,7 +81,8 @@ impl FrameOrder {
     /// later replies.
     pub fn reply(&mut self, reply: &DrrReply) {
         let now = self.tick.unwrap_or(0);
-        let comes = reply.status == DRR_ACCEPTED || reply.tick <= now.saturating_add(self.lag_ticks);
+        let comes =
+            reply.status() == Ok(DrrStatus::Accepted) || reply.tick <= now.saturating_add(self.lag_ticks);
         let tick = if comes { reply.tick } else { now };
         let due = tick.saturating_add(self.lag_ticks);
         let due = self.replies.back().map_or(due, |earlier| due.max(earlier.due));
@@ -119,7 +120,7 @@ fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<u64>, due: Due) -> Opt
 
 #[cfg(test)]
 mod tests {
-    use messages::{DRR_ACCEPTED, DrrReply};
+    use messages::{DrrReply, DrrStatus};
 
     use super::{Due, FrameOrder};
 
@@ -136,10 +137,10 @@ mod tests {
     #[test]
     fn a_refusal_of_a_tick_that_never_comes_holds_no_later_reply() {
         let mut order = order();
-        let refused = DRR_ACCEPTED + 1;
+        let refused = DrrStatus::Refused.code();
         let reply = |tick, status| DrrReply { tick, status, ..DrrReply::zeroed() };
         order.reply(&reply(u64::MAX, refused));
-        order.reply(&reply(104, DRR_ACCEPTED));
+        order.reply(&reply(104, DrrStatus::Accepted.code()));
         order.reply(&reply(103, refused));
         let mut written = Vec::new();
         for tick in 101..120 {

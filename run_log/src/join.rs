@@ -9,29 +9,35 @@ use sha2::{Digest, Sha256};
 
 use crate::end::END_RECORD;
 use crate::error::LogError;
-use crate::header::RUNS_RECORD;
+use crate::header::{HEADER_RECORD, RUNS_RECORD};
 use crate::limits::Declared;
 use crate::rewrite::{Packing, Rewriter};
 use crate::source::LogSource;
 use crate::walk::{Piece, walk};
 
-/// Calls `visit` for every piece of a log, which must be whole.
+/// Calls `visit` for every piece of a log, which must be whole and one of ours.
 fn walk_whole(
     log: &dyn LogSource,
     visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
     let not_whole = |cause: &str| not_whole(log, cause);
-    let mut marked = false;
+    let (mut marked, mut headed) = (false, false);
     walk(log.open()?, log.path(), &mut |piece| match piece {
         Piece::Lost(lost) => Err(not_whole(&format!("damaged at byte {}: {}", lost.offset, lost.cause))),
         Piece::Cut { offset, .. } => Err(not_whole(&format!("cut after byte {offset}"))),
         Piece::Metadata { name, entries } => {
             marked |= name == END_RECORD || name == RUNS_RECORD;
+            headed |= name == HEADER_RECORD;
             visit(Piece::Metadata { name, entries })
         }
         other => visit(other),
     })?;
-    if marked { Ok(()) } else { Err(not_whole("no end marker")) }
+    match (marked, headed) {
+        (true, _) => Ok(()),
+        (false, true) => Err(not_whole("no end marker")),
+        // Whole or not, it is another program's, and a repair could make no log of it.
+        (false, false) => Err(LogError::NoHeader { path: log.path().into(), offset: 0 }),
+    }
 }
 
 /// Digest of all messages: topics, numbers, times and bytes in order.
@@ -258,8 +264,9 @@ impl<'o, O: RunOutputs> Split<'o, O> {
             let (output, path) = (self.outputs.begin(run)?, self.outputs.path_of(run));
             self.out = Some(Rewriter::create(output, &path, Packing::RECORDED)?);
         } else if run != present {
-            let cause =
-                format!("run {run} stands beside run {present}: `cat-files` writes them one after the other");
+            let cause = format!(
+                "run {run} is interleaved with run {present}: `cat-files` writes them one after the other"
+            );
             return Err(LogError::NotWhole { path: self.outputs.path().into(), cause });
         }
         Ok(self.out.as_mut().map(|out| InRun { out, name: rest.to_owned() }))

@@ -62,7 +62,7 @@ fn texts_fit(opcode: u8, body: &[u8]) -> Option<()> {
 /// # Errors
 /// What is wrong with it, as text.
 pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
-    texts_fit(opcode, body).ok_or("a text that reaches beyond its record")?;
+    texts_fit(opcode, body).ok_or("a string that extends beyond its record")?;
     mcap::parse_record(opcode, body).map_err(|error| error.to_string())
 }
 
@@ -87,11 +87,11 @@ mod tests {
         let refused = |opcode, body: &[u8]| parse_record(opcode, body).unwrap_err();
         for (opcode, before) in records {
             let body = [&vec![0; before][..], &0x7265_7474_u32.to_le_bytes(), &[0; 4]].concat();
-            assert_eq!(refused(opcode, &body), "a text that reaches beyond its record", "{opcode:#04x}");
+            assert_eq!(refused(opcode, &body), "a string that extends beyond its record", "{opcode:#04x}");
         }
         // Inside a map: the map's length fits, a key's length does not.
         let long_key = [0_u32, 4, 0xffff_fff0].map(u32::to_le_bytes).concat();
-        assert_eq!(refused(op::METADATA, &long_key), "a text that reaches beyond its record");
+        assert_eq!(refused(op::METADATA, &long_key), "a string that extends beyond its record");
     }
 
     #[test]

@@ -64,6 +64,7 @@
 //! | [`repair`](mod@repair), [`join`] | logs made from logs: repaired, recompressed, joined, split |
 //! | [`columns`], [`csv`] | a topic as a table |
 
+mod bare;
 pub mod cat;
 pub mod columns;
 pub mod continuity;

@@ -39,6 +39,8 @@ pub(crate) struct Opened {
     pub records: Records,
     /// What is wrong with the first copy; none if it was read.
     pub first_is_bad: Option<String>,
+    /// Whether the copy that was read stands behind messages.
+    pub is_behind: bool,
 }
 
 /// The parts of a header copy read so far.
@@ -82,7 +84,13 @@ pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
             Ok(FileRecord::Metadata { name, entries }) if name == HEADER_RECORD => {
                 match parts.header(path, &entries) {
                     Ok(header) => {
-                        return Ok(Opened { header, metadata: entries, records, first_is_bad: None });
+                        return Ok(Opened {
+                            header,
+                            metadata: entries,
+                            records,
+                            first_is_bad: None,
+                            is_behind: false,
+                        });
                     }
                     Err(error) => break error,
                 }
@@ -102,7 +110,10 @@ pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
     match second(&mut source, path) {
         Found { header: Some((header, metadata)), first_chunk: Some(at) } => {
             let records = Records::at(source, path, at)?;
-            Ok(Opened { header, metadata, records, first_is_bad: Some(cause(&error)) })
+            // Programs that write logs again put metadata and attachments behind the messages: then nothing is damaged.
+            let is_moved = matches!(error, LogError::NoHeader { .. });
+            let first_is_bad = (!is_moved).then(|| cause(&error));
+            Ok(Opened { header, metadata, records, first_is_bad, is_behind: true })
         }
         _ => Err(error),
     }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use messages::services::STATE;
-use messages::{Latched, Removed, State};
+use messages::{Latched, Removed, Reset, Restores, State};
 use zerocopy::FromBytes;
 
 /// Once this many messages of one kind wait, their counterpart counts as lost and the oldest is written alone. The
@@ -88,7 +88,8 @@ impl TickOrder {
     /// The first waiting state with its removals, preceded by the first waiting command if that belongs to the state.
     fn tick(&mut self, beginning: Beginning, supply: Supply) -> Vec<Ordered> {
         let with_latched = beginning == Beginning::Latched;
-        let reset = with_latched && self.latched.front().is_some_and(|latched| latched.reset != 0);
+        let latched = self.latched.front().filter(|_| with_latched);
+        let reset = latched.map_or(Reset::No, |latched| latched.reset());
         let Some(count) = self.removals_of_front_state(reset, supply) else { return Vec::new() };
         let latched = if with_latched { self.latched.pop_front() } else { None };
         let mut out: Vec<Ordered> = latched.map(Ordered::Latched).into_iter().collect();
@@ -117,12 +118,13 @@ impl TickOrder {
     /// Number of waiting removals that belong before the first waiting state; none while more must come. Within a tick
     /// totals only grow, except at the first message after a reset, so the tick is complete when the state's total is
     /// reached.
-    fn removals_of_front_state(&self, is_reset: bool, supply: Supply) -> Option<usize> {
+    fn removals_of_front_state(&self, reset: Reset, supply: Supply) -> Option<usize> {
         let state = self.states.front()?;
         let of_tick = self.removed.iter().take_while(|(removed, _)| removed.tick <= state.tick).count();
         let messages = || self.removed.iter().take(of_tick).map(|(removed, _)| removed);
         let total = messages().next_back().map_or(self.removed_total, |removed| removed.removed_total);
-        let restored = !is_reset || messages().any(|removed| removed.restore_first != 0);
+        let restored =
+            reset == Reset::No || messages().any(|removed| removed.restores() == Restores::Drilled);
         let complete = total == state.removed_total && restored;
         let hopeless =
             supply == Supply::Ended || of_tick < self.removed.len() || self.states.len() > MAX_WAITING;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Keyframe, Latched, Removed, State};
+use messages::{Keyframe, Latched, Removed, Reset, Restores, State};
 use zerocopy::FromBytes;
 
 use crate::end::Ending;
@@ -159,7 +159,7 @@ impl LogReader {
                 None => pending.check_size(stream, voxels)?,
             }
         };
-        let (predrilled, _) = pending.removed_of(&path, &initial, false)?;
+        let (predrilled, _) = pending.removed_of(&path, &initial, Reset::No)?;
         Ok((initial, predrilled))
     }
 
@@ -258,7 +258,7 @@ impl LogReader {
             if self.last.checked_add(1) != Some(tick) {
                 return Err(gap(&path, topics::STATE, self.last.saturating_add(1), &format!("state {tick}")));
             }
-            let (removed, restored) = self.pending.removed_of(&path, &state, latched.reset != 0)?;
+            let (removed, restored) = self.pending.removed_of(&path, &state, latched.reset())?;
             self.last = tick;
             return Ok(Some(TickRecord { latched, state, removed, restored }));
         }
@@ -370,7 +370,7 @@ impl Pending {
         &mut self,
         path: &Path,
         state: &State,
-        reset: bool,
+        reset: Reset,
     ) -> Result<(Vec<u32>, Option<Vec<u32>>), LogError> {
         let missing = |found: String| gap(path, topics::REMOVED, state.tick, &found);
         let removals = std::mem::take(&mut self.removals);
@@ -383,8 +383,8 @@ impl Pending {
             )));
         }
         self.removed_total = total;
-        let restores = removals.iter().any(|(removed, _)| removed.restore_first != 0);
-        if restores != reset {
+        let restores = removals.iter().any(|(removed, _)| removed.restores() == Restores::Drilled);
+        if restores != (reset == Reset::Yes) {
             let word =
                 if restores { "voxels put back without a reset" } else { "a reset without voxels put back" };
             return Err(missing(word.to_string()));
@@ -395,7 +395,7 @@ impl Pending {
         }
         let drilled = state.removed_in_tick as usize;
         match voxels.len().checked_sub(drilled) {
-            Some(before) if reset => {
+            Some(before) if reset == Reset::Yes => {
                 let removed = voxels.split_off(before);
                 Ok((removed, Some(voxels)))
             }

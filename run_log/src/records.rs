@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use mcap::MAGIC;
 use mcap::records::{ChunkHeader, Record, op};
 
+use crate::bare::BareChannels;
 use crate::end::Cut;
 use crate::error::LogError;
 use crate::lengths::parse_record;
@@ -28,7 +29,7 @@ const FOOTER_COVERED: usize = 8 + 8;
 
 /// A file-level record that matters to a log.
 pub(crate) enum FileRecord {
-    /// A chunk, checked and unpacked; read it with [`Records::chunk`].
+    /// A chunk, checked and unpacked, or a record outside of chunks; read it with [`Records::chunk`].
     Chunk,
     /// A metadata record.
     Metadata { name: String, entries: BTreeMap<String, String> },
@@ -81,6 +82,9 @@ pub(crate) struct Records {
     opcode: u8,
     /// Offsets of chunks to skip.
     unwanted: BTreeSet<u64>,
+    /// Whether a chunk was found: in a file of chunks, a record outside of them is one whose type has changed.
+    has_chunks: bool,
+    bare_channels: BareChannels,
 }
 
 impl Records {
@@ -117,6 +121,8 @@ impl Records {
             finished: false,
             opcode: 0,
             unwanted: BTreeSet::new(),
+            has_chunks: false,
+            bare_channels: BareChannels::default(),
         }
     }
 
@@ -263,6 +269,7 @@ impl Records {
                     Record::Chunk { header, data } => unpack(&header, &data, &mut self.chunk)?,
                     _ => return Err("a chunk that is none".to_string()),
                 }
+                self.has_chunks = true;
                 Ok(Some(FileRecord::Chunk))
             }
             op::METADATA => {
@@ -282,8 +289,17 @@ impl Records {
                 }
             }
             op::FOOTER => self.check_summary().map(|()| None),
+            op::MESSAGE | op::SCHEMA | op::CHANNEL if self.in_data && self.has_chunks => {
+                Err(format!("record type {opcode:#04x} outside of a chunk, in a file of chunks"))
+            }
+            // A file may have no chunks (MCAP specification, "File structure"): each record is then read as a chunk of its own.
             op::MESSAGE | op::SCHEMA | op::CHANNEL if self.in_data => {
-                Err(format!("record type {opcode:#04x} outside of a chunk"))
+                self.bare_channels.admit(opcode, &self.record)?;
+                self.chunk.clear();
+                self.chunk.push(opcode);
+                self.chunk.extend_from_slice(&(self.record.len() as u64).to_le_bytes());
+                self.chunk.extend_from_slice(&self.record);
+                Ok(Some(FileRecord::Chunk))
             }
             0 => Err("record type 0".to_string()),
             _ => Ok(None),
@@ -334,7 +350,7 @@ pub(crate) fn check_magic(found: &[u8], path: &Path) -> Result<(), LogError> {
     Err(LogError::NotMcap { path: path.into(), found })
 }
 
-/// Unpacks a chunk and checks its CRC before any of its records is read.
+/// Unpacks a chunk and checks its CRC before any of its records is read; 0 is "not computed" (MCAP specification, "Chunk").
 pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
     let size = header.uncompressed_size;
     if size > MAX_RECORD_BYTES {
@@ -361,7 +377,7 @@ pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Re
         return Err(format!("a chunk of {} bytes unpacked, its header says {size}", out.len()));
     }
     let calculated = crc32fast::hash(out);
-    if calculated != header.uncompressed_crc {
+    if header.uncompressed_crc != 0 && calculated != header.uncompressed_crc {
         return Err(format!(
             "CRC of a chunk is {calculated:08x}, its header says {:08x}",
             header.uncompressed_crc

@@ -80,10 +80,10 @@ impl RepairReport {
         }
         if self.more_pieces > 0 {
             let (more, bytes) = (self.more_pieces, self.left_out_bytes);
-            writeln!(out, "left out    {more} pieces more; {bytes} bytes in all")?;
+            writeln!(out, "left out    {more} more pieces; {bytes} bytes in all")?;
         }
         if self.undeclared > 0 {
-            writeln!(out, "left out    {} messages whose topic is declared nowhere", self.undeclared)?;
+            writeln!(out, "left out    {} messages of undeclared topics", self.undeclared)?;
         }
         if let Some(Cut { offset, incomplete_bytes }) = self.cut {
             writeln!(
@@ -93,7 +93,7 @@ impl RepairReport {
         }
         let before = match &self.marker {
             Some(marker) => format!("end marker: {}", foreign(&marker.reason.text())),
-            None => "no end marker: what may have followed is not known".to_string(),
+            None => "no end marker: it is unknown what may have followed".to_string(),
         };
         writeln!(out, "before      {before}")?;
         for (topic, count) in &self.topics {

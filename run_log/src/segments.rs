@@ -68,16 +68,20 @@ impl std::fmt::Display for Passed {
         let first = self.after.map_or(0, |after| after.saturating_add(1));
         match self.resumed {
             Some(tick) => {
-                write!(f, "not replayed: ticks {first} to {tick}; it went on at the keyframe of tick {tick}")
+                write!(f, "not replayed: ticks {first} to {tick}; continued at the keyframe of tick {tick}")
             }
             None => {
-                write!(f, "not replayed: what follows tick {}, as no keyframe does", self.after.unwrap_or(0))
+                write!(
+                    f,
+                    "not replayed: everything after tick {}, because no keyframe follows",
+                    self.after.unwrap_or(0)
+                )
             }
         }
     }
 }
 
-/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read further, the replay
+/// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read beyond that point, the replay
 /// reports why.
 pub fn keyframe_before(mut reader: LogReader, tick: u64) -> Option<SavedState> {
     let mut found = None;

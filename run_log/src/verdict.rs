@@ -44,14 +44,18 @@ impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Fault::HeaderDamaged { copy, cause } => {
-                write!(f, "header damaged: the copy {} cannot be read ({cause}); the other was", copy.name())
+                write!(
+                    f,
+                    "header damaged: the copy {} is unreadable ({cause}); the other one was used",
+                    copy.name()
+                )
             }
             Fault::Gap(gap) => {
                 let lost: Vec<String> = gap.lost.iter().map(|(topic, n)| format!("{n} of {topic}")).collect();
-                write!(f, "gap: not in the log are {}", lost.join(", "))?;
+                write!(f, "gap: missing from the log are {}", lost.join(", "))?;
                 gap.stretches.iter().try_for_each(|stretch| write!(f, "\n  {stretch}"))?;
                 if gap.more > 0 {
-                    write!(f, "\n  and {} stretches more", gap.more)?;
+                    write!(f, "\n  and {} more stretches", gap.more)?;
                 }
                 Ok(())
             }
@@ -60,7 +64,7 @@ impl fmt::Display for Fault {
             }
             Fault::Cut { cut: Cut { offset, incomplete_bytes }, ended } => {
                 let lost =
-                    if *ended { "no message is missing" } else { "what may have followed is not known" };
+                    if *ended { "no message is missing" } else { "it is unknown what may have followed" };
                 write!(
                     f,
                     "cut after byte {offset}, {incomplete_bytes} bytes of an incomplete record left out: {lost}"

@@ -164,7 +164,7 @@ fn diff_finds_the_first_difference_of_two_logs() {
     let short = named("short.mcap", &write_log(&steps[..400]));
     let report = diff(&a, &short, ReadOptions::default()).unwrap();
     println!("{}", text(&report));
-    assert!(!report.same_run() && report.remarks[0].contains("goes on"));
+    assert!(!report.same_run() && report.remarks[0].contains("continues"));
 
     let mut other = header();
     other.mode = RunMode::Lockstep;

@@ -6,7 +6,8 @@
 //! **Boundary:** text in, a [`Scene`] or a [`SceneError`] out. Files are opened elsewhere (`ipc_types::scene_file`).
 //!
 //! **Invariants:** a [`Scene`] from [`Scene::parse`] is within every range and consistent, so no later code checks it again; an unknown
-//! key is an error. [`reference`](mod@reference) is generated from the declarations, so it lists every key.
+//! key is an error. **One declaration a key**, in `model`: type, unit, range, default and text. `schemars` derives the JSON schema from it
+//! ([`json_schema`]); the range checks, their errors and the [`reference`](mod@reference) are made from that schema, so each knows every key.
 //!
 //! ```
 //! use std::path::Path;
@@ -32,16 +33,17 @@
 //! ```
 
 mod check;
-mod drr;
+mod declaration;
+mod error;
 mod model;
+mod ranges;
 pub mod reference;
-mod tolerance;
+mod schema;
 mod tool;
 
-pub use check::SceneError;
-pub use drr::*;
+pub use error::SceneError;
 pub use model::*;
-pub use tolerance::Tolerance;
+pub use schema::json_schema;
 pub use tool::{STANDARD_RADII, ToolRadii};
 
 use std::path::Path;
@@ -56,13 +58,15 @@ impl Scene {
     /// # Errors
     /// [`SceneError`]: a key is unknown or missing, or a value is out of its range.
     pub fn parse(text: &str, path: &Path) -> Result<Scene, SceneError> {
-        let mut scene: Scene = toml::from_str(text).map_err(|cause| SceneError::Malformed {
+        let malformed = |cause: toml::de::Error| SceneError::Malformed {
             file: path.to_owned(),
             line: cause.span().map_or(0, |span| text[..span.start.min(text.len())].matches('\n').count() + 1),
             cause: cause.message().to_owned(),
-        })?;
+        };
+        let mut scene: Scene = toml::from_str(text).map_err(malformed)?;
+        let given: toml::Table = toml::from_str(text).map_err(malformed)?;
         scene.resolve_paths(path.parent().unwrap_or(Path::new(".")));
-        check::check(&scene, path)?;
+        check::check(&scene, &given, path)?;
         Ok(scene)
     }
 

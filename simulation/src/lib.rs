@@ -15,7 +15,7 @@
 //! ```
 //! use std::path::Path;
 //!
-//! use messages::{Latched, SOURCE_FRESH, SOURCE_HELD, TENDON_SERVO_JF};
+//! use messages::{CommandSource, Latched, TendonMode};
 //! use scene::Scene;
 //! use simulation::Simulation;
 //!
@@ -38,11 +38,11 @@
 //! let mut simulation = Simulation::new(&scene, None).unwrap();
 //! // u_k: what the hub would have latched.
 //! let mut latched = Latched { controller_count: 1, ..Latched::zeroed() };
-//! latched.commands[0].command.tendon_mode = TENDON_SERVO_JF;
+//! latched.commands[0].command.tendon_mode = TendonMode::ServoJf.code();
 //! latched.commands[0].command.tendon_force_n[0] = 5.0;
 //! for tick in 0..300 {
 //!     latched.tick = tick;
-//!     latched.commands[0].source = if tick == 0 { SOURCE_FRESH } else { SOURCE_HELD };
+//!     latched.commands[0].source = if tick == 0 { CommandSource::Fresh } else { CommandSource::Held }.code();
 //!     simulation.step(&latched).unwrap();
 //! }
 //! assert_eq!(simulation.state().tick, 300);

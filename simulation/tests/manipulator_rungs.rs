@@ -129,8 +129,8 @@ fn loads_out_of_the_plane_follow_euler_bernoulli_and_saint_venant() {
     let links = 40;
     for rung in [Rung::Spatial, Rung::Full] {
         let mut p = beam(links);
-        p.lateral_stiffness_ratio = 3.0;
-        p.torsion_stiffness_ratio = 0.7;
+        p.lateral_stiffness_ratio = Some(3.0);
+        p.torsion_stiffness_ratio = Some(0.7);
         // Small: 1e-4 of the length; the next order of the elastica is the square of that.
         let force = 3e-4 * 3.0 * RIGIDITY_NM2 / (LENGTH_M * LENGTH_M);
         let mut m = new(rung, p.clone());

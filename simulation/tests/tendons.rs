@@ -25,7 +25,7 @@ fn beam(links: usize, channels_m: &[[f64; 2]]) -> ManipulatorParameters {
     p.mount_stiffness_n_per_m = [1e9; 3];
     p.tube_radii_m = [1e-5, 0.0];
     p.tendon.offset_m = OFFSET_M;
-    p.lateral_stiffness_ratio = 1.0;
+    p.lateral_stiffness_ratio = Some(1.0);
     p.tendon_channels_m = channels_m.to_vec();
     p
 }
@@ -336,6 +336,8 @@ duration_s = 1.0
 [manipulator]
 model = "spatial"
 damping_ratio = 1.0
+lateral_stiffness_ratio = 1.0
+torsion_stiffness_ratio = 0.75
 [[tendon]]
 toward_mm = 2.5
 [[tendon]]

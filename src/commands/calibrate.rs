@@ -17,9 +17,9 @@ use crate::scenes::{BuiltIn, SceneSource};
 /// Arguments of `calibrate`.
 #[derive(Debug, Args)]
 pub struct CalibrateArguments {
-    /// Scene with a `tension_sweep` as its only controller; without one, the sweep inside the program.
+    /// Scene whose only controller is a `tension_sweep`; default: the built-in sweep.
     pub scene: Option<PathBuf>,
-    /// Folder for `calibration.csv`, `.png` and `.svg`; made if it is not there.
+    /// Folder for `calibration.csv`, `.png` and `.svg`; created if missing.
     #[arg(short, long, default_value = "out/calibration")]
     pub output: PathBuf,
     /// Which files the volume may name.

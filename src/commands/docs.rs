@@ -13,16 +13,16 @@ use crate::say;
 /// What to print.
 #[derive(Debug, Subcommand)]
 pub enum DocsCommand {
-    /// The message reference, as in docs/messages.md.
+    /// The message reference (docs/messages.md).
     Messages,
-    /// The reference of scene files, as in docs/scene.md.
+    /// The scene file reference (docs/scene.md).
     Scene,
-    /// The `ros2msg` schema of a message, as it stands in the logs.
+    /// The `ros2msg` schema of a message, as stored in the logs.
     Schema {
-        /// Message, such as `State`.
+        /// Message name, such as `State`.
         message: String,
     },
-    /// The completions of a shell; `source <(trabecula docs completions bash)`.
+    /// Shell completions, for example `source <(trabecula docs completions bash)`.
     Completions {
         /// Shell.
         shell: Shell,
@@ -38,7 +38,7 @@ pub enum DocsCommand {
 pub fn run(command: &DocsCommand) -> Result<(), Failure> {
     let text = match command {
         DocsCommand::Messages => message_reference(),
-        DocsCommand::Scene => scene_reference().map_err(|cause| Failure::failed(cause.to_string()))?,
+        DocsCommand::Scene => scene_reference(),
         DocsCommand::Schema { message } => schema(message)?,
         DocsCommand::Completions { shell } => completions(*shell),
         DocsCommand::Man => man_page()?,
@@ -58,7 +58,7 @@ fn man_page() -> Result<String, Failure> {
     let mut command = Arguments::command();
     command.build();
     let mut text = Vec::new();
-    let failed = |cause: std::io::Error| Failure::failed(format!("the man page cannot be made: {cause}"));
+    let failed = |cause: std::io::Error| Failure::failed(format!("cannot create the man page: {cause}"));
     clap_mangen::Man::new(command.clone()).render(&mut text).map_err(failed)?;
     for subcommand in command.get_subcommands().filter(|command| command.get_name() != "help") {
         clap_mangen::Man::new(subcommand.clone()).render(&mut text).map_err(failed)?;

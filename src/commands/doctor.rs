@@ -10,10 +10,10 @@ use crate::machine::{Finding, Grade, Machine, facts};
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
 pub struct DoctorArguments {
-    /// As JSON.
+    /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,
-    /// Seconds for which the machine's steal is watched, 0 to 600.
+    /// How long to measure CPU steal time, in seconds, 0 to 600.
     #[arg(long, default_value_t = 1.0)]
     pub seconds: f64,
 }

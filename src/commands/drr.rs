@@ -12,9 +12,11 @@ use xray::{
 };
 
 use crate::failure::Failure;
-use crate::launcher::volume_source::VolumeFiles;
+use crate::launcher::suspicions;
+use crate::launcher::volume_source::VolumeChoice;
 use crate::output::refuse_existing;
-use crate::x_ray::files::{Picture, write_dicom, write_nrrd, write_png};
+use crate::x_ray::dicom::{Series, write_dicom};
+use crate::x_ray::files::{Picture, write_nrrd, write_png};
 use crate::x_ray::poses::{self, Placed, Pose};
 
 /// Arguments of `drr`.
@@ -22,29 +24,29 @@ use crate::x_ray::poses::{self, Placed, Pose};
 pub struct DrrArguments {
     /// NIfTI, NRRD, MetaImage, or a DICOM folder.
     pub volume: PathBuf,
-    /// Which files the volume may name.
+    /// What of it is read.
     #[command(flatten)]
-    pub volume_files: VolumeFiles,
-    /// File to write: .png (16 bits), .nrrd (32-bit floats) or .dcm (X-ray angiography); several poses are numbered.
+    pub choice: VolumeChoice,
+    /// Output file: .png (16-bit), .nrrd (32-bit float) or .dcm (X-ray angiography). Several poses give numbered files.
     #[arg(short, long)]
     pub output: PathBuf,
-    /// Poses: a .toml or .json file of one pose or of a list `pose`, or a .csv file of angles; the keys are those of a scene's
-    /// `[drr]` and `[drr.carm]`.
+    /// Pose file: .toml or .json with one pose or a list named `pose`, or .csv with angles. The keys are the same as in a
+    /// scene's `[drr]` and `[drr.carm]`.
     #[arg(long)]
     pub pose: Option<PathBuf>,
-    /// DICOM primary angle, degrees: 0 is detector in front of the chest, +90 at the patient's left.
+    /// DICOM primary angle, degrees: at 0 the detector is in front of the chest, at +90 on the patient's left.
     #[arg(long, allow_negative_numbers = true)]
     pub primary_deg: Option<f64>,
     /// DICOM secondary angle, degrees: positive is cranial.
     #[arg(long, allow_negative_numbers = true)]
     pub secondary_deg: Option<f64>,
-    /// Source to isocentre.
+    /// Distance from the source to the isocentre.
     #[arg(long)]
     pub source_isocentre_mm: Option<f64>,
-    /// Source to detector.
+    /// Distance from the source to the detector.
     #[arg(long)]
     pub source_detector_mm: Option<f64>,
-    /// Point about which the C-arm turns, patient frame (LPS); the volume's centre by default.
+    /// Point that the C-arm rotates about, in the patient frame (LPS); default: the volume's centre.
     #[arg(long, num_args = 3, allow_negative_numbers = true, value_names = ["X", "Y", "Z"])]
     pub isocentre_mm: Option<Vec<f64>>,
     /// Pixel columns.
@@ -53,40 +55,40 @@ pub struct DrrArguments {
     /// Pixel rows.
     #[arg(long, default_value_t = 512)]
     pub rows: u32,
-    /// Distance of pixel centres on the detector.
+    /// Distance between pixel centres on the detector.
     #[arg(long, default_value_t = 0.6)]
     pub pixel_pitch_mm: f64,
-    /// Turn the C-arm by this primary angle, degrees, in `--frames` steps.
+    /// Rotate the C-arm through this primary angle, degrees, in `--frames` steps.
     #[arg(long, allow_negative_numbers = true)]
     pub sweep: Option<f64>,
-    /// Frames of a sweep, 2 to 3600.
-    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(2..=3600))]
-    pub frames: u32,
-    /// Several poses as one animated picture (.png) instead of a numbered series.
+    /// Number of frames in a sweep, 2 to 3600; 60 by default.
+    #[arg(long, requires = "sweep", value_parser = clap::value_parser!(u32).range(2..=3600))]
+    pub frames: Option<u32>,
+    /// Write one animated .png instead of a numbered series.
     #[arg(long)]
     pub animate: bool,
-    /// Line integral.
+    /// How line integrals are computed.
     #[arg(long, value_enum, default_value = "slice-ordered")]
     pub projector: ProjectorName,
-    /// Which way round the greys are.
+    /// How the detector signal maps to grey values.
     #[arg(long, value_enum, default_value = "bone-dark")]
     pub display: DisplayName,
     /// Photon energy, 30 to 120 keV.
     #[arg(long, default_value_t = 60.0)]
     pub energy_kev: f64,
-    /// A spectrum of this tube voltage, 50 to 120 kV, behind 3 mm of aluminium, instead of one energy.
+    /// Use the spectrum of this tube voltage, 50 to 120 kV, filtered by 3 mm of aluminium, instead of one energy.
     #[arg(long)]
     pub tube_kv: Option<f64>,
-    /// Photons per unattenuated pixel; none: no noise.
+    /// Photons per unattenuated pixel; without it, no noise.
     #[arg(long)]
     pub photons: Option<f64>,
     /// Detector blur (standard deviation), pixels.
     #[arg(long, default_value_t = 0.0)]
     pub blur_pixels: f64,
-    /// Seed of the noise.
+    /// Noise seed.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Threads that render.
+    /// Number of render threads.
     #[arg(long, default_value_t = 2)]
     pub threads: usize,
 }
@@ -96,24 +98,27 @@ pub struct DrrArguments {
 pub enum ProjectorName {
     /// Exact for constant voxels; slow.
     Siddon,
-    /// Bilinear, ray by ray.
+    /// Bilinear interpolation, ray by ray.
     Joseph,
-    /// Bilinear, slice by slice; the fastest of full resolution.
+    /// Bilinear interpolation, slice by slice; the fastest at full resolution.
     SliceOrdered,
-    /// The same with voxels joined two by two by two.
+    /// The same on voxels binned 2 x 2 x 2.
     Preview,
 }
 
 /// Displays.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum DisplayName {
-    /// As the detector sees them.
+    /// Bone dark, as on the detector.
     BoneDark,
-    /// Inverted.
+    /// Bone bright.
     BoneBright,
-    /// The readout itself.
+    /// The raw detector readout.
     Linear,
 }
+
+/// Frames of a sweep that names no number.
+const SWEEP_FRAMES: u32 = 60;
 
 /// File types, by extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -131,7 +136,9 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
     let kind = kind_of(&arguments.output)?;
     let poses = all_poses(arguments)?;
     if arguments.animate && kind != Kind::Png {
-        return Err(Failure::bad_input("--animate is for .png: leave it out for a numbered series"));
+        return Err(Failure::bad_input(
+            "--animate needs a .png output; without --animate, several poses give numbered files",
+        ));
     }
     let paths = match poses.len() {
         1 => vec![arguments.output.clone()],
@@ -139,23 +146,25 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
         count => (0..count).map(|number| numbered(&arguments.output, number)).collect(),
     };
     refuse_existing(&paths)?;
-    let files = arguments.volume_files.allowed();
-    let (volume, _) = volume_io::read_where(&arguments.volume, files)?;
+    let (volume, info) = volume_io::read_as(&arguments.volume, &arguments.choice.options())?;
+    for note in info.notes.iter().chain(&suspicions::of_a_mask(&volume)) {
+        tell!("{}: {note}", arguments.volume.display());
+    }
     let placed = place(&poses, &volume)?;
     let sides: Vec<(u32, u32)> = placed.iter().map(|p| (p.c_arm.columns, p.c_arm.rows)).collect();
     if arguments.animate && sides.iter().any(|side| *side != sides[0]) {
-        return Err(Failure::bad_input("--animate: the poses differ in columns or rows; expected one size"));
+        return Err(Failure::bad_input("--animate: all poses must have the same columns and rows"));
     }
     let grid = Grid::from(volume.grid(&arguments.volume)?);
     let view = VolumeView::new(grid, &volume.hu).map_err(Failure::bad_input)?;
     let mut renderer =
         DrrRenderer::new(&view, parameters(arguments), &ThisMachine).map_err(Failure::bad_input)?;
-    let linear = matches!(arguments.display, DisplayName::Linear);
+    let series = Series::new(volume_io::volume_hash(&volume), &placed, arguments.tube_kv);
     let mut animation = Vec::new();
     let mut slowest_ms = 0.0_f64;
     for (number, placed) in placed.iter().enumerate() {
         let began = Instant::now();
-        let picture = render(&mut renderer, &view, placed, arguments.seed, kind, linear)?;
+        let picture = render(&mut renderer, &view, placed, arguments, kind)?;
         slowest_ms = slowest_ms.max(began.elapsed().as_secs_f64() * 1e3);
         if arguments.animate {
             animation.push(picture);
@@ -165,7 +174,7 @@ pub fn run(arguments: &DrrArguments) -> Result<(), Failure> {
         match kind {
             Kind::Png => write_png(path, std::slice::from_ref(&picture)),
             Kind::Nrrd => write_nrrd(path, &picture),
-            Kind::Dicom => write_dicom(path, &picture),
+            Kind::Dicom => write_dicom(path, &picture, &series, number + 1),
         }?;
     }
     if arguments.animate {
@@ -211,19 +220,24 @@ fn all_poses(arguments: &DrrArguments) -> Result<Vec<Pose>, Failure> {
         return Err(Failure::bad_input(format!("--sweep is {sweep}, allowed is -360 to 360 degrees, not 0")));
     }
     let [pose] = poses.as_slice() else {
-        return Err(Failure::bad_input("--sweep starts at one pose; the file has several"));
+        return Err(Failure::bad_input(
+            "--sweep needs a single pose to start from; the pose file has several",
+        ));
     };
     if pose.is_given() {
-        return Err(Failure::bad_input("--sweep turns positioner angles; the pose is a camera or points"));
+        return Err(Failure::bad_input(
+            "--sweep needs a pose given by C-arm angles; this one is a camera matrix or a set of points",
+        ));
     }
     let start = pose.primary_angle_deg.unwrap_or(0.0);
+    let frames = arguments.frames.unwrap_or(SWEEP_FRAMES);
     let turned = |i: u32| {
-        let angle = start + sweep * f64::from(i) / f64::from(arguments.frames);
+        let angle = start + sweep * f64::from(i) / f64::from(frames);
         // Wrap to -180 to 180.
         let angle = angle - 360.0 * ((angle + 180.0) / 360.0).floor();
         Pose { primary_angle_deg: Some(angle), ..pose.clone() }
     };
-    Ok((0..arguments.frames).map(turned).collect())
+    Ok((0..frames).map(turned).collect())
 }
 
 /// Resolves all poses, so that a bad one is reported before anything is rendered.
@@ -266,12 +280,18 @@ fn render(
     renderer: &mut DrrRenderer,
     view: &VolumeView<'_>,
     placed: &Placed,
-    seed: u64,
+    arguments: &DrrArguments,
     kind: Kind,
-    linear: bool,
 ) -> Result<Picture, Failure> {
     let pixels = placed.c_arm.pixels();
-    let mut picture = Picture { placed: *placed, linear, greys: Vec::new(), values: Vec::new() };
+    let mut picture = Picture {
+        placed: *placed,
+        linear: matches!(arguments.display, DisplayName::Linear),
+        dense_is_dark: matches!(arguments.display, DisplayName::BoneDark),
+        window: (0.0, 1.0),
+        greys: Vec::new(),
+        values: Vec::new(),
+    };
     let output = if kind == Kind::Nrrd {
         picture.values.resize(pixels, 0.0);
         Output::Float32(&mut picture.values)
@@ -279,10 +299,11 @@ fn render(
         picture.greys.resize(pixels, 0);
         Output::Mono16(&mut picture.greys)
     };
-    let seed = FrameSeed { seed, frame: 0 };
-    renderer
+    let seed = FrameSeed { seed: arguments.seed, frame: 0 };
+    let report = renderer
         .render_to(view, &placed.c_arm, &Tool::default(), seed, output)
         .map_err(|cause| Failure::failed(cause.to_string()))?;
+    picture.window = report.window;
     Ok(picture)
 }
 

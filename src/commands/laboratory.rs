@@ -1,4 +1,4 @@
-//! Commands of the laboratory, which is a separate program: this one forwards them.
+//! The laboratory's commands. They live in a separate program, `trabecula-lab`; this one forwards them.
 
 use std::ffi::{OsStr, OsString};
 use std::io::ErrorKind;
@@ -12,27 +12,41 @@ use crate::failure::Failure;
 /// The laboratory's program, in this program's folder.
 const PROGRAM: &str = "trabecula-lab";
 
+/// Help texts of the laboratory's commands, for both programs.
+pub mod about {
+    /// `bench`.
+    pub const BENCH: &str = "Measure the hub's overhead on this machine";
+    /// `stress`.
+    pub const STRESS: &str =
+        "Run a scene on limited cores under competing load, and report why ticks were late";
+    /// `chart`.
+    pub const CHART: &str = "Measure accuracy against computing time; write tables and figures";
+    /// `reproduce`.
+    pub const REPRODUCE: &str =
+        "Reproduce published results from low-level rules: tunnel, skiving, deviation, bend, thrust";
+}
+
 /// A command of the laboratory.
 #[derive(Debug, Subcommand)]
 pub enum LaboratoryCommand {
-    /// Measure what the hub costs on this machine.
-    #[command(disable_help_flag = true)]
-    Bench(HandedOn),
-    /// Run a scene on limited cores beside neighbours, and say why ticks were late.
-    #[command(disable_help_flag = true)]
-    Stress(HandedOn),
-    /// Measure accuracy against speed, as tables and figures.
-    #[command(disable_help_flag = true)]
-    Chart(HandedOn),
-    /// Make the published behaviours again, from low-level rules: tunnel, skiving, deviation, bend.
-    #[command(disable_help_flag = true)]
-    Reproduce(HandedOn),
+    /// `trabecula-lab bench`.
+    #[command(about = about::BENCH, disable_help_flag = true)]
+    Bench(Forwarded),
+    /// `trabecula-lab stress`.
+    #[command(about = about::STRESS, disable_help_flag = true)]
+    Stress(Forwarded),
+    /// `trabecula-lab chart`.
+    #[command(about = about::CHART, disable_help_flag = true)]
+    Chart(Forwarded),
+    /// `trabecula-lab reproduce`.
+    #[command(about = about::REPRODUCE, disable_help_flag = true)]
+    Reproduce(Forwarded),
 }
 
-/// What the laboratory is called with.
+/// Arguments passed on to the laboratory's program.
 #[derive(Debug, Args)]
-pub struct HandedOn {
-    /// See `--help`, which the laboratory's program answers.
+pub struct Forwarded {
+    /// Arguments of the command; `--help` lists them.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     arguments: Vec<OsString>,
 }
@@ -42,7 +56,7 @@ pub struct HandedOn {
 /// # Errors
 /// The program cannot be started. On success this does not return.
 pub fn run(command: &LaboratoryCommand) -> Result<(), Failure> {
-    let (name, HandedOn { arguments }) = match command {
+    let (name, Forwarded { arguments }) = match command {
         LaboratoryCommand::Bench(words) => ("bench", words),
         LaboratoryCommand::Stress(words) => ("stress", words),
         LaboratoryCommand::Chart(words) => ("chart", words),
@@ -54,7 +68,7 @@ pub fn run(command: &LaboratoryCommand) -> Result<(), Failure> {
     let cause = Command::new(&program).arg(OsStr::new(name)).args(arguments).exec();
     Err(Failure::failed(match cause.kind() {
         ErrorKind::NotFound => format!(
-            "`{name}` is a command of {}, which is not there; `cargo build --release` makes it",
+            "`{name}` needs {}, which does not exist; build it with `cargo build --release`",
             program.display()
         ),
         _ => format!("{}: cannot be started ({cause})", program.display()),

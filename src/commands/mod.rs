@@ -1,5 +1,6 @@
 //! The subcommands, one per file.
 
+pub mod bridge;
 pub mod calibrate;
 pub mod docs;
 pub mod doctor;

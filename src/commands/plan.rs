@@ -18,22 +18,22 @@ use crate::scenes::SceneSource;
 pub struct PlanArguments {
     /// Scene file with a `tolerance`.
     pub scene: Option<PathBuf>,
-    /// Re-run a log's commands with the reference rung and say how far its tip was off: `run.mcap`, or the folder of a run.
+    /// Step a log's commands through the reference model and report the tip error; takes a run's folder or its `run.mcap`.
     #[arg(long, value_name = "LOG")]
     pub check: Option<PathBuf>,
-    /// Print the measured errors and costs that the choice is made from.
+    /// Print the table of measured errors and costs behind the choice.
     #[arg(long)]
     pub list: bool,
-    /// With `--check`: ticks to compare.
+    /// With `--check`: number of ticks to compare.
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub samples: u64,
     /// With `--check`: the last tick to re-run.
     #[arg(long, default_value_t = u64::MAX, hide_default_value = true)]
     pub to: u64,
-    /// With `--check`: where the CT file of the log's scene lies now.
+    /// With `--check`: current path of the log's CT file.
     #[arg(long, value_name = "PATH")]
     pub volume: Option<PathBuf>,
-    /// With `--check`: go on though the log is of another build, layout or volume.
+    /// With `--check`: continue even if the log's build, layout or volume differs.
     #[arg(long)]
     pub allow_mismatch: bool,
     /// Which files the volume may name.

@@ -27,15 +27,15 @@ const MAX_PANELS: usize = 8;
 /// Arguments of `plot`.
 #[derive(Debug, Args)]
 pub struct PlotArguments {
-    /// Log, `run.mcap` or `timing.mcap`, or the folder of a run.
+    /// `run.mcap`, `timing.mcap` or the folder of a run.
     log: PathBuf,
-    /// Fields, such as `tendon_tension_n[0]` or `t_world_tip.position_m`; each becomes a panel.
+    /// Fields, such as `tendon_tension_n[0]` or `t_world_tip.position_m`; one panel each.
     #[arg(required = true)]
     fields: Vec<String>,
-    /// Topic of the fields.
+    /// Topic that the fields belong to.
     #[arg(long, default_value = topics::STATE)]
     topic: String,
-    /// Figure without its ending: `.png` and `.svg` are written.
+    /// Path of the figure, with or without its extension; `.png` and `.svg` are written.
     #[arg(long, default_value = "plot")]
     output: PathBuf,
 }
@@ -48,13 +48,18 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let log = log_path(&arguments.log);
     let description = description_of_topic(&LogFile::at(&log), &arguments.topic)?;
     if arguments.fields.len() > MAX_PANELS {
-        let text = format!("{} fields; a figure shows {MAX_PANELS} at most", arguments.fields.len());
+        let text = format!("{} fields given; a figure shows at most {MAX_PANELS}", arguments.fields.len());
         return Err(Failure::bad_input(text));
     }
     let folder =
         arguments.output.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let stem = arguments.output.file_name().map(|name| name.to_string_lossy().into_owned());
-    let stem = stem.ok_or_else(|| Failure::bad_input("--output names no file"))?;
+    let stem = stem.ok_or_else(|| Failure::bad_input("--output has no file name"))?;
+    // `-o x.svg` means the figure `x`.
+    let stem = [".png", ".svg"].iter().find_map(|ending| stem.strip_suffix(ending)).unwrap_or(&stem);
+    if stem.is_empty() {
+        return Err(Failure::bad_input("--output has no file name"));
+    }
     let paths = ["png", "svg"].map(|ending| folder.join(format!("{stem}.{ending}")));
     refuse_existing(&paths)?;
     let mut panels = Vec::new();
@@ -67,7 +72,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     let mut lines = Lines(vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()]);
     read_rows(&LogFile::at(&log), &arguments.topic, &all, (0, None), &mut lines)?;
     let title = format!("{}  {}", log.display(), arguments.topic);
-    draw(&title, &panels, &lines)?.write(folder, &stem)?;
+    draw(&title, &panels, &lines)?.write(folder, stem)?;
     paths.iter().for_each(|path| say!("{}", path.display()));
     Ok(())
 }

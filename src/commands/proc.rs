@@ -11,14 +11,14 @@ use ipc_types::session::{HalfMadeSweeper, host_is_alive};
 use crate::failure::Failure;
 use crate::keeper;
 
-/// Which part.
+/// The part to run.
 #[derive(Debug, Subcommand)]
 pub enum ProcCommand {
-    /// The physics.
+    /// The physics process.
     Physics(Joined),
-    /// The X-ray.
+    /// The X-ray (DRR) process.
     Drr(Joined),
-    /// A built-in controller of the scene.
+    /// One of the scene's built-in controllers.
     Controller {
         /// Its name in the scene.
         #[arg(long)]
@@ -36,7 +36,7 @@ pub enum ProcCommand {
         #[command(flatten)]
         joined: Joined,
     },
-    /// A program that is not ours, with all that it starts; the launcher holds the other end of its standard input.
+    /// A user's program and all its descendants; the launcher holds the other end of its standard input.
     #[command(hide = true)]
     Keep {
         /// Program and arguments.
@@ -59,6 +59,8 @@ pub struct Joined {
 /// Any error of the part.
 pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
     end_with_parent();
+    // A part must come to its end even if its launcher was killed while it made a segment.
+    let _sweeper = command.session().map(HalfMadeSweeper::after_host);
     let failed = |error: &dyn std::error::Error| Failure::failed(error.to_string());
     match command {
         ProcCommand::Physics(joined) => {
@@ -69,15 +71,25 @@ pub fn run(command: &ProcCommand) -> Result<ExitCode, Failure> {
             controller_proc::process::run(joined.to_living()?, name).map_err(|e| failed(&e))?;
         }
         ProcCommand::Recorder { output, joined } => {
-            // Normally the host sweeps. If the host is killed, this thread sweeps instead, so that the recorder can
-            // still finish.
-            let _sweeper = HalfMadeSweeper::of(&joined.session);
             let recorded = recorder_proc::process::run(joined.to_living()?, output);
             recorded.map_err(|error| Failure { code: error.exit_code(), message: error.to_string() })?;
         }
         ProcCommand::Keep { words } => return keeper::run(words),
     }
     Ok(ExitCode::SUCCESS)
+}
+
+impl ProcCommand {
+    /// The session of a part.
+    fn session(&self) -> Option<&Path> {
+        match self {
+            ProcCommand::Physics(joined)
+            | ProcCommand::Drr(joined)
+            | ProcCommand::Controller { joined, .. }
+            | ProcCommand::Recorder { joined, .. } => Some(&joined.session),
+            ProcCommand::Keep { .. } => None,
+        }
+    }
 }
 
 impl Joined {

@@ -21,37 +21,37 @@ use crate::replay::{LivePlan, OpenedLog, Overrides, record, run_live, verify_fra
 pub struct ReplayArguments {
     /// `run.mcap`, or the folder of a run.
     pub log: PathBuf,
-    /// Compare hash, state and removed voxels at every tick, and every keyframe; exit code 1 names the first difference.
+    /// Compare hash, state and removed voxels at every tick, and every keyframe; report the first difference, exit code 1.
     #[arg(long)]
     pub verify: bool,
-    /// Where to begin: a tick, or seconds such as `1.5s`. The replay begins at the last keyframe before it.
+    /// Start here: a tick, or seconds such as `1.5s`. The replay starts at the last keyframe before it.
     #[arg(long, value_parser = Moment::parse)]
     pub from: Option<Moment>,
-    /// Where to end: a tick, or seconds.
+    /// Stop here: a tick, or seconds.
     #[arg(long, value_parser = Moment::parse)]
     pub to: Option<Moment>,
-    /// Threads of `--verify` and `--frames`; by default one a core.
+    /// Threads for `--verify` and `--frames`; default: one per core.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
     /// Render the X-ray frames again and compare them.
     #[arg(long)]
     pub frames: bool,
-    /// Record the replay: writes `run.mcap` into this folder, and compares the two files.
+    /// Record the replay to `run.mcap` in this folder and compare it with the original file.
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["from", "to"])]
     pub record: Option<PathBuf>,
-    /// Run this program as a controller of the scene, show it the log's states, compare what it answers. May be repeated.
+    /// Run this program as one of the scene's controllers, feed it the logged states and compare its commands. May be repeated.
     #[arg(long, value_name = "[NAME=]COMMAND", conflicts_with_all = ["verify", "from", "frames", "record"])]
     pub controller: Vec<String>,
-    /// With `--controller`: step the physics with the live answers, in lockstep.
+    /// With `--controller`: step the physics with the program's commands, in lockstep.
     #[arg(long, requires = "controller")]
     pub closed_loop: bool,
-    /// Where the CT file of the log's scene lies now; its content must be the same.
+    /// Current path of the log's CT file; its content must be the same.
     #[arg(long, value_name = "PATH")]
     pub volume: Option<PathBuf>,
-    /// Replay the commands in this scene (with `--allow-mismatch`, unless it is the same).
+    /// Replay the commands in this scene; if it differs from the log's, `--allow-mismatch` is needed.
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
-    /// Replay though the log is of another build, layout, scene or volume; the result is labelled so.
+    /// Replay even if the log's build, layout, scene or volume differs; the result says so.
     #[arg(long)]
     pub allow_mismatch: bool,
     /// Which files the volume may name.
@@ -103,7 +103,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     let from = arguments.from.map_or(0, |moment| moment.tick(dt_ns));
     let to = arguments.to.map(|moment| moment.tick(dt_ns));
     if let Some(to) = to.filter(|to| *to < from) {
-        return Err(Failure::bad_input(format!("--to is tick {to}, before --from, tick {from}")));
+        return Err(Failure::bad_input(format!("--to (tick {to}) is before --from (tick {from})")));
     }
     if !arguments.controller.is_empty() {
         return live(arguments, &log, to.unwrap_or(u64::MAX));
@@ -121,13 +121,13 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
         let label = log.label();
         say!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s");
         if in_gaps > 0 {
-            say!("{in_gaps} frames of ticks in a gap were not rendered");
+            say!("{in_gaps} frames fall into a gap of the log and were not rendered");
         }
     }
     match code {
         0 => Ok(()),
         code => Err(Failure {
-            message: "what is there was replayed, but the log is not intact: see above".to_owned(),
+            message: "all readable ticks were replayed, but the log is not intact: see above".to_owned(),
             code,
         }),
     }
@@ -161,17 +161,26 @@ fn replay(
     let at_end = to.is_none_or(|to| report.last_tick < to) && report.is_identical();
     let verdict = at_end.then_some(verdict);
     let wall_s = began.elapsed().as_secs_f64();
-    let told =
-        Remarks { verified: arguments.verify, first, keyframes, gaps, verdict, label: log.label(), wall_s };
+    let told = ReplayOutcome {
+        verified: arguments.verify,
+        first,
+        keyframes,
+        gaps,
+        verdict,
+        label: log.label(),
+        wall_s,
+    };
     let ended_early = report.log_error.is_none() && report.simulation_error.is_none();
     if ended_early && report.divergence.is_none() && from > 0 {
         let last = report.last_tick;
         if from > last {
-            return Err(Failure::bad_input(format!("--from is tick {from}, the log ends at tick {last}")));
+            return Err(Failure::bad_input(format!(
+                "--from is tick {from}, but the log ends at tick {last}"
+            )));
         }
         if report.identical_ticks == 0 {
             return Err(Failure::bad_input(format!(
-                "--from is tick {from}: no tick follows that could be replayed"
+                "--from is tick {from}: the log has no complete tick after it"
             )));
         }
     }
@@ -240,7 +249,7 @@ fn step_only(
 const MAX_GAPS_LISTED: usize = 64;
 
 /// What to print about a replay besides its report.
-struct Remarks {
+struct ReplayOutcome {
     verified: bool,
     first: u64,
     keyframes: u64,
@@ -251,7 +260,7 @@ struct Remarks {
     wall_s: f64,
 }
 
-impl Remarks {
+impl ReplayOutcome {
     /// Exit code of a replay without differences.
     fn exit_code(&self) -> u8 {
         let of_gaps = if self.gaps.is_empty() { 0 } else { EXIT_GAP };
@@ -264,12 +273,12 @@ impl Remarks {
         let label = &self.label;
         if let Some(error) = &report.log_error {
             return Err(Failure::failed(format!(
-                "the log cannot be read further than tick {}: {error}",
+                "the log cannot be read beyond tick {}: {error}",
                 report.last_tick
             )));
         }
         if let Some((tick, cause)) = &report.simulation_error {
-            return Err(Failure::failed(format!("tick {tick} cannot be made: {cause}{label}")));
+            return Err(Failure::failed(format!("the simulation fails at tick {tick}: {cause}{label}")));
         }
         if let Some(divergence) = &report.divergence {
             return Err(Failure::failed(format!("{divergence}{label}")));
@@ -291,7 +300,7 @@ impl Remarks {
             say!("{gap}");
         }
         if let Some(more) = self.gaps.len().checked_sub(MAX_GAPS_LISTED).filter(|more| *more > 0) {
-            say!("and {more} gaps more");
+            say!("and {more} more gaps");
         }
         if let Some(verdict) = &self.verdict {
             say!("{}", report.ending.describe());
@@ -312,10 +321,10 @@ fn tell_recorded(recorded: &crate::replay::Recorded, log: &OpenedLog) -> Result<
         say!("{remark}");
     }
     if theirs == ours {
-        say!("the same file");
+        say!("the files are identical");
         return Ok(());
     }
-    Err(Failure::failed("every message is identical, the files are not: see how the log ends, above"))
+    Err(Failure::failed("every message is identical, but the files differ: see above how the log ends"))
 }
 
 fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: u64) -> Result<(), Failure> {
@@ -342,13 +351,15 @@ fn controller(text: &str, log: &OpenedLog) -> Result<(String, Vec<String>), Fail
         (None, _) => {
             let names = names.join("`, `");
             return Err(Failure::bad_input(format!(
-                "--controller {text}: expected NAME=COMMAND with a NAME of the log's scene: `{names}`"
+                "--controller {text}: expected NAME=COMMAND, where NAME is a controller of the log's scene: `{names}`"
             )));
         }
     };
     let words = shlex::split(command).filter(|words| !words.is_empty());
     let words = words.ok_or_else(|| {
-        Failure::bad_input(format!("--controller {text}: no program, or a quote that is not closed"))
+        Failure::bad_input(format!(
+            "--controller {text}: expected a program; it is empty or has an unclosed quote"
+        ))
     })?;
     Ok((name, words))
 }

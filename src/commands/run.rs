@@ -10,51 +10,51 @@ use ipc_types::services::RECORDER_QUEUE_TICKS;
 use output_file::OutputError;
 
 use crate::commands::plan;
-use crate::doorway;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::hub::View;
 use crate::launcher::interrupt::{Interrupts, remove_empty};
 use crate::launcher::part;
-use crate::launcher::progress::{Display, Manner};
+use crate::launcher::progress::{Display, ProgressStyle};
 use crate::launcher::run::{Outcome, RunError, RunPlan, RunResult, output_folder, run_with};
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::printer;
+use crate::redirect_file;
 use crate::report::{self, ReportError};
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// Scene file; without one, the femur inside the program.
+    /// Scene file; default: the built-in femur.
     pub scene: Option<PathBuf>,
-    /// How time passes, instead of what the scene says.
+    /// Lockstep or real time; overrides the scene.
     #[arg(long, value_enum)]
     pub mode: Option<ModeArgument>,
-    /// Simulated seconds, instead of what the scene says.
+    /// Simulated seconds; overrides the scene.
     #[arg(long)]
     pub duration_s: Option<f64>,
-    /// Folder below which the run's folder is made.
+    /// Parent of the run's folder.
     #[arg(long, default_value = "out")]
     pub output: PathBuf,
-    /// Record nothing.
+    /// Do not record.
     #[arg(long)]
     pub no_record: bool,
-    /// What is recorded of X-ray frames, instead of what the scene says.
+    /// What to record of each X-ray frame; overrides the scene.
     #[arg(long, value_enum)]
     pub images: Option<ImagesArgument>,
-    /// Every how many frames the image is recorded, of the others the hash; needs whole images.
+    /// Record the image of every Nth frame and only the hash of the others; needs `--images full`.
     #[arg(long, value_name = "N")]
     pub image_every: Option<u64>,
-    /// How physics and controllers wait, instead of what the scene says.
+    /// How physics and controllers wait; overrides the scene.
     #[arg(long, value_enum)]
     pub wait: Option<WaitArgument>,
-    /// How the scheduler treats physics and controllers, instead of what the scene says.
+    /// Scheduling policy of physics and controllers; overrides the scene.
     #[arg(long, value_enum)]
     pub policy: Option<PolicyArgument>,
-    /// Show the run in the browser, at this port if one is given.
+    /// Show the run in the browser, on this port if given.
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8765")]
     pub view: Option<u16>,
-    /// With `--view`: let whoever reaches the port watch without the token.
+    /// With `--view`: let anyone who can reach the port watch without the token.
     #[arg(long, requires = "view")]
     pub watch_by_anyone: bool,
     /// Which files the volume may name.
@@ -63,36 +63,36 @@ pub struct RunArguments {
     /// No progress line.
     #[arg(long)]
     pub quiet: bool,
-    /// Lines of JSON on standard output, for scripts, in place of the progress line and the report's table.
+    /// Print JSON lines on standard output, for scripts, instead of the progress line and the summary table.
     #[arg(long, conflicts_with = "quiet")]
     pub json: bool,
 }
 
 impl RunArguments {
-    fn manner(&self) -> Manner {
+    fn style(&self) -> ProgressStyle {
         match (self.quiet, self.json) {
-            (true, _) => Manner::Quiet,
-            (false, true) => Manner::Json,
-            (false, false) => Manner::People,
+            (true, _) => ProgressStyle::Quiet,
+            (false, true) => ProgressStyle::Json,
+            (false, false) => ProgressStyle::Text,
         }
     }
 }
 
-/// How time passes.
+/// How simulated time advances.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum ModeArgument {
     /// As fast as the parts allow.
     Lockstep,
-    /// By the wall clock.
+    /// In step with the wall clock.
     Realtime,
 }
 
-/// What is recorded of X-ray frames.
+/// What to record of X-ray frames.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum ImagesArgument {
-    /// Whole.
+    /// The whole image.
     Full,
-    /// Geometry and hash.
+    /// Only geometry and hash.
     HashOnly,
     /// Nothing.
     None,
@@ -101,11 +101,11 @@ pub enum ImagesArgument {
 /// How physics and controllers wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum WaitArgument {
-    /// Never sleeping, while there are more cores than parts that spin.
+    /// Busy-wait, as long as there are more cores than spinning parts.
     Spin,
-    /// Sleeping at once.
+    /// Sleep at once.
     Event,
-    /// Looking for a short while, as long as nobody else needs the core.
+    /// Poll briefly while no other process needs the core, then sleep.
     Hybrid,
 }
 
@@ -119,12 +119,12 @@ impl From<WaitArgument> for Wait {
     }
 }
 
-/// How the scheduler treats physics and controllers.
+/// Scheduling policy of physics and controllers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PolicyArgument {
-    /// As other programs, with more weight.
+    /// `SCHED_OTHER` with a higher weight (a negative nice value).
     Other,
-    /// Before all other programs, `SCHED_FIFO`.
+    /// `SCHED_FIFO`: ahead of all ordinary programs.
     Fifo,
 }
 
@@ -143,10 +143,9 @@ impl From<PolicyArgument> for Policy {
 /// Bad input (exit code 2); a part that died, a log that disappeared, an incomplete report, an output that could not
 /// be written (1); a log with a gap (3); Ctrl-C (130).
 pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
-    printer::start()
-        .map_err(|cause| Failure::failed(format!("standard output cannot be written: {cause}")))?;
-    let interrupts =
-        Interrupts::hear().map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
+    printer::start().map_err(|cause| Failure::failed(format!("cannot write to standard output: {cause}")))?;
+    let interrupts = Interrupts::install()
+        .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
     let scene = scene_of(arguments)?;
     if let Some(choice) = xray::from_scene::tolerance_text(&scene).filter(|_| !arguments.json) {
         say!("{choice}");
@@ -157,21 +156,25 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
             let made = interrupts.make_folder(&arguments.output, |parent| output_folder(parent, &scene));
             Some(made.map_err(|cause| {
                 Failure::bad_input(format!(
-                    "--output {}: cannot be made ({cause})",
+                    "--output {}: cannot be created ({cause})",
                     arguments.output.display()
                 ))
             })?)
         }
     };
-    doorway::sweep(&doorway::folder());
+    redirect_file::sweep(&redirect_file::folder());
     let view = arguments.view.map(|port| View { port, watch_by_anyone: arguments.watch_by_anyone });
     if view.is_none() {
         part::adopt();
     }
     let plan = RunPlan { scene, output, view, volume_files: arguments.volume_files };
-    let mut display = Display::new(arguments.manner())?;
+    let mut display = Display::new(arguments.style())?;
     let began = Instant::now();
-    let volume = volume_source::load(&plan.scene, plan.volume_files);
+    let volume = volume_source::load_with_notes(&plan.scene, plan.volume_files).map(|loaded| {
+        let loaded = loaded?;
+        loaded.notes.iter().for_each(|note| tell!("{note}"));
+        Some((loaded.volume, loaded.sha256))
+    });
     let empty = interrupts.run_begins();
     let mut shown = false;
     let result = volume.map_err(RunError::from).and_then(|volume| {
@@ -221,7 +224,7 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
     if let Some(every) = arguments.image_every {
         if !(1..=1_000_000).contains(&every) || scene.recording.images != Images::Full {
             return Err(Failure::bad_input(format!(
-                "--image-every is {every}, allowed is 1 to 1000000, with whole images (--images full)"
+                "--image-every is {every}, allowed is 1 to 1000000, and only with --images full"
             )));
         }
         scene.recording.image_every = every;
@@ -258,7 +261,7 @@ fn complete(missing: &[ReportError]) -> Result<(), Failure> {
         match error {
             ReportError::Output(OutputError::Exists { path }) => {
                 tell!(
-                    "trabecula: {}: {} is there that is not of this run; it stays",
+                    "trabecula: {}: not written: {} that does not belong to this run is in the way",
                     path.display(),
                     found(path)
                 );
@@ -268,8 +271,8 @@ fn complete(missing: &[ReportError]) -> Result<(), Failure> {
     }
     match missing.len() {
         0 => Ok(()),
-        1 => Err(Failure::failed("a part of the report could not be written: see above")),
-        more => Err(Failure::failed(format!("{more} parts of the report could not be written: see above"))),
+        1 => Err(Failure::failed("one file of the report could not be written: see above")),
+        more => Err(Failure::failed(format!("{more} files of the report could not be written: see above"))),
     }
 }
 
@@ -292,8 +295,8 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
     match &result.outcome {
         Outcome::Completed if result.has_gap => Err(Failure {
             message: format!(
-                "the run was completed, but its log has a gap: the recorder was held up for longer than the {RECORDER_QUEUE_TICKS} ticks \
-                 that its queues hold; `recording.on_full = \"wait\"` makes the physics wait for it"
+                "the run is complete, but its log has a gap: the recorder stalled for longer than its queues of \
+                 {RECORDER_QUEUE_TICKS} ticks can bridge; with `recording.on_full = \"wait\"` the physics waits for it"
             ),
             code: EXIT_GAP,
         }),
@@ -301,8 +304,10 @@ fn judge(result: &RunResult) -> Result<(), Failure> {
         Outcome::Interrupted => Err(Failure { message: "interrupted".to_owned(), code: EXIT_INTERRUPTED }),
         // The launcher has already said how.
         Outcome::PartDied { name, .. } => {
-            Err(Failure::failed(format!("the run ended early because `{name}` did")))
+            Err(Failure::failed(format!("the run ended early because `{name}` ended")))
         }
-        Outcome::LogGone(_) => Err(Failure::failed("the run ended early because its log has gone")),
+        Outcome::LogGone(_) => {
+            Err(Failure::failed("the run ended early because its log was removed or moved"))
+        }
     }
 }

@@ -1,4 +1,5 @@
-//! `trabecula scene check FILE` validates a scene; `trabecula scene init` writes one to start from.
+//! `trabecula scene check FILE` validates a scene; `trabecula scene init` writes one to start from; `trabecula scene schema`
+//! prints the JSON schema of scenes, for editors.
 
 use std::path::{Path, PathBuf};
 
@@ -8,12 +9,13 @@ use controllers::Calibration;
 use crate::failure::Failure;
 use crate::launcher::volume_source::{self, VolumeFiles};
 use crate::output::refuse_existing;
+use crate::say;
 use crate::scenes::{BuiltIn, SceneSource};
 
 /// What to do with a scene.
 #[derive(Debug, Subcommand)]
 pub enum SceneCommand {
-    /// Check every key and range, and that the volume and the calibrations can be read.
+    /// Check all keys and ranges, and that the volume and the calibrations are readable.
     Check {
         /// Scene file.
         file: PathBuf,
@@ -21,15 +23,17 @@ pub enum SceneCommand {
         #[command(flatten)]
         volume_files: VolumeFiles,
     },
-    /// Write a scene that is inside the program into a folder, to be changed: the default scene unless another is named.
+    /// Write a built-in scene to a folder as a starting point.
     Init {
-        /// Folder; made if it is not there.
+        /// Folder; created if missing.
         #[arg(default_value = ".")]
         folder: PathBuf,
-        /// Which one.
+        /// The scene to write.
         #[arg(long, value_enum, default_value_t = BuiltIn::Femur)]
         scene: BuiltIn,
     },
+    /// Print the JSON schema of scenes (draft 7), by which an editor completes and checks them.
+    Schema,
 }
 
 /// Runs the command.
@@ -40,7 +44,17 @@ pub fn run(command: &SceneCommand) -> Result<(), Failure> {
     match command {
         SceneCommand::Check { file, volume_files } => check(file, *volume_files),
         SceneCommand::Init { folder, scene } => init(folder, *scene),
+        SceneCommand::Schema => schema(),
     }
+}
+
+fn schema() -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(&ipc_types::scene::json_schema());
+    let text =
+        text.map_err(|cause| Failure::failed(format!("the schema cannot be written as JSON: {cause}")))?;
+    say::verbatim(&text);
+    say::verbatim("\n");
+    Ok(())
 }
 
 fn init(folder: &Path, scene: BuiltIn) -> Result<(), Failure> {
@@ -62,7 +76,10 @@ fn check(file: &Path, volume_files: VolumeFiles) -> Result<(), Failure> {
                 path.display()
             )));
         }
-        volume_source::load(&scene, volume_files)?;
+        let loaded = volume_source::load_with_notes(&scene, volume_files)?;
+        for note in loaded.iter().flat_map(|loaded| &loaded.notes) {
+            say!("{note}");
+        }
     }
     let calibrations = scene.controller.iter().filter_map(|controller| controller.curved_drilling.as_ref());
     for path in calibrations.filter_map(|drilling| drilling.calibration.as_ref()) {

@@ -15,9 +15,9 @@ use viewer_proc::server::Server;
 use viewer_proc::surface::Geometry;
 use viewer_proc::{ServerOptions, ToolShape, ViewerError};
 
-use crate::doorway::{self, Doorway};
 use crate::failure::{EXIT_INTERRUPTED, Failure};
 use crate::launcher::volume_source::{self, VolumeFiles};
+use crate::redirect_file::{self, RedirectFile};
 
 /// How long the viewer may take to shut down after a signal.
 const LEAVE_LIMIT: Duration = Duration::from_secs(2);
@@ -25,12 +25,12 @@ const LEAVE_LIMIT: Duration = Duration::from_secs(2);
 /// Arguments of `view`.
 #[derive(Debug, Args)]
 pub struct ViewArguments {
-    /// Log to show, `run.mcap` or its folder; without one, a running session is shown.
+    /// Log to show: a run's folder or its `run.mcap`; default: a running session.
     #[arg(conflicts_with = "session")]
     log: Option<PathBuf>,
-    /// Log to compare it with.
+    /// Second log, to compare with the first.
     second: Option<PathBuf>,
-    /// Folder of the session; without it the one of this user that was announced last.
+    /// Folder of the session; default: this user's newest session.
     #[arg(long)]
     session: Option<PathBuf>,
     #[command(flatten)]
@@ -42,22 +42,22 @@ pub struct ViewArguments {
 /// How the page is served.
 #[derive(Debug, Clone, Args)]
 pub struct ServerArguments {
-    /// Port of the page; 0 takes a free one.
+    /// Port; 0 picks a free one.
     #[arg(long, default_value_t = 8765)]
     port: u16,
-    /// Address to listen at. Beyond loopback the token travels in the clear.
+    /// Address to listen on. Beyond loopback, the token is sent unencrypted.
     #[arg(long, default_value = "127.0.0.1")]
     bind: IpAddr,
-    /// Origin of pages from elsewhere that may connect, such as http://localhost:8080 for a Lichtblick of one's own.
+    /// Allow pages from this origin to connect, for example http://localhost:8080 for a self-hosted Lichtblick.
     #[arg(long)]
     allow_origin: Vec<String>,
-    /// Let whoever reaches the port watch without the token, any user of this machine for one; to command it is needed all the same.
+    /// Let anyone who can reach the port, such as other users of this machine, watch without the token. Commands still need it.
     #[arg(long)]
     watch_by_anyone: bool,
     /// Do not open a browser.
     #[arg(long)]
     no_open: bool,
-    /// Read the page from this folder at every request, while it is being worked on.
+    /// Serve the page's files from this folder, read anew at each request (for page development).
     #[arg(long, hide = true)]
     page_folder: Option<PathBuf>,
 }
@@ -74,9 +74,9 @@ impl ServerArguments {
     }
 
     /// Prints the page's address and opens it. `folder` holds the file that redirects the browser to it.
-    fn ready(&self, server: &Server, folder: &Path) -> Option<Doorway> {
+    fn ready(&self, server: &Server, folder: &Path) -> Option<RedirectFile> {
         say!("{}", server.url());
-        if self.no_open { None } else { Doorway::open(&server.url(), folder) }
+        if self.no_open { None } else { RedirectFile::open(&server.url(), folder) }
     }
 }
 
@@ -93,7 +93,7 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
         });
     })
     .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
-    doorway::sweep(&doorway::folder());
+    redirect_file::sweep(&redirect_file::folder());
     if let Some(log) = &arguments.log {
         return view_logs(log, arguments, &end);
     }
@@ -102,10 +102,10 @@ pub fn run(arguments: &ViewArguments) -> Result<(), Failure> {
         Some(folder) => folder,
         None => return Err(failure(&ViewerError::NoSession(Searched::places(None)))),
     };
-    doorway::sweep(&session);
+    redirect_file::sweep(&session);
     let options = LiveOptions { session, server: arguments.server.options() };
-    let mut _doorway = None;
-    let ready = |server: &Server| _doorway = arguments.server.ready(server, &options.session);
+    let mut _redirect_file = None;
+    let ready = |server: &Server| _redirect_file = arguments.server.ready(server, &options.session);
     live::view(&options, tool_shape, ready, &end).map_err(|error| failure(&error))
 }
 
@@ -117,9 +117,9 @@ fn view_logs(log: &Path, arguments: &ViewArguments, end: &EndRequest) -> Result<
     };
     let volume = |scene: &Scene| log_volume(scene, arguments.volume_files);
     let help = SceneHelp { tool: &tool_shape, volume: &volume };
-    let folder = doorway::folder();
-    let mut _doorway = None;
-    let ready = |server: &Server| _doorway = arguments.server.ready(server, &folder);
+    let folder = redirect_file::folder();
+    let mut _redirect_file = None;
+    let ready = |server: &Server| _redirect_file = arguments.server.ready(server, &folder);
     log::view(&options, &help, ready, end).map_err(|error| failure(&error))
 }
 

@@ -3,25 +3,25 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
-use volume_io::{phantom, read_where, write_nrrd};
+use volume_io::{phantom, read_as, write_nrrd};
 
 use crate::failure::Failure;
-use crate::launcher::volume_source::VolumeFiles;
+use crate::launcher::volume_source::{VolumeChoice, VolumeFiles};
 use crate::output::refuse_existing;
 use crate::replay::{OpenedLog, Overrides};
 
 /// What to do with a volume.
 #[derive(Debug, Subcommand)]
 pub enum VolumeCommand {
-    /// Geometry, Hounsfield units and notes of a volume file or DICOM folder.
+    /// Print geometry, Hounsfield range and notes of a volume file or DICOM folder.
     Info {
         /// NIfTI, NRRD, MetaImage, or a DICOM folder.
         file: PathBuf,
-        /// Which files the volume may name.
+        /// What of it is read.
         #[command(flatten)]
-        files: VolumeFiles,
+        choice: VolumeChoice,
     },
-    /// The CT of a run with its drilled voxels as air, as NRRD; works while the run is going on.
+    /// Write a run's CT with the drilled voxels set to air, as NRRD; also works during the run.
     Drilled(DrilledArguments),
 }
 
@@ -30,12 +30,12 @@ pub enum VolumeCommand {
 pub struct DrilledArguments {
     /// Folder of a run, or its `run.mcap`.
     log: PathBuf,
-    /// File to write (NRRD, gzip).
+    /// Output file (NRRD, gzip).
     file: PathBuf,
-    /// The bone after this tick; without it, after the last one in the log.
+    /// Show the bone after this tick; default: the last tick of the log.
     #[arg(long)]
     tick: Option<u64>,
-    /// The CT file, where it lies now.
+    /// Current path of the log's CT file.
     #[arg(long)]
     volume: Option<PathBuf>,
     #[command(flatten)]
@@ -72,7 +72,7 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
         last = record.state.tick;
     }
     if arguments.tick.is_some_and(|tick| tick > last) {
-        return Err(Failure::bad_input(format!("--tick is {wanted}, the log ends at tick {last}")));
+        return Err(Failure::bad_input(format!("--tick is {wanted}, but the log ends at tick {last}")));
     }
     for index in &gone {
         if let Some(hu) = volume.hu.get_mut(*index as usize) {
@@ -80,20 +80,20 @@ fn write_drilled(arguments: &DrilledArguments) -> Result<(), Failure> {
         }
     }
     write_nrrd(&arguments.file, &volume)?;
-    say!("{}: the CT after tick {last}, {} voxels gone", arguments.file.display(), gone.len());
+    say!("{}: the CT after tick {last}, {} voxels removed", arguments.file.display(), gone.len());
     Ok(())
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// Not a volume, or not a log with one (2); a log that cannot be read further, a full disk (1).
+/// Not a volume, or not a log with one (2); a log that cannot be read to its end, a full disk (1).
 pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
-    let (file, files) = match command {
-        VolumeCommand::Info { file, files } => (file, files),
+    let (file, choice) = match command {
+        VolumeCommand::Info { file, choice } => (file, choice),
         VolumeCommand::Drilled(arguments) => return write_drilled(arguments),
     };
-    let (_, info) = read_where(file, files.allowed())?;
+    let (_, info) = read_as(file, &choice.options())?;
     say!("{info}");
     Ok(())
 }
@@ -101,10 +101,10 @@ pub fn run(command: &VolumeCommand) -> Result<(), Failure> {
 /// Arguments of `phantom`.
 #[derive(Debug, Args)]
 pub struct PhantomArguments {
-    /// Which one.
+    /// The volume to generate.
     #[arg(value_enum)]
     pub kind: PhantomKind,
-    /// File to write (NRRD, gzip).
+    /// Output file (NRRD, gzip).
     pub file: PathBuf,
     /// Voxel size in millimetres, 0.25 to 2.
     #[arg(long, default_value_t = 0.5)]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{CArmGeometry, Volume as VolumeMessage};
+use ipc_types::messages::{CArmGeometry, Part as HubPart, Volume as VolumeMessage};
 use ipc_types::ports::{PortError, Publisher};
 use ipc_types::scene::{Mode, Scene, Wait};
 use ipc_types::services;
@@ -19,15 +19,17 @@ use xray::from_scene::scene_c_arm;
 use xray::message::c_arm_message;
 use zerocopy::IntoBytes;
 
-use super::part::Part;
+use super::part::{Part, ProgramOutput};
 use super::volume_source;
 
+/// Name of this process.
+pub const LAUNCHER: &str = HubPart::Host.name();
 /// Name of the physics part.
-pub const PHYSICS: &str = "physics";
+pub const PHYSICS: &str = HubPart::Physics.name();
 /// Name of the DRR part.
-pub const DRR: &str = "drr";
+pub const DRR: &str = HubPart::Drr.name();
 /// Name of the recorder part.
-pub const RECORDER: &str = "recorder";
+pub const RECORDER: &str = HubPart::Recorder.name();
 
 const VIEWER: &str = "viewer";
 
@@ -144,7 +146,7 @@ impl Hub {
         if !self.is_hidden.get() && !self.host.session.is_announced() {
             self.is_hidden.set(true);
             tell!(
-                "trabecula: {}: the session's folder was removed; the run goes on with those who have joined, nobody else can",
+                "trabecula: {}: the session's folder was removed; the run continues, but no other program can join",
                 self.folder().display()
             );
         }
@@ -166,7 +168,7 @@ impl Hub {
         if let Some(output) = output {
             command.arg("--output").arg(output);
         }
-        self.spawn(part, &mut command, false)
+        self.spawn(part, &mut command, ProgramOutput::Hidden)
     }
 
     /// Starts an external controller program.
@@ -182,7 +184,7 @@ impl Hub {
         let mut keeper = Command::new(std::env::current_exe().map_err(start_error)?);
         keeper.args(["proc", "keep", "--"]).args(words);
         keeper.env(CONTROLLER_VARIABLE, name).env(SESSION_VARIABLE, self.folder());
-        Part::start_kept(name, &mut keeper, true).map_err(start_error)
+        Part::start_kept(name, &mut keeper, ProgramOutput::Shown).map_err(start_error)
     }
 
     /// Starts the viewer as `trabecula view`; the viewer prints its page's address.
@@ -197,12 +199,12 @@ impl Hub {
         if view.watch_by_anyone {
             command.arg("--watch-by-anyone");
         }
-        self.spawn(VIEWER, &mut command, true)
+        self.spawn(VIEWER, &mut command, ProgramOutput::Shown)
     }
 
-    fn spawn(&self, part: &str, command: &mut Command, echo: bool) -> Result<Part, HubError> {
+    fn spawn(&self, part: &str, command: &mut Command, output: ProgramOutput) -> Result<Part, HubError> {
         let program = command.get_program().to_string_lossy().into_owned();
-        Part::start(part, command.env(SESSION_VARIABLE, self.folder()), echo)
+        Part::start(part, command.env(SESSION_VARIABLE, self.folder()), output)
             .map_err(|cause| HubError::Start { part: part.to_owned(), program, cause })
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use ipc_types::signals::{Ask, EndRequest};
+use ipc_types::signals::{EndRequest, EndSignal};
 
 use super::part;
 use crate::failure::EXIT_INTERRUPTED;
@@ -38,11 +38,11 @@ impl Interrupts {
     ///
     /// # Errors
     /// The system refuses to install a handler or to start the thread.
-    pub fn hear() -> std::io::Result<Interrupts> {
+    pub fn install() -> std::io::Result<Interrupts> {
         let stage = Arc::new(Mutex::new(Stage::Before(Vec::new())));
         let seen = Arc::clone(&stage);
         // The thread holds the lock until the process ends, so that no new stage begins once it has decided to exit.
-        let end = EndRequest::answered(move |ask| answer(&lock(&seen), ask))?;
+        let end = EndRequest::answered(move |signal| answer(&lock(&seen), signal))?;
         Ok(Interrupts { end, stage })
     }
 
@@ -90,33 +90,33 @@ pub fn remove_empty(folders: &[PathBuf]) {
     }
 }
 
-fn answer(stage: &Stage, ask: Ask) {
+fn answer(stage: &Stage, signal: EndSignal) {
     // Whoever sent the signal should not wait for a stopped terminal.
     printer::hurry();
-    let (Ask::First(signal) | Ask::Again(signal)) = ask;
-    match (stage, ask) {
+    let (EndSignal::First(name) | EndSignal::Repeated(name)) = signal;
+    match (stage, signal) {
         (Stage::Before(folders), _) => {
             remove_empty(folders);
-            tell!("trabecula: {signal}: ended before anything had begun");
+            tell!("trabecula: {name}: stopped before the run had started");
             printer::leave(EXIT_INTERRUPTED);
         }
         (Stage::Reporting, _) => {
-            tell!("trabecula: {signal}: the logs are whole, pictures and summary.json may be missing");
+            tell!("trabecula: {name}: the logs are whole, pictures and summary.json may be missing");
             printer::leave(EXIT_INTERRUPTED);
         }
-        (Stage::Running, Ask::First(_)) => {
+        (Stage::Running, EndSignal::First(_)) => {
             tell!(
-                "trabecula: {signal}: the run ends and its log is finished; a second signal ends all at once"
+                "trabecula: {name}: stopping the run and finishing its log; a second signal kills everything at once"
             );
         }
-        (Stage::Running, Ask::Again(_)) => {
+        (Stage::Running, EndSignal::Repeated(_)) => {
             part::end_all_at_once();
             // The launcher cleans up after its parts; if it hangs, the next run does.
             std::thread::spawn(|| {
                 std::thread::sleep(EXIT_LIMIT);
                 std::process::exit(EXIT_INTERRUPTED.into());
             });
-            tell!("trabecula: {signal}: everything ends at once; `trabecula log repair` finishes the log");
+            tell!("trabecula: {name}: killing everything; use `trabecula log repair` on the log");
         }
     }
 }

@@ -24,7 +24,7 @@ impl LogWatch {
     }
 
     /// What happened to the log, if it is no longer in place.
-    pub(super) fn look(&mut self) -> Option<String> {
+    pub(super) fn check(&mut self) -> Option<String> {
         if self.looked.elapsed() < CHECK_PERIOD {
             return None;
         }
@@ -40,12 +40,10 @@ impl LogWatch {
         }
         let log = self.log.display();
         if written.nlink() == 0 {
-            return Some(format!(
-                "the log {log} has been removed while the run went on: what it held is lost"
-            ));
+            return Some(format!("the log {log} was removed during the run: its content is lost"));
         }
         let place = std::fs::read_link(format!("/proc/self/fd/{}", file.as_raw_fd())).ok()?;
-        Some(format!("the log {log} has been moved to {} while the run went on", place.display()))
+        Some(format!("the log {log} was moved to {} during the run", place.display()))
     }
 }
 
@@ -59,7 +57,7 @@ mod tests {
         let mut watch = LogWatch::new(folder.path());
         let mut look = || {
             watch.looked -= CHECK_PERIOD;
-            watch.look()
+            watch.check()
         };
         assert_eq!(look(), None, "not made yet");
         let (log, other) = (folder.path().join("run.mcap"), folder.path().join("other.mcap"));

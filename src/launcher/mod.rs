@@ -8,4 +8,5 @@ pub mod part;
 pub mod progress;
 mod replacements;
 pub mod run;
+pub mod suspicions;
 pub mod volume_source;

@@ -35,21 +35,21 @@ const KEEPER_LIMIT: Duration = Duration::from_secs(3);
 const ORPHAN_POLL_PERIOD: Duration = Duration::from_millis(2);
 
 /// Every part not yet reaped, so that another thread can kill all of them ([`end_all_at_once`]).
-static RUNNING: Mutex<Vec<Hold>> = Mutex::new(Vec::new());
+static RUNNING: Mutex<Vec<KillHandle>> = Mutex::new(Vec::new());
 
 /// Whether this process is the subreaper of its parts' descendants.
 static IS_SUBREAPER: AtomicBool = AtomicBool::new(false);
 
 /// What is needed to kill a part.
 #[derive(Debug, Clone)]
-struct Hold {
+struct KillHandle {
     /// Leads its own process group (`bind_to_parent`).
     pid: Option<Pid>,
     /// Socket to the keeper, if the part has one.
     leash: Option<Arc<UnixStream>>,
 }
 
-impl Hold {
+impl KillHandle {
     /// Signals the part and its process group.
     fn signal(&self, signal: Signal) {
         // They may just have ended.
@@ -68,7 +68,7 @@ impl Hold {
 /// Kills every part of this process, with everything that they have started.
 pub fn end_all_at_once() {
     // A part leaves the list before it is reaped, so its group number cannot have been reused.
-    running().iter().for_each(Hold::end_at_once);
+    running().iter().for_each(KillHandle::end_at_once);
 }
 
 /// Makes this process the subreaper: orphans of a killed keeper become its children and are killed with it. Only for a
@@ -84,7 +84,7 @@ fn kill_orphans() {
     let end = Instant::now() + KEEPER_LIMIT;
     let mut killed = Vec::new();
     while IS_SUBREAPER.load(Ordering::Relaxed) && Instant::now() < end {
-        let parts: Vec<Option<Pid>> = running().iter().map(|hold| hold.pid).collect();
+        let parts: Vec<Option<Pid>> = running().iter().map(|kill_handle| kill_handle.pid).collect();
         let left: Vec<Pid> = children().into_iter().filter(|pid| !parts.contains(&Some(*pid))).collect();
         if left.is_empty() {
             break;
@@ -101,7 +101,7 @@ fn kill_orphans() {
     }
 }
 
-fn running() -> MutexGuard<'static, Vec<Hold>> {
+fn running() -> MutexGuard<'static, Vec<KillHandle>> {
     RUNNING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -111,7 +111,7 @@ pub struct Part {
     /// Its name in messages.
     pub name: String,
     child: Child,
-    hold: Hold,
+    kill_handle: KillHandle,
     /// The process to measure; for a part with a keeper, its program.
     process: u32,
     words: Arc<Mutex<VecDeque<String>>>,
@@ -154,25 +154,34 @@ impl Memory {
     }
 }
 
+/// What becomes of a program's output, besides its last lines.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ProgramOutput {
+    /// It is shown, each line with the program's name.
+    Shown,
+    /// Nothing.
+    Hidden,
+}
+
 impl Part {
-    /// Starts a program. Keeps its last output lines; `echo` also shows its output.
+    /// Starts a program. Keeps its last output lines.
     ///
     /// # Errors
     /// The program cannot be started.
-    pub fn start(name: &str, command: &mut Command, echo: bool) -> std::io::Result<Part> {
-        Part::start_with(name, command.stdin(Stdio::null()), None, echo)
+    pub fn start(name: &str, command: &mut Command, output: ProgramOutput) -> std::io::Result<Part> {
+        Part::start_with(name, command.stdin(Stdio::null()), None, output)
     }
 
     /// Starts a program through its keeper's command line (`src/keeper.rs`).
     ///
     /// # Errors
     /// The keeper or its program cannot be started.
-    pub fn start_kept(name: &str, keeper: &mut Command, echo: bool) -> std::io::Result<Part> {
+    pub fn start_kept(name: &str, keeper: &mut Command, output: ProgramOutput) -> std::io::Result<Part> {
         let (ours, its) = UnixStream::pair()?;
         ours.set_read_timeout(Some(START_LIMIT))?;
         let leash = Arc::new(ours);
         let keeper = keeper.stdin(OwnedFd::from(its));
-        let mut part = Part::start_with(name, keeper, Some(Arc::clone(&leash)), echo)?;
+        let mut part = Part::start_with(name, keeper, Some(Arc::clone(&leash)), output)?;
         // Drop the command's copy, so that our side of the socket closes when the keeper ends.
         keeper.stdin(Stdio::null());
         match Started::read(&leash)? {
@@ -186,13 +195,13 @@ impl Part {
         name: &str,
         command: &mut Command,
         leash: Option<Arc<UnixStream>>,
-        echo: bool,
+        output: ProgramOutput,
     ) -> std::io::Result<Part> {
         let mut child = bind_to_parent(command.stdout(Stdio::piped()).stderr(Stdio::piped())).spawn()?;
-        let hold = Hold { pid: i32::try_from(child.id()).ok().and_then(Pid::from_raw), leash };
-        running().push(hold.clone());
+        let kill_handle = KillHandle { pid: i32::try_from(child.id()).ok().and_then(Pid::from_raw), leash };
+        running().push(kill_handle.clone());
         let words = Arc::new(Mutex::new(VecDeque::new()));
-        let shown_as = echo.then(|| name.to_owned());
+        let shown_as = (output == ProgramOutput::Shown).then(|| name.to_owned());
         let mut listeners = Vec::new();
         if let Some(output) = child.stdout.take() {
             listeners.push(listen(output, Arc::clone(&words), shown_as.clone()));
@@ -204,7 +213,7 @@ impl Part {
             name: name.to_owned(),
             process: child.id(),
             child,
-            hold,
+            kill_handle,
             words,
             listeners,
             status: None,
@@ -221,7 +230,7 @@ impl Part {
     /// The exit status, if the part has ended. Everything it started ends with it.
     pub fn ended(&mut self) -> Option<ExitStatus> {
         if self.status.is_none() && self.is_to_be_reaped() {
-            self.hold.signal(Signal::KILL);
+            self.kill_handle.signal(Signal::KILL);
             self.reap();
         }
         self.status
@@ -234,14 +243,14 @@ impl Part {
 
     fn is_to_be_reaped(&self) -> bool {
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-        self.hold.pid.is_some_and(|pid| !matches!(waitid(WaitId::Pid(pid), options), Ok(None)))
+        self.kill_handle.pid.is_some_and(|pid| !matches!(waitid(WaitId::Pid(pid), options), Ok(None)))
     }
 
     /// Reaps the process, which has ended or been killed.
     fn reap(&mut self) {
-        running().retain(|hold| hold.pid != self.hold.pid);
+        running().retain(|kill_handle| kill_handle.pid != self.kill_handle.pid);
         self.status = self.child.wait().ok();
-        if self.hold.leash.is_some() {
+        if self.kill_handle.leash.is_some() {
             kill_orphans();
         }
     }
@@ -266,7 +275,7 @@ impl Part {
     /// Asks the part to end (SIGTERM).
     pub fn ask_to_end(&mut self) {
         if self.ended().is_none() {
-            self.hold.signal(Signal::TERM);
+            self.kill_handle.signal(Signal::TERM);
         }
     }
 
@@ -275,11 +284,11 @@ impl Part {
         if self.ended().is_some() {
             return;
         }
-        self.hold.end_at_once();
-        if self.hold.leash.is_some() && self.ends_within(KEEPER_LIMIT) {
+        self.kill_handle.end_at_once();
+        if self.kill_handle.leash.is_some() && self.ends_within(KEEPER_LIMIT) {
             return;
         }
-        self.hold.signal(Signal::KILL);
+        self.kill_handle.signal(Signal::KILL);
         self.reap();
     }
 

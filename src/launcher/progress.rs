@@ -4,7 +4,7 @@
 use std::io::{IsTerminal, Write, stderr};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{PHASE_CONNECTING, PHASE_PAUSED};
+use ipc_types::messages::Phase;
 
 use super::run::RunSnapshot;
 use crate::failure::Failure;
@@ -17,7 +17,7 @@ const PLAIN_PERIOD: Duration = Duration::from_secs(2);
 /// Shows a run's progress.
 #[derive(Debug)]
 pub struct Display {
-    manner: Manner,
+    style: ProgressStyle,
     terminal: bool,
     history: History,
     stats: LiveStats,
@@ -31,11 +31,11 @@ pub struct Display {
 
 /// How to show progress.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Manner {
+pub enum ProgressStyle {
     /// Show nothing.
     Quiet,
     /// Lines and tables on standard error.
-    People,
+    Text,
     /// Lines of JSON on standard output.
     Json,
 }
@@ -45,12 +45,12 @@ impl Display {
     ///
     /// # Errors
     /// The statistics cannot be set up.
-    pub fn new(manner: Manner) -> Result<Display, Failure> {
+    pub fn new(style: ProgressStyle) -> Result<Display, Failure> {
         let stats = LiveStats::new().map_err(|error| Failure::failed(error.to_string()))?;
         let terminal = stderr().is_terminal();
         Ok(Display {
-            manner,
-            terminal: terminal && manner == Manner::People,
+            style,
+            terminal: terminal && style == ProgressStyle::Text,
             history: History::default(),
             stats,
             last: Instant::now(),
@@ -64,13 +64,13 @@ impl Display {
     /// Adds a snapshot, and updates the display if it is due.
     pub fn show(&mut self, snapshot: &RunSnapshot) {
         snapshot.timings.iter().for_each(|timing| self.stats.add(timing));
-        if self.manner != Manner::Quiet && !self.announced {
+        if self.style != ProgressStyle::Quiet && !self.announced {
             self.announced = true;
             tell!("session {}", snapshot.session.display());
             snapshot.awaited.iter().for_each(|line| tell!("{line}"));
         }
         let period = if self.terminal { TERMINAL_PERIOD } else { PLAIN_PERIOD };
-        if self.manner == Manner::Quiet || self.last.elapsed() < period {
+        if self.style == ProgressStyle::Quiet || self.last.elapsed() < period {
             return;
         }
         let lines = self.lines(snapshot);
@@ -81,14 +81,14 @@ impl Display {
     }
 
     fn lines(&mut self, snapshot: &RunSnapshot) -> Vec<String> {
-        let phase = snapshot.status.map(|status| status.phase);
-        let Some(state) = snapshot.state.filter(|_| phase != Some(PHASE_CONNECTING)) else {
+        let phase = snapshot.status.and_then(|status| status.phase().ok());
+        let Some(state) = snapshot.state.filter(|_| phase != Some(Phase::Connecting)) else {
             let waits = match snapshot.state {
                 None => "loading the volume, connecting the parts",
                 Some(_) => "connecting the parts",
             };
-            return match self.manner {
-                Manner::Json => vec![json_line(&LiveSnapshot::default(), "connecting").to_string()],
+            return match self.style {
+                ProgressStyle::Json => vec![json_line(&LiveSnapshot::default(), "connecting").to_string()],
                 _ => vec![waits.to_owned()],
             };
         };
@@ -104,8 +104,8 @@ impl Display {
             missed_ticks: snapshot.status.filter(|status| status.mode != 0).map(|status| status.missed_ticks),
         };
         self.history.add(&snapshot);
-        let paused = phase == Some(PHASE_PAUSED);
-        if self.manner == Manner::Json {
+        let paused = phase == Some(Phase::Paused);
+        if self.style == ProgressStyle::Json {
             return vec![json_line(&snapshot, if paused { "paused" } else { "running" }).to_string()];
         }
         let mut lines = match self.terminal {
@@ -120,7 +120,7 @@ impl Display {
 
     fn draw(&mut self, lines: &[String]) {
         // A closed terminal or pipe must not end the run.
-        if self.manner == Manner::Json {
+        if self.style == ProgressStyle::Json {
             lines.iter().for_each(|line| say!("{line}"));
             return;
         }

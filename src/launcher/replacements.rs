@@ -1,7 +1,7 @@
 //! Handles controller programs that end before the run does: restarts them, or continues without them, as the scene
 //! says.
 
-use ipc_types::messages::{EVENT_RUN, SENDER_LAUNCHER, SEVERITY_WARNING};
+use ipc_types::messages::{EventCode, Part as HubPart, Participant, Severity, Tick};
 use ipc_types::ports::PortError;
 use ipc_types::process::EventSender;
 use ipc_types::scene::Controller;
@@ -21,7 +21,10 @@ pub(super) struct Replacements {
 
 impl Replacements {
     pub(super) fn new(session: &Session) -> Result<Replacements, SessionError> {
-        Ok(Replacements { events: EventSender::new(session, SENDER_LAUNCHER)?, gone: Vec::new() })
+        Ok(Replacements {
+            events: EventSender::new(session, Participant::Part(HubPart::Host))?,
+            gone: Vec::new(),
+        })
     }
 
     /// The program of this part and its restart count, if the run can continue without it.
@@ -52,7 +55,7 @@ impl Replacements {
         hub: &Hub,
         parts: &mut Vec<Part>,
         index: usize,
-        tick: u64,
+        tick: Tick,
     ) -> Result<bool, PortError> {
         let part = &mut parts[index];
         let Some((controller, command, before)) = self.dispensable(plan, part) else { return Ok(false) };
@@ -61,10 +64,10 @@ impl Replacements {
         let words = part.last_words().pop().map_or_else(String::new, |line| format!(", saying `{line}`"));
         let then = match again {
             true => format!("start {} of {} follows", before + 1, controller.restarts),
-            false => "the run goes on without it".to_owned(),
+            false => "the run continues without it".to_owned(),
         };
         let text = format!("controller `{}` ended ({how}){words}; {then}", controller.name);
-        self.events.send(tick, SEVERITY_WARNING, EVENT_RUN, &text)?;
+        self.events.send(tick, Severity::Warning, EventCode::Run, &text)?;
         if again {
             // If the program no longer exists, treat it as one that the run cannot replace.
             let Ok(successor) = hub.start_program(&controller.name, command) else { return Ok(false) };

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use foreign_text::foreign_line;
-use ipc_types::messages::{Frame, PHASE_ENDED, PHASE_RUNNING, RunStatus, State, TickTiming};
+use ipc_types::messages::{Frame, Phase, RunStatus, State, Tick, TickTiming};
 use ipc_types::ports::{PortError, Subscriber};
 use ipc_types::process::{EXIT_GAP, EndRequest, ProcessorTime};
 use ipc_types::scene::{Controller, Scene};
@@ -14,7 +14,7 @@ use recorder_proc::process::OUTPUT_FILE;
 use volume_io::Volume;
 
 use super::ending::Ending;
-use super::hub::{DRR, Hub, HubError, PHYSICS, RECORDER, View};
+use super::hub::{DRR, Hub, HubError, LAUNCHER, PHYSICS, RECORDER, View};
 use super::log_watch::LogWatch;
 use super::part::{Memory, Part};
 use super::replacements::Replacements;
@@ -66,7 +66,7 @@ impl Outcome {
                 let lines: Vec<String> =
                     last_words.iter().map(|line| foreign_line(line).to_string()).collect();
                 let words = if lines.is_empty() { "nothing".to_owned() } else { lines.join("\n  ") };
-                Some(format!("part `{name}` died ({how}); its last words:\n  {words}"))
+                Some(format!("part `{name}` died ({how}); its last output:\n  {words}"))
             }
         }
     }
@@ -198,17 +198,17 @@ pub fn run_with(
     if let Some(viewer) = &mut viewer {
         ending.end_viewer(viewer);
     }
-    subscriptions.look()?;
+    subscriptions.poll()?;
     if !end.is_set() {
         show(&subscriptions.snapshot(hub.folder(), &[], &[]));
     }
     own_memory.measure("self");
     let all = || parts.iter().chain(&replacements.gone);
     let mut memory: Vec<(String, Memory)> = all().map(|part| (part.name.clone(), part.memory)).collect();
-    memory.push(("launcher".to_owned(), own_memory));
+    memory.push((LAUNCHER.to_owned(), own_memory));
     let mut processor: Vec<(String, Duration)> =
         all().map(|part| (part.name.clone(), part.processor)).collect();
-    processor.push(("launcher".to_owned(), ProcessorTime::of("self").unwrap_or_default().own));
+    processor.push((LAUNCHER.to_owned(), ProcessorTime::of("self").unwrap_or_default().own));
     let has_gap = parts.iter_mut().any(has_gap);
     Ok(RunResult { outcome, has_gap, running, starting: first_tick.duration_since(began), memory, processor })
 }
@@ -231,10 +231,13 @@ impl Running<'_> {
         let mut log = self.plan.output.as_deref().map(LogWatch::new);
         loop {
             self.hub.serve_late_joiners()?;
-            self.subscriptions.look()?;
+            self.subscriptions.poll()?;
             show(&self.subscriptions.snapshot(self.hub.folder(), &awaited, &self.parts));
             if self.first_tick.is_none()
-                && self.subscriptions.status.is_some_and(|status| status.phase >= PHASE_RUNNING)
+                && self
+                    .subscriptions
+                    .status
+                    .is_some_and(|status| status.phase().is_ok_and(|phase| phase >= Phase::Running))
             {
                 self.first_tick = Some(Instant::now());
             }
@@ -248,7 +251,7 @@ impl Running<'_> {
                     None => continue,
                 }
             }
-            if let Some(how) = log.as_mut().and_then(LogWatch::look) {
+            if let Some(how) = log.as_mut().and_then(LogWatch::check) {
                 return Ok(Outcome::LogGone(how));
             }
             std::thread::sleep(POLL_PERIOD);
@@ -258,9 +261,10 @@ impl Running<'_> {
     /// Handles a part that has ended; returns the outcome if that ends the run.
     fn part_ended(&mut self, index: usize) -> Result<Option<Outcome>, RunError> {
         // The physics publishes the end before any part can exit because of it.
-        self.subscriptions.look()?;
-        let run_has_ended = self.subscriptions.status.is_some_and(|status| status.phase == PHASE_ENDED);
-        let tick = self.subscriptions.state.as_ref().map_or(0, |state| state.tick);
+        self.subscriptions.poll()?;
+        let run_has_ended =
+            self.subscriptions.status.is_some_and(|status| status.phase() == Ok(Phase::Ended));
+        let tick = self.subscriptions.state.as_ref().map_or(Tick::START, |state| Tick(state.tick));
         let goes_on = match run_has_ended {
             true => self.replacements.dismiss(self.plan, &mut self.parts, index),
             false => self.replacements.replace(self.plan, self.hub, &mut self.parts, index, tick)?,
@@ -293,12 +297,12 @@ fn start_parts(plan: &RunPlan, hub: &Hub) -> Result<Vec<Part>, HubError> {
         // A viewer that joins later needs this; without it, it shows the bone undrilled.
         let place = std::path::absolute(output).unwrap_or_else(|_| output.clone());
         let _ = std::fs::write(hub.folder().join(OUTPUT_FILE), place.as_os_str().as_encoded_bytes());
-        parts.push(hub.start(RECORDER, &["recorder"], Some(output))?);
+        parts.push(hub.start(RECORDER, &[RECORDER], Some(output))?);
     }
     if plan.scene.drr.is_some() {
-        parts.push(hub.start(DRR, &["drr"], None)?);
+        parts.push(hub.start(DRR, &[DRR], None)?);
     }
-    parts.push(hub.start(PHYSICS, &["physics"], None)?);
+    parts.push(hub.start(PHYSICS, &[PHYSICS], None)?);
     for controller in &plan.scene.controller {
         match &controller.command {
             Some(words) => parts.push(hub.start_program(&controller.name, words)?),
@@ -317,7 +321,7 @@ fn awaited(scene: &Scene, hub: &Hub) -> Vec<String> {
         let Controller { name, connect_limit_s, optional, .. } = controller;
         let wait = match optional {
             true => "may join at any time".to_owned(),
-            false => format!("is waited for, {connect_limit_s} s at most"),
+            false => format!("has {connect_limit_s} s to connect"),
         };
         let how = hub.host.session.how_to_connect(name);
         format!("controller `{name}` {wait}; start it with {how}")
@@ -357,7 +361,7 @@ impl Subscriptions {
         })
     }
 
-    fn look(&mut self) -> Result<(), PortError> {
+    fn poll(&mut self) -> Result<(), PortError> {
         if let Some(state) = self.states.receive_newest()? {
             self.state = Some(Box::new(*state.message()));
         }

@@ -2,15 +2,20 @@
 
 use std::path::Path;
 
+use super::suspicions;
 use ipc_types::layout::Message;
 use ipc_types::messages::Volume as VolumeMessage;
-use ipc_types::scene::{Phantom, Scene, Volume as SceneVolume};
-use volume_io::{DataFiles, MaskModel, Volume, VolumeError, mask_to_hu, phantom, resample, volume_hash};
+use ipc_types::scene::{Label as SceneLabel, Phantom, Resample, Scene, Volume as SceneVolume};
+use volume_io::{
+    DataFiles, Label, MaskModel, ReadOptions, Slices, Volume, VolumeError, mask_to_hu, phantom, resample,
+    volume_hash,
+};
 
-/// Which files a volume may name. An option, no key of a scene: a scene may be as much a stranger's as its volume.
+/// Which files a volume may refer to. A command-line option and not a scene key, because a scene may be as untrusted as
+/// its volume.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct VolumeFiles {
-    /// Let a volume's header name data files outside of its own folder, and a folder of slices hold links that lead out of it.
+    /// Allow a volume header to name data files outside its own folder, and a slice folder to contain links that leave it.
     #[arg(long)]
     pub allow_elsewhere: bool,
 }
@@ -22,18 +27,83 @@ impl VolumeFiles {
     }
 }
 
+/// What of a file is read as a volume, for commands that take a file and no scene.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct VolumeChoice {
+    /// Which files it may name.
+    #[command(flatten)]
+    pub files: VolumeFiles,
+    /// SeriesInstanceUID of the series to read, if the DICOM folder holds several.
+    #[arg(long, value_name = "UID")]
+    pub series: Option<String>,
+    /// Resample slices that are unevenly spaced or stacked askew (a tilted gantry) to a rectangular grid.
+    #[arg(long)]
+    pub rectify: bool,
+}
+
+impl VolumeChoice {
+    /// As the volume readers expect it.
+    pub fn options(&self) -> ReadOptions {
+        let slices = if self.rectify { Slices::Rectify } else { Slices::AsTheyLie };
+        ReadOptions { data_files: self.files.allowed(), series: self.series.clone(), slices, label: None }
+    }
+}
+
+/// What a scene asks of its file.
+fn options(source: &SceneVolume, files: VolumeFiles) -> ReadOptions {
+    ReadOptions {
+        data_files: files.allowed(),
+        series: source.series.clone(),
+        slices: match source.resample {
+            Some(Resample::Rectify) => Slices::Rectify,
+            None => Slices::AsTheyLie,
+        },
+        label: source.label.as_ref().map(|label| match label {
+            SceneLabel::Value(value) => Label::Value(*value),
+            SceneLabel::Name(name) => Label::Name(name.clone()),
+        }),
+    }
+}
+
 /// The volume of a scene with its hash; `None` if the scene has none.
 ///
 /// # Errors
 /// The file is not a volume, or cannot be read.
 pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<(Volume, [u8; 32])>, VolumeError> {
+    Ok(load_with_notes(scene, files)?.map(|loaded| (loaded.volume, loaded.sha256)))
+}
+
+/// The volume of a scene.
+#[derive(Debug, Clone)]
+pub struct Loaded {
+    /// Voxels and geometry.
+    pub volume: Volume,
+    /// Its hash.
+    pub sha256: [u8; 32],
+    /// What its reader assumed or changed, and what looks wrong about it for this scene.
+    pub notes: Vec<String>,
+}
+
+/// The same, with what its reader assumed or changed, and what looks wrong about it for this scene.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with_notes(scene: &Scene, files: VolumeFiles) -> Result<Option<Loaded>, VolumeError> {
     let Some(source) = &scene.volume else { return Ok(None) };
+    let mut notes = Vec::new();
     let volume = match (&source.path, source.phantom) {
         (Some(path), _) => {
-            let (mut volume, _) = volume_io::read_where(path, files.allowed())?;
+            let (mut volume, info) = volume_io::read_as(path, &options(source, files))?;
+            notes.extend(info.notes);
             if source.mask {
                 mask_to_hu(&mut volume, &MASK_MODEL)?;
+            } else {
+                notes.extend(
+                    suspicions::of_a_mask(&volume)
+                        .or_else(|| suspicions::of_bone(&volume, source.bone_threshold_hu)),
+                );
             }
+            notes.extend(suspicions::of_places(&volume, scene));
             match source.resample_mm {
                 Some(spacing_mm) => resample(&volume, spacing_mm * 1e-3)?,
                 None => volume,
@@ -48,7 +118,7 @@ pub fn load(scene: &Scene, files: VolumeFiles) -> Result<Option<(Volume, [u8; 32
     // Refuse early whatever a part would refuse later.
     volume.check(source.path.as_deref().unwrap_or(Path::new("volume")))?;
     let hash = volume_hash(&volume);
-    Ok(Some((volume, hash)))
+    Ok(Some(Loaded { volume, sha256: hash, notes }))
 }
 
 /// Synthetic bone for a mask: cancellous down to the middle of a femoral head (22 mm deep), so that there is something

@@ -87,7 +87,7 @@ fn finding(name: &str, grade: Grade, found: String, cost: &str, grant: &str) -> 
 
 /// Tries something in a separate thread, so that any change ends with the thread.
 fn tried(what: impl FnOnce() -> std::io::Result<()> + Send + 'static) -> std::io::Result<()> {
-    std::thread::spawn(what).join().unwrap_or_else(|_| Err(std::io::Error::other("the thread died")))
+    std::thread::spawn(what).join().unwrap_or_else(|_| Err(std::io::Error::other("the thread panicked")))
 }
 
 fn fifo() -> Finding {
@@ -102,7 +102,7 @@ fn fifo() -> Finding {
         "SCHED_FIFO",
         grade,
         found,
-        "`--policy fifo` has no effect: on a core that others compute on, ticks wait up to a scheduler slice (3 to 4 ms)",
+        "`--policy fifo` has no effect: on a busy core, ticks wait for up to a scheduler slice (3 to 4 ms)",
         "`ulimit -r 50` after `<user> - rtprio 50` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`; in a container `--cap-add SYS_NICE --ulimit rtprio=50`",
     )
 }
@@ -117,7 +117,7 @@ fn nice() -> Finding {
         "nice below 0",
         grade,
         found,
-        "the physics has no more weight than the programs beside it; DRR and viewing still give way to it",
+        "the physics gets no more CPU weight than other programs; DRR and viewer still yield to it",
         "`<user> - nice -15` in /etc/security/limits.conf, or `setcap cap_sys_nice+ep trabecula`",
     )
 }
@@ -136,7 +136,7 @@ fn memory_lock() -> Finding {
         "mlockall",
         grade,
         found,
-        "memory may be paged out; a page that comes back from a disk costs milliseconds",
+        "memory may be paged out; reading a page back from disk takes milliseconds",
         "`<user> - memlock unlimited` in /etc/security/limits.conf, or `ulimit -l unlimited`; in a container `--ulimit memlock=-1`",
     )
 }
@@ -167,11 +167,11 @@ fn quota() -> Finding {
             let made = std::fs::create_dir(&probe);
             let _ = std::fs::remove_dir(&probe);
             match made {
-                Ok(()) => (Grade::Good, format!("version {version}, {} can be divided", folder.display())),
+                Ok(()) => (Grade::Good, format!("version {version}, {} can be subdivided", folder.display())),
                 Err(cause) => (Grade::Missing, format!("version {version}, {}: {cause}", folder.display())),
             }
         }
-        None => (Grade::Missing, "no hierarchy with the `cpu` controller".to_owned()),
+        None => (Grade::Missing, "no hierarchy has the `cpu` controller".to_owned()),
     };
     finding(
         "control groups",
@@ -188,26 +188,27 @@ fn huge_pages() -> Finding {
 
 fn huge_pages_of(transparent: &str, memory: &str) -> Finding {
     let total = memory.lines().find_map(|line| line.strip_prefix("HugePages_Total:")).map_or("0", str::trim);
-    let chosen = transparent.split(['[', ']']).nth(1).unwrap_or("not there").to_owned();
+    let chosen = transparent.split(['[', ']']).nth(1).unwrap_or("unavailable").to_owned();
     let (grade, granted) = match chosen.as_str() {
         // The hub requests huge pages explicitly (madvise), so either setting works.
-        "always" | "madvise" => (Grade::Good, "granted to the X-ray's copies of the CT, which ask for them"),
-        _ => (Grade::Limited, "refused to the X-ray's copies of the CT, which ask for them"),
+        "always" | "madvise" => (Grade::Good, "granted to the X-ray's copies of the CT, which request them"),
+        _ => (Grade::Limited, "refused to the X-ray's copies of the CT, which request them"),
     };
     finding(
         "huge pages",
         grade,
         format!("transparent: {chosen}: {granted}; {total} reserved, which the hub does not use"),
-        "rendering walks over the CT in small pages and misses the address cache more often; nothing fails",
+        "rendering reads the CT in small pages, with more TLB misses; nothing fails",
         "`echo madvise > /sys/kernel/mm/transparent_hugepage/enabled`",
     )
 }
 
 fn shared_memory() -> Finding {
-    let cost = "a session needs the CT volume and its frames there; too little is an error that says so at the start";
+    let cost =
+        "a session keeps the CT volume and its frames there; too little space is an error at the start";
     let grant = "`mount -o remount,size=4G /dev/shm`; in a container `--shm-size 4g`";
     let Ok(info) = rustix::fs::statvfs("/dev/shm") else {
-        return finding("/dev/shm", Grade::Missing, "not there".to_owned(), cost, grant);
+        return finding("/dev/shm", Grade::Missing, "does not exist".to_owned(), cost, grant);
     };
     let mebibytes = |blocks: u64| blocks * info.f_frsize / (1 << 20);
     let free = mebibytes(info.f_bavail);
@@ -228,7 +229,7 @@ fn clock_source() -> Finding {
         "clock source",
         grade,
         format!("{current} (available: {available})"),
-        "a look at a slow clock (hpet, acpi_pm) is a system call of about a microsecond; a tick takes about ten",
+        "reading a slow clock (hpet, acpi_pm) is a system call of about a microsecond; a tick does it about ten times",
         "`echo tsc > /sys/devices/system/clocksource/clocksource0/current_clocksource`",
     )
 }
@@ -260,7 +261,7 @@ fn preemption() -> Finding {
         "preemption model",
         grade,
         format!("{model} ({version})"),
-        "a neighbour's long system call (a write of megabytes) keeps the core from a tick of any priority for milliseconds",
+        "another program's long system call (a write of megabytes) can delay a tick of any priority by milliseconds",
         "boot with `preempt=full` where the version says PREEMPT_DYNAMIC, or a PREEMPT_RT kernel",
     )
 }
@@ -288,8 +289,8 @@ fn stolen(watched: &Machine, virtual_machine: bool) -> Finding {
     finding(
         "steal",
         grade,
-        format!("{stolen:.2} % of the machine while {busy:.0} % were busy, over {:.1} s", watched.seconds()),
-        "the hypervisor holds ticks up by milliseconds whatever the priority; such misses are counted apart",
-        "dedicated cores of the provider (pinned vCPUs), or a machine that is not virtual",
+        format!("{stolen:.2} % of the machine while {busy:.0} % was busy, over {:.1} s", watched.seconds()),
+        "the hypervisor delays ticks by milliseconds at any priority; such misses are counted separately",
+        "dedicated cores from the provider (pinned vCPUs), or a physical machine",
     )
 }

@@ -1,14 +1,12 @@
 //! Chooses the settings of a scene.
 
-use std::fmt;
-
 use ipc_types::scene::{ContactVoxels, Integrator, Scene};
-use serde::{Deserialize, Serialize};
 use simulation::manipulator::Rung;
 use simulation::rung;
 
 use super::TABLE;
-use super::table::{OWN_LINKS, Row, Settings, contact_name, integrator_name, read};
+use super::load::{Load, Pull, check_tool};
+use super::table::{Row, Settings, contact_name, integrator_name, read};
 use crate::failure::Failure;
 
 /// Settings that the scene's author fixed and the choice must keep.
@@ -70,8 +68,8 @@ impl Given {
 pub struct Choice {
     /// The row of the table.
     pub row: Row,
-    /// Whether the scene has bone.
-    pub bone: bool,
+    /// What the scene does to the tool.
+    pub load: Load,
     /// What the scene fixed.
     pub given: Given,
 }
@@ -79,23 +77,43 @@ pub struct Choice {
 impl Choice {
     /// The choice as text, one figure per line.
     pub fn text(&self) -> String {
-        let row = &self.row;
-        format!(
-            "settings      {}\nnamed         {} (kept)\ntip error     {:.4} mm expected (end moment {:.4}, tip force {:.4}, capstan {:.4}, wall {:.4}{})\npath error    {:.4} mm r.m.s. expected (wall {:.4}, sudden pull {:.4}{})\ncost          {:.1} us a simulated millisecond, as measured for the table",
-            row.settings.text(),
-            self.given.text(),
-            row.tip_mm(self.bone),
-            row.end_moment_mm,
-            row.tip_force_mm,
-            row.capstan_mm,
-            row.wall_mm,
-            if self.bone { format!(", voxels {:.4}", row.voxel_wall_mm) } else { String::new() },
-            row.path_mm(self.bone),
-            row.wall_path_mm,
-            row.swing_path_mm,
-            if self.bone { format!(", drilled {:.4}", row.drilled_path_mm) } else { String::new() },
-            row.us_per_ms(self.bone),
-        )
+        let (row, load) = (&self.row, self.load);
+        let hard = |error: f64| match load.pull {
+            Pull::Gentle => String::new(),
+            Pull::Hard => format!(", hard pull {error:.4}"),
+        };
+        let (mut tip, mut path) = (hard(row.hard_rest_mm), hard(row.hard_path_mm));
+        if load.bone {
+            tip += &format!(", voxels {:.4}", row.voxel_wall_mm);
+            path += &format!(
+                "; drilled {:.4} and place of the voxels {:.4}",
+                row.drilled_path_mm, row.grid_path_mm
+            );
+        }
+        [
+            format!("settings      {}", row.settings.text()),
+            format!("named         {} (kept)", self.given.text()),
+            format!(
+                "tip error     {:.4} mm expected (end moment {:.4}, tip force {:.4}, capstan {:.4}, wall {:.4}, pull {:.4}{tip})",
+                row.tip_mm(load),
+                row.end_moment_mm,
+                row.tip_force_mm,
+                row.capstan_mm,
+                row.wall_mm,
+                row.rest_mm
+            ),
+            format!(
+                "path error    {:.4} mm r.m.s. expected (wall {:.4}, pull {:.4}{path})",
+                row.path_mm(load),
+                row.wall_path_mm,
+                row.free_path_mm
+            ),
+            format!(
+                "cost          {:.1} us per simulated millisecond, as measured for the table",
+                row.us_per_ms(load.bone)
+            ),
+        ]
+        .join("\n")
     }
 }
 
@@ -105,8 +123,8 @@ impl Choice {
 /// # Errors
 /// Bad input: no measured settings meet the tolerance, or none of those that also match what the scene fixes.
 pub fn resolve(scene: &mut Scene, text: &str) -> Result<Option<Choice>, Failure> {
-    let rows =
-        read(TABLE).ok_or_else(|| Failure::failed("the built-in table of measured errors is no table"))?;
+    let rows = read(TABLE)
+        .ok_or_else(|| Failure::failed("the built-in table of measured errors cannot be parsed"))?;
     resolve_by(scene, text, &rows)
 }
 
@@ -123,7 +141,8 @@ fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, F
     if tolerance.tip_mm.is_none() && tolerance.path_mm.is_none() {
         return Ok(None);
     }
-    let bone = scene.volume.is_some();
+    check_tool(scene)?;
+    let load = Load::of(scene);
     let flat = !leaves_the_plane(scene);
     let rows: Vec<&Row> = rows
         .iter()
@@ -134,12 +153,12 @@ fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, F
     let best = rows
         .iter()
         .filter(|row| {
-            within(row.tip_mm(bone), tolerance.tip_mm) && within(row.path_mm(bone), tolerance.path_mm)
+            within(row.tip_mm(load), tolerance.tip_mm) && within(row.path_mm(load), tolerance.path_mm)
         })
-        .min_by(|a, b| a.us_per_ms(bone).total_cmp(&b.us_per_ms(bone)));
+        .min_by(|a, b| a.us_per_ms(load.bone).total_cmp(&b.us_per_ms(load.bone)));
     match best {
-        Some(row) => Ok(Some(Choice { row: **row, bone, given })),
-        None => Err(refusal(scene, &given, &rows, bone)),
+        Some(row) => Ok(Some(Choice { row: **row, load, given })),
+        None => Err(refusal(scene, &given, &rows, load)),
     }
 }
 
@@ -159,17 +178,17 @@ fn cross(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn refusal(scene: &Scene, given: &Given, rows: &[&Row], bone: bool) -> Failure {
+fn refusal(scene: &Scene, given: &Given, rows: &[&Row], load: Load) -> Failure {
     let named = given.text();
     if rows.is_empty() {
         return Failure::bad_input(format!(
-            "scene `{}`: `tolerance`: the scene names {named}, for which no errors were measured; expected what `trabecula plan --list` lists, or name less",
+            "scene `{}`: `tolerance`: the scene fixes {named}, for which no errors were measured; use settings that `trabecula plan --list` lists, or fix fewer of them",
             scene.name
         ));
     }
     let least = |error: &dyn Fn(&Row) -> f64| rows.iter().fold(f64::INFINITY, |low, row| low.min(error(row)));
-    let tip_mm = least(&|row| row.tip_mm(bone));
-    let path_mm = least(&|row| row.path_mm(bone));
+    let tip_mm = least(&|row| row.tip_mm(load));
+    let path_mm = least(&|row| row.path_mm(load));
     let tolerance = scene.tolerance.unwrap_or_default();
     let ask = |key: &str, asked: Option<f64>, least: f64| {
         asked.map(|asked| format!("`tolerance.{key}` is {asked}, allowed is {least:.4} to 100"))
@@ -180,69 +199,10 @@ fn refusal(scene: &Scene, given: &Given, rows: &[&Row], bone: bool) -> Failure {
             .flatten()
             .collect();
     Failure::bad_input(format!(
-        "scene `{}`: no measured settings keep this tolerance together ({}; the scene names {named})",
+        "scene `{}`: no measured settings meet this tolerance ({}; the scene fixes {named})",
         scene.name,
         asked.join("; "),
     ))
-}
-
-/// How far a model that bends in one plane deviated from the reference while drilling.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ModelError {
-    /// Name of the rung.
-    pub model: String,
-    /// R.m.s. error of the drilled path of the default scene: for exactly these settings, or the range over all
-    /// settings measured with the same rung and contact.
-    pub path_mm: [f64; 2],
-}
-
-impl ModelError {
-    /// For a scene with bone whose rung bends in one plane, if it was measured.
-    pub fn of(scene: &Scene) -> Option<ModelError> {
-        ModelError::by(scene, &read(TABLE)?)
-    }
-
-    fn by(scene: &Scene, rows: &[Row]) -> Option<ModelError> {
-        scene.volume.as_ref()?;
-        let manipulator = &scene.manipulator;
-        let settings = Settings {
-            rung: rung(manipulator.model.unwrap_or_default()),
-            links: manipulator.links.unwrap_or(OWN_LINKS),
-            integrator: manipulator.integrator.unwrap_or_default(),
-            dt_ms: scene.run.dt_ms,
-            contact: scene.contact.voxels.unwrap_or_default(),
-        };
-        let is_alike = |row: &&Row| {
-            row.settings.rung == settings.rung
-                && row.settings.contact == settings.contact
-                && row.drilled_path_mm.is_finite()
-        };
-        if !matches!(settings.rung, Rung::ConstantCurvature | Rung::Planar) {
-            return None;
-        }
-        let alike: Vec<&Row> = rows.iter().filter(is_alike).collect();
-        let same = alike.iter().find(|row| row.settings == settings);
-        let errors = same.map_or_else(
-            || alike.iter().map(|row| row.drilled_path_mm).collect(),
-            |row| vec![row.drilled_path_mm],
-        );
-        let (least, most) =
-            errors.iter().fold((f64::INFINITY, 0.0_f64), |(least, most), &mm| (least.min(mm), most.max(mm)));
-        (!errors.is_empty())
-            .then(|| ModelError { model: settings.rung.name().to_owned(), path_mm: [least, most] })
-    }
-}
-
-impl fmt::Display for ModelError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [least, most] = self.path_mm.map(|mm| format!("{mm:.1}"));
-        let range = if least == most { least } else { format!("{least} to {most}") };
-        write!(
-            out,
-            "`{}` bends in one plane: {range} mm r.m.s. off `full` on the drilled path of the default scene",
-            self.model
-        )
-    }
 }
 
 #[cfg(test)]
@@ -264,6 +224,8 @@ burr_start_mm = [0.0, 0.0, 0.0]
 direction = [0.0, 0.0, 1.0]
 bend_toward = [1.0, 0.0, 0.0]
 "#;
+
+    const FREE: Load = Load { bone: false, pull: Pull::Gentle };
 
     fn scene(more: &str) -> (Scene, String) {
         let text = format!("{more}\n{SCENE}");
@@ -292,8 +254,12 @@ bend_toward = [1.0, 0.0, 0.0]
                             capstan_mm: 0.1 * tip,
                             wall_mm: 0.2 * tip,
                             voxel_wall_mm: if balls { 0.2 } else { 0.0 },
+                            rest_mm: 0.3 * tip,
+                            hard_rest_mm: 0.6 * tip,
                             wall_path_mm: tip + 0.5 * order * dt_ms,
-                            swing_path_mm: tip + order * dt_ms,
+                            free_path_mm: tip + order * dt_ms,
+                            hard_path_mm: 2.0 * (tip + order * dt_ms),
+                            grid_path_mm: 0.05,
                             drilled_path_mm: if links == 27 { tip + dt_ms } else { f64::NAN },
                             free_us_per_ms: us,
                             drilling_us_per_ms: match (links, balls) {
@@ -325,7 +291,7 @@ bend_toward = [1.0, 0.0, 0.0]
     fn the_choice_is_in_the_resolved_scene_and_stays_when_resolved_again() {
         let (mut after, choice) = planned("tolerance = { tip_mm = 0.1, path_mm = 0.5 }").unwrap();
         let choice = choice.unwrap();
-        assert!(choice.row.tip_mm(false) <= 0.1 && choice.row.path_mm(false) <= 0.5, "{choice:?}");
+        assert!(choice.row.tip_mm(FREE) <= 0.1 && choice.row.path_mm(FREE) <= 0.5, "{choice:?}");
         assert_eq!(after.run.dt_ms, choice.row.settings.dt_ms);
         let resolved = after.clone();
         let text = toml::to_string(&after).unwrap();
@@ -363,45 +329,6 @@ bend_toward = [1.0, 0.0, 0.0]
         assert!(refused.code == 2 && refused.message.contains("contact balls"), "{refused}");
         let (free, _) = planned("tolerance = { tip_mm = 0.5 }").unwrap();
         assert_eq!(free.contact.voxels, None, "no bone, no contact with it");
-    }
-
-    /// Regression: neither the end of a run nor the README said that the default model is more than a millimetre off.
-    #[test]
-    fn the_known_error_of_a_model_that_bends_in_one_plane_is_said() {
-        use crate::scenes::BuiltIn;
-        let femur = BuiltIn::Femur.scene().unwrap();
-        let known = |change: &dyn Fn(&mut Scene)| {
-            let mut scene = femur.clone();
-            change(&mut scene);
-            ModelError::of(&scene).map(|error| error.to_string())
-        };
-        let rows = read(TABLE).unwrap();
-        let measured = |integrator| {
-            let settings = Settings {
-                rung: Rung::Planar,
-                links: 27,
-                integrator,
-                dt_ms: 1.0,
-                contact: ContactVoxels::Planes,
-            };
-            rows.iter().find(|row| row.settings == settings).unwrap().drilled_path_mm
-        };
-        let figure = format!("{:.1} mm r.m.s.", measured(Integrator::LinearlyImplicitEuler));
-        // The scene names no integrator, so the figure must be that of the default integrator only.
-        let standard = measured(Integrator::Hybrid);
-        assert_ne!(standard, measured(Integrator::LinearlyImplicitEuler));
-        assert_eq!(ModelError::of(&femur).unwrap().path_mm, [standard; 2]);
-        let said = known(&|_| {}).unwrap();
-        assert!(said.starts_with("`planar` bends in one plane: ") && said.contains(&figure), "{said}");
-        for page in [include_str!("../../README.md"), include_str!("../../docs/accuracy-plan.md")] {
-            assert!(page.contains(&figure), "a page does not say {figure}");
-        }
-        // This step was not measured: the model decides, not the step.
-        assert!(known(&|scene| scene.run.dt_ms = 0.7).unwrap().contains("1.2 to 1.4 mm"));
-        let arc = known(&|scene| scene.manipulator.model = Some(ManipulatorRung::ConstantCurvature));
-        assert!(arc.unwrap().contains("`constant_curvature` bends in one plane: 5.6 mm"));
-        assert_eq!(known(&|scene| scene.manipulator.model = Some(ManipulatorRung::Full)), None);
-        assert_eq!(known(&|scene| scene.volume = None), None, "measured in bone only");
     }
 
     #[test]
@@ -445,7 +372,7 @@ bend_toward = [1.0, 0.0, 0.0]
             let tolerance = scene.tolerance.as_mut().unwrap();
             (tolerance.tip_mm, tolerance.path_mm) = (Some(tip_mm), Some(path_mm));
             let choice = choose(&scene, Given::default(), &rows).ok()??;
-            assert!(choice.row.tip_mm(false) <= tip_mm && choice.row.path_mm(false) <= path_mm);
+            assert!(choice.row.tip_mm(FREE) <= tip_mm && choice.row.path_mm(FREE) <= path_mm);
             Some(choice.row.us_per_ms(false))
         };
         let steps: Vec<f64> = (0..24).map(|place| 0.005 * 1.4_f64.powi(place)).collect();

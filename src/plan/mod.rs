@@ -5,9 +5,14 @@
 
 pub mod check;
 mod choice;
+mod load;
+mod model_error;
+pub mod reference;
 pub mod table;
 
-pub use choice::{ModelError, resolve};
+pub use choice::resolve;
+pub use load::{GENTLE_N, Load, MOST_TENDON_FRICTION, Pull, RAMPED_N};
+pub use model_error::ModelError;
 pub use table::{Row, Settings, write};
 
 /// The measured table of this build.

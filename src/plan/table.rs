@@ -5,6 +5,8 @@ use std::fmt::Write as _;
 use ipc_types::scene::{ContactVoxels, Integrator, ManipulatorRung, Scene};
 use simulation::manipulator::Rung;
 
+use super::load::{Load, Pull};
+
 /// Number of flexures of the standard tool.
 pub(super) const OWN_LINKS: usize = 27;
 
@@ -83,19 +85,27 @@ pub struct Row {
     pub wall_mm: f64,
     /// Error of a tool sphere at rest on a flat wall of voxels.
     pub voxel_wall_mm: f64,
+    /// Tip error at rest under a gentle pull in free space, against the reference.
+    pub rest_mm: f64,
+    /// The same under a hard pull.
+    pub hard_rest_mm: f64,
     /// Path error while moving onto the wall, r.m.s.
     pub wall_path_mm: f64,
-    /// Path error of a sudden pull in free space, r.m.s.
-    pub swing_path_mm: f64,
-    /// Path error of the burr in the default scene, r.m.s.
+    /// Path error of gentle pulls in free space, against the reference, r.m.s., the worst pull.
+    pub free_path_mm: f64,
+    /// The same of hard pulls.
+    pub hard_path_mm: f64,
+    /// Path error of the burr in bone, against the reference on the same voxels, r.m.s., the worst tunnel.
     pub drilled_path_mm: f64,
-    /// Median step time of the sudden pull: the manipulator alone.
+    /// How far the path moves with the place of the voxels, r.m.s., the worst pair of places.
+    pub grid_path_mm: f64,
+    /// Median step time of the pulls in free space: the manipulator alone.
     pub free_us_per_ms: f64,
     /// Median step time of the default scene, including contact and drilling.
     pub drilling_us_per_ms: f64,
 }
 
-const COLUMNS: [&str; 15] = [
+const COLUMNS: [&str; 19] = [
     "rung",
     "links",
     "integrator",
@@ -106,29 +116,61 @@ const COLUMNS: [&str; 15] = [
     "capstan_mm",
     "wall_mm",
     "voxel_wall_mm",
+    "rest_mm",
+    "hard_rest_mm",
     "wall_path_mm",
-    "swing_path_mm",
+    "free_path_mm",
+    "hard_path_mm",
     "drilled_path_mm",
+    "grid_path_mm",
     "free_us_per_ms",
     "drilling_us_per_ms",
 ];
 
 impl Row {
     /// Position error of the burr at rest: the worst problem; the voxel problem counts only with bone.
-    pub fn tip_mm(&self, bone: bool) -> f64 {
-        let voxel_wall_mm = if bone { self.voxel_wall_mm } else { 0.0 };
-        worst(&[self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm, voxel_wall_mm])
+    pub fn tip_mm(&self, load: Load) -> f64 {
+        let voxel_wall_mm = if load.bone { self.voxel_wall_mm } else { 0.0 };
+        let rest_mm = match load.pull {
+            Pull::Gentle => self.rest_mm,
+            Pull::Hard => worst(&[self.rest_mm, self.hard_rest_mm]),
+        };
+        let beam = [self.end_moment_mm, self.tip_force_mm, self.capstan_mm, self.wall_mm];
+        worst(&[worst(&beam), voxel_wall_mm, rest_mm])
     }
 
-    /// Path error of the burr: the worst problem; drilling counts only with bone.
-    pub fn path_mm(&self, bone: bool) -> f64 {
-        let free = [self.wall_path_mm, self.swing_path_mm];
-        if bone { worst(&[free[0], free[1], self.drilled_path_mm]) } else { worst(&free) }
+    /// Path error of the burr: the worst problem. With bone, what the drilled paths were off and how far the place of the voxels moves
+    /// them add up.
+    pub fn path_mm(&self, load: Load) -> f64 {
+        let pulled = match load.pull {
+            Pull::Gentle => self.free_path_mm,
+            Pull::Hard => worst(&[self.free_path_mm, self.hard_path_mm]),
+        };
+        let free = worst(&[self.wall_path_mm, pulled]);
+        if load.bone { worst(&[free, self.drilled_path_mm]) + worst(&[self.grid_path_mm]) } else { free }
     }
 
     /// Cost per simulated millisecond, µs.
     pub fn us_per_ms(&self, bone: bool) -> f64 {
         if bone { self.drilling_us_per_ms } else { self.free_us_per_ms }
+    }
+
+    /// The errors in the order of the columns.
+    fn errors(&self) -> [f64; 12] {
+        [
+            self.end_moment_mm,
+            self.tip_force_mm,
+            self.capstan_mm,
+            self.wall_mm,
+            self.voxel_wall_mm,
+            self.rest_mm,
+            self.hard_rest_mm,
+            self.wall_path_mm,
+            self.free_path_mm,
+            self.hard_path_mm,
+            self.drilled_path_mm,
+            self.grid_path_mm,
+        ]
     }
 }
 
@@ -145,16 +187,7 @@ pub fn write(rows: &[Row]) -> String {
         let s = &row.settings;
         let (integrator, contact) = (integrator_name(s.integrator), contact_name(s.contact));
         let _ = write!(text, "{},{},{integrator},{},{contact}", s.rung.name(), s.links, s.dt_ms);
-        for error in [
-            row.end_moment_mm,
-            row.tip_force_mm,
-            row.capstan_mm,
-            row.wall_mm,
-            row.voxel_wall_mm,
-            row.wall_path_mm,
-            row.swing_path_mm,
-            row.drilled_path_mm,
-        ] {
+        for error in row.errors() {
             // Writing to a String cannot fail.
             let _ = write!(text, ",{error:.4e}");
         }
@@ -195,11 +228,15 @@ fn row(line: &str) -> Option<Row> {
         capstan_mm: number(7)?,
         wall_mm: number(8)?,
         voxel_wall_mm: number(9)?,
-        wall_path_mm: number(10)?,
-        swing_path_mm: number(11)?,
-        drilled_path_mm: number(12)?,
-        free_us_per_ms: number(13)?,
-        drilling_us_per_ms: number(14)?,
+        rest_mm: number(10)?,
+        hard_rest_mm: number(11)?,
+        wall_path_mm: number(12)?,
+        free_path_mm: number(13)?,
+        hard_path_mm: number(14)?,
+        drilled_path_mm: number(15)?,
+        grid_path_mm: number(16)?,
+        free_us_per_ms: number(17)?,
+        drilling_us_per_ms: number(18)?,
     })
 }
 
@@ -209,17 +246,19 @@ mod tests {
     use super::*;
     use crate::plan::TABLE;
 
+    const FREE: Load = Load { bone: false, pull: Pull::Gentle };
+
     #[test]
     fn the_table_is_read_as_it_is_written() {
         let rows = read(TABLE).unwrap();
         assert_eq!(write(&rows), TABLE);
-        assert!(rows.iter().any(|row| row.path_mm(false).is_finite()));
+        assert!(rows.iter().any(|row| row.path_mm(FREE).is_finite()));
     }
 
     #[test]
     fn what_was_lost_is_infinitely_wrong() {
         let row = Row { wall_mm: f64::NAN, ..read(TABLE).unwrap()[0] };
-        assert_eq!(row.tip_mm(false), f64::INFINITY);
+        assert_eq!(row.tip_mm(FREE), f64::INFINITY);
         assert_eq!(read("rung,links\nplanar,4\n"), None);
     }
 }

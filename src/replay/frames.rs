@@ -1,11 +1,11 @@
 //! Renders a log's frames again.
 
 use drr_proc::ThisMachine;
-use ipc_types::messages::{Frame, State};
+use ipc_types::messages::{Frame, Restores, State};
 use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
 use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
-use xray::frame::{Job, render_job};
+use xray::frame::{Cache, Job, render_job};
 use xray::from_scene::{renderer_parameters, scene_isocentre_m};
 use xray::message::{c_arm_of, volume_view};
 use xray::{DrrRenderer, VolumeView};
@@ -29,7 +29,7 @@ pub struct FrameReplay<'l> {
     replies: Replies,
     predrilled: Vec<u32>,
     state: Box<State>,
-    restore_first: bool,
+    restores: Restores,
     removed: Vec<u32>,
 }
 
@@ -56,7 +56,7 @@ impl<'l> FrameReplay<'l> {
             view,
             recorded: frames(&LogFile::at(&log.path), log.options())?,
             state: Box::new(*ticks.initial()),
-            restore_first: false,
+            restores: Restores::Nothing,
             removed,
             predrilled,
             ticks,
@@ -96,12 +96,12 @@ impl<'l> FrameReplay<'l> {
         };
         let job = Job {
             state: self.state.clone(),
-            restore_first: std::mem::take(&mut self.restore_first),
+            restores: std::mem::take(&mut self.restores),
             removed: std::mem::take(&mut self.removed),
             sequence: recorded.sequence,
             request_id: recorded.request_id,
             c_arm: c_arm_of(&geometry).map_err(failed)?,
-            aside: false,
+            cache: Cache::Follows,
             isocentre_m: scene_isocentre_m(&self.log.scene),
             noise_seed: self.log.scene.run.seed,
             radii: self.log.scene.manipulator.radii(),
@@ -121,13 +121,13 @@ impl<'l> FrameReplay<'l> {
                 Err(LogError::Gap { .. }) => {
                     let Some(behind) = self.ticks.go_on().map_err(failed)? else { return Ok(false) };
                     (_, self.removed) = gone_at(self.log, &behind.keyframe)?;
-                    (self.state, self.restore_first) = (behind.state, true);
+                    (self.state, self.restores) = (behind.state, Restores::Drilled);
                     continue;
                 }
                 record => record.map_err(failed)?,
             };
             if record.latched.reset != 0 {
-                self.restore_first = true;
+                self.restores = Restores::Drilled;
                 self.removed.clone_from(&self.predrilled);
             }
             self.removed.extend_from_slice(&record.removed);
@@ -182,7 +182,7 @@ pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) ->
         }
     }
     if identical + in_gaps == 0 {
-        return Err(nothing("the log holds no frame of these ticks"));
+        return Err(nothing("the log has no frames for these ticks"));
     }
     Ok((identical, in_gaps))
 }

@@ -64,14 +64,14 @@ impl OpenedLog {
         }
         let volume = volume_source::load(&scene, overrides.volume_files).map_err(|cause| {
             let moved = overrides.volume.is_none() && scene.volume.as_ref().is_some_and(|v| v.path.is_some());
-            let advice = if moved { "; if the file has moved, say where with --volume" } else { "" };
+            let advice = if moved { "; if the file has moved, give its path with --volume" } else { "" };
             Failure::bad_input(format!("{cause}{advice}"))
         })?;
         mismatches.extend(volume_mismatch(&reader, volume.as_ref().map(|(_, hash)| hash)));
         if !mismatches.is_empty() && !overrides.allow_mismatch {
             let list = mismatches.join("\n  ");
             return Err(Failure::bad_input(format!(
-                "{}: this log cannot be replayed here:\n  {list}\nuse what made it, or --allow-mismatch",
+                "{}: this log does not match this build or its inputs:\n  {list}\nuse the originals, or --allow-mismatch",
                 path.display()
             )));
         }
@@ -136,7 +136,11 @@ fn layout_mismatches(reader: &LogReader) -> Vec<String> {
     let other = of_log.filter(|(message, hash)| ours.get(*message) != Some(*hash));
     other
         .map(|(message, hash)| {
-            format!("layout: the log's {} is {}, another here", foreign(message), foreign(hash))
+            format!(
+                "layout: {} has layout {} in the log, another one in this build",
+                foreign(message),
+                foreign(hash)
+            )
         })
         .collect()
 }
@@ -144,7 +148,11 @@ fn layout_mismatches(reader: &LogReader) -> Vec<String> {
 fn scene_mismatch(recorded: &Scene, given: &Scene, file: &Path) -> Option<String> {
     let differs = recorded != given;
     differs.then(|| {
-        format!("scene: {} is not the `{}` that the log was made with", file.display(), recorded.name)
+        format!(
+            "scene: {} differs from the `{}` that the log was recorded with",
+            file.display(),
+            recorded.name
+        )
     })
 }
 
@@ -166,5 +174,5 @@ fn volume_mismatch(reader: &LogReader, ours: Option<&[u8; 32]>) -> Option<String
         return None;
     }
     let name = |hash: Option<&[u8; 32]>| hash.map_or("none".to_owned(), |hash| hex(hash));
-    Some(format!("volume: the log's has SHA-256 {}, the scene's now {}", name(theirs.as_ref()), name(ours)))
+    Some(format!("volume: SHA-256 was {} in the log, is now {}", name(theirs.as_ref()), name(ours)))
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use hub::Outputs;
 use hub::run_lane::RunLane;
 use ipc_types::layout::{Message, hex};
-use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State};
+use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part, Removed, State};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::log_file::{LogFile, index_beside};
 use run_log::verify::compare_state;
@@ -59,7 +59,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
     let mut out =
         RunLog::create_named(written, &path, index_beside(&path), stream.header()).map_err(failed)?;
     out.keep_places();
-    let mut copy = Copy {
+    let mut copy = ReplayCopy {
         log,
         out: Out(out),
         simulation,
@@ -73,13 +73,14 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
         chunk: 1,
     };
     while let Some(message) = stream.next_message().map_err(failed)? {
-        copy.take(&message)?;
+        copy.handle(&message)?;
     }
     copy.put_frame(None)?;
     let (ticks, frames) = (copy.ticks, copy.frame_count);
     let marker = stream.ending().marker.as_ref();
     // A log without an end marker comes from a recorder that died.
-    let reason = marker.map_or(EndReason::PartDied("recorder".to_owned()), |marker| marker.reason.clone());
+    let reason =
+        marker.map_or(EndReason::PartDied(Part::Recorder.name().to_owned()), |marker| marker.reason.clone());
     let lost = marker.map(|marker| marker.lost.clone()).unwrap_or_default();
     let (_, mut written) = copy.out.0.finish(reason, &lost).map_err(failed)?;
     // A failed flush must be an error, or the file would silently lack its end.
@@ -92,7 +93,7 @@ pub fn record(log: &OpenedLog, folder: &Path, frame_threads: Option<usize>) -> R
 }
 
 /// The replay being written.
-struct Copy<'l> {
+struct ReplayCopy<'l> {
     log: &'l OpenedLog,
     out: Out,
     simulation: Simulation<'l>,
@@ -107,9 +108,9 @@ struct Copy<'l> {
     chunk: u64,
 }
 
-impl Copy<'_> {
+impl ReplayCopy<'_> {
     /// Handles the log's next message. Every body has the right size: the stream has checked.
-    fn take(&mut self, message: &LogMessage<'_>) -> Result<(), Failure> {
+    fn handle(&mut self, message: &LogMessage<'_>) -> Result<(), Failure> {
         let chunk_ended = std::mem::replace(&mut self.chunk, message.chunk) != message.chunk;
         if message.topic == topics::DRR_IMAGE {
             return self.put_frame(Some(message.body));
@@ -169,7 +170,7 @@ impl Copy<'_> {
 
     /// A log with a gap cannot be reproduced as the same file.
     fn gap(&self, tick: u64) -> String {
-        format!("{}: a gap at tick {tick}: --record needs every tick", self.log.path.display())
+        format!("{}: gap at tick {tick}: --record needs every tick", self.log.path.display())
     }
 
     fn keyframe(&mut self) -> Result<(), Failure> {

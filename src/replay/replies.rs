@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{CArmGeometry, DRR_ACCEPTED, DrrReply, DrrRequest, Frame, GEOMETRY_REQUEST};
+use ipc_types::messages::{CArmGeometry, DrrReply, DrrRequest, DrrStatus, Frame, GeometryChoice};
 use ipc_types::scene::Drr;
 use recorder_proc::log_file::LogFile;
 use run_log::difference::compare;
@@ -59,7 +59,7 @@ impl Replies {
         let Some(reply) = self.reply_of(frame.sequence)? else {
             // A log that lacks replies says so. An unrequested frame shows the scene's C-arm either way.
             return match (self.lacks_some(), frame.request_id) {
-                (false, _) => Err(format!("{} has none for it", topics::DRR_REPLY)),
+                (false, _) => Err(format!("{} has no reply for it", topics::DRR_REPLY)),
                 (true, 0) => Ok(self.scene),
                 (true, _) => Ok(frame.geometry),
             };
@@ -68,7 +68,7 @@ impl Replies {
             request_id: frame.request_id,
             frame_sequence: frame.sequence,
             tick: frame.tick,
-            status: DRR_ACCEPTED,
+            status: DrrStatus::Accepted.code(),
             requester: if frame.request_id == 0 { 0 } else { reply.requester },
             geometry: self.asked_for(frame.request_id, &reply),
         };
@@ -96,7 +96,7 @@ impl Replies {
         {
             let Some(message) = self.stream.next_message().map_err(|cause| cause.to_string())? else { break };
             let Ok(reply) = DrrReply::read_from_bytes(message.body) else { continue };
-            if reply.status == DRR_ACCEPTED {
+            if reply.status() == Ok(DrrStatus::Accepted) {
                 self.waiting.push_back(reply);
             }
         }
@@ -132,7 +132,8 @@ fn requests(log: &OpenedLog, scene: &CArmGeometry) -> BTreeMap<(u32, u64), Vec<C
     let mut count = 0;
     while let (true, Ok(Some(message))) = (count < MAX_REQUESTS, stream.next_message()) {
         let Ok(request) = DrrRequest::read_from_bytes(message.body) else { continue };
-        let asked = if request.use_geometry == GEOMETRY_REQUEST { request.geometry } else { *scene };
+        let asked =
+            if request.use_geometry() == Ok(GeometryChoice::Request) { request.geometry } else { *scene };
         requests.entry((request.requester, request.request_id)).or_default().push(asked);
         count += 1;
     }

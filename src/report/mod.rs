@@ -14,6 +14,7 @@
 pub mod axis;
 pub mod calibration_figure;
 pub mod distribution;
+mod end_table;
 mod grey;
 mod live;
 pub mod panel;
@@ -100,7 +101,7 @@ pub enum ReportError {
     )]
     Font,
     /// A histogram could not be made.
-    #[error("a histogram of durations cannot be made: {source}")]
+    #[error("cannot create a histogram of durations: {source}")]
     Histogram {
         /// The library's reason.
         source: hdrhistogram::CreationError,

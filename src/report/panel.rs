@@ -159,14 +159,14 @@ impl<'a> Panel<'a> {
     pub fn line(&mut self, values: &[Point], stroke: Stroke, label: &str) {
         let points: Vec<Point> = values.iter().map(|&value| self.place(value)).collect();
         for run in clip(&points, self.area) {
-            self.see(&run);
+            self.mark_occupied(&run);
             self.figure.add(Shape::Line { points: run, stroke });
         }
         self.key(Key::Line(stroke), label);
     }
 
     /// Records where a curve runs, every few units.
-    fn see(&mut self, run: &[Point]) {
+    fn mark_occupied(&mut self, run: &[Point]) {
         for (a, b) in run.iter().zip(&run[1..]) {
             let pieces = ((b.0 - a.0).hypot(b.1 - a.1) / 8.0).ceil().clamp(1.0, 1000.0);
             let share = |i: usize| i as f64 / pieces;

@@ -215,7 +215,7 @@ impl RunLane {
         middle_ns: u64,
     ) -> Result<(), LogError> {
         while let Some(message) = stream.next_message()? {
-            self.take(&message, dt_ns, middle_ns);
+            self.add(&message, dt_ns, middle_ns);
         }
         let ending = stream.ending();
         if !ending.is_complete() {
@@ -225,7 +225,7 @@ impl RunLane {
         Ok(())
     }
 
-    fn take(&mut self, message: &LogMessage<'_>, dt_ns: u64, middle_ns: u64) {
+    fn add(&mut self, message: &LogMessage<'_>, dt_ns: u64, middle_ns: u64) {
         match message.topic {
             topics::STATE => {
                 if let Ok(state) = State::read_from_bytes(message.body) {

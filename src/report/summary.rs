@@ -1,7 +1,6 @@
 //! The numbers of a run.
 
 use std::collections::BTreeMap;
-use std::fmt;
 
 use run_log::end::hash_text;
 use run_log::{Cause, Misses, RunMode};
@@ -167,15 +166,6 @@ impl MissSummary {
             late_controller_ticks: misses.late_controller_ticks,
         }
     }
-
-    /// `8 run queue, 4 stolen, 2 not recorded (99.1 % confirmed)`; none without a miss.
-    fn describe(&self) -> Option<String> {
-        let mut causes: Vec<String> =
-            self.by_cause.iter().map(|(name, count)| format!("{count} {name}")).collect();
-        causes.extend((self.not_recorded > 0).then(|| format!("{} not recorded", self.not_recorded)));
-        let share = self.confirmed_share.map(|share| format!(" ({:.1} % confirmed)", 100.0 * share));
-        (!causes.is_empty()).then(|| causes.join(", ") + &share.unwrap_or_default())
-    }
 }
 
 /// The logs.
@@ -195,6 +185,9 @@ pub struct LogSummary {
     /// Faults of the files: truncated, damaged, missing.
     pub notes: Vec<String>,
 }
+
+/// Suffix of a name in [`Summary::peak_memory_bytes`] for a process's memory without shared memory.
+pub const NOT_SHARED: &str = ", not shared";
 
 /// The ratio, if it is finite.
 fn ratio(a: f64, b: f64) -> Option<f64> {
@@ -305,151 +298,5 @@ impl LogSummary {
             missing_ticks: run.missing_ticks.clone(),
             notes: run.notes.iter().chain(&timing.notes).cloned().collect(),
         }
-    }
-}
-
-impl LogSummary {
-    /// `ticks 2233 to 5812 (3580) are not in the log`; none if none is missing.
-    fn describe_missing(&self) -> Option<String> {
-        let gaps = &self.missing_ticks;
-        let count: u64 = gaps.iter().map(|[first, last]| last - first + 1).sum();
-        let shown = gaps.iter().take(GAPS_SHOWN).map(|[first, last]| format!("{first} to {last}"));
-        let shown = shown.collect::<Vec<_>>().join(", ");
-        let more = gaps.len().saturating_sub(GAPS_SHOWN);
-        let more = if more > 0 { format!(" and in {more} more gaps") } else { String::new() };
-        (count > 0).then(|| format!("ticks {shown}{more} ({count}) are not in the log"))
-    }
-}
-
-/// Maximum number of gaps that the table names individually.
-const GAPS_SHOWN: usize = 3;
-
-/// Suffix of a name in [`Summary::peak_memory_bytes`] for a process's memory without shared memory.
-pub const NOT_SHARED: &str = ", not shared";
-
-/// The short table at the end of a run: 21 lines, plus one for each controller after the third.
-impl fmt::Display for Summary {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let unknown = || "unknown".to_string();
-        let row = |name: &str, text: String| format!("{name:<13}{text}\n");
-        let mut table = row(
-            "run",
-            format!(
-                "{} ({}), {}",
-                self.scene.clone().unwrap_or_else(unknown),
-                self.mode.clone().unwrap_or_else(unknown),
-                self.outcome
-            ),
-        );
-        let factor = self.real_time_factor.map_or(String::new(), |f| format!(", {f:.2} x real time"));
-        let (simulated_s, wall_s, startup_s) = (self.simulated_s, self.wall_s, self.startup_s);
-        table += &row(
-            "time",
-            format!("{simulated_s:.3} s simulated in {wall_s:.3} s{factor}, start {startup_s:.2} s"),
-        );
-        let hash = self.final_hash.clone().unwrap_or_else(|| "none".to_string());
-        table += &row("ticks", format!("{}, hash {hash}", self.ticks));
-        for (name, text) in self.tool_rows().into_iter().chain(self.timing_rows()).chain(self.log_rows()) {
-            table += &row(name, text);
-        }
-        out.write_str(table.trim_end())
-    }
-}
-
-type Rows = Vec<(&'static str, String)>;
-
-impl Summary {
-    fn tool_rows(&self) -> Rows {
-        let mut rows = Rows::new();
-        if let Some(tool) = &self.tool {
-            let point = |p: [f64; 3]| format!("{:.2} {:.2} {:.2}", p[0], p[1], p[2]);
-            let (start, end) = (point(tool.tip_start_mm), point(tool.tip_deepest_mm));
-            let error = tool.target_error_mm.map_or(String::new(), |mm| format!(", {mm:.2} mm off target"));
-            rows.push(("tip", format!("{start} -> {end} mm{error}")));
-            rows.push((
-                "bend",
-                format!("{:.2} deg, tension up to {:.2} N", tool.bend_deg, tool.max_tension_n),
-            ));
-        }
-        if let Some(error) = &self.model_error {
-            rows.push(("model", error.to_string()));
-        }
-        if let Some(drilling) = &self.drilling {
-            let volume = drilling.removed_volume_mm3.map_or(String::new(), |mm3| format!(" ({mm3:.1} mm3)"));
-            let (voxels, energy) = (drilling.removed_voxels, drilling.cutting_energy_j);
-            rows.push(("drilled", format!("{voxels} voxels{volume}, {energy:.2} J of cutting")));
-            let text = format!(
-                "up to {} at once, in {:.1} % of ticks, burr force up to {:.2} N",
-                drilling.max_contacts,
-                100.0 * drilling.contact_share,
-                drilling.max_burr_force_n
-            );
-            rows.push(("contacts", text));
-        }
-        if let Some(drr) = &self.drr {
-            let render = drr
-                .render_ms
-                .map_or(String::new(), |q| format!(", render p50 {:.1} p99 {:.1} ms", q.p50, q.p99));
-            let rate = drr.frames_per_wall_s.map_or(String::new(), |hz| format!(", {hz:.1} per wall s"));
-            rows.push(("DRR frames", format!("{} ({} full){render}{rate}", drr.frames, drr.full_frames)));
-        }
-        rows
-    }
-
-    fn timing_rows(&self) -> Rows {
-        let quantiles = |q: &Quantiles| {
-            format!("p50 {:.1}  p99 {:.1}  p99.9 {:.1}  max {:.1} us", q.p50, q.p99, q.p99_9, q.max)
-        };
-        let mut rows = Rows::new();
-        if let Some(q) = &self.timing.step_us {
-            rows.push(("step", quantiles(q)));
-        }
-        if let Some(q) = &self.timing.lateness_us {
-            rows.push(("lateness", format!("{}, {} missed ticks", quantiles(q), self.timing.missed_ticks)));
-        }
-        if let Some(causes) = self.timing.misses.describe() {
-            rows.push(("late because", causes));
-        }
-        for (name, q) in &self.timing.round_trip_us {
-            rows.push(("round trip", format!("{}, {name}", quantiles(q))));
-        }
-        rows
-    }
-
-    fn log_rows(&self) -> Rows {
-        let mut rows = Rows::new();
-        let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 * 1e-6);
-        let rate =
-            self.logs.mb_per_simulated_s.map_or(String::new(), |mb| format!(", {mb:.2} MB per simulated s"));
-        let (run, timing) = (megabytes(self.logs.run_bytes), megabytes(self.logs.timing_bytes));
-        rows.push(("logs", format!("run {run}, timing {timing}{rate}")));
-        // Shared memory counts in every process that maps it; the reader wants to know what each process costs by
-        // itself.
-        let own = self
-            .peak_memory_bytes
-            .iter()
-            .filter_map(|(name, &bytes)| Some((name.strip_suffix(NOT_SHARED)?, bytes)));
-        let own: Vec<String> = own.map(|(name, bytes)| format!("{name} {}", megabytes(bytes))).collect();
-        if !own.is_empty() {
-            rows.push(("own memory", own.join(", ")));
-        }
-        if !self.events.is_empty() {
-            let each = self.events.iter().map(|(name, count)| format!("{count} {name}"));
-            rows.push(("events", each.collect::<Vec<_>>().join(", ")));
-        }
-        if let Some(warning) = self.warnings.last() {
-            rows.push(("last warning", warning.clone()));
-        }
-        if let Some(ticks) = self.logs.describe_missing() {
-            rows.push(("missing", ticks));
-        }
-        let lost: u64 = self.logs.lost_messages.values().sum();
-        let lost = (lost > 0).then(|| format!("{lost} messages lost"));
-        let problems: Vec<String> = self.logs.notes.iter().cloned().chain(lost).collect();
-        if !problems.is_empty() {
-            rows.push(("log problems", problems.join("; ")));
-        }
-        rows.push(("replay", self.replay_command.clone()));
-        rows
     }
 }

@@ -3,11 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 
-use ipc_types::messages::{
-    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_CONTROLLER, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED,
-    EVENT_RUN, EVENT_SAFE_COMMAND, Event, FrameTiming, SENDER_CONTROLLER, SENDER_DRR, SENDER_LAUNCHER,
-    SENDER_PHYSICS, SENDER_RECORDER, SEVERITY_WARNING, TickTiming,
-};
+use ipc_types::messages::{Event, FrameTiming, Part, Participant, Severity, TickTiming};
 use recorder_proc::log_file::LogFile;
 use run_log::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, topics};
 use zerocopy::FromBytes;
@@ -104,7 +100,7 @@ impl TimingLane {
     fn read_messages(&mut self, mut stream: MessageStream) -> Result<(), LogError> {
         while let Some(message) = stream.next_message()? {
             self.end_ns = self.end_ns.max(message.log_time_ns);
-            self.take(&message);
+            self.add(&message);
         }
         let ending = stream.ending();
         if !ending.is_complete() {
@@ -114,7 +110,7 @@ impl TimingLane {
         Ok(())
     }
 
-    fn take(&mut self, message: &LogMessage<'_>) {
+    fn add(&mut self, message: &LogMessage<'_>) {
         self.misses.take(message.topic, message.body);
         match message.topic {
             topics::TICK_TIMING => {
@@ -157,43 +153,33 @@ impl TimingLane {
     }
 
     fn event(&mut self, event: &Event, text: &[u8]) {
-        *self.events.entry(event_name(event.code)).or_default() += 1;
-        if event.severity >= SEVERITY_WARNING {
+        *self.events.entry(event_name(event)).or_default() += 1;
+        if event.severity >= Severity::Warning.code() {
             if self.warnings.len() == KEPT_WARNINGS {
                 self.warnings.pop_front();
             }
             let text = String::from_utf8_lossy(text);
             let text = text.trim_end_matches('\0').replace(char::is_control, " ");
-            self.warnings.push_back(format!("tick {}, {}: {text}", event.tick, self.sender(event.sender)));
+            self.warnings.push_back(format!("tick {}, {}: {text}", event.tick, self.sender(event)));
         }
     }
 
-    fn sender(&self, sender: u32) -> String {
+    fn sender(&self, event: &Event) -> String {
         let controllers =
             self.header.as_ref().map(|header| header.controllers.as_slice()).unwrap_or_default();
-        match sender {
-            SENDER_LAUNCHER => "launcher".to_string(),
-            SENDER_PHYSICS => "physics".to_string(),
-            SENDER_DRR => "DRR".to_string(),
-            SENDER_RECORDER => "recorder".to_string(),
-            _ => {
-                let index = sender.checked_sub(SENDER_CONTROLLER).map(|i| i as usize);
-                let name = index.and_then(|i| controllers.get(i)).cloned();
-                name.unwrap_or_else(|| format!("sender {sender}"))
+        match event.sender() {
+            Some(Participant::Part(Part::Drr)) => "DRR".to_string(),
+            Some(Participant::Part(part)) => part.name().to_string(),
+            Some(Participant::Controller(index)) => {
+                let name = controllers.get(index.slot()).cloned();
+                name.unwrap_or_else(|| format!("sender {}", event.sender))
             }
+            None => format!("sender {}", event.sender),
         }
     }
 }
 
-fn event_name(code: u32) -> String {
-    match code {
-        EVENT_COMMAND_REFUSED => "command_refused".to_string(),
-        EVENT_COMMAND_HELD => "command_held".to_string(),
-        EVENT_SAFE_COMMAND => "safe_command".to_string(),
-        EVENT_MESSAGES_LOST => "messages_lost".to_string(),
-        EVENT_RUN => "run".to_string(),
-        EVENT_CONTROLLER => "controller".to_string(),
-        EVENT_REQUEST_REFUSED => "request_refused".to_string(),
-        _ => format!("code_{code}"),
-    }
+/// The name of the kind of event in the report.
+fn event_name(event: &Event) -> String {
+    event.code().map_or_else(|unknown| format!("code_{}", unknown.number), |code| code.word().to_string())
 }

@@ -53,7 +53,7 @@ pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
 }
 
 /// What the left panel shows, mm along the bend and insertion axes.
-struct Scenery {
+struct PathPanel {
     path: Vec<Point>,
     start: Vec<Point>,
     end: Vec<Point>,
@@ -61,8 +61,8 @@ struct Scenery {
     target: Option<Point>,
 }
 
-impl Scenery {
-    fn of(run: &RunLane, curves: &Curves, first: &State, last: &State, deepest: &State) -> Scenery {
+impl PathPanel {
+    fn of(run: &RunLane, curves: &Curves, first: &State, last: &State, deepest: &State) -> PathPanel {
         let plane = &curves.plane;
         let project = |point_m: [f64; 3]| {
             let [x, y] = plane.project_mm(point_m);
@@ -72,7 +72,7 @@ impl Scenery {
         let radius_mm = distance_m(centre, deepest.t_world_tip.position_m) * 1e3;
         let middle = curves.tip_mm.iter().filter_map(|(_, tip)| *tip).map(|[x, y]| (x, y));
         let ends = [first, last].map(|state| project(state.t_world_tip.position_m));
-        Scenery {
+        PathPanel {
             path: std::iter::once(ends[0]).chain(middle).chain([ends[1]]).collect(),
             start: shape(plane, first),
             end: shape(plane, deepest),
@@ -103,9 +103,9 @@ fn shape(plane: &Plane, state: &State) -> Vec<Point> {
 
 fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
     let title = "Tip path and shape in the bending plane";
-    let scenery = match (&run.curves, &run.first, &run.last, &run.deepest) {
+    let path_panel = match (&run.curves, &run.first, &run.last, &run.deepest) {
         (Some(curves), Some(first), Some(last), Some(deepest)) => {
-            Scenery::of(run, curves, first, last, deepest)
+            PathPanel::of(run, curves, first, last, deepest)
         }
         _ => {
             let axis = || Axis::linear("", 0.0, 1.0, 4);
@@ -114,24 +114,24 @@ fn draw_path(figure: &mut Figure, outer: Rect, run: &RunLane) {
             return panel.finish();
         }
     };
-    let (x, y) = equal_axes(&scenery.corners(), outer.plot_area());
+    let (x, y) = equal_axes(&path_panel.corners(), outer.plot_area());
     let mut panel = Panel::new(figure, outer, title, x, y);
-    panel.line(&scenery.start, Stroke::full(START, 7.0), "tool at the start");
-    if let Some((centre, radius_mm)) = scenery.burr {
+    panel.line(&path_panel.start, Stroke::full(START, 7.0), "tool at the start");
+    if let Some((centre, radius_mm)) = path_panel.burr {
         panel.disc(centre, radius_mm * panel.scale(), BURR);
         panel.key(Key::Disc(BURR), "burr at the greatest insertion");
     }
-    panel.line(&scenery.end, Stroke::full(INK, 2.2), "tool at the greatest insertion");
-    let links = scenery.end.len().saturating_sub(2);
-    for &link in scenery.end.iter().skip(1).take(links) {
+    panel.line(&path_panel.end, Stroke::full(INK, 2.2), "tool at the greatest insertion");
+    let links = path_panel.end.len().saturating_sub(2);
+    for &link in path_panel.end.iter().skip(1).take(links) {
         panel.disc(link, 2.4, INK);
     }
     panel.line(
-        &scenery.path,
+        &path_panel.path,
         Stroke { dash: &[9.0, 3.0], ..Stroke::full(COLOURS[0], 2.0) },
         "path of the tip",
     );
-    if let Some(target) = scenery.target {
+    if let Some(target) = path_panel.target {
         let stroke = Stroke::full(COLOURS[1], 2.2);
         panel.cross(target, 6.0, stroke);
         panel.key(Key::Cross(stroke), "target of the burr centre");

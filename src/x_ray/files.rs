@@ -1,11 +1,7 @@
-//! Writes frames as PNG (16 bits, or animated), NRRD and DICOM.
+//! Writes frames as PNG (16 bits, or animated) and NRRD.
 
 use std::path::Path;
 
-use dicom_core::value::PrimitiveValue;
-use dicom_core::{DataElement, Tag, VR};
-use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
-use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
 use super::poses::Placed;
@@ -13,9 +9,6 @@ use crate::failure::Failure;
 
 /// Display time of each frame of an animation, in milliseconds.
 const FRAME_MS: u16 = 66;
-/// X-Ray Angiographic Image Storage, and Explicit VR Little Endian.
-const XA_STORAGE: &str = "1.2.840.10008.5.1.4.1.1.12.1";
-const EXPLICIT_LITTLE_ENDIAN: &str = "1.2.840.10008.1.2.1";
 
 /// A rendered frame.
 #[derive(Debug, Clone)]
@@ -24,6 +17,10 @@ pub struct Picture {
     pub placed: Placed,
     /// Whether greys are proportional to the detector's readout; otherwise to its logarithm.
     pub linear: bool,
+    /// Whether more attenuation is darker; of no meaning if linear.
+    pub dense_is_dark: bool,
+    /// The attenuations (-ln of the fraction of photons) at the ends of the grey scale; of no meaning if linear.
+    pub window: (f64, f64),
     /// Row by row, one per detector pixel.
     pub greys: Vec<u16>,
     /// Values before windowing and rounding; only for files that need them.
@@ -31,12 +28,12 @@ pub struct Picture {
 }
 
 impl Picture {
-    fn size(&self) -> (u32, u32) {
+    pub(super) fn size(&self) -> (u32, u32) {
         (self.placed.c_arm.columns, self.placed.c_arm.rows)
     }
 }
 
-fn failed(path: &Path) -> impl Fn(String) -> Failure {
+pub(super) fn failed(path: &Path) -> impl Fn(String) -> Failure {
     move |cause| Failure::failed(format!("{}: cannot be written ({cause})", path.display()))
 }
 
@@ -83,69 +80,5 @@ pub fn write_nrrd(path: &Path, picture: &Picture) -> Result<(), Failure> {
         vector(c_arm.source_m),
     );
     let bytes = [header.as_bytes(), picture.values.as_bytes()].concat();
-    Ok(output_file::write(path, bytes)?)
-}
-
-/// Writes a DICOM X-ray angiography image of one frame, with the positioner's angles and distances.
-pub fn write_dicom(path: &Path, picture: &Picture) -> Result<(), Failure> {
-    let fail = failed(path);
-    let (columns, rows) = picture.size();
-    let (columns, rows) = match (u16::try_from(columns), u16::try_from(rows)) {
-        (Ok(columns), Ok(rows)) => (columns, rows),
-        _ => return Err(Failure::bad_input("DICOM holds at most 65535 pixels a side")),
-    };
-    // UIDs derived from the image content (PS3.5 B.2: 2.25 and a 128-bit number), so that the same frame gives the
-    // same file.
-    let content = xxh3_128(picture.greys.as_bytes());
-    let uid = |kind: u128| format!("2.25.{}", (content ^ kind) >> 1);
-    let mut object = InMemDicomObject::new_empty();
-    let mut text = |group, element, vr, value: String| {
-        object.put(DataElement::new(Tag(group, element), vr, PrimitiveValue::from(value)));
-    };
-    let positioner = picture.placed.c_arm.positioner(picture.placed.isocentre_m);
-    // A DS value has at most 16 characters.
-    let decimal = |x: f64| format!("{x:.8}").chars().take(16).collect::<String>();
-    let mm = |x: f64| decimal(x * 1e3);
-    let pitch = picture.placed.c_arm.pixel_pitch_m;
-    text(0x0008, 0x0008, VR::CS, "DERIVED\\SECONDARY\\SINGLE PLANE".to_owned());
-    text(0x0008, 0x0016, VR::UI, XA_STORAGE.to_owned());
-    text(0x0008, 0x0018, VR::UI, uid(1));
-    text(0x0008, 0x0060, VR::CS, "XA".to_owned());
-    text(0x0008, 0x0070, VR::LO, "Trabecula".to_owned());
-    text(0x0010, 0x0010, VR::PN, "SIMULATED".to_owned());
-    text(0x0010, 0x0020, VR::LO, "SIMULATED".to_owned());
-    text(0x0018, 0x1110, VR::DS, mm(positioner.source_detector_m));
-    text(0x0018, 0x1111, VR::DS, mm(positioner.source_isocentre_m));
-    text(0x0018, 0x1114, VR::DS, decimal(positioner.source_detector_m / positioner.source_isocentre_m));
-    // Row spacing comes first.
-    text(0x0018, 0x1164, VR::DS, format!("{}\\{}", mm(pitch[1]), mm(pitch[0])));
-    text(0x0018, 0x1508, VR::CS, "CARM".to_owned());
-    text(0x0018, 0x1510, VR::DS, decimal(positioner.primary_rad.to_degrees()));
-    text(0x0018, 0x1511, VR::DS, decimal(positioner.secondary_rad.to_degrees()));
-    text(0x0020, 0x000D, VR::UI, uid(2));
-    text(0x0020, 0x000E, VR::UI, uid(4));
-    text(0x0028, 0x0004, VR::CS, "MONOCHROME2".to_owned());
-    // Pixel Intensity Relationship (PS3.3 C.8.7.1.1.3).
-    text(0x0028, 0x1040, VR::CS, if picture.linear { "LIN" } else { "LOG" }.to_owned());
-    for (element, value) in [
-        (0x0002, 1),
-        (0x0010, rows),
-        (0x0011, columns),
-        (0x0100, 16),
-        (0x0101, 16),
-        (0x0102, 15),
-        (0x0103, 0),
-    ] {
-        object.put(DataElement::new(Tag(0x0028, element), VR::US, PrimitiveValue::from(value)));
-    }
-    let pixels = PrimitiveValue::U16(picture.greys.iter().copied().collect());
-    object.put(DataElement::new(Tag(0x7FE0, 0x0010), VR::OW, pixels));
-    let meta = FileMetaTableBuilder::new()
-        .transfer_syntax(EXPLICIT_LITTLE_ENDIAN)
-        .media_storage_sop_class_uid(XA_STORAGE)
-        .media_storage_sop_instance_uid(uid(1));
-    let file = object.with_meta(meta).map_err(|e| fail(e.to_string()))?;
-    let mut bytes = Vec::new();
-    file.write_all(&mut bytes).map_err(|e| fail(e.to_string()))?;
     Ok(output_file::write(path, bytes)?)
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use foreign_text::number;
 use ipc_types::scene::{CArm as CameraOrPoints, Display, Drr, PixelCentre, Projector};
 use serde::Deserialize;
 use xray::from_scene::scene_c_arm;
@@ -88,6 +89,7 @@ impl Pose {
 
     /// The C-arm; angles turn about `centre_m` unless the pose has an isocentre.
     pub fn place(&self, centre_m: [f64; 3]) -> Result<Placed, String> {
+        self.check_ranges()?;
         let isocentre_mm = self.isocentre_mm.unwrap_or(centre_m.map(|x| x * 1e3));
         let carm = self.is_given().then_some(CameraOrPoints {
             intrinsics: self.intrinsics,
@@ -114,7 +116,7 @@ impl Pose {
             isocentre_mm,
             primary_angle_deg: self.primary_angle_deg.unwrap_or(0.0),
             secondary_angle_deg: self.secondary_angle_deg.unwrap_or(0.0),
-            source_isocentre_mm: self.source_isocentre_mm.unwrap_or(700.0),
+            source_isocentre_mm: self.source_isocentre_mm.unwrap_or(SOURCE_ISOCENTRE_MM),
             source_detector_mm: self.source_detector_mm.unwrap_or(1000.0),
             columns: self.columns.unwrap_or(512),
             rows: self.rows.unwrap_or(512),
@@ -132,8 +134,73 @@ impl Pose {
             reduction: 2,
             threads: 1,
         };
-        let c_arm = scene_c_arm(&drr).map_err(|cause: DrrError| cause.to_string())?;
+        let c_arm = scene_c_arm(&drr).map_err(in_millimetres)?;
         Ok(Placed { c_arm, isocentre_m: isocentre_mm.map(|x| x * 1e-3) })
+    }
+}
+
+impl Pose {
+    /// Checks each number in the unit in which it is given: the renderer's own errors speak of radians and metres.
+    fn check_ranges(&self) -> Result<(), String> {
+        let isocentre_detector_mm = self.source_isocentre_mm.unwrap_or(SOURCE_ISOCENTRE_MM);
+        let numbers = [
+            (
+                "primary angle (`--primary-deg`, `primary_angle_deg`)",
+                self.primary_angle_deg,
+                "degrees",
+                (-180.0, 180.0),
+            ),
+            (
+                "secondary angle (`--secondary-deg`, `secondary_angle_deg`)",
+                self.secondary_angle_deg,
+                "degrees",
+                (-180.0, 180.0),
+            ),
+            ("`source_isocentre_mm`", self.source_isocentre_mm, "mm", (1.0, 1e4)),
+            ("`source_detector_mm`", self.source_detector_mm, "mm", (isocentre_detector_mm, 1e4)),
+            ("`pixel_pitch_mm`", self.pixel_pitch_mm, "mm", (1e-3, 100.0)),
+        ];
+        let points = [
+            ("`isocentre_mm`", self.isocentre_mm),
+            ("`translation_mm`", self.translation_mm),
+            ("`source_mm`", self.source_mm),
+            ("`detector_centre_mm`", self.detector_centre_mm),
+        ];
+        let each = |(name, point): (&'static str, Option<[f64; 3]>)| {
+            point.into_iter().flatten().map(move |x| (name, Some(x), "mm", (-FURTHEST_MM, FURTHEST_MM)))
+        };
+        for (name, value, unit, (low, high)) in numbers.into_iter().chain(points.into_iter().flat_map(each)) {
+            // Written so that NaN fails.
+            if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
+                let behind =
+                    if name.contains("detector_mm") { " (the detector is behind the isocentre)" } else { "" };
+                return Err(format!(
+                    "{name} is {} {unit}; expected {low} to {high} {unit}{behind}",
+                    number(value)
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Default distance from source to isocentre.
+const SOURCE_ISOCENTRE_MM: f64 = 700.0;
+/// Largest coordinate.
+const FURTHEST_MM: f64 = 1e5;
+
+/// The renderer's error; of a length in metres, in millimetres.
+fn in_millimetres(cause: DrrError) -> String {
+    match cause {
+        DrrError::OutOfRange {
+            field: "distance of the source from the detector plane, m", given, ..
+        } => {
+            format!(
+                "the source is {} mm from the detector's plane; expected 1 to 10000 mm",
+                number(given * 1e3)
+            )
+        }
+        other => other.to_string(),
     }
 }
 
@@ -181,7 +248,7 @@ fn csv(text: &str) -> Result<Vec<Pose>, String> {
             if values.len() != header.len() {
                 let (given, expected) = (values.len(), header.len());
                 return Err(format!(
-                    "line {}: {given} values; expected {expected} as in the header",
+                    "line {}: {given} values, expected {expected} as in the header",
                     number + 1
                 ));
             }
@@ -195,7 +262,7 @@ fn csv(text: &str) -> Result<Vec<Pose>, String> {
 }
 
 fn set(pose: &mut Pose, key: &str, value: &str) -> Result<(), String> {
-    let number: f64 = value.parse().map_err(|_| format!("`{key}` is {value:?}, which is no number"))?;
+    let number: f64 = value.parse().map_err(|_| format!("`{key}` is {value:?}, expected a number"))?;
     let field = match key {
         "primary_angle_deg" => &mut pose.primary_angle_deg,
         "secondary_angle_deg" => &mut pose.secondary_angle_deg,

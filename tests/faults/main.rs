@@ -25,6 +25,7 @@ mod full_memory;
 mod guest;
 mod looks;
 mod name_space;
+mod scarce;
 mod table;
 mod trial;
 

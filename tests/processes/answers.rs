@@ -33,6 +33,7 @@ fn call(command: &str) -> Call {
         "calibrate" => As("calibrate @sweep.toml -o @cal#"),
         "plan" => As("plan @scene.toml"),
         "scene check" => As("scene check @scene.toml"),
+        "scene schema" => As("scene schema"),
         "scene init" => As("scene init @scenes#"),
         "volume info" => As("volume info @ball.nrrd"),
         "volume drilled" => As("volume drilled @log @d#.nrrd"),
@@ -47,7 +48,9 @@ fn call(command: &str) -> Call {
         // It ends when it is told to. The others take minutes, and a part of a session answers nobody. All speak through
         // `src/say.rs`: a lint refuses every other way to standard output.
         "view" | "stress" | "reproduce" => HelpOnly,
-        _ if ["bench ", "chart ", "proc "].iter().any(|group| command.starts_with(group)) => HelpOnly,
+        _ if ["bench ", "bridge ", "chart ", "proc "].iter().any(|group| command.starts_with(group)) => {
+            HelpOnly
+        }
         unknown => panic!("`{unknown}` is new: say here how it is called"),
     }
 }
@@ -84,7 +87,7 @@ fn closed() -> Stdio {
     writer.into()
 }
 
-const UNWRITTEN: &str = "standard output: cannot be written (No space left on device";
+const UNWRITTEN: &str = "cannot write to standard output (No space left on device";
 
 fn assert_told(words: &[&str]) {
     let output = run(words, full());

@@ -87,7 +87,7 @@ fn init_writes_the_scene_that_is_named_and_refuses_where_it_stands() {
 
     fs::write(&file, "mine").unwrap();
     let done = trabecula_in(&folder, &["scene", "init", "new/scenes", "--scene", "tension_sweep"]);
-    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
     assert_eq!(fs::read(&file).unwrap(), b"mine");
     // A file where the folder would be.
     let done = trabecula_in(&folder, &["scene", "init", "new/scenes/tension_sweep.toml"]);

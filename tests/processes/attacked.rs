@@ -152,7 +152,7 @@ fn a_run_folder_that_is_moved_during_the_run_blames_no_part() {
         fs::rename(from, &to).unwrap();
         let ended = run.end();
         assert_eq!(ended.code, Some(1), "{}", ended.err);
-        assert!(ended.err.contains("run.mcap has been moved to"), "{}", ended.err);
+        assert!(ended.err.contains("run.mcap was moved to"), "{}", ended.err);
         assert_nothing_left(ended.pid);
         let mut log = LogReader::open(&LogFile::at(log_path(&to))).unwrap();
         while log.next().is_some() {}
@@ -190,11 +190,13 @@ fn what_others_put_into_a_runs_folder_stays_and_costs_nothing_else() {
     let found =
         [("drr_after.png", "a file of 17 bytes"), ("tip_path.png", "a folder"), ("timing.svg", "a link")];
     for (name, what) in found {
-        let said =
-            format!("{}: {what} is there that is not of this run; it stays", folder.join(name).display());
+        let said = format!(
+            "{}: not written: {what} that does not belong to this run is in the way",
+            folder.join(name).display()
+        );
         assert!(ended.err.contains(&said), "{}", ended.err);
     }
-    assert!(ended.err.contains("3 parts of the report could not be written"), "{}", ended.err);
+    assert!(ended.err.contains("3 files of the report could not be written"), "{}", ended.err);
     for name in ["summary.json", "drr_before.png", "tip_path.svg", "timing.png"] {
         assert!(fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
     }
@@ -217,7 +219,7 @@ fn a_summary_that_cannot_be_written_costs_no_picture_and_no_table() {
     let ended = run.end();
     assert_eq!(ended.code, Some(1), "{}{}", ended.out, ended.err);
     assert_eq!(fs::read_to_string(folder.join("summary.json")).unwrap(), "mine");
-    assert!(ended.err.contains("a part of the report could not be written"), "{}", ended.err);
+    assert!(ended.err.contains("one file of the report could not be written"), "{}", ended.err);
     assert!(ended.out.contains("completed"), "{}", ended.out);
     for name in ["drr_after.png", "tip_path.png", "tip_path.svg", "timing.png", "timing.svg"] {
         assert!(fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");

@@ -39,6 +39,6 @@ fn the_doctor_says_of_huge_pages_what_the_hub_asks_for() {
     assert_eq!((asked("hg"), asked("ht")), (vec!["drr".to_owned()], Vec::new()));
     let said = trabecula(&[&"doctor"]);
     let line = said.out.lines().find(|line| line.contains("huge pages: ")).unwrap();
-    assert!(line.contains("to the X-ray's copies of the CT, which ask for them"), "{line}");
+    assert!(line.contains("to the X-ray's copies of the CT, which request them"), "{line}");
     assert!(line.contains("reserved, which the hub does not use"), "{line}");
 }

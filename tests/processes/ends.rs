@@ -69,7 +69,7 @@ fn assert_death_is_told(part: &str, name: &str) {
         "{}",
         ended.err
     );
-    assert!(ended.err.contains("its last words:\n  nothing"), "{}", ended.err);
+    assert!(ended.err.contains("its last output:\n  nothing"), "{}", ended.err);
     assert_nothing_left(ended.pid);
     assert_eq!(hidden_files(&ended), 0, "the reason of the end is left, for nobody has read it");
     let log = read(&ended.folder);

@@ -151,7 +151,7 @@ fn a_flood_of_requests_takes_no_frame_from_another_program() {
         },
     );
     await_event(&mut mine, EVENT_REQUEST_REFUSED, "`tick` is 1000000000, the run ends at 1000");
-    await_event(&mut mine, EVENT_REQUEST_REFUSED, "more requests for frames refused");
+    await_event(&mut mine, EVENT_REQUEST_REFUSED, "more frame requests refused");
     for tick in 0..40 {
         if tick % 20 == 0 {
             let request = mine.request_frame(None, tick).unwrap();

@@ -1,12 +1,12 @@
 //! X-ray frames are tied to ticks and are a function of volume, removed voxels and state.
 
 use drr_proc::ThisMachine;
-use ipc_types::messages::{Pose, Volume as VolumeMessage};
+use ipc_types::messages::{Pose, Restores, Volume as VolumeMessage};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
 use run_log::{FrameRecord, ReadOptions, frames};
 use xray::DrrRenderer;
-use xray::frame::{Job, render_job};
+use xray::frame::{Cache, Job, render_job};
 use xray::from_scene::{renderer_parameters, scene_c_arm, scene_isocentre_m};
 use xray::message::volume_view;
 use zerocopy::IntoBytes;
@@ -86,12 +86,12 @@ fn drilled_voxels_are_gone_in_the_frames() {
     let rendered = |removed: Vec<u32>| {
         let job = Job {
             state: Box::new(state),
-            restore_first: false,
+            restores: Restores::Nothing,
             removed,
             sequence: last.frame.sequence,
             request_id: 0,
             c_arm: scene_c_arm(drr).unwrap(),
-            aside: false,
+            cache: Cache::Follows,
             isocentre_m: scene_isocentre_m(&scene),
             notch: drr.notch,
             noise_seed: scene.run.seed,

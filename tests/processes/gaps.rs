@@ -32,9 +32,9 @@ fn a_gap_costs_the_ticks_up_to_the_next_keyframe_and_is_named_by_every_command()
     let whole = place.complete(&scene).folder.join("run.mcap");
     let log = place.path("gap.mcap");
     with_gap(&whole, &log, 230..275);
-    let lost = "gap: not in the log are 45 of /latched, 45 of /state";
+    let lost = "gap: missing from the log are 45 of /latched, 45 of /state";
     let stretch = "ticks 230 to 275: 45 of /latched, 45 of /state";
-    let passed = "not replayed: ticks 230 to 300; it went on at the keyframe of tick 300";
+    let passed = "not replayed: ticks 230 to 300; continued at the keyframe of tick 300";
     let verified = trabecula(&[&"replay", &log, &"--verify", &"--frames"]);
     said(&verified, 3, &["replayed 729 ticks, all identical; last tick 800", passed, lost, stretch]);
     // The bone behind the gap is that of the keyframe.
@@ -59,8 +59,8 @@ fn a_gap_costs_the_ticks_up_to_the_next_keyframe_and_is_named_by_every_command()
         &["identical", "the first log: gap", "the second log: gap"],
     );
     let differs = trabecula(&[&"log", &"diff", &whole, &log]);
-    said(&differs, 1, &["729 identical ticks", "71 ticks are in", "the second log: gap"]);
-    said(&trabecula(&[&"replay", &log, &"--record", &place.path("again")]), 1, &["a gap at tick 230"]);
+    said(&differs, 1, &["729 identical ticks", "71 ticks are only in", "the second log: gap"]);
+    said(&trabecula(&[&"replay", &log, &"--record", &place.path("again")]), 1, &["gap at tick 230"]);
     assert!(!place.path("again").join("run.mcap").exists());
 }
 
@@ -116,7 +116,7 @@ fn replies_and_the_geometry_of_frames_take_part_in_a_check_of_frames() {
     said(&reply(&|reply| reply.tick += 1), 1, &["frame 2: ", "/drr/reply", "tick: "]);
     said(&reply(&|reply| reply.requester = 1), 1, &["frame 2: ", "/drr/reply", "requester: "]);
     said(&reply(&|reply| reply.geometry.source_m[0] += 1e-3), 1, &["frame 2: ", "geometry.source_m[0]: "]);
-    said(&reply(&|reply| reply.frame_sequence = 1), 1, &["frame 2: ", "/drr/reply has none for it"]);
+    said(&reply(&|reply| reply.frame_sequence = 1), 1, &["frame 2: ", "/drr/reply has no reply for it"]);
     // Frame and reply agree on a C-arm that is not the scene's.
     edited(&log, &changed, |topic, body| {
         match topic {
@@ -151,7 +151,7 @@ fn a_replay_starts_none_of_a_logs_programs() {
     rewrite_as(&original, &log, |header| header.scene_toml.clone_from(&evil), |_| {}, |_| {});
     said(&verify(&log), 0, &["replayed 200 ticks, all identical"]);
     said(&trabecula(&[&"replay", &log]), 0, &["replayed 200 ticks"]);
-    said(&trabecula(&[&"replay", &log, &"--record", &place.path("again")]), 0, &["the same file"]);
+    said(&trabecula(&[&"replay", &log, &"--record", &place.path("again")]), 0, &["the files are identical"]);
     let holder = format!("holder={} proc controller --name holder", env!("CARGO_BIN_EXE_trabecula"));
     let live = trabecula(&[&"replay", &log, &"--controller", &holder]);
     assert_ne!(live.code, Some(0), "a program that the log does not give it cannot hold: {}", live.out);

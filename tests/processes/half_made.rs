@@ -4,7 +4,9 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::common::preload::library;
-use crate::common::program::{Place, Run, assert_nothing_left};
+use crate::common::program::{
+    Place, Run, assert_nothing_left, parts_of, session_folder, shared_memory_of, wait_for,
+};
 use crate::common::scenes;
 
 /// Kills a part at one of its first segments, and sees that the run ends for it. Returns whether it was killed: how many segments it makes
@@ -42,5 +44,41 @@ fn a_part_that_is_killed_while_it_makes_a_segment_hangs_no_run() {
         let killed = places.iter().filter(|killed_at| ends_when_killed(&library, part, **killed_at)).count();
         assert!(killed >= 2, "{part} was killed {killed} times only");
     }
+    std::fs::remove_file(library).unwrap();
+}
+
+/// Kills the launcher of a run without a recorder at one of its segments, and sees that every part ends for it. Returns whether it was
+/// killed.
+fn parts_end_when_the_launcher_is_killed(library: &Path, killed_at: usize) -> bool {
+    let place = Place::new();
+    let scene = place.scene(&scenes::hold("lockstep", 0.2));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_trabecula"));
+    command.arg("run").arg(&scene).arg("--output").arg(place.path("out")).args(["--no-record", "--quiet"]);
+    command.env("LD_PRELOAD", library).env("KILLED_PART", "launcher").env("KILLED_AT", killed_at.to_string());
+    let ended = Run::of(command, place.path("out")).end();
+    let session = session_folder(ended.pid);
+    wait_for("the end of all parts", || parts_of(&session).is_empty().then_some(()));
+    // The next host wipes the session.
+    place.complete(&scenes::hold("lockstep", 0.05));
+    assert!(!session.exists() && shared_memory_of(ended.pid).is_empty());
+    ended.code.is_none()
+}
+
+/// Without a recorder no part removed the segment, and each of them waited for its size for ever.
+#[test]
+fn a_launcher_that_is_killed_while_it_makes_a_segment_hangs_no_part() {
+    let library = match library("processes/half_made.c") {
+        Ok(library) => library,
+        Err(cause) => {
+            eprintln!("SKIPPED: {cause}");
+            return;
+        }
+    };
+    let places = [4, 8, 12, 16, 18, 20];
+    let killed = places
+        .iter()
+        .filter(|killed_at| parts_end_when_the_launcher_is_killed(&library, **killed_at))
+        .count();
+    assert!(killed >= 2, "the launcher was killed {killed} times only");
     std::fs::remove_file(library).unwrap();
 }

@@ -27,7 +27,7 @@ fn progress(tick: u64) -> Progress {
 /// Every client could report for the recorder: that it had taken what it had not, and the ticks ran away from it; or that it
 /// stood still, and so did they.
 #[test]
-fn progress_of_a_stranger_neither_lifts_nor_stalls_lockstep() {
+fn progress_from_a_foreign_program_neither_lifts_nor_stalls_lockstep() {
     let place = Place::new();
     let run = place.start(&scenes::hold("lockstep", 600.0));
     let mut observer = joined(&run, "");
@@ -83,7 +83,7 @@ fn progress_of_a_stranger_neither_lifts_nor_stalls_lockstep() {
 
 /// Without X-ray and keyframes the ports of their services are free; seven bytes over one of them ended the recorder.
 #[test]
-fn a_stranger_on_a_free_port_of_a_part_does_not_end_the_recorder() {
+fn a_foreign_program_on_a_free_port_of_a_part_does_not_end_the_recorder() {
     let place = Place::new();
     let scene = scenes::hold("realtime", 60.0) + "\n[recording]\nkeyframe_interval_s = 0.0\n";
     let run = place.start(&scene);
@@ -97,7 +97,7 @@ fn a_stranger_on_a_free_port_of_a_part_does_not_end_the_recorder() {
             send_bare(port, &vec![0x5a; length]);
         }
     }
-    await_event(&mut observer, EVENT_REQUEST_REFUSED, "came from strangers; not recorded");
+    await_event(&mut observer, EVENT_REQUEST_REFUSED, "reserved for parts of the hub; not recorded");
     while observer.wait_state(crate::common::program::LIMIT).unwrap().tick < first + 500 {}
     let ended = stopped(run, observer, (ports, stranger));
     assert_nothing_left(ended.pid);
@@ -109,7 +109,7 @@ fn a_stranger_on_a_free_port_of_a_part_does_not_end_the_recorder() {
 /// A program that goes on writing into a command that it has sent, while the physics decides on it: what is latched is what
 /// was checked.
 #[test]
-fn what_a_writer_goes_on_writing_reaches_no_decision() {
+fn a_writer_that_keeps_writing_changes_no_decision() {
     const HONEST_N: f64 = 2.718_043_917_265;
     /// More than any tendon bears.
     const FORGED_N: f64 = 9.876_543_21e6;

@@ -108,12 +108,12 @@ fn a_second_signal_ends_everything_at_once() {
     // The log cannot be finished; the launcher would wait for more than two minutes.
     signal(run.part("recorder"), Signal::STOP);
     signal(run.pid(), Signal::INT);
-    wait_for("the answer", || run.said().contains("SIGINT: the run ends").then_some(()));
+    wait_for("the answer", || run.said().contains("SIGINT: stopping the run").then_some(()));
     std::thread::sleep(ANOTHER);
     signal(run.pid(), Signal::INT);
     let ended = obeyed(run, "the second signal");
     assert_eq!(ended.code, Some(130), "{}", ended.err);
-    assert!(ended.err.contains("SIGINT: everything ends at once"), "{}", ended.err);
+    assert!(ended.err.contains("SIGINT: killing everything"), "{}", ended.err);
     assert_nothing_left(ended.pid);
     let log = read(&ended.folder);
     assert!(log.marker.is_none(), "the recorder was stopped");

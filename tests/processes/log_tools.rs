@@ -175,7 +175,7 @@ fn the_drilled_ct_is_written_while_the_run_goes_on() {
     // No file is written over.
     let before = fs::read(&file).unwrap();
     let done = drilled(&[], &ended.folder);
-    assert!(done.code == Some(2) && done.err.contains("drilled.nrrd: is there already"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("drilled.nrrd: already exists"), "{}", done.err);
     assert!(fs::read(&file).unwrap() == before);
     fs::remove_file(&file).unwrap();
     let done = drilled(&[], &ended.folder);

@@ -1,4 +1,4 @@
-//! What commands do with an output that is there already: they refuse it, whatever it is, before their work.
+//! What commands do with an output that already exists: they refuse it, whatever it is, before their work.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -123,7 +123,7 @@ fn no_command_writes_over_a_file_that_is_there() {
                 assert_eq!(done.code, Some(2), "{:?}: {}{}", row.words, done.out, done.err);
                 let name = file.file_name().unwrap().to_str().unwrap();
                 assert!(
-                    done.err.contains(&format!("{name}: is there already")),
+                    done.err.contains(&format!("{name}: already exists")),
                     "{:?}: {}",
                     row.words,
                     done.err
@@ -143,17 +143,17 @@ fn no_command_writes_over_its_own_input() {
     assert_eq!(trabecula(&[&"phantom", &"sphere", &ball, &"--spacing-mm", &"2"]).code, Some(0));
     let before = fs::read(&ball).unwrap();
     let done = trabecula(&[&"drr", &ball, &"-o", &ball]);
-    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
     // Under another name, and a slice of a patient's series.
     std::os::unix::fs::symlink(&ball, place.path("link.nrrd")).unwrap();
     let done = trabecula(&[&"drr", &ball, &"-o", &place.path("link.nrrd")]);
-    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
     assert!(fs::read(&ball).unwrap() == before);
     let slice = place.path("series/007.dcm");
     fs::create_dir(place.path("series")).unwrap();
     fs::write(&slice, MINE).unwrap();
     let done = trabecula(&[&"drr", &place.path("series"), &"-o", &slice]);
-    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
     assert_eq!(fs::read(&slice).unwrap(), MINE);
 }
 
@@ -171,6 +171,6 @@ fn exported_pictures_replace_none_and_leave_none_of_a_refused_export() {
     others.iter().for_each(|(path, _)| fs::remove_file(path).unwrap());
     fs::write(&last.0, MINE).unwrap();
     let done = export();
-    assert!(done.code == Some(2) && done.err.contains("is there already"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("already exists"), "{}", done.err);
     assert!(contents(&pictures) == [(last.0.clone(), MINE.to_vec())]);
 }

@@ -37,11 +37,11 @@ fn promise_2_file_identity_recording_a_replay_gives_the_same_file() {
         if frames {
             words.push(&"--frames");
         }
-        succeeded(&trabecula(&words), &["recorded 700 ticks", "the same file"]);
+        succeeded(&trabecula(&words), &["recorded 700 ticks", "the files are identical"]);
         let [first, second] = [&folder, &again].map(|folder| fs::read(folder.join("run.mcap")).unwrap());
         assert!(first == second, "{mode}: {} against {} bytes", first.len(), second.len());
         // Nothing is written over.
-        failed(&trabecula(&words), 2, &["run.mcap: is there already"]);
+        failed(&trabecula(&words), 2, &["run.mcap: already exists"]);
         fs::remove_dir_all(place.path("out")).unwrap();
     }
 }
@@ -107,7 +107,7 @@ fn promise_3_closed_loop_stops_at_the_first_difference_and_names_it() {
     let run = |text: &str| trabecula(&[&"replay", &original, &"--controller", &text]);
     failed(&run("false"), 1, &["tick 0: controller `holder` ended"]);
     failed(&run("/no/such/program"), 1, &["cannot be started"]);
-    failed(&run("'unclosed"), 2, &["a quote that is not closed"]);
+    failed(&run("'unclosed"), 2, &["an unclosed quote"]);
 }
 
 #[test]
@@ -210,16 +210,20 @@ fn promise_8_refusal_of_another_build_layout_volume_or_scene() {
     let other = place.path("other.toml");
     fs::write(&other, text.replace("feed_mm_per_s = 8.0", "feed_mm_per_s = 9.0")).unwrap();
     let in_scene = |scene: &Path| trabecula(&[&"replay", &log, &"--verify", &"--scene", &scene]);
-    failed(&in_scene(&other), 2, &["scene:", "other.toml is not the `drill` that the log was made with"]);
+    failed(
+        &in_scene(&other),
+        2,
+        &["scene:", "other.toml differs from the `drill` that the log was recorded with"],
+    );
     succeeded(&in_scene(&place.path("scene.toml")), &["all identical; last"]);
     // A volume that has moved, and another one in its place.
     let moved = place.path("moved.nrrd");
     fs::rename(&volume, &moved).unwrap();
-    failed(&verify(&log), 2, &["block.nrrd", "say where with --volume"]);
+    failed(&verify(&log), 2, &["block.nrrd", "give its path with --volume"]);
     let with = |volume: &Path| trabecula(&[&"replay", &log, &"--verify", &"--volume", &volume]);
     succeeded(&with(&moved), &["all identical; last"]);
     make(&volume, "0.8");
-    failed(&with(&volume), 2, &["volume: the log's has SHA-256"]);
+    failed(&with(&volume), 2, &["volume: SHA-256 was"]);
 }
 
 /// Prints both times; a figure on a quiet machine comes from `trabecula bench step`.

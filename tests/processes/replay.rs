@@ -69,7 +69,7 @@ fn a_bit_flipped_in_the_file_itself_is_found_by_its_checksum() {
     fs::write(place.path("flipped.mcap"), &bytes).unwrap();
     let done = verify(&place.path("flipped.mcap"));
     assert_eq!(done.code, Some(1), "{}{}", done.out, done.err);
-    assert!(done.err.contains("cannot be read further than tick"), "{}", done.err);
+    assert!(done.err.contains("cannot be read beyond tick"), "{}", done.err);
 }
 
 #[test]
@@ -117,11 +117,15 @@ fn a_replay_that_would_compare_nothing_says_so() {
     let program = "/no/such/program";
     let cases: [(&Path, &[&str], &str); 6] = [
         (&held, &["--verify", "--frames"], "the scene has no X-ray"),
-        (&drilled, &["--frames", "--from", "110", "--to", "120"], "no frame of these ticks"),
-        (&held, &["--verify", "--from", "5000"], "--from is tick 5000, the log ends at tick 100"),
-        (&held, &["--from", "0.2s"], "--from is tick 200, the log ends at tick 100"),
+        (&drilled, &["--frames", "--from", "110", "--to", "120"], "no frames for these ticks"),
+        (&held, &["--verify", "--from", "5000"], "--from is tick 5000, but the log ends at tick 100"),
+        (&held, &["--from", "0.2s"], "--from is tick 200, but the log ends at tick 100"),
         (&unheard, &["--controller", program], "--controller `holder`:"),
-        (&held, &["--controller", program, "--closed-loop", "--to", "0"], "no command of it in these ticks"),
+        (
+            &held,
+            &["--controller", program, "--closed-loop", "--to", "0"],
+            "no command of this controller in these ticks",
+        ),
     ];
     for (log, more, said) in cases {
         let mut words: Vec<&dyn AsRef<std::ffi::OsStr>> = vec![&"replay", &log];

@@ -83,7 +83,7 @@ fn an_optional_controller_program_may_end_and_the_run_goes_on() {
         client.events().into_iter().map(|(_, text)| text).find(|text| text.contains(NAME))
     });
     drop(client);
-    assert!(text.contains("ended (exit status: 3); the run goes on without it"), "{text}");
+    assert!(text.contains("ended (exit status: 3); the run continues without it"), "{text}");
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_eq!(read(&ended.folder).ticks.len(), 500);

@@ -206,7 +206,7 @@ fn check(seed: u64, folder: &Path, row: &mut Row) {
     if gap {
         row.lost = 1;
         assert_eq!(done.code, Some(1), "seed {seed}: {}{}", done.out, done.err);
-        let words = format!("cannot be read further than tick {}:", row.ticks);
+        let words = format!("cannot be read beyond tick {}:", row.ticks);
         assert!(done.err.contains(&words), "seed {seed}: {}", done.err);
         return;
     }

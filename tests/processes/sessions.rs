@@ -116,7 +116,7 @@ fn nothing_is_wiped_before_everything_is_checked() {
         let output = launcher(&place, &scenes::hold("lockstep", 0.05), runtime.path()).output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{what}: {said}");
-        let words = ["trabecula-hubs", "only this user may enter", VARIABLE];
+        let words = ["trabecula-hubs", "only this user owns and can enter", VARIABLE];
         assert!(words.iter().all(|word| said.contains(word)), "{what}: {said}");
         assert_eq!(fs::read_dir(seen).unwrap().count(), 5, "{what}: {said}");
         if *seen == sessions {
@@ -168,7 +168,7 @@ fn a_folder_of_the_users_is_never_wiped_by_a_run() {
         content.assert_whole(what);
         let is_good = what == "good";
         assert_eq!(content.dead.exists(), !is_good, "{what}: {said}");
-        assert_eq!(said.contains("is passed over"), !is_good, "{what}: {said}");
+        assert_eq!(said.contains("is not used"), !is_good, "{what}: {said}");
         assert!(!folder.join("n").exists(), "{what}: nothing is made");
         assert_eq!(fs::read_dir(&sessions).unwrap().count(), if is_good { 4 } else { 5 }, "{what}");
         for left in ["home", "trabecula", "trabecula-hubs"] {
@@ -194,7 +194,7 @@ fn a_run_works_in_the_longest_run_time_folder() {
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(0), "{said}");
         assert_eq!(runtime.path().join("trabecula-hubs").exists(), is_taken, "{said}");
-        assert_eq!(said.contains("names of sockets below it are too long"), !is_taken, "{said}");
+        assert_eq!(said.contains("socket paths inside it get too long"), !is_taken, "{said}");
     }
 }
 
@@ -284,7 +284,7 @@ fn a_run_whose_session_folder_is_removed_goes_on_with_its_clients() {
     let ended = run.end();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_eq!(
-        ended.err.matches("the session's folder was removed; the run goes on").count(),
+        ended.err.matches("the session's folder was removed; the run continues").count(),
         1,
         "{}",
         ended.err
@@ -337,12 +337,12 @@ fn a_name_that_can_never_be_a_session_is_refused_at_once() {
         });
         let refusal = receiver.recv_timeout(LIMIT).unwrap_or_else(|_| panic!("{given} is still waited for"));
         assert!(
-            refusal.contains("can be no session") && refusal.contains("11 letters and digits"),
+            refusal.contains("cannot be a session") && refusal.contains("11 letters and digits"),
             "{refusal}"
         );
     }
     let done = trabecula(&[&"view", &"--session", &"/etc", &"--no-open", &"--port", &"0"]);
-    assert!(done.code == Some(2) && done.err.contains("can be no session"), "{}", done.err);
+    assert!(done.code == Some(2) && done.err.contains("cannot be a session"), "{}", done.err);
 }
 
 #[test]
@@ -353,5 +353,5 @@ fn a_name_that_can_never_be_a_session_is_refused_at_once_in_python() {
     };
     let script = "import trabecula as t\ntry:\n    t.Client(session='/etc', timeout_s=1e5)\nexcept t.Error as e:\n    print(e.status, e)";
     let said = output_within_limit(std::process::Command::new(python).args(["-c", script]));
-    assert!(said.starts_with("-3 `/etc` can be no session"), "{said}");
+    assert!(said.starts_with("-3 `/etc` cannot be a session"), "{said}");
 }

@@ -70,7 +70,7 @@ fn a_recorder_held_up_beyond_its_queue_says_which_ticks_are_missing_and_ends_wit
     assert!(first + 200 > stopped_at && last >= first + 500, "{first} to {last}, stopped at {stopped_at}");
     assert!(ended.out.contains(&format!("ticks {first} to {last}")), "{}", ended.out);
     // Said at once, too, to whoever listens.
-    let at_once = format!("ticks {first} to {last} are missing in the log");
+    let at_once = format!("ticks {first} to {last} are missing from the log");
     assert!(told.iter().any(|text| text.contains(&at_once)), "{told:?}");
     assert_nothing_left(ended.pid);
 }

@@ -190,8 +190,8 @@ fn bad_stress_arguments_are_refused_with_what_is_allowed() {
     let before = place.entries();
     let list = place.path("list.json").to_str().unwrap().to_owned();
     let cases: [(&[&str], &str); 11] = [
-        (&["--cores", "0"], "--cores 0: this program may use 1 to"),
-        (&["--cores", "1,9999"], "--cores 9999: this program may use 1 to"),
+        (&["--cores", "0"], "--cores is 0, allowed on this machine is 1 to"),
+        (&["--cores", "1,9999"], "--cores is 9999, allowed on this machine is 1 to"),
         (&["--load", "burn"], "`burn` is no load; expected `none`, `spin`"),
         (&["--load", "none,spin:0"], "`spin:0` is no load"),
         (&["--policy", "rr"], "[possible values: other, fifo]"),

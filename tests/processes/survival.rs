@@ -182,8 +182,7 @@ fn a_folder_removed_during_a_run_ends_it_at_once_and_names_the_log() {
     std::fs::remove_dir_all(&folder).unwrap();
     let ended = run.end();
     assert_eq!(ended.code, Some(1), "{}", ended.err);
-    let said =
-        format!("the log {} has been removed while the run went on", folder.join("run.mcap").display());
+    let said = format!("the log {} was removed during the run", folder.join("run.mcap").display());
     assert!(ended.err.contains(&said), "{}", ended.err);
     assert!(!ended.err.contains("drr_") && !ended.err.contains("summary"), "{}", ended.err);
     assert!(!folder.exists());
@@ -203,7 +202,7 @@ fn a_folder_moved_during_a_run_ends_it_and_says_where_the_log_is() {
     std::fs::rename(&folder, &moved).unwrap();
     let ended = run.end();
     assert_eq!(ended.code, Some(1), "{}", ended.err);
-    assert!(ended.err.contains(&format!("has been moved to {}", moved.join("run.mcap").display())));
+    assert!(ended.err.contains(&format!("was moved to {}", moved.join("run.mcap").display())));
     assert!(read(&moved).ticks.len() >= 200);
     assert_replays(&moved);
     assert_nothing_left(ended.pid);

@@ -231,7 +231,7 @@ fn what_another_program_puts_there_meanwhile_stays() {
             let err = String::from_utf8_lossy(&output.stderr);
             if is_in_time {
                 assert_eq!(output.status.code(), Some(2), "{words}: {err}");
-                assert!(err.contains(&format!("{name}: is there already")), "{words}: {err}");
+                assert!(err.contains(&format!("{name}: already exists")), "{words}: {err}");
                 assert_eq!(files(&folder), [(PathBuf::from(name), MINE.to_vec())], "{words}");
             }
             is_in_time

@@ -55,7 +55,7 @@ fn a_session_has_room_for_ten_observers_and_refuses_more_by_name() {
     assert!(readers.len() >= 10, "{} more readers", readers.len());
     let text = error.to_string();
     assert!(matches!(error, SessionError::Crowded { .. }), "{text}");
-    assert!(text.contains("service `state`: 16 programs read it already"), "{text}");
+    assert!(text.contains("service `state`: 16 programs already read it"), "{text}");
     drop(readers);
     stopped(run, observer, ());
 }

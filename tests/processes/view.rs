@@ -372,7 +372,7 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     std::fs::remove_file(figure.with_extension("png")).unwrap();
     let before = std::fs::read(figure.with_extension("svg")).unwrap();
     let again = trabecula(&[&"plot", &ended.folder, &fields[0], &"--output", &figure]);
-    assert!(again.code == Some(2) && again.err.contains("is there already"), "{}", again.err);
+    assert!(again.code == Some(2) && again.err.contains("already exists"), "{}", again.err);
     assert!(!figure.with_extension("png").exists());
     assert!(std::fs::read(figure.with_extension("svg")).unwrap() == before);
     std::fs::remove_file(figure.with_extension("svg")).unwrap();
@@ -382,6 +382,10 @@ fn fields_are_plotted_and_completions_and_the_man_page_are_made() {
     assert!(png.starts_with(b"\x89PNG"));
     let svg = std::fs::read_to_string(figure.with_extension("svg")).unwrap();
     assert!(fields.iter().all(|field| svg.contains(field)));
+    // It was `named.svg.svg`.
+    let named = trabecula(&[&"plot", &ended.folder, &fields[0], &"--output", &place.path("named.svg")]);
+    assert_eq!(named.code, Some(0), "{}", named.err);
+    assert!(place.path("named.svg").exists() && place.path("named.png").exists());
     let none = trabecula(&[&"plot", &ended.folder, &"no_such_field", &"--output", &place.path("none")]);
     assert_eq!(none.code, Some(2), "{}", none.err);
     assert!(!place.path("none.png").exists());

@@ -1,9 +1,10 @@
 //! The board between the sources and the clients' connections. No source ever blocks here: it hands its message over and continues.
 
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use hub::viewer::{self, Kept, Limits, Outgoing, Published, Wanted};
+use ipc_types::clock::now_ns;
 use ipc_types::layout::CDR_LITTLE_ENDIAN;
 use ipc_types::messages::TickTiming;
 use run_log::Misses;
@@ -11,36 +12,39 @@ use run_log::topics;
 use tokio::sync::Notify;
 use zerocopy::FromBytes;
 
-use crate::channels::{Channels, MISS, NOTICE, Policy};
+use crate::channels::{Channels, MISS, NOTICE};
 use crate::protocol::Subscription;
-use crate::queue::{Outgoing, Payload, Queue};
-
-/// Most subscriptions of one client.
-pub const MAX_SUBSCRIPTIONS: usize = 256;
 
 /// Notices kept for clients that subscribe later.
 const NOTICES_KEPT: u32 = 64;
 
 /// One client's side of the board.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Client {
     /// Notified when a message is queued.
     pub bell: Notify,
-    state: Mutex<ClientState>,
-}
-
-#[derive(Debug, Default)]
-struct ClientState {
-    queue: Queue,
-    /// Channel number by subscription.
-    subscriptions: BTreeMap<u32, u32>,
+    state: Mutex<viewer::Client>,
 }
 
 impl Client {
-    /// Takes the next messages ([`Queue::take`]), and the number dropped since the last call.
-    pub fn take(&self, bytes: usize) -> (Vec<Outgoing>, u64) {
-        let mut state = lock(&self.state);
-        (state.queue.take(bytes), state.queue.take_dropped())
+    /// Takes the next messages ([`viewer::Client::take`]).
+    pub fn take(&self, bytes: usize) -> Vec<Outgoing> {
+        lock(&self.state).take(bytes)
+    }
+
+    /// The number of dropped messages to tell the client now ([`viewer::Client::drops_to_tell`]).
+    pub fn drops_to_tell(&self) -> Option<u64> {
+        lock(&self.state).drops_to_tell(now_ns())
+    }
+
+    /// The same at the end.
+    pub fn last_drops_to_tell(&self) -> Option<u64> {
+        lock(&self.state).last_drops_to_tell()
+    }
+
+    /// Counts a message of the client; whether it may send so many.
+    pub fn may_send(&self) -> bool {
+        lock(&self.state).may_send(now_ns())
     }
 }
 
@@ -49,9 +53,9 @@ impl Client {
 pub struct Board {
     channels: Channels,
     clients: Mutex<Vec<Arc<Client>>>,
-    /// Newest message by channel and slot, for clients that subscribe later.
-    kept: Mutex<BTreeMap<(u32, u32), (u64, Payload)>>,
-    /// Bit i: some client has subscribed to channel i, modulo 64.
+    /// For clients that subscribe later.
+    kept: Mutex<Kept>,
+    /// The bits of [`Wanted`].
     wanted: AtomicU64,
     time_ns: AtomicU64,
     /// Number of the next notice.
@@ -91,8 +95,12 @@ impl Board {
 
     /// Whether anybody subscribes to a topic. May return true when nobody does.
     pub fn wants(&self, topic: &str) -> bool {
-        let Some(id) = self.channels.id(topic) else { return false };
-        self.wanted.load(Ordering::Relaxed) & (1 << (id % 64)) != 0
+        self.channels.id(topic).is_some_and(|id| self.wanted().has(id))
+    }
+
+    /// The channels that somebody subscribes to.
+    pub fn wanted(&self) -> Wanted {
+        Wanted(self.wanted.load(Ordering::Relaxed))
     }
 
     /// Publishes a log message: the CDR header, then the parts of its body.
@@ -111,12 +119,8 @@ impl Board {
     pub fn notice(&self, level: &str, text: &str) {
         let number = self.notices.fetch_add(1, Ordering::Relaxed);
         let value = serde_json::json!({"level": level, "text": text});
-        self.hand_out(NOTICE, self.time_ns(), number, value.to_string().into_bytes());
-        if let Some(old) = number.checked_sub(NOTICES_KEPT)
-            && let Some(id) = self.channels.id(NOTICE)
-        {
-            lock(&self.kept).remove(&(id, old));
-        }
+        let keep = |kept: &mut Kept, message: &Published| kept.keep_last(message, NOTICES_KEPT);
+        self.hand_out(NOTICE, self.time_ns(), number, value.to_string().into_bytes(), keep);
     }
 
     /// Publishes a message and keeps it as the newest of its channel and slot. Before a late tick's timing, also publishes the cause.
@@ -124,9 +128,9 @@ impl Board {
         if topic == topics::TICK_TIMING
             && let Some(miss) = self.miss_of(&bytes)
         {
-            self.hand_out(MISS, time_ns, 0, miss.to_string().into_bytes());
+            self.hand_out(MISS, time_ns, 0, miss.to_string().into_bytes(), Kept::keep);
         }
-        self.hand_out(topic, time_ns, slot, bytes);
+        self.hand_out(topic, time_ns, slot, bytes, Kept::keep);
     }
 
     /// Main cause of a late tick, as the page shows it; `None` for a tick on time.
@@ -140,23 +144,22 @@ impl Board {
         )
     }
 
-    fn hand_out(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
+    fn hand_out(
+        &self,
+        topic: &str,
+        time_ns: u64,
+        slot: u32,
+        bytes: Vec<u8>,
+        keep: impl Fn(&mut Kept, &Published),
+    ) {
         let Some(id) = self.channels.id(topic) else { return };
         let Some(channel) = self.channels.get(id) else { return };
-        let payload: Payload = bytes.into();
+        let message = Published { channel: id, slot, time_ns, policy: channel.policy, payload: bytes.into() };
         // Clients subscribe under the same lock, so each gets this message exactly once, kept or sent.
         let mut kept = lock(&self.kept);
-        kept.insert((id, slot), (time_ns, Arc::clone(&payload)));
+        keep(&mut kept, &message);
         for client in lock(&self.clients).iter() {
-            let mut state = lock(&client.state);
-            let ClientState { queue, subscriptions } = &mut *state;
-            for (subscription, _) in subscriptions.iter().filter(|(_, channel)| **channel == id) {
-                let message =
-                    Outgoing { subscription: *subscription, time_ns, payload: Arc::clone(&payload) };
-                match channel.policy {
-                    Policy::Stream => queue.push_stream(message),
-                    Policy::Newest => queue.push_newest(message, slot),
-                }
+            if lock(&client.state).offer(&message) > 0 {
                 client.bell.notify_one();
             }
         }
@@ -164,7 +167,8 @@ impl Board {
 
     /// Adds a client.
     pub fn join(&self) -> Arc<Client> {
-        let client = Arc::new(Client::default());
+        let state = Mutex::new(viewer::Client::new(Limits::default(), now_ns()));
+        let client = Arc::new(Client { bell: Notify::new(), state });
         lock(&self.clients).push(Arc::clone(&client));
         client
     }
@@ -191,22 +195,8 @@ impl Board {
         };
         {
             let kept = lock(&self.kept);
-            let mut state = lock(&client.state);
-            if state.subscriptions.len() >= MAX_SUBSCRIPTIONS {
-                return Err(format!("subscription {id}: a client may have {MAX_SUBSCRIPTIONS}, not more"));
-            }
-            if state.subscriptions.contains_key(&id) {
-                return Err(format!("subscription {id} is taken; unsubscribe it first"));
-            }
-            state.subscriptions.insert(id, channel_id);
-            for ((_, slot), (time_ns, payload)) in kept.range((channel_id, 0)..=(channel_id, u32::MAX)) {
-                let payload = Arc::clone(payload);
-                let message = Outgoing { subscription: id, time_ns: *time_ns, payload };
-                match channel.policy {
-                    Policy::Stream => state.queue.push_stream(message),
-                    Policy::Newest => state.queue.push_newest(message, *slot),
-                }
-            }
+            let subscribed = lock(&client.state).subscribe(id, channel_id, channel.policy, &kept);
+            subscribed.map_err(|refusal| refusal.to_string())?;
             client.bell.notify_one();
         }
         self.count_wanted();
@@ -218,25 +208,15 @@ impl Board {
     /// # Errors
     /// The client has no such subscription.
     pub fn unsubscribe(&self, client: &Client, subscription: u32) -> Result<(), String> {
-        {
-            let mut state = lock(&client.state);
-            if state.subscriptions.remove(&subscription).is_none() {
-                return Err(format!("there is no subscription {subscription}"));
-            }
-            state.queue.forget(subscription);
-        }
+        lock(&client.state).unsubscribe(subscription).map_err(|refusal| refusal.to_string())?;
         self.count_wanted();
         Ok(())
     }
 
     fn count_wanted(&self) {
-        let mut bits = 0;
-        for client in lock(&self.clients).iter() {
-            for channel in lock(&client.state).subscriptions.values() {
-                bits |= 1 << (channel % 64);
-            }
-        }
-        self.wanted.store(bits, Ordering::Relaxed);
+        let clients = lock(&self.clients);
+        let channels = clients.iter().flat_map(|client| lock(&client.state).channels().collect::<Vec<_>>());
+        self.wanted.store(Wanted::of(channels).0, Ordering::Relaxed);
     }
 }
 

@@ -1,5 +1,6 @@
 //! The channels: the logs' topics, topics for Lichtblick, and topics that only the page reads.
 
+use hub::viewer::Policy;
 use ipc_types::layout::{Description, Message};
 use ipc_types::messages::{
     Command, DrrRequest, Event, Frame, FrameTiming, RunControl, RunControlReply, RunStatus, TickTiming,
@@ -34,15 +35,6 @@ pub const ASKED_FRAME: &str = "/view/asked_frame";
 pub const SECOND: &str = "/second";
 /// Topics shown from a second log.
 pub const SECOND_TOPICS: [&str; 3] = [topics::STATE, topics::DRR_FRAME, topics::DRR_IMAGE];
-
-/// What a slow client misses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Policy {
-    /// The oldest messages of a bounded queue.
-    Stream,
-    /// All but the newest message.
-    Newest,
-}
 
 /// One channel.
 #[derive(Debug, Clone)]

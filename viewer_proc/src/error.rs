@@ -15,7 +15,7 @@ use crate::log::file::PlayError;
 pub enum ViewerError {
     /// Cannot listen on the port.
     #[error(
-        "{address}: cannot listen there: {cause}; choose another port with --port, or 0 for any free one"
+        "{address}: cannot listen on this address: {cause}; choose another port with --port, or 0 for any free one"
     )]
     Port {
         /// The requested address.
@@ -24,13 +24,13 @@ pub enum ViewerError {
         cause: std::io::Error,
     },
     /// No random numbers for the token.
-    #[error("/dev/urandom: no control token can be made: {0}")]
+    #[error("cannot create the control token from /dev/urandom: {0}")]
     Token(std::io::Error),
     /// The runtime or a thread cannot be started.
     #[error("the server cannot be started: {0}")]
     Runtime(std::io::Error),
     /// No session to view.
-    #[error("{0}; or name one with --session")]
+    #[error("{0}; or give one with --session")]
     NoSession(Searched),
     /// The session cannot be joined.
     #[error(transparent)]

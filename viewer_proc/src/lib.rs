@@ -12,7 +12,7 @@
 //! | [`log`] | logs on a time line |
 //! | [`surface`] | the bone's surface, block by block |
 //! | [`server`], [`protocol`], [`services`] | HTTP, WebSocket, the requests of clients |
-//! | [`board`], [`queue`], [`channels`] | what clients subscribe to, and each client's queue |
+//! | [`board`], [`channels`] | what clients subscribe to; [`hub::viewer`] decides what each of them gets |
 //! | [`scene_update`] | the tool for other viewers |
 //! | [`info`](mod@info), [`assets`] | the scene as the page needs it, the page's files |
 
@@ -24,7 +24,6 @@ pub mod info;
 pub mod live;
 pub mod log;
 pub mod protocol;
-pub mod queue;
 pub mod scene_update;
 pub mod server;
 pub mod services;

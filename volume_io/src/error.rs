@@ -153,7 +153,7 @@ pub enum VolumeError {
     },
     /// The axes are not at right angles: a sheared affine, or a CT taken with a tilted gantry.
     #[error(
-        "{}: `{}`: given {}; expected axes at right angles within {tolerance}; a tilted gantry or sheared volume must be resampled to a rectangular grid first", foreign_path(.path), foreign(.field), foreign(.given)
+        "{}: `{}`: given {}; expected axes at right angles within {tolerance}; resample a tilted gantry's slices (`--rectify`, in a scene `volume.resample = \"rectify\"`), a sheared volume before", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     Sheared {
         /// File.
@@ -167,7 +167,7 @@ pub enum VolumeError {
     },
     /// Unevenly spaced slices.
     #[error(
-        "{}: `{}`: given {}; expected slices at equal distances within {tolerance_m} m; resample the series first", foreign_path(.path), foreign(.field), foreign(.given)
+        "{}: `{}`: given {}; expected slices at equal distances within {tolerance_m} m; resample them (`--rectify`, in a scene `volume.resample = \"rectify\"`)", foreign_path(.path), foreign(.field), foreign(.given)
     )]
     VariableSpacing {
         /// Folder or file.
@@ -180,7 +180,7 @@ pub enum VolumeError {
         tolerance_m: f64,
     },
     /// A gap in an otherwise regular series.
-    #[error("{}: `{}`: given {}; expected every slice of the series; export it again", foreign_path(.path), foreign(.field), foreign(.given))]
+    #[error("{}: `{}`: given {}; expected every slice of the series; export it again, or fill the gap (`--rectify`, in a scene `volume.resample = \"rectify\"`)", foreign_path(.path), foreign(.field), foreign(.given))]
     MissingSlices {
         /// Folder or file.
         path: PathBuf,
@@ -208,6 +208,26 @@ pub enum VolumeError {
         field: String,
         /// The values found.
         given: String,
+    },
+    /// A folder with the slices of several series and no choice between them, or a choice that is not there.
+    #[error("{}: given {given}; expected one of its series: {series}; name one (`--series UID`, in a scene `volume.series`)", foreign_path(.path))]
+    SeveralSeries {
+        /// The folder.
+        path: PathBuf,
+        /// What was asked for.
+        given: String,
+        /// Each with its UID, number of slices, modality and description, escaped.
+        series: String,
+    },
+    /// A label that is not in the segmentation, or that does not say enough.
+    #[error("{}: given {}; there: {}", foreign_path(.path), foreign(.given), foreign(.there))]
+    NoSuchLabel {
+        /// File.
+        path: PathBuf,
+        /// The label asked for.
+        given: String,
+        /// What the file has.
+        there: String,
     },
     /// An argument from the caller (not from a file) is unusable.
     #[error("`{}`: given {}; expected {expected}", foreign(.field), foreign(.given))]

@@ -1,8 +1,9 @@
 //! Opens files and compressed streams without trusting the sizes they claim.
 
 use crate::error::VolumeError;
+use crate::gzip::GzipMembers;
 use std::fs::File;
-use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// A stream encoding.
@@ -12,6 +13,8 @@ pub(crate) enum Codec {
     Gzip,
     Zlib,
     Bzip2,
+    /// Two hexadecimal digits a byte, white space anywhere.
+    Hex,
 }
 
 impl Codec {
@@ -21,6 +24,7 @@ impl Codec {
             Codec::Gzip => "gzip",
             Codec::Zlib => "zlib",
             Codec::Bzip2 => "bzip2",
+            Codec::Hex => "hex",
         }
     }
 
@@ -29,6 +33,7 @@ impl Codec {
     fn most_bytes(self, compressed: u64) -> u64 {
         match self {
             Codec::Raw => compressed,
+            Codec::Hex => compressed / 2,
             Codec::Gzip | Codec::Zlib => compressed.saturating_mul(1032),
             Codec::Bzip2 => compressed.saturating_mul(BZIP2_RATIO).saturating_add(BZIP2_FREE_BYTES),
         }
@@ -84,11 +89,42 @@ pub(crate) fn open_stream(
     let reader = BufReader::with_capacity(1 << 16, file);
     let stream: Box<dyn Read> = match codec {
         Codec::Raw => Box::new(reader),
-        Codec::Gzip => Box::new(flate2::bufread::MultiGzDecoder::new(reader)),
+        Codec::Gzip => Box::new(GzipMembers::new(reader)),
         Codec::Zlib => Box::new(flate2::bufread::ZlibDecoder::new(reader)),
         Codec::Bzip2 => Box::new(bzip2::bufread::MultiBzDecoder::new(reader)),
+        Codec::Hex => Box::new(HexDigits(reader)),
     };
     Ok((stream, codec.most_bytes(length - offset)))
+}
+
+/// Decodes pairs of hexadecimal digits.
+struct HexDigits<R>(R);
+
+impl<R: BufRead> HexDigits<R> {
+    /// The next digit's value; `None` at the end.
+    fn digit(&mut self) -> std::io::Result<Option<u8>> {
+        loop {
+            let Some(&byte) = self.0.fill_buf()?.first() else { return Ok(None) };
+            self.0.consume(1);
+            if byte.is_ascii_whitespace() {
+                continue;
+            }
+            let digit = char::from(byte).to_digit(16);
+            let wrong =
+                || std::io::Error::new(ErrorKind::InvalidData, format!("{:?} is no digit", char::from(byte)));
+            return digit.map(|digit| Some(digit as u8)).ok_or_else(wrong);
+        }
+    }
+}
+
+impl<R: BufRead> Read for HexDigits<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        for (filled, slot) in buffer.iter_mut().enumerate() {
+            let (Some(high), Some(low)) = (self.digit()?, self.digit()?) else { return Ok(filled) };
+            *slot = 16 * high + low;
+        }
+        Ok(buffer.len())
+    }
 }
 
 /// Fails before any allocation if a stream of at most `most_bytes` cannot hold `needed_bytes`; for bzip2 by our own limit.

@@ -28,11 +28,11 @@
 //! # }
 //! ```
 
-mod dicom_scan;
-mod dicom_series;
-mod dicom_slice;
+mod data_files;
+mod dicom;
 mod edt;
 mod error;
+mod gzip;
 mod hash;
 mod input;
 mod mask;
@@ -41,8 +41,10 @@ mod nifti;
 mod nifti_header;
 mod nrrd;
 mod nrrd_write;
+mod options;
 pub mod phantom;
 mod read;
+mod rectify;
 mod resample;
 mod scalar;
 mod text_header;
@@ -54,6 +56,7 @@ pub use hash::{volume_hash, volume_hash_of_parts};
 pub use input::DataFiles;
 pub use mask::{MaskModel, mask_to_hu};
 pub use nrrd_write::write_nrrd;
-pub use read::{read, read_where, read_with_info};
+pub use options::{Label, ReadOptions, Slices};
+pub use read::{read, read_as, read_with_info};
 pub use resample::resample;
 pub use volume::{HuStatistics, IDENTITY_DIRECTION, Volume, VolumeInfo};

@@ -3,6 +3,7 @@
 use crate::edt::squared_distance_m2;
 use crate::error::VolumeError;
 use crate::volume::Volume;
+use std::path::Path;
 
 /// How to fill a solid 0/1 mask. The result is synthetic: only the outline comes from the patient.
 ///
@@ -76,6 +77,34 @@ pub fn mask_to_hu(volume: &mut Volume, model: &MaskModel) -> Result<(), VolumeEr
         } else {
             model.air_hu
         };
+    }
+    Ok(())
+}
+
+/// Turns the voxels of one label into 1, all others into 0.
+///
+/// # Errors
+/// [`VolumeError::NoSuchLabel`] if no voxel has it.
+pub(crate) fn keep_label(path: &Path, values: &mut [i16], label: i16) -> Result<(), VolumeError> {
+    if !values.contains(&label) {
+        let mut there: Vec<i16> = Vec::new();
+        for value in values.iter() {
+            if !there.contains(value) {
+                there.push(*value);
+                if there.len() == 20 {
+                    break;
+                }
+            }
+        }
+        there.sort_unstable();
+        return Err(VolumeError::NoSuchLabel {
+            path: path.into(),
+            given: format!("label {label}"),
+            there: format!("voxels of {there:?}"),
+        });
+    }
+    for value in values.iter_mut() {
+        *value = i16::from(*value == label);
     }
     Ok(())
 }

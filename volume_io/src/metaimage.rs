@@ -3,26 +3,30 @@
 //! Source: MetaIO documentation (itk.org/Wiki/MetaIO/Documentation) and ITK's `MetaImageIO`: world LPS, rows of `TransformMatrix` are
 //! the directions of the axes. No well-kept crate reads this format.
 
+use crate::data_files::{DataFile, pattern, read_each, within_list};
 use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles};
+use crate::options::ReadOptions;
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
-use crate::text_header::{MAX_HEADER_BYTES, numbers, read_ascii, sizes, unit_of_length, wrong};
+use crate::text_header::{MAX_HEADER_BYTES, all_sizes, numbers, read_ascii, unit_of_length, wrong};
 use crate::volume::{GeometryFields, Volume, VolumeInfo, placement, voxel_count};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use voxel_grid::Placement;
 
 struct Header<'a> {
     path: &'a Path,
     files: DataFiles,
     fields: BTreeMap<String, String>,
+    /// The lines behind `ElementDataFile = LIST`.
+    list: Vec<String>,
     /// Bytes of the header; local data follow.
     length: u64,
 }
 
 /// Reads the volume whose header is at `path`.
-pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
-    let header = Header::read(path, files)?;
+pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let header = Header::read(path, options.data_files)?;
     let dims = header.dimensions()?;
     let count = voxel_count(path, "DimSize", dims)?;
     let mut notes = Vec::new();
@@ -30,20 +34,30 @@ pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo)
     let geometry = header.geometry(unit_m, &mut notes)?;
     let scalar = header.scalar()?;
     header.refuse_intensity_function()?;
-    let (data_path, start) = header.data_file()?;
+    let files = header.data_files()?;
     let mut sink = HuSink::default();
+    let field = "ElementDataFile";
     let (encoding, stored_as) = if header.flag("BinaryData", true)? {
         let endian = header.endian()?;
         let layout = Layout { scalar, endian, scale: Scale::IDENTITY };
-        let codec = header.read_binary((&data_path, start), layout, count, (&mut sink, &mut notes))?;
+        let mut codec = Codec::Raw;
+        read_each(path, field, &files, count, |file, part| {
+            codec = header.read_binary(file, layout, part, (&mut sink, &mut notes))?;
+            Ok(())
+        })?;
         (codec.name(), scalar.describe(endian))
     } else {
-        read_ascii(&data_path, start, count, &mut sink)?;
+        read_each(path, field, &files, count, |file, part| {
+            read_ascii(&file.path, file.start, part, &mut sink)
+        })?;
         ("ascii", scalar.name().into())
     };
-    let hu = sink.finish(&mut notes);
+    let mut hu = sink.finish(&mut notes);
+    if let Some(label) = &options.label {
+        crate::mask::keep_label(path, &mut hu, label.value(path)?)?;
+    }
     let volume = Volume::placed(dims, &geometry, hu);
-    let kind = if data_path == path { "local" } else { "detached" };
+    let kind = if files.iter().any(|file| file.path == path) { "local" } else { "detached" };
     let format = format!("MetaImage ({encoding}, {kind})");
     let info = VolumeInfo::new(&volume, format, stored_as, unit_name, notes);
     Ok((volume, info))
@@ -72,7 +86,12 @@ impl<'a> Header<'a> {
                 return Err(wrong(path, name.trim(), value, "each field once"));
             }
         }
-        Ok(Self { path, files, fields, length: at as u64 })
+        let mut list = Vec::new();
+        if fields.get("ElementDataFile").is_some_and(|name| is_list(name)) {
+            let names = String::from_utf8_lossy(&bytes[at..]);
+            list.extend(names.lines().map(|line| line.trim().to_owned()));
+        }
+        Ok(Self { path, files, fields, list, length: at as u64 })
     }
 
     fn get(&self, names: &[&'static str]) -> Option<(&'static str, &str)> {
@@ -112,12 +131,16 @@ impl<'a> Header<'a> {
         if rank.parse::<u8>().is_err() {
             return Err(wrong(self.path, "NDims", rank, "3"));
         }
-        if rank != "3" {
-            return Err(VolumeError::NotThreeDimensional {
-                path: self.path.into(),
-                field: "NDims".into(),
-                given: format!("{rank} with DimSize {given}"),
-            });
+        // A fourth axis may hold one time.
+        let axes = if rank == "4" { 4 } else { 3 };
+        let sizes = all_sizes(self.path, "DimSize", given, axes);
+        let not_three = || VolumeError::NotThreeDimensional {
+            path: self.path.into(),
+            field: "NDims".into(),
+            given: format!("{rank} with DimSize {given}"),
+        };
+        if rank != "3" && rank != "4" {
+            return Err(not_three());
         }
         if let Some((field, channels)) = self.get(&["ElementNumberOfChannels"]).filter(|(_, n)| *n != "1") {
             return Err(VolumeError::NotScalar {
@@ -126,7 +149,10 @@ impl<'a> Header<'a> {
                 given: format!("{channels} channels"),
             });
         }
-        sizes(self.path, "DimSize", given)
+        match sizes?.as_slice() {
+            [i, j, k] | [i, j, k, 1] => Ok([*i, *j, *k]),
+            _ => Err(not_three()),
+        }
     }
 
     fn scalar(&self) -> Result<Scalar, VolumeError> {
@@ -178,15 +204,19 @@ impl<'a> Header<'a> {
         let names =
             GeometryFields { spacing: "ElementSpacing", direction: "TransformMatrix", origin: "Offset" };
         let (field, text) = self.require(&["ElementSpacing", "ElementSize"], "three distances")?;
-        let spacing = numbers::<3>(self.path, field, text)?;
+        let spacing = self.of_space(field, text)?;
         let origin = match self.get(&["Offset", "Origin", "Position"]) {
-            Some((field, text)) => numbers::<3>(self.path, field, text)?,
+            Some((field, text)) => self.of_space(field, text)?,
             None => {
                 notes.push("no origin is given: (0, 0, 0) is assumed".into());
                 [0.0; 3]
             }
         };
         let m = match self.get(&["TransformMatrix", "Rotation", "Orientation"]) {
+            Some((field, text)) if self.has_time() => {
+                let m = numbers::<16>(self.path, field, text)?;
+                [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]]
+            }
             Some((field, text)) => numbers::<9>(self.path, field, text)?,
             None => {
                 notes.push("no directions are given: left, posterior, superior is assumed".into());
@@ -194,7 +224,21 @@ impl<'a> Header<'a> {
             }
         };
         let axes = [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]];
-        placement(self.path, names, spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m), axes)
+        let lengths = (spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m), axes);
+        placement(self.path, names, lengths, notes)
+    }
+
+    /// Whether there is a fourth axis; [`Self::dimensions`] has found one time on it.
+    fn has_time(&self) -> bool {
+        self.get(&["NDims"]).is_some_and(|(_, rank)| rank == "4")
+    }
+
+    /// The entries for space of a field with one number an axis.
+    fn of_space(&self, field: &str, text: &str) -> Result<[f64; 3], VolumeError> {
+        if self.has_time() {
+            return numbers::<4>(self.path, field, text).map(|[x, y, z, _]| [x, y, z]);
+        }
+        numbers::<3>(self.path, field, text)
     }
 
     /// Refused because readers disagree: some apply the intensity function, others ignore it (ITK does), so no value can be trusted.
@@ -215,25 +259,31 @@ impl<'a> Header<'a> {
         Ok(())
     }
 
-    fn data_file(&self) -> Result<(PathBuf, u64), VolumeError> {
+    /// The data files in order; the header's own file if its voxels are local.
+    fn data_files(&self) -> Result<Vec<DataFile>, VolumeError> {
         let (field, name) = self.require(&["ElementDataFile"], "LOCAL or a file name")?;
-        match name {
-            "LOCAL" | "Local" | "local" => Ok((self.path.to_path_buf(), self.length)),
-            "" => Err(wrong(self.path, field, name, "LOCAL or a file name")),
-            _ if name.starts_with("LIST") || name.contains('%') => {
-                Err(self.unsupported(field, name, "LOCAL or one data file; join the slices first"))
+        let names = match name {
+            "LOCAL" | "Local" | "local" => {
+                return Ok(vec![DataFile { path: self.path.to_path_buf(), start: self.length }]);
             }
-            _ => Ok((input::data_file(self.path, field, name, self.files)?, 0)),
-        }
+            "" => return Err(wrong(self.path, field, name, "LOCAL or a file name")),
+            _ if is_list(name) => within_list(self.path, field, &self.list)?,
+            _ => pattern(self.path, field, name)?.unwrap_or_else(|| vec![name.to_owned()]),
+        };
+        let find = |name: &String| {
+            Ok(DataFile { path: input::data_file(self.path, field, name, self.files)?, start: 0 })
+        };
+        names.iter().map(find).collect()
     }
 
     fn read_binary(
         &self,
-        (path, start): (&Path, u64),
+        file: &DataFile,
         layout: Layout,
         count: usize,
         (sink, notes): (&mut HuSink, &mut Vec<String>),
     ) -> Result<Codec, VolumeError> {
+        let (path, start) = (file.path.as_path(), file.start);
         let needed = layout.byte_count(count);
         let codec = if self.flag("CompressedData", false)? {
             // MetaIO writes zlib streams but reads gzip as well.
@@ -268,4 +318,9 @@ impl<'a> Header<'a> {
         input::check_end(path, "DimSize", (codec, reader.as_mut()), (needed, most_bytes), notes)?;
         Ok(codec)
     }
+}
+
+/// Whether the value of `ElementDataFile` says that names of files follow, one a line.
+fn is_list(value: &str) -> bool {
+    value.split_whitespace().next() == Some("LIST")
 }

@@ -3,23 +3,25 @@
 use crate::error::VolumeError;
 use crate::input::{self, Codec, DataFiles};
 use crate::nifti_header::{NIFTI2_SIZE, parse};
+use crate::options::ReadOptions;
 use crate::scalar::HuSink;
 use crate::volume::{GeometryFields, Volume, VolumeInfo, columns, norm, placement, voxel_count};
 use std::path::{Path, PathBuf};
 use voxel_grid::Placement;
 
 /// Reads the volume whose header is at `path`.
-pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
+pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
     let codec = codec_of(path)?;
     let bytes = input::head(path, 0, codec, NIFTI2_SIZE)?;
     let header = parse(path, &bytes)?;
     let count = voxel_count(path, "dim", header.dims)?;
-    let geometry = geometry(path, &header.affine, header.unit_m)?;
+    let mut notes = header.notes;
+    let geometry = geometry(path, &header.affine, header.unit_m, &mut notes)?;
 
     let (data_path, data_codec) = if header.single_file {
         (path.to_path_buf(), codec)
     } else {
-        let image = image_of(path, files)?;
+        let image = image_of(path, options.data_files)?;
         let codec = codec_of(&image)?;
         (image, codec)
     };
@@ -30,14 +32,16 @@ pub(crate) fn read(path: &Path, files: DataFiles) -> Result<(Volume, VolumeInfo)
     let mut sink = HuSink::default();
     header.layout.read(&data_path, data_codec.name(), reader.as_mut(), count, &mut sink)?;
 
-    let mut notes = header.notes;
     let bytes = (header.data_offset.saturating_add(needed), most_bytes);
     input::check_end(&data_path, "dim", (data_codec, reader.as_mut()), bytes, &mut notes)?;
     if header.layout.scale != crate::scalar::Scale::IDENTITY {
         let scale = header.layout.scale;
         notes.push(format!("values are {} x stored + {}", scale.slope, scale.intercept));
     }
-    let hu = sink.finish(&mut notes);
+    let mut hu = sink.finish(&mut notes);
+    if let Some(label) = &options.label {
+        crate::mask::keep_label(path, &mut hu, label.value(path)?)?;
+    }
     let volume = Volume::placed(header.dims, &geometry, hu);
     let pair = if header.single_file { "" } else { ", .hdr/.img" };
     let format = format!("NIfTI-{} ({}{pair})", header.version, data_codec.name());
@@ -53,7 +57,12 @@ fn codec_of(path: &Path) -> Result<Codec, VolumeError> {
 }
 
 /// Converts the RAS affine to LPS geometry in metres: x and y change sign.
-fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Placement, VolumeError> {
+fn geometry(
+    path: &Path,
+    affine: &[[f64; 4]; 3],
+    unit_m: f64,
+    notes: &mut Vec<String>,
+) -> Result<Placement, VolumeError> {
     let [x, y, z] = *affine;
     let lps = [x.map(|v| -v), y.map(|v| -v), z];
     let axes = columns(lps.map(|row| [row[0], row[1], row[2]]));
@@ -72,7 +81,7 @@ fn geometry(path: &Path, affine: &[[f64; 4]; 3], unit_m: f64) -> Result<Placemen
         });
     }
     let spacing_m = axes.map(|axis| norm(axis) * unit_m);
-    placement(path, names, spacing_m, lps.map(|row| row[3] * unit_m), axes)
+    placement(path, names, (spacing_m, lps.map(|row| row[3] * unit_m), axes), notes)
 }
 
 /// The .img file of a .hdr file (plain or gzip).

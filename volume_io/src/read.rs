@@ -1,9 +1,10 @@
 //! Reads a volume of any supported format. The content decides the format; the name only where the content cannot.
 
 use crate::error::VolumeError;
-use crate::input::{self, Codec, DataFiles, lower_name};
+use crate::input::{self, Codec, lower_name};
+use crate::options::ReadOptions;
 use crate::volume::{Volume, VolumeInfo};
-use crate::{dicom_scan, dicom_series, metaimage, nifti, nifti_header, nrrd};
+use crate::{dicom, metaimage, nifti, nifti_header, nrrd};
 use std::path::Path;
 
 /// Reads a CT volume; see [`read_with_info`].
@@ -16,56 +17,63 @@ pub fn read(path: impl AsRef<Path>) -> Result<Volume, VolumeError> {
 
 /// Reads a CT volume and reports what was found and what was assumed.
 ///
-/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached; raw, gzip, bzip2, text), MetaImage (.mha, .mhd; raw, zlib,
-/// text) and DICOM CT series (a folder, or any one of its files; uncompressed, RLE, JPEG). Geometry is converted to LPS and metres; voxels
-/// stay in their order. Slope and intercept are applied; fractions are rounded (halves away from zero) and values beyond `i16` clamped,
+/// Reads NIfTI-1/2 (.nii, .hdr/.img, plain or gzip), NRRD (attached or detached, one data file or several; raw, gzip, bzip2, hex, text),
+/// MetaImage (.mha, .mhd; raw, zlib, text) and DICOM CT (a folder, or any one file of a series; classic and enhanced; uncompressed,
+/// deflated, RLE, JPEG, JPEG-LS). Geometry is converted to LPS and metres; voxels stay in their order. Slope and intercept are applied; fractions are rounded (halves away from zero) and values beyond `i16` clamped,
 /// both counted in the notes. A file without units is read as millimetres.
 ///
 /// # Errors
 /// Every cause is a variant of [`VolumeError`], and names the file, the field, the value found and what is expected.
 pub fn read_with_info(path: impl AsRef<Path>) -> Result<(Volume, VolumeInfo), VolumeError> {
-    read_where(path, DataFiles::Beside)
+    read_as(path, &ReadOptions::default())
 }
 
-/// As [`read_with_info`]; `files` sets where a header's data files and a folder's links may point.
+/// As [`read_with_info`], with choices.
 ///
 /// # Errors
 /// As [`read_with_info`].
-pub fn read_where(path: impl AsRef<Path>, files: DataFiles) -> Result<(Volume, VolumeInfo), VolumeError> {
+pub fn read_as(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
     let path = path.as_ref();
     if std::fs::metadata(path).map_err(input::io_error(path, "open"))?.is_dir() {
-        return dicom_series::read_folder(path, files);
+        return dicom::read_folder(path, options);
     }
     let head = input::head(path, 0, Codec::Raw, 512)?;
     let name = lower_name(path);
     let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
     if head.starts_with(b"NRRD") {
-        return nrrd::read(path, files);
+        return nrrd::read(path, options);
     }
-    if dicom_scan::is_part10(&head) {
-        return dicom_series::read_file(path, files);
+    if dicom::is_part10(&head) {
+        return dicom::read_file(path, options);
     }
     if ends(&[".img", ".img.gz"]) {
         return match nifti::header_of(path) {
-            Some(header) => nifti::read(&header, files),
+            Some(header) => nifti::read(&header, options),
             None => Err(refused(path, "the voxels of a NIfTI pair, but no .hdr file is beside them".into())),
         };
     }
     if head.starts_with(&[0x1f, 0x8b]) {
         let inner = input::head(path, 0, Codec::Gzip, 4)?;
         if nifti_header::sniff(&inner).is_some() || ends(&[".nii.gz", ".hdr.gz"]) {
-            return nifti::read(path, files);
+            return nifti::read(path, options);
         }
         return Err(refused(path, format!("gzip data that start with {inner:02x?}")));
     }
     if nifti_header::sniff(&head).is_some() || ends(&[".nii", ".hdr"]) {
-        return nifti::read(path, files);
+        return nifti::read(path, options);
     }
     if ends(&[".mha", ".mhd"]) || head.starts_with(b"ObjectType") || head.starts_with(b"NDims") {
-        return metaimage::read(path, files);
+        return metaimage::read(path, options);
+    }
+    // Last, because little tells a data set without a preamble.
+    if dicom::is_dicom(&head) {
+        return dicom::read_file(path, options);
     }
     if ends(&[".dcm", ".ima", ".dicom"]) {
-        return Err(refused(path, "no `DICM` after 128 bytes (not a DICOM Part 10 file)".into()));
+        return Err(refused(
+            path,
+            "no `DICM` after 128 bytes, and no data set at the start (not a DICOM file)".into(),
+        ));
     }
     if ends(&[".nrrd", ".nhdr"]) {
         return Err(refused(path, "no `NRRD` at the start".into()));

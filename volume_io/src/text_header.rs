@@ -32,15 +32,17 @@ pub(crate) fn numbers<const N: usize>(path: &Path, field: &str, text: &str) -> R
     }
 }
 
-/// Parses exactly three sizes.
-pub(crate) fn sizes(path: &Path, field: &str, text: &str) -> Result<[usize; 3], VolumeError> {
-    let mut out = [0; 3];
-    let mut words = text.split_whitespace();
-    for slot in &mut out {
-        let size = words.next().and_then(|w| w.parse::<usize>().ok()).filter(|n| *n > 0);
-        *slot = size.ok_or_else(|| wrong(path, field, text, "three positive whole numbers"))?;
-    }
-    Ok(out)
+/// Parses exactly `count` sizes.
+pub(crate) fn all_sizes(
+    path: &Path,
+    field: &str,
+    text: &str,
+    count: usize,
+) -> Result<Vec<usize>, VolumeError> {
+    let parsed: Option<Vec<usize>> =
+        text.split_whitespace().map(|word| word.parse().ok().filter(|n| *n > 0)).collect();
+    let expected = format!("{count} positive whole numbers");
+    parsed.filter(|sizes| sizes.len() == count).ok_or_else(|| wrong(path, field, text, &expected))
 }
 
 /// Metres per unit of length, by its name or symbol.

@@ -104,7 +104,8 @@ impl Volume {
             });
         }
         let names = GeometryFields { spacing: "spacing_m", direction: "direction", origin: "origin_m" };
-        let placement = placement(path, names, self.spacing_m, self.origin_m, columns(self.direction))?;
+        let axes = columns(self.direction);
+        let placement = placement(path, names, (self.spacing_m, self.origin_m, axes), &mut Vec::new())?;
         VoxelGrid::placed(self.dims, placement).map_err(|_| too_large(path, "dims", self.dims))
     }
 
@@ -235,13 +236,16 @@ impl GeometryFields {
     }
 }
 
-/// A placement from spacing and axis directions; `axes` are the columns (any positive length, LPS).
+/// Cosines between axes up to this are the rounding of `f32`, and not worth a note.
+const NOTED_COSINE: f64 = 1e-6;
+
+/// A placement from spacing, origin and axis directions; the axes are the columns (any positive length, LPS). Notes if they had to be made
+/// perpendicular.
 pub(crate) fn placement(
     path: &Path,
     names: GeometryFields,
-    spacing_m: [f64; 3],
-    origin_m: [f64; 3],
-    axes: [[f64; 3]; 3],
+    (spacing_m, origin_m, axes): ([f64; 3], [f64; 3], [[f64; 3]; 3]),
+    notes: &mut Vec<String>,
 ) -> Result<Placement, VolumeError> {
     let singular = || VolumeError::SingularDirection {
         path: path.into(),
@@ -262,7 +266,16 @@ pub(crate) fn placement(
     if !(triple.is_finite() && triple.abs() > 1e-6) {
         return Err(singular());
     }
-    Placement::new(spacing_m, origin_m.map(|o| o + 0.0), unit).map_err(|error| names.error(path, error, unit))
+    let placed = Placement::new(spacing_m, origin_m.map(|o| o + 0.0), unit)
+        .map_err(|error| names.error(path, error, unit))?;
+    let cosine =
+        [(0, 1), (0, 2), (1, 2)].map(|(a, b)| dot(unit[a], unit[b]).abs()).into_iter().fold(0.0, f64::max);
+    if cosine > NOTED_COSINE {
+        notes.push(format!(
+            "the axes were made perpendicular (largest cosine {cosine:.1e}: rounded decimals)"
+        ));
+    }
+    Ok(placed)
 }
 
 /// The number of voxels, if within the limit; `field` names the dimensions.

@@ -364,3 +364,42 @@ fn writing_refuses_an_inconsistent_volume() {
     let whole = Volume { hu: vec![0; 8], ..volume };
     assert!(matches!(write_nrrd(Path::new("/nonexistent/v.nrrd"), &whole), Err(VolumeError::Output(_))));
 }
+
+/// Slices that were resampled upright keep the tag, and positions that ignore the tilt make a sheared volume: nothing said so.
+#[test]
+fn a_gantry_tilt_in_the_tags_alone_is_noted() {
+    let notes = |gantry_tilt| {
+        let folder = tempfile::tempdir().unwrap();
+        let slice = |z| DicomSlice { position_mm: [0.0, 0.0, z], gantry_tilt, ..DicomSlice::default() };
+        write_series(folder.path(), &[slice(0.0), slice(2.0), slice(4.0)]);
+        read_with_info(folder.path()).unwrap().1.notes.join("; ")
+    };
+    assert!(
+        notes(Some("-15.5"))
+            .contains("GantryDetectorTilt (0018,1120) is -15.5 degrees, but the slices lie straight")
+    );
+    assert_eq!(notes(Some("0.0")), "");
+    assert_eq!(notes(None), "");
+}
+
+/// Axes of four decimals (dcm2niix of some series) passed every check and ended a run that had begun; they are made perpendicular, and it is
+/// said.
+#[test]
+fn axes_of_four_decimals_are_made_perpendicular_with_a_note() {
+    let (row, column) = ([0.9141_f32, 0.393, -0.0998], [-0.3688_f32, 0.9082, 0.1977]);
+    let cross = |a: usize, b: usize| row[a] * column[b] - row[b] * column[a];
+    let normal = [cross(1, 2), cross(2, 0), cross(0, 1)];
+    let affine = [0, 1, 2].map(|i| [row[i], column[i], normal[i], 0.0]);
+    let file = NiftiBytes::new([2, 3, 4], affine, &[7; 24]);
+    let (_folder, path) = store("v.nii", &file.0);
+    let (volume, info) = read_with_info(&path).unwrap();
+    let notes = info.notes.join("; ");
+    assert!(notes.contains("the axes were made perpendicular (largest cosine "), "{notes}");
+    for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+        let cosine: f64 = (0..3).map(|row| volume.direction[row][a] * volume.direction[row][b]).sum();
+        assert!(cosine.abs() < 1e-15, "{a} {b}: {cosine:e}");
+    }
+    let straight = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    let (_folder, path) = store("v.nii", &NiftiBytes::new([2, 3, 4], straight, &[7; 24]).0);
+    assert!(!read_with_info(&path).unwrap().1.notes.iter().any(|note| note.contains("perpendicular")));
+}

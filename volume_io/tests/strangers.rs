@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use dicom_bytes::{DicomSlice, LOSSLESS_JPEG, write_series};
 use nifti_bytes::NiftiBytes;
-use volume_io::{DataFiles, VolumeError, read, read_where, read_with_info};
+use volume_io::{DataFiles, ReadOptions, VolumeError, read, read_as, read_with_info};
 
 const GEOMETRY: &str = "type: short\ndimension: 3\nsizes: 2 3 4\nspace: LPS\nspace directions: (1,0,0) (0,1,0) (0,0,1)\nendian: little\n";
 
@@ -61,7 +61,8 @@ fn assert_elsewhere(path: &Path, what: &str) {
         }
         other => panic!("{what}: {:?}", other.map(|volume| volume.hu)),
     }
-    assert!(read_where(path, DataFiles::Anywhere).is_ok(), "{what}, allowed");
+    let anywhere = ReadOptions { data_files: DataFiles::Anywhere, ..ReadOptions::default() };
+    assert!(read_as(path, &anywhere).is_ok(), "{what}, allowed");
 }
 
 #[test]
@@ -86,10 +87,20 @@ fn no_header_makes_a_picture_of_a_file_elsewhere() {
     // A folder that is itself a link, and a header in the folder where the program runs.
     symlink(place.path("theirs"), place.path("by_link")).unwrap();
     assert!(read(place.path("by_link/v.nhdr")).is_ok());
-    // Lists and patterns name many files: none is read.
-    for name in ["LIST", "LIST 2", "%02d.raw 1 4 1", "../private/%d 1 4 1"] {
+    // Lists and patterns name files as one name does.
+    fs::copy(&diary, place.path("private/diary1")).unwrap();
+    for name in [
+        "LIST\n../private/diary",
+        "LIST\nsub/out/diary",
+        "../private/diary%d 1 1 1",
+        "sub/out/diary%01d 1 1 1",
+    ] {
+        assert_elsewhere(&place.theirs("v.nhdr", nhdr(name)), &format!("NRRD {name}"));
+        assert_elsewhere(&place.theirs("v.mhd", mhd(name)), &format!("MetaImage {name}"));
+    }
+    for name in ["LIST", "%02d.raw 1 4", "%s 1 4 1"] {
         for path in [place.theirs("v.nhdr", nhdr(name)), place.theirs("v.mhd", mhd(name))] {
-            assert!(matches!(read(&path), Err(VolumeError::Unsupported { .. })), "{name}");
+            assert!(matches!(read(&path), Err(VolumeError::Header { .. })), "{name}");
         }
     }
 }

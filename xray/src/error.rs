@@ -10,7 +10,7 @@ const GIB: f64 = (1_u64 << 30) as f64;
 #[non_exhaustive]
 pub enum DrrError {
     /// A number outside its range.
-    #[error("{field} is {given}, expected {expected}: correct the value")]
+    #[error("{field} is {given:?}, expected {expected}: correct the value")]
     OutOfRange {
         /// Name of the field, with its unit.
         field: &'static str,
@@ -33,7 +33,7 @@ pub enum DrrError {
     #[error("the volume has {0}")]
     Grid(#[from] voxel_grid::GridError),
     /// The voxels of a volume message cannot be read in place.
-    #[error("the volume message is not one: {problem}")]
+    #[error("malformed volume message: {problem}")]
     BadVolume {
         /// What is wrong.
         problem: String,

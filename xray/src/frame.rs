@@ -1,6 +1,6 @@
 //! One frame: from the state, the removed voxels and the C-arm to the message bytes.
 
-use messages::{Frame, ImagePrefix, State};
+use messages::{Frame, ImagePrefix, Restores, State};
 use scene::{Notch as SceneNotch, ToolRadii};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
@@ -9,13 +9,22 @@ use crate::message::{c_arm_message, projection_message};
 use crate::tool_model::tool_of;
 use crate::{CArm, DrrError, DrrRenderer, FrameReport, FrameSeed, RenderKind, VolumeView};
 
+/// What becomes of the cached picture of the anatomy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cache {
+    /// It becomes that of this frame's C-arm.
+    Follows,
+    /// It is kept for the scene's C-arm; this frame's C-arm is for one frame only.
+    Kept,
+}
+
 /// Inputs of a frame.
 #[derive(Debug, Clone)]
 pub struct Job {
     /// State of the tick.
     pub state: Box<State>,
-    /// Restores all removed voxels before removing `removed`.
-    pub restore_first: bool,
+    /// What to put back before removing `removed`.
+    pub restores: Restores,
     /// Voxels removed since the last job.
     pub removed: Vec<u32>,
     /// `Frame.sequence`.
@@ -24,8 +33,8 @@ pub struct Job {
     pub request_id: u64,
     /// C-arm.
     pub c_arm: CArm,
-    /// The C-arm applies to this frame only, so the cache of the scene's C-arm is kept.
-    pub aside: bool,
+    /// What becomes of the cache of the anatomy.
+    pub cache: Cache,
     /// The scene's isocentre.
     pub isocentre_m: [f64; 3],
     /// The scene's seed.
@@ -71,17 +80,16 @@ pub fn render_job(
     view: &VolumeView<'_>,
     job: &Job,
 ) -> Result<Rendered, DrrError> {
-    if job.restore_first {
+    if job.restores == Restores::Drilled {
         renderer.restore_all(view)?;
     }
     renderer.remove(view, &job.removed)?;
     let tool = tool_of(&job.state, &job.radii, job.notch.as_ref());
     let seed = FrameSeed { seed: job.noise_seed, frame: job.state.tick };
     let mut pixels = vec![0_u16; job.c_arm.pixels()];
-    let report = if job.aside {
-        renderer.render_aside(view, &job.c_arm, &tool, seed, &mut pixels)?
-    } else {
-        renderer.render(view, &job.c_arm, &tool, seed, &mut pixels)?
+    let report = match job.cache {
+        Cache::Kept => renderer.render_aside(view, &job.c_arm, &tool, seed, &mut pixels)?,
+        Cache::Follows => renderer.render(view, &job.c_arm, &tool, seed, &mut pixels)?,
     };
     let hash = xxh3_128(pixels.as_bytes());
     let frame = Frame {

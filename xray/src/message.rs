@@ -12,7 +12,7 @@ use crate::{CArm, DrrError, Grid, PixelCentre, VolumeView};
 pub fn volume_view<'v>(volume: &Volume, voxels: &'v [u8]) -> Result<VolumeView<'v>, DrrError> {
     let grid = Grid::from(volume.grid().map_err(DrrError::from)?);
     let hu = <[i16]>::ref_from_bytes(voxels)
-        .map_err(|cause| DrrError::BadVolume { problem: format!("voxels do not lie aligned: {cause}") })?;
+        .map_err(|cause| DrrError::BadVolume { problem: format!("the voxels are misaligned: {cause}") })?;
     VolumeView::new(grid, hu)
 }
 

@@ -26,7 +26,7 @@ pub enum ClientError {
     },
     /// The program's declaration of a message differs from this library's.
     #[error(
-        "{message}: this program was built with layout {given}, libtrabecula_client {version} has {ours}; build both from one version"
+        "{message}: this program was built with layout {given}, libtrabecula_client {version} has {ours}; build both from the same version"
     )]
     Layout {
         /// Message.
@@ -40,7 +40,7 @@ pub enum ClientError {
     },
     /// The scene does not determine which controller is meant.
     #[error(
-        "no controller named, and the scene has {external} external ones; name one of its controllers: {known}"
+        "no controller given, and the scene has {external} external ones; choose one of its controllers: {known}"
     )]
     WhichController {
         /// Number of external controllers.
@@ -49,7 +49,7 @@ pub enum ClientError {
         known: String,
     },
     /// An observer sends no commands.
-    #[error("this client joined as an observer; name a controller when it connects to command one")]
+    #[error("this client is an observer and cannot send commands; give a controller name when connecting")]
     Observer,
     /// The scene has no X-ray.
     #[error("the scene has no `[drr]`, so there are no frames")]
@@ -58,7 +58,7 @@ pub enum ClientError {
     #[error("the scene has no `[volume]`")]
     NoVolume,
     /// A request for a frame was refused.
-    #[error("request {request_id} for a frame was {how}; the session's events say why")]
+    #[error("frame request {request_id} was {how}; see the session's events")]
     FrameRefused {
         /// The request.
         request_id: u64,
@@ -86,8 +86,8 @@ pub enum ClientError {
     },
     /// A `fork` child uses its parent's client.
     #[error(
-        "this client is of the process that this one was forked from, and stays its own; connect a new one here (Python's \
-         `multiprocessing`: start method `spawn`, or connect in the child)"
+        "this client belongs to the parent of this forked process; connect a new one here (Python's `multiprocessing`: start \
+         method `spawn`, or connect in the child)"
     )]
     Forked,
     /// The run is over.
@@ -100,7 +100,7 @@ pub enum ClientError {
         folder: PathBuf,
     },
     /// Nothing arrived in time.
-    #[error("nothing came within {:.3} s", .0.as_secs_f64())]
+    #[error("nothing arrived within {:.3} s", .0.as_secs_f64())]
     TimedOut(Duration),
 }
 

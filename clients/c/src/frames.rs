@@ -4,8 +4,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    CArmGeometry, DRR_ACCEPTED, DRR_BUSY, DrrRequest, Frame, GEOMETRY_REQUEST, GEOMETRY_SCENE, ImagePrefix,
-    Pose, Volume,
+    CArmGeometry, ControllerIndex, DrrRequest, DrrStatus, Frame, GeometryChoice, ImagePrefix, Pose, Volume,
 };
 use ipc_types::ports::{Received, Subscriber};
 use ipc_types::scene::Drr;
@@ -53,7 +52,9 @@ impl Client {
         self.open_frames()?;
         let drr = self.scene.drr.as_ref().ok_or(ClientError::NoDrr)?;
         let geometry = t_world_c_arm.map(|pose| geometry_at(pose, drr)).transpose()?;
-        let requester = self.info.controller.as_ref().map_or(u32::MAX, |(_, index)| *index as u32);
+        let requester = DrrRequest::requester_of(
+            self.info.controller.as_ref().map(|(_, index)| ControllerIndex(*index as u32)),
+        );
         let requests = match &mut self.requests {
             Some(requests) => requests,
             none => none.insert(Requests {
@@ -68,7 +69,8 @@ impl Client {
             request_id,
             tick,
             requester,
-            use_geometry: if geometry.is_some() { GEOMETRY_REQUEST } else { GEOMETRY_SCENE },
+            use_geometry: if geometry.is_some() { GeometryChoice::Request } else { GeometryChoice::Scene }
+                .code(),
             geometry: geometry.unwrap_or_else(CArmGeometry::zeroed),
         })?;
         requests.drr.wake();
@@ -129,19 +131,25 @@ impl Client {
 
     fn check_replies(&mut self, request_id: u64) -> Result<(), ClientError> {
         let Some(requests) = &mut self.requests else { return Ok(()) };
+        let mut refused = None;
         while let Some(reply) = requests.replies.receive()? {
             let reply = reply.message();
             if reply.request_id != request_id || request_id == 0 {
                 continue;
             }
-            if reply.status == DRR_ACCEPTED {
-                requests.accepted = request_id;
-            } else {
-                let how = if reply.status == DRR_BUSY { "turned away: too many wait" } else { "refused" };
-                return Err(ClientError::FrameRefused { request_id, how });
+            match reply.status() {
+                Ok(DrrStatus::Accepted) => requests.accepted = request_id,
+                Ok(DrrStatus::Busy) => refused = Some("turned away: too many wait"),
+                _ => refused = Some("refused"),
             }
         }
-        Ok(())
+        let Some(how) = refused else { return Ok(()) };
+        // What waits when the run ends is refused for that reason alone.
+        if self.has_ended()? {
+            Err(ClientError::Ended)
+        } else {
+            Err(ClientError::FrameRefused { request_id, how })
+        }
     }
 
     /// The CT volume as at the start of the run, in place. It stays mapped as long as the client lives.

@@ -64,8 +64,8 @@ SERVICES = {row[0]: row for row in rows(section("Services")) if len(row) == 9}
 WAKE = {row[0].split(" (")[0]: row for row in rows(section("Joining with iceoryx2 alone")) if len(row) == 3}
 SHM_PREFIX = word(r"which is `(\S+<name of the folder>_)`")
 HELD = int(word(r"may hold (\d+) samples at a time"))
-ENDED = int(word(r"with `phase` (\d+), behind the last state"))
-SESSION_VARIABLE, NAME_VARIABLE = word(r"`(\w+)` holds its path"), word(r"`(\w+)` holds the name")
+ENDED = int(word(r"with `phase` (\d+), after the last state"))
+SESSION_VARIABLE, NAME_VARIABLE = word(r"programs that it starts in\s+`(\w+)`"), word(r"`(\w+)` holds the name")
 
 
 def main():
@@ -113,7 +113,7 @@ def main():
     notifier = service(WAKE["physics"][1]).event().open().notifier_builder().create()
     listener = service(WAKE["a controller"][1].replace("<index>", str(index))).event().open().listener_builder().create()
     first, stride = re.fullmatch(r"(\d+) \+ (\d+) × index", WAKE["a controller"][2]).groups()
-    flags_file = word(r"in the file `(\S+)` of the session's folder")
+    flags_file = word(r"in the file `(\S+)` in the session's folder")
     with open(folder / flags_file, "r+b") as file:
         flags = mmap.mmap(file.fileno(), 0)
     struct.pack_into("<I", flags, int(first) + int(stride) * index, 1)

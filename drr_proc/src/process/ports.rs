@@ -2,7 +2,8 @@
 
 use ipc_types::identity::Requesters;
 use ipc_types::messages::{
-    DrrReply, DrrRequest, Frame, FrameTiming, Progress, Removed, RunStatus, SENDER_DRR, State, Volume,
+    DrrReply, DrrRequest, Frame, FrameTiming, Part, Participant, Progress, Removed, RunStatus, State, Tick,
+    Volume,
 };
 use ipc_types::ports::{Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender, VOLUME_LIMIT, await_volume};
@@ -41,7 +42,7 @@ impl Ports {
             frames: session.publisher(&services::FRAME)?,
             timing: session.publisher(&services::FRAME_TIMING)?,
             progress: session.publisher(&services::PROGRESS)?,
-            events: EventSender::new(session, SENDER_DRR)?,
+            events: EventSender::new(session, Participant::Part(Part::Drr))?,
             waiter: session.waiter(Reader::Drr)?,
             physics: session.waker(Reader::Physics)?,
         })
@@ -54,8 +55,13 @@ impl Ports {
     }
 
     /// Tells the physics how far this process has come.
-    pub(super) fn report_progress(&self, tick: u64) -> Result<(), DrrProcessError> {
-        self.progress.send(&Progress { tick, lost_messages: 0, consumer: SENDER_DRR, reserved: 0 })?;
+    pub(super) fn report_progress(&self, tick: Tick) -> Result<(), DrrProcessError> {
+        self.progress.send(&Progress {
+            tick: tick.0,
+            lost_messages: 0,
+            consumer: Participant::Part(Part::Drr).code(),
+            reserved: 0,
+        })?;
         self.physics.wake();
         Ok(())
     }

@@ -4,16 +4,16 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_cha
 use std::time::{Duration, Instant};
 
 use hub::rate_limit::{Connection, LOOKED_AT, RateLimit, WarningLimit};
-use hub::x_ray::{Due, Removals, RemovedBatch, RemovedSince, Renderer, Schedule, ScheduleSettings};
+use hub::x_ray::{Due, Refusal, Removals, RemovedBatch, RemovedSince, Renderer, Schedule, ScheduleSettings};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{
-    DRR_ACCEPTED, DrrReply, DrrRequest, EVENT_REQUEST_REFUSED, FrameTiming, GEOMETRY_REQUEST, PHASE_ENDED,
-    SEVERITY_WARNING, State,
+    DrrReply, DrrRequest, DrrStatus, EventCode, FrameTiming, GeometryChoice, Phase, Severity, State, Tick,
 };
 use ipc_types::ports::PortError;
 use ipc_types::process::EndRequest;
-use ipc_types::scene::{Mode, Notch, Scene, ToolRadii};
-use xray::frame::{Job, Rendered, render_job};
+use ipc_types::scene::{Notch, Scene, ToolRadii};
+use ipc_types::services::DRR_REQUEST;
+use xray::frame::{Cache, Job, Rendered, render_job};
 use xray::from_scene::scene_isocentre_m;
 use xray::message::{c_arm_message, c_arm_of};
 use xray::{CArm, DrrError, DrrRenderer, VolumeView};
@@ -28,6 +28,8 @@ const QUEUE: usize = 2;
 const POLL_PERIOD: Duration = Duration::from_millis(2);
 /// Number of states to read before requests are polled again.
 const STATES_PER_ROUND: usize = 32;
+/// Looks at the requests that take all that the queues of all programs hold.
+const ROUNDS_OF_REQUESTS: usize = (DRR_REQUEST.max_publishers * DRR_REQUEST.queue_length).div_ceil(LOOKED_AT);
 /// Maximum number of states between progress reports.
 const PROGRESS_TICKS: u64 = 32;
 
@@ -69,7 +71,6 @@ pub(super) fn serve(
 struct Service {
     ports: Ports,
     schedule: Schedule,
-    mode: Mode,
     c_arm: CArm,
     isocentre_m: [f64; 3],
     notch: Option<Notch>,
@@ -83,7 +84,15 @@ struct Service {
     warnings: WarningLimit,
     removals: Removals,
     newest: Option<Box<State>>,
-    reported_tick: u64,
+    reported_tick: Tick,
+}
+
+/// What a reply says besides the request and the C-arm.
+struct ReplyFacts {
+    /// Number of the frame that follows; 0 if none does.
+    frame_sequence: u64,
+    tick: Tick,
+    status: DrrStatus,
 }
 
 impl Service {
@@ -97,7 +106,6 @@ impl Service {
         Service {
             ports,
             schedule: Schedule::new(ScheduleSettings::of(scene)),
-            mode: scene.run.mode,
             c_arm,
             isocentre_m: scene_isocentre_m(scene),
             notch: scene.drr.as_ref().and_then(|drr| drr.notch),
@@ -111,12 +119,12 @@ impl Service {
             warnings: WarningLimit::default(),
             removals: Removals::default(),
             newest: None,
-            reported_tick: 0,
+            reported_tick: Tick::START,
         }
     }
 
     fn run(mut self, end: &EndRequest) -> Result<(), DrrProcessError> {
-        self.ports.report_progress(0)?;
+        self.ports.report_progress(Tick::START)?;
         let mut last_tick = None;
         while !end.is_set() {
             let ports = &self.ports;
@@ -128,32 +136,56 @@ impl Service {
             self.publish_finished()?;
             // A physics process that joins later must learn about this one.
             self.ports.progress.deliver_history()?;
+            // In lockstep a controller that has come back waits for a frame that is out, and no other may follow before it answers.
+            self.ports.frames.deliver_history()?;
             if let Some(status) = self.ports.status.receive_newest()?
-                && status.message().phase == PHASE_ENDED
+                && status.message().phase() == Ok(Phase::Ended)
             {
-                last_tick = Some(status.message().tick);
+                last_tick = Some(Tick(status.message().tick));
             }
             if let (Some(last), Some(newest)) = (last_tick, &self.newest)
-                && newest.tick >= last
+                && Tick(newest.tick) >= last
             {
                 return self.finish();
             }
         }
-        Ok(())
+        self.refuse_waiting()
     }
 
-    /// Renders the last state, and waits for all frames.
+    /// Renders the last state and what is asked for of it, refuses all other requests, and waits for all frames.
     fn finish(mut self) -> Result<(), DrrProcessError> {
-        if let Some(state) = self.newest.take()
-            && let Some(due) = self.schedule.last(state.tick)
-        {
-            self.start(&state, due)?;
+        (0..ROUNDS_OF_REQUESTS).try_for_each(|_| self.take_requests())?;
+        if let Some(state) = self.newest.take() {
+            // Announced before the first is rendered, so that whoever asked knows that a frame comes.
+            let mut jobs = Vec::new();
+            while let Some(due) = self.schedule.last(Tick(state.tick)) {
+                jobs.push(self.announce(&state, due)?);
+            }
+            self.newest = Some(state);
+            self.refuse_waiting()?;
+            jobs.into_iter().try_for_each(|job| self.queue(job))?;
         }
         while self.in_flight > 0 {
+            self.take_requests()?;
             self.publish_finished()?;
             std::thread::sleep(Duration::from_millis(1));
         }
         Ok(())
+    }
+
+    /// The run is over: refuses the requests that can have no frame any more.
+    fn refuse_waiting(&mut self) -> Result<(), DrrProcessError> {
+        for (request, refusal) in self.schedule.end(self.newest_tick()) {
+            self.refuse(&request, &refusal)?;
+        }
+        (0..ROUNDS_OF_REQUESTS).try_for_each(|_| self.take_requests())
+    }
+
+    /// Answers a request with its refusal, and says why.
+    fn refuse(&mut self, request: &DrrRequest, refusal: &Refusal) -> Result<(), DrrProcessError> {
+        let answer = ReplyFacts { frame_sequence: 0, tick: Tick(request.tick), status: refusal.status() };
+        self.reply(request, answer, &self.c_arm)?;
+        self.warn_within_limit(&format!("frame request {}: {refusal}; refused", request.request_id))
     }
 
     fn take_states(&mut self) -> Result<(), DrrProcessError> {
@@ -164,14 +196,15 @@ impl Service {
             drop(received);
             self.take_removals(&state)?;
             self.start_due(&state)?;
-            if state.tick >= self.reported_tick + PROGRESS_TICKS {
-                self.reported_tick = state.tick;
-                self.ports.report_progress(state.tick)?;
+            let tick = Tick(state.tick);
+            if tick >= self.reported_tick.saturating_add(PROGRESS_TICKS) {
+                self.reported_tick = tick;
+                self.ports.report_progress(tick)?;
             }
             self.newest = Some(state);
             self.publish_finished()?;
         }
-        let newest = self.newest.as_ref().map_or(0, |state| state.tick);
+        let newest = self.newest_tick();
         if newest > self.reported_tick {
             self.reported_tick = newest;
             self.ports.report_progress(newest)?;
@@ -186,14 +219,14 @@ impl Service {
                 removed.tail().chunks_exact(4).filter_map(|bytes| u32::read_from_bytes(bytes).ok()).collect();
             let message = removed.message();
             self.removals.receive(RemovedBatch {
-                tick: message.tick,
+                tick: Tick(message.tick),
                 sequence: message.sequence,
                 total: message.removed_total,
-                restore_first: message.restore_first != 0,
+                restores: message.restores(),
                 voxels,
             });
         }
-        Ok(self.removals.advance(state.tick, state.removed_total)?)
+        Ok(self.removals.advance(Tick(state.tick), state.removed_total)?)
     }
 
     /// Reads pending requests. They are rate-limited per program, so that a flooding program cannot delay frames.
@@ -204,31 +237,34 @@ impl Service {
             let Some(request) = self.ports.requests.receive_valid(malformed)? else { break };
             let from = Connection(request.sender().number());
             if !self.rate_limit.allows(from, now_ns()) {
-                refused.push("a program asks for more frames than can be answered; refused".to_owned());
+                refused
+                    .push("a program requests frames faster than they can be rendered; refused".to_owned());
                 continue;
             }
-            let sender = self.ports.requesters.controller_of(&request).map_or(u32::MAX, |index| index as u32);
+            let sender = self.ports.requesters.controller_of(&request);
             let request = *request.message();
             let geometry = self.geometry_of(&request).map(drop).map_err(|cause| cause.to_string());
             if let Err(refusal) = self.schedule.request(from, sender, request, geometry) {
-                self.reply(&request, 0, request.tick, refusal.status(), &self.c_arm)?;
-                refused.push(format!("request {} for a frame: {refusal}; refused", request.request_id));
+                self.refuse(&request, &refusal)?;
             }
         }
-        for text in refused {
-            if self.warnings.allows(now_ns()) {
-                self.warn(&text)?;
-            }
-        }
+        refused.iter().try_for_each(|text| self.warn_within_limit(text))?;
         match self.warnings.take_suppressed(now_ns()) {
             None => Ok(()),
-            Some(more) => self.warn(&format!("{more} more requests for frames refused")),
+            Some(more) => self.warn(&format!("{more} more frame requests refused")),
         }
     }
 
+    fn warn_within_limit(&mut self, text: &str) -> Result<(), DrrProcessError> {
+        if self.warnings.allows(now_ns()) { self.warn(text) } else { Ok(()) }
+    }
+
     fn warn(&mut self, text: &str) -> Result<(), DrrProcessError> {
-        let tick = self.newest.as_ref().map_or(0, |state| state.tick);
-        Ok(self.ports.events.send(tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, text)?)
+        Ok(self.ports.events.send(self.newest_tick(), Severity::Warning, EventCode::RequestRefused, text)?)
+    }
+
+    fn newest_tick(&self) -> Tick {
+        self.newest.as_ref().map_or(Tick::START, |state| Tick(state.tick))
     }
 
     fn renderer(&self) -> Renderer {
@@ -246,14 +282,14 @@ impl Service {
 
     /// Starts every frame that is due at this state.
     fn start_due(&mut self, state: &State) -> Result<(), DrrProcessError> {
-        while let Some(due) = self.schedule.due(state.tick, self.renderer()) {
+        while let Some(due) = self.schedule.due(Tick(state.tick), self.renderer()) {
             self.start(state, due)?;
         }
         Ok(())
     }
 
     fn geometry_of(&self, request: &DrrRequest) -> Result<CArm, DrrError> {
-        if request.use_geometry != GEOMETRY_REQUEST {
+        if request.use_geometry() != Ok(GeometryChoice::Request) {
             return Ok(self.c_arm);
         }
         let c_arm = c_arm_of(&request.geometry)?;
@@ -269,21 +305,14 @@ impl Service {
         })
     }
 
-    fn reply(
-        &self,
-        request: &DrrRequest,
-        sequence: u64,
-        tick: u64,
-        status: u32,
-        c_arm: &CArm,
-    ) -> Result<(), DrrProcessError> {
+    fn reply(&self, request: &DrrRequest, answer: ReplyFacts, c_arm: &CArm) -> Result<(), DrrProcessError> {
         let geometry = c_arm_message(c_arm);
         let DrrRequest { request_id, requester, .. } = *request;
         Ok(self.ports.replies.send(&DrrReply {
             request_id,
-            frame_sequence: sequence,
-            tick,
-            status,
+            frame_sequence: answer.frame_sequence,
+            tick: answer.tick.0,
+            status: answer.status.code(),
             requester,
             geometry,
         })?)
@@ -291,37 +320,48 @@ impl Service {
 
     /// Announces a frame of this state and queues it for the renderer.
     fn start(&mut self, state: &State, due: Due) -> Result<(), DrrProcessError> {
+        let job = self.announce(state, due)?;
+        self.queue(job)
+    }
+
+    /// Says that a frame of this state comes; it is the caller's to queue.
+    fn announce(&mut self, state: &State, due: Due) -> Result<Job, DrrProcessError> {
         let (request, c_arm) = match due {
             Due::Scheduled => (DrrRequest::zeroed(), self.c_arm),
             Due::Requested(request) => (request, self.geometry_of(&request)?),
         };
         self.sequence += 1;
-        self.reply(&request, self.sequence, state.tick, DRR_ACCEPTED, &c_arm)?;
-        let RemovedSince { restore_first, voxels } = self.removals.take();
-        let mut job = Job {
+        let (frame_sequence, tick) = (self.sequence, Tick(state.tick));
+        let answer = ReplyFacts { frame_sequence, tick, status: DrrStatus::Accepted };
+        self.reply(&request, answer, &c_arm)?;
+        let RemovedSince { restores, voxels } = self.removals.take();
+        Ok(Job {
             state: Box::new(*state),
-            restore_first,
+            restores,
             removed: voxels,
             sequence: self.sequence,
             request_id: request.request_id,
             c_arm,
             // Without a frame rate every frame is a requested one, and the C-arm often stays the same.
-            aside: self.schedule.is_periodic() && c_arm != self.c_arm,
+            cache: match self.schedule.is_periodic() && c_arm != self.c_arm {
+                true => Cache::Kept,
+                false => Cache::Follows,
+            },
             isocentre_m: self.isocentre_m,
             notch: self.notch,
             noise_seed: self.noise_seed,
             radii: self.radii,
-        };
+        })
+    }
+
+    /// Queues a frame for the renderer; in lockstep and at the end it waits for room.
+    fn queue(&mut self, mut job: Job) -> Result<(), DrrProcessError> {
         self.in_flight += 1;
         loop {
             match self.jobs.try_send(job) {
                 Ok(()) => return Ok(()),
                 Err(TrySendError::Disconnected(_)) => return Err(DrrProcessError::WorkerGone),
                 Err(TrySendError::Full(back)) => {
-                    debug_assert!(
-                        self.mode == Mode::Lockstep,
-                        "in real time only a free renderer is given a job"
-                    );
                     job = back;
                     self.publish_finished()?;
                     std::thread::sleep(Duration::from_millis(1));
@@ -340,13 +380,13 @@ impl Service {
             };
             self.in_flight -= 1;
             self.ports.frames.send_parts(&rendered.parts())?;
-            let newest = self.newest.as_ref().map_or(0, |state| state.tick);
+            let newest = self.newest_tick();
             self.ports.timing.send(&FrameTiming {
                 frame_sequence: rendered.frame.sequence,
                 tick: rendered.frame.tick,
                 render_ns,
                 rays: rendered.report.rays_traced as u64,
-                age_ticks: newest.saturating_sub(rendered.frame.tick),
+                age_ticks: newest.since(Tick(rendered.frame.tick)),
                 full: u32::from(rendered.is_full()),
                 reserved: 0,
             })?;

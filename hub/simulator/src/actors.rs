@@ -4,11 +4,13 @@ use std::collections::VecDeque;
 
 use hub::Incoming;
 use hub::rate_limit::Connection;
+use hub::x_ray::{ControllerFrames, FrameMark, FrameStep};
 use messages::services::COMMAND;
-use messages::{ARM_HOLD, BURR_SPEED, Command, Part, TENDON_SERVO_JF};
-use scene::Drives;
+use messages::{ArmMode, BurrMode, Command, Part, TendonMode, Tick};
+use scene::{Drives, Mode};
 
-use crate::plan::{Bad, ControllerPlan};
+use crate::oracle::seen_frames::SeenFrames;
+use crate::plan::{Bad, ControllerPlan, Plan};
 
 /// States that a controller's queue holds.
 const STATE_QUEUE: usize = 16;
@@ -16,6 +18,78 @@ const STATE_QUEUE: usize = 16;
 /// An alarm that is set anew before it goes off: of several, the last one counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Alarm(pub u64);
+
+/// A controller's look at X-ray frames: decides with [`ControllerFrames`] as `controller_proc` does.
+#[derive(Debug)]
+pub struct Sight {
+    mode: Mode,
+    decide: ControllerFrames,
+    length: usize,
+    queue: VecDeque<FrameMark>,
+    kept: Option<FrameMark>,
+    /// It has connected and is to be given the newest frame.
+    pub wants_history: bool,
+    /// The state that it answers when it has seen what is due.
+    pub waits_at: Option<u64>,
+}
+
+impl Sight {
+    fn new(plan: &Plan) -> Sight {
+        Sight {
+            mode: plan.mode,
+            decide: ControllerFrames::new(plan.mode),
+            length: plan.x_ray.frame_queue,
+            queue: VecDeque::new(),
+            kept: None,
+            wants_history: true,
+            waits_at: None,
+        }
+    }
+
+    fn join(&mut self) {
+        self.decide = ControllerFrames::new(self.mode);
+        self.queue.clear();
+        (self.kept, self.wants_history, self.waits_at) = (None, true, None);
+    }
+
+    /// A frame comes into its queue; returns the one that the queue drops.
+    pub fn receive(&mut self, frame: FrameMark) -> Option<FrameMark> {
+        let dropped = if self.queue.len() == self.length { self.queue.pop_front() } else { None };
+        self.queue.push_back(frame);
+        dropped
+    }
+
+    /// Whether nothing that has come is left to look at.
+    pub fn is_empty(&self) -> bool {
+        self.queue.is_empty() && self.kept.is_none()
+    }
+
+    /// Looks at the frames before the controller answers the state of this tick; returns whether it waits for another.
+    pub fn look(&mut self, index: usize, tick: u64, now_ns: u64, account: &mut SeenFrames) -> bool {
+        if self.waits_at != Some(tick) {
+            self.decide.begin(account.due_at(tick).map(Tick), now_ns);
+        }
+        self.waits_at = None;
+        loop {
+            let next = self.kept.take().or_else(|| self.queue.pop_front());
+            match (self.decide.step(next, now_ns), next) {
+                (Ok(FrameStep::Show), Some(frame)) => account.showed(index, tick, frame),
+                (Ok(FrameStep::Skip), Some(_)) => {}
+                (Ok(FrameStep::Wait), None) => {
+                    self.waits_at = Some(tick);
+                    return true;
+                }
+                (Ok(FrameStep::Keep), Some(_)) => self.kept = next,
+                (Ok(FrameStep::Answer), None) => {}
+                (step, next) => account.failure = Some(format!("tick {tick}: {step:?} with {next:?}")),
+            }
+            if self.kept.is_some() || next.is_none() || account.failure.is_some() {
+                account.answers(index, tick, self.decide.take_lost());
+                return false;
+            }
+        }
+    }
+}
 
 /// A controller's process.
 #[derive(Debug)]
@@ -32,6 +106,8 @@ pub struct Controller {
     pub states: VecDeque<u64>,
     /// Its commands on their way to the hub, and whether each is well formed.
     pub commands: VecDeque<(Incoming<Command>, bool)>,
+    /// If it looks at X-ray frames.
+    pub sight: Option<Sight>,
     connection: Connection,
     sequence: u64,
     last_answered: u64,
@@ -39,9 +115,11 @@ pub struct Controller {
 
 impl Controller {
     /// Not connected yet.
-    pub fn new(plan: &ControllerPlan, index: usize, drives: &[Drives]) -> Controller {
+    pub fn new(plan: &Plan, index: usize, drives: &[Drives]) -> Controller {
+        let looks = plan.x_ray.watching.get(index) == Some(&true);
         Controller {
-            plan: plan.clone(),
+            sight: looks.then(|| Sight::new(plan)),
+            plan: plan.controllers[index].clone(),
             drives: drives.to_vec(),
             alive: false,
             asleep: false,
@@ -62,6 +140,7 @@ impl Controller {
         (self.alive, self.asleep, self.wants_history) = (true, false, true);
         (self.sequence, self.last_answered) = (0, 0);
         self.states.clear();
+        self.sight.iter_mut().for_each(Sight::join);
     }
 
     /// A state comes into its queue, which drops its oldest when it is full.
@@ -97,14 +176,14 @@ impl Controller {
     fn command(&self, state_tick: u64) -> Command {
         let mut command = Command { sequence: self.sequence, state_tick, ..Command::zeroed() };
         if self.drives.contains(&Drives::Tendon) {
-            command.tendon_mode = TENDON_SERVO_JF;
+            command.tendon_mode = TendonMode::ServoJf.code();
             command.tendon_force_n[0] = (self.sequence % 50) as f64;
         }
         if self.drives.contains(&Drives::Arm) {
-            command.arm_mode = ARM_HOLD;
+            command.arm_mode = ArmMode::Hold.code();
         }
         if self.drives.contains(&Drives::Burr) {
-            command.burr_mode = BURR_SPEED;
+            command.burr_mode = BurrMode::Speed.code();
             command.burr_speed_rad_per_s = (self.sequence % 900) as f64;
         }
         command
@@ -122,7 +201,7 @@ impl Controller {
                 if self.drives.contains(&Drives::Arm) {
                     command.reserved = 1;
                 } else {
-                    command.arm_mode = ARM_HOLD;
+                    command.arm_mode = ArmMode::Hold.code();
                 }
             }
             Bad::Future => command.state_tick = u64::MAX,

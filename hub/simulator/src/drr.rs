@@ -4,9 +4,9 @@ use std::collections::VecDeque;
 
 use fastrand::Rng;
 use hub::rate_limit::{LOOKED_AT, RateLimit};
-use hub::x_ray::{Removals, RemovedBatch, RemovedLost, Renderer, Schedule, ScheduleSettings};
+use hub::x_ray::{Due, FrameMark, Removals, RemovedBatch, RemovedLost, Renderer, Schedule, ScheduleSettings};
 use messages::services::DRR_REQUEST;
-use messages::{DrrRequest, GEOMETRY_REQUEST, Removed, State};
+use messages::{DrrRequest, GeometryChoice, Removed, State, Tick};
 
 use crate::oracle::x_ray::{Answer, FrameAccount, FrameCause, JOBS_WAITING};
 use crate::plan::Plan;
@@ -52,8 +52,18 @@ pub struct DrrProcess {
     newest: Option<Seen>,
     /// It has stood still before the renderer's queue, so that more may be due at the newest state.
     stood_still: bool,
-    /// When each frame that is rendered or waits for it is finished.
-    jobs: VecDeque<u64>,
+    /// Frames that are rendered or wait for it.
+    jobs: VecDeque<Job>,
+    sequence: u64,
+    /// Frames that are out and not handed on yet.
+    published: Vec<FrameMark>,
+}
+
+/// A frame that is rendered or waits for it.
+#[derive(Debug)]
+struct Job {
+    finished_ns: u64,
+    mark: FrameMark,
 }
 
 impl DrrProcess {
@@ -63,7 +73,7 @@ impl DrrProcess {
             schedule: Schedule::new(ScheduleSettings {
                 mode: plan.mode,
                 period_ticks: plan.x_ray.period_ticks,
-                end_tick: plan.tick_count,
+                end_tick: Tick(plan.tick_count),
                 c_arm_driver: plan.x_ray.c_arm_driver,
             }),
             removals: Removals::default(),
@@ -78,6 +88,8 @@ impl DrrProcess {
             newest: None,
             stood_still: false,
             jobs: VecDeque::new(),
+            sequence: 0,
+            published: Vec::new(),
         }
     }
 
@@ -88,10 +100,10 @@ impl DrrProcess {
             account.removed_dropped = true;
         }
         self.removed.push_back(RemovedBatch {
-            tick: removed.tick,
+            tick: Tick(removed.tick),
             sequence: removed.sequence,
             total: removed.removed_total,
-            restore_first: removed.restore_first != 0,
+            restores: removed.restores(),
             voxels: voxels.to_vec(),
         });
     }
@@ -132,7 +144,7 @@ impl DrrProcess {
             for _ in 0..STATES_PER_ROUND {
                 let Some(state) = self.states.pop_front() else { return Ok(Looked::Done) };
                 self.removed.drain(..).for_each(|batch| self.removals.receive(batch));
-                self.removals.advance(state.tick, state.removed_total)?;
+                self.removals.advance(Tick(state.tick), state.removed_total)?;
                 self.newest = Some(state);
                 if let Some(blocked) = self.serve_newest(now_ns, account) {
                     return Ok(blocked);
@@ -152,6 +164,11 @@ impl DrrProcess {
         {
             return Some(blocked);
         }
+        self.answer_requests(now_ns, account);
+        self.serve_newest(now_ns, account)
+    }
+
+    fn answer_requests(&mut self, now_ns: u64, account: &mut FrameAccount) {
         for _ in 0..LOOKED_AT {
             let Some(asked) = self.requests.pop_front() else { break };
             let Asked { from, sender, request } = asked;
@@ -161,13 +178,12 @@ impl DrrProcess {
             };
             account.request(&asked, &answer, now_ns);
         }
-        self.serve_newest(now_ns, account)
     }
 
     /// Starts what is due at the newest state.
     fn serve_newest(&mut self, now_ns: u64, account: &mut FrameAccount) -> Option<Looked> {
         let tick = self.newest?.tick;
-        while let Some(due) = self.schedule.due(tick, self.renderer()) {
+        while let Some(due) = self.schedule.due(Tick(tick), self.renderer()) {
             self.start(tick, FrameCause::Due(due), now_ns, account);
             if self.is_blocked() {
                 self.stood_still = true;
@@ -179,17 +195,32 @@ impl DrrProcess {
     }
 
     fn blocked(&self) -> Option<Looked> {
-        self.jobs.front().map(|until_ns| Looked::Blocked { until_ns: *until_ns })
+        self.jobs.front().map(|job| Looked::Blocked { until_ns: job.finished_ns })
     }
 
-    /// Shows the last state and renders all that waits.
-    pub fn finish(&mut self, now_ns: u64, account: &mut FrameAccount) {
-        if let Some(Seen { tick, .. }) = self.newest
-            && let Some(due) = self.schedule.last(tick)
-        {
-            self.start(tick, FrameCause::Last(due), now_ns, account);
+    /// Renders what is due at the last state and all that waits, and refuses the other requests; `late` comes meanwhile.
+    pub fn finish(&mut self, now_ns: u64, late: Vec<Asked>, account: &mut FrameAccount) {
+        if let Some(Seen { tick, .. }) = self.newest {
+            while let Some(due) = self.schedule.last(Tick(tick)) {
+                self.start(tick, FrameCause::Last(due), now_ns, account);
+            }
         }
+        self.end(account);
+        late.into_iter().for_each(|asked| self.receive_request(asked));
+        self.answer_requests(now_ns, account);
         self.publish_finished(u64::MAX, account);
+    }
+
+    /// The process is to end: it refuses the requests that wait.
+    pub fn end(&mut self, account: &mut FrameAccount) {
+        let last_tick = self.newest.map_or(Tick::START, |newest| Tick(newest.tick));
+        let refused = self.schedule.end(last_tick);
+        account.refused_at_end(&refused, last_tick);
+    }
+
+    /// Frames that are out since the last call.
+    pub fn take_published(&mut self) -> Vec<FrameMark> {
+        std::mem::take(&mut self.published)
     }
 
     fn renderer(&self) -> Renderer {
@@ -198,13 +229,24 @@ impl DrrProcess {
 
     fn start(&mut self, tick: u64, cause: FrameCause, now_ns: u64, account: &mut FrameAccount) {
         account.frame(tick, cause, &self.removals.take());
-        let begins_ns = self.jobs.back().map_or(now_ns, |last_ns| now_ns.max(*last_ns));
-        self.jobs.push_back(begins_ns + self.random.u64(self.render_ns / 4..=self.render_ns));
+        let begins_ns = self.jobs.back().map_or(now_ns, |last| now_ns.max(last.finished_ns));
+        self.sequence += 1;
+        let request_id = match cause {
+            FrameCause::Due(Due::Requested(request)) | FrameCause::Last(Due::Requested(request)) => {
+                request.request_id
+            }
+            FrameCause::Due(Due::Scheduled) | FrameCause::Last(Due::Scheduled) => 0,
+        };
+        self.jobs.push_back(Job {
+            finished_ns: begins_ns + self.random.u64(self.render_ns / 4..=self.render_ns),
+            mark: FrameMark { sequence: self.sequence, tick: Tick(tick), request_id },
+        });
     }
 
     fn publish_finished(&mut self, now_ns: u64, account: &mut FrameAccount) {
-        while self.jobs.front().is_some_and(|finished_ns| *finished_ns <= now_ns) {
-            self.jobs.pop_front();
+        let finished = self.jobs.iter().take_while(|job| job.finished_ns <= now_ns).count();
+        for job in self.jobs.drain(..finished) {
+            self.published.push(job.mark);
             account.finished();
         }
     }
@@ -212,6 +254,6 @@ impl DrrProcess {
 
 /// Whether a request's C-arm is one.
 fn geometry_of(request: &DrrRequest) -> Result<(), String> {
-    let is_bad = request.use_geometry == GEOMETRY_REQUEST && request.geometry.columns == 0;
+    let is_bad = request.use_geometry() == Ok(GeometryChoice::Request) && request.geometry.columns == 0;
     if is_bad { Err("columns is 0".to_owned()) } else { Ok(()) }
 }

@@ -2,14 +2,17 @@
 //!
 //! [`Plan::of`] decides everything from a seed: the scene, how quick everybody is, and what goes wrong when. [`run`] plays the plan
 //! against a [`hub::Hub`] with a clock and queues in memory, and holds every step against an [`oracle`] that knows nothing of
-//! the hub but what passes between it and its surroundings. One of these is a DRR process that decides with [`hub::x_ray`] as the real
-//! one does. [`shrink`] takes from a plan that fails what it fails without.
+//! the hub but what passes between it and its surroundings. Among these are a DRR process and controllers that decide with [`hub::x_ray`],
+//! and a viewer that decides with [`hub::viewer`], as the real ones do. [`shrink`] takes from a plan that fails what it fails without.
 //!
 //! What holds is in [`oracle`]: what is published when; that a replay of it gives the same hashes; the latch's rules; that nothing is made
 //! while the run rests, is stopped or is to end; that no consumer is left too far behind; deadlines and misses; every request
 //! answered; every ending with a reason; nobody asleep beside a message; no wait without a limit; bounded warnings. Of
 //! X-ray frames ([`oracle::x_ray`]): which are due at which state, that each request is refused for its reason or has its one frame, that
-//! each frame lacks exactly the voxels that are gone at its tick, and that the last state is shown. Of one schedule in
+//! each frame lacks exactly the voxels that are gone at its tick, that the last state is shown, and that no request is left without an
+//! answer. Of controllers ([`oracle::seen_frames`]): which frames each sees before it answers which state, and that it waits for none that
+//! has passed. Of a viewer's clients ([`oracle::viewer`]): what waits for each is bounded, what it gets is in order, what it misses is
+//! counted and told, and the newest message of each channel reaches it. Of one schedule in
 //! 64, if it has a recorder, the log is written and cut at any byte; the ticks read from it are a prefix of those published.
 //!
 //! ```
@@ -24,6 +27,8 @@ pub mod oracle;
 mod plan;
 mod plant;
 mod recording;
+mod viewer;
+mod viewer_plan;
 mod world;
 mod x_ray_plan;
 
@@ -37,6 +42,7 @@ use scene::{Drives, Scene};
 pub use plan::{Bad, ControllerPlan, Fault, FaultKind, Plan};
 use plant::{ChainPlant, Handle};
 use recording::Recording;
+pub use viewer_plan::{SubscriptionChange, ViewerPlan, WatcherPlan};
 use world::World;
 pub use x_ray_plan::{Ask, AskKind, XRayPlan};
 
@@ -58,6 +64,12 @@ pub struct Played {
     pub frames: u64,
     /// Requests for frames that were refused.
     pub frames_refused: u64,
+    /// Frames that controllers have seen.
+    pub frames_seen: u64,
+    /// Messages that clients of the viewer were sent.
+    pub watched: u64,
+    /// Those that they were told they missed.
+    pub dropped: u64,
 }
 
 /// Plays a schedule.
@@ -90,20 +102,26 @@ pub fn run(plan: &Plan) -> Result<Played, String> {
             Ok(Next::Ended) => {
                 world.oracle.ended(handle.now_ns.get());
                 world.finish_frames();
+                world.finish_watching();
             }
-            Err(cause) => world.oracle.failed(cause, handle.now_ns.get()),
+            Err(cause) => {
+                world.oracle.failed(cause, handle.now_ns.get());
+                world.finish_watching();
+            }
         }
         if played.advances > MOST_ADVANCES {
             world.oracle.fail("the run does not end".to_owned());
         }
-        if let Some(failure) = world.oracle.failure.take().or_else(|| world.frames.failure.take()) {
+        if let Some(failure) = world.take_failure() {
             return Err(failure);
         }
         if !matches!(next, Ok(Next::Wait(_) | Next::GetReady)) {
             played.log_was_cut = world.recording.is_some();
             world.recording.take().map_or(Ok(()), Recording::check_cut)?;
             (played.frames, played.frames_refused) = (world.frames.frames, world.frames.refused);
-            return Ok(Played { ticks: hub.tick(), ended: next.is_ok(), ..played });
+            played.frames_seen = world.seen_frames.shown;
+            (played.watched, played.dropped) = world.watched();
+            return Ok(Played { ticks: hub.tick().0, ended: next.is_ok(), ..played });
         }
     }
 }
@@ -175,7 +193,9 @@ pub fn shrink(plan: &Plan) -> (Plan, String) {
             candidate.x_ray.asks.remove(index);
             again |= try_it(candidate, &mut least);
         }
-        let without: [fn(&mut Plan); 7] = [
+        let without: [fn(&mut Plan); 9] = [
+            |plan| plan.viewer = None,
+            |plan| plan.x_ray.watching.clear(),
             |plan| plan.x_ray.period_ticks = None,
             |plan| plan.x_ray.render_ns = 50_000,
             |plan| plan.log_cut = None,
@@ -210,6 +230,12 @@ pub struct Summary {
     pub frames: u64,
     /// Requests for frames that were refused.
     pub frames_refused: u64,
+    /// Frames that controllers have seen.
+    pub frames_seen: u64,
+    /// Messages that clients of the viewer were sent.
+    pub watched: u64,
+    /// Those that they were told they missed.
+    pub dropped: u64,
     /// The first seed that fails, and how.
     pub failure: Option<(u64, String)>,
 }
@@ -228,6 +254,9 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
                     summary.logs_cut += u64::from(played.log_was_cut);
                     summary.frames += played.frames;
                     summary.frames_refused += played.frames_refused;
+                    summary.frames_seen += played.frames_seen;
+                    summary.watched += played.watched;
+                    summary.dropped += played.dropped;
                 }
                 Err(cause) => {
                     summary.failure = Some((seed, cause));
@@ -251,6 +280,9 @@ pub fn play(first: u64, count: u64, threads: u64) -> Summary {
             sum.logs_cut += one.logs_cut;
             sum.frames += one.frames;
             sum.frames_refused += one.frames_refused;
+            sum.frames_seen += one.frames_seen;
+            sum.watched += one.watched;
+            sum.dropped += one.dropped;
             let earlier =
                 |(seed, _): &(u64, String)| sum.failure.as_ref().is_none_or(|(other, _)| seed < other);
             if one.failure.as_ref().is_some_and(earlier) {

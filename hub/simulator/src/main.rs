@@ -27,11 +27,14 @@ fn main() -> ExitCode {
     let Some((seed, _)) = summary.failure else {
         let wall_s = began.elapsed().as_secs_f64();
         println!(
-            "{} schedules, {} ticks, {} frames ({} refused), {} came to their end, {} logs cut; {wall_s:.1} s, {:.0} schedules a second",
+            "{} schedules, {} ticks, {} frames ({} refused, {} seen by controllers), {} messages to viewers ({} missed), {} came to their end, {} logs cut; {wall_s:.1} s, {:.0} schedules a second",
             summary.schedules,
             summary.ticks,
             summary.frames,
             summary.frames_refused,
+            summary.frames_seen,
+            summary.watched,
+            summary.dropped,
             summary.ended,
             summary.logs_cut,
             summary.schedules as f64 / wall_s

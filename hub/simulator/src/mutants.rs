@@ -47,8 +47,8 @@ pub const MUTANTS: &[Mutant] = &[
     mutant(
         "a pause keeps the steps that were asked for",
         "machine/control.rs",
-        "CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0)",
-        "CONTROL_PAUSE => self.paused = true",
+        "ControlAction::Pause => (self.paused, self.steps_left) = (true, 0)",
+        "ControlAction::Pause => self.paused = true",
     ),
     mutant(
         "a reset is made at every tick from then on",
@@ -66,13 +66,13 @@ pub const MUTANTS: &[Mutant] = &[
         "the end waits for nobody",
         "machine/waiting.rs",
         "self.consumers.behind(self.tick, Whom::Everybody)",
-        "self.consumers.behind(0, Whom::Everybody)",
+        "self.consumers.behind(Tick::START, Whom::Everybody)",
     ),
     mutant(
         "lockstep takes an old answer",
         "latch.rs",
-        "command.state_tick == tick)",
-        "command.state_tick + 1 >= tick)",
+        "command.state_tick == tick.0)",
+        "command.state_tick + 1 >= tick.0)",
     ),
     mutant(
         "a stop during the wait for an answer is not heard",
@@ -125,14 +125,14 @@ pub const MUTANTS: &[Mutant] = &[
     mutant(
         "a requested frame is a tick late",
         "x_ray/schedule.rs",
-        "position(|waiting| waiting.request.tick <= tick)",
-        "position(|waiting| waiting.request.tick < tick)",
+        "position(|waiting| waiting.request.tick <= tick.0)",
+        "position(|waiting| waiting.request.tick < tick.0)",
     ),
     mutant(
         "the last state is not shown",
         "x_ray/schedule.rs",
-        "(self.shown_tick.replace(tick) != Some(tick)).then_some(Due::Scheduled)",
-        "(self.shown_tick.replace(tick) == None).then_some(Due::Scheduled)",
+        "self.shown_tick.replace(tick) == Some(tick);",
+        "self.shown_tick.replace(tick).is_some();",
     ),
     mutant(
         "a frame shows the voxels that its own tick removed",
@@ -151,6 +151,90 @@ pub const MUTANTS: &[Mutant] = &[
         "x_ray/removals.rs",
         "if received != before + 1 {",
         "if received <= before {",
+    ),
+    mutant(
+        "a request that is due when the run ends has no frame",
+        "x_ray/schedule.rs",
+        "let due = self.scheduled(tick).or_else(|| self.requested(tick));\n",
+        "let due = self.scheduled(tick);\n",
+    ),
+    mutant(
+        "a request that waits when the run ends has no answer",
+        "x_ray/schedule.rs",
+        "self.requests.drain(..).map(refused).collect()",
+        "self.requests.drain(..).map(refused).skip(1).collect()",
+    ),
+    mutant(
+        "a request that comes when the run has ended waits for ever",
+        "x_ray/schedule.rs",
+        "        self.ended_at = Some(last_tick);\n",
+        "",
+    ),
+    mutant(
+        "who connects late waits for a frame that has passed",
+        "x_ray/controller_frames.rs",
+        "        self.due = self.due.filter(|due| frame.tick < *due);\n",
+        "",
+    ),
+    mutant(
+        "who has dropped a frame waits for the one before it",
+        "x_ray/controller_frames.rs",
+        "due.filter(is_to_come).filter(",
+        "due.filter(",
+    ),
+    mutant(
+        "in lockstep a frame is seen as soon as it is there",
+        "x_ray/controller_frames.rs",
+        "return FrameStep::Keep;",
+        "return FrameStep::Show;",
+    ),
+    mutant(
+        "one lost frame of a controller is not counted",
+        "x_ray/controller_frames.rs",
+        "saturating_sub(before + 1)",
+        "saturating_sub(before + 2)",
+    ),
+    mutant(
+        "a slow client of the viewer loses the newest message and not the oldest",
+        "viewer/queue.rs",
+        "self.stream.iter().position(",
+        "self.stream.iter().rposition(",
+    ),
+    mutant(
+        "a busy stream pushes out what a client of the viewer has of a quiet one",
+        "viewer/queue.rs",
+        "is_some_and(|count| *count > 1)",
+        "is_some_and(|count| *count > 0)",
+    ),
+    mutant(
+        "a client of the viewer is not told what it missed",
+        "viewer/queue.rs",
+        "            self.dropped += 1;\n",
+        "",
+    ),
+    mutant(
+        "one slot holds up the others of a client of the viewer",
+        "viewer/queue.rs",
+        "std::ops::Bound::Excluded(self.last_slot)",
+        "std::ops::Bound::Included(self.last_slot)",
+    ),
+    mutant(
+        "a client of the viewer pays for messages that it does not want any more",
+        "viewer/queue.rs",
+        "        self.stream_bytes = self.stream.iter().map(|message| message.payload.len()).sum();\n",
+        "",
+    ),
+    mutant(
+        "a client of the viewer that subscribes late gets nothing",
+        "viewer/client.rs",
+        "            self.queue.push(outgoing, policy, message.slot);\n",
+        "",
+    ),
+    mutant(
+        "the viewer keeps nothing of what nobody watches",
+        "viewer/kept.rs",
+        "        self.newest = Some(message);\n",
+        "",
     ),
 ];
 

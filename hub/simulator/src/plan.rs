@@ -3,6 +3,7 @@
 use fastrand::Rng;
 use scene::Mode;
 
+use crate::viewer_plan::ViewerPlan;
 use crate::x_ray_plan::XRayPlan;
 
 /// Microseconds in nanoseconds.
@@ -12,6 +13,9 @@ pub const MS: u64 = 1_000_000;
 
 /// Number of schedules of which one has its log written and cut.
 const SCHEDULES_PER_CUT: u64 = 64;
+
+/// How much longer the hub waits for controllers that wait for frames, behind all that are asked for.
+const FRAMES_LIMIT_MS: u64 = 400;
 
 /// One schedule.
 #[derive(Debug, Clone)]
@@ -40,6 +44,8 @@ pub struct Plan {
     pub recorder_ns: Option<u64>,
     /// The frames of the DRR process.
     pub x_ray: XRayPlan,
+    /// The viewer; none: nobody watches.
+    pub viewer: Option<ViewerPlan>,
     /// What goes wrong.
     pub faults: Vec<Fault>,
     /// Seed of the byte at which the run's log is cut; none: no log is written.
@@ -186,10 +192,15 @@ impl Plan {
             drr_ns: consumer(&mut random),
             recorder_ns: consumer(&mut random),
             x_ray: XRayPlan::default(),
+            viewer: None,
             faults: Vec::new(),
             log_cut: None,
         };
         plan.x_ray = XRayPlan::of(&plan);
+        plan.viewer = ViewerPlan::of(&plan);
+        if plan.mode == Mode::Lockstep && plan.x_ray.watching.contains(&true) {
+            plan.controller_limit_ms += FRAMES_LIMIT_MS;
+        }
         let count = [0, 1, 2, 4, 8][random.usize(..5)];
         plan.faults = (0..count).map(|_| fault(&plan, &mut random)).collect();
         // Writing and reading a log takes longer than playing the schedule.

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::rc::Rc;
 
-use messages::{Latched, Plant, Refusal, State};
+use messages::{ControllerIndex, Latched, Plant, Refusal, State};
 use zerocopy::IntoBytes;
 
 /// Voxels that are gone from the start, as many as two messages hold and one more.
@@ -73,7 +73,7 @@ impl Plant for ChainPlant {
         self.refusals.clear();
         if self.handle.refuses.take() {
             self.refusals.push(Refusal {
-                controller_index: 0,
+                controller: ControllerIndex(0),
                 sequence: latched.commands[0].command.sequence,
                 reason: "cannot be reached".to_owned(),
                 stopped_later: false,

@@ -7,23 +7,31 @@ use std::rc::Rc;
 
 use fastrand::Rng;
 use hub::rate_limit::Connection;
+use hub::x_ray::FrameMark;
 use hub::{Awaited, Incoming, Report, Wait};
-use messages::{CONTROL_RESUME, Part, RunControl};
+use messages::{ControlAction, Part, RunControl, Tick};
 use scene::Drives;
 
-use crate::actors::{Alarm, Consumer, Controller};
-use crate::drr::{DrrProcess, Looked};
+use crate::actors::{Alarm, Consumer, Controller, Sight};
+use crate::drr::DrrProcess;
 use crate::oracle::Oracle;
+use crate::oracle::seen_frames::SeenFrames;
 use crate::oracle::x_ray::FrameAccount;
 use crate::plan::{FaultKind, MS, Plan, US};
 use crate::plant::Handle;
 use crate::recording::Recording;
+use crate::viewer::Viewer;
 
 // What the hub asks of it.
 mod environment;
+// X-ray frames, and who sees them.
+mod frames;
+mod watching;
 
 /// Longest sleep of a reader before it looks again by itself.
 const LONGEST_SLEEP_NS: u64 = 10 * MS;
+/// Time between two looks of a controller that waits for an X-ray frame.
+const FRAME_POLL_NS: u64 = 500 * US;
 /// Longest queue of run control and of progress.
 const QUEUE: usize = 256;
 /// How often in a row the hub may wait for something that is already there, or for a time that has passed.
@@ -42,6 +50,11 @@ enum Event {
     LauncherNotices,
     UserResumes,
     FramesAsked(usize),
+    ViewerLooks,
+    WatcherJoins(usize),
+    WatcherLeaves(usize),
+    WatcherServes(usize, u64),
+    WatcherChanges(usize, usize),
 }
 
 /// Everything but the hub.
@@ -58,6 +71,12 @@ pub struct World {
     /// The DRR process while it lives.
     drr: Option<DrrProcess>,
     frame_requests: u64,
+    /// How many of the plan's requests have been sent.
+    asked: usize,
+    /// The newest frame that is out.
+    newest_frame: Option<FrameMark>,
+    viewer: Option<Viewer>,
+    watcher_alarms: Vec<Alarm>,
     control: VecDeque<Incoming<RunControl>>,
     requests: u64,
     reports: VecDeque<Report>,
@@ -72,27 +91,32 @@ pub struct World {
     pub oracle: Oracle,
     /// What must hold of X-ray frames.
     pub frames: FrameAccount,
+    /// What must hold of the frames that controllers see.
+    pub seen_frames: SeenFrames,
 }
 
 impl World {
     /// Of a plan whose controllers drive these parts.
     pub fn new(plan: &Plan, drives: &[Vec<Drives>], plant: Handle) -> World {
         let now_ns = Rc::clone(&plant.now_ns);
-        let controllers = plan.controllers.iter().zip(drives).enumerate();
+        let controllers = drives.iter().enumerate();
         let consumers = [(Part::Drr, plan.drr_ns), (Part::Recorder, plan.recorder_ns)];
         let mut world = World {
             oracle: Oracle::new(plan, drives, now_ns.get()),
             frames: FrameAccount::new(plan),
             drr: plan.drr_ns.map(|_| DrrProcess::new(plan)),
             frame_requests: 0,
+            asked: 0,
+            newest_frame: None,
+            viewer: plan.viewer.as_ref().map(|viewer| Viewer::new(viewer, plan.seed, now_ns.get())),
+            watcher_alarms: Vec::new(),
+            seen_frames: SeenFrames::new(plan),
             now_ns,
             plant,
             random: Rng::with_seed(plan.seed ^ 0x9e37_79b9_7f4a_7c15),
             events: BinaryHeap::new(),
             order: 0,
-            controllers: controllers
-                .map(|(index, (plan, drives))| Controller::new(plan, index, drives))
-                .collect(),
+            controllers: controllers.map(|(index, drives)| Controller::new(plan, index, drives)).collect(),
             consumers: consumers
                 .iter()
                 .filter_map(|(part, look_ns)| Some(Consumer::new(*part, (*look_ns)?)))
@@ -126,6 +150,7 @@ impl World {
         for index in 0..world.plan.x_ray.asks.len() {
             world.after(world.plan.x_ray.asks[index].at_ns, Event::FramesAsked(index));
         }
+        world.plan_watching();
         let last_ns = world.plan.faults.iter().map(|fault| fault.at_ns).max().unwrap_or(0);
         if world.plan.has(|kind| matches!(kind, FaultKind::Control { .. })) {
             world.after(last_ns + 50 * MS, Event::UserResumes);
@@ -159,6 +184,7 @@ impl World {
         match event {
             Event::ControllerJoins(index) => {
                 self.controllers[index].join();
+                self.seen_frames.joined(index);
                 self.look_soon(index, 0);
             }
             Event::ControllerLooks(index, alarm) => self.controller_looks(index, Alarm(alarm)),
@@ -172,9 +198,14 @@ impl World {
             Event::Fault(index) => self.fault(index),
             Event::LauncherNotices => self.request_end(),
             Event::FramesAsked(index) => self.frames_asked(index),
+            Event::ViewerLooks => self.viewer_looks(),
+            Event::WatcherJoins(_)
+            | Event::WatcherLeaves(_)
+            | Event::WatcherServes(..)
+            | Event::WatcherChanges(..) => self.watching_happens(event),
             Event::UserResumes => {
                 if self.oracle.paused {
-                    self.request(CONTROL_RESUME, 0);
+                    self.request(ControlAction::Resume.code(), 0);
                 }
                 self.after(50 * MS, Event::UserResumes);
             }
@@ -199,12 +230,17 @@ impl World {
             let delay_ns = controller.stalled_until_ns - now_ns;
             return self.look_soon(index, delay_ns);
         }
-        match controller.take_state() {
+        let waits_at = controller.sight.as_ref().and_then(|sight| sight.waits_at);
+        match waits_at.or_else(|| controller.take_state()) {
             None => {
                 controller.asleep = true;
                 self.look_soon(index, LONGEST_SLEEP_NS);
             }
             Some(tick) => {
+                let waits = |sight: &mut Sight| sight.look(index, tick, now_ns, &mut self.seen_frames);
+                if controller.sight.as_mut().is_some_and(waits) {
+                    return self.look_soon(index, FRAME_POLL_NS);
+                }
                 let longest_ns = controller.plan.answer_ns;
                 controller.alarm.0 += 1;
                 let alarm = controller.alarm.0;
@@ -235,63 +271,13 @@ impl World {
                 if self.reports.len() == QUEUE {
                     self.reports.pop_front();
                 }
-                self.reports.push_back(Report { part: consumer.part, tick });
+                self.reports.push_back(Report { part: consumer.part, tick: Tick(tick) });
             }
         }
         let consumer = &mut self.consumers[index];
         consumer.alarm.0 += 1;
         let alarm = consumer.alarm.0;
         self.after(delay_ns, Event::ConsumerLooks(index, alarm));
-    }
-
-    /// A consumer looks at its queues; returns until when it then stands still, as the DRR process does before its renderer.
-    fn stands_still_until(&mut self, part: Part) -> Option<u64> {
-        if part != Part::Drr {
-            return None;
-        }
-        let looked = self.drr.as_mut()?.look(self.now_ns.get(), &mut self.frames);
-        match looked {
-            Ok(Looked::Done) => None,
-            Ok(Looked::Blocked { until_ns }) => Some(until_ns),
-            Err(lost) => {
-                self.frames.failed(&lost);
-                self.kill(Part::Drr, LAUNCHER_NOTICES_NS);
-                None
-            }
-        }
-    }
-
-    /// Programs ask for frames, which wakes the DRR process if it sleeps.
-    fn frames_asked(&mut self, index: usize) {
-        let now_ns = self.now_ns.get();
-        let Some(drr) = &mut self.drr else { return };
-        let (tick, controllers) = (self.newest_tick.unwrap_or(0), self.controllers.len());
-        let asked = self.plan.x_ray.asks[index].requests(controllers, tick, &mut self.frame_requests);
-        asked.into_iter().for_each(|asked| drr.receive_request(asked));
-        let is_drr = |consumer: &&Consumer| consumer.part == Part::Drr;
-        // It would find a state there, too, if there were one.
-        if self.consumers.iter().find(is_drr).is_some_and(|consumer| consumer.asleep && consumer.waiting == 0)
-        {
-            drr.take_requests(now_ns, &mut self.frames);
-        }
-    }
-
-    /// The run is over: the DRR process shows the last state, unless it is dead or told to end.
-    pub fn finish_frames(&mut self) {
-        let Some(mut drr) = self.drr.take().filter(|_| !self.end_requested) else { return };
-        let mut now_ns = self.now_ns.get();
-        loop {
-            match drr.look(now_ns, &mut self.frames) {
-                Ok(Looked::Done) => break,
-                Ok(Looked::Blocked { until_ns }) => now_ns = until_ns,
-                Err(lost) => return self.frames.failed(&lost),
-            }
-        }
-        drr.finish(now_ns, &mut self.frames);
-        // A run may be stopped before its first state.
-        if let Some(tick) = self.newest_tick {
-            self.frames.ended(tick);
-        }
     }
 
     /// A consumer is dead, which the launcher notices after a time.
@@ -410,6 +396,7 @@ impl World {
         if let Some(index) = self.controllers.iter().position(|c| c.asleep && !c.states.is_empty()) {
             self.oracle.fail(format!("controller {index} sleeps beside a state: nobody has woken it"));
         }
+        self.check_frame_waits();
         let waits = wait.on == Awaited::Report;
         if waits && self.consumers.iter().any(|consumer| consumer.asleep && consumer.waiting > 0) {
             self.oracle.fail("the hub waits for a consumer that nobody has woken".to_owned());
@@ -424,7 +411,7 @@ impl World {
             Awaited::Nothing | Awaited::Deadline => false,
             Awaited::Control => !self.control.is_empty(),
             Awaited::Report => !self.reports.is_empty(),
-            Awaited::Command(index) => !self.controllers[index].commands.is_empty(),
+            Awaited::Command(index) => !self.controllers[index.slot()].commands.is_empty(),
         }
     }
 }

@@ -2,15 +2,13 @@
 
 use fastrand::Rng;
 use hub::rate_limit::Connection;
-use messages::{DrrRequest, GEOMETRY_REQUEST};
+use messages::{ControllerIndex, DrrRequest, GeometryChoice};
 use scene::Mode;
 
 use crate::plan::{MS, Plan, US};
 
 /// Programs that ask for frames.
 const ASKERS: usize = 4;
-/// `DrrRequest.requester` of a program that is not a controller.
-const OTHER_PROGRAM: u32 = u32::MAX;
 
 /// The X-ray frames of a schedule.
 #[derive(Debug, Clone, Default)]
@@ -22,13 +20,17 @@ pub struct XRayPlan {
     /// Longest time to render a frame.
     pub render_ns: u64,
     /// The controller that alone may move the C-arm.
-    pub c_arm_driver: Option<u32>,
+    pub c_arm_driver: Option<ControllerIndex>,
     /// States that the process's queue holds.
     pub state_queue: usize,
     /// `Removed` messages that its queue holds.
     pub removed_queue: usize,
     /// Requests for frames.
     pub asks: Vec<Ask>,
+    /// Whether each controller looks at frames before it answers.
+    pub watching: Vec<bool>,
+    /// Frames that a controller's queue holds.
+    pub frame_queue: usize,
 }
 
 /// Requests that are sent together.
@@ -66,8 +68,8 @@ pub enum AskKind {
 pub struct Asked {
     /// The connection that it comes over.
     pub from: Connection,
-    /// The controller that sent it; `u32::MAX` for any other program.
-    pub sender: u32,
+    /// The controller that sent it; `None` for any other program.
+    pub sender: Option<ControllerIndex>,
     /// What it says.
     pub request: DrrRequest,
 }
@@ -81,11 +83,22 @@ impl XRayPlan {
         let is_short = plan.mode == Mode::Realtime && random.u8(..4) == 0;
         let queue = |random: &mut Rng| if is_short { random.usize(1..12) } else { 512 };
         let asks = [0, 0, 1, 3, 6][random.usize(..5)];
+        let seed = random.u64(..);
+        let render_ns = [50 * US, 800 * US, 4 * MS, 30 * MS][random.usize(..4)];
+        // A stream of its own, so that the rest of the plan does not depend on it. In lockstep a controller that waits for slow frames would
+        // be given up.
+        let mut looks = Rng::with_seed(plan.seed ^ 0x1f83_d9ab_fb41_bd6b);
+        let may_watch = plan.drr_ns.is_some() && (plan.mode == Mode::Realtime || render_ns <= MS);
+        let watching = plan.controllers.iter().map(|_| looks.u8(..3) > 0 && may_watch).collect();
+        // In lockstep the real queue is long enough.
+        let frame_queue = if plan.mode == Mode::Realtime { [1, 4, 64][looks.usize(..3)] } else { 64 };
         XRayPlan {
-            seed: random.u64(..),
+            seed,
+            watching,
+            frame_queue,
             period_ticks,
-            render_ns: [50 * US, 800 * US, 4 * MS, 30 * MS][random.usize(..4)],
-            c_arm_driver: random.bool().then(|| random.u32(..plan.controllers.len() as u32)),
+            render_ns,
+            c_arm_driver: random.bool().then(|| ControllerIndex(random.u32(..plan.controllers.len() as u32))),
             state_queue: queue(&mut random),
             removed_queue: queue(&mut random),
             asks: (0..asks).map(|_| ask(plan, &mut random)).collect(),
@@ -119,7 +132,8 @@ fn ask(plan: &Plan, random: &mut Rng) -> Ask {
 impl Ask {
     /// Its requests at the newest state. `number` counts the requests and connections of the run.
     pub fn requests(&self, controllers: usize, newest_tick: u64, number: &mut u64) -> Vec<Asked> {
-        let sender = if self.asker < controllers { self.asker as u32 } else { OTHER_PROGRAM };
+        let sender = (self.asker < controllers).then_some(ControllerIndex(self.asker as u32));
+        let requester = DrrRequest::requester_of(sender);
         let mut asked = Vec::with_capacity((self.connections * self.count) as usize);
         for connection in 0..self.connections {
             // A single connection stays the program's; of several each is a new one.
@@ -130,17 +144,17 @@ impl Ask {
                 let mut request = DrrRequest {
                     request_id: *number,
                     tick: self.ahead_ticks.map_or(0, |ahead| newest_tick + ahead),
-                    requester: sender,
+                    requester,
                     ..DrrRequest::zeroed()
                 };
                 match self.kind {
                     AskKind::Plain => {}
                     AskKind::MovesCArm => {
-                        request.use_geometry = GEOMETRY_REQUEST;
+                        request.use_geometry = GeometryChoice::Request.code();
                         request.geometry.columns = 1 + (*number % 7) as u32;
                     }
-                    AskKind::BadCArm => request.use_geometry = GEOMETRY_REQUEST,
-                    AskKind::OthersName => request.requester = sender.wrapping_add(1),
+                    AskKind::BadCArm => request.use_geometry = GeometryChoice::Request.code(),
+                    AskKind::OthersName => request.requester = requester.wrapping_add(1),
                 }
                 asked.push(Asked { from, sender, request });
             }

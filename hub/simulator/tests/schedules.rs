@@ -9,7 +9,9 @@ fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
     let began = Instant::now();
     let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
     let summary = play(0, 100_000, threads);
-    println!("{summary:?} in {:.1} s on {threads} threads", began.elapsed().as_secs_f64());
+    let wall_s = began.elapsed().as_secs_f64();
+    let rate = summary.schedules as f64 / wall_s;
+    println!("{summary:?} in {wall_s:.1} s on {threads} threads: {rate:.0} schedules a second");
     if let Some((seed, cause)) = summary.failure {
         let (least, least_cause) = shrink(&Plan::of(seed));
         panic!("seed {seed}: {cause}\nshrunk: {least_cause}\n{least:#?}");
@@ -20,6 +22,12 @@ fn the_hub_keeps_its_rules_in_a_hundred_thousand_schedules() {
     assert!(summary.logs_cut * 100 > summary.schedules, "{summary:?}");
     assert!(
         summary.frames > 5 * summary.schedules && summary.frames_refused > summary.schedules,
+        "{summary:?}"
+    );
+    assert!(
+        summary.frames_seen > summary.schedules
+            && summary.watched > 10 * summary.schedules
+            && summary.dropped > summary.schedules,
         "{summary:?}"
     );
 }

@@ -1,7 +1,7 @@
 //! Receives the controllers' commands.
 
 use messages::services::COMMAND;
-use messages::{EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, Plant, SEVERITY_WARNING};
+use messages::{ControllerIndex, EventCode, Plant, Severity};
 
 use super::{Hub, MS, Outcome};
 use crate::environment::{Environment, Incoming, Note};
@@ -45,25 +45,25 @@ impl<P: Plant> Hub<P> {
     /// Takes the commands that have arrived. Invalid ones are refused, reported, and change nothing. Each call reads at most one queue
     /// length per controller and reports refusals together, so a flooding controller cannot stall the tick.
     pub(super) fn collect_commands<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
-        for index in 0..self.controllers.len() {
+        for index in ControllerIndex::first(self.controllers.len()) {
             for _ in 0..COMMAND.queue_length {
                 let Some(incoming) = env.receive_command(index)? else { break };
                 let Some(reason) = self.offer(env, index, incoming) else { continue };
                 self.refused_commands += 1;
-                if self.controllers[index].warnings.allows(env.now_ns()) {
-                    self.warn(env, index, EVENT_COMMAND_REFUSED, &format!("{reason}; refused"))?;
+                if self.controllers[index.slot()].warnings.allows(env.now_ns()) {
+                    self.warn(env, index, EventCode::CommandRefused, &format!("{reason}; refused"))?;
                 }
             }
-            if let Some(more) = self.controllers[index].warnings.take_suppressed(env.now_ns()) {
-                self.warn(env, index, EVENT_COMMAND_REFUSED, &format!("{more} more commands refused"))?;
+            if let Some(more) = self.controllers[index.slot()].warnings.take_suppressed(env.now_ns()) {
+                self.warn(env, index, EventCode::CommandRefused, &format!("{more} more commands refused"))?;
             }
-            let controller = &mut self.controllers[index];
+            let controller = &mut self.controllers[index.slot()];
             if controller.lost > 0 && controller.warnings.allows(env.now_ns()) {
                 let lost = std::mem::take(&mut controller.lost);
                 let length = COMMAND.queue_length;
                 let text =
                     format!("{lost} commands never came: a queue holds {length}, or numbers were left out");
-                self.warn(env, index, EVENT_MESSAGES_LOST, &text)?;
+                self.warn(env, index, EventCode::MessagesLost, &text)?;
             }
         }
         Ok(())
@@ -73,19 +73,19 @@ impl<P: Plant> Hub<P> {
     fn offer<E: Environment>(
         &mut self,
         env: &E,
-        index: usize,
+        index: ControllerIndex,
         incoming: Incoming<messages::Command>,
     ) -> Option<String> {
         let (command, connection) = match incoming {
             Incoming::Message(command, connection) => (command, connection),
             Incoming::Malformed(reason) => return Some(reason),
         };
-        let controller = &mut self.controllers[index];
+        let controller = &mut self.controllers[index.slot()];
         if controller.connection != Some(connection) {
             (controller.connection, controller.seen_sequence) = (Some(connection), 0);
             self.latch.connect(index);
         }
-        if command.state_tick == self.tick && controller.round_trip_ns == 0 {
+        if command.state_tick == self.tick.0 && controller.round_trip_ns == 0 {
             controller.round_trip_ns = env.now_ns().saturating_sub(self.published_ns).max(1);
         }
         let lost = overwritten(&mut controller.seen_sequence, command.sequence);
@@ -97,12 +97,12 @@ impl<P: Plant> Hub<P> {
     pub(super) fn warn<E: Environment>(
         &self,
         env: &mut E,
-        controller: usize,
-        code: u32,
+        controller: ControllerIndex,
+        code: EventCode,
         text: &str,
     ) -> Outcome<(), P, E> {
-        let text = format!("controller `{}`: {text}", self.controllers[controller].name);
-        Ok(env.send_event(&Note { tick: self.tick, severity: SEVERITY_WARNING, code, text: &text })?)
+        let text = format!("controller `{}`: {text}", self.controllers[controller.slot()].name);
+        Ok(env.send_event(&Note { tick: self.tick, severity: Severity::Warning, code, text: &text })?)
     }
 }
 

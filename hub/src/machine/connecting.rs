@@ -1,6 +1,6 @@
 //! The start of a run: waits until everyone is connected.
 
-use messages::{PHASE_CONNECTING, Plant};
+use messages::{ControllerIndex, Phase, Plant, Tick};
 
 use super::control::When;
 use super::{
@@ -22,7 +22,7 @@ impl<P: Plant> Hub<P> {
         let missing = self.consumers.missing();
         if missing.is_none() && !self.shown {
             // Not before the consumers are connected, or they would miss the first messages.
-            self.lane.begin(&self.plant, env).map_err(lane_failed(0))?;
+            self.lane.begin(&self.plant, env).map_err(lane_failed(Tick::START))?;
             self.after_state_published(env);
             self.shown = true;
             let limit =
@@ -44,8 +44,8 @@ impl<P: Plant> Hub<P> {
                     controllers.iter_mut().map(|patience| patience.is_over(now_ns)).collect();
                 match self.awaited_controller() {
                     None => return self.connected(env),
-                    Some(index) if over[index] => {
-                        let controller = &self.controllers[index];
+                    Some(index) if over[index.slot()] => {
+                        let controller = &self.controllers[index.slot()];
                         let limit_s = controller.connect_limit_ns / NS_PER_S;
                         return Err(HubError::ControllerNotConnected {
                             name: controller.name.clone(),
@@ -57,7 +57,7 @@ impl<P: Plant> Hub<P> {
             }
         }
         self.obey(env)?;
-        self.send_status(env, PHASE_CONNECTING, When::IfDue)?;
+        self.send_status(env, Phase::Connecting, When::IfDue)?;
         env.deliver_state_history()?;
         let until_ns = env.now_ns() + CONNECT_LOOK_NS;
         Ok((Stage::Connecting { consumers, controllers }, wait(Awaited::Nothing, until_ns)))
@@ -71,9 +71,8 @@ impl<P: Plant> Hub<P> {
     }
 
     /// A required controller that has not sent a command yet.
-    fn awaited_controller(&self) -> Option<usize> {
-        let mut all = self.controllers.iter().enumerate();
-        all.find(|(index, controller)| !controller.optional && !self.latch.has_command(*index))
-            .map(|(index, _)| index)
+    fn awaited_controller(&self) -> Option<ControllerIndex> {
+        let mut all = ControllerIndex::first(self.controllers.len());
+        all.find(|index| !self.controllers[index.slot()].optional && !self.latch.has_command(*index))
     }
 }

@@ -1,9 +1,7 @@
 //! Run control and run status.
 
 use messages::{
-    CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
-    EVENT_REQUEST_REFUSED, EVENT_RUN, PHASE_CONNECTING, PHASE_PAUSED, PHASE_RUNNING, Plant, RunControl,
-    RunControlReply, RunStatus, SEVERITY_INFO, SEVERITY_WARNING,
+    ControlAction, ControlStatus, EventCode, Phase, Plant, RunControl, RunControlReply, RunStatus, Severity,
 };
 use scene::Mode;
 
@@ -25,12 +23,15 @@ impl<P: Plant> Hub<P> {
                 continue;
             }
             asked = true;
-            let status = if self.obey_one(&request) { CONTROL_DONE } else { CONTROL_REFUSED };
+            let status = match request.action() {
+                Ok(action) => self.obey_one(action, request.ticks),
+                Err(_) => ControlStatus::Refused,
+            };
             env.send_control_reply(&RunControlReply {
                 request_id: request.request_id,
-                tick: self.tick,
+                tick: self.tick.0,
                 action: request.action,
-                status,
+                status: status.code(),
             })?;
         }
         if let Some(more) = self.control_warnings.take_suppressed(env.now_ns()) {
@@ -65,38 +66,38 @@ impl<P: Plant> Hub<P> {
         let text = format!("run control: {reason}; refused");
         Ok(env.send_event(&Note {
             tick: self.tick,
-            severity: SEVERITY_WARNING,
-            code: EVENT_REQUEST_REFUSED,
+            severity: Severity::Warning,
+            code: EventCode::RequestRefused,
             text: &text,
         })?)
     }
 
-    fn obey_one(&mut self, request: &RunControl) -> bool {
-        match request.action {
+    fn obey_one(&mut self, action: ControlAction, ticks: u64) -> ControlStatus {
+        match action {
             // Drops steps still to be made: the newest request wins.
-            CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0),
-            CONTROL_RESUME => (self.paused, self.steps_left) = (false, 0),
-            CONTROL_STEP if self.paused => self.steps_left = self.steps_left.saturating_add(request.ticks),
-            CONTROL_RESET => self.reset_asked = true,
-            CONTROL_STOP => self.stopped = true,
-            _ => return false,
+            ControlAction::Pause => (self.paused, self.steps_left) = (true, 0),
+            ControlAction::Resume => (self.paused, self.steps_left) = (false, 0),
+            ControlAction::Step if self.paused => self.steps_left = self.steps_left.saturating_add(ticks),
+            ControlAction::Step => return ControlStatus::Refused,
+            ControlAction::Reset => self.reset_asked = true,
+            ControlAction::Stop => self.stopped = true,
         }
-        true
+        ControlStatus::Done
     }
 
     /// Paused: polls again after a while.
     pub(super) fn rest<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
-        self.send_status(env, PHASE_PAUSED, When::IfDue)?;
+        self.send_status(env, Phase::Paused, When::IfDue)?;
         env.deliver_state_history()?;
         self.collect_commands(env)?;
         Ok((Stage::Rested, wait(Awaited::Control, env.now_ns() + POLL_NS)))
     }
 
-    pub(super) fn phase(&self) -> u32 {
+    pub(super) fn phase(&self) -> Phase {
         match (self.connected, self.paused) {
-            (false, _) => PHASE_CONNECTING,
-            (true, true) => PHASE_PAUSED,
-            (true, false) => PHASE_RUNNING,
+            (false, _) => Phase::Connecting,
+            (true, true) => Phase::Paused,
+            (true, false) => Phase::Running,
         }
     }
 
@@ -104,7 +105,7 @@ impl<P: Plant> Hub<P> {
     pub(super) fn send_status<E: Environment>(
         &mut self,
         env: &mut E,
-        phase: u32,
+        phase: Phase,
         when: When,
     ) -> Outcome<(), P, E> {
         let now_ns = env.now_ns();
@@ -119,22 +120,22 @@ impl<P: Plant> Hub<P> {
             let text = format!(
                 "progress: {foreign} messages of a program that is neither the DRR process nor the recorder; passed over"
             );
-            let (severity, code) = (SEVERITY_WARNING, EVENT_REQUEST_REFUSED);
+            let (severity, code) = (Severity::Warning, EventCode::RequestRefused);
             env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
         }
         Ok(env.send_status(&RunStatus {
-            tick: self.tick,
+            tick: self.tick.0,
             tick_count: self.settings.tick_count,
             missed_ticks: self.schedule.missed(),
             refused_commands: self.refused_commands,
             removed_messages: self.lane.removed_messages(),
-            phase,
+            phase: phase.code(),
             mode: u32::from(self.settings.mode == Mode::Realtime),
         })?)
     }
 
     pub(super) fn inform<E: Environment>(&self, env: &mut E, text: &str) -> Outcome<(), P, E> {
-        Ok(env.send_event(&Note { tick: self.tick, severity: SEVERITY_INFO, code: EVENT_RUN, text })?)
+        Ok(env.send_event(&Note { tick: self.tick, severity: Severity::Info, code: EventCode::Run, text })?)
     }
 }
 

@@ -6,7 +6,7 @@ mod control;
 mod ticking;
 mod waiting;
 
-use messages::{MAX_CONTROLLERS, Part, Plant, TickTiming};
+use messages::{CommandSource, ControllerIndex, MAX_CONTROLLERS, Part, Plant, Tick, TickTiming};
 use scene::{Mode, Scene};
 use thiserror::Error;
 
@@ -77,6 +77,11 @@ impl Settings {
             consumers: consumers.to_vec(),
         }
     }
+
+    /// The run's last state.
+    fn end(&self) -> Tick {
+        Tick(self.tick_count)
+    }
 }
 
 /// Why a run ends early.
@@ -89,7 +94,7 @@ pub enum HubError<E, P> {
     #[error("tick {tick}: {cause}")]
     Plant {
         /// Tick.
-        tick: u64,
+        tick: Tick,
         /// Reason from the plant.
         cause: P,
     },
@@ -117,7 +122,7 @@ pub enum HubError<E, P> {
         /// Its name.
         name: String,
         /// Tick.
-        tick: u64,
+        tick: Tick,
         /// Limit.
         limit_ms: f64,
     },
@@ -127,7 +132,7 @@ pub enum HubError<E, P> {
         /// The part.
         part: Part,
         /// Tick.
-        tick: u64,
+        tick: Tick,
         /// Limit.
         limit_s: u64,
     },
@@ -174,7 +179,7 @@ pub enum Awaited {
     /// A consumer's report.
     Report,
     /// A command of this controller.
-    Command(usize),
+    Command(ControllerIndex),
 }
 
 /// Where the machine is between two advances.
@@ -193,11 +198,11 @@ enum Stage {
     /// Paused; the poll interval has passed.
     Rested,
     /// Waits until these consumers have taken the state of `tick`, so that their queues do not overflow.
-    ConsumersBehind { tick: u64, whom: Whom, patience: Patience, began_ns: u64 },
+    ConsumersBehind { tick: Tick, whom: Whom, patience: Patience, began_ns: u64 },
     /// Waits for the deadline (real time).
     AwaitDeadline,
     /// Waits for answers (lockstep); `silent` is the controller last waited for.
-    AwaitAnswers { patience: Patience, silent: Option<usize> },
+    AwaitAnswers { patience: Patience, silent: Option<ControllerIndex> },
     /// The last tick is done.
     Ending { patience: Patience, abandoned: Patience },
     /// Ended or failed.
@@ -218,7 +223,7 @@ pub struct Hub<P> {
     controllers: Vec<Controller>,
     consumers: Consumers,
     schedule: Schedule,
-    tick: u64,
+    tick: Tick,
     /// Whether the initial state has been published.
     shown: bool,
     connected: bool,
@@ -236,7 +241,7 @@ pub struct Hub<P> {
     keyframe_refused: bool,
     /// Timing of the coming or current tick.
     timing: TickTiming,
-    sources: [u32; MAX_CONTROLLERS],
+    sources: [CommandSource; MAX_CONTROLLERS],
     /// Notes per controller: one for commands that start being held, one for safe commands.
     late_notes: [[LateNotes; 2]; MAX_CONTROLLERS],
 }
@@ -256,7 +261,7 @@ impl<P: Plant> Hub<P> {
             consumers: Consumers::new(&settings.consumers),
             schedule: Schedule::new(settings.period_ns, now_ns),
             settings,
-            tick: 0,
+            tick: Tick::START,
             shown: false,
             connected: false,
             published_ns: now_ns,
@@ -270,13 +275,13 @@ impl<P: Plant> Hub<P> {
             status_sent_ns: None,
             keyframe_refused: false,
             timing: TickTiming::zeroed(),
-            sources: [0; MAX_CONTROLLERS],
+            sources: [CommandSource::None; MAX_CONTROLLERS],
             late_notes: Default::default(),
         }
     }
 
     /// Ticks made so far.
-    pub fn tick(&self) -> u64 {
+    pub fn tick(&self) -> Tick {
         self.tick
     }
 
@@ -319,7 +324,7 @@ impl<P: Plant> Hub<P> {
 
     /// Between two ticks: executes run control and decides what the next tick waits for.
     fn prepare<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
-        if self.tick >= self.settings.tick_count || self.ends(env) {
+        if self.tick >= self.settings.end() || self.ends(env) {
             return self.finish(env);
         }
         self.obey(env)?;
@@ -369,7 +374,7 @@ fn wait(on: Awaited, until_ns: u64) -> Option<Next> {
 }
 
 /// Turns an error of the run lane into the run's error.
-fn lane_failed<E, P>(tick: u64) -> impl Fn(LaneError<E, P>) -> HubError<E, P> {
+fn lane_failed<E, P>(tick: Tick) -> impl Fn(LaneError<E, P>) -> HubError<E, P> {
     move |cause| match cause {
         LaneError::Output(cause) => HubError::Environment(cause),
         LaneError::Plant(cause) => HubError::Plant { tick, cause },

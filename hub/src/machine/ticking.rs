@@ -1,25 +1,25 @@
 //! Makes a tick.
 
 use messages::{
-    EVENT_COMMAND_HELD, EVENT_COMMAND_REFUSED, EVENT_RUN, EVENT_SAFE_COMMAND, Latched, MAX_CONTROLLERS,
-    PHASE_RUNNING, Plant, SEVERITY_INFO, SEVERITY_WARNING, SOURCE_FRESH, SOURCE_HELD, SOURCE_SAFE,
-    TickTiming,
+    CommandSource, ControllerIndex, EventCode, MAX_CONTROLLERS, Phase, Plant, Severity, Tick, TickTiming,
 };
 use scene::Mode;
 
 use super::control::When;
 use super::{Hub, HubError, Outcome, Stage, Step, lane_failed};
 use crate::environment::{Environment, Note};
+use crate::latch::Reset;
 use crate::pacing::Start;
 use crate::run_lane::LaneError;
 
 impl<P: Plant> Hub<P> {
     pub(super) fn make_tick<E: Environment>(&mut self, env: &mut E, start: Start) -> Outcome<Step, P, E> {
         let start_ns = env.now_ns();
-        let reset = std::mem::take(&mut self.reset_asked);
-        let latched = self.latch.latch(self.tick, reset);
+        let reset = if std::mem::take(&mut self.reset_asked) { Reset::Yes } else { Reset::No };
+        let made = self.tick;
+        let latched = self.latch.latch(made, reset);
         let marks = self.lane.tick(&mut self.plant, &latched, env, |env| env.now_ns());
-        let marks = marks.map_err(lane_failed(self.tick))?;
+        let marks = marks.map_err(lane_failed(made))?;
         self.tick += 1;
         self.after_state_published(env);
         self.publish_keyframe(env)?;
@@ -31,17 +31,17 @@ impl<P: Plant> Hub<P> {
             step_ns: marks.stepped_ns - marks.latched_ns,
             publish_ns: env.now_ns() - marks.stepped_ns,
             missed: u32::from(start.missed),
-            late_controllers: late_controllers(&latched),
+            late_controllers: self.late_controllers(),
             ..self.timing
         };
         for (slot, controller) in timing.round_trip_ns.iter_mut().zip(&mut self.controllers) {
             *slot = std::mem::take(&mut controller.round_trip_ns);
         }
         env.send_timing(&timing)?;
-        self.report_sources(env, &latched)?;
+        self.report_sources(env, made)?;
         self.report_refusals(env)?;
         self.steps_left = self.steps_left.saturating_sub(1);
-        self.send_status(env, PHASE_RUNNING, When::IfDue)?;
+        self.send_status(env, Phase::Running, When::IfDue)?;
         Ok((Stage::TickDue, None))
     }
 
@@ -60,7 +60,7 @@ impl<P: Plant> Hub<P> {
             Err(LaneError::Plant(cause)) => {
                 self.keyframe_refused = true;
                 let text = format!("no keyframe from tick {} on: {cause}", self.tick);
-                let (severity, code) = (SEVERITY_WARNING, EVENT_RUN);
+                let (severity, code) = (Severity::Warning, EventCode::Run);
                 Ok(env.send_event(&Note { tick: self.tick, severity, code, text: &text })?)
             }
         }
@@ -68,23 +68,25 @@ impl<P: Plant> Hub<P> {
 
     /// Reports when a controller's command starts being held or is replaced by the safe one; see
     /// [`LateNotes`](crate::late_notes::LateNotes).
-    fn report_sources<E: Environment>(&mut self, env: &mut E, latched: &Latched) -> Outcome<(), P, E> {
-        for (index, controller) in self.controllers.iter().enumerate() {
-            let (source, before) = (latched.commands[index].source, self.sources[index]);
-            self.sources[index] = source;
-            let [held, safe] = &mut self.late_notes[index];
-            let (notes, severity, code, what) =
-                if source == SOURCE_SAFE && before != SOURCE_SAFE && self.settings.mode == Mode::Realtime {
-                    let what = "late for longer than `run.hold_ticks`: burr off, arm stopped";
-                    (safe, SEVERITY_WARNING, EVENT_SAFE_COMMAND, what)
-                } else if source == SOURCE_HELD && before == SOURCE_FRESH {
-                    (held, SEVERITY_INFO, EVENT_COMMAND_HELD, "late: its last command is held")
-                } else {
-                    continue;
-                };
-            if let Some(more) = notes.add(latched.tick, self.settings.period_ns) {
+    fn report_sources<E: Environment>(&mut self, env: &mut E, made: Tick) -> Outcome<(), P, E> {
+        for (index, controller) in ControllerIndex::first(self.controllers.len()).zip(&self.controllers) {
+            let source = self.latch.source(index);
+            let before = std::mem::replace(&mut self.sources[index.slot()], source);
+            let [held, safe] = &mut self.late_notes[index.slot()];
+            let (notes, severity, code, what) = if source == CommandSource::Safe
+                && before != CommandSource::Safe
+                && self.settings.mode == Mode::Realtime
+            {
+                let what = "late for longer than `run.hold_ticks`: burr off, arm stopped";
+                (safe, Severity::Warning, EventCode::SafeCommand, what)
+            } else if source == CommandSource::Held && before == CommandSource::Fresh {
+                (held, Severity::Info, EventCode::CommandHeld, "late: its last command is held")
+            } else {
+                continue;
+            };
+            if let Some(more) = notes.add(made, self.settings.period_ns) {
                 let text = format!("controller `{}` is {what}{more}", controller.name);
-                env.send_event(&Note { tick: latched.tick, severity, code, text: &text })?;
+                env.send_event(&Note { tick: made, severity, code, text: &text })?;
             }
         }
         Ok(())
@@ -93,23 +95,23 @@ impl<P: Plant> Hub<P> {
     fn report_refusals<E: Environment>(&mut self, env: &mut E) -> Outcome<(), P, E> {
         for refusal in self.plant.refusals() {
             self.refused_commands += u64::from(!refusal.stopped_later);
-            let controller = &mut self.controllers[refusal.controller_index as usize];
+            let controller = &mut self.controllers[refusal.controller.slot()];
             // Rate-limited: an unreachable goal can repeat at every tick.
             if !controller.warnings.allows(env.now_ns()) {
                 continue;
             }
             let (name, end) = (&controller.name, if refusal.stopped_later { "" } else { "; refused" });
             let text = format!("controller `{name}`: command {}: {}{end}", refusal.sequence, refusal.reason);
-            let (severity, code) = (SEVERITY_WARNING, EVENT_COMMAND_REFUSED);
+            let (severity, code) = (Severity::Warning, EventCode::CommandRefused);
             env.send_event(&Note { tick: self.tick, severity, code, text: &text })?;
         }
         Ok(())
     }
-}
 
-/// Bit i is set if controller i's command is not from this tick.
-fn late_controllers(latched: &Latched) -> u32 {
-    let count = (latched.controller_count as usize).min(MAX_CONTROLLERS);
-    let late = latched.commands[..count].iter().enumerate();
-    late.filter(|(_, command)| command.source != SOURCE_FRESH).fold(0, |bits, (index, _)| bits | 1 << index)
+    /// Bit i is set if controller i's command is not from this tick.
+    fn late_controllers(&self) -> u32 {
+        let all = ControllerIndex::first(self.controllers.len().min(MAX_CONTROLLERS));
+        let late = all.filter(|index| self.latch.source(*index) != CommandSource::Fresh);
+        late.fold(0, |bits, index| bits | 1 << index.slot())
+    }
 }

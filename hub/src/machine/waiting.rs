@@ -1,7 +1,7 @@
 //! What a tick waits for: its deadline, the controllers' answers, the consumers. Every wait has a limit, does not count time spent stopped
 //! against it, and checks for the request to end.
 
-use messages::{EVENT_SAFE_COMMAND, PHASE_ENDED, Plant};
+use messages::{ControllerIndex, EventCode, Phase, Plant, Tick};
 use scene::Mode;
 
 use super::control::When;
@@ -36,7 +36,7 @@ impl<P: Plant> Hub<P> {
     pub(super) fn await_consumers<E: Environment>(
         &mut self,
         env: &mut E,
-        tick: u64,
+        tick: Tick,
         whom: Whom,
         mut patience: Patience,
         began_ns: u64,
@@ -78,7 +78,7 @@ impl<P: Plant> Hub<P> {
         &mut self,
         env: &mut E,
         mut patience: Patience,
-        silent: Option<usize>,
+        silent: Option<ControllerIndex>,
     ) -> Outcome<Step, P, E> {
         if let Some(silent) = silent {
             let came = env.has_command(silent);
@@ -94,7 +94,7 @@ impl<P: Plant> Hub<P> {
         }
         loop {
             self.collect_commands(env)?;
-            let Some(silent) = (0..self.controllers.len()).find(|index| !self.is_settled(*index)) else {
+            let Some(silent) = self.unsettled() else {
                 if self.ends(env) {
                     return Ok((Stage::TickDue, None));
                 }
@@ -112,16 +112,21 @@ impl<P: Plant> Hub<P> {
         }
     }
 
+    /// The first controller that lockstep waits for.
+    fn unsettled(&self) -> Option<ControllerIndex> {
+        ControllerIndex::first(self.controllers.len()).find(|index| !self.is_settled(*index))
+    }
+
     /// Whether lockstep need not wait for a controller: it has answered, or it is optional and not connected.
-    fn is_settled(&self, index: usize) -> bool {
+    fn is_settled(&self, index: ControllerIndex) -> bool {
         let away = !self.latch.has_command(index) || self.latch.is_released(index);
-        (away && self.controllers[index].optional) || self.latch.has_answer(index, self.tick)
+        (away && self.controllers[index.slot()].optional) || self.latch.has_answer(index, self.tick)
     }
 
     /// A controller missed its limit in lockstep: an optional one is released and the run goes on without it.
-    fn give_up<E: Environment>(&mut self, env: &mut E, silent: usize) -> Outcome<(), P, E> {
+    fn give_up<E: Environment>(&mut self, env: &mut E, silent: ControllerIndex) -> Outcome<(), P, E> {
         let limit_ms = self.settings.controller_limit_ns as f64 * 1e-6;
-        let controller = &self.controllers[silent];
+        let controller = &self.controllers[silent.slot()];
         if !controller.optional {
             let name = controller.name.clone();
             return Err(HubError::ControllerSilent { name, tick: self.tick, limit_ms });
@@ -132,14 +137,14 @@ impl<P: Plant> Hub<P> {
              and the run goes on without it until it commands again",
             self.tick
         );
-        self.warn(env, silent, EVENT_SAFE_COMMAND, &text)
+        self.warn(env, silent, EventCode::SafeCommand, &text)
     }
 
     /// Publishes that the run is over.
     pub(super) fn finish<E: Environment>(&mut self, env: &mut E) -> Outcome<Step, P, E> {
         let text = format!("the run ended at tick {} of {}", self.tick, self.settings.tick_count);
         self.inform(env, &text)?;
-        self.send_status(env, PHASE_ENDED, When::Now)?;
+        self.send_status(env, Phase::Ended, When::Now)?;
         env.wake_controllers();
         let now_ns = env.now_ns();
         let patience = Patience::new(CONSUMER_LIMIT_NS, now_ns);

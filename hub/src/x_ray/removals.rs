@@ -2,19 +2,20 @@
 
 use std::collections::VecDeque;
 
+use messages::{Restores, Tick};
 use thiserror::Error;
 
 /// The voxels that one tick removed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RemovedBatch {
     /// The tick; 0 for the scene's predrilled voxels.
-    pub tick: u64,
+    pub tick: Tick,
     /// Counts the batches, from 1, rising by one.
     pub sequence: u64,
     /// Number of voxels removed up to and with this tick.
     pub total: u64,
-    /// Whether all removed voxels were first restored, as by a reset.
-    pub restore_first: bool,
+    /// What was put back before.
+    pub restores: Restores,
     /// Linear indices.
     pub voxels: Vec<u32>,
 }
@@ -22,8 +23,8 @@ pub struct RemovedBatch {
 /// What has changed since the last frame.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RemovedSince {
-    /// Whether to restore all removed voxels before removing `voxels`.
-    pub restore_first: bool,
+    /// What to put back before removing `voxels`.
+    pub restores: Restores,
     /// Linear indices in order of removal; after a restore, the predrilled voxels come first.
     pub voxels: Vec<u32>,
 }
@@ -35,7 +36,7 @@ pub enum RemovedLost {
     #[error("tick {tick}: {expected} voxels have been removed, but only {received} arrived here")]
     Voxels {
         /// Tick of the state.
-        tick: u64,
+        tick: Tick,
         /// Voxels that the physics removed.
         expected: u64,
         /// Voxels that came.
@@ -45,7 +46,7 @@ pub enum RemovedLost {
     #[error("tick {tick}: message {received} of removed voxels arrived here after message {before}")]
     Batch {
         /// Tick of the batch after it.
-        tick: u64,
+        tick: Tick,
         /// Number of the batch before it; 0 if there is none.
         before: u64,
         /// Number of the batch after it.
@@ -81,16 +82,16 @@ impl Removals {
     ///
     /// # Errors
     /// Batches are missing.
-    pub fn advance(&mut self, tick: u64, removed_total: u64) -> Result<(), RemovedLost> {
+    pub fn advance(&mut self, tick: Tick, removed_total: u64) -> Result<(), RemovedLost> {
         // Those that are missing may belong to this state.
         self.gap.map_or(Ok(()), Err)?;
         while self.waiting.front().is_some_and(|batch| batch.tick <= tick) {
             let Some(batch) = self.waiting.pop_front() else { break };
-            if batch.restore_first {
-                self.since.restore_first = true;
+            if batch.restores == Restores::Drilled {
+                self.since.restores = Restores::Drilled;
                 self.since.voxels.clone_from(&self.predrilled);
             }
-            if batch.tick == 0 {
+            if batch.tick == Tick::START {
                 self.predrilled.extend_from_slice(&batch.voxels);
             }
             self.since.voxels.extend_from_slice(&batch.voxels);
@@ -113,11 +114,12 @@ mod tests {
     use super::*;
 
     fn batch(sequence: u64, tick: u64, total: u64, voxels: &[u32]) -> RemovedBatch {
-        RemovedBatch { tick, sequence, total, restore_first: false, voxels: voxels.to_vec() }
+        let (tick, restores) = (Tick(tick), Restores::Nothing);
+        RemovedBatch { tick, sequence, total, restores, voxels: voxels.to_vec() }
     }
 
     fn since(voxels: &[u32]) -> RemovedSince {
-        RemovedSince { restore_first: false, voxels: voxels.to_vec() }
+        RemovedSince { restores: Restores::Nothing, voxels: voxels.to_vec() }
     }
 
     #[test]
@@ -126,12 +128,12 @@ mod tests {
         for batch in [batch(1, 0, 2, &[1, 2]), batch(2, 5, 3, &[3]), batch(3, 6, 5, &[5, 4])] {
             removals.receive(batch);
         }
-        removals.advance(0, 2).unwrap();
+        removals.advance(Tick(0), 2).unwrap();
         assert_eq!(removals.take(), since(&[1, 2]));
-        removals.advance(4, 2).unwrap();
+        removals.advance(Tick(4), 2).unwrap();
         assert_eq!(removals.take(), since(&[]));
-        removals.advance(5, 3).unwrap();
-        removals.advance(6, 5).unwrap();
+        removals.advance(Tick(5), 3).unwrap();
+        removals.advance(Tick(6), 5).unwrap();
         assert_eq!(removals.take(), since(&[3, 5, 4]));
     }
 
@@ -140,12 +142,12 @@ mod tests {
         let mut removals = Removals::default();
         removals.receive(batch(1, 0, 1, &[7]));
         removals.receive(batch(2, 3, 2, &[8]));
-        removals.advance(3, 2).unwrap();
+        removals.advance(Tick(3), 2).unwrap();
         removals.take();
-        removals.receive(RemovedBatch { restore_first: true, ..batch(3, 4, 1, &[]) });
+        removals.receive(RemovedBatch { restores: Restores::Drilled, ..batch(3, 4, 1, &[]) });
         removals.receive(batch(4, 5, 2, &[9]));
-        removals.advance(5, 2).unwrap();
-        assert_eq!(removals.take(), RemovedSince { restore_first: true, voxels: vec![7, 9] });
+        removals.advance(Tick(5), 2).unwrap();
+        assert_eq!(removals.take(), RemovedSince { restores: Restores::Drilled, voxels: vec![7, 9] });
         assert_eq!(removals.take(), since(&[]));
     }
 
@@ -153,8 +155,8 @@ mod tests {
     fn a_lost_batch_is_an_error_with_both_counts() {
         let mut removals = Removals::default();
         removals.receive(batch(1, 0, 4, &[1, 2, 3, 4]));
-        let lost = removals.advance(9, 6).unwrap_err();
-        assert_eq!(lost, RemovedLost::Voxels { tick: 9, expected: 6, received: 4 });
+        let lost = removals.advance(Tick(9), 6).unwrap_err();
+        assert_eq!(lost, RemovedLost::Voxels { tick: Tick(9), expected: 6, received: 4 });
         assert_eq!(lost.to_string(), "tick 9: 6 voxels have been removed, but only 4 arrived here");
     }
 
@@ -162,10 +164,10 @@ mod tests {
     fn a_batch_lost_in_between_is_an_error_although_the_totals_agree() {
         let mut removals = Removals::default();
         removals.receive(batch(1, 0, 0, &[1]));
-        removals.advance(0, 0).unwrap();
+        removals.advance(Tick(0), 0).unwrap();
         removals.receive(batch(3, 8, 5, &[6, 7]));
         // Whether the lost batch belongs to this state, nobody knows.
-        let lost = removals.advance(7, 0).unwrap_err();
+        let lost = removals.advance(Tick(7), 0).unwrap_err();
         assert_eq!(lost.to_string(), "tick 8: message 3 of removed voxels arrived here after message 1");
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use messages::services::DRR_REQUEST;
-use messages::{DRR_BUSY, DRR_REFUSED, DrrRequest, GEOMETRY_REQUEST};
+use messages::{ControllerIndex, DrrRequest, DrrStatus, GeometryChoice, Tick};
 use scene::{Drives, Mode, Scene};
 use thiserror::Error;
 
@@ -40,9 +40,9 @@ pub struct ScheduleSettings {
     /// Ticks between two frames; `None` if frames are rendered only on request.
     pub period_ticks: Option<u64>,
     /// The last tick of the run.
-    pub end_tick: u64,
+    pub end_tick: Tick,
     /// Index of the only controller that may move the C-arm; `None` if every program may.
-    pub c_arm_driver: Option<u32>,
+    pub c_arm_driver: Option<ControllerIndex>,
 }
 
 impl ScheduleSettings {
@@ -52,12 +52,12 @@ impl ScheduleSettings {
         ScheduleSettings {
             mode: scene.run.mode,
             period_ticks: scene.frame_period_ticks(),
-            end_tick: scene.tick_count(),
+            end_tick: Tick(scene.tick_count()),
             c_arm_driver: scene
                 .controller
                 .iter()
                 .position(|controller| drives_c_arm(&controller.drives))
-                .map(|index| index as u32),
+                .map(|index| ControllerIndex(index as u32)),
         }
     }
 }
@@ -81,19 +81,25 @@ pub enum Refusal {
     #[error("`tick` is {tick}, the run ends at {end_tick}")]
     AfterTheEnd {
         /// The requested tick.
-        tick: u64,
+        tick: Tick,
         /// The last tick of the run.
-        end_tick: u64,
+        end_tick: Tick,
     },
     /// Too many requests pending, from this program or from all.
     #[error("too many requests wait")]
     Busy,
+    /// The run has ended, before the requested tick or before the request came.
+    #[error("the run has ended at tick {last_tick}")]
+    RunEnded {
+        /// The last state's tick.
+        last_tick: Tick,
+    },
 }
 
 impl Refusal {
-    /// The code for `DrrReply.status`.
-    pub fn status(&self) -> u32 {
-        if *self == Refusal::Busy { DRR_BUSY } else { DRR_REFUSED }
+    /// The status of the reply.
+    pub fn status(&self) -> DrrStatus {
+        if *self == Refusal::Busy { DrrStatus::Busy } else { DrrStatus::Refused }
     }
 }
 
@@ -108,16 +114,24 @@ struct Waiting {
 #[derive(Debug)]
 pub struct Schedule {
     settings: ScheduleSettings,
-    next_tick: u64,
+    next_tick: Tick,
     requests: VecDeque<Waiting>,
     /// The tick of the newest frame.
-    shown_tick: Option<u64>,
+    shown_tick: Option<Tick>,
+    /// The last state's tick, once the run has ended.
+    ended_at: Option<Tick>,
 }
 
 impl Schedule {
     /// A schedule at the start of a run.
     pub fn new(settings: ScheduleSettings) -> Schedule {
-        Schedule { settings, next_tick: 0, requests: VecDeque::new(), shown_tick: None }
+        Schedule {
+            settings,
+            next_tick: Tick::START,
+            requests: VecDeque::new(),
+            shown_tick: None,
+            ended_at: None,
+        }
     }
 
     /// Whether frames also come without requests.
@@ -125,29 +139,32 @@ impl Schedule {
         self.settings.period_ticks.is_some()
     }
 
-    /// Queues a request. `sender` is the index of the controller that sent it, or `u32::MAX` for any other program; `geometry` says whether
-    /// the requested C-arm is valid.
+    /// Queues a request. `sender` is the controller that sent it, or `None` for any other program; `geometry` says whether the requested
+    /// C-arm is valid. A request for another choice of C-arm than the two is one for the scene's.
     ///
     /// # Errors
     /// Why the request is refused; nothing has changed then.
     pub fn request(
         &mut self,
         from: Connection,
-        sender: u32,
+        sender: Option<ControllerIndex>,
         request: DrrRequest,
         geometry: Result<(), String>,
     ) -> Result<(), Refusal> {
-        if request.requester != sender {
+        if request.requester != DrrRequest::requester_of(sender) {
             return Err(Refusal::OtherSender { claimed: request.requester });
         }
-        let moves_c_arm = request.use_geometry == GEOMETRY_REQUEST;
-        if moves_c_arm && self.settings.c_arm_driver.is_some_and(|driver| driver != sender) {
+        let moves_c_arm = request.use_geometry() == Ok(GeometryChoice::Request);
+        if moves_c_arm && self.settings.c_arm_driver.is_some_and(|driver| sender != Some(driver)) {
             return Err(Refusal::NotTheDriver);
         }
         geometry.map_err(Refusal::Geometry)?;
-        let (tick, end_tick) = (request.tick, self.settings.end_tick);
+        let (tick, end_tick) = (Tick(request.tick), self.settings.end_tick);
         if tick > end_tick {
             return Err(Refusal::AfterTheEnd { tick, end_tick });
+        }
+        if let Some(last_tick) = self.ended_at {
+            return Err(Refusal::RunEnded { last_tick });
         }
         let own = self.requests.iter().filter(|waiting| waiting.from == from).count();
         if own >= MAX_WAITING_EACH || self.requests.len() >= MAX_WAITING {
@@ -159,7 +176,7 @@ impl Schedule {
 
     /// Returns a frame due at the state of this tick; the caller renders it and calls again until there is none. In lockstep every
     /// scheduled tick counts and the caller waits for the renderer; in real time a scheduled frame is due only when the renderer is idle.
-    pub fn due(&mut self, tick: u64, renderer: Renderer) -> Option<Due> {
+    pub fn due(&mut self, tick: Tick, renderer: Renderer) -> Option<Due> {
         if self.settings.mode == Mode::Realtime && renderer == Renderer::Busy {
             return None;
         }
@@ -168,19 +185,30 @@ impl Schedule {
         Some(due)
     }
 
-    /// The frame of the run's last state, unless a frame already shows it.
-    pub fn last(&mut self, tick: u64) -> Option<Due> {
-        (self.shown_tick.replace(tick) != Some(tick)).then_some(Due::Scheduled)
+    /// Returns a frame due at the run's last state, whether or not the renderer is busy; the caller calls again until there is none. The
+    /// last is that of the state itself, unless a frame already shows it.
+    pub fn last(&mut self, tick: Tick) -> Option<Due> {
+        let due = self.scheduled(tick).or_else(|| self.requested(tick));
+        let is_shown = self.shown_tick.replace(tick) == Some(tick);
+        due.or_else(|| (!is_shown).then_some(Due::Scheduled))
     }
 
-    fn scheduled(&mut self, tick: u64) -> Option<Due> {
+    /// The run has ended with the state of this tick: returns the requests that can have no frame any more, each to be answered with the
+    /// refusal. Requests that come later are refused by it too.
+    pub fn end(&mut self, last_tick: Tick) -> Vec<(DrrRequest, Refusal)> {
+        self.ended_at = Some(last_tick);
+        let refused = |waiting: Waiting| (waiting.request, Refusal::RunEnded { last_tick });
+        self.requests.drain(..).map(refused).collect()
+    }
+
+    fn scheduled(&mut self, tick: Tick) -> Option<Due> {
         let period = self.settings.period_ticks.filter(|_| tick >= self.next_tick)?;
-        self.next_tick = (tick / period + 1) * period;
+        self.next_tick = Tick((tick.0 / period + 1) * period);
         Some(Due::Scheduled)
     }
 
-    fn requested(&mut self, tick: u64) -> Option<Due> {
-        let index = self.requests.iter().position(|waiting| waiting.request.tick <= tick)?;
+    fn requested(&mut self, tick: Tick) -> Option<Due> {
+        let index = self.requests.iter().position(|waiting| waiting.request.tick <= tick.0)?;
         self.requests.remove(index).map(|waiting| Due::Requested(waiting.request))
     }
 }
@@ -189,43 +217,42 @@ impl Schedule {
 mod tests {
     use super::*;
 
-    const OTHER_PROGRAM: u32 = u32::MAX;
-
     fn schedule(mode: Mode, period_ticks: Option<u64>) -> Schedule {
-        Schedule::new(ScheduleSettings { mode, period_ticks, end_tick: 1_000_000, c_arm_driver: None })
+        Schedule::new(ScheduleSettings { mode, period_ticks, end_tick: Tick(1_000_000), c_arm_driver: None })
     }
 
     fn asked(tick: u64) -> DrrRequest {
-        DrrRequest { request_id: 5, tick, requester: OTHER_PROGRAM, ..DrrRequest::zeroed() }
+        DrrRequest { request_id: 5, tick, requester: DrrRequest::requester_of(None), ..DrrRequest::zeroed() }
     }
 
     fn ask(schedule: &mut Schedule, from: u128, request: DrrRequest) -> Result<(), Refusal> {
-        schedule.request(Connection(from), OTHER_PROGRAM, request, Ok(()))
+        schedule.request(Connection(from), None, request, Ok(()))
     }
 
     #[test]
     fn lockstep_renders_every_scheduled_tick_and_no_other() {
         let mut schedule = schedule(Mode::Lockstep, Some(40));
-        let due: Vec<u64> = (0..=120).filter(|tick| schedule.due(*tick, Renderer::Busy).is_some()).collect();
+        let due: Vec<u64> =
+            (0..=120).filter(|tick| schedule.due(Tick(*tick), Renderer::Busy).is_some()).collect();
         assert_eq!(due, [0, 40, 80, 120]);
     }
 
     #[test]
     fn in_real_time_a_busy_renderer_delays_a_frame_and_does_not_bunch_them() {
         let mut schedule = schedule(Mode::Realtime, Some(40));
-        assert_eq!(schedule.due(0, Renderer::Idle), Some(Due::Scheduled));
-        assert!((1..130).all(|tick| schedule.due(tick, Renderer::Busy).is_none()));
-        assert_eq!(schedule.due(130, Renderer::Idle), Some(Due::Scheduled));
-        assert_eq!(schedule.due(131, Renderer::Idle), None);
-        assert_eq!(schedule.due(160, Renderer::Idle), Some(Due::Scheduled));
+        assert_eq!(schedule.due(Tick(0), Renderer::Idle), Some(Due::Scheduled));
+        assert!((1..130).all(|tick| schedule.due(Tick(tick), Renderer::Busy).is_none()));
+        assert_eq!(schedule.due(Tick(130), Renderer::Idle), Some(Due::Scheduled));
+        assert_eq!(schedule.due(Tick(131), Renderer::Idle), None);
+        assert_eq!(schedule.due(Tick(160), Renderer::Idle), Some(Due::Scheduled));
     }
 
     #[test]
     fn a_request_waits_for_its_tick_and_too_many_are_refused() {
         let mut schedule = schedule(Mode::Lockstep, None);
         assert_eq!(ask(&mut schedule, 1, asked(10)), Ok(()));
-        assert_eq!(schedule.due(9, Renderer::Idle), None);
-        assert_eq!(schedule.due(10, Renderer::Idle), Some(Due::Requested(asked(10))));
+        assert_eq!(schedule.due(Tick(9), Renderer::Idle), None);
+        assert_eq!(schedule.due(Tick(10), Renderer::Idle), Some(Due::Requested(asked(10))));
         assert!((0..MAX_WAITING_EACH).all(|_| ask(&mut schedule, 1, asked(10)).is_ok()));
         assert_eq!(ask(&mut schedule, 1, asked(10)), Err(Refusal::Busy));
     }
@@ -238,7 +265,7 @@ mod tests {
         }
         let mut order = Vec::new();
         for tick in [9, 12] {
-            while let Some(due) = schedule.due(tick, Renderer::Idle) {
+            while let Some(due) = schedule.due(Tick(tick), Renderer::Idle) {
                 order.push(match due {
                     Due::Scheduled => (tick, 0),
                     Due::Requested(request) => (tick, request.request_id),
@@ -263,11 +290,11 @@ mod tests {
         let settings = ScheduleSettings {
             mode: Mode::Lockstep,
             period_ticks: None,
-            end_tick: 100,
-            c_arm_driver: Some(1),
+            end_tick: Tick(100),
+            c_arm_driver: Some(ControllerIndex(1)),
         };
         let mut schedule = Schedule::new(settings);
-        let moving = DrrRequest { use_geometry: GEOMETRY_REQUEST, requester: 0, ..asked(10) };
+        let moving = DrrRequest { use_geometry: GeometryChoice::Request.code(), requester: 0, ..asked(10) };
         let bad = || Err("columns is 0".to_owned());
         let cases = [
             (2, moving, bad(), Refusal::OtherSender { claimed: 0 }),
@@ -277,24 +304,48 @@ mod tests {
                 0,
                 DrrRequest { use_geometry: 0, tick: 101, ..moving },
                 Ok(()),
-                Refusal::AfterTheEnd { tick: 101, end_tick: 100 },
+                Refusal::AfterTheEnd { tick: Tick(101), end_tick: Tick(100) },
             ),
         ];
         for (sender, request, geometry, want) in cases {
-            let refused = schedule.request(Connection(3), sender, request, geometry).unwrap_err();
-            assert_eq!((refused.status(), &refused), (DRR_REFUSED, &want));
+            let refused = schedule
+                .request(Connection(3), Some(ControllerIndex(sender)), request, geometry)
+                .unwrap_err();
+            assert_eq!((refused.status(), &refused), (DrrStatus::Refused, &want));
         }
-        assert_eq!(Refusal::Busy.status(), DRR_BUSY);
-        assert_eq!(schedule.due(200, Renderer::Idle), None);
+        assert_eq!(Refusal::Busy.status(), DrrStatus::Busy);
+        assert_eq!(schedule.due(Tick(200), Renderer::Idle), None);
         let driver = DrrRequest { requester: 1, ..moving };
-        assert_eq!(schedule.request(Connection(3), 1, driver, Ok(())), Ok(()));
+        assert_eq!(schedule.request(Connection(3), Some(ControllerIndex(1)), driver, Ok(())), Ok(()));
     }
 
     #[test]
     fn the_last_state_is_shown_once() {
         let mut schedule = schedule(Mode::Realtime, Some(40));
-        assert_eq!(schedule.due(80, Renderer::Idle), Some(Due::Scheduled));
-        assert_eq!(schedule.last(80), None);
-        assert_eq!(schedule.last(97), Some(Due::Scheduled));
+        assert_eq!(schedule.due(Tick(80), Renderer::Idle), Some(Due::Scheduled));
+        assert_eq!(schedule.last(Tick(80)), None);
+        assert_eq!(schedule.last(Tick(97)), Some(Due::Scheduled));
+        assert_eq!(schedule.last(Tick(97)), None);
+    }
+
+    /// A request that waited for a busy renderer when a real-time run ended got no answer.
+    #[test]
+    fn every_request_that_waits_at_the_end_has_its_frame_or_a_refusal() {
+        for mode in [Mode::Lockstep, Mode::Realtime] {
+            let mut schedule = schedule(mode, Some(40));
+            assert_eq!(schedule.due(Tick::START, Renderer::Idle), Some(Due::Scheduled));
+            let due = [asked(90), DrrRequest { request_id: 6, ..asked(97) }];
+            let beyond = DrrRequest { request_id: 7, ..asked(98) };
+            for request in [due[0], beyond, due[1]] {
+                ask(&mut schedule, 1, request).unwrap();
+            }
+            let frames: Vec<Due> = std::iter::from_fn(|| schedule.last(Tick(97))).collect();
+            assert_eq!(frames, [Due::Scheduled, Due::Requested(due[0]), Due::Requested(due[1])]);
+            let refusal = Refusal::RunEnded { last_tick: Tick(97) };
+            assert_eq!(schedule.end(Tick(97)), [(beyond, refusal.clone())]);
+            assert_eq!(refusal.to_string(), "the run has ended at tick 97");
+            assert_eq!(ask(&mut schedule, 1, asked(0)), Err(refusal));
+            assert_eq!(schedule.end(Tick(97)), []);
+        }
     }
 }

@@ -30,7 +30,7 @@ pub enum SessionError {
     },
     /// No session has, or could ever have, this name.
     #[error(
-        "`{given}` can be no session: the name of a session, and of its folder, is {} letters and digits, as `trabecula run` prints it",
+        "`{given}` cannot be a session: a session's name, which is also its folder's, has {} letters and digits, as `trabecula run` prints it",
         SessionId::LENGTH
     )]
     NotASession {
@@ -39,8 +39,8 @@ pub enum SessionError {
     },
     /// Other users could read or change the sessions in this folder.
     #[error(
-        "{path}: {cause}; sessions lie in a folder of this user's own that only this user may enter: remove this one, or set \
-         XDG_RUNTIME_DIR to one that is"
+        "{path}: {cause}; sessions need a folder that only this user owns and can enter: remove this one, or set \
+         XDG_RUNTIME_DIR to such a folder"
     )]
     Unfit {
         /// The folder.
@@ -49,16 +49,14 @@ pub enum SessionError {
         cause: Unfit,
     },
     /// No random numbers for a session name that nobody can guess.
-    #[error(
-        "the system's generator of random numbers cannot be read ({cause}); a session needs a random name"
-    )]
+    #[error("cannot read random numbers from the system ({cause}); a session needs a random name")]
     NoRandomness {
         /// The system's reason.
         cause: String,
     },
     /// The hub uses another version of the transport.
     #[error(
-        "the hub of {path} uses iceoryx2 {theirs}, this program {ICEORYX2_VERSION}; build both from one version"
+        "the hub of {path} uses iceoryx2 {theirs}, this program {ICEORYX2_VERSION}; build both from the same version"
     )]
     Transport {
         /// Session folder.
@@ -68,7 +66,7 @@ pub enum SessionError {
     },
     /// The hub has another version.
     #[error(
-        "the hub of {path} is Trabecula {theirs}, this program is {}; build both from one version",
+        "the hub of {path} is Trabecula {theirs}, this program is {}; build both from the same version",
         env!("CARGO_PKG_VERSION")
     )]
     Version {
@@ -79,7 +77,7 @@ pub enum SessionError {
     },
     /// A service's layout differs from the one this program was built with.
     #[error(
-        "service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; build both from one version"
+        "service `{service}`: the hub's {message} has layout {theirs}, this program was built with {ours}; build both from the same version"
     )]
     Layout {
         /// Service name.
@@ -92,7 +90,7 @@ pub enum SessionError {
         ours: String,
     },
     /// The port is reserved for a part of the hub.
-    #[error("service `{service}` is written by {writers} alone, which this program is not")]
+    #[error("only {writers} may write service `{service}`")]
     Reserved {
         /// Service name.
         service: String,
@@ -100,7 +98,7 @@ pub enum SessionError {
         writers: String,
     },
     /// Another program already is this part of the session.
-    #[error("{part} of this session is another program; there is one of each")]
+    #[error("another program already is the {part} of this session")]
     PartTaken {
         /// The part.
         part: Part,
@@ -115,14 +113,14 @@ pub enum SessionError {
     },
     /// Another controller already writes this service.
     #[error(
-        "a controller named `{name}` is already connected to this session; a name drives one controller at a time"
+        "a controller named `{name}` is already connected to this session; only one can use the name at a time"
     )]
     ControllerTaken {
         /// The controller's name.
         name: String,
     },
     /// The service has no free slot.
-    #[error("service `{service}`: {limit} programs {what} it already, which is the most; end one of them")]
+    #[error("service `{service}`: {limit} programs already {what} it, which is the limit; end one of them")]
     Crowded {
         /// Service name.
         service: String,
@@ -133,7 +131,7 @@ pub enum SessionError {
     },
     /// Not enough shared memory.
     #[error(
-        "/dev/shm: {bytes} bytes of shared memory for service `{service}` cannot be reserved ({cause}); free some or enlarge it"
+        "/dev/shm: {bytes} bytes of shared memory for service `{service}` cannot be reserved ({cause}); free some space or enlarge /dev/shm"
     )]
     SharedMemory {
         /// Service name.

@@ -14,7 +14,7 @@ use super::{
     create_node, file_error, transported,
 };
 use crate::half_made::HalfMadeSweeper;
-use crate::messages::Part;
+use crate::messages::{ControllerIndex, Part};
 use crate::own::Own;
 use crate::scene::{Policy, Wait};
 use crate::services::{self, SAMPLES_HELD, Service};
@@ -79,7 +79,7 @@ impl SessionHost {
             layouts.insert(name.clone(), service.description.layout_hash());
             byte_services.push(create_byte_service(&node, &name, &service)?);
         }
-        let controllers = (0..plan.controllers.len()).map(Reader::Controller);
+        let controllers = ControllerIndex::first(plan.controllers.len()).map(Reader::Controller);
         let readers = [Reader::Physics, Reader::Drr, Reader::Recorder].into_iter().chain(controllers);
         let event_services = readers
             .map(|reader| create_event_service(&node, &reader.event_name()))

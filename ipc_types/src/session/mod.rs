@@ -20,10 +20,11 @@ use iceoryx2::prelude::{
 };
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
+use crate::messages::{ControllerIndex, MAX_CONTROLLERS, Part};
 use crate::own::Own;
 use crate::services::CONNECTIONS_BYTES;
 use crate::shared_memory::{refusal, require_free};
-use crate::shared_page::SharedPage;
+use crate::shared_page::{FLAG_COUNT, SharedPage};
 
 pub use crate::half_made::HalfMadeSweeper;
 pub use announcement::Announcement;
@@ -72,8 +73,13 @@ pub enum Reader {
     /// The recorder process.
     Recorder,
     /// The scene's controller with this index.
-    Controller(usize),
+    Controller(ControllerIndex),
 }
+
+/// Slot of the first controller.
+const CONTROLLER_SLOT: usize = 8;
+
+const _: () = assert!(CONTROLLER_SLOT + MAX_CONTROLLERS <= FLAG_COUNT);
 
 impl Reader {
     pub(crate) fn slot(self) -> usize {
@@ -81,18 +87,23 @@ impl Reader {
             Reader::Physics => 0,
             Reader::Drr => 1,
             Reader::Recorder => 2,
-            Reader::Controller(index) => 8 + index,
+            Reader::Controller(index) => CONTROLLER_SLOT + index.slot(),
         }
     }
 
     pub(crate) fn event_name(self) -> String {
         match self {
-            Reader::Physics => "wake/physics".to_owned(),
-            Reader::Drr => "wake/drr".to_owned(),
-            Reader::Recorder => "wake/recorder".to_owned(),
+            Reader::Physics => wake_of(Part::Physics),
+            Reader::Drr => wake_of(Part::Drr),
+            Reader::Recorder => wake_of(Part::Recorder),
             Reader::Controller(index) => format!("wake/controller/{index}"),
         }
     }
+}
+
+/// Name of the event service that wakes a part.
+fn wake_of(part: Part) -> String {
+    format!("wake/{}", part.name())
 }
 
 fn transport_config(folder: &Path, id: &SessionId) -> Result<Config, SessionError> {

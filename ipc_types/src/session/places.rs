@@ -42,7 +42,7 @@ pub enum Unfit {
     #[error("it is not a folder")]
     NotAFolder,
     /// It belongs to another user, who could change its content.
-    #[error("it belongs to user {owner}, this program runs as user {user}")]
+    #[error("it belongs to user {owner}, this program runs this user ({user})")]
     NotOwn {
         /// Its owner.
         owner: u32,
@@ -50,19 +50,19 @@ pub enum Unfit {
         user: u32,
     },
     /// Other users could read or change its content.
-    #[error("its mode is {mode:o}, expected 700: others may enter it")]
+    #[error("its mode is {mode:o}, expected 700: other users can enter it")]
     NotPrivate {
         /// Its permissions.
         mode: u32,
     },
     /// Other users could remove or rename its content.
-    #[error("its mode is {mode:o}, expected 1777: everybody may remove what others have there")]
+    #[error("its mode is {mode:o}, expected 1777: any user can remove other users' files there")]
     NotSticky {
         /// Its permissions.
         mode: u32,
     },
     /// The path is too long: the transport's socket names have at most 108 bytes.
-    #[error("it has {bytes} bytes; with more than {limit} the names of sockets below it are too long")]
+    #[error("it has {bytes} bytes; above {limit} bytes the socket paths inside it get too long")]
     TooLong {
         /// Length of the path, bytes.
         bytes: usize,
@@ -202,9 +202,9 @@ impl Place {
 impl Display for Place {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match (&self.unfit, self.open()) {
-            (Some(cause), _) => write!(f, "{} (passed over: {cause})", self.above_as_named()),
+            (Some(cause), _) => write!(f, "{} (not used: {cause})", self.above_as_named()),
             (None, Err(Unfit::Missing)) => write!(f, "{} (not there)", self.sessions.display()),
-            (None, Err(cause)) => write!(f, "{} (passed over: {cause})", self.sessions.display()),
+            (None, Err(cause)) => write!(f, "{} (not used: {cause})", self.sessions.display()),
             (None, Ok(_)) => write!(f, "{}", self.sessions.display()),
         }
     }
@@ -245,7 +245,7 @@ pub(crate) fn choose(all: &[Place]) -> Option<(&Place, Option<String>)> {
     let passed = all.iter().find(|place| place.kind == Kind::Named).and_then(|place| {
         let cause = place.unfit.as_ref()?;
         let (named, sessions) = (place.above_as_named(), chosen.sessions.display());
-        Some(format!("{named} is passed over: {cause}; the session lies in {sessions}"))
+        Some(format!("{named} is not used: {cause}; the session is in {sessions}"))
     });
     Some((chosen, passed))
 }
@@ -285,7 +285,7 @@ impl Display for Searched {
         let user = rustix::process::geteuid().as_raw();
         write!(
             f,
-            "; start one with `trabecula run SCENE` as user {user}, who this program is: sessions of other users, and those \
+            "; start one with `trabecula run SCENE` as this user ({user}): sessions of other users, and those \
              whose folder was removed, cannot be joined"
         )
     }
@@ -342,7 +342,7 @@ mod tests {
                 Path::new("/tmp"),
                 if rustix::process::geteuid().is_root() { "mode is 1777" } else { "belongs to user" },
             ),
-            (&long, "the names of sockets below it are too long"),
+            (&long, "the socket paths inside it get too long"),
         ] {
             let (place, said) = chosen(Some(given.as_os_str()));
             assert_eq!(place, temporary, "{}", given.display());
@@ -374,11 +374,11 @@ mod tests {
         let said = Searched { name: Some("left".to_owned()), places: all }.to_string();
         for word in [
             "`left`",
-            "XDG_RUNTIME_DIR=\"/elsewhere\" (passed over: it does not exist)",
+            "XDG_RUNTIME_DIR=\"/elsewhere\" (not used: it does not exist)",
             temporary.to_str().unwrap(),
         ] {
             assert!(said.contains(word), "{said}");
         }
-        assert!(said.contains(&format!("as user {user}")), "{said}");
+        assert!(said.contains(&format!("this user ({user})")), "{said}");
     }
 }

@@ -3,8 +3,7 @@
 use std::process::Command as Program;
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::Part;
-use ipc_types::messages::State;
+use ipc_types::messages::{ControllerIndex, Part, State};
 use ipc_types::process::bind_to_parent;
 use ipc_types::session::{CONTROLLER_VARIABLE, Reader, SESSION_VARIABLE, SessionHost, SessionPlan};
 use ipc_types::{scene, services};
@@ -58,7 +57,7 @@ pub(super) fn measure(
     let states = session.publisher::<State>(&services::STATE).map_err(failed)?;
     let commands = session.command_subscriber(NAME).map_err(failed)?;
     let waiter = session.waiter(Reader::Physics).map_err(failed)?;
-    let waker = session.waker(Reader::Controller(0)).map_err(failed)?;
+    let waker = session.waker(Reader::Controller(ControllerIndex(0))).map_err(failed)?;
     host.announce().map_err(failed)?;
     client.env(SESSION_VARIABLE, session.folder()).env(CONTROLLER_VARIABLE, NAME);
     let mut child = cores.apart(|| bind_to_parent(&mut client).spawn().map_err(failed))?;

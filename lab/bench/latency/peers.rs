@@ -5,7 +5,7 @@ use std::process::{Command as Program, Stdio};
 use std::time::Duration;
 
 use clap::ValueEnum;
-use ipc_types::messages::TENDON_SERVO_JF;
+use ipc_types::messages::TendonMode;
 use ipc_types::process::end_with_parent;
 use trabecula_client::{Client, ClientError, Connection};
 
@@ -140,7 +140,7 @@ fn answer_as_client(wait: Wait, rounds: usize) -> Result<(), ClientError> {
         }
         let bend_rad = client.state().map_or(0.0, |state| state.bend_rad);
         let command = client.command()?;
-        command.tendon_mode = TENDON_SERVO_JF;
+        command.tendon_mode = TendonMode::ServoJf.code();
         command.tendon_force_n[0] = bend_rad;
         client.send()?;
     }

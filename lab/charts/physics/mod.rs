@@ -1,10 +1,13 @@
 //! `trabecula chart physics`: error against cost for every rung, integrator and baseline, one panel per problem.
 
+mod against;
 mod candidates;
 mod drilled;
 mod elastica;
 mod peers;
 mod problems;
+pub mod promise;
+mod trials;
 mod voxel_wall;
 
 use std::fmt::Write as _;
@@ -100,7 +103,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     let mut text = csv(&measured);
     // Writing to a String cannot fail.
     let name = format!("path error at voxel {} mm (µm)", candidates::COARSE_MM);
-    let _ = writeln!(text, "drilled,full hybrid,27,1,,{name},{:.6e}", coarse_mm * 1e3);
+    let _ = writeln!(text, "drilled,planar hybrid,27,1,,{name},{:.6e}", coarse_mm * 1e3);
     for peer in &peers {
         let (problem, name) = (peer.problem, &peer.name);
         let head = format!("{},{name},{},{}", problem.key(), peer.links, peer.dt_ms);
@@ -132,7 +135,7 @@ fn measure_all(problem: Problem, effort: Effort) -> Result<Vec<Point>, Failure> 
     Ok(points)
 }
 
-/// The drilled path with the tool's own flexures; the arc as it is.
+/// The drilled paths with the tool's own flexures; the arc as it is.
 fn drilled_points(rows: &[Row]) -> Vec<Point> {
     let most = rows.iter().map(|row| row.settings.links).max().unwrap_or(0);
     let own = rows.iter().filter(|row| row.settings.links == most && row.drilling_us_per_ms.is_finite());

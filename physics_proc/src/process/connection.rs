@@ -29,9 +29,10 @@ pub(super) fn hounsfield_units(volume: &Received<Volume>) -> Result<&[i16], Phys
     let message = volume.message();
     let expected = message.dimensions.iter().map(|n| *n as u64).product::<u64>();
     if expected != u64::from(message.hu_length) {
-        let problem = format!("{} voxels, but {:?} of them expected", message.hu_length, message.dimensions);
+        let problem =
+            format!("{} voxels, but the dimensions are {:?}", message.hu_length, message.dimensions);
         return Err(PhysicsError::BadVolume { problem });
     }
     <[i16]>::ref_from_bytes(volume.tail())
-        .map_err(|cause| PhysicsError::BadVolume { problem: format!("voxels do not lie aligned: {cause}") })
+        .map_err(|cause| PhysicsError::BadVolume { problem: format!("the voxels are misaligned: {cause}") })
 }

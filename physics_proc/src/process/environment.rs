@@ -6,8 +6,8 @@ use hub::rate_limit::Connection;
 use hub::{Awaited, Environment, Incoming, Note, Outputs, Report, Start, Wait};
 use ipc_types::clock::now_ns;
 use ipc_types::messages::{
-    Command, Keyframe, Latched, Part, Progress, Removed, RunControl, RunControlReply, RunStatus,
-    SENDER_PHYSICS, State, TickTiming,
+    Command, ControllerIndex, Keyframe, Latched, Part, Participant, Progress, Removed, RunControl,
+    RunControlReply, RunStatus, State, Tick, TickTiming,
 };
 use ipc_types::ports::{PortError, Publisher, Received, Subscriber};
 use ipc_types::process::{EndRequest, EventSender};
@@ -69,9 +69,9 @@ impl SharedMemory {
             control: session.subscriber(&services::RUN_CONTROL)?,
             control_reply: session.publisher(&services::RUN_CONTROL_REPLY)?,
             progress: session.subscriber(&services::PROGRESS)?,
-            events: EventSender::new(session, SENDER_PHYSICS)?,
+            events: EventSender::new(session, Participant::Part(Part::Physics))?,
             commands: names().map(|name| session.command_subscriber(name)).collect::<Result<_, _>>()?,
-            controller_wakers: (0..names().count())
+            controller_wakers: ControllerIndex::first(names().count())
                 .map(|index| session.waker(Reader::Controller(index)))
                 .collect::<Result<_, _>>()?,
             consumers,
@@ -106,7 +106,7 @@ impl SharedMemory {
                 self.waiter.wait_until(until, || self.progress.has_message());
             }
             Awaited::Command(index) => {
-                self.waiter.wait_until(until, || self.commands[index].has_message());
+                self.waiter.wait_until(until, || self.commands[index.slot()].has_message());
             }
         }
     }
@@ -146,8 +146,11 @@ impl Environment for SharedMemory {
         self.end.is_set()
     }
 
-    fn receive_command(&mut self, controller: usize) -> Result<Option<Incoming<Command>>, PortError> {
-        match self.commands[controller].receive() {
+    fn receive_command(
+        &mut self,
+        controller: ControllerIndex,
+    ) -> Result<Option<Incoming<Command>>, PortError> {
+        match self.commands[controller.slot()].receive() {
             Ok(received) => Ok(received.map(|received| copied(&received))),
             Err(PortError::Length { service, bytes, expected }) => {
                 let reason = format!("a message of {bytes} bytes on `{service}`, expected {expected}");
@@ -157,8 +160,8 @@ impl Environment for SharedMemory {
         }
     }
 
-    fn has_command(&self, controller: usize) -> bool {
-        self.commands[controller].has_message()
+    fn has_command(&self, controller: ControllerIndex) -> bool {
+        self.commands[controller.slot()].has_message()
     }
 
     fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, PortError> {
@@ -173,14 +176,14 @@ impl Environment for SharedMemory {
         while let Some(received) = self.progress.receive_valid(|_| {})? {
             // The transport identifies the sender, not the report, so no part can speak for another.
             if let Some(part) = received.part() {
-                return Ok(Some(Report { part, tick: received.message().tick }));
+                return Ok(Some(Report { part, tick: Tick(received.message().tick) }));
             }
         }
         Ok(None)
     }
 
     fn foreign_reports(&self) -> u64 {
-        self.progress.strangers()
+        self.progress.foreign_messages()
     }
 
     fn send_status(&mut self, status: &RunStatus) -> Result<(), PortError> {

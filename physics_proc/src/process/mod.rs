@@ -15,7 +15,7 @@ use std::path::Path;
 
 use hub::{Environment, Hub, HubError, Next, Note, Settings};
 use ipc_types::clock::now_ns;
-use ipc_types::messages::{EVENT_RUN, Part, SEVERITY_INFO};
+use ipc_types::messages::{EventCode, Part, Severity, Tick};
 use ipc_types::ports::PortError;
 use ipc_types::process::{EndRequest, Role, prioritise, session_scene};
 use ipc_types::scene::{Mode, Scene, SceneError};
@@ -50,7 +50,7 @@ pub enum PhysicsError {
         limit_s: u64,
     },
     /// The bytes received are not a volume.
-    #[error("the volume message is not one: {problem}")]
+    #[error("malformed volume message: {problem}")]
     BadVolume {
         /// What is wrong.
         problem: String,
@@ -146,5 +146,5 @@ fn take_priority(memory: &mut SharedMemory, scene: &Scene) -> Result<(), PortErr
 }
 
 fn inform(memory: &mut SharedMemory, text: &str) -> Result<(), PortError> {
-    memory.send_event(&Note { tick: 0, severity: SEVERITY_INFO, code: EVENT_RUN, text })
+    memory.send_event(&Note { tick: Tick::START, severity: Severity::Info, code: EventCode::Run, text })
 }

@@ -63,7 +63,7 @@ pub enum RecorderError {
     #[error("signals cannot be handled: {0}")]
     Signals(std::io::Error),
     /// The log folder cannot be synced to disk.
-    #[error("{}: cannot be brought to the disk: {source}", path.display())]
+    #[error("{}: cannot be synced to disk: {source}", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
@@ -72,8 +72,8 @@ pub enum RecorderError {
     },
     /// The log is finished, but lacks messages that belong in `run.mcap`.
     #[error(
-        "the log has a gap ({lost}): the recorder was held up for longer than the {RECORDER_QUEUE_TICKS} ticks that its queues hold; \
-         `recording.on_full = \"wait\"` makes the physics wait for it"
+        "the log has a gap ({lost}): the recorder stalled for longer than its queues of {RECORDER_QUEUE_TICKS} ticks can bridge; \
+         with `recording.on_full = \"wait\"` the physics waits for it"
     )]
     Gap {
         /// What is missing, by topic.
@@ -122,8 +122,8 @@ pub fn run(session_folder: &Path, output: &Path) -> Result<(), RecorderError> {
         gaps: Gaps::default(),
         run_has_ended: false,
         session_folder: session_folder.to_owned(),
-        strangers: 0,
-        stranger_warnings: WarningLimit::default(),
+        foreign_messages: 0,
+        foreign_warnings: WarningLimit::default(),
         gap_warnings: WarningLimit::default(),
         ports,
     };

@@ -1,8 +1,8 @@
 //! Every service that the recorder subscribes to, and the two that it publishes on.
 
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Progress, Removed,
-    RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming,
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, Keyframe, Latched, Part, Participant, Progress,
+    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
 };
 use ipc_types::ports::{Publisher, Subscriber};
 use ipc_types::process::EventSender;
@@ -59,7 +59,7 @@ impl Ports {
             tick_timing: session.lossless_subscriber(&services::TICK_TIMING)?,
             frame_timing: session.lossless_subscriber(&services::FRAME_TIMING)?,
             progress: session.publisher(&services::PROGRESS)?,
-            events_sent: EventSender::new(session, SENDER_RECORDER)?,
+            events_sent: EventSender::new(session, Participant::Part(Part::Recorder))?,
             waiter: session.waiter(Reader::Recorder)?,
             physics: session.waker(Reader::Physics)?,
         })
@@ -68,16 +68,16 @@ impl Ports {
 
 impl Ports {
     /// Number of messages so far that did not come from the service's owner.
-    pub fn strangers(&self) -> u64 {
-        self.states.strangers()
-            + self.latched.strangers()
-            + self.removed.strangers()
-            + self.keyframes.strangers()
-            + self.frames.as_ref().map_or(0, Subscriber::strangers)
-            + self.replies.strangers()
-            + self.control_replies.strangers()
-            + self.status.strangers()
-            + self.tick_timing.strangers()
-            + self.frame_timing.strangers()
+    pub fn foreign_messages(&self) -> u64 {
+        self.states.foreign_messages()
+            + self.latched.foreign_messages()
+            + self.removed.foreign_messages()
+            + self.keyframes.foreign_messages()
+            + self.frames.as_ref().map_or(0, Subscriber::foreign_messages)
+            + self.replies.foreign_messages()
+            + self.control_replies.foreign_messages()
+            + self.status.foreign_messages()
+            + self.tick_timing.foreign_messages()
+            + self.frame_timing.foreign_messages()
     }
 }

@@ -9,8 +9,7 @@ use hub::rate_limit::WarningLimit;
 use ipc_types::clock::now_ns;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Event, FrameTiming, PHASE_ENDED, Progress, RunStatus,
-    SENDER_RECORDER, SEVERITY_WARNING, TickTiming,
+    Event, EventCode, FrameTiming, Part, Participant, Phase, Progress, RunStatus, Severity, Tick, TickTiming,
 };
 use ipc_types::ports::Subscriber;
 use ipc_types::process::EndRequest;
@@ -52,8 +51,8 @@ pub(super) enum Recorded {
 /// State of the recorder while it records.
 pub(super) struct Recorder {
     /// Number of messages from non-owners reported so far.
-    pub strangers: u64,
-    pub stranger_warnings: WarningLimit,
+    pub foreign_messages: u64,
+    pub foreign_warnings: WarningLimit,
     pub run: RunLog<BackgroundFile>,
     pub timing: TimingLog<BackgroundFile>,
     pub recording: Recording,
@@ -84,7 +83,7 @@ impl Recorder {
                 self.timing.flush()?;
                 quiet_since = Instant::now();
             }
-            self.report_strangers()?;
+            self.report_foreign_messages()?;
         }
         // The launcher writes the end reason before it asks. Its lock may briefly outlive it.
         if self.reason_path().is_none() || !host_is_alive(&self.session_folder) {
@@ -143,7 +142,12 @@ impl Recorder {
         self.take_inputs()?;
         if let Some(more) = self.gap_warnings.take_suppressed(now_ns()) {
             let text = format!("{more} more gaps in the log");
-            self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?;
+            self.ports.events_sent.send(
+                Tick(self.newest_tick),
+                Severity::Warning,
+                EventCode::MessagesLost,
+                &text,
+            )?;
         }
         if self.newest_tick > self.reported_tick {
             self.report_progress(self.newest_tick)?;
@@ -202,7 +206,7 @@ impl Recorder {
         copy_all(&ports.controls, timing, topics::RUN_CONTROL, tick)?;
         copy_all(&ports.control_replies, timing, topics::RUN_CONTROL_REPLY, tick)?;
         while let Some(status) = ports.status.receive()? {
-            self.run_has_ended |= status.message().phase == PHASE_ENDED;
+            self.run_has_ended |= status.message().phase() == Ok(Phase::Ended);
             timing.message(topics::RUN_STATUS, RunStatus::DESCRIPTION, tick, status.bytes())?;
         }
         copy_all(&ports.requests, timing, topics::DRR_REQUEST, tick)
@@ -214,24 +218,36 @@ impl Recorder {
             return Ok(());
         }
         let text = format!(
-            "ticks {} to {} are missing in the log: the recorder was held up for longer than its queues hold",
+            "ticks {} to {} are missing from the log: the recorder stalled for longer than its queues can bridge",
             missing.start,
             missing.end - 1
         );
-        Ok(self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_MESSAGES_LOST, &text)?)
+        Ok(self.ports.events_sent.send(
+            Tick(self.newest_tick),
+            Severity::Warning,
+            EventCode::MessagesLost,
+            &text,
+        )?)
     }
 
     /// Reports when programs have sent messages on a service that they do not own; the log does not record these.
-    fn report_strangers(&mut self) -> Result<(), RecorderError> {
-        let strangers = self.ports.strangers();
-        let new = strangers - self.strangers;
-        if new > 0 && self.stranger_warnings.allows(now_ns()) {
-            self.strangers = strangers;
-            let text = format!("{new} messages on services of other parts came from strangers; not recorded");
-            self.ports.events_sent.send(self.newest_tick, SEVERITY_WARNING, EVENT_REQUEST_REFUSED, &text)?;
+    fn report_foreign_messages(&mut self) -> Result<(), RecorderError> {
+        let foreign_messages = self.ports.foreign_messages();
+        let new = foreign_messages - self.foreign_messages;
+        if new > 0 && self.foreign_warnings.allows(now_ns()) {
+            self.foreign_messages = foreign_messages;
+            let text = format!(
+                "{new} messages from other programs on services reserved for parts of the hub; not recorded"
+            );
+            self.ports.events_sent.send(
+                Tick(self.newest_tick),
+                Severity::Warning,
+                EventCode::RequestRefused,
+                &text,
+            )?;
         }
         // The next report will include these.
-        self.stranger_warnings.take_suppressed(now_ns());
+        self.foreign_warnings.take_suppressed(now_ns());
         Ok(())
     }
 
@@ -242,7 +258,7 @@ impl Recorder {
         self.ports.progress.send(&Progress {
             tick,
             lost_messages,
-            consumer: SENDER_RECORDER,
+            consumer: Participant::Part(Part::Recorder).code(),
             reserved: 0,
         })?;
         self.ports.physics.wake();
@@ -265,12 +281,12 @@ impl Recorder {
         }
         let reason_path = self.reason_path();
         let reason = match reason_path.as_deref().map(reason_file::read) {
-            _ if recorded == Recorded::UpToAnError => EndReason::PartDied("recorder".to_owned()),
+            _ if recorded == Recorded::UpToAnError => EndReason::PartDied(Part::Recorder.name().to_owned()),
             Some(Ok(reason)) => reason,
             // Nobody ended the run, so someone stopped the recorder itself.
-            _ if launcher_lives() => EndReason::PartDied("recorder".to_owned()),
+            _ if launcher_lives() => EndReason::PartDied(Part::Recorder.name().to_owned()),
             // The launcher was killed before it could write a reason.
-            _ => EndReason::PartDied("launcher".to_owned()),
+            _ => EndReason::PartDied(Part::Host.name().to_owned()),
         };
         // The reason file has done its job.
         reason_path.iter().for_each(|path| drop(std::fs::remove_file(path)));

@@ -130,7 +130,7 @@ impl MessageStream {
         options: ReadOptions,
     ) -> Result<MessageStream, LogError> {
         let source = BufReader::with_capacity(1 << 16, source);
-        let Opened { header, metadata, records, first_is_bad } = open(source, path)?;
+        let Opened { header, metadata, records, first_is_bad, is_behind } = open(source, path)?;
         if !options.allow_other_layouts {
             check_layouts(path, &metadata, &header)?;
         }
@@ -147,7 +147,7 @@ impl MessageStream {
             repaired: false,
             declared: Declared::default(),
             second: Parts::default(),
-            has_second: first_is_bad.is_some(),
+            has_second: is_behind,
             header_fault: first_is_bad.map(|cause| (HeaderCopy::First, cause)),
             continuity: Continuity::default(),
             damage: None,
@@ -327,7 +327,7 @@ impl MessageStream {
             let damaged = marker.damaged.get(topic).copied().unwrap_or(0);
             if self.wants(topic) && (read != written || missing > damaged) {
                 return Err(self.damaged(format!(
-                    "{topic} has {read} messages and misses {missing}, the end marker says {written} and {damaged}"
+                    "{topic} has {read} messages and {missing} missing, the end marker says {written} and {damaged}"
                 )));
             }
         }

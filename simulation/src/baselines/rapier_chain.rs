@@ -144,19 +144,16 @@ impl RapierChain {
                 world.multibody_joints.insert(parent, link, hinge.build(), true).map(Joint::Hinge)
             }
             RapierJoints::Springs => {
-                let [outer, inner] = self.parameters.tube_radii_m;
                 let bending = self.stiffness[index];
-                let axial = bending * 4.0 / (outer * outer + inner * inner);
-                let shear = axial / (4.0 + 3.0 * self.parameters.poisson_ratio);
-                let torsion = bending * self.parameters.torsion_stiffness_ratio;
+                let ratios = self.parameters.stiffness_ratios(index);
                 let beta = self.damping[index] / bending;
                 let axes = [
-                    (JointAxis::LinX, shear),
-                    (JointAxis::LinY, shear),
-                    (JointAxis::LinZ, axial),
-                    (JointAxis::AngX, bending * self.parameters.lateral_stiffness_ratio),
+                    (JointAxis::LinX, bending * ratios.shear_toward_per_m2),
+                    (JointAxis::LinY, bending * ratios.shear_across_per_m2),
+                    (JointAxis::LinZ, bending * ratios.axial_per_m2),
+                    (JointAxis::AngX, bending * ratios.lateral),
                     (JointAxis::AngY, bending),
-                    (JointAxis::AngZ, torsion),
+                    (JointAxis::AngZ, bending * ratios.torsion),
                 ];
                 let mut joint = GenericJointBuilder::new(JointAxesMask::empty()).local_anchor1(anchor);
                 for (axis, k) in axes {

@@ -26,6 +26,7 @@ mod contact;
 mod coupling;
 mod delassus;
 mod error;
+mod flexure;
 mod geometry;
 mod loads;
 mod modal;
@@ -37,6 +38,7 @@ mod spatial;
 mod state;
 mod step;
 mod tendon;
+mod validation;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
@@ -49,9 +51,10 @@ use tendon::{Channels, TendonLoad};
 
 pub use constant_curvature::{ConstantCurvature, ConstantCurvatureState};
 pub use error::ManipulatorError;
+pub use flexure::{Notch, StiffnessRatios, UnitStiffness};
 pub use geometry::SphereKind;
 pub use model::{AnyManipulator, AnyManipulatorState, ManipulatorModel, Rung};
-pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, TendonParameters};
+pub use parameters::{ContactParameters, Integrator, ManipulatorParameters, Section, TendonParameters};
 use pressed::PressedStops;
 pub use spatial::{SpatialChain, SpatialState};
 pub use state::{

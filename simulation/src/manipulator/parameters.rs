@@ -1,11 +1,12 @@
-//! Dimensions, stiffnesses, masses and solver settings of a manipulator, with validation.
+//! Dimensions, stiffnesses, masses and solver settings of a manipulator.
 
 use nalgebra::Vector3;
 use scene::STANDARD_RADII;
 use serde::{Deserialize, Serialize};
 
-use super::error::{ManipulatorError, check, check_all};
-use super::{MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
+use super::MAX_LINKS;
+use super::error::ManipulatorError;
+use super::flexure::{Notch, StiffnessRatios};
 
 /// How a step is integrated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -54,6 +55,15 @@ pub struct ContactParameters {
     pub tolerance_m_per_s: f64,
 }
 
+/// What a flexure is, besides its bending stiffness.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Section {
+    /// A piece of a round tube without notches.
+    Tube,
+    /// Given by its ratios, one entry per flexure: see [`ManipulatorParameters::set_notch`].
+    Ratios(Vec<StiffnessRatios>),
+}
+
 /// Complete definition of a continuum manipulator, for every rung. SI units.
 ///
 /// Base frame: +z is the insertion axis along the straight tool, +x the bending direction toward tendon 0, and in the
@@ -64,12 +74,13 @@ pub struct ManipulatorParameters {
     pub joint_positions_m: Vec<f64>,
     /// Bending stiffness of each flexure, N m/rad.
     pub joint_stiffness_nm_per_rad: Vec<f64>,
-    /// Lateral stiffness of each flexure divided by its in-plane bending stiffness. Used by the spatial rungs only.
-    pub lateral_stiffness_ratio: f64,
-    /// Torsional stiffness of each flexure divided by its bending stiffness: 1 / (1 + nu) for a round section. Used by the spatial rungs
-    /// only.
-    pub torsion_stiffness_ratio: f64,
-    /// Poisson's ratio nu, for the shear stiffness of the rung with six degrees of freedom per flexure.
+    /// Where the stiffness of a flexure in its other freedoms comes from. Used by the spatial rungs only.
+    pub section: Section,
+    /// Lateral stiffness of each flexure divided by its bending stiffness, in place of that of `section`.
+    pub lateral_stiffness_ratio: Option<f64>,
+    /// Torsional stiffness of each flexure divided by its bending stiffness, in place of that of `section`.
+    pub torsion_stiffness_ratio: Option<f64>,
+    /// Poisson's ratio nu.
     pub poisson_ratio: f64,
     /// Joint stop of each flexure, symmetric, rad.
     pub joint_limit_rad: f64,
@@ -79,8 +90,8 @@ pub struct ManipulatorParameters {
     pub tip_offset_m: f64,
     /// Mass per length of the flexible tube, kg/m.
     pub linear_density_kg_per_m: f64,
-    /// Outer and inner radius of the tube, m. They set the links' rotary inertia and, in the rung with six degrees of freedom per
-    /// flexure, the axial and shear stiffness. Bending stiffness is given separately in `joint_stiffness_nm_per_rad`.
+    /// Outer and inner radius of the tube, m. They set the links' rotary inertia and, with `section`, the stiffness of a flexure but for
+    /// bending, which `joint_stiffness_nm_per_rad` gives.
     pub tube_radii_m: [f64; 2],
     /// Mass of the burr, a solid sphere, kg.
     pub burr_mass_kg: f64,
@@ -158,31 +169,51 @@ const JHU_STIFFNESS_NM_PER_DEG: [f64; 27] = [
     0.005336815,
 ];
 
+/// The ratios of flexures at `joints_m` between notches; the pitch of a flexure is the mean of those on either side.
+fn notched(
+    notch: &Notch,
+    joints_m: &[f64],
+    tube_radii_m: [f64; 2],
+    poisson_ratio: f64,
+) -> Vec<StiffnessRatios> {
+    let last = joints_m.len().saturating_sub(1);
+    let pitch_m = |i: usize| {
+        let (from, to) = (i.saturating_sub(1), (i + 1).min(last));
+        (joints_m[to] - joints_m[from]) / (to - from).max(1) as f64
+    };
+    (0..joints_m.len())
+        .map(|i| notch.unit_stiffness(pitch_m(i), tube_radii_m, poisson_ratio).ratios())
+        .collect()
+}
+
 impl ManipulatorParameters {
     /// The 27-flexure notched nitinol tool of BIGSS/JHU: OD 6 mm, ID 4 mm, tendon channels at 2.5 mm, burr 6.5 mm.
     ///
-    /// Geometry and stiffness come from the tables above; masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m). `tendon.gap_m` is
-    /// 0, as in the published prediction (8.65 degrees per newton): the notch width is not published, and a gap of one full pitch bends
-    /// about 1 % more. Lateral and torsional stiffness are not published either; the ratios are those of a round nitinol tube (nu =
-    /// 0.33). Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop stiffness and friction are assumptions: override
-    /// them with measured values if you have them.
+    /// Geometry and bending stiffness come from the tables above, the other stiffnesses from the notches ([`Notch::JHU`], nu = 0.33);
+    /// masses assume a solid nitinol tube (6450 kg/m^3, 0.101 kg/m). `tendon.gap_m` is 0, as in the published prediction (8.65 degrees
+    /// per newton): a gap of one full pitch bends about 1 % more. Tendon stiffness (a 0.35 mm steel cable of 0.3 m), damping ratio, stop
+    /// stiffness and friction are assumptions: override them with measured values if you have them.
     pub fn jhu_27() -> Self {
         let joints: Vec<f64> = JHU_JOINTS_MM.iter().map(|z| z * 1e-3).collect();
         let stiffness =
             JHU_STIFFNESS_NM_PER_DEG.iter().map(|k| k * (180.0 / core::f64::consts::PI)).collect();
         let density = 0.101;
         let shaft_length = joints[0];
+        let radii = [STANDARD_RADII.tube_outer_m, STANDARD_RADII.tube_inner_m];
+        let poisson_ratio = 0.33;
+        let section = Section::Ratios(notched(&Notch::JHU, &joints, radii, poisson_ratio));
         Self {
             joint_positions_m: joints,
             joint_stiffness_nm_per_rad: stiffness,
-            lateral_stiffness_ratio: 1.0,
-            torsion_stiffness_ratio: 1.0 / (1.0 + 0.33),
-            poisson_ratio: 0.33,
+            section,
+            lateral_stiffness_ratio: None,
+            torsion_stiffness_ratio: None,
+            poisson_ratio,
             joint_limit_rad: 5.0 * core::f64::consts::PI / 180.0,
             joint_stop_stiffness_nm_per_rad: 100.0,
             tip_offset_m: 4.0e-3,
             linear_density_kg_per_m: density,
-            tube_radii_m: [STANDARD_RADII.tube_outer_m, STANDARD_RADII.tube_inner_m],
+            tube_radii_m: radii,
             burr_mass_kg: 1.0e-3,
             shaft_mass_kg: density * shaft_length,
             shaft_centre_m: 0.5 * shaft_length,
@@ -217,13 +248,14 @@ impl ManipulatorParameters {
     }
 
     /// A uniform beam of `length_m` and flexural rigidity `rigidity_nm2` (EI) as `joints` equal links with flexures at their centres:
-    /// half a link precedes the first flexure and follows the last. No shaft, no burr mass, stops out of reach; everything else as in
-    /// [`Self::jhu_27`].
+    /// half a link precedes the first flexure and follows the last. A round tube, no shaft, no burr mass, stops out of reach;
+    /// everything else as in [`Self::jhu_27`].
     pub fn uniform_beam(joints: usize, length_m: f64, rigidity_nm2: f64) -> Self {
         let pitch = length_m / joints as f64;
         Self {
             joint_positions_m: (0..joints).map(|i| (i as f64 + 0.5) * pitch).collect(),
             joint_stiffness_nm_per_rad: vec![rigidity_nm2 / pitch; joints],
+            section: Section::Tube,
             joint_limit_rad: 3.0,
             tip_offset_m: 0.5 * pitch,
             burr_mass_kg: 0.0,
@@ -238,7 +270,7 @@ impl ManipulatorParameters {
     ///
     /// The flexible length extends half a pitch beyond the first and the last flexure. Each original flexure's compliance is spread
     /// evenly over its cell, which reaches halfway to both neighbours. A new flexure gets the compliance of its link and sits at that
-    /// compliance's centroid, so a small tip load moves the tip as before.
+    /// compliance's centroid, so a small tip load moves the tip as before. The other freedoms' compliances are spread and summed alike.
     ///
     /// # Errors
     /// The number of links or a parameter is out of range.
@@ -252,36 +284,64 @@ impl ManipulatorParameters {
         let burr = z[n - 1] + self.tip_offset_m;
         let edges = self.cell_edges_m();
         let (start, end) = (edges[0], edges[n]);
-        let (mut positions, mut stiffness) = (Vec::new(), Vec::new());
+        let (mut positions, mut stiffness, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
         for i in 0..links {
             let share = |k: usize| start + (end - start) * k as f64 / links as f64;
             let (from, to) = (share(i), share(i + 1));
-            let (mut compliance, mut moment) = (0.0, 0.0);
+            let (mut compliance, mut moment, mut parts) = (0.0, 0.0, Vec::new());
             for j in 0..n {
                 let (a, b) = (from.max(edges[j]), to.min(edges[j + 1]));
                 if b > a {
                     let c = (b - a) / (edges[j + 1] - edges[j]) / self.joint_stiffness_nm_per_rad[j];
                     compliance += c;
                     moment += c * 0.5 * (a + b);
+                    parts.push((c, self.stiffness_ratios(j)));
                 }
             }
             positions.push(moment / compliance);
             stiffness.push(1.0 / compliance);
+            ratios.push(StiffnessRatios::in_series(&parts));
         }
         let tip_offset_m = burr - positions[links - 1];
         // Joint stop and tendon gap scale with the length of tube.
         let pitch_ratio = n as f64 / links as f64;
         let mut tendon = self.tendon;
         tendon.gap_m *= pitch_ratio;
+        let section = match &self.section {
+            Section::Tube => Section::Tube,
+            Section::Ratios(_) => Section::Ratios(ratios),
+        };
         Ok(Self {
             joint_positions_m: positions,
             joint_stiffness_nm_per_rad: stiffness,
+            section,
             joint_limit_rad: (self.joint_limit_rad * pitch_ratio).min(3.1),
             joint_stop_stiffness_nm_per_rad: self.joint_stop_stiffness_nm_per_rad / pitch_ratio,
             tip_offset_m,
             tendon,
             ..self.clone()
         })
+    }
+
+    /// Takes the stiffness of every flexure but for bending from notches of this shape in a tube of `tube_radii_m`. A web's height follows
+    /// from the distances to the neighbouring flexures.
+    pub fn set_notch(&mut self, notch: &Notch) {
+        let ratios = notched(notch, &self.joint_positions_m, self.tube_radii_m, self.poisson_ratio);
+        self.section = Section::Ratios(ratios);
+    }
+
+    /// Stiffness of flexure `joint` in its other freedoms over its bending stiffness. The last flexure's past the end.
+    pub fn stiffness_ratios(&self, joint: usize) -> StiffnessRatios {
+        let tube = || StiffnessRatios::tube(self.tube_radii_m, self.poisson_ratio);
+        let own = match &self.section {
+            Section::Tube => tube(),
+            Section::Ratios(ratios) => ratios.get(joint).or(ratios.last()).copied().unwrap_or_else(tube),
+        };
+        StiffnessRatios {
+            lateral: self.lateral_stiffness_ratio.unwrap_or(own.lateral),
+            torsion: self.torsion_stiffness_ratio.unwrap_or(own.torsion),
+            ..own
+        }
     }
 
     /// Number of tendons.
@@ -300,136 +360,5 @@ impl ManipulatorParameters {
         edges.extend(z.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])));
         edges.push((z[n - 1] + 0.5 * last).min(burr));
         edges
-    }
-
-    /// Checks every field. The error names the first invalid one, its value and the accepted range.
-    pub fn validate(&self) -> Result<(), ManipulatorError> {
-        self.validate_chain()?;
-        self.validate_body()?;
-        self.validate_tendon()?;
-        self.validate_contact()
-    }
-
-    fn validate_chain(&self) -> Result<(), ManipulatorError> {
-        let n = self.joint_positions_m.len();
-        if !(1..=MAX_LINKS).contains(&n) {
-            return Err(ManipulatorError::Length {
-                field: "joint_positions_m",
-                given: n,
-                expected: "1 to 64 entries (1 to 32 for the planar rung)",
-            });
-        }
-        if self.joint_stiffness_nm_per_rad.len() != n {
-            return Err(ManipulatorError::Length {
-                field: "joint_stiffness_nm_per_rad",
-                given: self.joint_stiffness_nm_per_rad.len(),
-                expected: "as many entries as joint_positions_m",
-            });
-        }
-        check_all("joint_positions_m", &self.joint_positions_m, "0 to 10 m", |z| (0.0..=10.0).contains(&z))?;
-        for i in 1..n {
-            let value = self.joint_positions_m[i];
-            if value - self.joint_positions_m[i - 1] < 1e-6 {
-                return Err(ManipulatorError::EntryOutOfRange {
-                    field: "joint_positions_m",
-                    index: i,
-                    value,
-                    allowed: "at least 1e-6 m past the entry before it",
-                });
-            }
-        }
-        let stiffness = &self.joint_stiffness_nm_per_rad;
-        check_all("joint_stiffness_nm_per_rad", stiffness, "1e-6 to 1e6 N m/rad", |k| {
-            (1e-6..=1e6).contains(&k)
-        })?;
-        check("joint_limit_rad", self.joint_limit_rad, "above 0 and at most 3.1 rad", |x| {
-            x > 0.0 && x <= 3.1
-        })?;
-        let stop = self.joint_stop_stiffness_nm_per_rad;
-        check("joint_stop_stiffness_nm_per_rad", stop, "1e-3 to 1e9 N m/rad", |x| (1e-3..=1e9).contains(&x))?;
-        let ratio = |x: f64| (1e-3..=1e3).contains(&x);
-        check("lateral_stiffness_ratio", self.lateral_stiffness_ratio, "0.001 to 1000", ratio)?;
-        check("torsion_stiffness_ratio", self.torsion_stiffness_ratio, "0.001 to 1000", ratio)?;
-        check("poisson_ratio", self.poisson_ratio, "0 to 0.5", |x| (0.0..=0.5).contains(&x))?;
-        check("tip_offset_m", self.tip_offset_m, "1e-6 to 1 m", |x| (1e-6..=1.0).contains(&x))?;
-        check("damping_ratio", self.damping_ratio, "0 to 10", |x| (0.0..=10.0).contains(&x))
-    }
-
-    fn validate_body(&self) -> Result<(), ManipulatorError> {
-        let length = |x: f64| (1e-6..=1.0).contains(&x);
-        check("linear_density_kg_per_m", self.linear_density_kg_per_m, "1e-9 to 1e6 kg/m", |x| {
-            (1e-9..=1e6).contains(&x)
-        })?;
-        check("tube_radii_m[0]", self.tube_radii_m[0], "1e-6 to 1 m", length)?;
-        let outer = self.tube_radii_m[0];
-        check("tube_radii_m[1]", self.tube_radii_m[1], "0 to the outer radius", |x| {
-            (0.0..=outer).contains(&x)
-        })?;
-        for (field, value) in [("burr_mass_kg", self.burr_mass_kg), ("shaft_mass_kg", self.shaft_mass_kg)] {
-            check(field, value, "0 to 1000 kg", |x| (0.0..=1000.0).contains(&x))?;
-        }
-        check("shaft_centre_m", self.shaft_centre_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
-        check_all("mount_stiffness_n_per_m", &self.mount_stiffness_n_per_m, "1 to 1e12 N/m", |k| {
-            (1.0..=1e12).contains(&k)
-        })?;
-        check("mount_damping_ratio", self.mount_damping_ratio, "0 to 100", |x| (0.0..=100.0).contains(&x))?;
-        check_all("gravity_m_per_s2", self.gravity_m_per_s2.as_slice(), "-1000 to 1000", |x| {
-            x.abs() <= 1000.0
-        })?;
-        if self.shaft_sphere_count > MAX_SHAFT_SPHERES {
-            return Err(ManipulatorError::Length {
-                field: "shaft_sphere_count",
-                given: self.shaft_sphere_count,
-                expected: "at most 8",
-            });
-        }
-        check_all("shaft_sphere_span_m", &self.shaft_sphere_span_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
-        check("shaft_sphere_radius_m", self.shaft_sphere_radius_m, "1e-6 to 1 m", length)?;
-        check("segment_sphere_radius_m", self.segment_sphere_radius_m, "1e-6 to 1 m", length)?;
-        check("burr_radius_m", self.burr_radius_m, "1e-6 to 1 m", length)
-    }
-
-    fn validate_tendon(&self) -> Result<(), ManipulatorError> {
-        let tendon = &self.tendon;
-        check("tendon.offset_m", tendon.offset_m, "0 to 1 m", |x| (0.0..=1.0).contains(&x))?;
-        check("tendon.gap_m", tendon.gap_m, "0 to 1 m", |x| (0.0..=1.0).contains(&x))?;
-        check("tendon.stiffness_n_per_m", tendon.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
-            (1.0..=1e12).contains(&x)
-        })?;
-        let given = self.tendon_channels_m.len();
-        if given > MAX_TENDONS {
-            return Err(ManipulatorError::Length {
-                field: "tendon_channels_m",
-                given,
-                expected: "at most 4 entries",
-            });
-        }
-        for channel in &self.tendon_channels_m {
-            check_all("tendon_channels_m", channel, "-1 to 1 m", |x| x.abs() <= 1.0)?;
-        }
-        let friction = tendon.friction_coefficient;
-        check("tendon.friction_coefficient", friction, "0 to 5", |x| (0.0..=5.0).contains(&x))?;
-        check("tendon.presliding_m", tendon.presliding_m, "1e-9 to 1 m", |x| (1e-9..=1.0).contains(&x))
-    }
-
-    fn validate_contact(&self) -> Result<(), ManipulatorError> {
-        let contact = &self.contact;
-        let friction = |x: f64| (0.0..=10.0).contains(&x);
-        check("contact.friction_coefficient", contact.friction_coefficient, "0 to 10", friction)?;
-        check("contact.burr_friction_coefficient", contact.burr_friction_coefficient, "0 to 10", friction)?;
-        check("contact.stiffness_n_per_m", contact.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
-            (1.0..=1e12).contains(&x)
-        })?;
-        check("contact.push_out_speed_m_per_s", contact.push_out_speed_m_per_s, "0 to 1000 m/s", |x| {
-            (0.0..=1000.0).contains(&x)
-        })?;
-        let iterations = contact.max_iterations as f64;
-        check("contact.max_iterations", iterations, "1 to 10000", |x| (1.0..=10000.0).contains(&x))?;
-        check("contact.tolerance_m_per_s", contact.tolerance_m_per_s, "0 to 1 m/s", |x| {
-            (0.0..=1.0).contains(&x)
-        })?;
-        check("hybrid_tolerance_rad", self.hybrid_tolerance_rad, "above 0 and at most 1 rad", |x| {
-            x > 0.0 && x <= 1.0
-        })
     }
 }

@@ -1,9 +1,7 @@
 //! Applies the latched commands to the actuators.
 
 use messages::{
-    ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_NONE, ARM_RCM, ARM_SERVO_CP, ARM_SERVO_JP,
-    ARM_SERVO_JV, BURR_SPEED, Command, Latched, Pose, Refusal, SOURCE_FRESH, SOURCE_SAFE, TENDON_MOVE_JP,
-    TENDON_SERVO_JF, TENDON_SERVO_JP,
+    ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched, Pose, Refusal, TendonMode,
 };
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
@@ -16,20 +14,20 @@ impl Simulation<'_> {
     pub(super) fn apply(&mut self, latched: &Latched) {
         self.refusals.clear();
         for entry in latched.commands.iter().take(latched.controller_count as usize) {
-            if entry.source != SOURCE_FRESH && entry.source != SOURCE_SAFE {
+            if !matches!(entry.source(), Ok(CommandSource::Fresh | CommandSource::Safe)) {
                 continue;
             }
+            let controller = ControllerIndex(entry.controller_index);
             let outcomes = [self.apply_tendon(&entry.command), self.apply_arm(&entry.command)];
-            if entry.command.arm_mode != ARM_NONE && outcomes[1].is_ok() {
-                self.arm_driver =
-                    ArmDriver { controller_index: entry.controller_index, sequence: entry.command.sequence };
+            if entry.command.arm_mode() != Ok(ArmMode::None) && outcomes[1].is_ok() {
+                self.arm_driver = ArmDriver { controller, sequence: entry.command.sequence };
             }
-            if entry.command.burr_mode == BURR_SPEED {
+            if entry.command.burr_mode() == Ok(BurrMode::Speed) {
                 self.burr_speed_rad_per_s = entry.command.burr_speed_rad_per_s;
             }
             for reason in outcomes.into_iter().filter_map(Result::err) {
                 self.refusals.push(Refusal {
-                    controller_index: entry.controller_index,
+                    controller,
                     sequence: entry.command.sequence,
                     reason,
                     stopped_later: false,
@@ -43,50 +41,53 @@ impl Simulation<'_> {
         let mine = |all: &[f64; MAX_TENDONS]| {
             core::array::from_fn(|t| if t < self.manipulator.tendon_count() { all[t] } else { 0.0 })
         };
-        match command.tendon_mode {
-            TENDON_SERVO_JF => self.tendon.servo_force(mine(&command.tendon_force_n)),
-            TENDON_SERVO_JP => self.tendon.servo_displacement(mine(&command.tendon_displacement_m)),
-            TENDON_MOVE_JP => {
+        match command.tendon_mode() {
+            Ok(TendonMode::ServoJf) => self.tendon.servo_force(mine(&command.tendon_force_n)),
+            Ok(TendonMode::ServoJp) => self.tendon.servo_displacement(mine(&command.tendon_displacement_m)),
+            Ok(TendonMode::MoveJp) => {
                 let now_m = self.manipulator.tendon_displacements_m();
                 let goal_m = mine(&command.tendon_displacement_m);
                 self.tendon
                     .move_to(goal_m, now_m, self.dt_s)
                     .map_err(|cause| format!("tendon move_jp: {cause}"))?;
             }
-            _ => {}
+            Ok(TendonMode::None) => {}
+            Err(unknown) => return Err(unknown.to_string()),
         }
         Ok(())
     }
 
     fn apply_arm(&mut self, command: &Command) -> Result<(), String> {
         let speed_m_per_s = (command.arm_speed_m_per_s > 0.0).then_some(command.arm_speed_m_per_s);
-        let wanted = match command.arm_mode {
-            ARM_NONE => return Ok(()),
-            ARM_SERVO_JP => {
+        let mode = command.arm_mode().map_err(|unknown| unknown.to_string())?;
+        let wanted = match mode {
+            ArmMode::None => return Ok(()),
+            ArmMode::ServoJp => {
                 ArmCommand::ServoJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 }
             }
-            ARM_MOVE_JP => ArmCommand::MoveJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 },
-            ARM_SERVO_CP => {
+            ArmMode::MoveJp => {
+                ArmCommand::MoveJp { q_rad: command.arm_joint_position_rad, speed_fraction: 1.0 }
+            }
+            ArmMode::ServoCp => {
                 ArmCommand::ServoCp { t_world_tool: isometry(&command.t_world_base), speed_fraction: 1.0 }
             }
-            ARM_MOVE_CP => ArmCommand::MoveCp {
+            ArmMode::MoveCp => ArmCommand::MoveCp {
                 t_world_tool: isometry(&command.t_world_base),
                 max_speed_m_s: speed_m_per_s,
                 max_angular_speed_rad_s: None,
             },
-            ARM_HOLD => ArmCommand::Hold,
-            ARM_SERVO_JV => ArmCommand::ServoJv { qd_rad_s: command.arm_joint_velocity_rad_per_s },
-            ARM_INSERT => ArmCommand::Insert {
+            ArmMode::Hold => ArmCommand::Hold,
+            ArmMode::ServoJv => ArmCommand::ServoJv { qd_rad_s: command.arm_joint_velocity_rad_per_s },
+            ArmMode::Insert => ArmCommand::Insert {
                 axis_world: Vector3::from(command.arm_axis),
                 depth_m: command.arm_depth_m,
                 feed_m_s: command.arm_speed_m_per_s,
             },
-            ARM_RCM => ArmCommand::Rcm {
+            ArmMode::Rcm => ArmCommand::Rcm {
                 t_world_tool: isometry(&command.t_world_base),
                 pivot_world_m: Vector3::from(command.arm_pivot_m),
                 max_speed_m_s: speed_m_per_s,
             },
-            other => return Err(format!("arm_mode is {other}")),
         };
         self.arm.command(wanted).map_err(|cause| format!("arm: {cause}"))
     }
@@ -101,9 +102,9 @@ impl Simulation<'_> {
         }
         self.arm_fault = fault;
         if let Some(cause) = fault {
-            let ArmDriver { controller_index, sequence } = self.arm_driver;
+            let ArmDriver { controller, sequence } = self.arm_driver;
             let reason = format!("arm: stopped on its way: {cause}");
-            self.refusals.push(Refusal { controller_index, sequence, reason, stopped_later: true });
+            self.refusals.push(Refusal { controller, sequence, reason, stopped_later: true });
         }
     }
 }

@@ -1,10 +1,6 @@
 //! Writes the state message.
 
-use messages::{
-    ARM_DONE, ARM_FAULT, ARM_HOLD, ARM_INSERT, ARM_MOVE_CP, ARM_MOVE_JP, ARM_MOVING, ARM_RCM, ARM_SERVO_CP,
-    ARM_SERVO_JP, ARM_SERVO_JV, AppliedCommand, Contact, Latched, PART_BURR, PART_SEGMENT, PART_SHAFT, Pose,
-    Wrench,
-};
+use messages::{AppliedCommand, ArmStatus, Contact, ContactPart, Latched, Pose, Wrench};
 use nalgebra::{Isometry3, Vector3};
 
 use super::{Simulation, numbers};
@@ -73,7 +69,10 @@ impl Simulation<'_> {
             let plane = self.planes.get(result.contact_index);
             *slot = Contact {
                 sphere_index: result.sphere_index as u32,
-                part: spheres.get(result.sphere_index).map_or(PART_BURR, |sphere| part(sphere.kind)),
+                part: spheres
+                    .get(result.sphere_index)
+                    .map_or(ContactPart::Burr, |sphere| part(sphere.kind))
+                    .code(),
                 point_m: plane.map_or([0.0; 3], |plane| numbers(&plane.point_m)),
                 normal: numbers(&result.normal),
                 gap_m: plane.map_or(0.0, |plane| plane.gap_m),
@@ -99,12 +98,13 @@ impl Simulation<'_> {
         let arm = self.arm.state();
         self.state.arm_joint_position_rad = arm.q_rad;
         self.state.arm_joint_velocity_rad_per_s = arm.qd_rad_s;
-        self.state.arm_mode = mode_number(arm.mode);
-        self.state.arm_status = match (arm.fault, arm.done) {
-            (Some(_), _) => ARM_FAULT,
-            (None, true) => ARM_DONE,
-            (None, false) => ARM_MOVING,
+        self.state.arm_mode = mode_followed(arm.mode).code();
+        let status = match (arm.fault, arm.done) {
+            (Some(_), _) => ArmStatus::Fault,
+            (None, true) => ArmStatus::Done,
+            (None, false) => ArmStatus::Moving,
         };
+        self.state.arm_status = status.code();
         self.state.arm_manipulability_m3 = self.arm.parameters().geometry.manipulability_m3(&arm.q_rad);
         self.state.t_world_flange = pose(&self.arm.t_world_flange());
         if let Some(compliance) = &self.compliance {
@@ -120,25 +120,25 @@ impl Simulation<'_> {
     }
 }
 
-/// The `arm_mode` number of what the arm follows, as in commands.
-fn mode_number(mode: ArmMode) -> u32 {
+/// What the arm follows, as in commands.
+fn mode_followed(mode: ArmMode) -> messages::ArmMode {
     match mode {
-        ArmMode::Hold => ARM_HOLD,
-        ArmMode::ServoJp => ARM_SERVO_JP,
-        ArmMode::ServoJv => ARM_SERVO_JV,
-        ArmMode::MoveJp => ARM_MOVE_JP,
-        ArmMode::ServoCp => ARM_SERVO_CP,
-        ArmMode::MoveCp => ARM_MOVE_CP,
-        ArmMode::Insert => ARM_INSERT,
-        ArmMode::Rcm => ARM_RCM,
+        ArmMode::Hold => messages::ArmMode::Hold,
+        ArmMode::ServoJp => messages::ArmMode::ServoJp,
+        ArmMode::ServoJv => messages::ArmMode::ServoJv,
+        ArmMode::MoveJp => messages::ArmMode::MoveJp,
+        ArmMode::ServoCp => messages::ArmMode::ServoCp,
+        ArmMode::MoveCp => messages::ArmMode::MoveCp,
+        ArmMode::Insert => messages::ArmMode::Insert,
+        ArmMode::Rcm => messages::ArmMode::Rcm,
     }
 }
 
-fn part(kind: SphereKind) -> u32 {
+fn part(kind: SphereKind) -> ContactPart {
     match kind {
-        SphereKind::Shaft => PART_SHAFT,
-        SphereKind::Segment(_) => PART_SEGMENT,
-        SphereKind::Burr => PART_BURR,
+        SphereKind::Shaft => ContactPart::Shaft,
+        SphereKind::Segment(_) => ContactPart::Segment,
+        SphereKind::Burr => ContactPart::Burr,
     }
 }
 

@@ -16,7 +16,7 @@ mod message;
 mod setup;
 mod tendon_drive;
 
-use messages::{Latched, Plant, Refusal, State};
+use messages::{ControllerIndex, Latched, Plant, Refusal, State};
 use nalgebra::Vector3;
 use scene::Scene;
 use thiserror::Error;
@@ -110,7 +110,7 @@ pub struct Simulation<'v> {
 /// The sender of an arm command.
 #[derive(Debug, Clone, Copy, Default)]
 struct ArmDriver {
-    controller_index: u32,
+    controller: ControllerIndex,
     /// Sequence number of the command.
     sequence: u64,
 }

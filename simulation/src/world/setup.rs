@@ -13,7 +13,7 @@ use crate::arm::{Arm, ArmParameters, COMFORTABLE_Q_RAD, Compliance, CompliancePa
 use crate::bone::{BoneField, BoneParameters, ContactBuffer, ContactKind, GridGeometry, Removal, VoxelIndex};
 use crate::manipulator::{
     AnyManipulator, BaseMotion, Integrator, MAX_CONTACTS, ManipulatorError, ManipulatorModel,
-    ManipulatorParameters, Rung,
+    ManipulatorParameters, Notch, Rung,
 };
 use crate::rigid::{BodyMotion, BodyParameters, BodyShape, RigidScene};
 
@@ -82,15 +82,16 @@ pub fn rung(name: ManipulatorRung) -> Rung {
 pub fn manipulator_parameters(scene: &Scene) -> Result<ManipulatorParameters, ManipulatorError> {
     let mut parameters = ManipulatorParameters::jhu_27();
     let overrides = &scene.manipulator;
+    let notch = Notch {
+        width_m: overrides.notch_width_mm.map_or(Notch::JHU.width_m, |mm| mm * 1e-3),
+        past_axis_m: overrides.notch_past_axis_mm.map_or(Notch::JHU.past_axis_m, |mm| mm * 1e-3),
+    };
+    parameters.set_notch(&notch);
     if let Some(links) = overrides.links {
         parameters = parameters.with_links(links)?;
     }
-    if let Some(ratio) = overrides.lateral_stiffness_ratio {
-        parameters.lateral_stiffness_ratio = ratio;
-    }
-    if let Some(ratio) = overrides.torsion_stiffness_ratio {
-        parameters.torsion_stiffness_ratio = ratio;
-    }
+    parameters.lateral_stiffness_ratio = overrides.lateral_stiffness_ratio;
+    parameters.torsion_stiffness_ratio = overrides.torsion_stiffness_ratio;
     if let Some(friction) = overrides.tendon_friction {
         parameters.tendon.friction_coefficient = friction;
     }

@@ -15,7 +15,7 @@ use crate::failure::Failure;
 pub struct CatArguments {
     /// Log file, or the folder of a run.
     log: PathBuf,
-    /// Only this topic (may be repeated); chunks that hold none of them are not read.
+    /// Only this topic (may be repeated); chunks without it are not read.
     #[arg(long = "topic")]
     topics: Vec<String>,
     /// Only this field, such as `t_world_tip.position_m` (may be repeated).

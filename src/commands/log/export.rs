@@ -22,13 +22,13 @@ use crate::output::refuse_existing;
 pub struct ExportArguments {
     /// Log file, or the folder of a run.
     log: PathBuf,
-    /// A new `.csv` or `.parquet` file; with `--frames` a folder for the pictures.
+    /// New `.csv` or `.parquet` file; with `--frames`, a folder for the images.
     #[arg(short, long)]
     output: PathBuf,
-    /// The topic of the table.
+    /// Topic to export.
     #[arg(long, default_value = topics::STATE)]
     topic: String,
-    /// A field of it (may be repeated); none for all. An array becomes a column an element.
+    /// Field to export (may be repeated); default: all. An array becomes one column per element.
     #[arg(long = "field")]
     fields: Vec<String>,
     /// First tick.
@@ -37,7 +37,7 @@ pub struct ExportArguments {
     /// Last tick, included.
     #[arg(long)]
     to: Option<u64>,
-    /// A PNG a frame, 16 bits a pixel as recorded, instead of a table.
+    /// Export one 16-bit PNG per frame, with the recorded pixel values, instead of a table.
     #[arg(long, conflicts_with_all = ["fields"])]
     frames: bool,
 }

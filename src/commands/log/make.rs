@@ -33,14 +33,14 @@ pub fn repair_log(arguments: &RepairArguments, out: &mut Out<'_>) -> Result<(), 
     super::concluded(out, if report.was_whole() { 0 } else { EXIT_GAP })
 }
 
-/// How to pack chunks.
+/// How to compress chunks.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum Method {
-    /// Not at all.
+    /// No compression.
     None,
-    /// LZ4: fast.
+    /// LZ4 (fast).
     Lz4,
-    /// Zstandard: dense.
+    /// Zstandard (small files).
     Zstd,
 }
 
@@ -52,10 +52,10 @@ pub struct CompressArguments {
     /// The new log.
     #[arg(short, long)]
     output: PathBuf,
-    /// How to pack.
+    /// Compression method.
     #[arg(long, value_enum, default_value = "zstd")]
     method: Method,
-    /// Level: 0 to 12 for lz4, 1 to 22 for zstd.
+    /// Compression level: 0 to 12 for lz4, 1 to 22 for zstd.
     #[arg(long)]
     level: Option<u32>,
 }
@@ -96,7 +96,7 @@ pub struct CatFilesArguments {
     /// Log files, or folders of runs.
     #[arg(required = true, num_args = 2..)]
     logs: Vec<PathBuf>,
-    /// The new file. Topics of the first log begin with /run1, of the second with /run2, …
+    /// The new file. Topics of the first log get the prefix /run1, those of the second /run2, and so on.
     #[arg(short, long)]
     output: PathBuf,
 }
@@ -115,9 +115,9 @@ pub fn cat_files_log(arguments: &CatFilesArguments, out: &mut Out<'_>) -> Result
 /// Arguments of `log split`.
 #[derive(Debug, Args)]
 pub struct SplitArguments {
-    /// A file of several runs, or the folder that holds it as `run.mcap`.
+    /// File with several runs, or the folder that contains it as `run.mcap`.
     log: PathBuf,
-    /// Folder for run1.mcap, run2.mcap, …
+    /// Folder for run1.mcap, run2.mcap and so on.
     #[arg(short, long)]
     output: PathBuf,
 }

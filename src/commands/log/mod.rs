@@ -18,29 +18,29 @@ use crate::say::{self, Out};
 /// What to do with a log.
 #[derive(Debug, Subcommand)]
 pub enum LogCommand {
-    /// Summary: scene, build, ticks, topics, sizes, what is missing, how it ends.
+    /// Print a summary: scene, build, ticks, topics, sizes, gaps and how the log ends.
     Info {
         /// Log file, or the folder of a run.
         log: PathBuf,
     },
-    /// Messages as JSON lines.
+    /// Print messages as JSON lines.
     Cat(cat::CatArguments),
-    /// First difference between two logs; exit code 1 if there is one.
+    /// Print the first difference between two logs; exit code 1 if they differ.
     Diff {
         /// Log file, or the folder of a run.
         first: PathBuf,
-        /// The other.
+        /// The log to compare it with.
         second: PathBuf,
     },
-    /// Make a whole log of a cut or damaged one, and say what is lost.
+    /// Write a readable log from a cut or damaged one and report what is lost.
     Repair(make::RepairArguments),
-    /// Pack a log more densely, or not at all; the same messages.
+    /// Recompress a log, or store it uncompressed; the messages stay the same.
     Compress(make::CompressArguments),
-    /// A topic's fields as a table (.csv, .parquet), or a PNG a frame.
+    /// Export a topic as a table (.csv, .parquet), or the X-ray frames as PNG files.
     Export(export::ExportArguments),
-    /// Put several whole logs into one file.
+    /// Join several complete logs into one file.
     CatFiles(make::CatFilesArguments),
-    /// Make a log of each run of a file of several.
+    /// Split a file with several runs into one log per run.
     Split(make::SplitArguments),
 }
 

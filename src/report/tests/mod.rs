@@ -235,7 +235,7 @@ fn a_picture_that_cannot_be_written_costs_nothing_else_and_replaces_nothing() {
     let missing: Vec<String> = report.missing.iter().map(ToString::to_string).collect();
     assert_eq!(missing.len(), 3, "{missing:?}");
     assert!(
-        missing.iter().zip(names).all(|(text, name)| text.contains(&format!("{name}: is there already"))),
+        missing.iter().zip(names).all(|(text, name)| text.contains(&format!("{name}: already exists"))),
         "{missing:?}"
     );
     assert!(folder.path().join(names[0]).is_dir());

@@ -1,6 +1,6 @@
 //! Small scenes.
 
-/// Where the tool starts: in front of the block, 0.75 mm of air between burr and bone.
+/// Where the tool starts: in front of the block, 3.25 mm of air between burr and bone.
 const TOOL: &str = "
 [tool]
 burr_start_mm = [0.0, 0.0, -34.0]
@@ -19,7 +19,7 @@ photons_per_pixel = 5000.0
 threads = 1
 ";
 
-/// The block phantom, 40 x 40 x 60 mm, centred on the origin.
+/// The block phantom, 35 x 35 x 55 mm with 2.5 mm of air around it, centred on the origin.
 const BLOCK: &str = "
 [volume]
 phantom = \"block\"
@@ -94,7 +94,7 @@ pub fn keyframes(interval_s: f64) -> String {
 pub fn scheduled(duration_s: f64, with_frames: bool) -> String {
     let frames = if with_frames { DRR } else { "" };
     let scene = piloted("realtime", duration_s, "hold_ticks = 20");
-    // A twentieth of a millimetre from the bone: whatever moves forward drills.
+    // 2.55 mm from the bone: what moves forward soon drills.
     let scene = scene.replace("[0.0, 0.0, -34.0]", "[0.0, 0.0, -33.3]");
     format!("{scene}{frames}{}", keyframes(0.3))
 }

@@ -70,9 +70,9 @@ impl BoneThread {
     fn follow(&self, mut bone: Bone, hu: &[i16], mut removals: Removals) -> Result<(), BoneError> {
         let mut meshed: Option<Instant> = None;
         while !self.over.load(Ordering::Relaxed) {
-            removals.look(&self.board)?;
+            removals.poll(&self.board)?;
             while let Some((removed, voxels)) = removals.next() {
-                bone.take(&removed, &voxels);
+                bone.apply(&removed, &voxels);
             }
             if meshed.is_none_or(|meshed| meshed.elapsed() >= MESH_PERIOD) {
                 bone.publish(hu, &self.board);
@@ -119,7 +119,7 @@ fn voxels(bytes: &[u8]) -> Cow<'_, [i16]> {
 struct Removals {
     messages: Subscriber<Removed>,
     status: Subscriber<RunStatus>,
-    line: Line,
+    queue: RemovalQueue,
     /// The log being recorded, if any.
     log: Option<PathBuf>,
     looked: Option<Instant>,
@@ -132,22 +132,22 @@ impl Removals {
         Ok(Removals {
             messages: session.subscriber(&services::REMOVED)?,
             status: session.subscriber(&services::RUN_STATUS)?,
-            line: Line::default(),
+            queue: RemovalQueue::default(),
             log: output.map(|output| PathBuf::from(output).join("run.mcap")),
             looked: None,
             incomplete: false,
         })
     }
 
-    fn look(&mut self, board: &Board) -> Result<(), PortError> {
+    fn poll(&mut self, board: &Board) -> Result<(), PortError> {
         for _ in 0..ROUND {
             let Some(received) = self.messages.receive_valid(|_| {})? else { break };
-            self.line.keep(*received.message(), received.tail());
+            self.queue.keep(*received.message(), received.tail());
         }
         if let Some(status) = self.status.receive_newest()? {
-            self.line.sent = self.line.sent.max(status.message().removed_messages);
+            self.queue.sent = self.queue.sent.max(status.message().removed_messages);
         }
-        if self.line.lacks_next() && self.looked.is_none_or(|looked| looked.elapsed() >= LOG_PERIOD) {
+        if self.queue.lacks_next() && self.looked.is_none_or(|looked| looked.elapsed() >= LOG_PERIOD) {
             self.looked = Some(Instant::now());
             self.read_log(board);
         }
@@ -158,7 +158,7 @@ impl Removals {
     fn read_log(&mut self, board: &Board) {
         let Some(path) = &self.log else {
             // Without a log nobody knows what was drilled before; continues from what is here.
-            self.line.go_on();
+            self.queue.go_on();
             let text = "nothing is recorded: bone that was drilled before the viewer joined is shown whole";
             return self.say_incomplete(text, board);
         };
@@ -173,10 +173,10 @@ impl Removals {
         while let Ok(Some(message)) = stream.next_message() {
             if let Ok((removed, tail)) = Removed::read_from_prefix(message.body) {
                 logged = removed.sequence;
-                self.line.keep(removed, tail);
+                self.queue.keep(removed, tail);
             }
         }
-        if self.line.step_over_lost(logged) {
+        if self.queue.step_over_lost(logged) {
             self.say_incomplete("removals are missing in the log: bone that they took is shown whole", board);
         }
     }
@@ -188,13 +188,13 @@ impl Removals {
     }
 
     fn next(&mut self) -> Option<(Removed, Vec<u32>)> {
-        self.line.next()
+        self.queue.next()
     }
 }
 
 /// Removals waiting for their predecessors.
 #[derive(Default)]
-struct Line {
+struct RemovalQueue {
     waiting: BTreeMap<u64, (Removed, Vec<u32>)>,
     /// Sequence number of the last one returned.
     last: u64,
@@ -202,7 +202,7 @@ struct Line {
     sent: u64,
 }
 
-impl Line {
+impl RemovalQueue {
     fn keep(&mut self, removed: Removed, tail: &[u8]) {
         if removed.sequence > self.last {
             self.sent = self.sent.max(removed.sequence);
@@ -245,24 +245,24 @@ mod tests {
 
     #[test]
     fn a_removal_that_the_recorder_lost_is_stepped_over() {
-        let mut line = Line::default();
-        let keep = |line: &mut Line, sequence: u64| {
-            line.keep(Removed { sequence, ..Removed::zeroed() }, &(sequence as u32).to_le_bytes());
+        let mut queue = RemovalQueue::default();
+        let keep = |queue: &mut RemovalQueue, sequence: u64| {
+            queue.keep(Removed { sequence, ..Removed::zeroed() }, &(sequence as u32).to_le_bytes());
         };
         // Received: 5 and 6, from the bus. The log does not contain 2 yet.
-        [5, 6].into_iter().for_each(|sequence| keep(&mut line, sequence));
-        keep(&mut line, 1);
-        assert!(!line.step_over_lost(1) && line.next().is_some());
-        assert!(line.lacks_next() && !line.step_over_lost(1) && line.next().is_none());
+        [5, 6].into_iter().for_each(|sequence| keep(&mut queue, sequence));
+        keep(&mut queue, 1);
+        assert!(!queue.step_over_lost(1) && queue.next().is_some());
+        assert!(queue.lacks_next() && !queue.step_over_lost(1) && queue.next().is_none());
         // Continues with 3: 2 will never come, 4 may.
-        [1, 3].into_iter().for_each(|sequence| keep(&mut line, sequence));
-        assert!(line.step_over_lost(3));
-        assert_eq!(line.next().map(|(removed, voxels)| (removed.sequence, voxels)), Some((3, vec![3])));
-        assert!(line.lacks_next() && !line.step_over_lost(3));
-        keep(&mut line, 4);
+        [1, 3].into_iter().for_each(|sequence| keep(&mut queue, sequence));
+        assert!(queue.step_over_lost(3));
+        assert_eq!(queue.next().map(|(removed, voxels)| (removed.sequence, voxels)), Some((3, vec![3])));
+        assert!(queue.lacks_next() && !queue.step_over_lost(3));
+        keep(&mut queue, 4);
         let rest: Vec<u64> =
-            std::iter::from_fn(|| line.next()).map(|(removed, _)| removed.sequence).collect();
+            std::iter::from_fn(|| queue.next()).map(|(removed, _)| removed.sequence).collect();
         assert_eq!(rest, [4, 5, 6]);
-        assert!(!line.lacks_next());
+        assert!(!queue.lacks_next());
     }
 }

@@ -3,10 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{
-    CONTROL_DONE, CONTROL_PAUSE, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, RunControl,
-    RunControlReply,
-};
+use ipc_types::messages::{ControlAction, ControlStatus, RunControl, RunControlReply};
 use ipc_types::ports::{PortError, Publisher, Subscriber};
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
@@ -98,19 +95,19 @@ impl Control {
             Action::Step => match request.ticks.unwrap_or(1) {
                 ticks @ 1..=MAX_STEP_TICKS => {
                     self.pace = None;
-                    self.send(CONTROL_STEP, ticks)
+                    self.send(ControlAction::Step, ticks)
                 }
                 ticks => Err(format!("`ticks` is {ticks}, allowed is 1 to {MAX_STEP_TICKS}")),
             },
-            Action::Reset => self.send(CONTROL_RESET, 0),
+            Action::Reset => self.send(ControlAction::Reset, 0),
             Action::Pause | Action::Resume | Action::Stop => {
                 self.pace = None;
-                let code = match request.action {
-                    Action::Pause => CONTROL_PAUSE,
-                    Action::Resume => CONTROL_RESUME,
-                    _ => CONTROL_STOP,
+                let action = match request.action {
+                    Action::Pause => ControlAction::Pause,
+                    Action::Resume => ControlAction::Resume,
+                    _ => ControlAction::Stop,
                 };
-                self.send(code, 0)
+                self.send(action, 0)
             }
         };
         match outcome {
@@ -126,20 +123,20 @@ impl Control {
         match speed {
             None | Some(0.0) => {
                 self.pace = None;
-                self.send(CONTROL_RESUME, 0)
+                self.send(ControlAction::Resume, 0)
             }
             Some(speed) if speed > 0.0 && speed <= MAX_SPEED => {
                 self.pace = Some(Pace { speed, due: 0.0, goal: 0 });
                 self.paced = Instant::now();
-                self.send(CONTROL_PAUSE, 0)
+                self.send(ControlAction::Pause, 0)
             }
             Some(speed) => Err(format!("`speed` is {speed}, allowed is 0 (unlimited) to {MAX_SPEED}")),
         }
     }
 
-    fn send(&mut self, action: u32, ticks: u64) -> Result<u64, String> {
+    fn send(&mut self, action: ControlAction, ticks: u64) -> Result<u64, String> {
         self.next_id += 1;
-        let request = RunControl { request_id: self.next_id, ticks, action, reserved: 0 };
+        let request = RunControl { request_id: self.next_id, ticks, action: action.code(), reserved: 0 };
         if self.listens {
             self.requests.send(&request).map_err(|error| error.to_string())?;
             self.physics.wake();
@@ -162,7 +159,7 @@ impl Control {
     }
 
     /// Takes replies, and steps a paced run.
-    pub(super) fn look(&mut self, board: &Board, dt_ns: u64) -> Result<(), PortError> {
+    pub(super) fn poll(&mut self, board: &Board, dt_ns: u64) -> Result<(), PortError> {
         // Published before the answer, so that a client with an answer finds the speed on the board.
         let speed = self.pace.map(|pace| pace.speed);
         if speed != self.told {
@@ -173,10 +170,11 @@ impl Control {
             let reply = *reply.message();
             let Some(answer) = self.waiting.remove(&reply.request_id) else { continue };
             let refused = || {
-                let how = if reply.action == CONTROL_STEP { "; pause first" } else { "" };
-                format!("the run refused this at tick {}{how}", reply.tick)
+                let how = if reply.action() == Ok(ControlAction::Step) { "; pause first" } else { "" };
+                format!("refused at tick {}{how}", reply.tick)
             };
-            let _ = answer.send(if reply.status == CONTROL_DONE { Ok(()) } else { Err(refused()) });
+            let _ =
+                answer.send(if reply.status() == Ok(ControlStatus::Done) { Ok(()) } else { Err(refused()) });
         }
         self.waiting.retain(|_, answer| !answer.is_closed());
         let elapsed = self.paced.elapsed();
@@ -187,7 +185,7 @@ impl Control {
             self.paced = Instant::now();
             let ticks = pace.ticks(elapsed, board.time_ns() / dt_ns.max(1), dt_ns);
             if ticks >= 1
-                && let Err(error) = self.send(CONTROL_STEP, ticks)
+                && let Err(error) = self.send(ControlAction::Step, ticks)
             {
                 board.notice("error", &error);
             }
@@ -260,14 +258,19 @@ mod tests {
         let physics = host.session.subscriber::<RunControl>(&services::RUN_CONTROL).unwrap();
         let replies = host.session.publisher::<RunControlReply>(&services::RUN_CONTROL_REPLY).unwrap();
         let board = Board::new(Channels::new(&[]));
-        control.look(&board, 1_000_000).unwrap();
+        control.poll(&board, 1_000_000).unwrap();
         assert!(physics.receive().unwrap().is_none(), "not before it is heard of");
         control.physics_listens().unwrap();
         let request = *physics.receive().unwrap().unwrap().message();
-        assert_eq!((request.action, physics.receive().unwrap().is_none()), (CONTROL_PAUSE, true));
+        assert_eq!(
+            (request.action, physics.receive().unwrap().is_none()),
+            (ControlAction::Pause.code(), true)
+        );
         let RunControl { request_id, action, .. } = request;
-        replies.send(&RunControlReply { request_id, tick: 0, action, status: CONTROL_DONE }).unwrap();
-        control.look(&board, 1_000_000).unwrap();
+        replies
+            .send(&RunControlReply { request_id, tick: 0, action, status: ControlStatus::Done.code() })
+            .unwrap();
+        control.poll(&board, 1_000_000).unwrap();
         assert_eq!(answered.try_recv(), Ok(Ok(())));
         // The queue is bounded until then.
         control.listens = false;

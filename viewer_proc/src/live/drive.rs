@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-use ipc_types::messages::{ARM_INSERT, BURR_SPEED, Command, Pose, State, TENDON_SERVO_JF};
+use ipc_types::messages::{ArmMode, BurrMode, Command, Pose, State, TendonMode};
 use ipc_types::messages::{MAX_BURR_SPEED_RAD_PER_S, MAX_DEPTH_M, MAX_SPEED_M_PER_S, MAX_TENSION_N};
 use ipc_types::scene::{Drives, Drr, Scene};
 use trabecula_client::{Client, ClientError, Connection};
@@ -36,17 +36,17 @@ impl Driver {
             return Driver { calls: None };
         };
         let (calls, called) = mpsc::channel();
-        let hand = Hand {
+        let thread = DriveThread {
             session: session.to_owned(),
             drives: controller.drives.clone(),
             optional: controller.optional,
             axis: unit(scene.tool.direction),
             dt_s: scene.dt_s(),
             drr: scene.drr.clone(),
-            held: Held::default(),
+            inputs: Inputs::default(),
             heard: Instant::now(),
         };
-        std::thread::spawn(move || hand.run(&called, &over, &board));
+        std::thread::spawn(move || thread.run(&called, &over, &board));
         Driver { calls: Some(calls) }
     }
 
@@ -54,9 +54,10 @@ impl Driver {
     pub(super) fn hand_over(&self, call: Call) {
         let refused = match &self.calls {
             None => Some((call, HOW)),
-            Some(calls) => {
-                calls.send(call).err().map(|error| (error.0, "the viewer drives no more: the run has ended"))
-            }
+            Some(calls) => calls
+                .send(call)
+                .err()
+                .map(|error| (error.0, "the viewer no longer drives: the run has ended")),
         };
         if let Some((call, text)) = refused {
             // The client may have left.
@@ -67,7 +68,7 @@ impl Driver {
 
 /// The user's current inputs.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Held {
+struct Inputs {
     tension_n: Option<[f64; 4]>,
     insert_m_per_s: Option<f64>,
     burr_rad_per_s: Option<f64>,
@@ -75,18 +76,18 @@ struct Held {
     sim_time_s: f64,
 }
 
-struct Hand {
+struct DriveThread {
     session: PathBuf,
     drives: Vec<Drives>,
     optional: bool,
     axis: [f64; 3],
     dt_s: f64,
     drr: Option<Drr>,
-    held: Held,
+    inputs: Inputs,
     heard: Instant,
 }
 
-impl Hand {
+impl DriveThread {
     fn run(mut self, called: &mpsc::Receiver<Call>, over: &AtomicBool, board: &Board) {
         let first = if self.optional { self.await_first(called, over) } else { None };
         let connection = Connection {
@@ -100,7 +101,7 @@ impl Hand {
         match Client::connect(&connection) {
             Ok(mut client) => {
                 if let Err(error) = self.drive(&mut client, first, called, over) {
-                    board.notice("error", &format!("the viewer drives no more: {error}"));
+                    board.notice("error", &format!("the viewer stopped driving: {error}"));
                 }
             }
             Err(error) => {
@@ -134,14 +135,14 @@ impl Hand {
         let mut first = first;
         while !over.load(Ordering::Relaxed) {
             for call in first.take().into_iter().chain(called.try_iter()) {
-                let outcome = self.obey(client, &call.request);
+                let outcome = self.apply(client, &call.request);
                 let _ = call.answer.send(outcome);
             }
             if self.heard.elapsed() > HAND_LIMIT {
-                self.held.insert_m_per_s = self.held.insert_m_per_s.map(|_| 0.0);
+                self.inputs.insert_m_per_s = self.inputs.insert_m_per_s.map(|_| 0.0);
             }
             match client
-                .answer(POLL_PERIOD, |state, command| self.held.fill(state, command, self.axis, self.dt_s))
+                .answer(POLL_PERIOD, |state, command| self.inputs.fill(state, command, self.axis, self.dt_s))
             {
                 // A paused run sends no states.
                 Ok(()) | Err(ClientError::TimedOut(_)) => {}
@@ -152,14 +153,14 @@ impl Hand {
         Ok(())
     }
 
-    fn obey(&mut self, client: &mut Client, request: &Request) -> Result<(), String> {
+    fn apply(&mut self, client: &mut Client, request: &Request) -> Result<(), String> {
         match request {
             Request::Drive(drive) => {
-                let held = self.held.with(drive, &self.drives)?;
+                let inputs = self.inputs.with(drive, &self.drives)?;
                 if let Some(c_arm) = &drive.c_arm {
                     self.ask_frame(client, c_arm)?;
                 }
-                self.held = held;
+                self.inputs = inputs;
                 self.heard = Instant::now();
                 Ok(())
             }
@@ -195,17 +196,17 @@ fn within(name: &str, value: f64, lowest: f64, highest: f64) -> Result<f64, Stri
     Err(format!("`{name}` is {value}, allowed is {lowest} to {highest}"))
 }
 
-impl Held {
+impl Inputs {
     /// The inputs after a request, which is accepted or refused as a whole.
-    fn with(mut self, drive: &Drive, drives: &[Drives]) -> Result<Held, String> {
+    fn with(mut self, drive: &Drive, drives: &[Drives]) -> Result<Inputs, String> {
         if let Some(tension) = &drive.tendon_n {
             allowed(drives, Drives::Tendon, "tendon")?;
             let values = tension.values();
             if values.len() > 4 {
                 return Err(format!("`tendon_n` has {} values, there are 4 tendons at most", values.len()));
             }
-            let held = self.tension_n.get_or_insert([0.0; 4]);
-            for (slot, value) in held.iter_mut().zip(values) {
+            let tension_n = self.tension_n.get_or_insert([0.0; 4]);
+            for (slot, value) in tension_n.iter_mut().zip(values) {
                 *slot = within("tendon_n", *value, 0.0, MAX_TENSION_N)?;
             }
         }
@@ -224,23 +225,23 @@ impl Held {
     /// Fills in the command that answers a state. The insertion advances at its speed; a reset restarts it.
     fn fill(&mut self, state: &State, command: &mut Command, axis: [f64; 3], dt_s: f64) {
         if state.sim_time_s < self.sim_time_s {
-            *self = Held::default();
+            *self = Inputs::default();
         }
         let passed_s = if self.sim_time_s > 0.0 { state.sim_time_s - self.sim_time_s } else { dt_s };
         self.sim_time_s = state.sim_time_s;
         if let Some(tension_n) = self.tension_n {
-            command.tendon_mode = TENDON_SERVO_JF;
+            command.tendon_mode = TendonMode::ServoJf.code();
             command.tendon_force_n = tension_n;
         }
         if let Some(speed) = self.insert_m_per_s {
             self.depth_m = (self.depth_m + speed * passed_s).clamp(-MAX_DEPTH_M, MAX_DEPTH_M);
-            command.arm_mode = ARM_INSERT;
+            command.arm_mode = ArmMode::Insert.code();
             command.arm_axis = axis;
             command.arm_depth_m = self.depth_m;
             command.arm_speed_m_per_s = speed.abs().max(LEAST_FEED_M_PER_S);
         }
         if let Some(speed) = self.burr_rad_per_s {
-            command.burr_mode = BURR_SPEED;
+            command.burr_mode = BurrMode::Speed.code();
             command.burr_speed_rad_per_s = speed;
         }
     }
@@ -291,33 +292,33 @@ mod tests {
     fn what_is_held_goes_into_the_command_and_the_insertion_goes_on_by_its_speed() {
         let all = [Drives::Tendon, Drives::Arm, Drives::Burr];
         let request = drive(r#"{"tendon_n": 5, "insert_m_per_s": 0.01, "burr_rad_per_s": 800}"#);
-        let mut held = Held::default().with(&request, &all).unwrap();
+        let mut inputs = Inputs::default().with(&request, &all).unwrap();
         let mut state = State::zeroed();
         let mut command = Command::zeroed();
         for tick in 1..=100 {
             state.sim_time_s = f64::from(tick) * 1e-3;
-            held.fill(&state, &mut command, [0.0, 0.0, 1.0], 1e-3);
+            inputs.fill(&state, &mut command, [0.0, 0.0, 1.0], 1e-3);
         }
         assert!((command.arm_depth_m - 1e-3).abs() < 1e-12, "{}", command.arm_depth_m);
         assert_eq!((command.tendon_force_n[0], command.burr_speed_rad_per_s), (5.0, 800.0));
         command.sequence = 1;
-        hub::command_check::check(&command, &all, 0, 1).unwrap();
-        let back = held.with(&drive(r#"{"insert_m_per_s": -0.02}"#), &all).unwrap();
+        hub::command_check::check(&command, &all, 0, ipc_types::messages::Tick(1)).unwrap();
+        let back = inputs.with(&drive(r#"{"insert_m_per_s": -0.02}"#), &all).unwrap();
         assert_eq!(
             (back.tension_n, back.burr_rad_per_s),
-            (held.tension_n, held.burr_rad_per_s),
+            (inputs.tension_n, inputs.burr_rad_per_s),
             "the rest stays"
         );
         state.sim_time_s = 0.0;
-        held.fill(&state, &mut command, [0.0, 0.0, 1.0], 1e-3);
-        assert_eq!((held.insert_m_per_s, held.depth_m), (None, 0.0), "a reset lets go");
+        inputs.fill(&state, &mut command, [0.0, 0.0, 1.0], 1e-3);
+        assert_eq!((inputs.insert_m_per_s, inputs.depth_m), (None, 0.0), "a reset lets go");
     }
 
     #[test]
     fn what_the_scene_does_not_give_or_no_tool_can_do_is_refused_and_nothing_changes() {
-        let held = Held::default();
+        let inputs = Inputs::default();
         let refused = |text: &str, drives: &[Drives], words: &str| {
-            let error = held.with(&drive(text), drives).unwrap_err();
+            let error = inputs.with(&drive(text), drives).unwrap_err();
             assert!(error.contains(words), "{error}");
         };
         refused(r#"{"burr_rad_per_s": 1}"#, &[Drives::Tendon], "add \"burr\"");

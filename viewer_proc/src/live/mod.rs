@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::process::{EndRequest, session_scene};
 use ipc_types::scene::Scene;
-use ipc_types::session::Session;
+use ipc_types::session::{HalfMadeSweeper, Session};
 
 use crate::board::Board;
 use crate::channels::{Channels, INFO};
@@ -52,6 +52,8 @@ pub fn view(
     ready: impl FnOnce(&Server),
     end: &EndRequest,
 ) -> Result<(), ViewerError> {
+    // The viewer must come to its end even if the host was killed while it made a segment.
+    let _sweeper = HalfMadeSweeper::after_host(&options.session);
     let session = Session::join(&options.session)?;
     let scene = session_scene(&options.session)?;
     let board = Arc::new(Board::new(Channels::new(&scene.controller_names())));
@@ -101,11 +103,11 @@ impl Live {
     fn watch(&mut self, session: &Session, end: &EndRequest) -> Result<(), ViewerError> {
         let mut alive_seen = Instant::now();
         loop {
-            self.subscriptions.look(&self.board)?;
+            self.subscriptions.poll(&self.board)?;
             if self.subscriptions.physics_is_heard() {
                 self.control.physics_listens()?;
             }
-            self.control.look(&self.board, self.dt_ns)?;
+            self.control.poll(&self.board, self.dt_ns)?;
             while let Ok(call) = self.called.try_recv() {
                 self.dispatch(call);
             }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
+use ipc_types::messages::Part as HubPart;
 use ipc_types::scene::Scene;
 use serde_json::{Value, json};
 
@@ -29,15 +30,20 @@ pub(super) struct Parts {
 
 impl Parts {
     pub(super) fn new(scene: &Scene, recorder: bool) -> Parts {
-        let own = [("physics", true), ("drr", scene.drr.is_some()), ("recorder", recorder)];
-        let own = own.into_iter().filter(|(_, there)| *there).map(|(name, _)| name.to_owned());
+        let is_there = |part: &HubPart| match part {
+            HubPart::Host => false,
+            HubPart::Physics => true,
+            HubPart::Drr => scene.drr.is_some(),
+            HubPart::Recorder => recorder,
+        };
+        let own = HubPart::ALL.into_iter().filter(is_there).map(|part| part.name().to_owned());
         let order: Vec<String> = own.chain(scene.controller_names()).collect();
         let parts = order.iter().map(|name| (name.clone(), Part::default())).collect();
         Parts { parts, order, since: Instant::now() }
     }
 
     /// Counts messages of a part.
-    pub(super) fn saw(&mut self, name: &str, count: usize) {
+    pub(super) fn count_messages(&mut self, name: &str, count: usize) {
         if let Some(part) = self.parts.get_mut(name).filter(|_| count > 0) {
             part.count += count;
             part.last = Some(Instant::now());

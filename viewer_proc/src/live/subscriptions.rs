@@ -2,12 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use hub::viewer::Decimation;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DRR_ACCEPTED, DrrReply, DrrRequest, Event, Frame, FrameTiming, Latched, PHASE_ENDED, Progress,
-    Removed, RunControl, RunControlReply, RunStatus, SENDER_RECORDER, State, TickTiming,
+    Command, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part, Phase, Progress,
+    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
 };
-use ipc_types::ports::{PortError, Subscriber};
+use ipc_types::ports::{PortError, Received, Subscriber};
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
@@ -50,7 +51,7 @@ pub(super) struct Subscriptions {
 
 /// A queue whose messages are forwarded unchanged to a topic.
 trait Forward {
-    fn look(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError>;
+    fn poll(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError>;
 }
 
 struct Topic<M> {
@@ -59,7 +60,7 @@ struct Topic<M> {
 }
 
 impl<M: Message> Forward for Topic<M> {
-    fn look(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError> {
+    fn poll(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError> {
         forward(&self.subscriber, self.topic, board, |_| time_ns, |_| ())
     }
 }
@@ -73,21 +74,22 @@ fn forward<M: Message>(
     time_ns: impl Fn(&M) -> u64,
     mut see: impl FnMut(&M),
 ) -> Result<usize, PortError> {
-    let wanted = board.wants(topic);
-    let (mut count, mut newest) = (0, None);
+    let Some(channel) = board.channels().id(topic) else { return Ok(0) };
+    let publish = |received: &Received<M>| {
+        board.publish_cdr(topic, time_ns(received.message()), &[received.bytes()]);
+    };
+    let (mut count, mut decimation) = (0, Decimation::new(board.wanted(), channel));
     while count < ROUND
         && let Some(received) = subscriber.receive_valid(|_| {})?
     {
         count += 1;
         see(received.message());
-        if wanted {
-            board.publish_cdr(topic, time_ns(received.message()), &[received.bytes()]);
-        } else {
-            newest = Some(received);
+        if let Some(received) = decimation.next(received) {
+            publish(&received);
         }
     }
-    if let Some(received) = newest {
-        board.publish_cdr(topic, time_ns(received.message()), &[received.bytes()]);
+    if let Some(received) = decimation.last() {
+        publish(&received);
     }
     Ok(count)
 }
@@ -147,11 +149,11 @@ impl Subscriptions {
     }
 
     /// Takes what has arrived since the last poll.
-    pub(super) fn look(&mut self, board: &Board) -> Result<(), PortError> {
+    pub(super) fn poll(&mut self, board: &Board) -> Result<(), PortError> {
         self.look_at_states(board)?;
         let time_ns = self.time_ns();
         for other in &mut self.others {
-            other.look(board, time_ns)?;
+            other.poll(board, time_ns)?;
         }
         self.look_at_frames(board)?;
         let (mut ended, mut recorded) = (self.ended, 0);
@@ -161,19 +163,19 @@ impl Subscriptions {
             board,
             |_| time_ns,
             |status| {
-                ended |= status.phase == PHASE_ENDED;
+                ended |= status.phase() == Ok(Phase::Ended);
             },
         )?;
         self.ended = ended;
         self.physics_heard |= heard > 0;
         for _ in 0..ROUND {
             let Some(progress) = self.progress.receive_valid(|_| {})? else { break };
-            recorded += usize::from(progress.message().consumer == SENDER_RECORDER);
+            recorded += usize::from(progress.message().consumer() == Some(Part::Recorder));
         }
-        self.parts.saw("recorder", recorded);
+        self.parts.count_messages(Part::Recorder.name(), recorded);
         for (name, commands) in &self.commands {
             let topic = topics::command(name);
-            self.parts.saw(name, forward(commands, &topic, board, |_| time_ns, |_| ())?);
+            self.parts.count_messages(name, forward(commands, &topic, board, |_| time_ns, |_| ())?);
         }
         self.parts.publish(board);
         Ok(())
@@ -199,7 +201,7 @@ impl Subscriptions {
         }
         self.tick = tick;
         board.set_time_ns(self.time_ns());
-        self.parts.saw("physics", count);
+        self.parts.count_messages(Part::Physics.name(), count);
         Ok(())
     }
 
@@ -224,7 +226,7 @@ impl Subscriptions {
             }
         }
         self.frames = Some(frames);
-        self.parts.saw("drr", count);
+        self.parts.count_messages(Part::Drr.name(), count);
         self.look_at_replies(board)
     }
 
@@ -238,7 +240,7 @@ impl Subscriptions {
             board,
             |_| time_ns,
             |reply| {
-                if reply.status != DRR_ACCEPTED {
+                if reply.status() != Ok(DrrStatus::Accepted) {
                     refused = Some(reply.requester);
                 } else if reply.request_id != 0 && Some(reply.requester) == own_index {
                     asked.insert(reply.frame_sequence);
@@ -249,7 +251,7 @@ impl Subscriptions {
             },
         )?;
         if let Some(requester) = refused {
-            let text = format!("a frame asked for by controller {requester} was refused; the events say why");
+            let text = format!("a frame request of controller {requester} was refused; see the events");
             board.notice("warning", &text);
         }
         Ok(())

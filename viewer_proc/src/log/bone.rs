@@ -45,19 +45,19 @@ impl LogBone {
             if crosses {
                 let from = self.removals[..wanted].iter().rposition(restores).unwrap_or(0);
                 self.bone.restore();
-                self.take(from, wanted);
+                self.apply(from, wanted);
             } else {
                 let gone = self.removals[wanted..self.taken].iter().flat_map(|(_, _, voxels)| voxels);
                 gone.for_each(|index| self.bone.set(*index, false));
             }
         } else {
-            self.take(self.taken, wanted);
+            self.apply(self.taken, wanted);
         }
         self.taken = wanted;
     }
 
-    fn take(&mut self, from: usize, to: usize) {
-        self.removals[from..to].iter().for_each(|(_, removed, voxels)| self.bone.take(removed, voxels));
+    fn apply(&mut self, from: usize, to: usize) {
+        self.removals[from..to].iter().for_each(|(_, removed, voxels)| self.bone.apply(removed, voxels));
     }
 
     /// Meshes what has changed; returns whether more is pending.

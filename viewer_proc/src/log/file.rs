@@ -25,7 +25,7 @@ pub enum PlayError {
         cause: std::io::Error,
     },
     /// The index or a chunk is damaged, or the index is missing.
-    #[error("{}: {cause}; `trabecula log repair` makes a log that can be played", path.display())]
+    #[error("{}: {cause}; `trabecula log repair` writes one that can be played", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,

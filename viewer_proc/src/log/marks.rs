@@ -64,7 +64,7 @@ pub fn outline(path: &Path) -> Result<Outline, LogError> {
     let mut outline = Outline::new(stream.header().clone());
     // A read error is listed among the faults.
     while let Ok(Some(message)) = stream.next_message() {
-        outline.take(message.topic, message.log_time_ns, message.body);
+        outline.add(message.topic, message.log_time_ns, message.body);
     }
     outline.notices.extend(stream.verdict().faults.iter().map(ToString::to_string));
     if !outline.has_frames {
@@ -88,7 +88,7 @@ impl Outline {
         }
     }
 
-    fn take(&mut self, topic: &str, time_ns: u64, body: &[u8]) {
+    fn add(&mut self, topic: &str, time_ns: u64, body: &[u8]) {
         match topic {
             topics::STATE => {
                 let Ok(state) =
@@ -130,9 +130,9 @@ impl Outline {
         if (impossible || self.kept > MOST_REMOVED) && !self.cut_short {
             self.cut_short = true;
             let tick = removed.tick;
-            let cause = if impossible { "the volume has" } else { "a viewer holds" };
+            let cause = if impossible { "the volume has" } else { "a viewer can hold" };
             self.notices.push(format!(
-                "the bone is shown as before tick {tick}: more voxels are removed than {cause}"
+                "the bone is shown as of before tick {tick}: more voxels are removed than {cause}"
             ));
         }
         if !self.cut_short {
@@ -221,7 +221,7 @@ mod tests {
         let mut outline = outline_of([1; 3]);
         for tick in [0, u64::MAX, 0, 1] {
             let state = State { tick, ..State::zeroed() };
-            outline.take(topics::STATE, 0, state.as_bytes());
+            outline.add(topics::STATE, 0, state.as_bytes());
         }
         let texts: Vec<&str> = outline.marks.iter().map(|mark| mark.text.as_str()).collect();
         let last = u64::MAX;
@@ -236,14 +236,14 @@ mod tests {
             let removed = Removed { restore_first, voxel_index_length: voxels, ..Removed::zeroed() };
             [removed.as_bytes(), &vec![0; voxels as usize * 4]].concat()
         };
-        outline.take(topics::REMOVED, 0, &message(0, 64));
-        outline.take(topics::REMOVED, 1, &message(1, 0));
-        outline.take(topics::REMOVED, 2, &message(0, 64));
+        outline.add(topics::REMOVED, 0, &message(0, 64));
+        outline.add(topics::REMOVED, 1, &message(1, 0));
+        outline.add(topics::REMOVED, 2, &message(0, 64));
         assert_eq!((outline.removals.len(), outline.notices.len()), (3, 0));
         for _ in 0..1000 {
-            outline.take(topics::REMOVED, 3, &message(0, 0));
+            outline.add(topics::REMOVED, 3, &message(0, 0));
         }
-        outline.take(topics::REMOVED, 4, &message(1, 1));
+        outline.add(topics::REMOVED, 4, &message(1, 1));
         assert_eq!((outline.removals.len(), outline.notices.len()), (3, 1));
         assert!(outline.notices[0].contains("more voxels are removed than the volume has"));
     }

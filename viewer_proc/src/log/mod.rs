@@ -87,7 +87,7 @@ pub fn view(
 ) -> Result<(), ViewerError> {
     let path = log_path(&options.log);
     let first = outline(&path)?;
-    let second = options.second.as_deref().map(|path| Second::open(&log_path(path))).transpose()?;
+    let second = options.second.as_deref().map(|path| SecondLog::open(&log_path(path))).transpose()?;
     let scene = Scene::parse(&first.header.scene_toml, &path)?;
     let mut channels = Channels::new(&first.header.controllers);
     if second.is_some() {
@@ -109,7 +109,7 @@ pub fn view(
     let tool = (help.tool)(&scene);
     board.publish_json(INFO, &info(&scene, &origin, &tool, grid.as_ref()));
     first.notices.iter().for_each(|text| board.notice("warning", text));
-    let mut show = Show::open(
+    let mut playback = LogPlayback::open(
         board,
         &path,
         first,
@@ -119,7 +119,7 @@ pub fn view(
     )?;
     ready(&server);
     let serving = std::thread::spawn(move || server.serve());
-    let shown = show.run(&called, end);
+    let shown = playback.run(&called, end);
     over.store(true, Ordering::Relaxed);
     let served = serving.join().unwrap_or(Ok(()));
     shown.and(served)
@@ -140,23 +140,23 @@ fn scene_volume(scene: &Scene, log: &Outline, help: &SceneHelp<'_>, board: &Boar
     }
 }
 
-struct Second {
+struct SecondLog {
     path: PathBuf,
     outline: Outline,
     log: LogFile,
 }
 
-impl Second {
-    fn open(path: &Path) -> Result<Second, ViewerError> {
-        Ok(Second { path: path.to_owned(), outline: outline(path)?, log: LogFile::open(path)? })
+impl SecondLog {
+    fn open(path: &Path) -> Result<SecondLog, ViewerError> {
+        Ok(SecondLog { path: path.to_owned(), outline: outline(path)?, log: LogFile::open(path)? })
     }
 }
 
-struct Show {
+struct LogPlayback {
     board: Arc<Board>,
     run: LogFile,
     timing: Option<LogFile>,
-    second: Option<Second>,
+    second: Option<SecondLog>,
     player: Player,
     bone: Option<LogBone>,
     /// Time up to which messages are on the board; `None` before the first.
@@ -178,15 +178,15 @@ struct Stream {
     ahead: Option<Logged>,
 }
 
-impl Show {
+impl LogPlayback {
     fn open(
         board: Arc<Board>,
         path: &Path,
         first: Outline,
-        second: Option<Second>,
+        second: Option<SecondLog>,
         volume: Option<LogVolume>,
         (tool, threshold_hu): (&ToolShape, i16),
-    ) -> Result<Show, ViewerError> {
+    ) -> Result<LogPlayback, ViewerError> {
         let run = LogFile::open(path)?;
         let timing_path = path.with_file_name("timing.mcap");
         let timing = timing_path.exists().then(|| LogFile::open(&timing_path)).and_then(Result::ok);
@@ -201,7 +201,7 @@ impl Show {
         let (begin_ns, end_ns) = run.bounds_ns();
         let player = Player::new(begin_ns, end_ns, first.header.dt_ns, marks);
         let bone = volume.map(|volume| LogBone::new(volume, threshold_hu, first.removals));
-        Ok(Show {
+        Ok(LogPlayback {
             board,
             run,
             timing,
@@ -222,7 +222,7 @@ impl Show {
         while !end.is_set() {
             while let Ok(call) = called.try_recv() {
                 let outcome = match &call.request {
-                    Request::Playback(request) => self.player.obey(request),
+                    Request::Playback(request) => self.player.apply(request),
                     _ => Err("this is a log: what has happened cannot be steered".to_owned()),
                 };
                 // The client may have left.

@@ -67,7 +67,7 @@ impl Player {
     ///
     /// # Errors
     /// What is wrong with the request.
-    pub fn obey(&mut self, request: &Playback) -> Result<(), String> {
+    pub fn apply(&mut self, request: &Playback) -> Result<(), String> {
         match request.action {
             PlaybackAction::Play => {
                 self.set_speed(request.speed)?;
@@ -141,26 +141,28 @@ mod tests {
     #[test]
     fn it_plays_at_any_speed_and_stops_at_both_ends() {
         let mut player = player();
-        player.obey(&Playback { speed: Some(2.0), ..request(PlaybackAction::Play) }).unwrap();
+        player.apply(&Playback { speed: Some(2.0), ..request(PlaybackAction::Play) }).unwrap();
         player.advance(Duration::from_nanos(100));
         assert_eq!((player.time_ns(), player.playing), (300, true));
         player.advance(Duration::from_nanos(500));
         assert_eq!((player.time_ns(), player.playing), (1000, false));
-        player.obey(&Playback { speed: Some(-0.5), ..request(PlaybackAction::Play) }).unwrap();
+        player.apply(&Playback { speed: Some(-0.5), ..request(PlaybackAction::Play) }).unwrap();
         player.advance(Duration::from_nanos(200));
         assert_eq!(player.time_ns(), 900);
         player.advance(Duration::from_secs(1));
         assert_eq!((player.time_ns(), player.playing), (100, false));
         for speed in [0.0, f64::NAN, f64::INFINITY, 1e9] {
-            assert!(player.obey(&Playback { speed: Some(speed), ..request(PlaybackAction::Speed) }).is_err());
+            assert!(
+                player.apply(&Playback { speed: Some(speed), ..request(PlaybackAction::Speed) }).is_err()
+            );
         }
     }
 
     #[test]
     fn a_log_that_ends_before_it_begins_panics_nowhere() {
         let mut player = Player::new(1000, 0, 10, Vec::new());
-        player.obey(&Playback { time_ns: Some(500), ..request(PlaybackAction::Seek) }).unwrap();
-        player.obey(&Playback { speed: Some(-1.0), ..request(PlaybackAction::Play) }).unwrap();
+        player.apply(&Playback { time_ns: Some(500), ..request(PlaybackAction::Seek) }).unwrap();
+        player.apply(&Playback { speed: Some(-1.0), ..request(PlaybackAction::Play) }).unwrap();
         player.advance(Duration::from_nanos(100));
         assert_eq!((player.time_ns(), player.playing), (1000, false));
     }
@@ -168,20 +170,22 @@ mod tests {
     #[test]
     fn it_steps_by_ticks_and_jumps_between_marks() {
         let mut player = player();
-        player.obey(&Playback { ticks: Some(3), ..request(PlaybackAction::Step) }).unwrap();
+        player.apply(&Playback { ticks: Some(3), ..request(PlaybackAction::Step) }).unwrap();
         assert_eq!(player.time_ns(), 130);
-        player.obey(&Playback { ticks: Some(-100), ..request(PlaybackAction::Step) }).unwrap();
+        player.apply(&Playback { ticks: Some(-100), ..request(PlaybackAction::Step) }).unwrap();
         assert_eq!(player.time_ns(), 100);
-        player.obey(&request(PlaybackAction::Next)).unwrap();
+        player.apply(&request(PlaybackAction::Next)).unwrap();
         assert_eq!(player.time_ns(), 200);
         let miss = |action| Playback { kind: Some("miss".to_owned()), ..request(action) };
-        player.obey(&miss(PlaybackAction::Next)).unwrap();
-        player.obey(&miss(PlaybackAction::Next)).unwrap();
+        player.apply(&miss(PlaybackAction::Next)).unwrap();
+        player.apply(&miss(PlaybackAction::Next)).unwrap();
         assert_eq!(player.time_ns(), 700);
-        assert!(player.obey(&miss(PlaybackAction::Next)).is_err_and(|error| error.contains("no miss after")));
-        player.obey(&request(PlaybackAction::Previous)).unwrap();
+        assert!(
+            player.apply(&miss(PlaybackAction::Next)).is_err_and(|error| error.contains("no miss after"))
+        );
+        player.apply(&request(PlaybackAction::Previous)).unwrap();
         assert_eq!(player.time_ns(), 400);
-        player.obey(&Playback { time_ns: Some(u64::MAX), ..request(PlaybackAction::Seek) }).unwrap();
+        player.apply(&Playback { time_ns: Some(u64::MAX), ..request(PlaybackAction::Seek) }).unwrap();
         assert_eq!(player.time_ns(), 1000);
     }
 }

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use futures_util::{SinkExt, StreamExt};
+use hub::viewer::MAX_MESSAGES_PER_S;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 use tokio::sync::{mpsc, oneshot};
@@ -13,8 +14,8 @@ use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 use tokio_tungstenite::tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
 use tokio_tungstenite::tungstenite::{Error, Message};
 
-use super::guests::Guest;
 use super::http::{Head, Refusal, answer_head, websocket_answer};
+use super::pending::PendingConnection;
 use super::{MAX_CLIENTS, Shared};
 use crate::assets::asset;
 use crate::board::Client;
@@ -23,8 +24,6 @@ use crate::services::{Call, NO_TOKEN, SERVICES, read_request, response, same};
 
 /// Longest client message, bytes.
 pub const MAX_CLIENT_MESSAGE: usize = 64 << 10;
-/// Most client messages per second; keyboard and gamepad send 60.
-pub const MAX_MESSAGES_PER_S: u32 = 1000;
 /// Write timeout: how long a client may read nothing.
 const WRITE_LIMIT: Duration = Duration::from_secs(10);
 /// Bytes written to the socket before reading from the client again.
@@ -35,12 +34,12 @@ const END_CHECK_PERIOD: Duration = Duration::from_millis(100);
 
 type Socket = WebSocketStream<TcpStream>;
 
-/// Answers a request, and serves the WebSocket if it opens one. A client with permission to watch is no longer a guest.
+/// Answers a request, and serves the WebSocket if it opens one. A client with permission to watch is no longer a pending connection.
 pub(super) async fn answer(
     mut stream: TcpStream,
     head: Result<Option<Head>, Refusal>,
     shared: &Shared,
-    guest: Guest,
+    pending_connection: PendingConnection,
 ) {
     let head = match head {
         Ok(Some(head)) => head,
@@ -62,11 +61,11 @@ pub(super) async fn answer(
         shared.watch_by_anyone || head.query("token").is_some_and(|given| same(given, &shared.token));
     let _place = match may_watch.then(|| Arc::clone(&shared.room).try_acquire_owned()) {
         Some(Err(_)) => {
-            let text = format!("{MAX_CLIENTS} clients watch already, no more are served");
+            let text = format!("{MAX_CLIENTS} clients are connected, which is the limit");
             return refuse(&mut stream, &Refusal::new("503 Service Unavailable", text)).await;
         }
         Some(Ok(place)) => {
-            drop(guest);
+            drop(pending_connection);
             Some(place)
         }
         None => None,
@@ -132,7 +131,7 @@ async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
     let end = match may_watch {
         true => {
             let client = shared.board.join();
-            let end = talk(&mut socket, &client, shared).await;
+            let end = session(&mut socket, &client, shared).await;
             shared.board.leave(&client);
             end
         }
@@ -149,21 +148,20 @@ async fn serve(mut socket: Socket, shared: &Shared, may_watch: bool) {
     }
 }
 
-async fn talk(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Result<(), End> {
+async fn session(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Result<(), End> {
     let (answers, mut answered) = mpsc::unbounded_channel();
-    let mut talk =
-        Talk { client, shared, answers, since: Instant::now(), count: 0, dropped: 0, warned: Instant::now() };
+    let mut session = ClientSession { client, shared, answers };
     say(socket, Message::text(protocol::server_info("trabecula", &shared.name))).await?;
     say(socket, Message::text(protocol::advertise(&shared.board.channels().advertisements()))).await?;
     say(socket, Message::text(protocol::advertise_services(&SERVICES))).await?;
     loop {
-        let more = talk.send_waiting(socket).await?;
+        let more = session.send_waiting(socket).await?;
         // With more to send, only polls for client messages.
         let pause = if more { Duration::ZERO } else { END_CHECK_PERIOD };
         tokio::select! {
             biased;
             message = socket.next() => match message {
-                Some(message) => talk.take(socket, message?).await?,
+                Some(message) => session.handle(socket, message?).await?,
                 None => return Err(End::Gone),
             },
             answer = answered.recv() => if let Some(answer) = answer { say(socket, answer).await? },
@@ -171,7 +169,8 @@ async fn talk(socket: &mut Socket, client: &Arc<Client>, shared: &Shared) -> Res
             () = tokio::time::sleep(pause) => {}
         }
         if shared.end.load(Ordering::Relaxed) {
-            while talk.send_waiting(socket).await? {}
+            while session.send_waiting(socket).await? {}
+            session.tell_dropped(socket, client.last_drops_to_tell()).await?;
             return Err(End::Close(CloseCode::Away, "the viewer has ended".to_owned()));
         }
     }
@@ -182,22 +181,17 @@ async fn say(socket: &mut Socket, message: Message) -> Result<(), End> {
     tokio::time::timeout(WRITE_LIMIT, socket.send(message)).await.map_err(|_| End::Gone)?.map_err(End::from)
 }
 
-struct Talk<'a> {
+struct ClientSession<'a> {
     client: &'a Arc<Client>,
     shared: &'a Shared,
     /// Channel for the answers to calls.
     answers: mpsc::UnboundedSender<Message>,
-    since: Instant,
-    count: u32,
-    /// Dropped messages that have not been reported to the client yet.
-    dropped: u64,
-    warned: Instant,
 }
 
-impl Talk<'_> {
+impl ClientSession<'_> {
     /// Sends one batch of queued messages; returns whether there may be more.
     async fn send_waiting(&mut self, socket: &mut Socket) -> Result<bool, End> {
-        let (messages, dropped) = self.client.take(BATCH_BYTES);
+        let messages = self.client.take(BATCH_BYTES);
         let more = !messages.is_empty();
         if more {
             say(socket, Message::binary(protocol::time(self.shared.board.time_ns()))).await?;
@@ -210,22 +204,24 @@ impl Talk<'_> {
             socket.flush().await
         };
         tokio::time::timeout(WRITE_LIMIT, feed).await.map_err(|_| End::Gone)?.map_err(End::from)?;
-        self.dropped += dropped;
-        if self.dropped > 0 && self.warned.elapsed() > Duration::from_millis(500) {
-            self.warned = Instant::now();
-            let text = format!("{} messages were dropped: this client reads too slowly", self.dropped);
-            self.dropped = 0;
-            say(socket, Message::text(protocol::status(Level::Warning, &text))).await?;
-        }
+        self.tell_dropped(socket, self.client.drops_to_tell()).await?;
         Ok(more)
     }
 
-    async fn take(&mut self, socket: &mut Socket, message: Message) -> Result<(), End> {
-        self.count_message()?;
+    async fn tell_dropped(&self, socket: &mut Socket, dropped: Option<u64>) -> Result<(), End> {
+        let Some(dropped) = dropped else { return Ok(()) };
+        warn(socket, &format!("{dropped} messages were dropped: this client reads too slowly")).await
+    }
+
+    async fn handle(&mut self, socket: &mut Socket, message: Message) -> Result<(), End> {
+        if !self.client.may_send() {
+            let text = format!("more than {MAX_MESSAGES_PER_S} messages within a second");
+            return Err(End::Close(CloseCode::Policy, text));
+        }
         match message {
             Message::Text(text) => match serde_json::from_str::<ClientText>(&text) {
-                Ok(text) => self.obey(socket, text).await,
-                Err(error) => warn(socket, &format!("a message that is none of the protocol: {error}")).await,
+                Ok(text) => self.handle_text(socket, text).await,
+                Err(error) => warn(socket, &format!("not a message of the protocol: {error}")).await,
             },
             Message::Binary(bytes) => self.call(socket, &bytes).await,
             Message::Close(_) => Err(End::Gone),
@@ -234,19 +230,7 @@ impl Talk<'_> {
         }
     }
 
-    fn count_message(&mut self) -> Result<(), End> {
-        if self.since.elapsed() > Duration::from_secs(1) {
-            (self.since, self.count) = (Instant::now(), 0);
-        }
-        self.count += 1;
-        if self.count > MAX_MESSAGES_PER_S {
-            let text = format!("more than {MAX_MESSAGES_PER_S} messages within a second");
-            return Err(End::Close(CloseCode::Policy, text));
-        }
-        Ok(())
-    }
-
-    async fn obey(&mut self, socket: &mut Socket, text: ClientText) -> Result<(), End> {
+    async fn handle_text(&mut self, socket: &mut Socket, text: ClientText) -> Result<(), End> {
         let board = &self.shared.board;
         let refused: Vec<String> = match text {
             ClientText::Subscribe { subscriptions } => subscriptions
@@ -258,7 +242,7 @@ impl Talk<'_> {
                 .filter_map(|id| board.unsubscribe(self.client, id).err())
                 .collect(),
             ClientText::Other => {
-                vec!["this server offers subscriptions and services, nothing else".to_owned()]
+                vec!["this server offers only subscriptions and services".to_owned()]
             }
         };
         match refused.split_first() {
@@ -270,10 +254,10 @@ impl Talk<'_> {
 
     async fn call(&mut self, socket: &mut Socket, bytes: &[u8]) -> Result<(), End> {
         let Some(call) = protocol::service_call(bytes) else {
-            return warn(socket, "a binary message that is no call of a service").await;
+            return warn(socket, "a binary message that is not a service call").await;
         };
         if call.encoding != "json" {
-            let text = format!("requests are JSON, this one is `{}`", call.encoding);
+            let text = format!("expected a JSON request, got `{}`", call.encoding);
             return say(socket, Message::text(protocol::service_failure(&call, &text))).await;
         }
         let (service, number) = (call.service, call.call);

@@ -56,7 +56,7 @@ impl Head {
         match (all.next(), all.next()) {
             (first, None) => Ok(first.map(|(_, value)| value.as_str())),
             (_, Some(_)) => {
-                Err(Refusal::new("400 Bad Request", format!("several headers `{name}`, expected one")))
+                Err(Refusal::new("400 Bad Request", format!("several `{name}` headers, expected one")))
             }
         }
     }
@@ -103,7 +103,8 @@ pub async fn read_head(stream: &mut (impl AsyncRead + Unpin)) -> Result<Option<H
 pub fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
-    let bad = |error: httparse::Error| Refusal::new("400 Bad Request", format!("no HTTP request: {error}"));
+    let bad =
+        |error: httparse::Error| Refusal::new("400 Bad Request", format!("not an HTTP request: {error}"));
     let httparse::Status::Complete(length) = request.parse(bytes).map_err(bad)? else { return Ok(None) };
     let text = |header: &httparse::Header<'_>| {
         (header.name.to_ascii_lowercase(), String::from_utf8_lossy(header.value).trim().to_owned())
@@ -135,7 +136,7 @@ impl Origins {
             return Err(Refusal::new("400 Bad Request", "no header `host`, expected one"));
         };
         if !is_ours(host, own, any_name) {
-            let text = format!("the host `{host}` is not this server, which is {own}");
+            let text = format!("the host is `{host}`, expected {own}");
             return Err(Refusal::new("403 Forbidden", text));
         }
         let Some(origin) = head.only("origin")? else { return Ok(()) };
@@ -267,7 +268,7 @@ mod tests {
 
     /// Two host headers must be refused: a proxy may use the other one.
     #[test]
-    fn headers_that_decide_stand_there_once() {
+    fn headers_that_decide_access_must_be_unique() {
         let head =
             |lines: &str| parse(format!("GET /ws HTTP/1.1\r\n{lines}\r\n").as_bytes()).unwrap().unwrap();
         let own = format!("Host: {OWN}\r\n");

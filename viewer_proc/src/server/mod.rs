@@ -1,8 +1,8 @@
 //! The server: the page over HTTP, and one WebSocket per client. Asynchronous, on one thread.
 
 mod connection;
-mod guests;
 pub mod http;
+mod pending;
 
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
@@ -16,8 +16,8 @@ use tokio::sync::Semaphore;
 use crate::board::Board;
 use crate::error::ViewerError;
 use crate::services::Call;
-use guests::{Guest, Guests};
 use http::Origins;
+use pending::{PendingConnection, PendingConnections};
 
 /// Most WebSocket clients at a time; further ones are turned away.
 pub const MAX_CLIENTS: usize = 32;
@@ -125,18 +125,19 @@ impl Server {
         let local = tokio::task::LocalSet::new();
         local.block_on(&runtime, async {
             let listener = TcpListener::from_std(self.listener).map_err(ViewerError::Runtime)?;
-            let guests = Guests::default();
+            let pending = PendingConnections::default();
             while !self.shared.end.load(Ordering::Relaxed) {
                 // A failed accept, or reaching the limit of open files, must not stop the other clients.
                 let Ok(Ok((stream, peer))) = tokio::time::timeout(END_CHECK_PERIOD, listener.accept()).await
                 else {
                     continue;
                 };
-                let guest = guests.admit(peer.ip());
-                let (number, shared) = (guest.number(), Arc::clone(&self.shared));
-                let task =
-                    tokio::task::spawn_local(async move { serve_connection(stream, &shared, guest).await });
-                guests.is_served_by(number, task.abort_handle());
+                let pending_connection = pending.admit(peer.ip());
+                let (number, shared) = (pending_connection.number(), Arc::clone(&self.shared));
+                let task = tokio::task::spawn_local(async move {
+                    serve_connection(stream, &shared, pending_connection).await
+                });
+                pending.is_served_by(number, task.abort_handle());
             }
             // Every client connection checks for the end itself.
             let all_have_left = self.shared.room.acquire_many(MAX_CLIENTS as u32);
@@ -146,11 +147,11 @@ impl Server {
     }
 }
 
-async fn serve_connection(mut stream: TcpStream, shared: &Shared, guest: Guest) {
+async fn serve_connection(mut stream: TcpStream, shared: &Shared, pending_connection: PendingConnection) {
     // Send without delay (TCP_NODELAY).
     let _ = stream.set_nodelay(true);
     let Ok(head) = tokio::time::timeout(HEAD_LIMIT, http::read_head(&mut stream)).await else { return };
-    connection::answer(stream, head, shared, guest).await;
+    connection::answer(stream, head, shared, pending_connection).await;
 }
 
 /// 128 random bits from the kernel, in hexadecimal.

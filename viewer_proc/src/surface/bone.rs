@@ -40,7 +40,7 @@ impl Bone {
     }
 
     /// Applies a removal.
-    pub fn take(&mut self, removed: &Removed, voxels: &[u32]) {
+    pub fn apply(&mut self, removed: &Removed, voxels: &[u32]) {
         if removed.tick == 0 {
             self.predrilled.extend_from_slice(voxels);
         }

@@ -17,6 +17,8 @@ pub struct DicomSlice {
     pub columns: u16,
     /// Encapsulated fragment instead of native pixels.
     pub fragment: Option<Vec<u8>>,
+    /// GantryDetectorTilt, degrees.
+    pub gantry_tilt: Option<&'static str>,
 }
 
 impl Default for DicomSlice {
@@ -32,6 +34,7 @@ impl Default for DicomSlice {
             rows: 4,
             columns: 5,
             fragment: None,
+            gantry_tilt: None,
         }
     }
 }
@@ -49,6 +52,9 @@ impl DicomSlice {
         out.extend(meta);
         text(&mut out, (0x0008, 0x0060), b"CS", "CT");
         text(&mut out, (0x0018, 0x0050), b"DS", "5");
+        if let Some(tilt) = self.gantry_tilt {
+            text(&mut out, (0x0018, 0x1120), b"DS", tilt);
+        }
         text(&mut out, (0x0020, 0x000e), b"UI", self.series_uid);
         let [x, y, z] = self.position_mm;
         text(&mut out, (0x0020, 0x0032), b"DS", &format!("{x}\\{y}\\{z}"));
@@ -125,6 +131,7 @@ fn element(out: &mut Vec<u8>, at: (u16, u16), vr: &[u8; 2], value: &[u8]) {
 
 /// A lossless JPEG (process 14, first-order prediction) of 5 × 4 pixels of 11 bits, all at the initial prediction 2^10 = 1024: one Huffman
 /// code, one bit a pixel (ITU-T T.81 annex H).
+#[allow(dead_code, reason = "each test file uses a part of this")]
 pub const LOSSLESS_JPEG: [u8; 54] = [
     0xff, 0xd8, 0xff, 0xc3, 0, 11, 11, 0, 4, 0, 5, 1, 1, 0x11, 0, 0xff, 0xc4, 0, 20, 0, 1, 0, 0, 0, 0, 0, 0,
     0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xda, 0, 8, 1, 1, 0, 1, 0, 0, 0, 0, 0x0f, 0xff, 0xd9, 0, 0,

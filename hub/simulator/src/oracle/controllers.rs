@@ -2,7 +2,7 @@
 
 use hub::Incoming;
 use hub::rate_limit::Connection;
-use messages::{ARM_HOLD, BURR_SPEED, Command, Latched, SOURCE_FRESH, SOURCE_HELD, SOURCE_NONE, SOURCE_SAFE};
+use messages::{ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latched};
 use scene::{Drives, Mode};
 
 use super::Oracle;
@@ -21,12 +21,12 @@ pub(super) struct Slot {
 
 impl Oracle {
     /// The hub takes a command.
-    pub fn command(&mut self, index: usize, incoming: &Incoming<Command>, well_formed: bool) {
+    pub fn command(&mut self, index: ControllerIndex, incoming: &Incoming<Command>, well_formed: bool) {
         let Incoming::Message(command, connection) = incoming else {
             self.refused += 1;
             return;
         };
-        let slot = &mut self.controllers[index];
+        let slot = &mut self.controllers[index.slot()];
         if slot.connection != Some(*connection) {
             slot.connection = Some(*connection);
             (slot.last_sequence, slot.last_state_tick) = (0, 0);
@@ -43,18 +43,20 @@ impl Oracle {
     }
 
     /// What of u_k is a controller's.
-    pub(super) fn check_latched(&mut self, index: usize, latched: &Latched, now_ns: u64) {
-        let (tick, entry) = (latched.tick, latched.commands[index]);
-        let (lockstep, optional) = (self.plan.mode == Mode::Lockstep, self.plan.controllers[index].optional);
+    pub(super) fn check_latched(&mut self, index: ControllerIndex, latched: &Latched, now_ns: u64) {
+        let (tick, entry) = (latched.tick, latched.commands[index.slot()]);
+        let said = entry.source();
+        let (lockstep, optional) =
+            (self.plan.mode == Mode::Lockstep, self.plan.controllers[index.slot()].optional);
         let waited = self.has_waited(self.plan.controller_limit_ms * MS, now_ns);
         let may_release = lockstep && optional && waited;
-        let slot = &mut self.controllers[index];
-        if entry.source == SOURCE_SAFE && may_release {
+        let slot = &mut self.controllers[index.slot()];
+        if said == Ok(CommandSource::Safe) && may_release {
             slot.released = true;
         }
         let (fresh, released) = (std::mem::take(&mut slot.fresh), slot.released);
         let Some(command) = slot.newest else {
-            expect!(self, entry.source == SOURCE_NONE && (optional || !lockstep), {
+            expect!(self, said == Ok(CommandSource::None) && (optional || !lockstep), {
                 format!("tick {tick}, controller {index}: {entry:?} though it never commanded")
             });
             return;
@@ -62,20 +64,20 @@ impl Oracle {
         let age = tick - command.state_tick;
         let late = released || (!lockstep && age > self.plan.hold_ticks);
         let source = match (late, fresh) {
-            (true, _) => SOURCE_SAFE,
-            (false, true) => SOURCE_FRESH,
-            (false, false) => SOURCE_HELD,
+            (true, _) => CommandSource::Safe,
+            (false, true) => CommandSource::Fresh,
+            (false, false) => CommandSource::Held,
         };
         if lockstep && !released {
             expect!(self, fresh && age == 0, {
                 format!("tick {tick}, controller {index}: lockstep made it without an answer to x_{tick}")
             });
         }
-        let expected = if late { safe(&command, &self.drives[index]) } else { command };
-        let right = entry.source == source && entry.age_ticks == age && entry.command == expected;
+        let expected = if late { safe(&command, &self.drives[index.slot()]) } else { command };
+        let right = said == Ok(source) && entry.age_ticks == age && entry.command == expected;
         expect!(self, right, {
             format!(
-                "tick {tick}, controller {index}: source {}, age {}, sequence {}; expected {source}, {age}, {}",
+                "tick {tick}, controller {index}: source {}, age {}, sequence {}; expected {source:?}, {age}, {}",
                 entry.source, entry.age_ticks, entry.command.sequence, expected.sequence
             )
         });
@@ -91,10 +93,10 @@ impl Oracle {
 fn safe(last: &Command, drives: &[Drives]) -> Command {
     let mut safe = Command { sequence: last.sequence, state_tick: last.state_tick, ..Command::zeroed() };
     if drives.contains(&Drives::Burr) {
-        safe.burr_mode = BURR_SPEED;
+        safe.burr_mode = BurrMode::Speed.code();
     }
     if drives.contains(&Drives::Arm) {
-        safe.arm_mode = ARM_HOLD;
+        safe.arm_mode = ArmMode::Hold.code();
     }
     safe
 }

@@ -46,11 +46,11 @@ impl Oracle {
             }
             HubError::ControllerSilent { name, tick, .. } => {
                 let silent = self.slot_of(name).is_some_and(|(slot, optional)| {
-                    !optional && slot.newest.is_none_or(|command| command.state_tick != *tick)
+                    !optional && slot.newest.is_none_or(|command| command.state_tick != tick.0)
                 });
                 lockstep
                     && silent
-                    && *tick == self.tick
+                    && tick.0 == self.tick
                     && !self.stopped
                     && self.has_waited(self.plan.controller_limit_ms * MS, now_ns)
             }

@@ -4,9 +4,8 @@
 use hub::rate_limit::Connection;
 use hub::{Incoming, Note, Report, Start};
 use messages::{
-    CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET, CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP,
-    EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED, Keyframe, Latched, PHASE_ENDED,
-    PHASE_PAUSED, Part, Plant, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    ControlAction, ControlStatus, ControllerIndex, EventCode, Keyframe, Latched, Part, Phase, Plant, Removed,
+    RunControl, RunControlReply, RunStatus, State, TickTiming,
 };
 use scene::{Drives, Mode};
 
@@ -34,6 +33,8 @@ macro_rules! expect {
 // Behind the macro, which they use.
 mod controllers;
 mod endings;
+pub mod seen_frames;
+pub mod viewer;
 pub mod x_ray;
 
 /// The account.
@@ -151,20 +152,20 @@ impl Oracle {
             return self.fail(format!("reply to {}, which nobody asked", reply.request_id));
         };
         self.answered.push((connection, now_ns));
-        let mut status = CONTROL_DONE;
-        match request.action {
-            CONTROL_PAUSE => (self.paused, self.steps_left) = (true, 0),
-            CONTROL_RESUME => (self.paused, self.steps_left) = (false, 0),
-            CONTROL_STEP if self.paused => self.steps_left += request.ticks,
-            CONTROL_RESET => self.reset_asked = true,
-            CONTROL_STOP => self.stopped = true,
-            _ => status = CONTROL_REFUSED,
+        let mut status = ControlStatus::Done;
+        match request.action() {
+            Ok(ControlAction::Pause) => (self.paused, self.steps_left) = (true, 0),
+            Ok(ControlAction::Resume) => (self.paused, self.steps_left) = (false, 0),
+            Ok(ControlAction::Step) if self.paused => self.steps_left += request.ticks,
+            Ok(ControlAction::Reset) => self.reset_asked = true,
+            Ok(ControlAction::Stop) => self.stopped = true,
+            _ => status = ControlStatus::Refused,
         }
         let expected = RunControlReply {
             request_id: request.request_id,
             tick: self.tick,
             action: request.action,
-            status,
+            status: status.code(),
         };
         expect!(self, *reply == expected, format!("{reply:?}, expected {expected:?}"));
     }
@@ -172,8 +173,8 @@ impl Oracle {
     /// The hub takes a report.
     pub fn report(&mut self, report: Report) {
         match self.taken.iter_mut().find(|(part, _)| *part == report.part) {
-            Some((_, tick)) => *tick = report.tick,
-            None => self.taken.push((report.part, report.tick)),
+            Some((_, tick)) => *tick = report.tick.0,
+            None => self.taken.push((report.part, report.tick.0)),
         }
     }
 
@@ -226,7 +227,7 @@ impl Oracle {
         let reset = std::mem::take(&mut self.reset_asked);
         expect!(self, latched.reset == u32::from(reset), format!("tick {tick}: reset is {}", latched.reset));
         self.check_lead(tick);
-        for index in 0..self.controllers.len() {
+        for index in ControllerIndex::first(self.controllers.len()) {
             self.check_latched(index, latched, now_ns);
         }
         self.plant_refused = plant_refuses;
@@ -357,8 +358,8 @@ impl Oracle {
             format!("status: ticks, missed, refused, removed messages {counts:?}, expected {expected:?}")
         });
         expect!(self, !self.ended, "a status behind the last one".to_owned());
-        self.ended = status.phase == PHASE_ENDED;
-        if status.phase == PHASE_PAUSED {
+        self.ended = status.phase() == Ok(Phase::Ended);
+        if status.phase() == Ok(Phase::Paused) {
             // Rest ends with a new schedule.
             self.deadline_ns = None;
         }
@@ -366,7 +367,8 @@ impl Oracle {
 
     /// The hub sends an event.
     pub fn event(&mut self, note: &Note<'_>, now_ns: u64) {
-        if ![EVENT_COMMAND_REFUSED, EVENT_MESSAGES_LOST, EVENT_REQUEST_REFUSED].contains(&note.code) {
+        let limited = [EventCode::CommandRefused, EventCode::MessagesLost, EventCode::RequestRefused];
+        if !limited.contains(&note.code) {
             return;
         }
         self.warnings_ns.retain(|at_ns| at_ns + 100 * MS > now_ns);

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use hub::rate_limit::Connection;
 use hub::x_ray::{Due, Refusal, RemovedLost, RemovedSince};
-use messages::{DRR_BUSY, DRR_REFUSED, GEOMETRY_REQUEST};
+use messages::{DrrRequest, DrrStatus, GeometryChoice, Restores, Tick};
 use scene::Mode;
 
 use super::{RATION, RATION_NS};
@@ -22,7 +22,7 @@ const WAITING: usize = 64;
 pub enum FrameCause {
     /// It is due.
     Due(Due),
-    /// The run is over, and no frame shows its last state.
+    /// It is due at the last state of a run that is over.
     Last(Due),
 }
 
@@ -77,6 +77,10 @@ pub struct FrameAccount {
     /// Requests that were refused.
     pub refused: u64,
     taken: Vec<(Connection, u64)>,
+    /// The last state's tick, once the process has refused what waits.
+    over_at: Option<Tick>,
+    /// A request that was refused at the end though the last state could have answered it.
+    refused_though_due: Option<Asked>,
 }
 
 impl FrameAccount {
@@ -97,6 +101,8 @@ impl FrameAccount {
             frames: 0,
             refused: 0,
             taken: Vec::new(),
+            over_at: None,
+            refused_though_due: None,
         }
     }
 
@@ -109,8 +115,8 @@ impl FrameAccount {
     }
 
     /// Voxels are removed in the tick that the next state ends.
-    pub fn removed(&mut self, restore_first: bool, voxels: &[u32]) {
-        if restore_first {
+    pub fn removed(&mut self, restores: Restores, voxels: &[u32]) {
+        if restores == Restores::Drilled {
             self.gone = self.predrilled;
         }
         self.gone.add(voxels);
@@ -144,19 +150,19 @@ impl FrameAccount {
             Ok(()) => self.waiting.push_back(*asked),
             Err(refusal) => {
                 self.refused += 1;
-                let status = if *refusal == Refusal::Busy { DRR_BUSY } else { DRR_REFUSED };
-                expect!(self, refusal.status() == status, format!("{refusal:?} is {}", refusal.status()));
+                let status = if *refusal == Refusal::Busy { DrrStatus::Busy } else { DrrStatus::Refused };
+                expect!(self, refusal.status() == status, format!("{refusal:?} is {:?}", refusal.status()));
             }
         }
     }
 
     fn expected(&self, asked: &Asked) -> Result<(), Refusal> {
         let Asked { from, sender, request } = asked;
-        if request.requester != *sender {
+        if request.requester != DrrRequest::requester_of(*sender) {
             return Err(Refusal::OtherSender { claimed: request.requester });
         }
-        if request.use_geometry == GEOMETRY_REQUEST {
-            if self.plan.x_ray.c_arm_driver.is_some_and(|driver| driver != *sender) {
+        if request.use_geometry() == Ok(GeometryChoice::Request) {
+            if self.plan.x_ray.c_arm_driver.is_some_and(|driver| *sender != Some(driver)) {
                 return Err(Refusal::NotTheDriver);
             }
             if request.geometry.columns == 0 {
@@ -164,7 +170,13 @@ impl FrameAccount {
             }
         }
         if request.tick > self.plan.tick_count {
-            return Err(Refusal::AfterTheEnd { tick: request.tick, end_tick: self.plan.tick_count });
+            return Err(Refusal::AfterTheEnd {
+                tick: Tick(request.tick),
+                end_tick: Tick(self.plan.tick_count),
+            });
+        }
+        if let Some(last_tick) = self.over_at {
+            return Err(Refusal::RunEnded { last_tick });
         }
         let own = self.waiting.iter().filter(|other| other.from == *from).count();
         if own >= WAITING_EACH || self.waiting.len() >= WAITING { Err(Refusal::Busy) } else { Ok(()) }
@@ -183,36 +195,41 @@ impl FrameAccount {
         expect!(self, is_last || in_flight <= most, {
             format!("tick {tick}: a frame behind {in_flight} others, at most {most}")
         });
+        let is_unshown = is_last && self.shown_tick != Some(tick) && !self.waits_for(tick);
         match cause {
-            FrameCause::Due(Due::Scheduled) => self.scheduled(tick),
-            FrameCause::Due(Due::Requested(request)) => {
-                let unshown = self.period_due(tick);
-                expect!(
-                    self,
-                    unshown.is_none(),
-                    format!("tick {tick}: a request before the scheduled frame")
-                );
-                let index = self.waiting.iter().position(|asked| asked.request.tick <= tick);
-                let first = index.and_then(|index| self.waiting.remove(index)).map(|asked| asked.request);
-                expect!(self, first == Some(request), {
-                    format!("tick {tick}: a frame for {request:?}, expected one for {first:?}")
-                });
+            FrameCause::Due(Due::Requested(request)) | FrameCause::Last(Due::Requested(request)) => {
+                self.requested(tick, &request);
             }
-            FrameCause::Last(due) => {
-                let right = due == Due::Scheduled && self.shown_tick != Some(tick);
-                expect!(self, right, format!("tick {tick} is shown a second time at the end"));
+            FrameCause::Last(Due::Scheduled) if self.period_due(tick).is_none() => {
+                expect!(self, is_unshown, format!("tick {tick} is shown a second time at the end"));
             }
+            FrameCause::Due(Due::Scheduled) | FrameCause::Last(Due::Scheduled) => self.scheduled(tick),
         }
         self.in_flight += 1;
         self.frames += 1;
         self.shown_tick = Some(tick);
-        if since.restore_first {
+        if since.restores == Restores::Drilled {
             self.rendered = Gone::default();
         }
         self.rendered.add(&since.voxels);
         let (shown, gone) = (self.rendered, self.gone_at.get(tick as usize).copied());
         expect!(self, Some(shown) == gone, {
             format!("the frame of tick {tick} shows other voxels than are left: {shown:?}, not {gone:?}")
+        });
+    }
+
+    /// Whether a request waits for a frame of this tick.
+    fn waits_for(&self, tick: u64) -> bool {
+        self.waiting.iter().any(|asked| asked.request.tick <= tick)
+    }
+
+    fn requested(&mut self, tick: u64, request: &DrrRequest) {
+        let unshown = self.period_due(tick);
+        expect!(self, unshown.is_none(), format!("tick {tick}: a request before the scheduled frame"));
+        let index = self.waiting.iter().position(|asked| asked.request.tick <= tick);
+        let first = index.and_then(|index| self.waiting.remove(index)).map(|asked| asked.request);
+        expect!(self, first == Some(*request), {
+            format!("tick {tick}: a frame for {request:?}, expected one for {first:?}")
         });
     }
 
@@ -252,13 +269,23 @@ impl FrameAccount {
         expect!(self, dropped, format!("ended though nothing was lost: {lost}"));
     }
 
+    /// The DRR process refuses the requests that wait, because the run is over with the state of this tick.
+    pub fn refused_at_end(&mut self, refused: &[(DrrRequest, Refusal)], last_tick: Tick) {
+        self.refused_though_due =
+            self.waiting.iter().copied().find(|asked| asked.request.tick <= last_tick.0);
+        let refusal = Refusal::RunEnded { last_tick };
+        let expected: Vec<_> = self.waiting.drain(..).map(|asked| (asked.request, refusal.clone())).collect();
+        expect!(self, refused == expected, format!("at the end: {refused:?}, expected {expected:?}"));
+        self.refused += refused.len() as u64;
+        self.over_at = Some(last_tick);
+    }
+
     /// The DRR process has come to the end of the run, whose last state is that of this tick.
     pub fn ended(&mut self, tick: u64) {
         let (shown, in_flight) = (self.shown_tick, self.in_flight);
         expect!(self, shown == Some(tick), format!("the last frame shows tick {shown:?} of {tick}"));
         expect!(self, in_flight == 0, format!("{in_flight} frames are never finished"));
-        // In lockstep only those are left that the run ended before.
-        let left = self.waiting.iter().find(|asked| asked.request.tick <= tick).copied();
-        expect!(self, left.is_none() || !self.is_lockstep(), format!("{left:?} never has its frame"));
+        let refused = self.refused_though_due;
+        expect!(self, refused.is_none(), format!("{refused:?} is due at the last state and has no frame"));
     }
 }

@@ -2,10 +2,11 @@
 
 use hub::{Environment, Incoming, Note, Outputs, Report, Start};
 use messages::{
-    Command, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    Command, ControllerIndex, Keyframe, Latched, Removed, RunControl, RunControlReply, RunStatus, State,
+    TickTiming,
 };
 
-use super::{Event, World};
+use super::{Event, Viewer, World};
 use crate::plan::US;
 
 impl Outputs for World {
@@ -21,7 +22,7 @@ impl Outputs for World {
 
     fn send_removed(&mut self, removed: &Removed, voxels: &[u32]) -> Result<(), String> {
         self.oracle.removed(removed, voxels);
-        self.frames.removed(removed.restore_first != 0, voxels);
+        self.frames.removed(removed.restores(), voxels);
         if let Some(drr) = &mut self.drr {
             drr.receive_removed(removed, voxels, &mut self.frames);
         }
@@ -37,6 +38,7 @@ impl Outputs for World {
         self.consumers.iter_mut().for_each(|consumer| consumer.waiting += 1);
         self.oracle.state(state, self.now_ns.get());
         self.frames.state();
+        self.viewer.iter_mut().for_each(Viewer::receive_state);
         if let Some(drr) = &mut self.drr {
             drr.receive_state(state);
         }
@@ -66,17 +68,17 @@ impl Environment for World {
         self.end_requested
     }
 
-    fn receive_command(&mut self, controller: usize) -> Result<Option<Incoming<Command>>, String> {
+    fn receive_command(&mut self, controller: ControllerIndex) -> Result<Option<Incoming<Command>>, String> {
         self.moment();
-        let Some((incoming, well_formed)) = self.controllers[controller].commands.pop_front() else {
+        let Some((incoming, well_formed)) = self.controllers[controller.slot()].commands.pop_front() else {
             return Ok(None);
         };
         self.oracle.command(controller, &incoming, well_formed);
         Ok(Some(incoming))
     }
 
-    fn has_command(&self, controller: usize) -> bool {
-        !self.controllers[controller].commands.is_empty()
+    fn has_command(&self, controller: ControllerIndex) -> bool {
+        !self.controllers[controller.slot()].commands.is_empty()
     }
 
     fn receive_control(&mut self) -> Result<Option<Incoming<RunControl>>, String> {

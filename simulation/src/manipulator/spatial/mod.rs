@@ -1,13 +1,11 @@
 //! The spatial rungs: a chain of flexures with one, three or six degrees of freedom each, in reduced coordinates.
 //!
-//! [`SpatialChain<3>`] bends in two planes and twists. [`SpatialChain<6>`] also stretches and shears, like a Timoshenko beam.
+//! [`SpatialChain<3>`] bends in two planes and twists. [`SpatialChain<6>`] also stretches and shears.
 //! [`SpatialChain<1>`] is the planar chain again, with up to 64 links. Frames, tendons, contact laws, mount and integrators are those of
 //! the planar rung (see [`crate::manipulator`]). Each coordinate of a flexure has its own spring `k q`, so the forces derive from one
 //! potential at any angle.
 //!
-//! All stiffnesses scale with the bending stiffness k of a flexure: lateral and torsional by the ratios in the parameters, axial `k A/I`
-//! and shear `k kappa (G/E) A/I`, with A/I = 4 / (r_o^2 + r_i^2) of the tube and Cowper's shear coefficient of a thin tube, `kappa G/E =
-//! 1 / (4 + 3 nu)` (Cowper 1966, J. Appl. Mech. 33).
+//! All stiffnesses are the bending stiffness of a flexure times the ratios of [`crate::manipulator::StiffnessRatios`], the same in both.
 
 mod algebra;
 mod articulated;
@@ -293,18 +291,17 @@ impl<const D: usize> SpatialChain<D> {
 
 /// Stiffness per degree of freedom, N/m and N m/rad.
 fn stiffnesses<const D: usize>(p: &ManipulatorParameters) -> Vec<f64> {
-    let [outer, inner] = p.tube_radii_m;
-    let area_over_moment = 4.0 / (outer * outer + inner * inner);
     let mut stiffness = p.mount_stiffness_n_per_m.to_vec();
-    for &k in &p.joint_stiffness_nm_per_rad {
+    for (joint, &k) in p.joint_stiffness_nm_per_rad.iter().enumerate() {
+        let ratios = p.stiffness_ratios(joint);
         if D == 6 {
-            let axial = k * area_over_moment;
-            let shear = axial / (4.0 + 3.0 * p.poisson_ratio);
-            stiffness.extend([shear, shear, axial]);
+            let shear = [ratios.shear_toward_per_m2, ratios.shear_across_per_m2];
+            stiffness.extend(shear.map(|ratio| ratio * k));
+            stiffness.push(ratios.axial_per_m2 * k);
         }
         stiffness.push(k);
         if D > 1 {
-            stiffness.extend([p.lateral_stiffness_ratio * k, p.torsion_stiffness_ratio * k]);
+            stiffness.extend([ratios.lateral * k, ratios.torsion * k]);
         }
     }
     stiffness

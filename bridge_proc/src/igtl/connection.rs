@@ -1,0 +1,200 @@
+//! One peer: a thread that reads and one that writes.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Shutdown, TcpStream};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, TrySendError};
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use openigtlink::{Body, Decoder, HeaderVersion, Message, Status, StatusCode};
+
+use super::incoming::{self, Request};
+use super::outbox::Outbox;
+
+/// Largest body taken from a peer: plans and poses are below 100 kB.
+const MOST_BODY_BYTES: usize = 1 << 20;
+/// How long a peer may take none of a message before it is given up.
+const WRITE_LIMIT: Duration = Duration::from_secs(5);
+/// How often the threads look whether they are to end.
+const LOOK_PERIOD: Duration = Duration::from_millis(100);
+/// Wrong messages of a peer that are answered; of further ones it hears no more.
+const MOST_COMPLAINTS: u64 = 100;
+
+/// A request, and whose.
+#[derive(Debug)]
+pub(crate) struct Asked {
+    pub(crate) peer: Arc<Peer>,
+    pub(crate) request: Request,
+}
+
+/// A connected peer as the bridge sees it.
+#[derive(Debug)]
+pub(crate) struct Peer {
+    pub(crate) outbox: Outbox,
+    /// Set once it has proved that it may control.
+    pub(crate) may_control: OnceLock<()>,
+    refused: AtomicU64,
+    /// Header version of what it sends; until then 1, which every receiver understands.
+    version: AtomicU8,
+}
+
+impl Peer {
+    /// Answers with a STATUS.
+    pub(crate) fn answer(&self, device: &str, code: StatusCode, text: &str) {
+        let ascii: String =
+            text.chars().map(|c| if c.is_ascii() && !c.is_ascii_control() { c } else { '?' }).collect();
+        let status =
+            Status { code, subcode: 0, error: String::new(), message: ascii.chars().take(500).collect() };
+        if let Ok(message) = Message::new(device, Body::Status(status)) {
+            self.outbox.put(message);
+        }
+    }
+
+    /// Refuses a message; a flood of them is answered only so often.
+    pub(crate) fn refuse(&self, code: StatusCode, text: &str) {
+        if self.refused.fetch_add(1, Ordering::Relaxed) < MOST_COMPLAINTS {
+            self.answer("Trabecula", code, text);
+        }
+    }
+
+    /// Messages that were refused.
+    pub(crate) fn refused(&self) -> u64 {
+        self.refused.load(Ordering::Relaxed)
+    }
+}
+
+/// A peer with its threads.
+#[derive(Debug)]
+pub(crate) struct Connection {
+    pub(crate) peer: Arc<Peer>,
+    stream: TcpStream,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Connection {
+    /// Starts the threads of a peer.
+    ///
+    /// # Errors
+    /// The operating system's: no thread, no second handle.
+    pub(crate) fn start(stream: TcpStream, requests: SyncSender<Asked>) -> std::io::Result<Connection> {
+        stream.set_read_timeout(Some(LOOK_PERIOD))?;
+        stream.set_write_timeout(Some(WRITE_LIMIT))?;
+        stream.set_nodelay(true)?;
+        let peer = Arc::new(Peer {
+            outbox: Outbox::default(),
+            may_control: OnceLock::new(),
+            refused: AtomicU64::new(0),
+            version: AtomicU8::new(1),
+        });
+        let mut connection =
+            Connection { peer: Arc::clone(&peer), stream: stream.try_clone()?, threads: Vec::new() };
+        let (reader, writer) = (stream.try_clone()?, stream);
+        let reading = Arc::clone(&peer);
+        connection.spawn("igtl-read", move || read(reader, &reading, &requests))?;
+        connection.spawn("igtl-write", move || write(writer, &peer))?;
+        Ok(connection)
+    }
+
+    fn spawn(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+        self.threads.push(std::thread::Builder::new().name(name.into()).spawn(work)?);
+        Ok(())
+    }
+
+    /// Whether the peer is gone or was given up.
+    pub(crate) fn is_over(&self) -> bool {
+        self.peer.outbox.is_closed()
+    }
+}
+
+impl Drop for Connection {
+    /// Sends what waits, within the write limit, and closes.
+    fn drop(&mut self) {
+        self.peer.outbox.close();
+        if let Some(writer) = self.threads.pop() {
+            let _ = writer.join();
+        }
+        let _ = self.stream.shutdown(Shutdown::Both);
+        self.threads.drain(..).for_each(|thread| {
+            let _ = thread.join();
+        });
+    }
+}
+
+fn read(mut stream: TcpStream, peer: &Arc<Peer>, requests: &SyncSender<Asked>) {
+    let mut decoder = Decoder::new(MOST_BODY_BYTES);
+    let mut piece = [0; 16 * 1024];
+    while !peer.outbox.is_closed() {
+        match stream.read(&mut piece) {
+            Ok(0) => break,
+            Ok(bytes) => decoder.push(&piece[..bytes]),
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+                ) =>
+            {
+                continue;
+            }
+            Err(_) => break,
+        }
+        if !take_all(&mut decoder, peer, requests) {
+            break;
+        }
+    }
+    peer.outbox.close();
+}
+
+/// Whether the stream can be read on.
+fn take_all(decoder: &mut Decoder, peer: &Arc<Peer>, requests: &SyncSender<Asked>) -> bool {
+    loop {
+        let message = match decoder.next() {
+            Ok(Some(message)) => message,
+            Ok(None) => return true,
+            Err(error) => {
+                peer.refuse(StatusCode::Unknown, &error.to_string());
+                let out_of_step = matches!(
+                    error,
+                    openigtlink::Error::HeaderVersion(_) | openigtlink::Error::TooLarge { .. }
+                );
+                if out_of_step {
+                    return false;
+                }
+                continue;
+            }
+        };
+        if decoder.version() == Some(HeaderVersion::V2) {
+            peer.version.store(2, Ordering::Relaxed);
+        }
+        match incoming::request(&message) {
+            Ok(None) => {}
+            Ok(Some(request)) => match requests.try_send(Asked { peer: Arc::clone(peer), request }) {
+                Ok(()) => {}
+                Err(TrySendError::Full(_)) => peer.refuse(StatusCode::NotReady, "too many requests wait"),
+                Err(TrySendError::Disconnected(_)) => return false,
+            },
+            Err(problem) => peer.refuse(StatusCode::Unknown, &problem),
+        }
+    }
+}
+
+fn write(mut stream: TcpStream, peer: &Peer) {
+    loop {
+        let Some(message) = peer.outbox.take(LOOK_PERIOD) else {
+            if peer.outbox.is_closed() {
+                return;
+            }
+            continue;
+        };
+        let version =
+            if peer.version.load(Ordering::Relaxed) == 2 { HeaderVersion::V2 } else { HeaderVersion::V1 };
+        let sent = message.encode(version).is_ok_and(|bytes| stream.write_all(&bytes).is_ok());
+        if !sent {
+            // In the middle of a message nothing else can be sent.
+            peer.outbox.close();
+            let _ = stream.shutdown(Shutdown::Both);
+            return;
+        }
+    }
+}

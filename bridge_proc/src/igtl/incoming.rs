@@ -1,0 +1,133 @@
+//! What a peer asks for.
+
+use ipc_types::messages::Pose;
+use openigtlink::{Body, Message, Point};
+
+use crate::ras;
+
+/// Device names of messages that a peer sends, and what they mean. A test compares `docs/slicer.md` with it.
+pub const UNDERSTOOD: [(&str, &str, &str); 5] = [
+    ("STRING", "Token", "the control token; once a connection"),
+    ("STRING", "Command", "`pause`, `resume`, `stop`, or `halt` (gives up the plan in hand)"),
+    (
+        "TRANSFORM",
+        "CArmToRAS",
+        "takes an X-ray, sent as `XRayOnRequest`, with the C-arm at this pose (origin: isocentre; +z: to the source)",
+    ),
+    ("TRANSFORM", "BaseGoalToRAS", "the arm moves the tool's base there"),
+    (
+        "POINT",
+        "Plan",
+        "points named `Entry` and `Target`: the arm moves the tip to the entry and feeds straight to the target; `Target` \
+         alone: straight from where the tip is",
+    ),
+];
+
+/// A request of a peer.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Request {
+    /// A token that is to prove the right to control.
+    Token(String),
+    /// Stop at the next tick.
+    Pause,
+    /// Go on.
+    Resume,
+    /// End the run.
+    Stop,
+    /// Give up the plan in hand and hold the arm.
+    Halt,
+    /// A frame with the C-arm there.
+    Frame(Pose),
+    /// The arm's goal for the tool base.
+    BaseGoal(Pose),
+    /// Feed the tip to the target, from the entry if there is one.
+    Plan {
+        /// Where the tip is to enter.
+        entry_m: Option<[f64; 3]>,
+        /// Where it is to end.
+        target_m: [f64; 3],
+    },
+}
+
+/// What a message asks for; `Ok(None)` if it is addressed to somebody else.
+///
+/// # Errors
+/// A sentence on what is wrong with it.
+pub(crate) fn request(message: &Message) -> Result<Option<Request>, String> {
+    match (&message.body, message.device.as_str()) {
+        (Body::Text(text), "Token") => Ok(Some(Request::Token(text.clone()))),
+        (Body::Text(text), "Command") => command(text).map(Some),
+        (Body::Transform(transform), device @ ("CArmToRAS" | "BaseGoalToRAS")) => {
+            let pose = ras::pose(transform);
+            let pose = pose.ok_or_else(|| format!("{device}: the matrix is not a rotation within 1e-3"))?;
+            Ok(Some(if device == "CArmToRAS" { Request::Frame(pose) } else { Request::BaseGoal(pose) }))
+        }
+        (Body::Points(points), "Plan") => plan(points).map(Some),
+        _ => Ok(None),
+    }
+}
+
+fn command(text: &str) -> Result<Request, String> {
+    match text.trim() {
+        "pause" => Ok(Request::Pause),
+        "resume" => Ok(Request::Resume),
+        "stop" => Ok(Request::Stop),
+        "halt" => Ok(Request::Halt),
+        other => {
+            let other = foreign_text::foreign(other);
+            Err(format!("Command: {other} is none of pause, resume, stop, halt"))
+        }
+    }
+}
+
+fn plan(points: &[Point]) -> Result<Request, String> {
+    let mut found = [None, None];
+    for (place, name) in found.iter_mut().zip(["Entry", "Target"]) {
+        let mut named = points.iter().filter(|point| point.name == name);
+        *place = named.next().map(|point| ras::position_m(point.position_mm));
+        if named.next().is_some() {
+            return Err(format!("Plan: two points are named {name}"));
+        }
+    }
+    let [entry_m, target_m] = found;
+    let target_m = target_m.ok_or("Plan: no point is named Target")?;
+    Ok(Request::Plan { entry_m, target_m })
+}
+
+#[cfg(test)]
+mod tests {
+    use openigtlink::Transform;
+
+    use super::*;
+
+    fn point(name: &str, position_mm: [f32; 3]) -> Point {
+        let (group, owner) = (String::new(), String::new());
+        Point { name: name.into(), group, rgba: [0; 4], position_mm, diameter_mm: 0.0, owner }
+    }
+
+    #[test]
+    fn slicers_points_become_ours() {
+        let points = vec![point("Target", [10.0, 20.0, 30.0]), point("Other", [0.0; 3])];
+        let message = Message::new("Plan", Body::Points(points)).unwrap();
+        let wanted = Request::Plan { entry_m: None, target_m: [-0.01, -0.02, 0.03] };
+        assert_eq!(request(&message), Ok(Some(wanted)));
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_and_what_is_not_for_us_is_left() {
+        let ask = |device: &str, body: Body| request(&Message::new(device, body).unwrap());
+        assert_eq!(
+            ask("Command", Body::Text("jump".into())).unwrap_err(),
+            "Command: jump is none of pause, resume, stop, halt"
+        );
+        assert_eq!(ask("Plan", Body::Points(vec![])).unwrap_err(), "Plan: no point is named Target");
+        let twice = vec![point("Target", [0.0; 3]), point("Target", [1.0; 3])];
+        assert_eq!(ask("Plan", Body::Points(twice)).unwrap_err(), "Plan: two points are named Target");
+        let mirrored = Transform {
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]],
+            translation_mm: [0.0; 3],
+        };
+        assert!(ask("CArmToRAS", Body::Transform(mirrored)).is_err());
+        assert_eq!(ask("ProbeToTracker", Body::Transform(mirrored)), Ok(None));
+    }
+}

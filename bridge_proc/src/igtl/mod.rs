@@ -1,0 +1,115 @@
+//! OpenIGTLink: poses, tool, X-rays and figures out; plans, pauses and C-arm poses in.
+
+mod connection;
+mod error;
+mod incoming;
+mod outbox;
+mod outgoing;
+mod peers;
+mod plan;
+mod session;
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use ipc_types::process::EndRequest;
+use openigtlink::Timestamp;
+
+pub use error::IgtlError;
+pub use incoming::UNDERSTOOD;
+pub use outgoing::SENT;
+
+use peers::Peers;
+use plan::Speeds;
+use session::Joined;
+
+/// Whom the bridge talks to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Where {
+    /// Peers connect here; port 0 picks a free one.
+    Listen(SocketAddr),
+    /// The bridge connects there, again and again until somebody listens.
+    Connect(SocketAddr),
+}
+
+/// Who may pause, stop, take X-rays and drive.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Permission {
+    /// Nobody.
+    WatchOnly,
+    /// Whoever has sent this as a STRING named `Token`.
+    Token(String),
+    /// Everybody who is connected.
+    Anyone,
+}
+
+/// What the bridge is to do.
+#[derive(Debug, Clone)]
+pub struct IgtlOptions {
+    /// The session's folder or name; `None`: as a client finds it.
+    pub session: Option<String>,
+    /// The scene's controller that the bridge is; `None`: it only watches the run.
+    pub controller: Option<String>,
+    /// Whom it talks to.
+    pub peers: Where,
+    /// Who may control.
+    pub permission: Permission,
+    /// Poses a second, 0.1 to 1000.
+    pub rate_hz: f64,
+    /// Speed of the arm to a plan's entry.
+    pub approach_m_per_s: f64,
+    /// Feed from a plan's entry to its target.
+    pub feed_m_per_s: f64,
+    /// Burr on the way to a plan's target.
+    pub burr_rad_per_s: f64,
+}
+
+/// What a bridge did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Summary {
+    /// Peers that were connected.
+    pub peers: u64,
+    /// Messages that peers did not read before a newer one of the same name came.
+    pub replaced: u64,
+    /// Messages of peers that were refused.
+    pub refused: u64,
+}
+
+/// Runs the bridge until the session ends or an end is requested. `ready` hears the address that is listened at.
+///
+/// # Errors
+/// No session, a port in use; the session's loss.
+pub fn serve(
+    options: &IgtlOptions,
+    end: &EndRequest,
+    ready: impl FnOnce(Option<SocketAddr>),
+) -> Result<Summary, IgtlError> {
+    let speeds = Speeds {
+        approach_m_per_s: options.approach_m_per_s,
+        feed_m_per_s: options.feed_m_per_s,
+        burr_rad_per_s: options.burr_rad_per_s,
+    };
+    let mut joined = Joined::connect(options, speeds)?;
+    let mut peers = Peers::open(options.peers, &options.permission)?;
+    ready(peers.address());
+    let period = Duration::from_secs_f64(1.0 / options.rate_hz);
+    let mut due = Instant::now();
+    while !end.is_set() && joined.advance()? {
+        for greeted in peers.admit() {
+            greeted.outbox.put(joined.scene_points(now()));
+        }
+        peers.requests().into_iter().for_each(|asked| joined.obey(&asked, &options.permission));
+        if Instant::now() >= due {
+            // A late tick is not made up for: peers want what is newest.
+            due = Instant::now() + period;
+            joined.outgoing(now()).into_iter().for_each(|message| peers.send(&message));
+        }
+    }
+    joined.last_words(now()).into_iter().for_each(|message| peers.send(&message));
+    Ok(peers.close())
+}
+
+fn now() -> Timestamp {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    Timestamp::from_ns(u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+}

@@ -1,0 +1,107 @@
+//! What waits to be sent to a peer.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use openigtlink::{Body, Message};
+
+/// Most messages of different names that wait; the oldest goes first.
+const MOST_WAITING: usize = 256;
+
+/// A queue that holds the newest message of each device and type, so a peer that reads slowly gets fewer messages and none that are old.
+/// Answers to requests (STATUS) are not replaced: each is said.
+#[derive(Debug, Default)]
+pub(crate) struct Outbox {
+    state: Mutex<Waiting>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct Waiting {
+    messages: VecDeque<Message>,
+    replaced: u64,
+    is_closed: bool,
+}
+
+impl Outbox {
+    /// Queues a message in the place of an older one of its name and type.
+    pub(crate) fn put(&self, message: Message) {
+        let mut waiting = self.lock();
+        let same = |other: &Message| {
+            !matches!(message.body, Body::Status(_))
+                && other.device == message.device
+                && core::mem::discriminant(&other.body) == core::mem::discriminant(&message.body)
+        };
+        match waiting.messages.iter().position(same) {
+            Some(index) => {
+                waiting.messages[index] = message;
+                waiting.replaced += 1;
+            }
+            None => {
+                if waiting.messages.len() == MOST_WAITING {
+                    waiting.messages.pop_front();
+                    waiting.replaced += 1;
+                }
+                waiting.messages.push_back(message);
+            }
+        }
+        drop(waiting);
+        self.changed.notify_one();
+    }
+
+    /// The next message; waits for one. `None` once the outbox is closed and empty, or nothing came within the limit.
+    pub(crate) fn take(&self, limit: Duration) -> Option<Message> {
+        let idle = |waiting: &mut Waiting| waiting.messages.is_empty() && !waiting.is_closed;
+        let waited = self.changed.wait_timeout_while(self.lock(), limit, idle);
+        let (mut waiting, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        waiting.messages.pop_front()
+    }
+
+    /// Lets the last messages go and takes no more waits.
+    pub(crate) fn close(&self) {
+        self.lock().is_closed = true;
+        self.changed.notify_all();
+    }
+
+    pub(crate) fn is_closed(&self) -> bool {
+        self.lock().is_closed
+    }
+
+    /// Messages that a newer one replaced before they were sent.
+    pub(crate) fn replaced(&self) -> u64 {
+        self.lock().replaced
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slow_peer_gets_the_newest_of_each_name_and_the_rest_is_counted() {
+        let outbox = Outbox::default();
+        let text = |device: &str, text: &str| Message::new(device, Body::Text(text.into())).unwrap();
+        for n in 0..1000 {
+            outbox.put(text("A", &n.to_string()));
+            outbox.put(text("B", &n.to_string()));
+        }
+        assert_eq!(outbox.take(Duration::ZERO), Some(text("A", "999")));
+        assert_eq!(outbox.take(Duration::ZERO), Some(text("B", "999")));
+        assert_eq!(outbox.take(Duration::ZERO), None);
+        assert_eq!(outbox.replaced(), 2 * 999);
+    }
+
+    #[test]
+    fn names_without_end_do_not_fill_the_memory() {
+        let outbox = Outbox::default();
+        (0..10_000)
+            .for_each(|n| outbox.put(Message::new(&n.to_string(), Body::Text(String::new())).unwrap()));
+        assert_eq!(outbox.lock().messages.len(), MOST_WAITING);
+        assert_eq!(outbox.replaced(), 10_000 - MOST_WAITING as u64);
+    }
+}

@@ -1,0 +1,151 @@
+//! What the bridge sends of a session.
+
+use ipc_types::messages::{Frame, Phase, Pose, RunStatus, State};
+use ipc_types::scene::Scene;
+use openigtlink::{Body, Coordinates, Image, Message, Point, PolyData, Timestamp};
+
+use crate::ras;
+
+/// Device names of messages that a peer receives, and what they hold. A test compares `docs/slicer.md` with it.
+pub const SENT: [(&str, &str, &str); 10] = [
+    ("TRANSFORM", "BurrToRAS", "the burr's centre, axes of the last link"),
+    ("TRANSFORM", "TipToRAS", "the front of the burr"),
+    ("TRANSFORM", "BaseToRAS", "the tool's base"),
+    ("TRANSFORM", "FlangeToRAS", "the arm's flange"),
+    ("TRANSFORM", "Link01ToRAS and so on", "each link behind its flexure, base to tip"),
+    ("POLYDATA", "Tool", "the tool's surface in RAS, five times a second"),
+    ("IMAGE", "XRay", "the newest scheduled X-ray frame, 16 bit, at its detector"),
+    ("IMAGE", "XRayOnRequest", "the newest frame that somebody asked for, as with `CArmToRAS`"),
+    (
+        "POINT",
+        "Scene",
+        "the scene's points: `BurrStart`, `Target` where a controller has one, ends of predrilled holes",
+    ),
+    ("STRING", "State", "tick, time, phase, force and removal as `name=value`, five times a second"),
+];
+
+/// Corners of the tube's cross-section.
+const SIDES: u32 = 12;
+
+/// A message of ours. The names in this module are short enough and of ASCII, so making one does not fail.
+pub(crate) fn message(device: &str, timestamp: Timestamp, body: Body) -> Message {
+    Message { device: device.to_owned(), timestamp, body }
+}
+
+/// Links in use.
+fn links(state: &State) -> &[Pose] {
+    let count = usize::try_from(state.joint_count).unwrap_or(usize::MAX);
+    &state.t_world_link[..count.min(state.t_world_link.len())]
+}
+
+/// The poses of a state.
+pub(crate) fn poses(state: &State, timestamp: Timestamp) -> Vec<Message> {
+    let pose = |device: &str, pose: &Pose| message(device, timestamp, Body::Transform(ras::transform(pose)));
+    let mut messages = vec![
+        pose("BurrToRAS", &state.t_world_burr),
+        pose("TipToRAS", &state.t_world_tip),
+        pose("BaseToRAS", &state.t_world_base),
+        pose("FlangeToRAS", &state.t_world_flange),
+    ];
+    let numbered = links(state).iter().enumerate();
+    messages.extend(numbered.map(|(index, link)| pose(&format!("Link{:02}ToRAS", index + 1), link)));
+    messages
+}
+
+/// Figures of a state as text.
+pub(crate) fn figures(state: &State, status: Option<&RunStatus>, timestamp: Timestamp) -> Message {
+    let phase = status.and_then(|status| status.phase().ok()).unwrap_or(Phase::Running).word();
+    let text = format!(
+        "tick={} sim_time_s={:.6} phase={phase} bend_deg={:.3} burr_force_n={:.4} burr_speed_rpm={:.1} removed_voxels={}",
+        state.tick,
+        state.sim_time_s,
+        state.bend_rad.to_degrees(),
+        state.burr_force_n,
+        state.burr_speed_rad_per_s * 30.0 / core::f64::consts::PI,
+        state.removed_total,
+    );
+    message("State", timestamp, Body::Text(text))
+}
+
+/// The tool's radii as it is drawn.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Radii {
+    pub(crate) tube_m: f64,
+    pub(crate) burr_m: f64,
+}
+
+/// The tool as a surface: a tube through base, links and burr, closed by the burr's widest circle and its tip.
+pub(crate) fn tool(state: &State, radii: Radii, timestamp: Timestamp) -> Message {
+    let mut rings: Vec<(&Pose, f64)> = vec![(&state.t_world_base, radii.tube_m)];
+    rings.extend(links(state).iter().map(|link| (link, radii.tube_m)));
+    rings.push((&state.t_world_burr, radii.burr_m));
+    rings.push((&state.t_world_tip, 0.0));
+    let mut surface = PolyData::default();
+    for (pose, radius_m) in &rings {
+        let transform = ras::transform(pose);
+        let radius_mm = (1000.0 * radius_m) as f32;
+        surface.points_mm.extend((0..SIDES).map(|side| {
+            let angle = core::f32::consts::TAU * side as f32 / SIDES as f32;
+            let (sin, cos) = angle.sin_cos();
+            core::array::from_fn(|axis| {
+                let [x, y, _] = transform.rotation[axis];
+                transform.translation_mm[axis] + radius_mm * (x * cos + y * sin)
+            })
+        }));
+    }
+    for ring in 0..rings.len() as u32 - 1 {
+        for side in 0..SIDES {
+            let next = (side + 1) % SIDES;
+            let (near, far) = (ring * SIDES, (ring + 1) * SIDES);
+            surface.polygons.push(vec![near + side, near + next, far + next, far + side]);
+        }
+    }
+    message("Tool", timestamp, Body::PolyData(surface))
+}
+
+/// An X-ray at its detector: axis i along the rows, j down the columns, k from the detector toward the source.
+pub(crate) fn x_ray(frame: &Frame, pixels: &[u16], timestamp: Timestamp) -> Option<Message> {
+    let geometry = &frame.geometry;
+    let size = [u16::try_from(geometry.columns).ok()?, u16::try_from(geometry.rows).ok()?, 1];
+    let [pitch_row_m, pitch_column_m] = geometry.pixel_pitch_m;
+    let row = ras::direction(geometry.row_axis).map(|axis| axis * (1000.0 * pitch_row_m) as f32);
+    let column = ras::direction(geometry.column_axis).map(|axis| axis * (1000.0 * pitch_column_m) as f32);
+    let normal = cross(ras::direction(geometry.row_axis), ras::direction(geometry.column_axis));
+    let image = Image {
+        coordinates: Coordinates::Ras,
+        size,
+        axes_mm: core::array::from_fn(|axis| [row[axis], column[axis], normal[axis]]),
+        centre_mm: ras::position_mm(geometry.detector_centre_m),
+        samples: pixels.to_vec(),
+    };
+    let device = if frame.request_id == 0 { "XRay" } else { "XRayOnRequest" };
+    Some(message(device, timestamp, Body::Image(image)))
+}
+
+fn cross([ax, ay, az]: [f32; 3], [bx, by, bz]: [f32; 3]) -> [f32; 3] {
+    [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
+}
+
+/// The scene's points.
+pub(crate) fn scene_points(scene: &Scene, timestamp: Timestamp) -> Message {
+    let mm = |[x, y, z]: [f64; 3]| ras::position_mm([x, y, z].map(|component| component / 1000.0));
+    let point = |name: String, group: &str, position_mm: [f32; 3]| Point {
+        name,
+        group: group.to_owned(),
+        rgba: [255, 200, 0, 255],
+        position_mm,
+        diameter_mm: 2.0,
+        owner: String::new(),
+    };
+    let mut points = vec![point("BurrStart".into(), "Tool", mm(scene.tool.burr_start_mm))];
+    for controller in &scene.controller {
+        if let Some(target_mm) = controller.curved_drilling.as_ref().and_then(|drilling| drilling.target_mm) {
+            points.push(point("Target".into(), "Plan", mm(target_mm)));
+        }
+    }
+    for (index, hole) in scene.predrill.iter().enumerate() {
+        points.push(point(format!("Hole{}From", index + 1), "Predrill", mm(hole.from_mm)));
+        points.push(point(format!("Hole{}To", index + 1), "Predrill", mm(hole.to_mm)));
+    }
+    message("Scene", timestamp, Body::Points(points))
+}

@@ -1,0 +1,133 @@
+//! The peers: accepted or sought, sent to, and let go.
+
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::{Duration, Instant};
+
+use openigtlink::{Message, StatusCode};
+
+use super::connection::{Asked, Connection, Peer};
+use super::{IgtlError, Permission, Summary, Where};
+
+/// Most peers at a time; further ones are closed at once.
+const MOST_PEERS: usize = 16;
+/// Requests that may wait for the bridge.
+const MOST_REQUESTS: usize = 64;
+/// How often a peer that is to listen is sought, and how long for.
+const SEEK_PERIOD: Duration = Duration::from_secs(1);
+const SEEK_LIMIT: Duration = Duration::from_millis(200);
+
+#[derive(Debug)]
+enum Source {
+    Listener(TcpListener),
+    Sought { address: SocketAddr, next: Instant },
+}
+
+#[derive(Debug)]
+pub(crate) struct Peers {
+    source: Source,
+    connections: Vec<Connection>,
+    sender: SyncSender<Asked>,
+    requests: Receiver<Asked>,
+    open_to_all: bool,
+    summary: Summary,
+}
+
+impl Peers {
+    pub(crate) fn open(place: Where, permission: &Permission) -> Result<Peers, IgtlError> {
+        let source = match place {
+            Where::Listen(address) => {
+                let fail = |cause| IgtlError::Listen { address, cause };
+                let listener = TcpListener::bind(address).map_err(fail)?;
+                listener.set_nonblocking(true).map_err(fail)?;
+                Source::Listener(listener)
+            }
+            Where::Connect(address) => Source::Sought { address, next: Instant::now() },
+        };
+        let (sender, requests) = sync_channel(MOST_REQUESTS);
+        let open_to_all = *permission == Permission::Anyone;
+        Ok(Peers {
+            source,
+            connections: Vec::new(),
+            sender,
+            requests,
+            open_to_all,
+            summary: Summary::default(),
+        })
+    }
+
+    /// Where it listens.
+    pub(crate) fn address(&self) -> Option<SocketAddr> {
+        match &self.source {
+            Source::Listener(listener) => listener.local_addr().ok(),
+            Source::Sought { .. } => None,
+        }
+    }
+
+    /// Lets go who has gone, and takes in who has come.
+    pub(crate) fn admit(&mut self) -> Vec<Arc<Peer>> {
+        let (over, here) = std::mem::take(&mut self.connections).into_iter().partition(Connection::is_over);
+        self.connections = here;
+        self.let_go(over);
+        let mut came = Vec::new();
+        while let Some(stream) = self.next_stream() {
+            if self.connections.len() >= MOST_PEERS {
+                continue;
+            }
+            // A stream that is gone again fails here; it is nobody's loss.
+            let Ok(connection) = Connection::start(stream, self.sender.clone()) else { continue };
+            if self.open_to_all {
+                let _ = connection.peer.may_control.set(());
+            }
+            connection.peer.answer("Trabecula", StatusCode::Ok, "connected");
+            came.push(Arc::clone(&connection.peer));
+            self.summary.peers += 1;
+            self.connections.push(connection);
+        }
+        came
+    }
+
+    fn next_stream(&mut self) -> Option<TcpStream> {
+        match &mut self.source {
+            Source::Listener(listener) => {
+                let (stream, _) = listener.accept().ok()?;
+                stream.set_nonblocking(false).ok()?;
+                Some(stream)
+            }
+            Source::Sought { address, next } => {
+                if !self.connections.is_empty() || Instant::now() < *next {
+                    return None;
+                }
+                *next = Instant::now() + SEEK_PERIOD;
+                TcpStream::connect_timeout(address, SEEK_LIMIT).ok()
+            }
+        }
+    }
+
+    /// What peers ask for, in the order in which it came.
+    pub(crate) fn requests(&self) -> Vec<Asked> {
+        self.requests.try_iter().take(MOST_REQUESTS).collect()
+    }
+
+    /// Queues a message for every peer.
+    pub(crate) fn send(&self, message: &Message) {
+        self.connections.iter().for_each(|connection| connection.peer.outbox.put(message.clone()));
+    }
+
+    /// Sends what waits and closes all.
+    pub(crate) fn close(mut self) -> Summary {
+        let all = std::mem::take(&mut self.connections);
+        self.let_go(all);
+        self.summary
+    }
+
+    fn let_go(&mut self, connections: Vec<Connection>) {
+        for connection in connections {
+            let peer = Arc::clone(&connection.peer);
+            drop(connection);
+            self.summary.replaced += peer.outbox.replaced();
+            self.summary.refused += peer.refused();
+        }
+    }
+}

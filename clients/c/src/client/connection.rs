@@ -1,0 +1,118 @@
+//! Which session a client joins, as whom, and what it then knows of the run.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use ipc_types::scene::Scene;
+use ipc_types::session::{
+    CONTROLLER_VARIABLE, SESSION_VARIABLE, Searched, Session, SessionId, host_is_alive, newest_session,
+    running_sessions,
+};
+
+use crate::error::ClientError;
+
+const RETRY_TIME: Duration = Duration::from_millis(10);
+
+/// Which session to join, and as which controller.
+#[derive(Debug, Clone)]
+pub struct Connection {
+    /// The session's folder or name. `None` uses the folder in `TRABECULA_SESSION`, or else this user's session that was announced last.
+    pub session: Option<String>,
+    /// The controller's name in the scene, or empty for an observer, which sends no commands. `None` uses the name in
+    /// `TRABECULA_CONTROLLER`, or else the scene's only external controller.
+    pub controller: Option<String>,
+    /// How long to wait for the session.
+    pub limit: Duration,
+}
+
+impl Default for Connection {
+    fn default() -> Self {
+        Connection { session: None, controller: None, limit: Duration::from_secs(10) }
+    }
+}
+
+impl Connection {
+    /// An observer of the same session.
+    pub fn observer() -> Connection {
+        Connection { controller: Some(String::new()), ..Connection::default() }
+    }
+}
+
+/// Facts that stay constant during a session.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Info {
+    /// Folder of the session.
+    pub folder: PathBuf,
+    /// Name and index of this client's controller; `None` for an observer.
+    pub controller: Option<(String, usize)>,
+    /// Number of controllers in the scene.
+    pub controller_count: usize,
+    /// Whether a tick waits for every controller.
+    pub lockstep: bool,
+    /// Simulated time of a tick.
+    pub dt_s: f64,
+    /// Ticks of the whole run.
+    pub tick_count: u64,
+    /// Ticks between two scheduled frames; 0 if there are none.
+    pub frame_period_ticks: u64,
+    /// Pixel columns of a frame; 0 without X-ray.
+    pub frame_columns: u32,
+    /// Pixel rows of a frame.
+    pub frame_rows: u32,
+    /// Whether there is a CT volume.
+    pub has_volume: bool,
+}
+
+pub(super) fn await_folder(connection: &Connection) -> Result<PathBuf, ClientError> {
+    let given = connection.session.clone().filter(|text| !text.is_empty());
+    let from_environment = || std::env::var(SESSION_VARIABLE).ok().filter(|text| !text.is_empty());
+    let named = given.or_else(from_environment);
+    if let Some(given) = &named {
+        SessionId::can_be(Path::new(given))?;
+    }
+    // A path is one folder; a name may be in any of this user's places.
+    let look = || match &named {
+        Some(path) if path.contains('/') => Some(PathBuf::from(path)).filter(|folder| host_is_alive(folder)),
+        Some(name) => running_sessions(Some(name)).pop(),
+        None => newest_session(),
+    };
+    let end = Instant::now() + connection.limit;
+    loop {
+        if let Some(folder) = look() {
+            return Ok(folder);
+        }
+        if Instant::now() >= end {
+            let searched = match &named {
+                Some(path) if path.contains('/') => Searched::folder(Path::new(path)),
+                named => Searched::places(named.as_deref()),
+            };
+            return Err(ClientError::NoSession { searched });
+        }
+        std::thread::sleep(RETRY_TIME);
+    }
+}
+
+pub(super) fn controller_of(
+    connection: &Connection,
+    session: &Session,
+    scene: &Scene,
+) -> Result<Option<(String, usize)>, ClientError> {
+    let from_environment = || std::env::var(CONTROLLER_VARIABLE).ok();
+    let name = match connection.controller.clone().or_else(from_environment) {
+        Some(name) if name.is_empty() => return Ok(None),
+        Some(name) => name,
+        None => {
+            let mut external = scene.controller.iter().filter(|controller| controller.external);
+            match (external.next(), external.count()) {
+                (Some(only), 0) => only.name.clone(),
+                (first, more) => {
+                    let external = usize::from(first.is_some()) + more;
+                    let known = scene.controller_names().join(", ");
+                    return Err(ClientError::WhichController { external, known });
+                }
+            }
+        }
+    };
+    let index = session.controller_index(&name)?;
+    Ok(Some((name, index.slot())))
+}

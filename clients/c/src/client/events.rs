@@ -1,0 +1,76 @@
+//! Events, remarks and removed voxels.
+
+use ipc_types::messages::{ControllerIndex, Event, EventCode, Participant, Removed, Severity, Tick};
+use ipc_types::ports::{Received, Subscriber};
+use ipc_types::process::EventSender;
+use ipc_types::services;
+
+use super::{Client, put};
+use crate::error::ClientError;
+
+impl Client {
+    /// The oldest event not yet taken. Events are queued from this client's first call on. The event stays in shared memory until the next
+    /// one is returned.
+    ///
+    /// # Errors
+    /// [`ClientError::Forked`]; the transport's.
+    pub fn next_event(&mut self) -> Result<Option<(&Event, &str)>, ClientError> {
+        self.check_process()?;
+        if self.events.is_none() {
+            self.events = Some(self.session.subscriber(&services::EVENT)?);
+        }
+        let Some(event) = self.events.as_ref().map_or(Ok(None), |events| events.receive_valid(|_| {}))?
+        else {
+            return Ok(None);
+        };
+        let event = &*self.event.insert(event);
+        Ok(Some((event.message(), event_text(event))))
+    }
+
+    /// Adds a line to the session's events, which the log records.
+    ///
+    /// # Errors
+    /// [`ClientError::Observer`]; [`ClientError::BadArgument`] for an unknown severity; the transport's.
+    pub fn remark(&mut self, severity: u32, text: &str) -> Result<(), ClientError> {
+        self.check_process()?;
+        let severity = Severity::try_from(severity).map_err(|unknown| ClientError::BadArgument {
+            name: unknown.field,
+            value: f64::from(unknown.number),
+            expected: "0 information, 1 warning or 2 error",
+        })?;
+        let (_, index) = self.info.controller.as_ref().ok_or(ClientError::Observer)?;
+        if self.remarks.is_none() {
+            let sender = Participant::Controller(ControllerIndex(*index as u32));
+            self.remarks = Some(EventSender::new(&self.session, sender)?);
+        }
+        let tick = Tick(self.newest_tick.unwrap_or(0));
+        if let Some(remarks) = &mut self.remarks {
+            remarks.send(tick, severity, EventCode::Controller, text)?;
+        }
+        Ok(())
+    }
+
+    /// The oldest message about removed voxels not yet taken, with the voxels' indices in place. Messages are queued from this client's
+    /// first call on. The message stays in shared memory until the next one is returned.
+    ///
+    /// # Errors
+    /// [`ClientError::Forked`]; the transport's.
+    pub fn next_removed(&mut self) -> Result<Option<&Received<Removed>>, ClientError> {
+        self.check_process()?;
+        if self.removed.is_none() {
+            self.removed = Some(self.session.subscriber(&services::REMOVED)?);
+        }
+        while let Some(removal) = self.removed.as_ref().map_or(Ok(None), Subscriber::receive)? {
+            if put(&mut self.removal, removal) {
+                return Ok(self.removal.as_ref());
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// The text of an event, in place. Its sender is another process, so invalid UTF-8 is shown as empty.
+pub(crate) fn event_text(event: &Received<Event>) -> &str {
+    let bytes = event.tail();
+    std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).unwrap_or("")
+}

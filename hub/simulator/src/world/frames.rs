@@ -1,0 +1,120 @@
+//! X-ray frames: the DRR process in the world, and the controllers that see its frames.
+
+use hub::x_ray::FrameMark;
+use messages::Part;
+
+use super::{LAUNCHER_NOTICES_NS, World};
+use crate::actors::Consumer;
+use crate::drr::Looked;
+
+impl World {
+    /// A consumer looks at its queues; returns until when it then stands still, as the DRR process does before its renderer.
+    pub(super) fn stands_still_until(&mut self, part: Part) -> Option<u64> {
+        if part != Part::Drr {
+            return None;
+        }
+        let looked = self.drr.as_mut()?.look(self.now_ns.get(), &mut self.frames);
+        self.hand_out_frames();
+        self.deliver_frame_history();
+        match looked {
+            Ok(Looked::Done) => None,
+            Ok(Looked::Blocked { until_ns }) => Some(until_ns),
+            Err(lost) => {
+                self.frames.failed(&lost);
+                self.kill(Part::Drr, LAUNCHER_NOTICES_NS);
+                None
+            }
+        }
+    }
+
+    /// Programs ask for frames, which wakes the DRR process if it sleeps.
+    pub(super) fn frames_asked(&mut self, index: usize) {
+        let now_ns = self.now_ns.get();
+        self.asked += 1;
+        let Some(drr) = &mut self.drr else { return };
+        let (tick, controllers) = (self.newest_tick.unwrap_or(0), self.controllers.len());
+        let asked = self.plan.x_ray.asks[index].requests(controllers, tick, &mut self.frame_requests);
+        asked.into_iter().for_each(|asked| drr.receive_request(asked));
+        let is_drr = |consumer: &&Consumer| consumer.part == Part::Drr;
+        // It would find a state there, too, if there were one.
+        if self.consumers.iter().find(is_drr).is_some_and(|consumer| consumer.asleep && consumer.waiting == 0)
+        {
+            drr.take_requests(now_ns, &mut self.frames);
+        }
+        self.hand_out_frames();
+    }
+
+    /// The run is over: the DRR process shows the last state and answers every request, unless it is dead. If it was told to end, it
+    /// refuses what waits.
+    pub fn finish_frames(&mut self) {
+        let Some(mut drr) = self.drr.take() else { return };
+        if self.end_requested {
+            return drr.end(&mut self.frames);
+        }
+        let mut now_ns = self.now_ns.get();
+        loop {
+            match drr.look(now_ns, &mut self.frames) {
+                Ok(Looked::Done) => break,
+                Ok(Looked::Blocked { until_ns }) => now_ns = until_ns,
+                Err(lost) => return self.frames.failed(&lost),
+            }
+        }
+        let (tick, controllers) = (self.newest_tick.unwrap_or(0), self.controllers.len());
+        let late = self.plan.x_ray.asks.get(self.asked);
+        let late = late.map(|ask| ask.requests(controllers, tick, &mut self.frame_requests));
+        drr.finish(now_ns, late.unwrap_or_default(), &mut self.frames);
+        // A run may be stopped before its first state.
+        if let Some(tick) = self.newest_tick {
+            self.frames.ended(tick);
+        }
+        self.drr = Some(drr);
+        self.hand_out_frames();
+    }
+
+    /// Frames that are out come into the queues of those who see them.
+    fn hand_out_frames(&mut self) {
+        let published = self.drr.as_mut().map(|drr| drr.take_published());
+        for frame in published.into_iter().flatten() {
+            self.deliver_frame_history();
+            self.seen_frames.published(frame);
+            self.newest_frame = Some(frame);
+            (0..self.controllers.len()).for_each(|index| self.deliver_frame(index, frame));
+            self.viewer.iter_mut().for_each(|viewer| viewer.receive_frame());
+        }
+    }
+
+    /// Who has connected since gets the newest frame.
+    fn deliver_frame_history(&mut self) {
+        for index in 0..self.controllers.len() {
+            let controller = &mut self.controllers[index];
+            let Some(sight) = controller.sight.as_mut().filter(|_| controller.alive) else { continue };
+            if std::mem::take(&mut sight.wants_history)
+                && let Some(frame) = self.newest_frame
+            {
+                self.deliver_frame(index, frame);
+            }
+        }
+    }
+
+    fn deliver_frame(&mut self, index: usize, frame: FrameMark) {
+        let controller = &mut self.controllers[index];
+        let Some(sight) = controller.sight.as_mut().filter(|_| controller.alive) else { return };
+        self.seen_frames.delivered(index, frame);
+        if let Some(dropped) = sight.receive(frame) {
+            self.seen_frames.dropped(index, dropped);
+        }
+    }
+
+    /// A controller that waits for a frame waits for one that comes.
+    pub(super) fn check_frame_waits(&mut self) {
+        for (index, controller) in self.controllers.iter().enumerate().filter(|(_, c)| c.alive) {
+            if let Some(sight) = &controller.sight
+                && let Some(tick) = sight.waits_at
+                && sight.is_empty()
+                && !sight.wants_history
+            {
+                self.seen_frames.waits(index, tick);
+            }
+        }
+    }
+}

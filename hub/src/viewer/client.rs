@@ -1,0 +1,197 @@
+//! One client: its subscriptions, what waits for it, what it is told, and how much it may say.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use super::queue::{Outgoing, Queue};
+use super::{Kept, Limits, Policy, Published};
+
+/// Most subscriptions of one client.
+pub const MAX_SUBSCRIPTIONS: usize = 256;
+/// Most client messages per second; keyboard and gamepad send 60.
+pub const MAX_MESSAGES_PER_S: u32 = 1000;
+
+const S: u64 = 1_000_000_000;
+/// Least time between two reports of dropped messages, ns.
+const TELL_PERIOD_NS: u64 = S / 2;
+
+/// Why a client's subscription is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+pub enum SubscribeRefusal {
+    /// It has as many as it may have.
+    #[error("subscription {subscription}: a client may have {MAX_SUBSCRIPTIONS}, not more")]
+    TooMany {
+        /// The client's number for it.
+        subscription: u32,
+    },
+    /// It has one of this number.
+    #[error("subscription {subscription} is taken; unsubscribe it first")]
+    Taken {
+        /// The client's number for it.
+        subscription: u32,
+    },
+    /// It has none of this number.
+    #[error("there is no subscription {subscription}")]
+    Unknown {
+        /// The client's number for it.
+        subscription: u32,
+    },
+}
+
+/// One client.
+#[derive(Debug)]
+pub struct Client {
+    queue: Queue,
+    /// Channel by subscription.
+    subscriptions: BTreeMap<u32, u32>,
+    told_ns: u64,
+    /// When the second began in which its messages are counted.
+    counted_from_ns: u64,
+    messages: u32,
+}
+
+impl Client {
+    /// One that has just connected.
+    pub fn new(limits: Limits, now_ns: u64) -> Client {
+        Client {
+            queue: Queue::new(limits),
+            subscriptions: BTreeMap::new(),
+            told_ns: now_ns,
+            counted_from_ns: now_ns,
+            messages: 0,
+        }
+    }
+
+    /// Queues a message for each subscription to its channel; returns how many there are.
+    pub fn offer(&mut self, message: &Published) -> usize {
+        let wanting = self.subscriptions.iter().filter(|(_, channel)| **channel == message.channel);
+        let mut count = 0;
+        for (subscription, _) in wanting {
+            let payload = Arc::clone(&message.payload);
+            let outgoing = Outgoing { subscription: *subscription, time_ns: message.time_ns, payload };
+            self.queue.push(outgoing, message.policy, message.slot);
+            count += 1;
+        }
+        count
+    }
+
+    /// Subscribes it, and queues what is kept of the channel.
+    ///
+    /// # Errors
+    /// [`SubscribeRefusal::TooMany`], [`SubscribeRefusal::Taken`].
+    pub fn subscribe(
+        &mut self,
+        subscription: u32,
+        channel: u32,
+        policy: Policy,
+        kept: &Kept,
+    ) -> Result<(), SubscribeRefusal> {
+        if self.subscriptions.len() >= MAX_SUBSCRIPTIONS {
+            return Err(SubscribeRefusal::TooMany { subscription });
+        }
+        if self.subscriptions.contains_key(&subscription) {
+            return Err(SubscribeRefusal::Taken { subscription });
+        }
+        self.subscriptions.insert(subscription, channel);
+        for message in kept.of(channel) {
+            let payload = Arc::clone(message.payload);
+            let outgoing = Outgoing { subscription, time_ns: message.time_ns, payload };
+            self.queue.push(outgoing, policy, message.slot);
+        }
+        Ok(())
+    }
+
+    /// Ends a subscription, and drops what waits for it.
+    ///
+    /// # Errors
+    /// [`SubscribeRefusal::Unknown`].
+    pub fn unsubscribe(&mut self, subscription: u32) -> Result<(), SubscribeRefusal> {
+        let ended = self.subscriptions.remove(&subscription);
+        ended.ok_or(SubscribeRefusal::Unknown { subscription })?;
+        self.queue.forget(subscription);
+        Ok(())
+    }
+
+    /// The channels that it subscribes to.
+    pub fn channels(&self) -> impl Iterator<Item = u32> {
+        self.subscriptions.values().copied()
+    }
+
+    /// Takes the next messages: of streams up to a number of bytes, then one of the others. Empty only if nothing waits.
+    pub fn take(&mut self, bytes: usize) -> Vec<Outgoing> {
+        self.queue.take(bytes)
+    }
+
+    /// The number of messages that were dropped and are to be told to the client now, which happens twice a second at most.
+    pub fn drops_to_tell(&mut self, now_ns: u64) -> Option<u64> {
+        if now_ns.saturating_sub(self.told_ns) <= TELL_PERIOD_NS || !self.queue.has_dropped() {
+            return None;
+        }
+        self.told_ns = now_ns;
+        self.last_drops_to_tell()
+    }
+
+    /// The same at the end, when there is no later time to tell it.
+    pub fn last_drops_to_tell(&mut self) -> Option<u64> {
+        Some(self.queue.take_dropped()).filter(|dropped| *dropped > 0)
+    }
+
+    /// Counts a message of the client; whether it may send so many.
+    pub fn may_send(&mut self, now_ns: u64) -> bool {
+        if now_ns.saturating_sub(self.counted_from_ns) > S {
+            (self.counted_from_ns, self.messages) = (now_ns, 0);
+        }
+        self.messages += 1;
+        self.messages <= MAX_MESSAGES_PER_S
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn client() -> Client {
+        Client::new(Limits { stream_bytes: 10 }, 0)
+    }
+
+    fn state(byte: u8) -> Published {
+        Published { channel: 1, slot: 0, time_ns: 0, policy: Policy::Stream, payload: vec![byte; 10].into() }
+    }
+
+    /// What was dropped in the last half second before the end was never told.
+    #[test]
+    fn what_is_dropped_is_told_twice_a_second_and_at_the_end() {
+        let mut client = client();
+        client.subscribe(1, 1, Policy::Stream, &Kept::default()).unwrap();
+        (0..3).for_each(|byte| assert_eq!(client.offer(&state(byte)), 1));
+        assert_eq!(client.drops_to_tell(S / 2), None);
+        assert_eq!(client.drops_to_tell(S), Some(2));
+        client.offer(&state(3));
+        assert_eq!(client.drops_to_tell(S + 1), None);
+        assert_eq!((client.last_drops_to_tell(), client.last_drops_to_tell()), (Some(1), None));
+    }
+
+    #[test]
+    fn a_subscription_is_refused_by_name_and_changes_nothing() {
+        let (mut client, kept) = (client(), Kept::default());
+        client.subscribe(1, 1, Policy::Stream, &kept).unwrap();
+        let taken = client.subscribe(1, 2, Policy::Stream, &kept).unwrap_err();
+        assert_eq!(taken.to_string(), "subscription 1 is taken; unsubscribe it first");
+        assert_eq!(client.unsubscribe(5), Err(SubscribeRefusal::Unknown { subscription: 5 }));
+        assert_eq!(client.channels().collect::<Vec<_>>(), [1]);
+        let more = 2..=MAX_SUBSCRIPTIONS as u32;
+        more.for_each(|number| client.subscribe(number, 1, Policy::Stream, &kept).unwrap());
+        let refused = client.subscribe(9999, 1, Policy::Stream, &kept).unwrap_err();
+        assert_eq!(refused, SubscribeRefusal::TooMany { subscription: 9999 });
+    }
+
+    #[test]
+    fn a_client_may_send_so_many_messages_a_second() {
+        let mut client = client();
+        let sent = (0..2000).filter(|_| client.may_send(S)).count();
+        assert_eq!(sent, MAX_MESSAGES_PER_S as usize);
+        assert!(client.may_send(2 * S + 1));
+    }
+}

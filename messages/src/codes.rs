@@ -1,0 +1,446 @@
+//! The codes of `uint32` fields, each as an enum.
+//!
+//! A message carries a plain number, because any program may write any number. Whoever takes a message off a port converts it once
+//! ([`Command::tendon_mode`](crate::Command::tendon_mode), [`RunControl::action`](crate::RunControl::action), …) and decides there what an
+//! unknown code means; from there on it is an enum. The constants are what clients of every language write into the fields; both come from
+//! one declaration.
+
+use core::fmt::{self, Display, Formatter};
+
+use thiserror::Error;
+
+use crate::part::Part;
+use crate::participant::Participant;
+use crate::{
+    AppliedCommand, Command, Contact, DrrReply, DrrRequest, Event, LatchedCommand, Progress, RunControl,
+    RunControlReply, RunStatus, State,
+};
+
+/// One code of a field: its constant's name, its number, and the word for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Code {
+    /// Name of the constant, in every language.
+    pub constant: &'static str,
+    /// The number on the wire.
+    pub number: u32,
+    /// The word for it in texts.
+    pub word: &'static str,
+}
+
+/// A field holds a number that is no code of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[error("`{field}` is {number}, expected {}", Expected(.known))]
+pub struct UnknownCode {
+    /// The field.
+    pub field: &'static str,
+    /// The number that it holds.
+    pub number: u32,
+    /// The codes that it may hold.
+    pub known: &'static [Code],
+}
+
+/// Codes as a choice: `0 none, 1 servo_jf or 2 servo_jp`.
+struct Expected<'c>(&'c [Code]);
+
+impl Display for Expected<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let last = self.0.len().saturating_sub(1);
+        for (index, code) in self.0.iter().enumerate() {
+            let separator = match index {
+                0 => "",
+                _ if index == last => " or ",
+                _ => ", ",
+            };
+            write!(f, "{separator}{} {}", code.number, code.word)?;
+        }
+        Ok(())
+    }
+}
+
+/// Declares the codes of a field: the enum, and the constant of each code for the wire.
+macro_rules! codes {
+    (
+        $(#[doc = $doc:literal])*
+        pub enum $name:ident of $field:literal {
+            $( $(#[doc = $code_doc:literal])* $variant:ident = $constant:ident, $number:literal, $word:literal; )*
+        }
+    ) => {
+        $(#[doc = $doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[repr(u32)]
+        pub enum $name {
+            $( $(#[doc = $code_doc])* $variant = $number, )*
+        }
+
+        $(
+            #[doc = concat!("[`", stringify!($name), "::", stringify!($variant), "`] on the wire.")]
+            pub const $constant: u32 = $name::$variant.code();
+        )*
+
+        impl $name {
+            /// All codes, rising.
+            pub const CODES: &'static [Code] = &[$(
+                Code { constant: stringify!($constant), number: $number, word: $word },
+            )*];
+
+            /// The number on the wire.
+            pub const fn code(self) -> u32 {
+                self as u32
+            }
+
+            /// The word for it in texts.
+            pub const fn word(self) -> &'static str {
+                match self {
+                    $( $name::$variant => $word, )*
+                }
+            }
+        }
+
+        impl TryFrom<u32> for $name {
+            type Error = UnknownCode;
+
+            fn try_from(number: u32) -> Result<$name, UnknownCode> {
+                match number {
+                    $( $number => Ok($name::$variant), )*
+                    _ => Err(UnknownCode { field: $field, number, known: $name::CODES }),
+                }
+            }
+        }
+    };
+}
+
+codes! {
+    /// What [`Command::tendon_mode`] asks of the tendons; CRTK verbs.
+    pub enum TendonMode of "tendon_mode" {
+        /// This command does not drive the tendons.
+        None = TENDON_NONE, 0, "none";
+        /// Tensions, held until the next command.
+        ServoJf = TENDON_SERVO_JF, 1, "servo_jf";
+        /// Displacements, held until the next command.
+        ServoJp = TENDON_SERVO_JP, 2, "servo_jp";
+        /// Displacement goals, reached with limited speed, acceleration and jerk.
+        MoveJp = TENDON_MOVE_JP, 3, "move_jp";
+    }
+}
+
+codes! {
+    /// What [`Command::arm_mode`] asks of the arm, and what [`State::arm_mode`] says it follows; CRTK verbs and some more.
+    pub enum ArmMode of "arm_mode" {
+        /// This command does not drive the arm.
+        None = ARM_NONE, 0, "none";
+        /// Joint angles, tracked within the arm's limits.
+        ServoJp = ARM_SERVO_JP, 1, "servo_jp";
+        /// Joint goal, jerk-limited.
+        MoveJp = ARM_MOVE_JP, 2, "move_jp";
+        /// Tool base pose, tracked within the arm's limits.
+        ServoCp = ARM_SERVO_CP, 3, "servo_cp";
+        /// Tool base goal, reached along a straight line, jerk-limited.
+        MoveCp = ARM_MOVE_CP, 4, "move_cp";
+        /// Stop within the arm's limits and stay there.
+        Hold = ARM_HOLD, 5, "hold";
+        /// Joint velocities, held until the next command; a joint stops at the end of its range.
+        ServoJv = ARM_SERVO_JV, 6, "servo_jv";
+        /// Insert along an axis at a given feed rate, without rotating.
+        Insert = ARM_INSERT, 7, "insert";
+        /// Tool base goal with a remote centre of motion: the tool's axis passes through the pivot throughout the motion.
+        Rcm = ARM_RCM, 8, "rcm";
+    }
+}
+
+codes! {
+    /// What [`Command::burr_mode`] asks of the burr.
+    pub enum BurrMode of "burr_mode" {
+        /// This command does not drive the burr.
+        None = BURR_NONE, 0, "none";
+        /// Run the burr at `burr_speed_rad_per_s`.
+        Speed = BURR_SPEED, 1, "speed";
+    }
+}
+
+codes! {
+    /// [`State::arm_status`]: how far the arm's motion has come.
+    pub enum ArmStatus of "arm_status" {
+        /// Moving.
+        Moving = ARM_MOVING, 0, "moving";
+        /// At its goal and at rest.
+        Done = ARM_DONE, 1, "at its goal and at rest";
+        /// It aborted its motion and stopped, or stopped a joint at the end of its range; an event gives the reason.
+        Fault = ARM_FAULT, 2, "motion aborted or a joint stopped at the end of its range";
+    }
+}
+
+codes! {
+    /// [`LatchedCommand::source`], [`AppliedCommand::source`]: where the command in force comes from.
+    pub enum CommandSource of "source" {
+        /// No command has arrived yet; nothing is driven.
+        None = SOURCE_NONE, 0, "none";
+        /// A command that arrived in time for this tick.
+        Fresh = SOURCE_FRESH, 1, "fresh";
+        /// The previous command, held.
+        Held = SOURCE_HELD, 2, "held";
+        /// The scene's safe command: burr off, tension held, arm held.
+        Safe = SOURCE_SAFE, 3, "safe command";
+    }
+}
+
+codes! {
+    /// [`Contact::part`]: the part of the tool that touches.
+    pub enum ContactPart of "part" {
+        /// A sphere of the rigid shaft.
+        Shaft = PART_SHAFT, 0, "shaft";
+        /// A segment sphere.
+        Segment = PART_SEGMENT, 1, "segment";
+        /// The burr.
+        Burr = PART_BURR, 2, "burr";
+    }
+}
+
+codes! {
+    /// [`RunControl::action`]: what is asked of the run.
+    pub enum ControlAction of "action" {
+        /// Pause before the next tick until resumed; pending steps are cancelled.
+        Pause = CONTROL_PAUSE, 1, "pause";
+        /// Resume.
+        Resume = CONTROL_RESUME, 2, "resume";
+        /// While paused, run `ticks` ticks.
+        Step = CONTROL_STEP, 3, "step";
+        /// Reset the simulation to its initial state.
+        Reset = CONTROL_RESET, 4, "reset";
+        /// End the run.
+        Stop = CONTROL_STOP, 5, "stop";
+    }
+}
+
+codes! {
+    /// [`RunControlReply::status`]: what came of it.
+    pub enum ControlStatus of "status" {
+        /// Done.
+        Done = CONTROL_DONE, 0, "done";
+        /// Unknown action, or not allowed now (a step while running).
+        Refused = CONTROL_REFUSED, 1, "refused";
+    }
+}
+
+codes! {
+    /// [`DrrRequest::use_geometry`]: whose C-arm the frame shows.
+    pub enum GeometryChoice of "use_geometry" {
+        /// The scene's C-arm.
+        Scene = GEOMETRY_SCENE, 0, "the scene's C-arm";
+        /// The C-arm in [`DrrRequest::geometry`].
+        Request = GEOMETRY_REQUEST, 1, "`geometry`";
+    }
+}
+
+codes! {
+    /// [`DrrReply::status`]: what came of a request for a frame.
+    pub enum DrrStatus of "status" {
+        /// The frame follows.
+        Accepted = DRR_ACCEPTED, 0, "accepted";
+        /// Refused, for example an invalid geometry; no frame follows.
+        Refused = DRR_REFUSED, 1, "refused";
+        /// Too many requests are waiting; no frame follows.
+        Busy = DRR_BUSY, 2, "busy";
+    }
+}
+
+codes! {
+    /// [`RunStatus::phase`]: where the run stands. Phases only rise, but for pauses.
+    pub enum Phase of "phase" {
+        /// Waiting for the parts to connect.
+        Connecting = PHASE_CONNECTING, 0, "connecting";
+        /// Ticks are running.
+        Running = PHASE_RUNNING, 1, "running";
+        /// No ticks until resumed.
+        Paused = PHASE_PAUSED, 2, "paused";
+        /// The last tick is done; every part ends.
+        Ended = PHASE_ENDED, 3, "ended";
+    }
+}
+
+codes! {
+    /// [`Event::severity`].
+    pub enum Severity of "severity" {
+        /// Information.
+        Info = SEVERITY_INFO, 0, "information";
+        /// Something was refused or lost; the run continues.
+        Warning = SEVERITY_WARNING, 1, "warning";
+        /// The run ends.
+        Error = SEVERITY_ERROR, 2, "error";
+    }
+}
+
+codes! {
+    /// [`Event::code`]: what kind of event.
+    pub enum EventCode of "code" {
+        /// A command was refused; `text` says which field and why.
+        CommandRefused = EVENT_COMMAND_REFUSED, 1, "command_refused";
+        /// A controller was late; its last command is held.
+        CommandHeld = EVENT_COMMAND_HELD, 2, "command_held";
+        /// A controller has been late for longer than the scene allows; the safe command applies.
+        SafeCommand = EVENT_SAFE_COMMAND, 3, "safe_command";
+        /// Messages were lost; `text` says which and how many.
+        MessagesLost = EVENT_MESSAGES_LOST, 4, "messages_lost";
+        /// A part of the run connected, paused, resumed, was reset or stopped.
+        Run = EVENT_RUN, 5, "run";
+        /// A controller's own message.
+        Controller = EVENT_CONTROLLER, 6, "controller";
+        /// A frame request was refused.
+        RequestRefused = EVENT_REQUEST_REFUSED, 7, "request_refused";
+    }
+}
+
+/// Every code that a client needs, in the order of the client libraries' constants.
+pub const CLIENT_CODES: &[&[Code]] = &[
+    TendonMode::CODES,
+    ArmMode::CODES,
+    ArmStatus::CODES,
+    BurrMode::CODES,
+    CommandSource::CODES,
+    ContactPart::CODES,
+    ControlAction::CODES,
+    ControlStatus::CODES,
+    GeometryChoice::CODES,
+    DrrStatus::CODES,
+    Phase::CODES,
+    Severity::CODES,
+    EventCode::CODES,
+];
+
+/// Declares the conversion of a message's code fields.
+macro_rules! fields {
+    ($( $message:ident { $( $(#[doc = $doc:literal])* $field:ident: $codes:ident, )* } )*) => {
+        $( impl $message { $(
+            $(#[doc = $doc])*
+            ///
+            /// # Errors
+            /// The field holds a number that is no code of it.
+            pub fn $field(&self) -> Result<$codes, UnknownCode> {
+                $codes::try_from(self.$field)
+            }
+        )* } )*
+    };
+}
+
+fields! {
+    Command {
+        /// What is asked of the tendons.
+        tendon_mode: TendonMode,
+        /// What is asked of the arm.
+        arm_mode: ArmMode,
+        /// What is asked of the burr.
+        burr_mode: BurrMode,
+    }
+    LatchedCommand {
+        /// Where the command comes from.
+        source: CommandSource,
+    }
+    AppliedCommand {
+        /// Where the command came from.
+        source: CommandSource,
+    }
+    Contact {
+        /// The part of the tool that touches.
+        part: ContactPart,
+    }
+    State {
+        /// What the arm follows.
+        arm_mode: ArmMode,
+        /// How far the arm's motion has come.
+        arm_status: ArmStatus,
+    }
+    RunControl {
+        /// What is asked.
+        action: ControlAction,
+    }
+    RunControlReply {
+        /// What was asked.
+        action: ControlAction,
+        /// What came of it.
+        status: ControlStatus,
+    }
+    RunStatus {
+        /// Where the run stands.
+        phase: Phase,
+    }
+    DrrRequest {
+        /// Whose C-arm the frame shows.
+        use_geometry: GeometryChoice,
+    }
+    DrrReply {
+        /// What came of the request.
+        status: DrrStatus,
+    }
+    Event {
+        /// How serious it is.
+        severity: Severity,
+        /// What kind of event it is.
+        code: EventCode,
+    }
+}
+
+impl Event {
+    /// Who sent it; `None` if the number is no sender's.
+    pub fn sender(&self) -> Option<Participant> {
+        Participant::of(self.sender)
+    }
+}
+
+impl Progress {
+    /// Which part reports; `None` if the number is none's.
+    pub fn consumer(&self) -> Option<Part> {
+        match Participant::of(self.consumer) {
+            Some(Participant::Part(part)) => Some(part),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layout::{Description, Message};
+
+    fn doc(description: &Description, field: &str) -> &'static str {
+        description.fields.iter().find(|other| other.name == field).unwrap().doc
+    }
+
+    #[test]
+    fn every_code_converts_to_its_enum_and_back_and_no_other_number_does() {
+        for mode in (0..10).map(ArmMode::try_from) {
+            match mode {
+                Ok(mode) => assert_eq!(ArmMode::try_from(mode.code()), Ok(mode)),
+                Err(unknown) => assert_eq!((unknown.field, unknown.number), ("arm_mode", 9)),
+            }
+        }
+        let unknown = Command { tendon_mode: 4, ..Command::zeroed() }.tendon_mode().unwrap_err();
+        let want = "`tendon_mode` is 4, expected 0 none, 1 servo_jf, 2 servo_jp or 3 move_jp";
+        assert_eq!(unknown.to_string(), want);
+        assert_eq!(ControlAction::try_from(0).map_err(|unknown| unknown.number), Err(0));
+    }
+
+    /// The reference of the messages prints these documentations.
+    #[test]
+    fn the_documentation_of_a_field_lists_its_codes() {
+        let fields = [
+            (Command::DESCRIPTION, "tendon_mode", TendonMode::CODES),
+            (Command::DESCRIPTION, "arm_mode", ArmMode::CODES),
+            (Command::DESCRIPTION, "burr_mode", BurrMode::CODES),
+            (LatchedCommand::DESCRIPTION, "source", CommandSource::CODES),
+            (AppliedCommand::DESCRIPTION, "source", CommandSource::CODES),
+            (Contact::DESCRIPTION, "part", ContactPart::CODES),
+            (State::DESCRIPTION, "arm_status", ArmStatus::CODES),
+            (RunControl::DESCRIPTION, "action", ControlAction::CODES),
+            (RunControlReply::DESCRIPTION, "status", ControlStatus::CODES),
+            (RunStatus::DESCRIPTION, "phase", Phase::CODES),
+            (DrrRequest::DESCRIPTION, "use_geometry", GeometryChoice::CODES),
+            (DrrReply::DESCRIPTION, "status", DrrStatus::CODES),
+            (Event::DESCRIPTION, "severity", Severity::CODES),
+        ];
+        for (message, field, codes) in fields {
+            let listed: Vec<String> =
+                codes.iter().map(|code| format!("{} {}", code.number, code.word)).collect();
+            let text = doc(message, field);
+            assert!(text.contains(&listed.join(", ")), "{}.{field}: {text}", message.name);
+        }
+    }
+}

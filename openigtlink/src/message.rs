@@ -1,0 +1,124 @@
+//! A message: header and body.
+
+use crate::geometry::{self, TRANSFORM};
+use crate::header::{CRC, HEADER_BYTES, Header};
+use crate::image::{self, IMAGE};
+use crate::points::{self, POINT};
+use crate::polydata::{self, POLYDATA};
+use crate::text::{self, STATUS, STRING};
+use crate::{Error, HeaderVersion, Image, Point, PolyData, Status, Timestamp, Transform, bytes, extended};
+
+/// What a message holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Body {
+    /// A pose.
+    Transform(Transform),
+    /// A picture or volume.
+    Image(Image),
+    /// Fiducials.
+    Points(Vec<Point>),
+    /// A text.
+    Text(String),
+    /// An answer.
+    Status(Status),
+    /// A surface or lines.
+    PolyData(PolyData),
+    /// A type that this crate does not know, such as `GET_TRANS`; its content as it came.
+    Other {
+        /// The type.
+        kind: String,
+        /// The content, without extended header and metadata.
+        content: Vec<u8>,
+    },
+}
+
+impl Body {
+    fn kind(&self) -> &str {
+        match self {
+            Body::Transform(_) => TRANSFORM,
+            Body::Image(_) => IMAGE,
+            Body::Points(_) => POINT,
+            Body::Text(_) => STRING,
+            Body::Status(_) => STATUS,
+            Body::PolyData(_) => POLYDATA,
+            Body::Other { kind, .. } => kind,
+        }
+    }
+}
+
+/// A message.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Message {
+    /// Name of what is sent, at most 20 bytes of ASCII. Receivers keep one item a name and type.
+    pub device: String,
+    /// When it was made; zero if unsaid.
+    pub timestamp: Timestamp,
+    /// What it holds.
+    pub body: Body,
+}
+
+impl Message {
+    /// A message without a time.
+    ///
+    /// # Errors
+    /// [`Error::Text`] for a device name of more than 20 bytes or not ASCII.
+    pub fn new(device: &str, body: Body) -> Result<Message, Error> {
+        bytes::check_text("the device name", device, 20)?;
+        Ok(Message { device: device.to_owned(), timestamp: Timestamp::default(), body })
+    }
+
+    /// The message's bytes.
+    ///
+    /// # Errors
+    /// A text, length or index that its field does not hold.
+    pub fn encode(&self, version: HeaderVersion) -> Result<Vec<u8>, Error> {
+        let mut content = Vec::new();
+        match &self.body {
+            Body::Transform(transform) => geometry::write(transform, &mut content),
+            Body::Image(image) => image::write(image, &mut content)?,
+            Body::Points(points) => points::write(points, &mut content)?,
+            Body::Text(text) => text::write_string(text, &mut content)?,
+            Body::Status(status) => text::write_status(status, &mut content)?,
+            Body::PolyData(data) => polydata::write(data, &mut content)?,
+            Body::Other { content: other, .. } => content.extend_from_slice(other),
+        }
+        let body = match version {
+            HeaderVersion::V1 => content,
+            HeaderVersion::V2 => extended::wrap(&content),
+        };
+        let header = Header {
+            version,
+            kind: self.body.kind().to_owned(),
+            device: self.device.clone(),
+            timestamp: self.timestamp,
+            body_bytes: body.len() as u64,
+            crc: CRC.checksum(&body),
+        };
+        let mut message = Vec::with_capacity(HEADER_BYTES + body.len());
+        header.write(&mut message)?;
+        message.extend_from_slice(&body);
+        Ok(message)
+    }
+
+    /// The message with this header and body.
+    pub(crate) fn decode(header: Header, body: &[u8]) -> Result<Message, Error> {
+        let computed = CRC.checksum(body);
+        if computed != header.crc {
+            return Err(Error::Checksum { kind: header.kind, computed, stated: header.crc });
+        }
+        let content = match header.version {
+            HeaderVersion::V1 => body,
+            HeaderVersion::V2 => extended::unwrap(body)?,
+        };
+        let body = match header.kind.as_str() {
+            TRANSFORM => Body::Transform(geometry::read(content)?),
+            IMAGE => Body::Image(image::read(content)?),
+            POINT => Body::Points(points::read(content)?),
+            STRING => Body::Text(text::read_string(content)?),
+            STATUS => Body::Status(text::read_status(content)?),
+            POLYDATA => Body::PolyData(polydata::read(content)?),
+            _ => Body::Other { kind: header.kind, content: content.to_vec() },
+        };
+        Ok(Message { device: header.device, timestamp: header.timestamp, body })
+    }
+}

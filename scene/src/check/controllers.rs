@@ -1,0 +1,115 @@
+//! Checks the controllers of a scene: who drives what, and the keys of each kind that depend on each other.
+
+use super::Checker;
+use crate::error::SceneError;
+use crate::model::{Controller, CurvedDrilling, Display, Drives, Drr, Feedback, Scene, TensionSweep};
+
+/// Names of the other parts, and end reasons that are not names of parts: a log's end names who caused it.
+const RESERVED_NAMES: [&str; 6] = ["physics", "drr", "recorder", "launcher", "completed", "interrupted"];
+
+pub(super) fn check(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    let mut driven: Vec<(Drives, &str)> = Vec::new();
+    for (index, controller) in scene.controller.iter().enumerate() {
+        if RESERVED_NAMES.contains(&controller.name.as_str()) {
+            let problem = format!(
+                "`{}` is the name of something else; expected none of {RESERVED_NAMES:?}",
+                controller.name
+            );
+            return Err(checker.invalid("controller.name", problem));
+        }
+        if scene.controller[..index].iter().any(|other| other.name == controller.name) {
+            return Err(checker.invalid("controller.name", format!("`{}` stands twice", controller.name)));
+        }
+        for part in &controller.drives {
+            if let Some((_, other)) = driven.iter().find(|(driven, _)| driven == part) {
+                let problem =
+                    format!("{part:?} is driven by `{other}` and by `{}`; expected one", controller.name);
+                return Err(checker.invalid("controller.drives", problem));
+            }
+            driven.push((*part, &controller.name));
+        }
+        check_controller(controller, checker)?;
+        check_image_feedback(controller, scene.drr.as_ref(), checker)?;
+    }
+    Ok(())
+}
+
+/// Image feedback finds the burr as the darkest end of the tool, so it needs frames in which metal is dark.
+fn check_image_feedback(
+    controller: &Controller,
+    drr: Option<&Drr>,
+    checker: &Checker,
+) -> Result<(), SceneError> {
+    let Some(drilling) = &controller.curved_drilling else { return Ok(()) };
+    let problem = match drr {
+        _ if drilling.feedback != Feedback::Image => return Ok(()),
+        None if drilling.guidance_gain_n_per_mm > 0.0 => {
+            "is `image` with a gain, but there is no `[drr]`; expected `[drr]`, or `shape` or `none`"
+        }
+        Some(drr) if drr.display != Display::BoneDark => {
+            "is `image`, which finds the burr as the darkest; expected `drr.display = \"bone_dark\"`, or `shape` or `none`"
+        }
+        _ => return Ok(()),
+    };
+    Err(checker.invalid("controller.curved_drilling.feedback", problem))
+}
+
+fn check_controller(controller: &Controller, checker: &Checker) -> Result<(), SceneError> {
+    let kinds = [
+        controller.curved_drilling.is_some(),
+        controller.skiving.is_some(),
+        controller.tension_sweep.is_some(),
+        controller.hold.is_some(),
+        controller.command.is_some(),
+        controller.external,
+    ];
+    if kinds.iter().filter(|kind| **kind).count() != 1 {
+        let problem = "needs exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `hold`, `command`, `external`";
+        return Err(checker.invalid(&format!("controller `{}`", controller.name), problem));
+    }
+    if controller.optional && !controller.external && controller.command.is_none() {
+        let problem = "is for a controller with `external` or `command`";
+        return Err(checker.invalid("controller.optional", problem));
+    }
+    if controller.restarts > 0 && controller.command.is_none() {
+        return Err(checker.invalid("controller.restarts", "is for a controller with `command`"));
+    }
+    if let Some(drilling) = &controller.curved_drilling {
+        check_curved_drilling(drilling, checker)?;
+    }
+    if let Some(sweep) = &controller.tension_sweep {
+        check_sweep(sweep, checker)?;
+    }
+    if controller.command.as_ref().is_some_and(Vec::is_empty) {
+        return Err(checker.invalid("controller.command", "is empty; expected a program and its arguments"));
+    }
+    Ok(())
+}
+
+fn check_sweep(sweep: &TensionSweep, checker: &Checker) -> Result<(), SceneError> {
+    match (sweep.most_n.zip(sweep.step_n), sweep.most_mm.zip(sweep.step_mm)) {
+        (Some((most_n, step_n)), None) if sweep.most_mm.is_none() && sweep.step_mm.is_none() => {
+            checker.at_most("controller.tension_sweep.step_n", step_n, most_n)
+        }
+        (None, Some((most_mm, step_mm))) if sweep.most_n.is_none() && sweep.step_n.is_none() => {
+            checker.at_most("controller.tension_sweep.step_mm", step_mm, most_mm)
+        }
+        _ => {
+            let problem = "needs either `most_n` and `step_n` or `most_mm` and `step_mm`";
+            Err(checker.invalid("controller.tension_sweep", problem))
+        }
+    }
+}
+
+fn check_curved_drilling(drilling: &CurvedDrilling, checker: &Checker) -> Result<(), SceneError> {
+    let key = |name: &str| format!("controller.curved_drilling.{name}");
+    if drilling.tension_n.is_some() == drilling.calibration.is_some() {
+        return Err(
+            checker.invalid("controller.curved_drilling", "needs either `tension_n` or `calibration`")
+        );
+    }
+    if drilling.calibration.is_some() && drilling.target_mm.is_none() {
+        return Err(checker.invalid(&key("calibration"), "needs a `target_mm`, from which the bend follows"));
+    }
+    checker.at_least(&key("ramp_end_mm"), drilling.ramp_end_mm, drilling.ramp_start_mm)
+}

@@ -1,0 +1,199 @@
+//! Checks what relates a scene's keys to each other. Ranges of single keys: [`ranges`].
+
+mod controllers;
+
+use std::path::Path;
+
+use crate::declaration::{Range, SCENE};
+use crate::error::SceneError;
+use crate::model::{Arm, Body, CArm, Drr, ManipulatorRung, Scene, Tool, Volume};
+use crate::ranges;
+
+/// Makes the errors of one scene file.
+pub(crate) struct Checker<'a> {
+    pub(crate) file: &'a Path,
+}
+
+impl Checker<'_> {
+    pub(crate) fn range(&self, key: &str, value: f64, allowed: Range) -> Result<(), SceneError> {
+        if allowed.allows(value) {
+            return Ok(());
+        }
+        Err(SceneError::OutOfRange {
+            file: self.file.to_owned(),
+            key: key.to_owned(),
+            value,
+            lowest: allowed.lowest,
+            highest: allowed.highest,
+        })
+    }
+
+    /// A declared range whose lower end another key raises.
+    fn at_least(&self, key: &str, value: f64, lowest: f64) -> Result<(), SceneError> {
+        let declared = self.declared(key)?;
+        self.range(key, value, Range { lowest: declared.lowest.max(lowest), ..declared })
+    }
+
+    /// A declared range whose upper end another key lowers.
+    fn at_most(&self, key: &str, value: f64, highest: f64) -> Result<(), SceneError> {
+        let declared = self.declared(key)?;
+        self.range(key, value, Range { highest: declared.highest.min(highest), ..declared })
+    }
+
+    fn declared(&self, key: &str) -> Result<Range, SceneError> {
+        let range = SCENE.kind(key).and_then(|kind| kind.range());
+        range.ok_or_else(|| self.invalid(key, "has no declared range"))
+    }
+
+    pub(crate) fn invalid(&self, key: &str, problem: impl Into<String>) -> SceneError {
+        SceneError::Invalid { file: self.file.to_owned(), key: key.to_owned(), problem: problem.into() }
+    }
+}
+
+/// Checks a scene: first every value against its range, in the order of the declarations, then what relates keys to each other.
+pub(crate) fn check(scene: &Scene, given: &toml::Table, file: &Path) -> Result<(), SceneError> {
+    let checker = Checker { file };
+    ranges::check(&SCENE, given, "", &checker)?;
+    match &scene.volume {
+        Some(volume) => check_volume(volume, &checker)?,
+        None if !scene.predrill.is_empty() => {
+            return Err(checker.invalid("predrill", "needs a `[volume]` to be drilled into"));
+        }
+        None => {}
+    }
+    check_bodies(scene, &checker)?;
+    check_tool(&scene.tool, &checker)?;
+    check_tendons(scene, &checker)?;
+    check_arm(&scene.arm, &checker)?;
+    if let Some(drr) = &scene.drr {
+        check_drr(drr, &checker)?;
+        if scene.volume.is_none() {
+            return Err(checker.invalid("drr", "needs a `[volume]` to look through"));
+        }
+    }
+    controllers::check(scene, &checker)
+}
+
+fn check_volume(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
+    match (&volume.phantom, &volume.path) {
+        (Some(_), Some(_)) => {
+            return Err(checker.invalid("volume", "has both `phantom` and `path`; expected one"));
+        }
+        (None, None) => {
+            return Err(checker.invalid("volume", "has neither `phantom` nor `path`; expected one"));
+        }
+        _ => {}
+    }
+    if volume.mask && volume.path.is_none() {
+        return Err(checker.invalid("volume.mask", "is for a file; a phantom is not a mask"));
+    }
+    if volume.resample_mm.is_some() && volume.path.is_none() {
+        return Err(checker.invalid("volume.resample_mm", "is for a file; a phantom has `spacing_mm`"));
+    }
+    check_choices(volume, checker)
+}
+
+/// What is chosen of a file's content.
+fn check_choices(volume: &Volume, checker: &Checker) -> Result<(), SceneError> {
+    let chosen = [
+        ("volume.series", volume.series.is_some()),
+        ("volume.resample", volume.resample.is_some()),
+        ("volume.label", volume.label.is_some()),
+    ];
+    if let Some((key, _)) = chosen.iter().find(|(_, given)| *given && volume.path.is_none()) {
+        return Err(checker.invalid(key, "is for a file; a phantom has none"));
+    }
+    if volume.label.is_some() && !volume.mask {
+        return Err(checker.invalid("volume.label", "is for a mask; expected `volume.mask = true` beside it"));
+    }
+    Ok(())
+}
+
+fn check_bodies(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    for (index, body) in scene.body.iter().enumerate() {
+        if scene.body[..index].iter().any(|other| other.name == body.name) {
+            return Err(checker.invalid("body.name", format!("`{}` stands twice", body.name)));
+        }
+        check_shape(body, checker)?;
+    }
+    Ok(())
+}
+
+fn check_shape(body: &Body, checker: &Checker) -> Result<(), SceneError> {
+    let shapes = [body.cuboid.is_some(), body.ball.is_some(), body.capsule.is_some()];
+    if shapes.iter().filter(|shape| **shape).count() != 1 {
+        let problem = "needs exactly one of `cuboid`, `ball`, `capsule`";
+        return Err(checker.invalid(&format!("body `{}`", body.name), problem));
+    }
+    Ok(())
+}
+
+fn check_tool(tool: &Tool, checker: &Checker) -> Result<(), SceneError> {
+    let length = |v: &[f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    for (key, vector) in [("tool.direction", &tool.direction), ("tool.bend_toward", &tool.bend_toward)] {
+        checker.range(key, length(vector), Range { lowest: 1e-6, highest: 1e6, or_zero: false })?;
+    }
+    let [a, b] = [&tool.direction, &tool.bend_toward];
+    let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    if length(&cross) < 1e-3 * length(a) * length(b) {
+        return Err(
+            checker.invalid("tool.bend_toward", "lies along `tool.direction`; expected another direction")
+        );
+    }
+    Ok(())
+}
+
+fn check_tendons(scene: &Scene, checker: &Checker) -> Result<(), SceneError> {
+    // A tolerance lets the tendons determine the model.
+    let model = scene.manipulator.model;
+    let flat = match model {
+        None => !scene.tolerance.as_ref().is_some_and(|t| t.tip_mm.is_some() || t.path_mm.is_some()),
+        Some(model) => matches!(model, ManipulatorRung::Planar | ManipulatorRung::ConstantCurvature),
+    };
+    for tendon in &scene.tendon {
+        if flat && tendon.across_mm != 0.0 {
+            let problem = "bends out of the plane; expected `manipulator.model` to be spatial or full";
+            return Err(checker.invalid("tendon.across_mm", problem));
+        }
+    }
+    Ok(())
+}
+
+fn check_arm(arm: &Arm, checker: &Checker) -> Result<(), SceneError> {
+    let standard = [360.0, 360.0, 180.0, 360.0, 360.0, 360.0];
+    let lower = arm.lower_joints_deg.unwrap_or(standard.map(|angle: f64| -angle));
+    let upper = arm.upper_joints_deg.unwrap_or(standard);
+    for i in 0..6 {
+        checker.at_least("arm.upper_joints_deg", upper[i], lower[i] + 1e-3)?;
+        if let Some(start) = arm.initial_joints_deg {
+            let joint = Range { lowest: lower[i], highest: upper[i], or_zero: false };
+            checker.range("arm.initial_joints_deg", start[i], joint)?;
+        }
+    }
+    Ok(())
+}
+
+fn check_drr(drr: &Drr, checker: &Checker) -> Result<(), SceneError> {
+    checker.at_least("drr.source_detector_mm", drr.source_detector_mm, drr.source_isocentre_mm)?;
+    drr.carm.as_ref().map_or(Ok(()), |carm| check_c_arm(carm, checker))
+}
+
+/// Requires exactly one of the two forms, complete. The values are checked where they become a C-arm.
+fn check_c_arm(carm: &CArm, checker: &Checker) -> Result<(), SceneError> {
+    let camera = [carm.intrinsics.is_some(), carm.rotation.is_some(), carm.translation_mm.is_some()];
+    let points = [
+        carm.source_mm.is_some(),
+        carm.detector_centre_mm.is_some(),
+        carm.row_axis.is_some(),
+        carm.column_axis.is_some(),
+    ];
+    let (any, all) = (|keys: &[bool]| keys.contains(&true), |keys: &[bool]| !keys.contains(&false));
+    let as_camera = all(&camera) && !any(&points);
+    let as_points = all(&points) && !any(&camera) && carm.pixel_centre.is_none();
+    if as_camera || as_points {
+        return Ok(());
+    }
+    let problem = "is not one C-arm; expected either `intrinsics`, `rotation`, `translation_mm` (and `pixel_centre`), or \
+                   `source_mm`, `detector_centre_mm`, `row_axis`, `column_axis`";
+    Err(checker.invalid("drr.carm", problem))
+}

@@ -1,0 +1,65 @@
+//! `[[controller]]`: who drives the tool.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::built_in::{CurvedDrilling, Hold, Skiving, TensionSweep};
+use super::{NAME, NAME_EXPECTED};
+
+/// Who drives the tool. Exactly one of `curved_drilling`, `skiving`, `tension_sweep`, `hold`, `command` and `external`
+/// says what it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Controller {
+    /// Name within the session.
+    #[schemars(regex(pattern = NAME), extend("patternErrorMessage" = NAME_EXPECTED))]
+    pub name: String,
+    /// What it drives; no part has two drivers.
+    pub drives: Vec<Drives>,
+    /// The built-in curved drilling.
+    pub curved_drilling: Option<CurvedDrilling>,
+    /// The built-in test of skiving: a straight feed that reports how far the burr leaves its line.
+    pub skiving: Option<Skiving>,
+    /// The built-in sweep of the tendon, from which `trabecula calibrate` writes a calibration.
+    pub tension_sweep: Option<TensionSweep>,
+    /// The built-in controller that holds a tension.
+    pub hold: Option<Hold>,
+    /// A program to start, with its arguments; it finds the session's folder in the environment variable
+    /// `TRABECULA_SESSION` and its own name in `TRABECULA_CONTROLLER`.
+    pub command: Option<Vec<String>>,
+    /// True if somebody else starts it.
+    #[serde(default)]
+    pub external: bool,
+    /// How long the start of the run waits for it if it is external.
+    #[serde(default = "Controller::default_connect_limit_s")]
+    #[schemars(range(min = 1.0, max = 3600.0))]
+    pub connect_limit_s: f64,
+    /// True if a controller with `external` or `command` may join and leave when it likes: the run begins without it, and
+    /// a `command` that ends does not end the run.
+    #[serde(default)]
+    pub optional: bool,
+    /// How often a `command` that ends before the run does is started again.
+    #[serde(default)]
+    #[schemars(range(min = 0, max = 1000))]
+    pub restarts: u32,
+}
+
+impl Controller {
+    fn default_connect_limit_s() -> f64 {
+        60.0
+    }
+}
+
+/// A part of the tool that a controller drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Drives {
+    /// The tendons.
+    Tendon,
+    /// The arm.
+    Arm,
+    /// The burr.
+    Burr,
+    /// The C-arm: only its driver may ask for frames from a pose of its own. Undriven, everybody may.
+    CArm,
+}

@@ -1,0 +1,228 @@
+//! `[drr]`: the X-ray frames of a scene.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::FARTHEST_MM;
+
+/// How a frame's intensities are shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Display {
+    /// What the detector sees: bone and metal dark.
+    BoneDark,
+    /// Inverted: bone and metal bright.
+    BoneBright,
+    /// The detector's readout itself, no logarithm and no window: 65535 is a readout of 1.
+    Linear,
+}
+
+/// Line integral through the volume.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Projector {
+    /// Exact for constant voxels; the slowest.
+    Siddon,
+    /// Bilinear, ray by ray.
+    Joseph,
+    /// Bilinear, slice by slice; the fastest of full resolution.
+    SliceOrdered,
+    /// The same with cubes of voxels joined to one.
+    Preview,
+}
+
+/// The C-arm, where positioner angles do not say it: either as a camera or as points; a key of neither is refused.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CArm {
+    /// Camera: K in pixels, `[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`; the detector is |fx| times `pixel_pitch_mm` away.
+    pub intrinsics: Option<[[f64; 3]; 3]>,
+    /// Camera: R, rows are the camera's axes in the world, z towards the detector.
+    pub rotation: Option<[[f64; 3]; 3]>,
+    /// Camera: t, the world's origin in the camera.
+    pub translation_mm: Option<[f64; 3]>,
+    /// Camera: `whole` (OpenCV, the standard) or `half` (DeepDRR).
+    pub pixel_centre: Option<PixelCentre>,
+    /// Points: focal spot.
+    pub source_mm: Option<[f64; 3]>,
+    /// Points: centre of the detector.
+    pub detector_centre_mm: Option<[f64; 3]>,
+    /// Points: unit vector along a row, towards growing column numbers.
+    pub row_axis: Option<[f64; 3]>,
+    /// Points: unit vector along a column, towards growing row numbers.
+    pub column_axis: Option<[f64; 3]>,
+}
+
+/// Where pixel centres are counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PixelCentre {
+    /// At whole numbers.
+    Whole,
+    /// At halves.
+    Half,
+}
+
+/// Many photon energies instead of one: tissue, bone, nitinol and steel each attenuate by NIST's coefficients.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Spectrum {
+    /// Tube voltage.
+    #[schemars(range(min = 50.0, max = 120.0))]
+    pub tube_kv: f64,
+    /// Filtration, as a thickness of aluminium.
+    #[schemars(range(min = 0.0, max = 20.0))]
+    pub aluminium_mm: f64,
+    /// Effective photon energy of the CT.
+    #[schemars(range(min = 30.0, max = 120.0))]
+    pub ct_energy_kev: f64,
+    /// Voxels above this hold bone.
+    #[schemars(range(min = 0.0, max = 1000.0))]
+    pub bone_above_hu: f64,
+}
+
+impl Default for Spectrum {
+    fn default() -> Self {
+        Spectrum { tube_kv: 90.0, aluminium_mm: 3.0, ct_energy_kev: 70.0, bone_above_hu: 200.0 }
+    }
+}
+
+/// The detector's readout: `min(gain signal + offset, saturation)`, with a signal of 1 in the open field.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Detector {
+    /// Gain.
+    #[schemars(range(min = 0.01, max = 100.0))]
+    pub gain: f64,
+    /// Dark signal.
+    #[schemars(range(min = 0.0, max = 0.5))]
+    pub offset: f64,
+    /// Largest readout; none without it.
+    #[schemars(range(min = 0.01, max = 100.0))]
+    pub saturation: Option<f64>,
+}
+
+impl Default for Detector {
+    fn default() -> Self {
+        Detector { gain: 1.0, offset: 0.0, saturation: None }
+    }
+}
+
+/// Notches of the manipulator's links, which the published tool does not state: one in the middle of each link, in turns on
+/// either side of the bending plane.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Notch {
+    /// Width along the tool; a shorter link has none.
+    #[schemars(range(min = 0.01, max = 5.0))]
+    pub width_mm: f64,
+    /// Depth from the tube's surface.
+    #[schemars(range(min = 0.01, max = 5.9))]
+    pub depth_mm: f64,
+}
+
+/// X-ray frames.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Drr {
+    /// Scheduled frames per simulated second; with 0, frames come only on request.
+    #[schemars(range(min = 0.0, max = 200.0))]
+    pub rate_hz: f64,
+    /// Point about which the C-arm turns, patient frame.
+    #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
+    pub isocentre_mm: [f64; 3],
+    /// DICOM (0018,1510): 0 is detector in front of the chest, +90 at the patient's left.
+    #[serde(default)]
+    #[schemars(range(min = -180.0, max = 180.0))]
+    pub primary_angle_deg: f64,
+    /// DICOM (0018,1511): positive is cranial.
+    #[serde(default)]
+    #[schemars(range(min = -90.0, max = 90.0))]
+    pub secondary_angle_deg: f64,
+    /// Source to isocentre.
+    #[serde(default = "Drr::default_source_isocentre_mm")]
+    #[schemars(range(min = 100.0, max = 2000.0))]
+    pub source_isocentre_mm: f64,
+    /// Source to detector, more than source to isocentre.
+    #[serde(default = "Drr::default_source_detector_mm")]
+    #[schemars(range(min = 200.0, max = 3000.0))]
+    pub source_detector_mm: f64,
+    /// Pixel columns.
+    #[schemars(range(min = 16, max = 4096))]
+    pub columns: u32,
+    /// Pixel rows.
+    #[schemars(range(min = 16, max = 4096))]
+    pub rows: u32,
+    /// Distance of pixel centres on the detector.
+    #[schemars(range(min = 0.05, max = 5.0))]
+    pub pixel_pitch_mm: f64,
+    /// Photon energy.
+    #[serde(default = "Drr::default_energy_kev")]
+    #[schemars(range(min = 30.0, max = 120.0))]
+    pub energy_kev: f64,
+    /// Photons per unattenuated pixel; 0 is without noise.
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 1e8))]
+    pub photons_per_pixel: f64,
+    /// Detector blur (standard deviation).
+    #[serde(default)]
+    #[schemars(range(min = 0.0, max = 5.0))]
+    pub blur_pixels: f64,
+    /// Bone and metal dark, as the detector sees them, or bright; or the readout without logarithm and window.
+    #[serde(default = "Drr::default_display")]
+    pub display: Display,
+    /// Gain, offset and saturation of the detector.
+    #[serde(default)]
+    pub detector: Detector,
+    /// Many photon energies; absent: `energy_kev` alone.
+    pub spectrum: Option<Spectrum>,
+    /// The C-arm as a camera or as points; absent: by the angles and distances above.
+    pub carm: Option<CArm>,
+    /// Notches of the links; absent: whole tubes.
+    pub notch: Option<Notch>,
+    /// Line integral: `siddon` is exact for constant voxels and slow, `joseph` is bilinear, `slice_ordered` is bilinear in the
+    /// volume's own order and the quickest of full resolution, `preview` is that with voxels joined. `tolerance.drr_rel` chooses instead
+    /// of it.
+    #[serde(default = "Drr::default_projector")]
+    pub projector: Projector,
+    /// Samples of `slice_ordered` for each voxel of the farthest slice; more are slower and closer to `joseph`. Below
+    /// 1, samples and voxels are equally far apart in the middle of the volume.
+    #[serde(default = "Drr::default_oversampling")]
+    #[schemars(range(min = 0.8, max = 4.0))]
+    pub oversampling: f64,
+    /// Voxels along each axis that `preview` joins to one.
+    #[serde(default = "Drr::default_reduction")]
+    #[schemars(range(min = 2, max = 8))]
+    pub reduction: u32,
+    /// Threads that render.
+    #[serde(default = "Drr::default_threads")]
+    #[schemars(range(min = 1, max = 64))]
+    pub threads: usize,
+}
+
+impl Drr {
+    fn default_source_isocentre_mm() -> f64 {
+        700.0
+    }
+    fn default_source_detector_mm() -> f64 {
+        1000.0
+    }
+    fn default_energy_kev() -> f64 {
+        60.0
+    }
+    fn default_display() -> Display {
+        Display::BoneDark
+    }
+    fn default_projector() -> Projector {
+        Projector::SliceOrdered
+    }
+    fn default_oversampling() -> f64 {
+        1.0
+    }
+    fn default_reduction() -> u32 {
+        2
+    }
+    fn default_threads() -> usize {
+        2
+    }
+}

@@ -1,0 +1,104 @@
+//! `[tool]`, `[manipulator]` and `[[tendon]]`: the tool.
+
+use messages::MAX_JOINTS;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::FARTHEST_MM;
+
+/// Where the tool starts and which way it looks, in the patient frame (LPS).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tool {
+    /// Burr centre of the straight tool at the start.
+    #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
+    pub burr_start_mm: [f64; 3],
+    /// Insertion direction, any length.
+    pub direction: [f64; 3],
+    /// Side to which tendon 0 bends the tool; its part across the direction counts.
+    pub bend_toward: [f64; 3],
+}
+
+/// The manipulator, where it differs from the notched nitinol tube of 27 flexures.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+#[schemars(extend("x-absent" = "standard"))]
+pub struct Manipulator {
+    /// Rung of the ladder of models: `planar` is the standard.
+    pub model: Option<ManipulatorRung>,
+    /// The flexible length as this many equal links in place of the flexures of the tables.
+    #[schemars(range(min = 1, max = MAX_JOINTS))]
+    pub links: Option<usize>,
+    /// Width of the tube's notches along its axis; 0.73 by default. With `notch_past_axis_mm` it sets the axial, shear, lateral and
+    /// torsional stiffness of a flexure of `spatial` and `full`; the bending stiffness stays that of the tables.
+    #[schemars(range(min = 0.65, max = 0.8))]
+    pub notch_width_mm: Option<f64>,
+    /// How far a notch reaches past the tube's axis; 0.495 by default.
+    #[schemars(range(min = 0.4, max = 0.6))]
+    pub notch_past_axis_mm: Option<f64>,
+    /// Stiffness of a flexure across the bending plane over that in it, in place of what the notches give; for `spatial` and `full`.
+    #[schemars(range(min = 1e-3, max = 1e3))]
+    pub lateral_stiffness_ratio: Option<f64>,
+    /// Torsional over bending stiffness of a flexure, in place of what the notches give; for `spatial` and `full`.
+    #[schemars(range(min = 1e-3, max = 1e3))]
+    pub torsion_stiffness_ratio: Option<f64>,
+    /// Friction coefficient of tendons in their channels.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub tendon_friction: Option<f64>,
+    /// Damping ratio of the first bending mode.
+    #[schemars(range(min = 0.001, max = 10.0))]
+    pub damping_ratio: Option<f64>,
+    /// All flexure stiffnesses times this.
+    #[schemars(range(min = 0.001, max = 1000.0))]
+    pub stiffness_scale: Option<f64>,
+    /// All masses times this.
+    #[schemars(range(min = 0.001, max = 1000.0))]
+    pub mass_scale: Option<f64>,
+    /// Stiffness of the mount between arm and tool.
+    #[schemars(range(min = 1e3, max = 1e7))]
+    pub mount_stiffness_n_per_m: Option<f64>,
+    /// Diameter of the burr.
+    #[schemars(range(min = 1.0, max = 20.0))]
+    pub burr_diameter_mm: Option<f64>,
+    /// Time integration: `hybrid`, the standard, is second order in free motion.
+    pub integrator: Option<Integrator>,
+}
+
+/// Models of the manipulator, from the cheapest to the richest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ManipulatorRung {
+    /// An arc of one curvature.
+    ConstantCurvature,
+    /// A chain that bends in one plane.
+    #[default]
+    Planar,
+    /// A chain that bends, bends laterally and twists.
+    Spatial,
+    /// A chain whose flexures have all six freedoms.
+    Full,
+}
+
+/// Integrators of the manipulator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// First order, never unstable.
+    LinearlyImplicitEuler,
+    /// Second order in free motion, linearly implicit Euler otherwise.
+    #[default]
+    Hybrid,
+}
+
+/// A tendon in its channel along the whole flexible length.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tendon {
+    /// Distance of the channel from the tool axis toward `tool.bend_toward`.
+    #[schemars(range(min = -10.0, max = 10.0))]
+    pub toward_mm: f64,
+    /// Distance across it (direction times `bend_toward`, right-handed); for `spatial` and `full`.
+    #[serde(default)]
+    #[schemars(range(min = -10.0, max = 10.0))]
+    pub across_mm: f64,
+}

@@ -1,0 +1,57 @@
+//! `[recording]`: what a run keeps.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// What is recorded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Recording {
+    /// Frames whole; only their geometry and hash, from which they can be rendered again; or nothing of them.
+    pub images: Images,
+    /// Simulated time between two keyframes, from which a replay can begin; 0 for none.
+    #[schemars(extend("anyOf" = [{"const": 0.0}, {"minimum": 0.01, "maximum": 3600.0}]))]
+    pub keyframe_interval_s: f64,
+    /// With `images = "full"`, every how many frames the image is recorded; of the others the hash.
+    #[schemars(range(min = 1, max = 1_000_000))]
+    pub image_every: u64,
+    /// When the recorder is so late that its queues would overflow, in real time: the log has a gap, and the run says so and ends with
+    /// exit code 3; or the physics waits, and its ticks begin late. Lockstep always waits.
+    pub on_full: OnFull,
+}
+
+impl Recording {
+    /// Whether the image of a frame (`Frame.sequence`, from 1) is recorded.
+    pub fn keeps_image(&self, sequence: u64) -> bool {
+        self.images == Images::Full && sequence.saturating_sub(1).is_multiple_of(self.image_every.max(1))
+    }
+}
+
+impl Default for Recording {
+    fn default() -> Self {
+        // A tick in its time is what real time is for: the gap costs the log, a wait costs whoever holds the tool.
+        Recording { images: Images::Full, keyframe_interval_s: 2.0, image_every: 1, on_full: OnFull::Gap }
+    }
+}
+
+/// Which frames are recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Images {
+    /// All, whole.
+    Full,
+    /// Only their geometry and hash: they can be rendered again.
+    HashOnly,
+    /// None, and no hash either.
+    None,
+}
+
+/// What happens when the recorder is so late that its queues would overflow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OnFull {
+    /// The physics waits for it.
+    Wait,
+    /// The log has a gap.
+    Gap,
+}

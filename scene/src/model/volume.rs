@@ -1,0 +1,98 @@
+//! `[volume]` and `[[predrill]]`: the bone.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::FARTHEST_MM;
+
+/// The bone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Volume {
+    /// A synthetic volume; either this or `path`.
+    pub phantom: Option<Phantom>,
+    /// A volume file or DICOM folder, from the scene file's folder; either this or `phantom`.
+    #[schemars(extend("x-kind" = "path"))]
+    pub path: Option<PathBuf>,
+    /// True if the file is a 0/1 mask of bone, to be filled with synthetic Hounsfield units.
+    #[serde(default)]
+    pub mask: bool,
+    /// Of a segmentation with several labels, the one that is bone: its value, or the name of a segment in a `.seg.nrrd` of 3D Slicer.
+    pub label: Option<Label>,
+    /// SeriesInstanceUID of the series to read, if the DICOM folder holds several.
+    pub series: Option<String>,
+    /// Slices that are unevenly spaced or stacked askew (a tilted gantry) are resampled to a rectangular grid; refused if absent.
+    pub resample: Option<Resample>,
+    /// A file's volume is resampled to cubic voxels of this size: thick slices make a rough tunnel wall.
+    #[schemars(range(min = 0.25, max = 5.0))]
+    pub resample_mm: Option<f64>,
+    /// Voxel size of the phantom.
+    #[serde(default = "Volume::default_spacing_mm")]
+    #[schemars(range(min = 0.25, max = 2.0))]
+    pub spacing_mm: f64,
+    /// Voxels at or above this are bone.
+    #[serde(default = "Volume::default_bone_threshold_hu")]
+    #[schemars(range(min = -1000, max = 3000))]
+    pub bone_threshold_hu: i16,
+    /// Density of the block's far half over that of the near one.
+    #[serde(default = "Volume::default_block_density_ratio")]
+    #[schemars(range(min = 0.1, max = 20.0))]
+    pub block_density_ratio: f64,
+}
+
+impl Volume {
+    fn default_spacing_mm() -> f64 {
+        0.5
+    }
+    fn default_bone_threshold_hu() -> i16 {
+        150
+    }
+    fn default_block_density_ratio() -> f64 {
+        1.0
+    }
+}
+
+/// A built-in synthetic volume.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Phantom {
+    /// A right proximal femur.
+    Femur,
+    /// A block whose two halves have different densities.
+    Block,
+}
+
+/// A label of a segmentation.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "expected an integer of -32768 to 32767, or a segment's name")]
+pub enum Label {
+    /// Its voxels' value.
+    Value(i16),
+    /// Its segment's name.
+    Name(String),
+}
+
+/// How a file's slices are resampled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Resample {
+    /// To the rectangular grid of the smallest distance between two slices, linearly.
+    Rectify,
+}
+
+/// A round-ended hole that is there before the run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Predrill {
+    /// One end, patient frame.
+    #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
+    pub from_mm: [f64; 3],
+    /// Other end, patient frame.
+    #[schemars(inner(range(min = -FARTHEST_MM, max = FARTHEST_MM)))]
+    pub to_mm: [f64; 3],
+    /// Diameter.
+    #[schemars(range(min = 0.5, max = 50.0))]
+    pub diameter_mm: f64,
+}

@@ -1,0 +1,111 @@
+//! The JSON schema of scene files, derived from the declarations of [`model`](crate::model) by the crate `schemars`.
+
+use schemars::generate::SchemaSettings;
+use schemars::transform::RecursiveTransform;
+use schemars::{JsonSchema, Schema};
+use serde_json::{Map, Value};
+
+use crate::Scene;
+
+/// The JSON schema of scene files, for editors: draft 7, which those that know TOML read.
+///
+/// It holds each key's type, range, default and text, and refuses unknown keys. What relates keys to each other, such as "either
+/// `phantom` or `path`", only [`Scene::parse`] checks.
+pub fn json_schema() -> Value {
+    generate::<Scene>(SchemaSettings::draft07())
+}
+
+/// A type's schema as a reader of files sees it, with `$defs`; texts and defaults may stand beside a `$ref`.
+pub(crate) fn as_read<T: JsonSchema>() -> Value {
+    generate::<T>(SchemaSettings::draft2020_12())
+}
+
+/// A type's schema as a writer sees it: `required` lists every key of a table, in the order of the declaration.
+pub(crate) fn as_written<T: JsonSchema>() -> Value {
+    generate::<T>(SchemaSettings::draft2020_12().for_serialize())
+}
+
+fn generate<T: JsonSchema>(mut settings: SchemaSettings) -> Value {
+    // Before the transforms of the draft, which would wrap the alternatives of an optional table.
+    settings.transforms.insert(0, Box::new(RecursiveTransform(remove_null)));
+    settings.into_generator().into_root_schema_for::<T>().into()
+}
+
+/// TOML has no null: an optional key is there or not.
+fn remove_null(schema: &mut Schema) {
+    let Some(object) = schema.as_object_mut() else { return };
+    if let Some(Value::Array(types)) = object.get_mut("type") {
+        types.retain(|kind| kind != "null");
+        if let [only] = &types[..] {
+            let only = only.clone();
+            object.insert("type".to_owned(), only);
+        }
+    }
+    if let Some(alternatives) = object.get("anyOf").and_then(Value::as_array)
+        && let [Value::Object(table), null] | [null, Value::Object(table)] = &alternatives[..]
+        && null["type"] == "null"
+    {
+        let table = table.clone();
+        object.remove("anyOf");
+        table.into_iter().for_each(|(key, value)| _ = object.entry(key).or_insert(value));
+    }
+    match object.get_mut("default") {
+        Some(Value::Null) => _ = object.remove("default"),
+        Some(Value::Object(default)) => remove_null_members(default),
+        _ => {}
+    }
+}
+
+fn remove_null_members(object: &mut Map<String, Value>) {
+    object.retain(|_, value| !value.is_null());
+    object.values_mut().filter_map(Value::as_object_mut).for_each(remove_null_members);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn each_value(value: &Value, look: &mut dyn FnMut(&Value)) {
+        look(value);
+        match value {
+            Value::Array(values) => values.iter().for_each(|value| each_value(value, look)),
+            Value::Object(object) => object.values().for_each(|value| each_value(value, look)),
+            _ => {}
+        }
+    }
+
+    /// An editor would offer `null`, which no TOML file can hold.
+    #[test]
+    fn the_schema_knows_no_null() {
+        let schema = json_schema();
+        each_value(&schema, &mut |value| assert!(!value.is_null() && *value != "null", "{value}"));
+        let phantom = &schema["definitions"]["Volume"]["properties"]["phantom"];
+        assert_eq!(phantom["allOf"][0]["$ref"], "#/definitions/Phantom");
+        assert_eq!(schema["definitions"]["Contact"]["properties"]["friction"]["type"], "number");
+    }
+
+    #[test]
+    fn the_schema_refuses_unknown_keys_in_every_table() {
+        let schema = json_schema();
+        let mut count = 0;
+        each_value(&schema, &mut |value| {
+            if value["properties"].is_object() {
+                count += 1;
+                assert_eq!(value["additionalProperties"], false, "{value}");
+            }
+        });
+        assert_eq!(count, 27, "tables, the top level among them");
+    }
+
+    /// One declaration: what the schema says is what the check and the reference say.
+    #[test]
+    fn the_schema_holds_type_range_default_and_text_of_a_key() {
+        let schema = json_schema();
+        let key = &schema["definitions"]["Run"]["properties"]["dt_ms"];
+        let expected = serde_json::json!({
+            "type": "number", "format": "double", "minimum": 0.1, "maximum": 10.0, "default": 1.0, "description": "Time step.",
+        });
+        assert_eq!(*key, expected);
+        assert_eq!(schema["definitions"]["Run"]["required"], serde_json::json!(["mode", "duration_s"]));
+    }
+}

@@ -1,0 +1,87 @@
+//! Refusals beyond the range of one number: an end that another key sets is said as it holds in this scene; values of one of two forms.
+#![allow(clippy::unwrap_used, reason = "a test fails by it")]
+
+use std::path::Path;
+
+use scene::Scene;
+
+const LEAST: &str = r#"
+name = "relations"
+[run]
+mode = "lockstep"
+duration_s = 1.0
+[tool]
+burr_start_mm = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, 1.0]
+bend_toward = [1.0, 0.0, 0.0]
+"#;
+
+const DRR: &str = "[volume]\nphantom = \"block\"\n[drr]\nrate_hz = 0\nisocentre_mm = [0, 0, 0]\ncolumns = 16\nrows = 16\npixel_pitch_mm = 1\n";
+
+fn parsed(more: &str) -> Result<Scene, String> {
+    Scene::parse(&format!("{LEAST}{more}"), Path::new("a.toml")).map_err(|error| error.to_string())
+}
+
+fn sweep(keys: &str) -> String {
+    format!("[[controller]]\nname = \"a\"\ndrives = [\"tendon\"]\ntension_sweep = {{ {keys} }}\n")
+}
+
+fn drilling(keys: &str) -> String {
+    let others =
+        "feed_mm_per_s = 1, insertion_mm = 9, tension_n = 1, burr_speed_rpm = 1, feedback = \"none\"";
+    format!("[[controller]]\nname = \"a\"\ndrives = []\ncurved_drilling = {{ {others}, {keys} }}\n")
+}
+
+#[test]
+fn a_range_that_another_key_narrows_is_said_as_it_holds_in_this_scene() {
+    let upper = |angle: &str| format!("[arm]\nupper_joints_deg = [{}]\n", [angle; 6].join(", "));
+    let start = |angle: &str| format!("[arm]\ninitial_joints_deg = [{}]\n", [angle; 6].join(", "));
+    let cases = [
+        (
+            sweep("most_n = 5, step_n = 5"),
+            sweep("most_n = 5, step_n = 6"),
+            "controller.tension_sweep.step_n` is 6, allowed is 0.01 to 5",
+        ),
+        (
+            sweep("most_mm = 1, step_mm = 0.5"),
+            sweep("most_mm = 1, step_mm = 1.5"),
+            "controller.tension_sweep.step_mm` is 1.5, allowed is 0.001 to 1",
+        ),
+        (
+            drilling("ramp_start_mm = 5, ramp_end_mm = 5"),
+            drilling("ramp_start_mm = 5, ramp_end_mm = 4"),
+            "controller.curved_drilling.ramp_end_mm` is 4, allowed is 5 to 200",
+        ),
+        (upper("90"), upper("-359.9999"), "arm.upper_joints_deg` is -359.9999, allowed is -359.999 to 360"),
+        (start("-90"), start("181"), "arm.initial_joints_deg` is 181, allowed is -180 to 180"),
+        (
+            format!("{DRR}source_isocentre_mm = 900\nsource_detector_mm = 900\n"),
+            format!("{DRR}source_isocentre_mm = 900\nsource_detector_mm = 800\n"),
+            "drr.source_detector_mm` is 800, allowed is 900 to 3000",
+        ),
+    ];
+    for (allowed, refused, words) in cases {
+        assert_eq!(parsed(&allowed).err(), None);
+        assert_eq!(parsed(&refused).unwrap_err(), format!("a.toml: `{words}"));
+    }
+}
+
+/// What the numbers mean together comes after each has been found in its range, so that the nearer cause is named.
+#[test]
+fn a_value_out_of_its_own_range_is_named_before_what_it_is_in_relation_to() {
+    let said = parsed(&sweep("most_n = 500, step_n = 600")).unwrap_err();
+    assert_eq!(said, "a.toml: `controller.tension_sweep.most_n` is 500, allowed is 0.1 to 60");
+}
+
+/// It was said that "data did not match any variant of untagged enum Label".
+#[test]
+fn a_label_of_another_form_is_refused_with_the_two_that_it_may_have() {
+    let mask = |label: &str| format!("[volume]\npath = \"a.nrrd\"\nmask = true\nlabel = {label}\n");
+    for allowed in ["-32768", "32767", "\"femur\""] {
+        assert_eq!(parsed(&mask(allowed)).err(), None);
+    }
+    for refused in ["32768", "1.5", "true"] {
+        let said = parsed(&mask(refused)).unwrap_err();
+        assert!(said.ends_with(": expected an integer of -32768 to 32767, or a segment's name"), "{said}");
+    }
+}

@@ -1,0 +1,156 @@
+//! The accepted ranges of a manipulator's parameters.
+
+use super::error::{ManipulatorError, check, check_all};
+use super::flexure::StiffnessRatios;
+use super::parameters::{ManipulatorParameters, Section};
+use super::{MAX_LINKS, MAX_SHAFT_SPHERES, MAX_TENDONS};
+
+impl ManipulatorParameters {
+    /// Checks every field. The error names the first invalid one, its value and the accepted range.
+    pub fn validate(&self) -> Result<(), ManipulatorError> {
+        self.validate_chain()?;
+        self.validate_body()?;
+        self.validate_tendon()?;
+        self.validate_contact()
+    }
+
+    fn validate_chain(&self) -> Result<(), ManipulatorError> {
+        let n = self.joint_positions_m.len();
+        if !(1..=MAX_LINKS).contains(&n) {
+            return Err(ManipulatorError::Length {
+                field: "joint_positions_m",
+                given: n,
+                expected: "1 to 64 entries (1 to 32 for the planar rung)",
+            });
+        }
+        if self.joint_stiffness_nm_per_rad.len() != n {
+            return Err(ManipulatorError::Length {
+                field: "joint_stiffness_nm_per_rad",
+                given: self.joint_stiffness_nm_per_rad.len(),
+                expected: "as many entries as joint_positions_m",
+            });
+        }
+        check_all("joint_positions_m", &self.joint_positions_m, "0 to 10 m", |z| (0.0..=10.0).contains(&z))?;
+        for i in 1..n {
+            let value = self.joint_positions_m[i];
+            if value - self.joint_positions_m[i - 1] < 1e-6 {
+                return Err(ManipulatorError::EntryOutOfRange {
+                    field: "joint_positions_m",
+                    index: i,
+                    value,
+                    allowed: "at least 1e-6 m past the entry before it",
+                });
+            }
+        }
+        let stiffness = &self.joint_stiffness_nm_per_rad;
+        check_all("joint_stiffness_nm_per_rad", stiffness, "1e-6 to 1e6 N m/rad", |k| {
+            (1e-6..=1e6).contains(&k)
+        })?;
+        check("joint_limit_rad", self.joint_limit_rad, "above 0 and at most 3.1 rad", |x| {
+            x > 0.0 && x <= 3.1
+        })?;
+        let stop = self.joint_stop_stiffness_nm_per_rad;
+        check("joint_stop_stiffness_nm_per_rad", stop, "1e-3 to 1e9 N m/rad", |x| (1e-3..=1e9).contains(&x))?;
+        let ratio = |x: f64| (1e-3..=1e3).contains(&x);
+        let [lateral, torsion] = [self.lateral_stiffness_ratio, self.torsion_stiffness_ratio];
+        check("lateral_stiffness_ratio", lateral.unwrap_or(1.0), "0.001 to 1000", ratio)?;
+        check("torsion_stiffness_ratio", torsion.unwrap_or(1.0), "0.001 to 1000", ratio)?;
+        self.validate_section()?;
+        check("poisson_ratio", self.poisson_ratio, "0 to 0.5", |x| (0.0..=0.5).contains(&x))?;
+        check("tip_offset_m", self.tip_offset_m, "1e-6 to 1 m", |x| (1e-6..=1.0).contains(&x))?;
+        check("damping_ratio", self.damping_ratio, "0 to 10", |x| (0.0..=10.0).contains(&x))
+    }
+
+    fn validate_section(&self) -> Result<(), ManipulatorError> {
+        let Section::Ratios(ratios) = &self.section else { return Ok(()) };
+        if ratios.len() != self.joint_positions_m.len() {
+            return Err(ManipulatorError::Length {
+                field: "section",
+                given: ratios.len(),
+                expected: "as many entries as joint_positions_m",
+            });
+        }
+        for (field, value) in ratios.iter().flat_map(StiffnessRatios::named) {
+            check(field, value, "1e-6 to 1e15", |x| (1e-6..=1e15).contains(&x))?;
+        }
+        Ok(())
+    }
+
+    fn validate_body(&self) -> Result<(), ManipulatorError> {
+        let length = |x: f64| (1e-6..=1.0).contains(&x);
+        check("linear_density_kg_per_m", self.linear_density_kg_per_m, "1e-9 to 1e6 kg/m", |x| {
+            (1e-9..=1e6).contains(&x)
+        })?;
+        check("tube_radii_m[0]", self.tube_radii_m[0], "1e-6 to 1 m", length)?;
+        let outer = self.tube_radii_m[0];
+        check("tube_radii_m[1]", self.tube_radii_m[1], "0 to the outer radius", |x| {
+            (0.0..=outer).contains(&x)
+        })?;
+        for (field, value) in [("burr_mass_kg", self.burr_mass_kg), ("shaft_mass_kg", self.shaft_mass_kg)] {
+            check(field, value, "0 to 1000 kg", |x| (0.0..=1000.0).contains(&x))?;
+        }
+        check("shaft_centre_m", self.shaft_centre_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
+        check_all("mount_stiffness_n_per_m", &self.mount_stiffness_n_per_m, "1 to 1e12 N/m", |k| {
+            (1.0..=1e12).contains(&k)
+        })?;
+        check("mount_damping_ratio", self.mount_damping_ratio, "0 to 100", |x| (0.0..=100.0).contains(&x))?;
+        check_all("gravity_m_per_s2", self.gravity_m_per_s2.as_slice(), "-1000 to 1000", |x| {
+            x.abs() <= 1000.0
+        })?;
+        if self.shaft_sphere_count > MAX_SHAFT_SPHERES {
+            return Err(ManipulatorError::Length {
+                field: "shaft_sphere_count",
+                given: self.shaft_sphere_count,
+                expected: "at most 8",
+            });
+        }
+        check_all("shaft_sphere_span_m", &self.shaft_sphere_span_m, "-10 to 10 m", |x| x.abs() <= 10.0)?;
+        check("shaft_sphere_radius_m", self.shaft_sphere_radius_m, "1e-6 to 1 m", length)?;
+        check("segment_sphere_radius_m", self.segment_sphere_radius_m, "1e-6 to 1 m", length)?;
+        check("burr_radius_m", self.burr_radius_m, "1e-6 to 1 m", length)
+    }
+
+    fn validate_tendon(&self) -> Result<(), ManipulatorError> {
+        let tendon = &self.tendon;
+        check("tendon.offset_m", tendon.offset_m, "0 to 1 m", |x| (0.0..=1.0).contains(&x))?;
+        check("tendon.gap_m", tendon.gap_m, "0 to 1 m", |x| (0.0..=1.0).contains(&x))?;
+        check("tendon.stiffness_n_per_m", tendon.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
+            (1.0..=1e12).contains(&x)
+        })?;
+        let given = self.tendon_channels_m.len();
+        if given > MAX_TENDONS {
+            return Err(ManipulatorError::Length {
+                field: "tendon_channels_m",
+                given,
+                expected: "at most 4 entries",
+            });
+        }
+        for channel in &self.tendon_channels_m {
+            check_all("tendon_channels_m", channel, "-1 to 1 m", |x| x.abs() <= 1.0)?;
+        }
+        let friction = tendon.friction_coefficient;
+        check("tendon.friction_coefficient", friction, "0 to 5", |x| (0.0..=5.0).contains(&x))?;
+        check("tendon.presliding_m", tendon.presliding_m, "1e-9 to 1 m", |x| (1e-9..=1.0).contains(&x))
+    }
+
+    fn validate_contact(&self) -> Result<(), ManipulatorError> {
+        let contact = &self.contact;
+        let friction = |x: f64| (0.0..=10.0).contains(&x);
+        check("contact.friction_coefficient", contact.friction_coefficient, "0 to 10", friction)?;
+        check("contact.burr_friction_coefficient", contact.burr_friction_coefficient, "0 to 10", friction)?;
+        check("contact.stiffness_n_per_m", contact.stiffness_n_per_m, "1 to 1e12 N/m", |x| {
+            (1.0..=1e12).contains(&x)
+        })?;
+        check("contact.push_out_speed_m_per_s", contact.push_out_speed_m_per_s, "0 to 1000 m/s", |x| {
+            (0.0..=1000.0).contains(&x)
+        })?;
+        let iterations = contact.max_iterations as f64;
+        check("contact.max_iterations", iterations, "1 to 10000", |x| (1.0..=10000.0).contains(&x))?;
+        check("contact.tolerance_m_per_s", contact.tolerance_m_per_s, "0 to 1 m/s", |x| {
+            (0.0..=1.0).contains(&x)
+        })?;
+        check("hybrid_tolerance_rad", self.hybrid_tolerance_rad, "above 0 and at most 1 rad", |x| {
+            x > 0.0 && x <= 1.0
+        })
+    }
+}

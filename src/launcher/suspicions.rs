@@ -1,0 +1,106 @@
+//! What is valid in a volume and most likely a mistake. Nothing is refused for it: each is said, with what to do.
+
+use ipc_types::scene::Scene;
+use volume_io::Volume;
+
+/// A volume of two values, as a mask has.
+pub fn of_a_mask(volume: &Volume) -> Option<String> {
+    let first = volume.hu.first().copied()?;
+    let other = volume.hu.iter().copied().find(|value| *value != first)?;
+    let two = volume.hu.iter().all(|value| *value == first || *value == other);
+    let (low, high) = (first.min(other), first.max(other));
+    (two && low == 0 && high <= 255).then(|| {
+        format!(
+            "warning: every voxel is 0 or {high}: this looks like a mask, and is read as Hounsfield units; a scene fills a mask with \
+             `volume.mask = true`"
+        )
+    })
+}
+
+/// A volume without bone.
+pub fn of_bone(volume: &Volume, bone_threshold_hu: i16) -> Option<String> {
+    let most = volume.hu.iter().copied().max()?;
+    (most < bone_threshold_hu).then(|| {
+        format!(
+            "warning: the largest value is {most} HU, below `volume.bone_threshold_hu` = {bone_threshold_hu}: there is no bone to drill"
+        )
+    })
+}
+
+/// Places of the scene that lie outside of the volume, but inside with the signs of RAS.
+pub fn of_places(volume: &Volume, scene: &Scene) -> Vec<String> {
+    let isocentre = scene.drr.as_ref().filter(|drr| drr.carm.is_none()).map(|drr| drr.isocentre_mm);
+    let places = [("tool.burr_start_mm", Some(scene.tool.burr_start_mm)), ("drr.isocentre_mm", isocentre)];
+    let mirrored = |[x, y, z]: [f64; 3]| [-x, -y, z];
+    places
+        .into_iter()
+        .filter_map(|(key, place)| Some((key, place?)))
+        .filter(|(_, place)| !is_inside(volume, *place) && is_inside(volume, mirrored(*place)))
+        .map(|(key, [x, y, z])| {
+            format!(
+                "warning: `{key}` = [{x}, {y}, {z}] lies outside of the volume, and [{}, {}, {z}] inside: scenes are in LPS; a point from a \
+                 program in RAS needs x and y negated",
+                -x, -y
+            )
+        })
+        .collect()
+}
+
+/// Whether a place lies in the volume's box, to the voxels' faces.
+fn is_inside(volume: &Volume, place_mm: [f64; 3]) -> bool {
+    let voxel = volume.world_to_voxel(place_mm.map(|x| x * 1e-3));
+    (0..3).all(|axis| (-0.5..=volume.dims[axis] as f64 - 0.5).contains(&voxel[axis]))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test")]
+mod tests {
+    use super::*;
+    use volume_io::IDENTITY_DIRECTION;
+
+    fn volume(hu: [i16; 8]) -> Volume {
+        Volume {
+            dims: [2, 2, 2],
+            spacing_m: [0.01; 3],
+            origin_m: [0.04, 0.04, 0.0],
+            direction: IDENTITY_DIRECTION,
+            hu: hu.to_vec(),
+        }
+    }
+
+    fn scene(burr_start_mm: &str) -> Scene {
+        let text = format!(
+            "name = \"s\"\n[run]\nmode = \"lockstep\"\nduration_s = 0.1\n[volume]\nphantom = \"block\"\n[tool]\nburr_start_mm = {burr_start_mm}\n\
+             direction = [0.0, 0.0, 1.0]\nbend_toward = [1.0, 0.0, 0.0]\n"
+        );
+        Scene::parse(&text, std::path::Path::new("s.toml")).unwrap()
+    }
+
+    #[test]
+    fn a_mask_that_is_not_called_one_is_named() {
+        let said = |hu| of_a_mask(&volume(hu)).unwrap_or_default();
+        assert!(said([0, 1, 1, 0, 0, 0, 1, 0]).contains("every voxel is 0 or 1: this looks like a mask"));
+        assert!(said([255, 0, 0, 0, 0, 0, 0, 0]).contains("0 or 255"));
+        assert_eq!(said([0, 0, 0, 0, 1000, 0, 0, 0]), "");
+        assert_eq!(said([-1000, 1, 1, 0, 0, 0, 0, 0]), "");
+        assert_eq!(said([0; 8]), "");
+    }
+
+    #[test]
+    fn a_volume_without_bone_is_named() {
+        let said = |hu| of_bone(&volume(hu), 150).unwrap_or_default();
+        assert!(said([-1000, 0, 40, 60, 100, 149, 20, 0]).contains("largest value is 149 HU"));
+        assert_eq!(said([-1000, 300, 300, 0, 0, 0, 0, 0]), "");
+    }
+
+    #[test]
+    fn a_start_with_the_signs_of_ras_is_named() {
+        let ct = volume([0; 8]);
+        let said = |start: &str| of_places(&ct, &scene(start)).join("");
+        assert!(said("[-45.0, -45.0, 5.0]").contains(
+            "`tool.burr_start_mm` = [-45, -45, 5] lies outside of the volume, and [45, 45, 5] inside"
+        ));
+        assert_eq!(said("[45.0, 45.0, 5.0]"), "");
+        assert_eq!(said("[-45.0, 45.0, 5.0]"), "");
+    }
+}

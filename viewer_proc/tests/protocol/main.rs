@@ -1,0 +1,352 @@
+//! The server against a WebSocket client that is not ours: the protocol, and what hostile clients are told.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test")]
+
+mod running;
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
+
+use futures_util::{SinkExt, StreamExt};
+use hub::viewer::Limits;
+use ipc_types::layout::{CDR_LITTLE_ENDIAN, Message as _};
+use ipc_types::messages::State;
+use run_log::topics;
+use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpSocket;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::tungstenite::{Error, Message};
+use viewer_proc::ServerOptions;
+use viewer_proc::board::Board;
+use viewer_proc::channels::{Channels, INFO, NOTICE, SURFACE};
+use viewer_proc::server::{MAX_CLIENTS, Server};
+use viewer_proc::services::{Action, Request};
+use zerocopy::IntoBytes;
+
+use running::{
+    Running, call_bytes, channel, close_code, http, next_data, next_response, next_text, say, subscribe,
+    with, with_server,
+};
+
+#[test]
+fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
+    with_server(async |running| {
+        let (mut socket, channels) = running.client().await;
+        for (topic, description) in topics::RUN.iter().filter(|(topic, _)| *topic != topics::KEYFRAME) {
+            let (name, schema) = topics::schema_of(description);
+            let channel = channel(&channels, topic);
+            assert_eq!(channel["schema"], schema, "{topic}");
+            assert_eq!(
+                (&channel["schemaName"], &channel["encoding"], &channel["schemaEncoding"]),
+                (&json!(name), &json!("cdr"), &json!("ros2msg"))
+            );
+        }
+        let state = State { tick: 42, ..State::zeroed() };
+        subscribe(&mut socket, 7, channel(&channels, topics::STATE)).await;
+        while !running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        running.board.publish_cdr(topics::STATE, 42_000_000, &[state.as_bytes()]);
+        let (subscription, time_ns, payload) = next_data(&mut socket).await;
+        assert_eq!((subscription, time_ns), (7, 42_000_000));
+        assert_eq!(payload, [CDR_LITTLE_ENDIAN.as_slice(), state.as_bytes()].concat());
+        assert_eq!(payload.len(), 4 + State::DESCRIPTION.size);
+
+        // Whoever comes later is given what is newest, of the surface each block.
+        running.board.publish_json(INFO, &json!({"kind": "live"}));
+        (0..3).for_each(|block| running.board.publish(SURFACE, 0, block, vec![block as u8]));
+        let (mut late, channels) = running.client().await;
+        subscribe(&mut late, 1, channel(&channels, INFO)).await;
+        assert_eq!(next_data(&mut late).await.2, b"{\"kind\":\"live\"}");
+        subscribe(&mut late, 2, channel(&channels, SURFACE)).await;
+        for block in 0..3 {
+            assert_eq!(next_data(&mut late).await.2, [block]);
+        }
+
+        // Of three notices only the last was kept.
+        (0..70).for_each(|number| running.board.notice("info", &format!("notice {number}")));
+        subscribe(&mut late, 3, channel(&channels, NOTICE)).await;
+        for number in 6..70 {
+            let told: Value = serde_json::from_slice(&next_data(&mut late).await.2).unwrap();
+            assert_eq!(told["text"], format!("notice {number}"));
+        }
+
+        say(&mut socket, json!({"op": "unsubscribe", "subscriptionIds": [7]})).await;
+        while running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    });
+}
+
+#[test]
+fn only_a_client_with_the_token_commands() {
+    with_server(async |running| {
+        let (mut socket, _) = running.client().await;
+        for token in [json!(null), json!(""), json!("0".repeat(32))] {
+            socket.send(call_bytes(1, 5, &json!({"token": token, "action": "stop"}))).await.unwrap();
+            let (call, response) = next_response(&mut socket).await;
+            assert_eq!((call, &response["ok"]), (5, &json!(false)));
+            assert!(response["error"].as_str().unwrap().contains("token"), "{response}");
+        }
+        assert!(running.called.try_recv().is_err(), "nothing was commanded");
+
+        socket
+            .send(call_bytes(1, 6, &json!({"token": running.token, "action": "step", "ticks": 3})))
+            .await
+            .unwrap();
+        let call = loop {
+            match running.called.try_recv() {
+                Ok(call) => break call,
+                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        };
+        let Request::Control(control) = &call.request else { panic!("{call:?}") };
+        assert_eq!((control.action, control.ticks), (Action::Step, Some(3)));
+        call.answer.send(Err("pause first".to_owned())).unwrap();
+        assert_eq!(next_response(&mut socket).await, (6, json!({"ok": false, "error": "pause first"})));
+
+        for (service, body) in
+            [(1, json!({"token": running.token, "action": "fly"})), (9, json!({"token": running.token}))]
+        {
+            socket.send(call_bytes(service, 7, &body)).await.unwrap();
+            assert_eq!(next_response(&mut socket).await.1["ok"], false);
+        }
+    });
+}
+
+/// Any user of the machine can reach the port: states, scene and bone were served to all of them.
+#[test]
+fn nothing_is_served_to_a_client_without_the_token() {
+    with_server(async |running| {
+        running.board.publish_json(INFO, &json!({"kind": "live"}));
+        let wrong = [String::new(), "?token=".to_owned(), format!("?token={}", "0".repeat(32))];
+        let cut = format!("?token={}", &running.token[..31]);
+        for query in wrong.iter().chain([&cut]) {
+            let mut socket = running.open_with(query, "foxglove.sdk.v1", None).await.unwrap();
+            let _ = socket
+                .send(Message::text(
+                    json!({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 1}]}).to_string(),
+                ))
+                .await;
+            let first = socket.next().await.unwrap().unwrap();
+            let Message::Close(Some(frame)) = first else { panic!("{query}: {first:?}") };
+            assert_eq!(frame.code, CloseCode::Policy, "{query}");
+            assert!(frame.reason.contains("token") && frame.reason.contains("printed"), "{}", frame.reason);
+        }
+        // The page itself holds nothing of the run.
+        let page = http(&running, &format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", running.address)).await;
+        assert!(page.starts_with("HTTP/1.1 200 OK") && !page.contains(&running.token));
+        running.client().await;
+    });
+    // Where it is chosen so, who has no token watches, and commands nothing.
+    with(Running::start(true), async |running| {
+        let mut socket = running.open_with("", "foxglove.sdk.v1", None).await.unwrap();
+        assert_eq!(next_text(&mut socket).await["op"], "serverInfo");
+        socket.send(call_bytes(1, 5, &json!({"action": "stop"}))).await.unwrap();
+        assert_eq!(next_response(&mut socket).await.1["ok"], false);
+        assert!(running.called.try_recv().is_err(), "nothing was commanded");
+    });
+}
+
+#[test]
+fn no_other_origin_connects() {
+    with_server(async |running| {
+        let own = format!("http://{}", running.address);
+        for origin in [own.as_str(), "http://studio.example"] {
+            running.open("foxglove.websocket.v1", Some(origin)).await.unwrap();
+        }
+        for origin in ["http://evil.example", "null", "http://127.0.0.1:1"] {
+            let refused = running.open("foxglove.websocket.v1", Some(origin)).await;
+            let Err(Error::Http(response)) = refused else { panic!("{origin}: {refused:?}") };
+            assert_eq!(response.status(), 403, "{origin}");
+        }
+        let Err(Error::Http(response)) = running.open("mqtt", None).await else {
+            panic!("a subprotocol not ours")
+        };
+        assert_eq!(response.status(), 400);
+    });
+}
+
+#[test]
+fn the_page_is_served_and_nothing_else() {
+    with_server(async |running| {
+        let host = running.address;
+        let get = |path: &str| format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n");
+        let page = http(&running, &get("/")).await;
+        assert!(page.starts_with("HTTP/1.1 200 OK\r\n") && page.contains("<!doctype html>"), "{page}");
+        assert!(page.contains("Content-Security-Policy: default-src 'self';"));
+        for path in ["/../Cargo.toml", "/assets/../../Cargo.toml", "/nothing", "/assets/"] {
+            assert!(http(&running, &get(path)).await.starts_with("HTTP/1.1 404"), "{path}");
+        }
+        let post = format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n");
+        assert!(http(&running, &post).await.starts_with("HTTP/1.1 404"));
+        for rebound in ["evil.example".to_owned(), format!("{host}.evil.example"), "127.0.0.1:1".to_owned()] {
+            let get = format!("GET / HTTP/1.1\r\nHost: {rebound}\r\n\r\n");
+            assert!(http(&running, &get).await.starts_with("HTTP/1.1 403"), "{rebound}");
+        }
+        let twice = format!("GET / HTTP/1.1\r\nHost: {host}\r\nHost: evil.example\r\n\r\n");
+        assert!(http(&running, &twice).await.starts_with("HTTP/1.1 400"));
+        assert!(http(&running, "\0\u{1}garbage\r\n\r\n").await.starts_with("HTTP/1.1 400"));
+        let long = format!("GET / HTTP/1.1\r\nHost: {}\r\n", "x".repeat(20_000));
+        assert!(http(&running, &long).await.starts_with("HTTP/1.1 431"));
+        assert!(http(&running, &get("/ws")).await.starts_with("HTTP/1.1 426"));
+    });
+}
+
+/// All connections that the server takes were idle ones, for five seconds and again, and the page did not come.
+#[test]
+fn idle_connections_keep_nobody_from_the_page() {
+    with_server(async |running| {
+        let get = format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", running.address);
+        // Somebody at another address who is slow.
+        let slow = TcpSocket::new_v4().unwrap();
+        slow.bind("127.0.0.2:0".parse().unwrap()).unwrap();
+        let mut slow = slow.connect(running.address).await.unwrap();
+        slow.write_all(&get.as_bytes()[..10]).await.unwrap();
+        let (mut client, channels) = running.client().await;
+        let mut idle = Vec::new();
+        for _ in 0..3 {
+            for _ in 0..100 {
+                idle.push(running.tcp().await);
+            }
+            assert!(http(&running, &get).await.starts_with("HTTP/1.1 200 OK"));
+            running.client().await;
+        }
+        slow.write_all(&get.as_bytes()[10..]).await.unwrap();
+        let mut answer = String::new();
+        slow.read_to_string(&mut answer).await.unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200 OK"), "{answer}");
+        // Who has the token stays.
+        subscribe(&mut client, 1, channel(&channels, INFO)).await;
+        running.board.publish_json(INFO, &json!({"kind": "live"}));
+        assert_eq!(next_data(&mut client).await.2, b"{\"kind\":\"live\"}");
+    });
+}
+
+#[test]
+fn more_clients_than_are_served_are_told() {
+    with_server(async |running| {
+        let mut clients = Vec::new();
+        for _ in 0..MAX_CLIENTS {
+            clients.push(running.client().await);
+        }
+        let refused = running.open("foxglove.sdk.v1", None).await;
+        let Err(Error::Http(response)) = refused else { panic!("{refused:?}") };
+        assert_eq!(response.status(), 503);
+        drop(clients.pop());
+        while running.open("foxglove.sdk.v1", None).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    });
+}
+
+#[test]
+fn hostile_clients_are_told_and_closed_and_others_go_on() {
+    with_server(async |running| {
+        let (mut good, channels) = running.client().await;
+        subscribe(&mut good, 1, channel(&channels, topics::STATE)).await;
+
+        let (mut oversized, _) = running.client().await;
+        // The server closes in the middle of it.
+        let _ = oversized.send(Message::text("x".repeat(70 << 10))).await;
+        assert_eq!(close_code(&mut oversized).await, CloseCode::Size);
+
+        let (mut flooding, _) = running.client().await;
+        for _ in 0..1100 {
+            if flooding.feed(Message::text("{}")).await.is_err() {
+                break;
+            }
+        }
+        let _ = flooding.flush().await;
+        assert_eq!(close_code(&mut flooding).await, CloseCode::Policy);
+
+        // What is malformed is answered; the connection stays.
+        let (mut malformed, _) = running.client().await;
+        for text in [
+            "{",
+            "[]",
+            "{\"op\":5}",
+            "{\"op\":\"subscribe\",\"subscriptions\":[{\"id\":1,\"channelId\":999}]}",
+        ] {
+            malformed.send(Message::text(text)).await.unwrap();
+            assert_eq!(next_text(&mut malformed).await["op"], "status", "{text}");
+        }
+        for bytes in [&b""[..], b"\x02", b"\x02\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff", b"\x63abc"]
+        {
+            malformed.send(Message::binary(bytes.to_vec())).await.unwrap();
+            assert_eq!(next_text(&mut malformed).await["op"], "status", "{bytes:?}");
+        }
+        let ids: Vec<Value> = (0..300).map(|id| json!({"id": id, "channelId": 1})).collect();
+        say(&mut malformed, json!({"op": "subscribe", "subscriptions": ids})).await;
+        let status = next_text(&mut malformed).await;
+        assert!(status["message"].as_str().unwrap().contains("256"), "{status}");
+
+        let mut broken = running.tcp().await;
+        broken.write_all(b"GET /ws HTTP/1.1\r\nHost: ").await.unwrap();
+        drop(broken);
+
+        while !running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        running.board.publish_cdr(topics::STATE, 1, &[b"still here"]);
+        assert!(next_data(&mut good).await.2.ends_with(b"still here"));
+    });
+}
+
+#[test]
+fn a_client_that_never_reads_holds_nobody_up_and_is_told_what_it_lost() {
+    with_server(async |running| {
+        let (mut lazy, channels) = running.client().await;
+        subscribe(&mut lazy, 1, channel(&channels, topics::STATE)).await;
+        while !running.board.wants(topics::STATE) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        // Much more than its queue and the sockets' buffers hold; publishing never waits.
+        let big = vec![0; 1 << 20];
+        let count = 10 * (Limits::default().stream_bytes >> 20) as u64;
+        for number in 1..=count {
+            running.board.publish_cdr(topics::STATE, number, &[&big]);
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let (mut heard, mut told) = (Vec::new(), false);
+        while heard.last() != Some(&count) || !told {
+            match lazy.next().await.unwrap().unwrap() {
+                Message::Binary(bytes) if bytes[0] == 1 => {
+                    heard.push(u64::from_le_bytes(bytes[5..13].try_into().unwrap()));
+                }
+                Message::Text(text) => told |= text.contains("were dropped"),
+                _ => {}
+            }
+        }
+        assert!(heard.is_sorted() && (heard.len() as u64) < count, "{heard:?}");
+    });
+}
+
+#[test]
+fn clients_hear_that_the_viewer_ends() {
+    with_server(async |running| {
+        let (mut socket, _) = running.client().await;
+        running.over.store(true, Ordering::Relaxed);
+        assert_eq!(close_code(&mut socket).await, CloseCode::Away);
+    });
+}
+
+#[test]
+fn a_port_in_use_is_named() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let options = ServerOptions {
+        bind: "127.0.0.1".parse().unwrap(),
+        port,
+        allow_origin: Vec::new(),
+        watch_by_anyone: false,
+        page_folder: None,
+    };
+    let (calls, _called) = mpsc::sync_channel(1);
+    let board = Arc::new(Board::new(Channels::default()));
+    let error = Server::bind(&options, "x", board, calls, Arc::default()).unwrap_err();
+    assert!(error.is_bad_input());
+    let text = error.to_string();
+    assert!(text.contains(&format!("127.0.0.1:{port}")) && text.contains("--port"), "{text}");
+}

@@ -1,0 +1,147 @@
+//! A DICOM file in memory: with its preamble or without, its data set unpacked and every length in it checked.
+//!
+//! Source: DICOM PS3.10 section 7 (preamble, file meta group), PS3.5 annex A.5 (deflate).
+
+use super::scan::{self, Pixels, Transfer};
+use crate::error::VolumeError;
+use crate::input;
+use dicom_core::VR;
+use dicom_object::InMemDicomObject;
+use dicom_transfer_syntax_registry::entries;
+use std::io::Read;
+use std::path::Path;
+
+/// Largest DICOM file accepted: the largest volume, of 16-bit pixels, and its headers.
+const MAX_FILE_BYTES: u64 = 2 * voxel_grid::MAX_VOXELS as u64 + (64 << 20);
+/// Deflate cannot exceed 1032:1 (zlib technical notes).
+const MOST_DEFLATE: u64 = 1032;
+/// Bytes that tell a DICOM file.
+pub(super) const HEAD_BYTES: usize = 136;
+
+/// A file whose structure has been checked.
+pub(super) struct DicomFile {
+    pub bytes: Vec<u8>,
+    pub transfer: Transfer,
+    pub pixels: Option<Pixels>,
+    /// Where the data set begins, and where its pixels do.
+    data_set: std::ops::Range<usize>,
+}
+
+/// What a file begins with.
+enum Start {
+    /// The file meta group at this byte.
+    Meta(usize),
+    /// The data set at once, as files from older programs do.
+    DataSet(Transfer),
+}
+
+fn start(head: &[u8]) -> Option<Start> {
+    if is_part10(head) {
+        return Some(Start::Meta(132));
+    }
+    if head.starts_with(b"DICM") {
+        return Some(Start::Meta(4));
+    }
+    let [g0, g1, e0, e1, v0, v1, l0, l1] = *head.first_chunk::<8>()?;
+    let (group, element) = (u16::from_le_bytes([g0, g1]), u16::from_le_bytes([e0, e1]));
+    if group == 0x0002 && element <= 0x0010 && matches!([v0, v1], [b'U', b'L'] | [b'O', b'B'] | [b'U', b'I'])
+    {
+        return Some(Start::Meta(0));
+    }
+    // Group 8 comes first in every image; these elements, all short, may lead it.
+    if group != 0x0008 || ![0x0000, 0x0001, 0x0005, 0x0008, 0x0012, 0x0013, 0x0016, 0x0018].contains(&element)
+    {
+        return None;
+    }
+    if VR::from_binary([v0, v1]).is_some() {
+        return Some(Start::DataSet(scan::bare(true)));
+    }
+    let length = u32::from_le_bytes([v0, v1, l0, l1]);
+    ((2..=256).contains(&length) && length.is_multiple_of(2)).then(|| Start::DataSet(scan::bare(false)))
+}
+
+/// Whether a file that begins with these bytes has DICOM's preamble (PS3.10 section 7.1).
+pub(crate) fn is_part10(head: &[u8]) -> bool {
+    head.get(128..132) == Some(b"DICM".as_slice())
+}
+
+/// Whether a file that begins with these bytes is DICOM.
+pub(crate) fn is_dicom(head: &[u8]) -> bool {
+    start(head).is_some()
+}
+
+impl DicomFile {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// `NotAVolume` without any of the known beginnings; `Truncated`, `Header`, `Unsupported` or `Corrupt` by [`scan`].
+    pub fn open(path: &Path) -> Result<DicomFile, VolumeError> {
+        let bytes = read_bytes(path)?;
+        let (transfer, begin) = match start(&bytes) {
+            Some(Start::Meta(at)) => scan::meta_group(path, &bytes, at)?,
+            Some(Start::DataSet(transfer)) => (transfer, 0),
+            None => {
+                return Err(VolumeError::NotAVolume {
+                    path: path.into(),
+                    given: "no `DICM` after 128 bytes, and no data set at the start (not a DICOM file)"
+                        .into(),
+                });
+            }
+        };
+        let (bytes, begin) =
+            if transfer.deflated { (inflate(path, &bytes[begin..])?, 0) } else { (bytes, begin) };
+        let (end, pixels) = scan::data_set(path, &bytes, begin, transfer)?;
+        Ok(DicomFile { bytes, transfer, pixels, data_set: begin..end })
+    }
+
+    /// The elements before the pixels.
+    pub fn header(&self, path: &Path) -> Result<InMemDicomObject, VolumeError> {
+        let syntax = match (self.transfer.explicit_vr, self.transfer.big_endian) {
+            (false, _) => entries::IMPLICIT_VR_LITTLE_ENDIAN.erased(),
+            (true, false) => entries::EXPLICIT_VR_LITTLE_ENDIAN.erased(),
+            (true, true) => entries::EXPLICIT_VR_BIG_ENDIAN.erased(),
+        };
+        let bytes = &self.bytes[self.data_set.clone()];
+        InMemDicomObject::read_dataset_with_ts(bytes, &syntax).map_err(|error| VolumeError::Header {
+            path: path.into(),
+            field: "data set".into(),
+            given: super::fields::chain(&error),
+            expected: "a well-formed DICOM data set".into(),
+        })
+    }
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>, VolumeError> {
+    let (file, length) = input::open(path)?;
+    if length > MAX_FILE_BYTES {
+        return Err(too_long(path, format!("{length} bytes")));
+    }
+    let mut bytes = Vec::with_capacity(length as usize);
+    file.take(length).read_to_end(&mut bytes).map_err(input::io_error(path, "read"))?;
+    Ok(bytes)
+}
+
+fn too_long(path: &Path, given: String) -> VolumeError {
+    VolumeError::Unsupported {
+        path: path.into(),
+        field: "file size".into(),
+        given,
+        expected: format!("at most {MAX_FILE_BYTES} bytes a file"),
+    }
+}
+
+/// Unpacks a data set; memory grows with what arrives, up to the largest file.
+fn inflate(path: &Path, packed: &[u8]) -> Result<Vec<u8>, VolumeError> {
+    let most = MAX_FILE_BYTES.min(packed.len() as u64 * MOST_DEFLATE);
+    let mut bytes = Vec::new();
+    let corrupt = |error: std::io::Error| VolumeError::Corrupt {
+        path: path.into(),
+        codec: "deflate",
+        reason: error.to_string(),
+    };
+    flate2::read::DeflateDecoder::new(packed).take(most + 1).read_to_end(&mut bytes).map_err(corrupt)?;
+    if bytes.len() as u64 > most {
+        return Err(too_long(path, format!("deflated data of more than {most} bytes")));
+    }
+    Ok(bytes)
+}

@@ -1,0 +1,194 @@
+//! Which files of a folder belong to the series that is read.
+
+use super::file::{HEAD_BYTES, is_dicom};
+use super::series::assemble;
+use super::slice::{Identity, Images, Slice, identify, read_headers, series_of};
+use crate::error::VolumeError;
+use crate::input::{self, Codec, DataFiles, folder_of};
+use crate::options::ReadOptions;
+use crate::volume::{Volume, VolumeInfo};
+use foreign_text::foreign;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Deepest folder below the one named that is looked into, and most entries in all: a CD of one patient stays far below both.
+const MAX_DEPTH: usize = 8;
+const MAX_ENTRIES: usize = 200_000;
+/// Series named in an error; the rest is counted.
+const LISTED: usize = 12;
+
+/// Reads a series in a folder or below it: the one there is, or the one asked for.
+pub(crate) fn read_folder(folder: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
+    found.look_into(folder, folder, 0)?;
+    found.files.sort();
+    let mut series: BTreeMap<String, Series> = BTreeMap::new();
+    let (mut others, mut localizers) = (found.others, 0);
+    for file in found.files {
+        let identity = identify(&file)?;
+        match identity.images {
+            Images::None => others += 1,
+            Images::Localizer => localizers += 1,
+            Images::Frames(frames) => {
+                series.entry(identity.series_uid.clone()).or_default().add(file, frames, identity)
+            }
+        }
+    }
+    if series.is_empty() {
+        let given = format!("a folder without DICOM slices ({others} other files, {localizers} localizers)");
+        return Err(VolumeError::NotAVolume { path: folder.into(), given });
+    }
+    let count = series.len();
+    let chosen = chosen(folder, series, options.series.as_deref())?;
+    let mut notes = Vec::new();
+    if count > 1 {
+        notes.push(format!("{} other series in the folder were left out", count - 1));
+    }
+    if others > 0 {
+        notes.push(format!("{others} files that are not DICOM images were left out"));
+    }
+    if localizers > 0 {
+        notes.push(format!("{localizers} localizers were left out"));
+    }
+    let mut slices = Vec::new();
+    for file in chosen.files {
+        slices.extend(read_headers(&file)?);
+    }
+    assemble(folder, slices, options.slices, notes)
+}
+
+/// The series asked for, or the only one.
+fn chosen(
+    folder: &Path,
+    mut series: BTreeMap<String, Series>,
+    wanted: Option<&str>,
+) -> Result<Series, VolumeError> {
+    let refuse = |series: &BTreeMap<String, Series>| VolumeError::SeveralSeries {
+        path: folder.into(),
+        given: wanted.map_or_else(|| "no choice".to_owned(), |uid| format!("series {}", foreign(uid))),
+        series: list(series),
+    };
+    if let Some(uid) = wanted {
+        return series.remove(uid).ok_or_else(|| refuse(&series));
+    }
+    if series.len() > 1 {
+        return Err(refuse(&series));
+    }
+    series.pop_first().map(|(_, series)| series).ok_or_else(|| refuse(&BTreeMap::new()))
+}
+
+/// The series on one line, the longest first.
+fn list(series: &BTreeMap<String, Series>) -> String {
+    let mut all: Vec<_> = series.iter().collect();
+    all.sort_by_key(|(_, series)| std::cmp::Reverse(series.slices));
+    let each = all.iter().take(LISTED).map(|(uid, series)| {
+        let Series { slices, modality, description, .. } = series;
+        let description = foreign(description.trim());
+        format!("{} ({slices} slices, {}, \"{description}\")", foreign(uid), foreign(modality))
+    });
+    let mut text = each.collect::<Vec<_>>().join("; ");
+    if all.len() > LISTED {
+        text.push_str(&format!("; and {} more", all.len() - LISTED));
+    }
+    text
+}
+
+/// Reads the series that a DICOM file belongs to: every file beside it with the same SeriesInstanceUID.
+pub(crate) fn read_file(path: &Path, options: &ReadOptions) -> Result<(Volume, VolumeInfo), VolumeError> {
+    let identity = identify(path)?;
+    if identity.images == Images::None {
+        let given = "a DICOM file without an image".to_owned();
+        return Err(VolumeError::NotAVolume { path: path.into(), given });
+    }
+    let mut slices: Vec<Slice> = read_headers(path)?;
+    let uid = identity.series_uid.as_str();
+    let mut notes = Vec::new();
+    if !uid.is_empty() && identity.images != Images::Localizer {
+        let folder = folder_of(path);
+        let mut found = Found { where_to: options.data_files, files: Vec::new(), others: 0, entries: 0 };
+        // Only the files beside it.
+        found.look_into(folder, folder, MAX_DEPTH)?;
+        found.files.sort();
+        let own_name = path.file_name();
+        let mut localizers = 0;
+        for file in found.files.into_iter().filter(|file| file.file_name() != own_name) {
+            if series_of(&file).as_deref() != Some(uid) {
+                continue;
+            }
+            match identify(&file)?.images {
+                Images::None => {}
+                Images::Localizer => localizers += 1,
+                Images::Frames(_) => slices.extend(read_headers(&file)?),
+            }
+        }
+        if localizers > 0 {
+            notes.push(format!("{localizers} localizers were left out"));
+        }
+    }
+    assemble(path, slices, options.slices, notes)
+}
+
+/// The files of one series.
+#[derive(Default)]
+struct Series {
+    files: Vec<PathBuf>,
+    slices: usize,
+    modality: String,
+    description: String,
+}
+
+impl Series {
+    fn add(&mut self, file: PathBuf, frames: usize, identity: Identity) {
+        self.files.push(file);
+        self.slices += frames;
+        (self.modality, self.description) = (identity.modality, identity.description);
+    }
+}
+
+/// What lies in a folder.
+struct Found {
+    where_to: DataFiles,
+    files: Vec<PathBuf>,
+    others: usize,
+    entries: usize,
+}
+
+impl Found {
+    /// Collects the DICOM files of a folder and of those below, without their index. Refuses a link to such a file elsewhere unless
+    /// `where_to` allows it: an untrusted folder may hold links to the user's own images.
+    fn look_into(&mut self, root: &Path, folder: &Path, depth: usize) -> Result<(), VolumeError> {
+        for entry in std::fs::read_dir(folder).map_err(input::io_error(folder, "list"))? {
+            let path = entry.map_err(input::io_error(folder, "list"))?.path();
+            self.entries += 1;
+            if self.entries > MAX_ENTRIES {
+                return Err(VolumeError::Unsupported {
+                    path: root.into(),
+                    field: "folder".into(),
+                    given: format!("more than {MAX_ENTRIES} files"),
+                    expected: "the folder of one study".into(),
+                });
+            }
+            if path.is_dir() {
+                // A link to a folder may lead in a circle.
+                if depth < MAX_DEPTH && !path.is_symlink() {
+                    self.look_into(root, &path, depth + 1)?;
+                }
+                continue;
+            }
+            let is_index = path.file_name().is_some_and(|name| name == "DICOMDIR");
+            if !path.is_file() || is_index || !is_dicom(&input::head(&path, 0, Codec::Raw, HEAD_BYTES)?) {
+                self.others += 1;
+                continue;
+            }
+            if input::inside(root, &path, self.where_to)?.is_none() {
+                return Err(VolumeError::Elsewhere {
+                    path: root.into(),
+                    field: "link".into(),
+                    given: format!("`{}`", path.file_name().unwrap_or_default().to_string_lossy()),
+                });
+            }
+            self.files.push(path);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,233 @@
+//! The pixels of one frame as numbers.
+
+use super::codec;
+use super::fields::Fields;
+use super::file::DicomFile;
+use super::scan::{PixelCodec, Pixels};
+use super::slice::Slice;
+use crate::error::VolumeError;
+use crate::scalar::HuSink;
+use dicom_object::Tag;
+use std::borrow::Cow;
+use std::path::Path;
+
+const FIELD: &str = "(7fe0,0010) PixelData";
+
+/// Rows, columns and bytes a sample of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Shape {
+    pub rows: usize,
+    pub columns: usize,
+    /// 1, 2 or 4.
+    pub bytes: u32,
+}
+
+impl Shape {
+    pub fn count(self) -> usize {
+        self.rows * self.columns
+    }
+}
+
+/// How an integer sample is stored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bits {
+    pub allocated: u32,
+    stored: u32,
+    high: u32,
+    signed: bool,
+}
+
+impl Bits {
+    /// From BitsAllocated, BitsStored, HighBit and PixelRepresentation; those of float pixels are not used.
+    pub fn of(fields: Fields<'_>) -> Result<Bits, VolumeError> {
+        let allocated = fields.number(Tag(0x0028, 0x0100), "BitsAllocated")?;
+        if ![8.0, 16.0, 32.0, 64.0].contains(&allocated) {
+            return Err(VolumeError::Unsupported {
+                path: fields.path.into(),
+                field: "(0028,0100) BitsAllocated".into(),
+                given: allocated.to_string(),
+                expected: "8, 16 or 32".into(),
+            });
+        }
+        let stored = fields.optional(Tag(0x0028, 0x0101), "BitsStored")?.unwrap_or(allocated);
+        let high = fields.optional(Tag(0x0028, 0x0102), "HighBit")?.unwrap_or(stored - 1.0);
+        let signed = fields.optional(Tag(0x0028, 0x0103), "PixelRepresentation")?.unwrap_or(0.0);
+        let valid = (1.0..=allocated).contains(&stored) && (stored - 1.0..allocated).contains(&high);
+        if !valid || (signed != 0.0 && signed != 1.0) || stored.fract() != 0.0 || high.fract() != 0.0 {
+            return Err(fields.wrong(
+                Tag(0x0028, 0x0101),
+                "BitsStored, HighBit, PixelRepresentation",
+                format!("{stored}, {high}, {signed} of {allocated} bits"),
+                "bits within a sample, and 0 or 1",
+            ));
+        }
+        Ok(Bits {
+            allocated: allocated as u32,
+            stored: stored as u32,
+            high: high as u32,
+            signed: signed == 1.0,
+        })
+    }
+
+    /// The number in a stored sample: the bits up to and including `high`, sign-extended if signed; drops overlay bits above.
+    fn value(self, sample: u32) -> f64 {
+        let shifted = u64::from(sample) >> (self.high + 1 - self.stored);
+        let bits = shifted & ((1 << self.stored) - 1);
+        let sign = 1_u64 << (self.stored - 1);
+        let number =
+            if self.signed && bits & sign != 0 { bits as i64 - (1 << self.stored) } else { bits as i64 };
+        number as f64
+    }
+}
+
+/// Appends the pixels of a slice in Hounsfield units, row by row.
+pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Result<(), VolumeError> {
+    let path = slice.path.as_path();
+    let Some(pixels) = &file.pixels else {
+        return Err(wrong(path, "nothing".into(), "the pixels of the slice"));
+    };
+    let shape = Shape { rows: slice.rows, columns: slice.columns, bytes: slice.bits.allocated / 8 };
+    let bytes = |range: &std::ops::Range<usize>| &file.bytes[range.clone()];
+    match pixels {
+        Pixels::Native { value, words } => {
+            if file.transfer.codec != PixelCodec::Native {
+                return Err(wrong(path, "pixels that are not packed".into(), file.transfer.name));
+            }
+            let all = little_endian(path, bytes(value), *words && file.transfer.big_endian, shape)?;
+            let frame = frame_of(path, &all, slice, shape.bytes as usize)?;
+            let width = shape.bytes as usize;
+            for sample in frame.chunks_exact(width) {
+                let mut word = [0; 4];
+                word[..width].copy_from_slice(sample);
+                sink.push(slice.bits.value(u32::from_le_bytes(word)), slice.scale);
+            }
+        }
+        Pixels::Floats(value) => {
+            for b in frame_of(path, bytes(value), slice, 4)?.chunks_exact(4) {
+                let word = [b[0], b[1], b[2], b[3]];
+                let value = if file.transfer.big_endian {
+                    f32::from_be_bytes(word)
+                } else {
+                    f32::from_le_bytes(word)
+                };
+                sink.push(f64::from(value), slice.scale);
+            }
+        }
+        Pixels::Doubles(value) => {
+            for b in frame_of(path, bytes(value), slice, 8)?.chunks_exact(8) {
+                let word = [b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]];
+                let value = if file.transfer.big_endian {
+                    f64::from_be_bytes(word)
+                } else {
+                    f64::from_le_bytes(word)
+                };
+                sink.push(value, slice.scale);
+            }
+        }
+        Pixels::Fragments { offsets, fragments } => {
+            let parts: Vec<&[u8]> = fragments.iter().map(bytes).collect();
+            let frame = packed_frame(path, slice, bytes(offsets), &parts)?;
+            for sample in unpacked(slice, file, &frame, shape)? {
+                sink.push(slice.bits.value(sample), slice.scale);
+            }
+        }
+    }
+    Ok(())
+}
+
+fn wrong(path: &Path, given: String, expected: &str) -> VolumeError {
+    VolumeError::Header { path: path.into(), field: FIELD.into(), given, expected: expected.into() }
+}
+
+/// The bytes of native pixels, least significant first. Words of a big-endian file are turned; samples of 32 bits in words have no defined
+/// order there.
+fn little_endian<'a>(
+    path: &Path,
+    bytes: &'a [u8],
+    turned: bool,
+    shape: Shape,
+) -> Result<Cow<'a, [u8]>, VolumeError> {
+    if !turned {
+        return Ok(Cow::Borrowed(bytes));
+    }
+    if shape.bytes > 2 {
+        return Err(wrong(path, "32-bit samples in a big-endian file".into(), "a little-endian file"));
+    }
+    Ok(Cow::Owned(bytes.chunks_exact(2).flat_map(|pair| [pair[1], pair[0]]).collect()))
+}
+
+/// The bytes of the slice's frame among all.
+fn frame_of<'a>(path: &Path, all: &'a [u8], slice: &Slice, width: usize) -> Result<&'a [u8], VolumeError> {
+    let length = (slice.rows * slice.columns) as u64 * width as u64;
+    let start = slice.frame as u64 * length;
+    let end = start + length;
+    if end > all.len() as u64 {
+        return Err(VolumeError::Truncated {
+            path: path.into(),
+            field: FIELD.into(),
+            given_bytes: all.len() as u64,
+            expected_bytes: end,
+        });
+    }
+    Ok(&all[start as usize..end as usize])
+}
+
+/// The packed data of the slice's frame: all fragments of a single frame, one fragment of several frames, or those that the basic offset
+/// table tells (PS3.5 annex A.4).
+fn packed_frame<'a>(
+    path: &Path,
+    slice: &Slice,
+    offsets: &[u8],
+    fragments: &[&'a [u8]],
+) -> Result<Cow<'a, [u8]>, VolumeError> {
+    if slice.frames == 1 {
+        return Ok(match fragments {
+            [one] => Cow::Borrowed(*one),
+            several => Cow::Owned(several.concat()),
+        });
+    }
+    if fragments.len() == slice.frames {
+        return Ok(Cow::Borrowed(fragments[slice.frame]));
+    }
+    let offset = |frame: usize| -> Option<u64> {
+        Some(u64::from(u32::from_le_bytes(*offsets.get(4 * frame..)?.first_chunk::<4>()?)))
+    };
+    let missing = || {
+        let given = format!("{} fragments for {} frames", fragments.len(), slice.frames);
+        wrong(path, given, "a fragment a frame, or a basic offset table")
+    };
+    if offsets.len() != 4 * slice.frames {
+        return Err(missing());
+    }
+    let begin = offset(slice.frame).ok_or_else(missing)?;
+    let end = offset(slice.frame + 1).unwrap_or(u64::MAX);
+    let mut at = 0_u64;
+    let mut frame = Vec::new();
+    for fragment in fragments {
+        if (begin..end).contains(&at) {
+            frame.extend_from_slice(fragment);
+        }
+        // Each stands behind a tag and a length.
+        at += fragment.len() as u64 + 8;
+    }
+    Ok(Cow::Owned(frame))
+}
+
+fn unpacked(slice: &Slice, file: &DicomFile, data: &[u8], shape: Shape) -> Result<Vec<u32>, VolumeError> {
+    let path = slice.path.as_path();
+    let samples = match file.transfer.codec {
+        PixelCodec::Native => return Err(wrong(path, "packed pixels".into(), file.transfer.name)),
+        PixelCodec::Rle => codec::rle(path, data, shape),
+        PixelCodec::Jpeg => codec::jpeg(path, data, shape),
+        PixelCodec::JpegLs => codec::jpeg_ls(path, data, shape),
+    }?;
+    if samples.len() < shape.count() {
+        return Err(VolumeError::Truncated {
+            path: path.into(),
+            field: FIELD.into(),
+            given_bytes: samples.len() as u64 * u64::from(shape.bytes),
+            expected_bytes: shape.count() as u64 * u64::from(shape.bytes),
+        });
+    }
+    Ok(samples)
+}

@@ -1,0 +1,313 @@
+//! How the slices of a series stack, and the volume that they make.
+
+use super::file::DicomFile;
+use super::pixels;
+use super::slice::Slice;
+use crate::error::VolumeError;
+use crate::options::Slices;
+use crate::rectify::{self, rectify};
+use crate::scalar::HuSink;
+use crate::volume::{GeometryFields, Volume, VolumeInfo, cross, dot, norm, placement, voxel_count};
+use foreign_text::foreign;
+use std::path::Path;
+
+const POSITION: &str = "(0020,0032) ImagePositionPatient";
+const ORIENTATION: &str = "(0020,0037) ImageOrientationPatient";
+
+/// Slice directions that differ by more than this count as different orientations; the rounding of DICOM decimals stays below it.
+const SAME_DIRECTION: f64 = 1e-3;
+/// Largest sideways drift of the stack that counts as straight, metres (rounded decimals of the positions).
+const STRAIGHT_M: f64 = 5e-5;
+/// Largest deviation of a slice distance from the mean, as a fraction of it.
+const EVEN: f64 = 0.01;
+/// Smaller tilts are rounding.
+const LEAST_TILT_DEG: f64 = 0.05;
+
+const NAMES: GeometryFields = GeometryFields {
+    spacing: "(0028,0030) PixelSpacing, slice distance",
+    direction: ORIENTATION,
+    origin: POSITION,
+};
+
+/// The volume of these slices, of which there is at least one.
+pub(super) fn assemble(
+    path: &Path,
+    mut slices: Vec<Slice>,
+    how: Slices,
+    mut notes: Vec<String>,
+) -> Result<(Volume, VolumeInfo), VolumeError> {
+    check_same(path, &slices)?;
+    let Some(first) = slices.first().cloned() else {
+        return Err(VolumeError::NotAVolume { path: path.into(), given: "no slice".into() });
+    };
+    let (row, column) = directions(path, &first, &mut notes)?;
+    let axes = [row, column, cross(row, column)];
+    let along_m = |slice: &Slice| dot(slice.position_mm, axes[2]) * 1e-3;
+    if slices.iter().any(|s| !s.position_mm.iter().all(|p| p.abs() <= 1e7)) {
+        return Err(VolumeError::Header {
+            path: path.into(),
+            field: POSITION.into(),
+            given: "a position that is not finite or beyond 10 km".into(),
+            expected: "a position in millimetres".into(),
+        });
+    }
+    slices.sort_by(|a, b| {
+        along_m(a).total_cmp(&along_m(b)).then_with(|| (&a.path, a.frame).cmp(&(&b.path, b.frame)))
+    });
+    let heights_m: Vec<f64> = slices.iter().map(along_m).collect();
+    check_apart(path, &slices, &heights_m)?;
+    let straight = check_straight(path, &slices, axes[2]);
+    let distance = slice_distance(path, &slices, &heights_m, &mut notes);
+    let askew = straight.is_err() || distance.is_err();
+    let dims = [first.columns, first.rows, slices.len()];
+    voxel_count(path, "Columns, Rows, number of slices", dims)?;
+    if how == Slices::AsTheyLie || slices.len() == 1 {
+        straight?;
+    } else if askew {
+        let read = read_pixels(&slices, &mut notes)?;
+        let volume = rectified(path, &slices, axes, &read, &mut notes)?;
+        return Ok(described(volume, &slices, notes));
+    }
+    let step_m = distance?;
+    note_tilt(&slices, &mut notes);
+    let [row_mm, column_mm] = first.pixel_spacing_mm;
+    let spacing_m = [column_mm * 1e-3, row_mm * 1e-3, step_m];
+    let origin_m = slices[0].position_mm.map(|p| p * 1e-3);
+    let geometry = placement(path, NAMES, (spacing_m, origin_m, axes), &mut notes)?;
+    let hu = read_pixels(&slices, &mut notes)?;
+    Ok(described(Volume::placed(dims, &geometry, hu), &slices, notes))
+}
+
+/// The pixels of all slices in order. Frames of one file mostly follow each other: it is opened once for them.
+fn read_pixels(slices: &[Slice], notes: &mut Vec<String>) -> Result<Vec<i16>, VolumeError> {
+    let mut sink = HuSink::default();
+    let mut open: Option<(&Path, DicomFile)> = None;
+    for slice in slices {
+        let file = match open.take().filter(|(path, _)| *path == slice.path) {
+            Some((_, file)) => file,
+            None => DicomFile::open(&slice.path)?,
+        };
+        pixels::append(slice, &file, &mut sink)?;
+        open = Some((&slice.path, file));
+    }
+    Ok(sink.finish(notes))
+}
+
+/// The slices on a rectangular grid.
+fn rectified(
+    path: &Path,
+    slices: &[Slice],
+    axes: [[f64; 3]; 3],
+    hu: &[i16],
+    notes: &mut Vec<String>,
+) -> Result<Volume, VolumeError> {
+    let first = &slices[0];
+    let places_m: Vec<[f64; 3]> =
+        slices.iter().map(|slice| axes.map(|axis| dot(slice.position_mm, axis) * 1e-3)).collect();
+    let [row_mm, column_mm] = first.pixel_spacing_mm;
+    let stack = rectify::Slices {
+        columns: first.columns,
+        rows: first.rows,
+        spacing_m: [column_mm * 1e-3, row_mm * 1e-3],
+        places_m: &places_m,
+        hu,
+    };
+    // Refuses spacings that are none before anything is divided by them.
+    placement(path, NAMES, ([column_mm * 1e-3, row_mm * 1e-3, 1e-3], [0.0; 3], axes), &mut Vec::new())?;
+    let out = rectify(path, &stack)?;
+    let [u, v, w] = out.first_m;
+    let origin_m = [0, 1, 2].map(|i| u * axes[0][i] + v * axes[1][i] + w * axes[2][i]);
+    let geometry = placement(path, NAMES, (out.spacing_m, origin_m, axes), notes)?;
+    notes.push(out.note);
+    Ok(Volume::placed(out.dims, &geometry, out.hu))
+}
+
+fn described(volume: Volume, slices: &[Slice], mut notes: Vec<String>) -> (Volume, VolumeInfo) {
+    let first = &slices[0];
+    if first.modality != "CT" {
+        let modality = foreign(&first.modality);
+        notes.push(format!("modality is `{modality}`, not CT: the values are not Hounsfield units"));
+    }
+    let mut files: Vec<&Path> = slices.iter().map(|slice| slice.path.as_path()).collect();
+    files.dedup();
+    let frames = if first.frames > 1 { format!(", {} frames", slices.len()) } else { String::new() };
+    let format = format!("DICOM series of {} files ({}{frames})", files.len(), first.transfer.name);
+    let stored_as = format!("slope {}, intercept {}", first.scale.slope, first.scale.intercept);
+    let info = VolumeInfo::new(&volume, format, stored_as, "mm".into(), notes);
+    (volume, info)
+}
+
+/// Notes a tilt that the tags state and the positions do not show: slices that were resampled upright, or positions that ignore the tilt.
+fn note_tilt(slices: &[Slice], notes: &mut Vec<String>) {
+    let tilt_deg = slices
+        .iter()
+        .filter_map(|slice| slice.gantry_tilt_deg)
+        .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
+    if tilt_deg.abs() > LEAST_TILT_DEG && slices.len() > 1 {
+        notes.push(format!(
+            "GantryDetectorTilt (0018,1120) is {tilt_deg} degrees, but the slices lie straight behind each other: the positions are believed;              if they ignore the tilt, the volume is sheared"
+        ));
+    }
+}
+
+/// Checks everything that must not change within a series.
+fn check_same(path: &Path, slices: &[Slice]) -> Result<(), VolumeError> {
+    let Some(first) = slices.first() else { return Ok(()) };
+    let mixed = |field: &str, other: &Slice, a: String, b: String| {
+        Err(VolumeError::MixedSeries {
+            path: path.into(),
+            field: field.into(),
+            given: format!("{a} in {} and {b} in {}", name(first), name(other)),
+        })
+    };
+    let close =
+        |a: &[f64], b: &[f64], tolerance: f64| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance);
+    for other in &slices[1..] {
+        if !close(&first.orientation, &other.orientation, SAME_DIRECTION) {
+            return mixed(
+                ORIENTATION,
+                other,
+                format!("{:?}", first.orientation),
+                format!("{:?}", other.orientation),
+            );
+        }
+        let spacing = first.pixel_spacing_mm;
+        if !close(&spacing, &other.pixel_spacing_mm, 1e-4 * spacing[0].abs()) {
+            return mixed(
+                "(0028,0030) PixelSpacing",
+                other,
+                format!("{spacing:?}"),
+                format!("{:?}", other.pixel_spacing_mm),
+            );
+        }
+        if (other.rows, other.columns) != (first.rows, first.columns) {
+            let size = |s: &Slice| format!("{} x {}", s.rows, s.columns);
+            return mixed("(0028,0010) Rows, (0028,0011) Columns", other, size(first), size(other));
+        }
+    }
+    Ok(())
+}
+
+/// Unit row and column directions; restores a right angle that is off only by rounded decimals.
+fn directions(
+    path: &Path,
+    slice: &Slice,
+    notes: &mut Vec<String>,
+) -> Result<([f64; 3], [f64; 3]), VolumeError> {
+    let [a, b, c, d, e, f] = slice.orientation;
+    let (row, column) = ([a, b, c], [d, e, f]);
+    let (row_length, column_length) = (norm(row), norm(column));
+    let unit_length = |length: f64| (0.9..=1.1).contains(&length);
+    if !(unit_length(row_length) && unit_length(column_length)) {
+        return Err(VolumeError::SingularDirection {
+            path: path.into(),
+            field: ORIENTATION.into(),
+            given: format!("{:?}", slice.orientation),
+        });
+    }
+    let row = row.map(|v| v / row_length);
+    let column = column.map(|v| v / column_length);
+    let cosine = dot(row, column);
+    if cosine.abs() > SAME_DIRECTION {
+        return Err(VolumeError::Sheared {
+            path: path.into(),
+            field: ORIENTATION.into(),
+            given: format!("{:?}", slice.orientation),
+            tolerance: SAME_DIRECTION,
+        });
+    }
+    if cosine.abs() > 1e-6 {
+        notes.push(format!(
+            "row and column directions were made perpendicular (cosine {cosine:.1e}: rounded decimals)"
+        ));
+    }
+    let straightened = [0, 1, 2].map(|i| column[i] - cosine * row[i]);
+    let length = norm(straightened);
+    Ok((row, straightened.map(|v| v / length)))
+}
+
+/// Refuses a stack whose slices drift sideways: a tilted gantry.
+fn check_straight(path: &Path, slices: &[Slice], normal: [f64; 3]) -> Result<(), VolumeError> {
+    let start = slices[0].position_mm;
+    for slice in &slices[1..] {
+        let offset = [0, 1, 2].map(|i| (slice.position_mm[i] - start[i]) * 1e-3);
+        let along = dot(offset, normal);
+        let aside = norm([0, 1, 2].map(|i| offset[i] - along * normal[i]));
+        if aside > STRAIGHT_M.max(voxel_grid::PERPENDICULAR_TOLERANCE * along.abs()) {
+            let tilt =
+                slice.gantry_tilt_deg.map_or(String::new(), |t| format!("; GantryDetectorTilt {t} degrees"));
+            return Err(VolumeError::Sheared {
+                path: path.into(),
+                field: POSITION.into(),
+                given: format!(
+                    "{} lies {:.3} mm beside the line along the slice normal through {}, over {:.3} mm{tilt}",
+                    name(slice),
+                    aside * 1e3,
+                    name(&slices[0]),
+                    along.abs() * 1e3
+                ),
+                tolerance: voxel_grid::PERPENDICULAR_TOLERANCE,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Refuses two slices at one place.
+fn check_apart(path: &Path, slices: &[Slice], along_m: &[f64]) -> Result<(), VolumeError> {
+    let Some(i) = along_m.windows(2).position(|pair| pair[1] - pair[0] < 1e-6) else { return Ok(()) };
+    let both = format!("{} and {}", name(&slices[i]), name(&slices[i + 1]));
+    Err(VolumeError::DuplicateSlices {
+        path: path.into(),
+        field: POSITION.into(),
+        given: format!("{both} both at {:.3} mm along the normal", along_m[i] * 1e3),
+    })
+}
+
+/// The distance between neighbouring slices, metres; `along_m` are their ascending positions along the normal.
+fn slice_distance(
+    path: &Path,
+    slices: &[Slice],
+    along_m: &[f64],
+    notes: &mut Vec<String>,
+) -> Result<f64, VolumeError> {
+    let steps: Vec<f64> = along_m.windows(2).map(|w| w[1] - w[0]).collect();
+    if steps.is_empty() {
+        let thickness = slices[0].slice_thickness_mm.ok_or_else(|| VolumeError::Header {
+            path: path.into(),
+            field: "(0018,0050) SliceThickness".into(),
+            given: "nothing, and a single slice".into(),
+            expected: "a slice thickness, or at least two slices".into(),
+        })?;
+        notes.push(format!("a single slice: its thickness of {thickness} mm is taken as the slice distance"));
+        return Ok(thickness * 1e-3);
+    }
+    let smallest = steps.iter().copied().fold(f64::INFINITY, f64::min);
+    let even = |step: f64, whole: f64| (step - whole * smallest).abs() <= 2.0 * EVEN * smallest;
+    let uneven = steps.iter().position(|step| !even(*step, 1.0));
+    let Some(i) = uneven else {
+        let total: f64 = along_m[along_m.len() - 1] - along_m[0];
+        return Ok(total / steps.len() as f64);
+    };
+    let given = format!(
+        "{:.4} mm between {} and {}, but {:.4} mm elsewhere",
+        steps[i] * 1e3,
+        name(&slices[i]),
+        name(&slices[i + 1]),
+        smallest * 1e3
+    );
+    if steps.iter().all(|step| even(*step, libm::round(step / smallest))) {
+        return Err(VolumeError::MissingSlices { path: path.into(), field: POSITION.into(), given });
+    }
+    Err(VolumeError::VariableSpacing {
+        path: path.into(),
+        field: POSITION.into(),
+        given,
+        tolerance_m: 2.0 * EVEN * smallest,
+    })
+}
+
+fn name(slice: &Slice) -> String {
+    let file = slice.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    if slice.frames == 1 { file } else { format!("frame {} of {file}", slice.frame + 1) }
+}

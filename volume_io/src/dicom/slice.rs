@@ -1,0 +1,185 @@
+//! The slices of a DICOM file: the header fields needed, of one image or of each frame of an enhanced one.
+//!
+//! Source: DICOM PS3.3 section C.7.6.2 (image plane), C.7.6.16 (multi-frame functional groups), C.8.15 (enhanced CT).
+
+use super::fields::Fields;
+use super::file::DicomFile;
+use super::pixels::Bits;
+use super::scan::Transfer;
+use crate::error::VolumeError;
+use crate::scalar::Scale;
+use dicom_object::Tag;
+use std::path::{Path, PathBuf};
+use voxel_grid::MAX_VOXELS_ALONG_AXIS;
+
+const SHARED_GROUPS: Tag = Tag(0x5200, 0x9229);
+const FRAME_GROUPS: Tag = Tag(0x5200, 0x9230);
+const PLANE_POSITION: Tag = Tag(0x0020, 0x9113);
+const PLANE_ORIENTATION: Tag = Tag(0x0020, 0x9116);
+const PIXEL_MEASURES: Tag = Tag(0x0028, 0x9110);
+const VALUE_TRANSFORMATION: Tag = Tag(0x0028, 0x9145);
+
+/// A slice's header, not yet checked against other slices. Lengths in millimetres, as in DICOM.
+#[derive(Clone, Debug)]
+pub(super) struct Slice {
+    pub path: PathBuf,
+    /// Which frame of the file, and how many it has.
+    pub frame: usize,
+    pub frames: usize,
+    pub transfer: Transfer,
+    pub modality: String,
+    pub rows: usize,
+    pub columns: usize,
+    pub position_mm: [f64; 3],
+    /// Direction of increasing column index, then of increasing row index, LPS.
+    pub orientation: [f64; 6],
+    /// Distance between rows, then between columns.
+    pub pixel_spacing_mm: [f64; 2],
+    pub slice_thickness_mm: Option<f64>,
+    pub gantry_tilt_deg: Option<f64>,
+    pub scale: Scale,
+    pub bits: Bits,
+}
+
+/// What a file is, before its geometry is looked at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Identity {
+    pub series_uid: String,
+    pub modality: String,
+    pub description: String,
+    pub images: Images,
+}
+
+/// What a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Images {
+    /// No image: a report, a structure set.
+    None,
+    /// The scout view by which the slices were planned, which lies in another plane.
+    Localizer,
+    /// This many frames.
+    Frames(usize),
+}
+
+/// What a file is.
+///
+/// # Errors
+/// As [`DicomFile::open`].
+pub(super) fn identify(path: &Path) -> Result<Identity, VolumeError> {
+    let file = DicomFile::open(path)?;
+    let object = file.header(path)?;
+    let fields = Fields { path, object: &object };
+    let text = |tag| fields.text(tag).map(Option::unwrap_or_default);
+    let kind = text(Tag(0x0008, 0x0008))?;
+    let has_size = fields.text(Tag(0x0028, 0x0010))?.is_some() && fields.text(Tag(0x0028, 0x0011))?.is_some();
+    let images = if !has_size {
+        Images::None
+    } else if kind.split('\\').nth(2).is_some_and(|value| value.trim() == "LOCALIZER") {
+        Images::Localizer
+    } else {
+        Images::Frames(frame_count(fields)?)
+    };
+    Ok(Identity {
+        series_uid: text(Tag(0x0020, 0x000e))?,
+        modality: text(Tag(0x0008, 0x0060))?,
+        description: text(Tag(0x0008, 0x103e))?,
+        images,
+    })
+}
+
+fn frame_count(fields: Fields<'_>) -> Result<usize, VolumeError> {
+    let tag = Tag(0x0028, 0x0008);
+    let count = fields.optional(tag, "NumberOfFrames")?.unwrap_or(1.0);
+    let valid = (1.0..=MAX_VOXELS_ALONG_AXIS as f64).contains(&count) && count.fract() == 0.0;
+    let expected = format!("1 to {MAX_VOXELS_ALONG_AXIS}");
+    valid
+        .then_some(count as usize)
+        .ok_or_else(|| fields.wrong(tag, "NumberOfFrames", count.to_string(), &expected))
+}
+
+/// Reads and checks the headers of a file's slices.
+pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
+    let file = DicomFile::open(path)?;
+    let object = file.header(path)?;
+    let fields = Fields { path, object: &object };
+    fields.refuse_other_layouts()?;
+    let frames = frame_count(fields)?;
+    let groups = fields.items(FRAME_GROUPS);
+    if groups.is_empty() && frames == 1 {
+        return Ok(vec![slice(&file, fields, &Groups::plain(fields), (0, 1))?]);
+    }
+    if groups.len() != frames {
+        return Err(VolumeError::Unsupported {
+            path: path.into(),
+            field: "(0028,0008) NumberOfFrames".into(),
+            given: format!("{frames}, with the places of {} frames", groups.len()),
+            expected: "one slice a file, or an enhanced CT with the place of every frame".into(),
+        });
+    }
+    let shared = fields.item(SHARED_GROUPS);
+    let each = groups.iter().enumerate();
+    each.map(|(frame, own)| {
+        slice(&file, fields, &Groups { own: *own, shared, image: fields }, (frame, frames))
+    })
+    .collect()
+}
+
+/// Where the elements of a frame stand: in its own functional groups, in those that all frames share, or in a classic image itself.
+struct Groups<'a> {
+    own: Fields<'a>,
+    shared: Option<Fields<'a>>,
+    image: Fields<'a>,
+}
+
+impl<'a> Groups<'a> {
+    fn plain(image: Fields<'a>) -> Self {
+        Self { own: image, shared: None, image }
+    }
+
+    /// The item that holds a group's elements.
+    fn get(&self, group: Tag) -> Fields<'a> {
+        self.own
+            .item(group)
+            .or_else(|| self.shared.and_then(|shared| shared.item(group)))
+            .unwrap_or(self.image)
+    }
+}
+
+fn slice(
+    file: &DicomFile,
+    fields: Fields<'_>,
+    groups: &Groups<'_>,
+    (frame, frames): (usize, usize),
+) -> Result<Slice, VolumeError> {
+    let size = |tag, name| -> Result<usize, VolumeError> {
+        let value = fields.number(tag, name)?;
+        let whole = (1.0..=65535.0).contains(&value).then_some(value as usize);
+        whole.ok_or_else(|| fields.wrong(tag, name, value.to_string(), "1 to 65535"))
+    };
+    let values = groups.get(VALUE_TRANSFORMATION);
+    let slope = values.optional(Tag(0x0028, 0x1053), "RescaleSlope")?.unwrap_or(1.0);
+    let intercept = values.optional(Tag(0x0028, 0x1052), "RescaleIntercept")?.unwrap_or(0.0);
+    let measures = groups.get(PIXEL_MEASURES);
+    let scale_name = "(0028,1053) RescaleSlope, (0028,1052) RescaleIntercept";
+    Ok(Slice {
+        path: fields.path.into(),
+        frame,
+        frames,
+        transfer: file.transfer,
+        modality: fields.text(Tag(0x0008, 0x0060))?.unwrap_or_default(),
+        rows: size(Tag(0x0028, 0x0010), "Rows")?,
+        columns: size(Tag(0x0028, 0x0011), "Columns")?,
+        position_mm: groups.get(PLANE_POSITION).numbers(Tag(0x0020, 0x0032), "ImagePositionPatient")?,
+        orientation: groups.get(PLANE_ORIENTATION).numbers(Tag(0x0020, 0x0037), "ImageOrientationPatient")?,
+        pixel_spacing_mm: measures.numbers(Tag(0x0028, 0x0030), "PixelSpacing")?,
+        slice_thickness_mm: measures.optional(Tag(0x0018, 0x0050), "SliceThickness")?,
+        gantry_tilt_deg: fields.optional(Tag(0x0018, 0x1120), "GantryDetectorTilt")?,
+        scale: Scale::checked(fields.path, scale_name, slope, intercept)?,
+        bits: Bits::of(fields)?,
+    })
+}
+
+/// The series of a DICOM file; `None` if it cannot be determined.
+pub(super) fn series_of(path: &Path) -> Option<String> {
+    identify(path).ok().map(|identity| identity.series_uid)
+}
