@@ -31,10 +31,13 @@ fn ball() -> (tempfile::TempDir, PathBuf) {
     (place, volume)
 }
 
-const SMALL: [&str; 6] = ["--columns", "64", "--rows", "48", "--pixel-pitch-mm", "3"];
+const SMALL: [[&str; 2]; 3] = [["--columns", "64"], ["--rows", "48"], ["--pixel-pitch-mm", "3"]];
 
+/// A small frame, but for what `more` says itself.
 fn drr(volume: &Path, output: &Path, more: &[&str]) -> Done {
-    trabecula(&[&["drr", text(volume), "-o", text(output)], &SMALL[..], more].concat())
+    let small = SMALL.iter().filter(|[flag, _]| !more.contains(flag)).flatten().copied();
+    let head = ["drr", text(volume), "-o", text(output)];
+    trabecula(&head.into_iter().chain(small).chain(more.iter().copied()).collect::<Vec<_>>())
 }
 
 fn png(path: &Path) -> (png::OutputInfo, Vec<u8>, Option<u32>) {

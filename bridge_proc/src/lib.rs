@@ -8,6 +8,13 @@
 //! holds one message a name; a peer without permission changes nothing; what it sends that is too large, damaged or unknown is refused with
 //! a reason and the run goes on.
 //!
+//! ```
+//! use bridge_proc::ras;
+//!
+//! // Slicer's RAS in millimetres differs from our LPS in metres in the signs of x and y.
+//! assert_eq!(ras::position_mm([0.010, -0.020, 0.030]), [-10.0, 20.0, 30.0]);
+//! ```
+//!
 //! | module | what it holds |
 //! |---|---|
 //! | [`igtl`] | OpenIGTLink: 3D Slicer, PLUS, trackers |

@@ -1,5 +1,14 @@
 //! The process of a built-in controller, and the loop that runs any Rust controller.
 //!
-//! **Boundary:** ports, clock and signals are here; the control laws are in `controllers`.
+//! **Boundary:** ports, clock and signals are here; the control laws are in `controllers`, which knows no session.
+//! **Invariants:** one command per state, numbered without a gap; the loop ends with its session, whatever ends that.
+//!
+//! ```
+//! use controller_proc::process::{self, ControllerError};
+//!
+//! // A controller process without its session says so; `trabecula run` starts it with one.
+//! let outcome = process::run("/nowhere".as_ref(), "reference");
+//! assert!(matches!(outcome, Err(ControllerError::Session(_))), "{outcome:?}");
+//! ```
 
 pub mod process;

@@ -1,7 +1,16 @@
 //! The DRR process: runs the X-ray of the crate `xray` on shared memory and this machine.
 //!
-//! **Boundary:** [`xray`] computes what a frame shows, and [`process`] decides which frames are due; the rest here is
-//! ports, threads, the clock and memory.
+//! **Boundary:** [`xray`] computes what a frame shows, and [`hub::x_ray`] decides which frames are due; the rest here is
+//! ports, threads, the clock and memory. **Invariants:** a frame shows one tick and every voxel removed up to it, or none; physics never
+//! waits for a frame in real time.
+//!
+//! ```
+//! use drr_proc::process::{self, DrrProcessError};
+//!
+//! // A DRR process without its session says so; `trabecula run` starts it with one.
+//! let outcome = process::run("/nowhere".as_ref());
+//! assert!(matches!(outcome, Err(DrrProcessError::Session(_))), "{outcome:?}");
+//! ```
 
 pub mod machine;
 pub mod process;

@@ -2,7 +2,14 @@
 //!
 //! **Boundary:** it owns ports, clock, priority and locked memory, and makes no decisions: the [`hub`] decides when to
 //! tick, what to latch and what to publish; the [`simulation`] computes the step. **Invariant:** everything the hub
-//! sends is published in order, or the process ends with an error. It needs a session, so there is no example here;
-//! `hub` and `simulation` have theirs.
+//! sends is published in order, or the process ends with an error.
+//!
+//! ```
+//! use physics_proc::process::{self, PhysicsError};
+//!
+//! // A physics process without its session says so; `trabecula run` starts it with one.
+//! let outcome = process::run("/nowhere".as_ref());
+//! assert!(matches!(outcome, Err(PhysicsError::Session(_))), "{outcome:?}");
+//! ```
 
 pub mod process;

@@ -99,6 +99,7 @@ pub mod source;
 pub mod stream;
 pub mod timing_lane;
 pub mod topics;
+mod unpack;
 pub mod verdict;
 pub mod verify;
 mod walk;

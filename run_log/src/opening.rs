@@ -78,6 +78,8 @@ impl Parts {
 pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
     let mut records = Records::new(source, path)?;
     let mut parts = Parts::default();
+    // Other programs that write logs again put metadata and attachments behind the messages: then nothing is damaged.
+    let mut is_moved = false;
     let error = loop {
         match records.next_record() {
             Ok(FileRecord::Attachment(found)) => parts.take(&found),
@@ -100,18 +102,17 @@ pub(crate) fn open(source: Source, path: &Path) -> Result<Opened, LogError> {
                 return Err(LogError::SeveralRuns { path: path.into(), runs });
             }
             Ok(FileRecord::Metadata { .. }) => (),
-            Ok(FileRecord::Chunk | FileRecord::End | FileRecord::Cut(_)) => {
+            Ok(found @ (FileRecord::Chunk | FileRecord::End | FileRecord::Cut(_))) => {
+                is_moved = matches!(found, FileRecord::Chunk) && records.is_written_by_another();
                 break LogError::NoHeader { path: path.into(), offset: records.offset() };
             }
             Err(error) => break error,
         }
     };
-    let mut source = records.into_source();
+    let (mut source, bare) = records.into_source();
     match second(&mut source, path) {
         Found { header: Some((header, metadata)), first_chunk: Some(at) } => {
-            let records = Records::at(source, path, at)?;
-            // Programs that write logs again put metadata and attachments behind the messages: then nothing is damaged.
-            let is_moved = matches!(error, LogError::NoHeader { .. });
+            let records = Records::at(source, path, at, bare)?;
             let first_is_bad = (!is_moved).then(|| cause(&error));
             Ok(Opened { header, metadata, records, first_is_bad, is_behind: true })
         }

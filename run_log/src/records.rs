@@ -9,15 +9,16 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use mcap::MAGIC;
-use mcap::records::{ChunkHeader, Record, op};
+use mcap::records::{Record, op};
 
-use crate::bare::BareChannels;
+use crate::bare::{BareRecords, is_bare};
 use crate::end::Cut;
 use crate::error::LogError;
 use crate::lengths::parse_record;
 use crate::limits::{MAX_METADATA_BYTES, MAX_NAME_BYTES};
 use crate::sink::MAX_MESSAGE_BYTES;
 use crate::source::ReadSeek;
+use crate::unpack::unpack;
 
 /// Longest record or unpacked chunk: the longest message, with room for its neighbours.
 pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
@@ -82,9 +83,7 @@ pub(crate) struct Records {
     opcode: u8,
     /// Offsets of chunks to skip.
     unwanted: BTreeSet<u64>,
-    /// Whether a chunk was found: in a file of chunks, a record outside of them is one whose type has changed.
-    has_chunks: bool,
-    bare_channels: BareChannels,
+    bare: BareRecords,
 }
 
 impl Records {
@@ -100,12 +99,12 @@ impl Records {
         Ok(Records::from(source, path, MAGIC.len() as u64, Some(crc)))
     }
 
-    /// Reads the records from the given offset, which must be the start of one. The whole-file checksum is not
-    /// checked.
-    pub fn at(mut source: Source, path: &Path, offset: u64) -> Result<Records, LogError> {
+    /// Reads the records from the given offset, which must be the start of one; `bare` is what its header told. The whole-file checksum is
+    /// not checked.
+    pub fn at(mut source: Source, path: &Path, offset: u64, bare: BareRecords) -> Result<Records, LogError> {
         let moved = source.seek(SeekFrom::Start(offset));
         moved.map_err(|source| LogError::Read { path: path.into(), offset, source })?;
-        Ok(Records::from(source, path, offset, None))
+        Ok(Records { bare, ..Records::from(source, path, offset, None) })
     }
 
     fn from(source: Source, path: &Path, offset: u64, data_crc: Option<crc32fast::Hasher>) -> Records {
@@ -121,14 +120,13 @@ impl Records {
             finished: false,
             opcode: 0,
             unwanted: BTreeSet::new(),
-            has_chunks: false,
-            bare_channels: BareChannels::default(),
+            bare: BareRecords::default(),
         }
     }
 
-    /// Returns the source.
-    pub fn into_source(self) -> Source {
-        self.source
+    /// Returns the source, and what its header told of records outside of chunks.
+    pub fn into_source(self) -> (Source, BareRecords) {
+        (self.source, self.bare)
     }
 
     /// The file's name for error messages.
@@ -155,6 +153,11 @@ impl Records {
     /// Whether the last record was an attachment or metadata, so that losing it loses no message.
     pub fn is_beside_messages(&self) -> bool {
         matches!(self.opcode, op::ATTACHMENT | op::METADATA)
+    }
+
+    /// Whether the file says that another program than ours wrote it.
+    pub fn is_written_by_another(&self) -> bool {
+        self.bare.is_by_another()
     }
 
     /// Stops checking the whole-file checksum, because the reason for a mismatch is already known.
@@ -269,7 +272,7 @@ impl Records {
                     Record::Chunk { header, data } => unpack(&header, &data, &mut self.chunk)?,
                     _ => return Err("a chunk that is none".to_string()),
                 }
-                self.has_chunks = true;
+                self.bare.chunk();
                 Ok(Some(FileRecord::Chunk))
             }
             op::METADATA => {
@@ -288,13 +291,11 @@ impl Records {
                         .to_string()),
                 }
             }
+            op::HEADER => self.bare.header(&self.record).map(|()| None),
             op::FOOTER => self.check_summary().map(|()| None),
-            op::MESSAGE | op::SCHEMA | op::CHANNEL if self.in_data && self.has_chunks => {
-                Err(format!("record type {opcode:#04x} outside of a chunk, in a file of chunks"))
-            }
-            // A file may have no chunks (MCAP specification, "File structure"): each record is then read as a chunk of its own.
-            op::MESSAGE | op::SCHEMA | op::CHANNEL if self.in_data => {
-                self.bare_channels.admit(opcode, &self.record)?;
+            // In a file without chunks each record is read as a chunk of its own.
+            opcode if self.in_data && is_bare(opcode) => {
+                self.bare.admit(opcode, &self.record)?;
                 self.chunk.clear();
                 self.chunk.push(opcode);
                 self.chunk.extend_from_slice(&(self.record.len() as u64).to_le_bytes());
@@ -348,42 +349,6 @@ pub(crate) fn check_magic(found: &[u8], path: &Path) -> Result<(), LogError> {
     let found = found.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ");
     let found = if found.is_empty() { "nothing".to_string() } else { found };
     Err(LogError::NotMcap { path: path.into(), found })
-}
-
-/// Unpacks a chunk and checks its CRC before any of its records is read; 0 is "not computed" (MCAP specification, "Chunk").
-pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], out: &mut Vec<u8>) -> Result<(), String> {
-    let size = header.uncompressed_size;
-    if size > MAX_RECORD_BYTES {
-        return Err(format!("a chunk of {size} bytes unpacked, expected at most {MAX_RECORD_BYTES}"));
-    }
-    out.clear();
-    match header.compression.as_str() {
-        "" => out.extend_from_slice(data),
-        "lz4" => {
-            let decoder =
-                lz4::Decoder::new(data).map_err(|error| format!("cannot unpack a chunk: {error}"))?;
-            let unpacked = decoder.take(size + 1).read_to_end(out);
-            unpacked.map_err(|error| format!("cannot unpack a chunk: {error}"))?;
-        }
-        "zstd" => {
-            let decoder =
-                zstd::Decoder::new(data).map_err(|error| format!("cannot unpack a chunk: {error}"))?;
-            let unpacked = decoder.take(size + 1).read_to_end(out);
-            unpacked.map_err(|error| format!("cannot unpack a chunk: {error}"))?;
-        }
-        other => return Err(format!("a chunk packed with '{other}', expected lz4, zstd or nothing")),
-    }
-    if out.len() as u64 != size {
-        return Err(format!("a chunk of {} bytes unpacked, its header says {size}", out.len()));
-    }
-    let calculated = crc32fast::hash(out);
-    if header.uncompressed_crc != 0 && calculated != header.uncompressed_crc {
-        return Err(format!(
-            "CRC of a chunk is {calculated:08x}, its header says {:08x}",
-            header.uncompressed_crc
-        ));
-    }
-    Ok(())
 }
 
 /// Parses a metadata record: its name and entries.

@@ -17,6 +17,11 @@ use crate::topics;
 pub(crate) const PROFILE: &str = "ros2";
 /// The program that wrote a log.
 pub(crate) const LIBRARY: &str = concat!("trabecula ", env!("CARGO_PKG_VERSION"));
+
+/// Whether a file's header names this program, of any version.
+pub(crate) fn is_ours(library: &str) -> bool {
+    library.starts_with("trabecula ")
+}
 /// A chunk is closed after this much simulated time, which bounds what is lost if the recorder is killed.
 const CHUNK_NS: u64 = 100_000_000;
 /// A chunk is also closed once it holds this many bytes.

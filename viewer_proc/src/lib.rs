@@ -6,6 +6,21 @@
 //! **Boundary:** the only async runtime; no vendor's code, no request to anything but its own server. **Invariants:** each client's queue
 //! is bounded; a client without the token reads and changes nothing.
 //!
+//! ```
+//! use viewer_proc::surface::field::{Field, Geometry};
+//!
+//! // Ten voxels a side, 1 mm apart; bone from 200 HU on.
+//! let geometry = Geometry {
+//!     origin_m: [0.0; 3],
+//!     spacing_m: [1e-3; 3],
+//!     direction: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+//!     dimensions: [10; 3],
+//! };
+//! let mut field = Field::new(geometry, 200);
+//! assert!(field.set_removed(0, true));
+//! assert_eq!(field.removed(), [0]);
+//! ```
+//!
 //! | module | what it holds |
 //! |---|---|
 //! | [`live`] | a running session: messages, run control, driving |

@@ -11,12 +11,13 @@ use std::path::Path;
 use mcap::MAGIC;
 use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
 
-use crate::bare::{BareChannels, is_bare};
+use crate::bare::{BareRecords, is_bare};
 use crate::error::LogError;
 use crate::lengths::parse_record;
 use crate::limits::check_declaration;
-use crate::records::{Attached, RECORD_HEADER, attachment, check_magic, chunk_record, metadata, unpack};
+use crate::records::{Attached, RECORD_HEADER, attachment, check_magic, chunk_record, metadata};
 use crate::seal::is_unbroken;
+use crate::unpack::unpack;
 
 use signs::{begins_attachment, begins_chunk, begins_metadata, is_sought, plausible};
 
@@ -94,9 +95,8 @@ pub(crate) fn walk<R: Read + Seek>(
         record: Vec::new(),
         chunk: Vec::new(),
         in_data: true,
-        has_chunks: false,
+        bare: BareRecords::default(),
         bare_bytes: None,
-        bare_channels: BareChannels::default(),
     };
     let read_error = |at: u64, source| LogError::Read { path: path.into(), offset: at, source };
     walker.open().map_err(|source| read_error(0, source))?;
@@ -161,11 +161,9 @@ struct Walker<R> {
     chunk: Vec<u8>,
     /// Before the end of the data section; behind it schemas and channels are repeated.
     in_data: bool,
-    /// Whether a chunk was found: in a file of chunks, a record outside of them is one whose type has changed.
-    has_chunks: bool,
+    bare: BareRecords,
     /// Bytes of the records outside of chunks that were passed on as one chunk so far; none while there is no such chunk.
     bare_bytes: Option<u64>,
-    bare_channels: BareChannels,
 }
 
 /// Records outside of chunks are passed on as chunks of about this many bytes.
@@ -273,7 +271,7 @@ impl<R: Read + Seek> Walker<R> {
                     if let Err(cause) = unpack(&header, &data, &mut self.chunk) {
                         return Ok(Err(cause));
                     }
-                    self.has_chunks = true;
+                    self.bare.chunk();
                     visit(Piece::ChunkBegin(self.at))?;
                     of_chunk(path, &self.chunk, visit)
                 }
@@ -290,9 +288,13 @@ impl<R: Read + Seek> Walker<R> {
                 Ok(attached) => visit(Piece::Attachment(attached)).map(Ok),
                 Err(cause) => Ok(Err(cause)),
             },
+            // A header that cannot be parsed says nothing of what follows.
+            op::HEADER if self.bare.header(&self.record).is_err() => {
+                Ok(Err("a header that is none".to_string()))
+            }
             // These records have no checksum, and a wrong length would skip whole chunks.
             _ => match self.leads_on(next) {
-                Ok(true) if self.in_data && !self.has_chunks && is_bare(opcode) => {
+                Ok(true) if self.in_data && self.bare.are_expected() && is_bare(opcode) => {
                     self.bare(path, (opcode, next), visit)
                 }
                 Ok(true) => Ok(Ok(())),
@@ -316,7 +318,7 @@ impl<R: Read + Seek> Walker<R> {
             offset: body,
             source,
         })?;
-        if let Err(cause) = self.bare_channels.admit(opcode, &self.record) {
+        if let Err(cause) = self.bare.admit(opcode, &self.record) {
             return Ok(Err(cause));
         }
         if self.bare_bytes.is_none() {
