@@ -123,5 +123,6 @@ pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segmen
 pub use source::{LogBytes, LogSource, ReadSeek};
 pub use stream::{LogMessage, MessageStream, ReadOptions};
 pub use timing_lane::TimingLog;
+pub use topics::Topic;
 pub use verdict::{Fault, Verdict, verdict};
 pub use verify::{ReplayReport, VerifyOptions, verify};

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
+use messages::Tick;
 use messages::layout::{CDR_LITTLE_ENDIAN, Description};
 
 use crate::end::{END_RECORD, EndMarker};
@@ -117,7 +118,7 @@ impl<W: Write> Sink<W> {
     }
 
     /// Writes a message, given as consecutive parts, at a tick's time.
-    pub fn message(&mut self, channel: usize, tick: u64, parts: &[&[u8]]) -> Result<(), LogError> {
+    pub fn message(&mut self, channel: usize, tick: Tick, parts: &[&[u8]]) -> Result<(), LogError> {
         self.scratch.clear();
         self.scratch.extend_from_slice(&CDR_LITTLE_ENDIAN);
         parts.iter().for_each(|part| self.scratch.extend_from_slice(part));
@@ -128,7 +129,7 @@ impl<W: Write> Sink<W> {
             let topic = channel.topic.clone();
             return Err(LogError::Message { path: self.path.clone(), topic, given, expected });
         }
-        let time = tick.saturating_mul(self.dt_ns);
+        let time = tick.0.saturating_mul(self.dt_ns);
         let sequence = channel.count as u32;
         let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
         let written = self.writer.message(&header, &self.scratch);
@@ -139,8 +140,8 @@ impl<W: Write> Sink<W> {
     }
 
     /// Ends a tick: closes the chunk every 100 ms and whenever it is large.
-    pub fn end_tick(&mut self, tick: u64) -> Result<(), LogError> {
-        let chunk = tick / self.chunk_ticks;
+    pub fn end_tick(&mut self, tick: Tick) -> Result<(), LogError> {
+        let chunk = tick.0 / self.chunk_ticks;
         if chunk <= self.last_chunk && self.chunk_bytes < CHUNK_BYTES {
             return Ok(());
         }

@@ -128,7 +128,7 @@ pub(crate) fn walk<R: Read + Seek>(
         if !is_bare(opcode) || walker.bare_bytes.is_some_and(|bytes| bytes >= BARE_CHUNK_BYTES) {
             walker.end_bare_chunk(visit)?;
         }
-        match walker.pieces(path, (opcode, next), visit)? {
+        match walker.pieces(path, opcode, next, visit)? {
             Ok(()) => {
                 if opcode == op::DATA_END {
                     walker.in_data = false;
@@ -264,7 +264,8 @@ impl<R: Read + Seek> Walker<R> {
     fn pieces(
         &mut self,
         path: &Path,
-        (opcode, next): (u8, u64),
+        opcode: u8,
+        next: u64,
         visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         match opcode {
@@ -293,7 +294,7 @@ impl<R: Read + Seek> Walker<R> {
             // These records have no checksum, and a wrong length would skip whole chunks.
             _ => match self.leads_on(next) {
                 Ok(true) if self.in_data && !self.has_chunks && is_bare(opcode) => {
-                    self.bare(path, (opcode, next), visit)
+                    self.bare(path, opcode, next, visit)
                 }
                 Ok(true) => Ok(Ok(())),
                 Ok(false) => Ok(Err("a record whose length leads to no other".to_string())),
@@ -306,7 +307,8 @@ impl<R: Read + Seek> Walker<R> {
     fn bare(
         &mut self,
         path: &Path,
-        (opcode, next): (u8, u64),
+        opcode: u8,
+        next: u64,
         visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         let body = self.at + RECORD_HEADER as u64;
@@ -323,7 +325,7 @@ impl<R: Read + Seek> Walker<R> {
             visit(Piece::ChunkBegin(self.at))?;
         }
         *self.bare_bytes.get_or_insert(0) += next - self.at;
-        of_record(path, (opcode, &self.record), visit)
+        of_record(path, opcode, &self.record, visit)
     }
 
     fn end_bare_chunk(
@@ -395,7 +397,7 @@ fn of_chunk(
             return Ok(Err("a record that reaches beyond its chunk".to_string()));
         };
         rest = &rest[length..];
-        if let Err(cause) = of_record(path, (opcode, body), visit)? {
+        if let Err(cause) = of_record(path, opcode, body, visit)? {
             return Ok(Err(cause));
         }
     }
@@ -405,7 +407,8 @@ fn of_chunk(
 /// Passes on a schema, a channel or a message; others carry nothing that is kept.
 fn of_record(
     path: &Path,
-    (opcode, body): (u8, &[u8]),
+    opcode: u8,
+    body: &[u8],
     visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
 ) -> Result<Result<(), String>, LogError> {
     match opcode {
