@@ -70,10 +70,10 @@ impl Environment for World {
 
     fn receive_command(&mut self, controller: ControllerIndex) -> Result<Option<Incoming<Command>>, String> {
         self.moment();
-        let Some((incoming, well_formed)) = self.controllers[controller.slot()].commands.pop_front() else {
+        let Some((incoming, form)) = self.controllers[controller.slot()].commands.pop_front() else {
             return Ok(None);
         };
-        self.oracle.command(controller, &incoming, well_formed);
+        self.oracle.command(controller, &incoming, form);
         Ok(Some(incoming))
     }
 
