@@ -2,11 +2,15 @@
 
 use std::collections::BTreeMap;
 
+use messages::services::EVENT;
+
 use crate::topics::Topic;
 
 /// Maximum number of senders tracked, more than a session has. Messages carry their sender's id, so a client could
 /// make up any number of them.
 const MAX_SENDERS: usize = 64;
+
+const _: () = assert!(EVENT.max_publishers + Topic::ALL.len() < MAX_SENDERS);
 /// Longest plausible gap (49 days at 1 kHz); a longer jump means that the sender restarted.
 const LONGEST_GAP: u64 = u32::MAX as u64;
 

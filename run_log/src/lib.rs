@@ -116,6 +116,7 @@ pub use mcap_writer::IndexStore;
 pub use misses::{Cause, LostTime, Misses};
 pub use opening::HeaderCopy;
 pub use reader::{LogReader, SavedState, TickRecord};
+pub use records::PADDING_BYTES;
 pub use repair::RepairReport;
 pub use rewrite::Packing;
 pub use run_lane::RunLog;

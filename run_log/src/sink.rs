@@ -7,11 +7,13 @@ use std::path::{Path, PathBuf};
 use mcap::records::MessageHeader;
 use messages::Tick;
 use messages::layout::{CDR_LITTLE_ENDIAN, Description};
+use messages::services::{EVENT, KEYFRAME, REMOVED};
 
 use crate::end::{END_RECORD, EndMarker};
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTACHMENT};
 use crate::mcap_writer::{IndexStore, McapWriter};
+use crate::records::MAX_RECORD_BYTES;
 use crate::topics;
 
 /// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` opens no file without it.
@@ -24,6 +26,17 @@ const CHUNK_NS: u64 = 100_000_000;
 const CHUNK_BYTES: usize = 4 << 20;
 /// Longest message that is logged. Readers refuse longer records, so that a damaged length cannot exhaust memory.
 pub(crate) const MAX_MESSAGE_BYTES: usize = 128 << 20;
+
+// What every session can send is logged; a frame's size depends on its scene.
+const _: () = assert!(
+    REMOVED.max_bytes < MAX_MESSAGE_BYTES
+        && KEYFRAME.max_bytes < MAX_MESSAGE_BYTES
+        && EVENT.max_bytes < MAX_MESSAGE_BYTES
+);
+const _: () = assert!(
+    MAX_RECORD_BYTES > (CHUNK_BYTES + MAX_MESSAGE_BYTES) as u64,
+    "a chunk that is closed behind the longest message can be read"
+);
 
 struct Channel {
     topic: String,

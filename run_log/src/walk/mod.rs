@@ -33,6 +33,8 @@ const WRONG_MAGIC_BYTES: usize = 2;
 /// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
 const LOOKAHEAD_BYTES: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
+const _: () = assert!(LOOKAHEAD_BYTES < WINDOW);
+
 /// What a walk finds, in file order.
 pub(crate) enum Piece<'a> {
     Attachment(Attached),
