@@ -6,7 +6,7 @@ use hub::Incoming;
 use hub::rate_limit::Connection;
 use hub::x_ray::{ControllerFrames, FrameMark, FrameStep};
 use messages::services::COMMAND;
-use messages::{ArmMode, BurrMode, Command, Part, TendonMode, Tick};
+use messages::{ArmMode, BurrMode, Command, ControllerIndex, Part, TendonMode, Tick};
 use scene::{Drives, Mode};
 
 use crate::oracle::seen_frames::SeenFrames;
@@ -65,7 +65,7 @@ impl Sight {
     }
 
     /// Looks at the frames before the controller answers the state of this tick; returns whether it waits for another.
-    pub fn look(&mut self, index: usize, tick: u64, now_ns: u64, account: &mut SeenFrames) -> bool {
+    pub fn look(&mut self, index: ControllerIndex, tick: u64, now_ns: u64, account: &mut SeenFrames) -> bool {
         if self.waits_at != Some(tick) {
             self.decide.begin(account.due_at(tick).map(Tick), now_ns);
         }
@@ -115,11 +115,11 @@ pub struct Controller {
 
 impl Controller {
     /// Not connected yet.
-    pub fn new(plan: &Plan, index: usize, drives: &[Drives]) -> Controller {
-        let looks = plan.x_ray.watching.get(index) == Some(&true);
+    pub fn new(plan: &Plan, index: ControllerIndex, drives: &[Drives]) -> Controller {
+        let looks = plan.x_ray.watching.get(index.slot()) == Some(&true);
         Controller {
             sight: looks.then(|| Sight::new(plan)),
-            plan: plan.controllers[index].clone(),
+            plan: plan.controllers[index.slot()].clone(),
             drives: drives.to_vec(),
             alive: false,
             asleep: false,
@@ -128,7 +128,7 @@ impl Controller {
             wants_history: false,
             states: VecDeque::new(),
             commands: VecDeque::new(),
-            connection: Connection(1000 * (index as u128 + 1)),
+            connection: Connection(1000 * (u128::from(index.0) + 1)),
             sequence: 0,
             last_answered: 0,
         }

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use hub::viewer::Decimation;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part, Phase, Progress,
-    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    Command, ControllerIndex, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part,
+    Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Received, Subscriber};
 use ipc_types::scene::Scene;
@@ -36,7 +36,7 @@ pub(super) struct Subscriptions {
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
     /// The viewer's index among the controllers.
-    own_index: Option<u32>,
+    own_index: Option<ControllerIndex>,
     /// Request numbers of the viewer's frames that have not arrived yet.
     asked: BTreeSet<u64>,
     parts: Parts,
@@ -121,7 +121,7 @@ impl Subscriptions {
                 Forwarded::<RunControlReply>::open(session, &services::RUN_CONTROL_REPLY)?,
                 Forwarded::<DrrRequest>::open(session, &services::DRR_REQUEST)?,
             ],
-            own_index: names.iter().position(|name| name == CONTROLLER).map(|index| index as u32),
+            own_index: ControllerIndex::first(names.len()).find(|index| names[index.slot()] == CONTROLLER),
             asked: BTreeSet::new(),
             parts: Parts::new(scene, session),
             drawer: Drawer::new(tool),
@@ -237,7 +237,7 @@ impl Subscriptions {
             |reply| {
                 if reply.status() != Ok(DrrStatus::Accepted) {
                     refused = Some(reply.requester);
-                } else if reply.request_id != 0 && Some(reply.requester) == own_index {
+                } else if reply.request_id != 0 && reply.requester == DrrRequest::requester_of(own_index) {
                     asked.insert(reply.frame_sequence);
                     if asked.len() > MOST_ASKED {
                         asked.pop_first();
