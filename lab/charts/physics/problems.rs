@@ -377,7 +377,7 @@ fn pull(method: Method, links: usize, dt_ms: f64, walls: &[Wall]) -> Result<(Run
 static CONVERGED_WALL: OnceLock<Path> = OnceLock::new();
 
 pub(super) fn wall(method: Method, links: usize, dt_ms: f64) -> Measured {
-    let walls = [Wall::new(-Vector3::x(), Vector3::x() * 0.010)];
+    let walls = [Wall::new(-Vector3::x_axis(), Vector3::x() * 0.010)];
     let reference = match CONVERGED_WALL.get() {
         Some(path) => path,
         None => {
