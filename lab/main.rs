@@ -10,6 +10,7 @@ extern crate trabecula;
 mod bench;
 mod charts;
 mod commands;
+mod effort;
 mod random;
 mod reproduce;
 mod stress;

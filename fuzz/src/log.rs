@@ -36,11 +36,11 @@ fn ticks(data: &[u8]) {
     let mut keyframes = 0;
     if let Ok(mut reader) = stream(data).and_then(LogReader::from_stream) {
         // A log whose start is missing begins at a keyframe.
-        let mut ticks = reader.beginning().map_or(0, |beginning| beginning.tick);
+        let mut ticks = reader.beginning().map_or(0, |beginning| beginning.tick.0);
         for number in ticks + 1.. {
             let item = reader.next();
             if let Some(saved) = reader.take_keyframe() {
-                assert!(saved.tick < number && saved.bytes.len() <= data.len());
+                assert!(saved.tick.0 < number && saved.bytes.len() <= data.len());
                 keyframes += 1;
             }
             let Some(Ok(tick)) = item else { break };
@@ -48,7 +48,7 @@ fn ticks(data: &[u8]) {
             assert_eq!(tick.state.tick, ticks);
         }
         assert!(reader.next().is_none());
-        assert_eq!(reader.last_complete_tick(), ticks);
+        assert_eq!(reader.last_complete_tick().0, ticks);
     }
     if let Ok(stream) = stream(data) {
         let frames = FrameReader::from_stream(stream).map_while(Result::ok);

@@ -3,11 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use ipc_types::layout::Message;
-use ipc_types::messages::{Keyframe, TickTiming};
+use ipc_types::messages::{Keyframe, Tick, TickTiming};
 use ipc_types::scene::{Policy, Scene, Wait};
 use ipc_types::session::Announcement;
-use run_log::{EndReason, RunLog, TimingLog, topics};
+use run_log::{EndReason, RunLog, TimingLog, Topic};
 use volume_io::{IDENTITY_DIRECTION, Volume, write_nrrd};
 use zerocopy::IntoBytes;
 
@@ -79,7 +78,7 @@ fn timing_log() -> Vec<u8> {
             run_queue_wait_ns: late as u64,
             ..TickTiming::zeroed()
         };
-        log.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, tick, timing.as_bytes()).unwrap();
+        log.message(Topic::TickTiming, Tick(tick), timing.as_bytes()).unwrap();
     }
     log.finish(EndReason::Interrupted, &BTreeMap::from([("/state".to_owned(), 3)])).unwrap().1
 }

@@ -8,7 +8,7 @@ use viewer_proc::board::Board;
 use viewer_proc::channels::Channels;
 use viewer_proc::log::player::Player;
 use viewer_proc::protocol::{ClientText, service_call, service_failure};
-use viewer_proc::server::http::{Origins, parse, websocket_answer};
+use viewer_proc::server::http::{Origins, Reach, parse, websocket_answer};
 use viewer_proc::services::{Request, read_request, response};
 
 const TOKEN: &str = "t";
@@ -37,8 +37,8 @@ fn request_head(data: &[u8]) {
     let Ok(Some(head)) = parse(data) else { return };
     assert!(data.ends_with(&head.rest));
     let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
-    let own = origins.check(&head, ADDRESS, false).is_ok();
-    assert!(!own || origins.check(&head, ADDRESS, true).is_ok());
+    let own = origins.check(&head, ADDRESS, Reach::Loopback).is_ok();
+    assert!(!own || origins.check(&head, ADDRESS, Reach::Network).is_ok());
     if let Ok(answer) = websocket_answer(&head) {
         assert_eq!(answer.matches("\r\n\r\n").count(), 1, "an answer with a head inside");
     }

@@ -7,6 +7,9 @@ const LONGEST_LOOK_NS: u64 = 1000 * MS;
 /// Poll interval.
 const LOOK_NS: u64 = 200 * MS;
 
+const _: () =
+    assert!(LOOK_NS < LONGEST_LOOK_NS, "a process that polls in time is not taken for a stopped one");
+
 /// A timeout.
 #[derive(Debug, Clone)]
 pub struct Patience {

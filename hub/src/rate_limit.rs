@@ -13,6 +13,8 @@ const PERIOD_NS: u64 = 10 * MS;
 const WARNINGS: usize = 16;
 const WARNING_PERIOD_NS: u64 = 100 * MS;
 
+const _: () = assert!(EACH < LOOKED_AT, "one poll sees more than one connection may send");
+
 /// One connection of a sender; the number changes each time it reconnects.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Connection(pub u128);

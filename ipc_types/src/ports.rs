@@ -14,12 +14,21 @@ use crate::identity::Guard;
 use crate::layout::Message;
 use crate::messages::Part;
 use crate::own::Own;
+use crate::services;
 
 /// Messages of the wrong length that one call takes off a queue, so that a flood of them cannot stall the reader.
 const REFUSED_AT_ONCE: usize = 64;
 /// The same limit for other programs' messages on a part's service. More than any queue holds, because the part's own messages behind them must
 /// not be late.
 const MAX_FOREIGN_MESSAGES: usize = 1 << 14;
+
+const _: () = {
+    let mut i = 0;
+    while i < services::ALL.len() {
+        assert!(services::ALL[i].lossless_length < MAX_FOREIGN_MESSAGES);
+        i += 1;
+    }
+};
 
 /// Why a message could not be sent or received.
 #[derive(Debug, Error)]

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use ipc_types::messages::TickTiming;
-use physics_proc::process::Disturbances;
+use physics_proc::process::{Disturbances, Sample};
 
 use super::row;
 use super::samples::Samples;
@@ -15,9 +15,9 @@ pub fn run(ticks: u64) {
     let (mut slept, mut awake, mut late) = (Samples::default(), Samples::default(), Samples::default());
     let mut readings = Disturbances::new();
     for _ in 0..ticks {
-        slept.add(one(&mut readings, Duration::from_micros(20), false));
-        awake.add(one(&mut readings, Duration::ZERO, false));
-        late.add(one(&mut readings, Duration::from_micros(20), true));
+        slept.add(one(&mut readings, Duration::from_micros(20), Sample::InTime));
+        awake.add(one(&mut readings, Duration::ZERO, Sample::InTime));
+        late.add(one(&mut readings, Duration::from_micros(20), Sample::Late));
     }
     say!("readings of {ticks} ticks of each kind, both looks of a tick together\n");
     row("a tick in time, after a sleep", &slept.line());
@@ -27,7 +27,7 @@ pub fn run(ticks: u64) {
 }
 
 /// Nanoseconds of both samples of a tick.
-fn one(readings: &mut Disturbances, sleep: Duration, late: bool) -> u64 {
+fn one(readings: &mut Disturbances, sleep: Duration, sample: Sample) -> u64 {
     let mut timing = TickTiming::zeroed();
     let began = Instant::now();
     readings.work_ends();
@@ -36,6 +36,6 @@ fn one(readings: &mut Disturbances, sleep: Duration, late: bool) -> u64 {
         std::thread::sleep(sleep);
     }
     let began = Instant::now();
-    readings.tick_begins(0, 0, late, &mut timing);
+    readings.tick_begins(0, 0, sample, &mut timing);
     (first + began.elapsed()).as_nanos() as u64
 }

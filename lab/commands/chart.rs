@@ -1,5 +1,6 @@
 //! `trabecula chart`: measured figures as SVG, PNG and CSV.
 
+use crate::effort::Effort;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
@@ -109,7 +110,7 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
             let quick = arguments.common.quick;
             physics::run(&physics::Plan {
                 out: arguments.common.out.clone(),
-                effort: if quick { physics::Effort::Quick } else { physics::Effort::Full },
+                effort: Effort::of_option(quick),
                 peers: arguments.peers.clone(),
                 settings_only: arguments.plan_only,
             })
@@ -123,6 +124,8 @@ pub fn run(command: &ChartCommand) -> Result<(), Failure> {
                 exceeded => Err(Failure::failed(format!("{exceeded} scenes exceeded their tolerance"))),
             }
         }
-        ChartCommand::Stability(arguments) => stability::run(&arguments.out, arguments.quick),
+        ChartCommand::Stability(arguments) => {
+            stability::run(&arguments.out, Effort::of_option(arguments.quick))
+        }
     }
 }

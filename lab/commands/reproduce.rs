@@ -1,5 +1,6 @@
 //! `trabecula reproduce`: reproduces the published behaviours from low-level rules alone.
 
+use crate::effort::Effort;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -25,6 +26,6 @@ pub struct ReproduceArguments {
 /// # Errors
 /// A file that cannot be written (1).
 pub fn run(arguments: &ReproduceArguments) -> Result<(), Failure> {
-    let plan = Plan { out: arguments.out.clone(), quick: arguments.quick };
+    let plan = Plan { out: arguments.out.clone(), effort: Effort::of_option(arguments.quick) };
     reproduce::run(&plan, arguments.only.map(usize::from))
 }

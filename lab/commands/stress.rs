@@ -1,5 +1,6 @@
 //! `trabecula stress SCENE`, and the competing processes that it starts.
 
+use crate::stress::KeptLogs;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -134,7 +135,7 @@ fn plan_of(arguments: &StressArguments) -> Result<StressPlan, Failure> {
         seed: arguments.seed,
         quota_percent: arguments.quota,
         output,
-        keep_logs: arguments.keep_logs,
+        kept_logs: if arguments.keep_logs { KeptLogs::All } else { KeptLogs::None },
         volume_files: arguments.volume_files,
         compare,
     })

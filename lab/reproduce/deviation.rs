@@ -1,5 +1,6 @@
 //! How far the tip's final position moves with the reference rung, a finer step, and perturbed parameters.
 
+use crate::effort::Effort;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -40,11 +41,11 @@ impl Experiment {
         }
     }
 
-    fn block(self, density: f64, quick: bool) -> Block {
+    fn block(self, density: f64, effort: Effort) -> Block {
         let foam = tunnel::FOAM_KG_PER_M3 * density;
         match self {
-            Experiment::Tunnel => tunnel::block(foam, quick),
-            Experiment::Skiving => skiving::block(foam, 10.0, quick),
+            Experiment::Tunnel => tunnel::block(foam, effort),
+            Experiment::Skiving => skiving::block(foam, 10.0, effort),
         }
     }
 }
@@ -61,7 +62,7 @@ struct Job {
 }
 
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
-    let sets = if plan.quick { 3 } else { SETS };
+    let sets = if plan.effort == Effort::Quick { 3 } else { SETS };
     let mut jobs = Vec::new();
     for experiment in [Experiment::Tunnel, Experiment::Skiving] {
         let trial = experiment.trial();
@@ -87,7 +88,7 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
                 stiffness,
                 ..job.trial.clone()
             };
-            let outcome = trial.play(&job.experiment.block(density, plan.quick), |_, _| {})?;
+            let outcome = trial.play(&job.experiment.block(density, plan.effort), |_, _| {})?;
             Ok((outcome.burr_m(), outcome.end.bend_rad))
         })
         .collect::<Result<_, Failure>>()?;
@@ -156,7 +157,7 @@ mod tests {
     #[test]
     fn every_chain_ends_the_tunnel_of_10_newton_at_the_same_place() {
         let experiment = Experiment::Tunnel;
-        let block = experiment.block(1.0, false);
+        let block = experiment.block(1.0, Effort::Full);
         let end = |rung| {
             let outcome = Trial { rung, ..experiment.trial() }.play(&block, |_, _| {}).unwrap();
             outcome.burr_m() * 1e3

@@ -1,5 +1,6 @@
 //! Tables and figures of a part.
 
+use crate::effort::Effort;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -10,8 +11,8 @@ use trabecula::report::shapes::Figure;
 pub struct Plan {
     /// Output folder.
     pub out: PathBuf,
-    /// Fewer cases and faster feeds, in seconds.
-    pub quick: bool,
+    /// Quick: fewer cases and faster feeds, in seconds.
+    pub effort: Effort,
 }
 
 impl Plan {

@@ -1,5 +1,6 @@
 //! The planar burr of Fig. 4: pushed by a constant force along a boundary, free to move sideways.
 
+use crate::effort::Effort;
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
 use rayon::prelude::*;
@@ -47,7 +48,8 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     for (rule, name, _) in RULES {
         for ratio in RATIOS {
             // The published rules do not depend on force.
-            let forces: &[f64] = if rule == Removal::Energy && !plan.quick { &FORCES_N } else { &[5.0] };
+            let forces: &[f64] =
+                if rule == Removal::Energy && plan.effort == Effort::Full { &FORCES_N } else { &[5.0] };
             jobs.extend(forces.iter().map(|force| (rule, name, ratio, *force)));
         }
     }

@@ -176,7 +176,13 @@ impl Trial {
             }
             let state = simulation.state();
             let feeding = tick as f64 * dt_s > RAMP_S && (tick as f64) * dt_s < seconds - REST_S;
-            outcome.see(state, feeding, tick * 2 > ticks);
+            outcome.see(state);
+            if feeding {
+                outcome.see_feeding(state);
+            }
+            if feeding && tick * 2 > ticks {
+                outcome.see_steady(state);
+            }
             see(state, simulation.removed());
         }
         outcome.end = *run.plant().state();
@@ -215,20 +221,23 @@ impl Outcome {
         }
     }
 
-    fn see(&mut self, state: &State, feeding: bool, late: bool) {
+    fn see(&mut self, state: &State) {
         let contacts = state.contacts.iter().take(state.contact_count as usize);
         self.deepest_m = contacts.map(|contact| -contact.gap_m).fold(self.deepest_m, f64::max);
         self.most_contacts = self.most_contacts.max(state.contact_count);
-        if !feeding {
-            return;
-        }
+    }
+
+    /// A state during the feed.
+    fn see_feeding(&mut self, state: &State) {
         self.most_force_n = self.most_force_n.max(state.burr_force_n);
         let rates = state.joint_velocity_rad_per_s.iter();
         self.fastest_rad_per_s = rates.map(|rate| rate.abs()).fold(self.fastest_rad_per_s, f64::max);
-        if late {
-            self.samples += 1;
-            self.mean_force_n += (state.burr_force_n - self.mean_force_n) / self.samples as f64;
-        }
+    }
+
+    /// A state of the feed in the second half of the run.
+    fn see_steady(&mut self, state: &State) {
+        self.samples += 1;
+        self.mean_force_n += (state.burr_force_n - self.mean_force_n) / self.samples as f64;
     }
 
     /// Burr centre, m.

@@ -1,5 +1,6 @@
 //! A straight insertion into denser material (Fig. 3, bottom), and the planar burr of Fig. 4.
 
+use crate::effort::Effort;
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
 use rayon::prelude::*;
@@ -27,8 +28,8 @@ const COLOURS: [RGBColor; 4] =
     [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115), RGBColor(204, 121, 167)];
 
 /// Foam, and beyond an oblique plane material denser by `ratio`.
-pub fn block(foam_kg_per_m3: f64, ratio: f64, quick: bool) -> Block {
-    let voxel_mm = if quick { 1.0 } else { 0.5 };
+pub fn block(foam_kg_per_m3: f64, ratio: f64, effort: Effort) -> Block {
+    let voxel_mm = if effort == Effort::Quick { 1.0 } else { 0.5 };
     let (normal, point) = (Vector3::from(NORMAL), Vector3::new(0.0, 0.0, MEETS_MM * 1e-3));
     let density = move |p: &Vector3<f64>| {
         if (p - point).dot(&normal) > 0.0 { foam_kg_per_m3 * ratio } else { foam_kg_per_m3 }
@@ -75,14 +76,14 @@ const HEAD: [&str; 8] = [
 ];
 
 fn sweep(plan: &Plan) -> Result<(), Failure> {
-    let ratios: &[f64] = if plan.quick { &[1.0, 10.0] } else { &RATIOS };
-    let feeds: &[f64] = if plan.quick { &FEEDS_MM_PER_S[2..] } else { &FEEDS_MM_PER_S };
+    let ratios: &[f64] = if plan.effort == Effort::Quick { &[1.0, 10.0] } else { &RATIOS };
+    let feeds: &[f64] = if plan.effort == Effort::Quick { &FEEDS_MM_PER_S[2..] } else { &FEEDS_MM_PER_S };
     let pairs: Vec<(f64, f64)> =
         ratios.iter().flat_map(|ratio| feeds.iter().map(move |feed| (*ratio, *feed))).collect();
     let outcomes: Vec<(f64, f64, Outcome)> = pairs
         .into_par_iter()
         .map(|(ratio, feed)| {
-            let block = block(FOAM_KG_PER_M3, ratio, plan.quick);
+            let block = block(FOAM_KG_PER_M3, ratio, plan.effort);
             trial(feed).play(&block, |_, _| {}).map(|outcome| (ratio, feed, outcome))
         })
         .collect::<Result<_, _>>()?;
@@ -101,7 +102,7 @@ fn rules(plan: &Plan) -> Result<(), Failure> {
     let outcomes: Vec<(&str, f64, Outcome)> = jobs
         .into_par_iter()
         .map(|(removal, ratio)| {
-            let block = block(FOAM_KG_PER_M3, ratio, plan.quick);
+            let block = block(FOAM_KG_PER_M3, ratio, plan.effort);
             let trial = Trial { removal, ..trial(1.0) };
             trial.play(&block, |_, _| {}).map(|outcome| (removal, ratio, outcome))
         })

@@ -1,5 +1,6 @@
 //! Thrust of a straight, stiff tool with the standard material law, compared with published ranges.
 
+use crate::effort::Effort;
 use rayon::prelude::*;
 
 use super::output::{Plan, Table};
@@ -40,7 +41,7 @@ const LINEAR_LAW: [f64; 2] = [0.062, 1.0];
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
     let both: Vec<[f64; 2]> = ROWS
         .par_iter()
-        .map(|row| Ok([thrust_n(row, None, plan.quick)?, thrust_n(row, Some(LINEAR_LAW), plan.quick)?]))
+        .map(|row| Ok([thrust_n(row, None, plan.effort)?, thrust_n(row, Some(LINEAR_LAW), plan.effort)?]))
         .collect::<Result<_, Failure>>()?;
     let mut table = Table::new(&[
         "what",
@@ -72,9 +73,9 @@ pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
 }
 
 /// Mean thrust at a steady feed, N.
-fn thrust_n(row: &Row, cutting_law: Option<[f64; 2]>, quick: bool) -> Result<f64, Failure> {
+fn thrust_n(row: &Row, cutting_law: Option<[f64; 2]>, effort: Effort) -> Result<f64, Failure> {
     let block = Block::new([-6.0, -6.0, -12.0], [6.0, 6.0, 12.0], 0.5, |_| row.density_kg_per_m3);
-    let faster = if quick && row.feed_mm_per_s < 0.5 { 10.0 } else { 1.0 };
+    let faster = if effort == Effort::Quick && row.feed_mm_per_s < 0.5 { 10.0 } else { 1.0 };
     let feed = row.feed_mm_per_s * faster;
     let stiff = Trial { dt_ms: 2.0, stiffness: 1000.0, burr_rpm: row.rpm, ..Trial::new(0.0, feed, 5.0) };
     // Steady thrust is proportional to the feed.

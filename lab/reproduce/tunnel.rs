@@ -1,5 +1,6 @@
 //! Curved drilling in homogeneous foam (Fig. 3, top): tension against feed.
 
+use crate::effort::Effort;
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
 use rayon::prelude::*;
@@ -25,8 +26,8 @@ const REMOVED: RGBColor = RGBColor(214, 226, 236);
 const TOOL: RGBColor = RGBColor(0, 114, 178);
 
 /// The block; the origin is the end of the pilot hole.
-pub fn block(density_kg_per_m3: f64, quick: bool) -> Block {
-    let voxel_mm = if quick { 1.0 } else { 0.5 };
+pub fn block(density_kg_per_m3: f64, effort: Effort) -> Block {
+    let voxel_mm = if effort == Effort::Quick { 1.0 } else { 0.5 };
     Block::new([-10.0, -8.0, -38.0], [34.0, 8.0, 36.0], voxel_mm, |_| density_kg_per_m3)
 }
 
@@ -41,10 +42,10 @@ struct Case {
 }
 
 pub(super) fn run(plan: &Plan) -> Result<(), Failure> {
-    let block = block(FOAM_KG_PER_M3, plan.quick);
+    let block = block(FOAM_KG_PER_M3, plan.effort);
     // The quick variant uses ten times the feed.
-    let faster = if plan.quick { 10.0 } else { 1.0 };
-    let feeds: &[f64] = if plan.quick { &FEEDS_MM_PER_S[2..] } else { &FEEDS_MM_PER_S };
+    let faster = if plan.effort == Effort::Quick { 10.0 } else { 1.0 };
+    let feeds: &[f64] = if plan.effort == Effort::Quick { &FEEDS_MM_PER_S[2..] } else { &FEEDS_MM_PER_S };
     let pairs: Vec<(f64, f64)> =
         TENSIONS_N.iter().flat_map(|t| feeds.iter().map(move |feed| (*t, *feed * faster))).collect();
     let cases: Vec<Case> = pairs

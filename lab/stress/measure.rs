@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ipc_types::messages::{FrameTiming, Latched, MAX_CONTROLLERS, TickTiming};
 use recorder_proc::log_file::LogFile;
-use run_log::{Cause, MessageStream, Misses, ReadOptions, topics};
+use run_log::{Cause, MessageStream, Misses, ReadOptions, Topic};
 use serde::{Deserialize, Serialize};
 use zerocopy::FromBytes;
 
@@ -163,19 +163,19 @@ impl Reader {
         let mut stream = MessageStream::open(&LogFile::at(path), ReadOptions::default())?;
         self.dt_ns = stream.header().dt_ns;
         while let Some(message) = stream.next_message()? {
-            match message.topic {
-                topics::LATCHED => {
+            match message.known {
+                Some(Topic::Latched) => {
                     if let Ok(latched) = Latched::read_from_bytes(message.body) {
                         self.latched(&latched);
                     }
                 }
-                topics::TICK_TIMING => {
+                Some(Topic::TickTiming) => {
                     if let Ok(timing) = TickTiming::read_from_bytes(message.body) {
                         self.tick(&timing);
                     }
                 }
-                topics::RUN_STATUS => self.misses.take(message.topic, message.body),
-                topics::FRAME_TIMING => {
+                Some(Topic::RunStatus) => self.misses.take(message.known, message.body),
+                Some(Topic::FrameTiming) => {
                     if let Ok(timing) = FrameTiming::read_from_bytes(message.body) {
                         self.curves.frame_age.add(timing.age_ticks.saturating_mul(self.dt_ns));
                     }

@@ -51,7 +51,7 @@ pub struct StressPlan {
     /// Folder of the report.
     pub output: PathBuf,
     /// Whether to keep the runs' folders.
-    pub keep_logs: bool,
+    pub kept_logs: KeptLogs,
     /// Which files the volume may name.
     pub volume_files: VolumeFiles,
     /// An earlier test to compare with.
@@ -150,7 +150,7 @@ fn test(
             if end.is_set() {
                 part.ask_to_end();
                 part.wait(END_LIMIT);
-                remove(&logs, plan.keep_logs);
+                remove(&logs, plan.kept_logs);
                 return Ok(None);
             }
             match part.ended() {
@@ -172,7 +172,7 @@ fn test(
     let name = format!("combination_{:02}.svg", index + 1);
     let (figure, path) = (figures::combination(combination, &measured, &curves)?, plan.output.join(&name));
     output_file::write(&path, figure.svg(&path)?)?;
-    remove(&logs, plan.keep_logs);
+    remove(&logs, plan.kept_logs);
     Ok(Some(Tested {
         combination: *combination,
         measured,
@@ -213,7 +213,7 @@ fn refused_priority(folder: &Path) -> Vec<String> {
         return said;
     };
     while let Ok(Some(message)) = stream.next_message() {
-        if message.topic == run_log::topics::EVENT {
+        if message.known == Some(run_log::Topic::Event) {
             let text = String::from_utf8_lossy(message.body);
             if let Some(at) = text.find("priority: ") {
                 said.push(text[at..].trim_end_matches('\0').to_owned());
@@ -223,9 +223,16 @@ fn refused_priority(folder: &Path) -> Vec<String> {
     said
 }
 
+/// Which runs' folders stay after a stress test.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum KeptLogs {
+    None,
+    All,
+}
+
 /// Removes the files that runs have written into their folders, and the folders if they are then empty.
-fn remove(logs: &Path, keep: bool) {
-    if keep {
+fn remove(logs: &Path, kept: KeptLogs) {
+    if kept == KeptLogs::All {
         return;
     }
     // Anything that cannot be removed stays in the user's own output folder, under a telling name.
@@ -252,9 +259,9 @@ mod tests {
             trabecula::report::FILES.iter().for_each(|name| fs::write(folder.join(name), name).unwrap());
         }
         fs::write(mixed.join("notes.txt"), "a user's own").unwrap();
-        remove(logs.path(), true);
+        remove(logs.path(), KeptLogs::All);
         assert_eq!(fs::read_dir(&ours).unwrap().count(), trabecula::report::FILES.len());
-        remove(logs.path(), false);
+        remove(logs.path(), KeptLogs::None);
         assert!(!ours.exists());
         let left: Vec<_> = fs::read_dir(&mixed).unwrap().flatten().map(|entry| entry.file_name()).collect();
         assert_eq!(left, ["notes.txt"]);

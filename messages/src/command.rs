@@ -7,6 +7,7 @@ pub const MAX_TENSION_N: f64 = 60.0;
 pub const MAX_DISPLACEMENT_M: f64 = 0.02;
 /// Largest burr speed that a command may request: 60 000 rpm.
 pub const MAX_BURR_SPEED_RAD_PER_S: f64 = 6283.2;
+const _: () = assert!(MAX_BURR_SPEED_RAD_PER_S >= 60_000.0 / 60.0 * core::f64::consts::TAU);
 /// Largest absolute value of each coordinate of a requested tool base position.
 pub const MAX_POSITION_M: f64 = 10.0;
 /// Largest speed that a command may request.

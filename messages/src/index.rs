@@ -1,4 +1,4 @@
-//! Ticks and controllers as types of their own, where one integer could be taken for another.
+//! Ticks, ranges of ticks and controllers as types of their own, where one integer could be taken for another.
 
 use core::fmt::{self, Display, Formatter};
 use core::ops::AddAssign;
@@ -36,6 +36,25 @@ impl AddAssign<u64> for Tick {
 impl Display for Tick {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         self.0.fmt(f)
+    }
+}
+
+/// Ticks from the first to the last, both inclusive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TickRange {
+    /// The first tick.
+    pub first: Tick,
+    /// The last tick; none if the range has no end.
+    pub last: Option<Tick>,
+}
+
+impl TickRange {
+    /// All ticks.
+    pub const ALL: TickRange = TickRange { first: Tick::START, last: None };
+
+    /// Whether a tick is one of them.
+    pub fn contains(&self, tick: Tick) -> bool {
+        tick >= self.first && self.last.is_none_or(|last| tick <= last)
     }
 }
 

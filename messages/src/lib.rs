@@ -54,7 +54,7 @@ pub use command::*;
 pub use geometry::*;
 pub use hub::*;
 pub use image::*;
-pub use index::{ControllerIndex, Tick};
+pub use index::{ControllerIndex, Tick, TickRange};
 pub use keyframe::*;
 pub use part::Part;
 pub use participant::*;

@@ -7,8 +7,8 @@
 use crate::layout::{Description, Message};
 use crate::part::Part;
 use crate::{
-    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched, Progress,
-    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched,
+    MAX_CONTROLLERS, Progress, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming, Volume,
 };
 
 /// Which log a service is recorded to.
@@ -150,6 +150,26 @@ pub const TICK_TIMING: Service =
 /// `FrameTiming`.
 pub const FRAME_TIMING: Service =
     Service { history: 0, ..fixed::<FrameTiming>("frame_timing", Lane::Timing, DRR_ONLY, 64) };
+
+// The recorder may fall equally far behind on everything that comes once a tick.
+const _: () = assert!(
+    LATCHED.lossless_length == STATE.lossless_length
+        && REMOVED.lossless_length == STATE.lossless_length
+        && COMMAND.lossless_length == STATE.lossless_length
+        && TICK_TIMING.lossless_length == STATE.lossless_length
+);
+const _: () =
+    assert!(KEYFRAME.queue_length * KEYFRAME_PART_BYTES == MAX_KEYFRAME_BYTES, "the longest keyframe fits");
+const _: () = assert!(
+    MAX_CONTROLLERS + 5 <= MAX_SUBSCRIBERS,
+    "DRR, recorder, launcher and the viewer's two beside them"
+);
+const _: () = assert!(
+    MAX_CONTROLLERS < DRR_REQUEST.max_publishers
+        && MAX_CONTROLLERS < RUN_CONTROL.max_publishers
+        && Part::ALL.len() + MAX_CONTROLLERS < EVENT.max_publishers,
+    "a complete session leaves room for clients"
+);
 
 impl Service {
     /// Samples per publisher, its own loans included. Queues hold the newest messages, so all queues together hold no more than the longest

@@ -3,6 +3,8 @@
 use std::io::Write;
 use std::sync::Arc;
 
+use ipc_types::messages::Tick;
+
 use parquet::basic::{Compression, Repetition, Type as PhysicalType};
 use parquet::data_type::{DoubleType, FloatType, Int64Type};
 use parquet::errors::ParquetError;
@@ -137,8 +139,8 @@ impl<W: Write + Send> Parquet<W> {
 }
 
 impl<W: Write + Send> Rows for Parquet<W> {
-    fn row(&mut self, tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
-        let time = [tick, log_time_ns].map(Scalar::Unsigned);
+    fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+        let time = [tick.0, log_time_ns].map(Scalar::Unsigned);
         for (column, value) in self.columns.iter_mut().zip(time.iter().chain(values)) {
             column.push(*value);
         }

@@ -8,10 +8,11 @@ use std::process::{Command, Output};
 use test_support::limited::Limited;
 
 use common::*;
+use messages::TickRange;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::parquet_file::Parquet;
 use run_log::columns::{columns, description_of_topic, read_rows};
-use run_log::{fields, topics};
+use run_log::{Topic, fields, topics};
 use serde_json::Value;
 use test_support::python::or_skip;
 
@@ -64,7 +65,7 @@ fn parquet_is_read_by_pyarrow(python: &Path, folder: &Path, log: &Path, rows: us
     let columns = columns(description_of_topic(&LogFile::at(log), "/state").unwrap(), &wanted).unwrap();
     let out = folder.join("state.parquet");
     let mut table = Parquet::new(std::fs::File::create(&out).unwrap(), &columns).unwrap();
-    read_rows(&LogFile::at(log), "/state", &columns, (0, None), &mut table).unwrap();
+    read_rows(&LogFile::at(log), "/state", &columns, TickRange::ALL, &mut table).unwrap();
     table.finish().unwrap();
     let script = "import sys, pyarrow.parquet as p; t = p.read_table(sys.argv[1]); \
                   print(t.num_rows, t.column_names, t['tick'][9].as_py())";
@@ -109,8 +110,8 @@ fn the_lichtblick_layout_names_topics_and_fields_that_exist() {
     for text in all.iter().filter(|text| text.starts_with('/')) {
         let (topic, field) =
             text.split_once('.').map_or((*text, None), |(topic, field)| (topic, Some(field)));
-        let found = topics::RUN.iter().find(|(name, _)| *name == topic);
-        let (_, description) = found.unwrap_or_else(|| panic!("no topic {topic}"));
+        let found = Topic::of_name(topic).filter(|found| topics::RUN.contains(found));
+        let description = found.unwrap_or_else(|| panic!("no topic {topic}")).description();
         topics_seen += 1;
         if let Some(field) = field {
             let place = fields::find(description, field).unwrap_or_else(|cause| panic!("{text}: {cause}"));
@@ -134,7 +135,7 @@ fn channels_say_their_units_and_layouts() {
     let bytes = write_log(&run_messages(5, None));
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     for channel in summary.channels.values() {
-        let (_, description) = topics::RUN.iter().find(|(name, _)| *name == channel.topic).unwrap();
+        let description = Topic::of_name(&channel.topic).unwrap().description();
         assert_eq!(channel.metadata["layout_hash"], description.layout_hash());
         assert!(channel.metadata["frame"].starts_with("world: patient, LPS"));
     }

@@ -28,7 +28,7 @@ fn a_packed_log_holds_the_same_run() {
         assert!(report.same_run() && report.header.is_empty() && report.identical_ticks == 700);
         let mut reader = LogReader::open(&LogFile::at(&output)).unwrap();
         let replayed = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
-        assert!(replayed.is_identical() && replayed.last_tick == 700);
+        assert!(replayed.is_identical() && replayed.last_tick.0 == 700);
         assert_eq!(replayed.ending.describe(), "end marker: completed");
         let bytes = std::fs::read(&output).unwrap();
         assert!(messages(&bytes) == messages(&std::fs::read(&input).unwrap()));

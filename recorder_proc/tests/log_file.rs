@@ -9,8 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use common::*;
-use ipc_types::layout::Message;
-use ipc_types::messages::FrameTiming;
+use ipc_types::messages::{FrameTiming, Tick};
 use recorder_proc::log_file::{LogFile, create_run, index_beside};
 use run_log::*;
 use zerocopy::{FromZeros, IntoBytes};
@@ -93,7 +92,7 @@ fn chunk_indexes_beyond_the_memory_go_to_the_disk_and_leave_no_file() {
     let mut log = TimingLog::create_named(Vec::new(), &path, Box::new(index), &header()).unwrap();
     let (timing, mut chunks) = (FrameTiming::new_zeroed(), 0);
     while bytes.load(Ordering::Relaxed) < 1 << 20 {
-        log.message("/timing/frame", FrameTiming::DESCRIPTION, chunks, timing.as_bytes()).unwrap();
+        log.message(Topic::FrameTiming, Tick(chunks), timing.as_bytes()).unwrap();
         log.flush().unwrap();
         chunks += 1;
     }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use common::*;
-use ipc_types::layout::Message;
+use ipc_types::messages::Tick;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::rewritten::repair;
 use run_log::*;
@@ -82,7 +82,7 @@ fn a_cut_log_is_whole_after_its_repair() {
         };
         let ticks = reader.by_ref().map(Result::unwrap).count() as u64;
         let found = repaired(folder.path(), &bytes[..cut]).unwrap();
-        assert_eq!(found.report.complete_tick, Some(ticks), "cut at {cut}");
+        assert_eq!(found.report.complete_tick, Some(Tick(ticks)), "cut at {cut}");
         let kept = messages(&found.bytes);
         assert!(all.starts_with(&kept), "cut at {cut}");
         let summary = mcap::Summary::read(&found.bytes).unwrap().expect("an index");
@@ -92,7 +92,7 @@ fn a_cut_log_is_whole_after_its_repair() {
         let marker = reader.ending().marker.clone().unwrap();
         assert!(matches!(marker.reason, EndReason::Repaired(_)), "{marker:?}");
         assert!(reader.ending().describe().starts_with("end marker: repaired"));
-        assert_eq!(marker.last_tick, Some(ticks));
+        assert_eq!(marker.last_tick, Some(Tick(ticks)));
         assert!(found.report.lost().is_empty() && found.report.cut.is_some());
         repaired_count += 1;
     }
@@ -127,7 +127,7 @@ fn a_damaged_chunk_in_the_middle_is_counted_by_topic() {
         let (_, _, first_counts) = &chunks[index];
         if first_counts.contains_key("/state") {
             assert!(matches!(error, Some(LogError::Gap { .. })), "{error:?}");
-            assert_eq!(found.report.complete_tick, Some(ticks));
+            assert_eq!(found.report.complete_tick, Some(Tick(ticks)));
         } else {
             assert!(error.is_none() && ticks == 800);
             let marker = reader.ending().marker.clone().unwrap();
@@ -177,7 +177,7 @@ fn damage_in_the_chunk_that_declares_the_topics_takes_no_other_chunk() {
         assert_eq!(kept.len(), all.len() - lost, "{what}");
         assert!(all.ends_with(&kept), "{what}");
         assert_eq!(found.report.topics["/state"], repair::TopicRepair { recovered: 600, lost: 1 }, "{what}");
-        assert_eq!((found.report.undeclared, found.report.last_tick), (0, Some(600)), "{what}");
+        assert_eq!((found.report.undeclared, found.report.last_tick), (0, Some(Tick(600))), "{what}");
         // The schemas are present too, and the log can be read up to its gap.
         let summary = mcap::Summary::read(&found.bytes).unwrap().unwrap();
         let original = mcap::Summary::read(&bytes).unwrap().unwrap();
@@ -223,11 +223,10 @@ fn write_timing(messages: &[(&str, u64)]) -> Vec<u8> {
     for (topic, tick) in messages {
         let command = ipc_types::messages::Command { state_tick: *tick, ..zerocopy::FromZeros::new_zeroed() };
         let timing: ipc_types::messages::FrameTiming = zerocopy::FromZeros::new_zeroed();
-        let (description, bytes) = match *topic {
-            "/timing/frame" => (ipc_types::messages::FrameTiming::DESCRIPTION, timing.as_bytes()),
-            _ => (ipc_types::messages::Command::DESCRIPTION, command.as_bytes()),
-        };
-        log.message(topic, description, *tick, bytes).unwrap();
+        match Topic::of_name(topic) {
+            Some(topic) => log.message(topic, Tick(*tick), timing.as_bytes()).unwrap(),
+            None => log.command(topic, Tick(*tick), command.as_bytes()).unwrap(),
+        }
     }
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
 }
@@ -345,7 +344,7 @@ fn a_thousand_random_cuts_and_flips_tell_their_last_complete_tick() {
             }
         }
         assert!(ticks[..] == whole[..ticks.len()], "{what}");
-        assert_eq!(reader.last_complete_tick(), ticks.len() as u64, "{what}");
+        assert_eq!(reader.last_complete_tick().0, ticks.len() as u64, "{what}");
         let told = error.is_some() || !reader.stream().verdict().is_intact();
         assert!(told || ticks.len() == whole.len(), "{what}");
         told

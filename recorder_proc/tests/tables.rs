@@ -3,6 +3,7 @@
 
 mod common;
 use common::*;
+use messages::{Tick, TickRange};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::Field;
 use recorder_proc::log_file::LogFile;
@@ -30,7 +31,14 @@ fn a_csv_has_a_line_a_message_and_a_column_a_number() {
     let columns = columns(description, &fields()).unwrap();
     let mut text = Vec::new();
     let mut rows = Csv::new(&mut text, &columns).unwrap();
-    read_rows(&LogFile::at(&path), "/state", &columns, (10, Some(99)), &mut rows).unwrap();
+    read_rows(
+        &LogFile::at(&path),
+        "/state",
+        &columns,
+        TickRange { first: Tick(10), last: Some(Tick(99)) },
+        &mut rows,
+    )
+    .unwrap();
     rows.finish().unwrap();
     let text = String::from_utf8(text).unwrap();
     let mut lines = text.lines();
@@ -63,7 +71,7 @@ fn a_parquet_file_holds_the_same_numbers() {
         columns(description_of_topic(&LogFile::at(&path), "/state").unwrap(), &fields()).unwrap();
     let out = folder.path().join("state.parquet");
     let mut rows = Parquet::new(std::fs::File::create(&out).unwrap(), &columns).unwrap();
-    read_rows(&LogFile::at(&path), "/state", &columns, (0, None), &mut rows).unwrap();
+    read_rows(&LogFile::at(&path), "/state", &columns, TickRange::ALL, &mut rows).unwrap();
     rows.finish().unwrap();
     let reader = SerializedFileReader::new(std::fs::File::open(&out).unwrap()).unwrap();
     assert_eq!(reader.metadata().file_metadata().num_rows(), 301);

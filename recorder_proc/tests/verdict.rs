@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use common::*;
+use messages::Tick;
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::LogFile;
 use recorder_proc::rewritten::repair;
@@ -207,7 +208,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
         }
     }
     let bytes = log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1;
-    let passed = |after, tick| Passed { after: Some(after), resumed: Some(tick) };
+    let passed = |after, tick| Passed { after: Some(Tick(after)), resumed: Some(Tick(tick)) };
     let expected = [passed(100, 200), passed(320, 400), passed(470, 500)];
     let verified = |bytes: &[u8], start: Option<SavedState>| {
         let options = SegmentOptions { start, to_tick: None, threads: 2 };
@@ -218,7 +219,7 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     };
     let report = verified(&bytes, None);
     assert_eq!(report.gaps, expected);
-    assert_eq!((report.replay.identical_ticks, report.replay.last_tick), (100 + 120 + 70 + 100, 600));
+    assert_eq!((report.replay.identical_ticks, report.replay.last_tick), (100 + 120 + 70 + 100, Tick(600)));
     assert_eq!(
         report.identical_keyframes, 3,
         "200, 400 and 500 begin a part; 100, 300 and 600 are made again"
@@ -227,8 +228,8 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
     for (from, keyframe, ticks) in
         [(450, 400, 70 + 100), (330, 300, 20 + 70 + 100), (120, 100, 120 + 70 + 100)]
     {
-        let start = keyframe_before(open_bytes(&bytes).unwrap(), from);
-        assert_eq!(start.as_ref().map(|saved| saved.tick), Some(keyframe));
+        let start = keyframe_before(open_bytes(&bytes).unwrap(), Tick(from));
+        assert_eq!(start.as_ref().map(|saved| saved.tick), Some(Tick(keyframe)));
         assert_eq!(verified(&bytes, start).replay.identical_ticks, ticks, "from {from}");
     }
     // Once repaired, a damaged chunk is a gap, even at the start.
@@ -242,8 +243,8 @@ fn a_replay_goes_on_behind_each_gap_at_the_next_keyframe() {
         assert!(all.iter().flatten().all(|verdict| !verdict.is_intact()));
         let repaired = std::fs::read(folder.path().join("out.mcap")).unwrap();
         let report = verified(&repaired, None);
-        assert_eq!((report.gaps.len(), report.replay.last_tick), (1, 600), "{report:?}");
-        assert_eq!(report.first_tick, first_tick, "chunk {chunk}: {report:?}");
+        assert_eq!((report.gaps.len(), report.replay.last_tick), (1, Tick(600)), "{report:?}");
+        assert_eq!(report.first_tick, Tick(first_tick), "chunk {chunk}: {report:?}");
     }
 }
 
@@ -281,7 +282,7 @@ fn a_gap_is_named_by_all_with_its_ticks_and_topics() {
         let [Fault::Gap(gap)] = verdict.faults.as_slice() else { panic!("{verdict}") };
         let lost = [("/latched".to_string(), 52), ("/state".to_string(), 51)];
         assert_eq!(gap.lost, BTreeMap::from(lost));
-        let told: Vec<_> = gap.stretches.iter().map(|s| (s.first_tick, s.last_tick)).collect();
+        let told: Vec<_> = gap.stretches.iter().map(|s| (s.first_tick.0, s.last_tick.0)).collect();
         assert_eq!(told, [(101, 159), (301, 302)]);
         assert_eq!(exit_code(verdict), ipc_types::process::EXIT_GAP);
         let text = verdict.to_string();

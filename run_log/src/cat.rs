@@ -2,8 +2,8 @@
 
 use std::io::Write;
 
-use messages::ALL;
 use messages::layout::{Description, Element, Tail};
+use messages::{ALL, Tick, TickRange};
 use serde_json::{Map, Value, json};
 
 use crate::error::LogError;
@@ -23,10 +23,8 @@ pub struct CatOptions {
     /// Field paths such as `t_world_link[7].position_m`; empty for whole messages. Topics without any of these fields
     /// are skipped.
     pub fields: Vec<String>,
-    /// First tick.
-    pub first_tick: u64,
-    /// Last tick, inclusive.
-    pub last_tick: Option<u64>,
+    /// Ticks whose messages to print.
+    pub ticks: TickRange,
     /// First simulated time, in nanoseconds.
     pub first_ns: u64,
     /// Last simulated time, inclusive, in nanoseconds.
@@ -36,9 +34,8 @@ pub struct CatOptions {
 }
 
 impl CatOptions {
-    fn takes(&self, tick: u64, time_ns: u64) -> bool {
-        tick >= self.first_tick
-            && self.last_tick.is_none_or(|last| tick <= last)
+    fn takes(&self, tick: Tick, time_ns: u64) -> bool {
+        self.ticks.contains(tick)
             && time_ns >= self.first_ns
             && self.last_ns.is_none_or(|last| time_ns <= last)
     }
@@ -58,7 +55,7 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
     };
     let dt_ns = stream.header().dt_ns.max(1);
     while let Some(message) = stream.next_message()? {
-        let tick = message.log_time_ns / dt_ns;
+        let tick = Tick(message.log_time_ns / dt_ns);
         let chosen = options.topics.is_empty() || options.topics.iter().any(|topic| topic == message.topic);
         if !chosen || !options.takes(tick, message.log_time_ns) {
             continue;
@@ -66,7 +63,7 @@ pub fn cat(log: &dyn LogSource, options: &CatOptions, out: &mut dyn Write) -> Re
         let Some(content) = content(&message, &options.fields) else { continue };
         let mut line = Map::new();
         line.insert("topic".to_string(), json!(message.topic));
-        line.insert("tick".to_string(), json!(tick));
+        line.insert("tick".to_string(), json!(tick.0));
         line.insert("log_time_ns".to_string(), json!(message.log_time_ns));
         line.insert("message".to_string(), content);
         writeln!(out, "{}", Value::Object(line))?;

@@ -1,12 +1,13 @@
 //! Selected fields of a topic as a table: one row per message, one column per scalar.
 
 use messages::layout::{Description, Element};
+use messages::{Tick, TickRange};
 
 use crate::error::LogError;
 use crate::fields::{Place, Scalar, element_size, find};
 use crate::source::LogSource;
 use crate::stream::{MessageStream, ReadOptions};
-use crate::topics;
+use crate::topics::{self, Topic};
 use crate::verdict::Verdict;
 
 /// One column: one scalar of a message.
@@ -82,7 +83,7 @@ pub trait Rows {
     ///
     /// # Errors
     /// Any error of the row's destination.
-    fn row(&mut self, tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError>;
+    fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError>;
 }
 
 /// This build's description of a topic in either lane.
@@ -92,8 +93,8 @@ pub trait Rows {
 pub fn description_of_topic(log: &dyn LogSource, topic: &str) -> Result<&'static Description, LogError> {
     let mut stream = MessageStream::open_topics(log, &[topic.to_owned()], ReadOptions::default())?;
     let first = stream.next_message()?.map(|message| message.description);
-    let of_run_lane =
-        || topics::RUN.iter().find(|(name, _)| *name == topic).map(|(_, description)| *description);
+    let known = Topic::of_name(topic).filter(|known| topics::RUN.contains(known));
+    let of_run_lane = || known.map(Topic::description);
     match first.or_else(of_run_lane) {
         Some(description) => Ok(description),
         // A topic without messages has no description to decode it with.
@@ -101,7 +102,7 @@ pub fn description_of_topic(log: &dyn LogSource, topic: &str) -> Result<&'static
     }
 }
 
-/// Reads the messages of a topic over a range of ticks (both ends inclusive) into rows.
+/// Reads the messages of a topic over a range of ticks into rows.
 ///
 /// # Errors
 /// A log that cannot be read; any error of the rows' destination.
@@ -109,15 +110,15 @@ pub fn read_rows(
     log: &dyn LogSource,
     topic: &str,
     columns: &[Column],
-    (first_tick, last_tick): (u64, Option<u64>),
+    ticks: TickRange,
     rows: &mut dyn Rows,
 ) -> Result<Verdict, LogError> {
     let mut stream = MessageStream::open_topics(log, &[topic.to_owned()], ReadOptions::default())?;
     let dt_ns = stream.header().dt_ns.max(1);
     let mut values = Vec::with_capacity(columns.len());
     while let Some(message) = stream.next_message()? {
-        let tick = message.log_time_ns / dt_ns;
-        if tick < first_tick || last_tick.is_some_and(|last| tick > last) {
+        let tick = Tick(message.log_time_ns / dt_ns);
+        if !ticks.contains(tick) {
             continue;
         }
         values.clear();

@@ -3,24 +3,25 @@
 //! Every state and command carries its tick; every removal, keyframe part and frame carries a number that increases by
 //! one. Missing messages are reported as stretches of ticks, each with its count of missing messages per topic.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt;
 
-use messages::{Frame, Keyframe, Latched, Removed, State};
+use messages::{Frame, Keyframe, Latched, Removed, State, Tick};
 use zerocopy::FromBytes;
 
 use crate::end::EndMarker;
 use crate::limits::MAX_REPORTED;
 use crate::stream::TopicCount;
-use crate::topics;
+use crate::topics::Topic;
 
 /// A stretch of ticks with messages missing from the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stretch {
     /// First tick (`State.tick`).
-    pub first_tick: u64,
+    pub first_tick: Tick,
     /// Last tick, inclusive.
-    pub last_tick: u64,
+    pub last_tick: Tick,
     /// Number of missing messages, by topic.
     pub messages: BTreeMap<&'static str, u64>,
 }
@@ -51,12 +52,13 @@ pub struct Gap {
 /// Sequence numbers of a run lane's messages so far.
 #[derive(Debug, Default)]
 pub(crate) struct Continuity {
-    next_latched: u64,
-    next_state: u64,
+    /// Tick of the next command.
+    next_latched: Tick,
+    next_state: Tick,
     removed: Numbered,
     removed_total: u64,
     /// State whose removals have not arrived.
-    owed: Option<u64>,
+    owed: Option<Tick>,
     keyframe: Numbered,
     frame: Numbered,
     stretches: Vec<Stretch>,
@@ -68,14 +70,14 @@ pub(crate) struct Continuity {
 #[derive(Debug, Default)]
 struct Numbered {
     last: u64,
-    last_tick: u64,
+    last_tick: Tick,
 }
 
 /// Messages that are missing, and where.
 #[derive(Debug, Clone, Copy)]
 struct Missing {
-    first_tick: u64,
-    last_tick: u64,
+    first_tick: Tick,
+    last_tick: Tick,
     count: u64,
     place: Place,
 }
@@ -89,9 +91,16 @@ enum Place {
     Between,
 }
 
+/// Whether removals are among the topics that are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Removals {
+    Read,
+    Skipped,
+}
+
 impl Numbered {
     /// What is missing before this message.
-    fn see(&mut self, number: u64, tick: u64) -> Option<Missing> {
+    fn see(&mut self, number: u64, tick: Tick) -> Option<Missing> {
         let expected = self.last.saturating_add(1);
         let first = self.last_tick.saturating_add(u64::from(self.last > 0));
         (self.last, self.last_tick) = (number, tick);
@@ -105,61 +114,60 @@ impl Numbered {
 }
 
 impl Continuity {
-    /// Checks a message's number.
-    pub fn see(&mut self, topic: &str, body: &[u8]) {
+    /// Checks a message's number; `topic` is none for topics that this build does not know.
+    pub fn see(&mut self, topic: Option<Topic>, body: &[u8]) {
         match topic {
-            topics::LATCHED => {
+            Some(Topic::Latched) => {
                 let Ok(latched) = Latched::read_from_bytes(body) else { return };
                 // u_k leads to state k + 1.
-                let (expected, tick) = (self.next_latched, latched.tick);
+                let (expected, tick) = (self.next_latched, Tick(latched.tick));
                 self.next_latched = tick.saturating_add(1);
-                self.ticks(topics::LATCHED, expected.saturating_add(1), tick.saturating_add(1));
+                self.ticks(Topic::Latched, expected.saturating_add(1), tick.saturating_add(1));
             }
-            topics::STATE => {
+            Some(Topic::State) => {
                 let Ok(state) = State::read_from_bytes(body) else { return };
-                let expected = self.next_state;
-                self.next_state = state.tick.saturating_add(1);
-                self.ticks(topics::STATE, expected, state.tick);
+                let (expected, tick) = (self.next_state, Tick(state.tick));
+                self.next_state = tick.saturating_add(1);
+                self.ticks(Topic::State, expected, tick);
                 if state.removed_total == self.removed_total {
                     self.owed = None;
                 } else {
-                    self.owed.get_or_insert(state.tick);
+                    self.owed.get_or_insert(tick);
                 }
             }
-            topics::REMOVED => {
+            Some(Topic::Removed) => {
                 let Ok((removed, _)) = Removed::read_from_prefix(body) else { return };
                 self.removed_total = removed.removed_total;
-                let missing = self.removed.see(removed.sequence, removed.tick);
+                let missing = self.removed.see(removed.sequence, Tick(removed.tick));
                 // A state that lacks removals and a jump in the removals' numbers are the same loss: count it once.
                 self.owed = self.owed.filter(|_| missing.is_none());
-                self.numbered(topics::REMOVED, missing);
+                self.numbered(Topic::Removed, missing);
             }
-            topics::KEYFRAME => {
+            Some(Topic::Keyframe) => {
                 let Ok((part, _)) = Keyframe::read_from_prefix(body) else { return };
-                let missing = self.keyframe.see(part.sequence, part.tick);
-                self.numbered(topics::KEYFRAME, missing);
+                let missing = self.keyframe.see(part.sequence, Tick(part.tick));
+                self.numbered(Topic::Keyframe, missing);
             }
-            topics::DRR_FRAME => {
+            Some(Topic::DrrFrame) => {
                 let Ok(frame) = Frame::read_from_bytes(body) else { return };
-                let missing = self.frame.see(frame.sequence, frame.tick);
-                self.numbered(topics::DRR_FRAME, missing);
+                let missing = self.frame.see(frame.sequence, Tick(frame.tick));
+                self.numbered(Topic::DrrFrame, missing);
             }
             _ => {}
         }
     }
 
-    /// What is missing. The caller says whether removals are among the topics it reads; `counts` and the end marker
-    /// cover messages after the last one and unnumbered topics.
+    /// What is missing. `counts` and the end marker cover messages after the last one and unnumbered topics.
     pub fn gap(
         &self,
-        reads_removals: bool,
+        removals: Removals,
         counts: &BTreeMap<String, TopicCount>,
         marker: Option<&EndMarker>,
     ) -> Option<Gap> {
         let mut lost: BTreeMap<String, u64> =
             self.lost.iter().map(|(topic, n)| ((*topic).to_owned(), *n)).collect();
-        if reads_removals && self.owed.is_some() {
-            *lost.entry(topics::REMOVED.to_owned()).or_default() += 1;
+        if removals == Removals::Read && self.owed.is_some() {
+            *lost.entry(Topic::Removed.name().to_owned()).or_default() += 1;
         }
         let mut at_least = |topic: &String, n: u64| {
             if n > 0 {
@@ -180,25 +188,31 @@ impl Continuity {
     }
 
     /// A message of a topic that has exactly one message per tick.
-    fn ticks(&mut self, topic: &'static str, expected: u64, found: u64) {
+    fn ticks(&mut self, topic: Topic, expected: Tick, found: Tick) {
         let place = Place::Exact;
-        let missing = match found.checked_sub(expected) {
-            Some(0) => return,
-            Some(count) => Missing { first_tick: expected, last_tick: found - 1, count, place },
+        let missing = match found.cmp(&expected) {
+            Ordering::Equal => return,
+            Ordering::Greater => Missing {
+                first_tick: expected,
+                last_tick: found.saturating_sub(1),
+                count: found.since(expected),
+                place,
+            },
             // The number went backwards.
-            None => Missing { first_tick: found, last_tick: found, count: 1, place },
+            Ordering::Less => Missing { first_tick: found, last_tick: found, count: 1, place },
         };
         self.note(topic, missing);
     }
 
-    fn numbered(&mut self, topic: &'static str, missing: Option<Missing>) {
+    fn numbered(&mut self, topic: Topic, missing: Option<Missing>) {
         if let Some(missing) = missing {
             self.note(topic, missing);
         }
     }
 
     /// Records a loss.
-    fn note(&mut self, topic: &'static str, missing: Missing) {
+    fn note(&mut self, topic: Topic, missing: Missing) {
+        let topic = topic.name();
         let Missing { first_tick: first, last_tick: last, count, place } = missing;
         let total = self.lost.entry(topic).or_default();
         *total = total.saturating_add(count);

@@ -2,6 +2,8 @@
 
 use std::io::Write;
 
+use messages::Tick;
+
 use crate::columns::{Column, Rows};
 use crate::error::LogError;
 use crate::fields::Scalar;
@@ -30,7 +32,7 @@ impl<W: Write> Csv<W> {
 }
 
 impl<W: Write> Rows for Csv<W> {
-    fn row(&mut self, tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+    fn row(&mut self, tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
         write!(self.0, "{tick},{log_time_ns}")?;
         for value in values {
             match value {

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::io::Write;
 
 use foreign_text::{foreign, foreign_line};
-use messages::layout::{Description, Message};
-use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched};
+use messages::layout::Message;
+use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Tick};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare, compare_removed};
@@ -17,7 +17,7 @@ use crate::reader::{LogReader, TickRecord};
 use crate::seal::SEAL;
 use crate::source::LogSource;
 use crate::stream::{MessageStream, ReadOptions};
-use crate::topics;
+use crate::topics::{Logged, Topic};
 use crate::verdict::Verdict;
 use crate::verify::compare_state;
 
@@ -101,9 +101,8 @@ pub fn diff(
     let mut report = DiffReport::default();
     compare_ticks(first, second, options, &mut report)?;
     compare_frames(first, second, options, &mut report)?;
-    for topic in [(topics::KEYFRAME, Keyframe::DESCRIPTION), (topics::DRR_REPLY, DrrReply::DESCRIPTION)] {
-        compare_messages(first, second, topic, options, &mut report)?;
-    }
+    compare_messages::<Keyframe>(first, second, options, &mut report)?;
+    compare_messages::<DrrReply>(first, second, options, &mut report)?;
     Ok(report)
 }
 
@@ -118,7 +117,7 @@ fn compare_ticks(
     out.header = compare_headers(a.stream().metadata(), b.stream().metadata());
     if a.beginning().is_none() && b.beginning().is_none() {
         out.ticks = compare_state(a.initial(), b.initial())
-            .or_else(|| compare_removed(0, a.predrilled(), b.predrilled()));
+            .or_else(|| compare_removed(Tick::START, a.predrilled(), b.predrilled()));
     }
     let (mut x, mut y) = (next_tick(&mut a)?, next_tick(&mut b)?);
     // Ticks that only one log has because the other has a gap there.
@@ -219,10 +218,10 @@ fn compare_headers(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -
 fn compare_tick(a: &TickRecord, b: &TickRecord) -> Option<Divergence> {
     let restored = |tick: &TickRecord| tick.restored.clone().unwrap_or_default();
     let (x, y) = (a.latched.as_bytes(), b.latched.as_bytes());
-    compare(topics::LATCHED, a.latched.tick, Latched::DESCRIPTION, x, y)
+    compare(Topic::Latched, Tick(a.latched.tick), Latched::DESCRIPTION, x, y)
         .or_else(|| compare_state(&a.state, &b.state))
-        .or_else(|| compare_removed(a.state.tick, &restored(a), &restored(b)))
-        .or_else(|| compare_removed(a.state.tick, &a.removed, &b.removed))
+        .or_else(|| compare_removed(Tick(a.state.tick), &restored(a), &restored(b)))
+        .or_else(|| compare_removed(Tick(a.state.tick), &a.removed, &b.removed))
 }
 
 fn compare_frames(
@@ -260,21 +259,20 @@ fn next_frame(reader: &mut FrameReader) -> Result<Option<FrameRecord>, LogError>
 }
 
 /// Compares the messages of a topic in order, byte by byte.
-fn compare_messages(
+fn compare_messages<M: Logged>(
     first: &dyn LogSource,
     second: &dyn LogSource,
-    (topic, description): (&'static str, &'static Description),
     options: ReadOptions,
     out: &mut DiffReport,
 ) -> Result<(), LogError> {
-    let open = |log: &dyn LogSource| MessageStream::open_topics(log, &[topic.to_owned()], options);
+    let open = |log: &dyn LogSource| MessageStream::open_topics(log, &[M::TOPIC.name().to_owned()], options);
     let (mut a, mut b) = (open(first)?, open(second)?);
     let dt_ns = a.header().dt_ns.max(1);
     loop {
         match (a.next_message()?, b.next_message()?) {
             (Some(x), Some(y)) => {
-                let tick = x.log_time_ns / dt_ns;
-                if let Some(divergence) = compare(topic, tick, description, x.body, y.body) {
+                let tick = Tick(x.log_time_ns / dt_ns);
+                if let Some(divergence) = compare(M::TOPIC, tick, M::DESCRIPTION, x.body, y.body) {
                     out.messages.push(divergence);
                     return Ok(());
                 }
@@ -282,7 +280,7 @@ fn compare_messages(
             (None, None) => return Ok(()),
             (more_in_first, _) => {
                 let long = if more_in_first.is_some() { first } else { second };
-                out.remarks.push(format!("{} has more of {topic}", long.path().display()));
+                out.remarks.push(format!("{} has more of {}", long.path().display(), M::TOPIC));
                 return Ok(());
             }
         }
@@ -292,10 +290,10 @@ fn compare_messages(
 /// Compares two frames. A log may hold hashes instead of images; then the frames' own fields decide, including the
 /// hash.
 pub fn compare_frame(a: &FrameRecord, b: &FrameRecord) -> Option<Divergence> {
-    let (tick, frame) = (a.frame.tick, Frame::DESCRIPTION);
-    compare(topics::DRR_FRAME, tick, frame, a.frame.as_bytes(), b.frame.as_bytes()).or_else(|| {
+    let (tick, frame) = (Tick(a.frame.tick), Frame::DESCRIPTION);
+    compare(Topic::DrrFrame, tick, frame, a.frame.as_bytes(), b.frame.as_bytes()).or_else(|| {
         let (x, y) = (a.image.as_ref()?, b.image.as_ref()?);
         let (x, y) = ([x.as_bytes(), &a.pixels].concat(), [y.as_bytes(), &b.pixels].concat());
-        compare(topics::DRR_IMAGE, tick, ImagePrefix::DESCRIPTION, &x, &y)
+        compare(Topic::DrrImage, tick, ImagePrefix::DESCRIPTION, &x, &y)
     })
 }

@@ -1,8 +1,10 @@
 //! Where two messages differ, field by field.
 
+use messages::Tick;
 use messages::layout::{Description, Element};
 
 use crate::fields::{Scalar, element_size};
+use crate::topics::Topic;
 
 /// One scalar that differs.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,9 +34,9 @@ impl std::fmt::Display for FieldDifference {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Divergence {
     /// Topic of the message that differs.
-    pub topic: &'static str,
+    pub topic: Topic,
     /// `State.tick` of the tick.
-    pub tick: u64,
+    pub tick: Tick,
     /// Differing scalars in field order, the chained hash last; at most [`MAX_LISTED`].
     pub differences: Vec<FieldDifference>,
     /// Total number of differing scalars.
@@ -53,8 +55,8 @@ impl std::fmt::Display for Divergence {
 
 /// Compares two messages with the same description; none if all bytes agree.
 pub fn compare(
-    topic: &'static str,
-    tick: u64,
+    topic: Topic,
+    tick: Tick,
     description: &'static Description,
     recorded: &[u8],
     replayed: &[u8],
@@ -77,7 +79,7 @@ pub fn compare(
 }
 
 /// Compares two lists of voxel indices.
-pub fn compare_removed(tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<Divergence> {
+pub fn compare_removed(tick: Tick, recorded: &[u32], replayed: &[u32]) -> Option<Divergence> {
     if recorded == replayed {
         return None;
     }
@@ -89,8 +91,7 @@ pub fn compare_removed(tick: u64, recorded: &[u32], replayed: &[u32]) -> Option<
     }
     found.elements("uint32", "voxel_index", 4, &bytes(recorded), &bytes(replayed));
     found.list.truncate(MAX_LISTED);
-    let topic = crate::topics::REMOVED;
-    Some(Divergence { topic, tick, differences: found.list, total: found.total })
+    Some(Divergence { topic: Topic::Removed, tick, differences: found.list, total: found.total })
 }
 
 /// All differing scalars, in field order, of two tail-less messages with the same description.

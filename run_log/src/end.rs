@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use foreign_text::{foreign, foreign_line};
+use messages::Tick;
 
 use crate::error::LogError;
 use crate::header::Entries;
@@ -69,7 +70,7 @@ pub struct EndMarker {
     /// Why the run ended.
     pub reason: EndReason,
     /// `State.tick` of the last state; in the timing lane, the tick of the last message. None if there was none.
-    pub last_tick: Option<u64>,
+    pub last_tick: Option<Tick>,
     /// `State.hash` of the last state, low word first; none in the timing lane.
     pub hash: Option<[u64; 2]>,
     /// Messages written, by topic.
@@ -115,7 +116,7 @@ impl EndMarker {
         let reason = EndReason::parse(entries.text("reason")?).ok_or_else(wrong_reason)?;
         let last_tick = match entries.text("last_tick")? {
             "" => None,
-            _ => Some(entries.number("last_tick", "a number")?),
+            _ => Some(Tick(entries.number("last_tick", "a number")?)),
         };
         let hash = match entries.text("hash")? {
             "" => None,

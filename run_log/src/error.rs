@@ -4,6 +4,9 @@ use std::io;
 use std::path::PathBuf;
 
 use foreign_text::{foreign, foreign_line};
+use messages::Tick;
+
+use crate::topics::Topic;
 
 /// What went wrong, in which file, and what to do about it.
 #[derive(Debug, thiserror::Error)]
@@ -165,9 +168,9 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
         /// Topic of the missing message.
-        topic: &'static str,
+        topic: Topic,
         /// `tick` that the missing message carries.
-        tick: u64,
+        tick: Tick,
         /// What was found in its place.
         found: String,
     },

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use messages::services::{FRAME, STATE};
-use messages::{DrrReply, DrrStatus, Frame};
+use messages::{DrrReply, DrrStatus, Frame, Tick};
 
 use crate::header::{LogHeader, RunMode};
 
@@ -35,14 +35,14 @@ pub(crate) enum Due {
 /// A waiting message, and the tick after which to write it.
 #[derive(Debug)]
 struct Held<T> {
-    due: u64,
+    due: Tick,
     message: T,
 }
 
 /// A reply and its tick in the log.
 #[derive(Debug)]
 pub(crate) struct PlacedReply {
-    pub tick: u64,
+    pub tick: Tick,
     pub reply: DrrReply,
 }
 
@@ -58,7 +58,7 @@ pub(crate) struct FrameWithImage {
 pub(crate) struct FrameOrder {
     lag_ticks: u64,
     /// Tick of the last state written.
-    tick: Option<u64>,
+    tick: Option<Tick>,
     replies: VecDeque<Held<PlacedReply>>,
     frames: VecDeque<Held<FrameWithImage>>,
     held_bytes: usize,
@@ -71,7 +71,7 @@ impl FrameOrder {
     }
 
     /// Notes that the state of this tick has been written.
-    pub fn tick(&mut self, tick: u64) {
+    pub fn tick(&mut self, tick: Tick) {
         self.tick = Some(tick);
     }
 
@@ -80,10 +80,10 @@ impl FrameOrder {
     /// A refusal may name a tick that never comes. It is written at the tick of its arrival so that it does not block
     /// later replies.
     pub fn reply(&mut self, reply: &DrrReply) {
-        let now = self.tick.unwrap_or(0);
-        let comes =
-            reply.status() == Ok(DrrStatus::Accepted) || reply.tick <= now.saturating_add(self.lag_ticks);
-        let tick = if comes { reply.tick } else { now };
+        let now = self.tick.unwrap_or(Tick::START);
+        let comes = reply.status() == Ok(DrrStatus::Accepted)
+            || Tick(reply.tick) <= now.saturating_add(self.lag_ticks);
+        let tick = if comes { Tick(reply.tick) } else { now };
         let due = tick.saturating_add(self.lag_ticks);
         let due = self.replies.back().map_or(due, |earlier| due.max(earlier.due));
         self.replies.push_back(Held { due, message: PlacedReply { tick, reply: *reply } });
@@ -91,7 +91,7 @@ impl FrameOrder {
 
     /// Queues a frame, with its image if images are logged. Frames are written in order of arrival.
     pub fn frame(&mut self, frame: &Frame, image: Option<&[u8]>) {
-        let due = frame.tick.saturating_add(self.lag_ticks);
+        let due = Tick(frame.tick).saturating_add(self.lag_ticks);
         let due = self.frames.back().map_or(due, |earlier| due.max(earlier.due));
         self.held_bytes += image.map_or(0, <[u8]>::len);
         let message = FrameWithImage { frame: *frame, image: image.map(<[u8]>::to_vec) };
@@ -112,7 +112,7 @@ impl FrameOrder {
     }
 }
 
-fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<u64>, due: Due) -> Option<T> {
+fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<Tick>, due: Due) -> Option<T> {
     let first = held.front()?;
     let is_due = due == Due::All || tick.is_some_and(|tick| first.due <= tick);
     if is_due { held.pop_front().map(|held| held.message) } else { None }
@@ -120,14 +120,14 @@ fn take_due<T>(held: &mut VecDeque<Held<T>>, tick: Option<u64>, due: Due) -> Opt
 
 #[cfg(test)]
 mod tests {
-    use messages::{DrrReply, DrrStatus};
+    use messages::{DrrReply, DrrStatus, Tick};
 
     use super::{Due, FrameOrder};
 
     fn order() -> FrameOrder {
         FrameOrder {
             lag_ticks: 10,
-            tick: Some(100),
+            tick: Some(Tick(100)),
             replies: Default::default(),
             frames: Default::default(),
             held_bytes: 0,
@@ -144,9 +144,9 @@ mod tests {
         order.reply(&reply(103, refused));
         let mut written = Vec::new();
         for tick in 101..120 {
-            order.tick(tick);
+            order.tick(Tick(tick));
             while let Some(placed) = order.next_reply(Due::AtItsTick) {
-                written.push((tick, placed.tick, placed.reply.tick));
+                written.push((tick, placed.tick.0, placed.reply.tick));
             }
         }
         assert_eq!(written, [(110, 100, u64::MAX), (114, 104, 104), (114, 103, 103)]);

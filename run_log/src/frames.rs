@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use messages::{Frame, ImagePrefix};
+use messages::{Frame, ImagePrefix, Tick};
 use zerocopy::FromBytes;
 
 use crate::end::Ending;
@@ -10,7 +10,7 @@ use crate::error::LogError;
 use crate::header::LogHeader;
 use crate::source::LogSource;
 use crate::stream::{MessageStream, ReadOptions};
-use crate::topics;
+use crate::topics::Topic;
 use crate::verdict::Verdict;
 
 /// One frame with its pixels.
@@ -78,8 +78,8 @@ impl FrameReader {
         }
         while let Some(message) = self.stream.next_message()? {
             let without_image = |frame| FrameRecord { frame, image: None, pixels: Vec::new() };
-            match message.topic {
-                topics::DRR_FRAME => {
+            match message.known {
+                Some(Topic::DrrFrame) => {
                     let Ok(frame) = Frame::read_from_bytes(message.body) else { continue };
                     let expected = std::mem::replace(&mut self.expected, frame.sequence.saturating_add(1));
                     if frame.sequence != expected {
@@ -87,8 +87,8 @@ impl FrameReader {
                         self.before_gap = self.pending.replace(frame);
                         return Err(LogError::Gap {
                             path,
-                            topic: topics::DRR_FRAME,
-                            tick: frame.tick,
+                            topic: Topic::DrrFrame,
+                            tick: Tick(frame.tick),
                             found,
                         });
                     }
@@ -96,12 +96,12 @@ impl FrameReader {
                         return Ok(Some(without_image(previous)));
                     }
                 }
-                topics::DRR_IMAGE => {
+                Some(Topic::DrrImage) => {
                     let Ok((image, pixels)) = ImagePrefix::read_from_prefix(message.body) else { continue };
                     let Some(frame) = self.pending.take() else {
-                        let tick = message.log_time_ns / self.stream.header().dt_ns.max(1);
+                        let tick = Tick(message.log_time_ns / self.stream.header().dt_ns.max(1));
                         let found = "an image without its frame".to_string();
-                        return Err(LogError::Gap { path, topic: topics::DRR_FRAME, tick, found });
+                        return Err(LogError::Gap { path, topic: Topic::DrrFrame, tick, found });
                     };
                     return Ok(Some(FrameRecord { frame, image: Some(image), pixels: pixels.to_vec() }));
                 }

@@ -71,12 +71,12 @@ impl Summary {
     /// What this build's writer declares in a run lane: schemas and channels numbered from 1 in topic order.
     pub fn of_run_lane() -> Summary {
         let mut summary = Summary::default();
-        for (id, (topic, description)) in (1..).zip(topics::RUN) {
-            let (name, text) = topics::schema_of(description);
+        for (id, topic) in (1..).zip(topics::RUN) {
+            let (name, text) = topics::schema_of(topic.description());
             let header = SchemaHeader { id, name: name.to_string(), encoding: "ros2msg".to_string() };
             summary.schemas.insert(id, (header, text.into_bytes()));
-            let (topic, message_encoding) = (topic.to_string(), "cdr".to_string());
-            let metadata = topics::channel_metadata(description);
+            let metadata = topics::channel_metadata(topic.description());
+            let (topic, message_encoding) = (topic.name().to_string(), "cdr".to_string());
             summary.channels.insert(id, Channel { id, schema_id: id, topic, message_encoding, metadata });
         }
         summary

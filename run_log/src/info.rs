@@ -44,7 +44,7 @@ pub fn info(log: &dyn LogSource, options: ReadOptions) -> Result<LogInfo, LogErr
         match stream.next_message() {
             Ok(Some(message)) => {
                 end_ns = message.log_time_ns.max(end_ns);
-                misses.take(message.topic, message.body);
+                misses.take(message.known, message.body);
             }
             Ok(None) => break None,
             Err(error) => break Some(error),

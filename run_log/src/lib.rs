@@ -117,6 +117,7 @@ pub use mcap_writer::IndexStore;
 pub use misses::{Cause, LostTime, Misses};
 pub use opening::HeaderCopy;
 pub use reader::{LogReader, SavedState, TickRecord};
+pub use records::PADDING_BYTES;
 pub use repair::RepairReport;
 pub use rewrite::Packing;
 pub use run_lane::RunLog;
@@ -124,5 +125,6 @@ pub use segments::{SegmentOptions, SegmentReport, keyframe_before, verify_segmen
 pub use source::{LogBytes, LogSource, ReadSeek};
 pub use stream::{LogMessage, MessageStream, ReadOptions};
 pub use timing_lane::TimingLog;
+pub use topics::Topic;
 pub use verdict::{Fault, Verdict, verdict};
 pub use verify::{ReplayReport, VerifyOptions, verify};

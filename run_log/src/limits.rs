@@ -8,6 +8,7 @@ use std::path::Path;
 use mcap::records::{Channel, SchemaHeader};
 
 use crate::error::LogError;
+use crate::records::MAX_RECORD_BYTES;
 
 /// Longest name of a topic, schema, encoding, attachment or metadata record. ROS names have at most 255 bytes.
 pub(crate) const MAX_NAME_BYTES: usize = 256;
@@ -25,6 +26,11 @@ pub(crate) const MAX_SCENE_BYTES: usize = 16 << 20;
 pub(crate) const MAX_INDEX_BYTES: u64 = 64 << 20;
 /// Maximum number of damaged pieces, and of stretches of missing ticks, that a report lists.
 pub(crate) const MAX_REPORTED: usize = 64;
+
+const _: () = assert!(MAX_NAME_BYTES > 255, "every ROS name fits");
+const _: () = assert!(MAX_DECLARATION_BYTES <= MAX_DECLARED_BYTES);
+const _: () =
+    assert!(MAX_SCENE_BYTES as u64 <= MAX_RECORD_BYTES && MAX_METADATA_BYTES as u64 <= MAX_RECORD_BYTES);
 
 /// How many declarations a reader keeps so far.
 #[derive(Debug, Default)]

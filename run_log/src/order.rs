@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use messages::services::STATE;
+use messages::services::{LATCHED, REMOVED, STATE};
 use messages::{Latched, Removed, Reset, Restores, State};
 use zerocopy::FromBytes;
 
@@ -10,6 +10,8 @@ use zerocopy::FromBytes;
 /// limit exceeds a queue's length because, after a pause, the recorder may drain one whole queue before it reads the
 /// next.
 const MAX_WAITING: usize = 2 * STATE.lossless_length;
+
+const _: () = assert!(MAX_WAITING > LATCHED.lossless_length && MAX_WAITING > REMOVED.lossless_length);
 
 /// Whether more messages can come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

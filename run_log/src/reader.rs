@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Keyframe, Latched, Removed, Reset, Restores, State};
+use messages::{Keyframe, Latched, Removed, Reset, Restores, State, Tick};
 use zerocopy::FromBytes;
 
 use crate::end::Ending;
@@ -11,7 +11,7 @@ use crate::error::LogError;
 use crate::header::LogHeader;
 use crate::source::LogSource;
 use crate::stream::{LogMessage, MessageStream, ReadOptions};
-use crate::topics;
+use crate::topics::Topic;
 
 /// One complete tick.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,7 +30,7 @@ pub struct TickRecord {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedState {
     /// `State.tick` of the saved state.
-    pub tick: u64,
+    pub tick: Tick,
     /// `State.hash` of that state, low word first.
     pub hash: [u64; 2],
     /// The physics' serialized state, opaque to this crate.
@@ -45,7 +45,7 @@ pub struct LogReader {
     stream: MessageStream,
     initial: State,
     predrilled: Vec<u32>,
-    last: u64,
+    last: Tick,
     pending: Pending,
     /// Maximum number of voxels that a tick can remove.
     voxels: u64,
@@ -103,7 +103,7 @@ impl LogReader {
                 stream,
                 initial,
                 predrilled,
-                last: 0,
+                last: Tick::START,
                 pending,
                 voxels,
                 beginning: None,
@@ -115,7 +115,7 @@ impl LogReader {
                     stream,
                     initial: State::zeroed(),
                     predrilled: Vec::new(),
-                    last: 0,
+                    last: Tick::START,
                     pending: Pending::default(),
                     voxels,
                     beginning: None,
@@ -148,13 +148,14 @@ impl LogReader {
                     LogError::NoInitialState { path }
                 });
             };
-            if message.topic == topics::LATCHED {
-                return Err(gap(&path, topics::STATE, 0, "a command comes first"));
+            if message.known == Some(Topic::Latched) {
+                return Err(gap(&path, Topic::State, Tick::START, "a command comes first"));
             }
             match pending.take(&path, &message, None)? {
                 Some(state) if state.tick == 0 => break state,
                 Some(state) => {
-                    return Err(gap(&path, topics::STATE, 0, &format!("state {} comes first", state.tick)));
+                    let found = format!("state {} comes first", state.tick);
+                    return Err(gap(&path, Topic::State, Tick::START, &found));
                 }
                 None => pending.check_size(stream, voxels)?,
             }
@@ -181,18 +182,18 @@ impl LogReader {
         let mut state: Option<Box<State>> = None;
         let mut pending = Pending::default();
         while let Some(message) = self.stream.next_message()? {
-            match message.topic {
-                topics::STATE => state = State::read_from_bytes(message.body).ok().map(Box::new),
-                topics::KEYFRAME => {
+            match message.known {
+                Some(Topic::State) => state = State::read_from_bytes(message.body).ok().map(Box::new),
+                Some(Topic::Keyframe) => {
                     let Some(state) = &state else { continue };
                     // Skip keyframes of other states.
-                    let _ = pending.take_keyframe_part(&path, message.body, Some(state.tick));
+                    let _ = pending.take_keyframe_part(&path, message.body, Some(Tick(state.tick)));
                     if let Some(keyframe) = pending.whole_keyframe()
                         && keyframe.hash == state.hash
                     {
                         let found = Resumption { state: state.clone(), keyframe: keyframe.clone() };
                         pending.removed_total = state.removed_total;
-                        (self.pending, self.last, self.done) = (pending, state.tick, false);
+                        (self.pending, self.last, self.done) = (pending, Tick(state.tick), false);
                         return Ok(Some(found));
                     }
                 }
@@ -230,7 +231,7 @@ impl LogReader {
     }
 
     /// `State.tick` of the last complete tick so far.
-    pub fn last_complete_tick(&self) -> u64 {
+    pub fn last_complete_tick(&self) -> Tick {
         self.last
     }
 
@@ -246,17 +247,17 @@ impl LogReader {
                 self.pending.check_size(&self.stream, self.voxels)?;
                 continue;
             };
-            let tick = state.tick;
+            let tick = Tick(state.tick);
             let Some(latched) = self.pending.latched.take() else {
                 return Err(gap(
                     &path,
-                    topics::LATCHED,
+                    Topic::Latched,
                     self.last,
                     &format!("state {tick} follows without it"),
                 ));
             };
-            if self.last.checked_add(1) != Some(tick) {
-                return Err(gap(&path, topics::STATE, self.last.saturating_add(1), &format!("state {tick}")));
+            if self.last.0.checked_add(1) != Some(tick.0) {
+                return Err(gap(&path, Topic::State, self.last.saturating_add(1), &format!("state {tick}")));
             }
             let (removed, restored) = self.pending.removed_of(&path, &state, latched.reset())?;
             self.last = tick;
@@ -272,34 +273,34 @@ impl Pending {
         &mut self,
         path: &Path,
         message: &LogMessage<'_>,
-        last: Option<u64>,
+        last: Option<Tick>,
     ) -> Result<Option<State>, LogError> {
-        match message.topic {
-            topics::LATCHED => {
+        match message.known {
+            Some(Topic::Latched) => {
                 let Ok(latched) = Latched::read_from_bytes(message.body) else { return Ok(None) };
                 if let Some(previous) = &self.latched {
                     let found = format!("latched {} follows latched {}", latched.tick, previous.tick);
-                    return Err(gap(path, topics::STATE, previous.tick.saturating_add(1), &found));
+                    return Err(gap(path, Topic::State, Tick(previous.tick).saturating_add(1), &found));
                 }
-                let expected = last.unwrap_or(0);
-                if latched.tick != expected {
-                    return Err(gap(path, topics::LATCHED, expected, &format!("latched {}", latched.tick)));
+                let expected = last.unwrap_or(Tick::START);
+                if Tick(latched.tick) != expected {
+                    return Err(gap(path, Topic::Latched, expected, &format!("latched {}", latched.tick)));
                 }
                 self.latched = Some(latched);
             }
-            topics::REMOVED => {
+            Some(Topic::Removed) => {
                 let Ok((removed, tail)) = Removed::read_from_prefix(message.body) else { return Ok(None) };
                 let expected = self.removal_count.map_or(removed.sequence, |count| count.saturating_add(1));
                 self.removal_count = Some(removed.sequence);
                 if removed.sequence != expected {
                     let found = format!("message {}, expected {expected}", removed.sequence);
-                    return Err(gap(path, topics::REMOVED, removed.tick, &found));
+                    return Err(gap(path, Topic::Removed, Tick(removed.tick), &found));
                 }
-                let tick = last.map_or(0, |last| last.saturating_add(1));
-                if removed.tick != tick {
+                let tick = last.map_or(Tick::START, |last| last.saturating_add(1));
+                if Tick(removed.tick) != tick {
                     return Err(gap(
                         path,
-                        topics::STATE,
+                        Topic::State,
                         tick,
                         &format!("a removal of tick {}", removed.tick),
                     ));
@@ -308,8 +309,8 @@ impl Pending {
                 self.held += voxels.len().max(1) as u64;
                 self.removals.push((removed, voxels));
             }
-            topics::KEYFRAME => self.take_keyframe_part(path, message.body, last)?,
-            topics::STATE => return Ok(State::read_from_bytes(message.body).ok()),
+            Some(Topic::Keyframe) => self.take_keyframe_part(path, message.body, last)?,
+            Some(Topic::State) => return Ok(State::read_from_bytes(message.body).ok()),
             _ => (),
         }
         Ok(None)
@@ -327,12 +328,14 @@ impl Pending {
 
     /// Takes a part of the keyframe of state `last`. If an earlier part is missing, the keyframe is dropped: ticks
     /// need it only as a starting point, and the loss is counted elsewhere.
-    fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<u64>) -> Result<(), LogError> {
+    fn take_keyframe_part(&mut self, path: &Path, body: &[u8], last: Option<Tick>) -> Result<(), LogError> {
         let Ok((head, data)) = Keyframe::read_from_prefix(body) else { return Ok(()) };
         let expected = self.keyframe_parts.map(|parts| parts.saturating_add(1));
         self.keyframe_parts = Some(head.sequence);
         let begun = match &self.keyframe {
-            Some((saved, _)) if head.offset_bytes > 0 && saved.tick == head.tick => Some(saved.bytes.len()),
+            Some((saved, _)) if head.offset_bytes > 0 && saved.tick == Tick(head.tick) => {
+                Some(saved.bytes.len())
+            }
             _ => None,
         };
         let total = head.total_bytes as usize;
@@ -340,16 +343,16 @@ impl Pending {
             && head.offset_bytes as usize + data.len() <= total
             && total <= MAX_KEYFRAME_BYTES;
         let is_lost = expected != Some(head.sequence) || (begun.is_none() && head.offset_bytes > 0);
-        if Some(head.tick) != last || (!fits && !is_lost) {
+        if Some(Tick(head.tick)) != last || (!fits && !is_lost) {
             let found = format!("part {} of tick {}, byte {}", head.sequence, head.tick, head.offset_bytes);
-            return Err(gap(path, topics::KEYFRAME, head.tick, &found));
+            return Err(gap(path, Topic::Keyframe, Tick(head.tick), &found));
         }
         if !fits {
             self.keyframe = None;
             return Ok(());
         }
         if begun.is_none() {
-            let saved = SavedState { tick: head.tick, hash: head.hash, bytes: Vec::new() };
+            let saved = SavedState { tick: Tick(head.tick), hash: head.hash, bytes: Vec::new() };
             self.keyframe = Some((saved, total));
         }
         if let Some((saved, _)) = &mut self.keyframe {
@@ -372,7 +375,7 @@ impl Pending {
         state: &State,
         reset: Reset,
     ) -> Result<(Vec<u32>, Option<Vec<u32>>), LogError> {
-        let missing = |found: String| gap(path, topics::REMOVED, state.tick, &found);
+        let missing = |found: String| gap(path, Topic::Removed, Tick(state.tick), &found);
         let removals = std::mem::take(&mut self.removals);
         self.held = 0;
         let total = removals.last().map_or(self.removed_total, |(removed, _)| removed.removed_total);
@@ -433,6 +436,6 @@ pub fn voxel_indices(tail: &[u8]) -> Vec<u32> {
     tail.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
 }
 
-fn gap(path: &Path, topic: &'static str, tick: u64, found: &str) -> LogError {
+fn gap(path: &Path, topic: Topic, tick: Tick, found: &str) -> LogError {
     LogError::Gap { path: path.into(), topic, tick, found: found.to_string() }
 }

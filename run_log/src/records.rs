@@ -24,7 +24,7 @@ use crate::unpack::unpack;
 pub(crate) const MAX_RECORD_BYTES: u64 = MAX_MESSAGE_BYTES as u64 + (16 << 20);
 pub(crate) const RECORD_HEADER: usize = 9;
 /// A log still being written ends in fewer zeros than one block of the recorder's file (`recorder_proc::background`).
-const PADDING_BYTES: u64 = 4096;
+pub const PADDING_BYTES: u64 = 4096;
 /// Bytes of the footer's fields that its checksum covers.
 const FOOTER_COVERED: usize = 8 + 8;
 

@@ -11,8 +11,8 @@ use std::io::{Read, Seek, Write};
 use std::path::Path;
 
 use foreign_text::{foreign, foreign_line};
-use messages::State;
 use messages::layout::{CDR_LITTLE_ENDIAN, Message};
+use messages::{State, Tick};
 use zerocopy::FromBytes;
 
 use crate::end::{Cut, END_RECORD, EndMarker, EndReason, REPAIR_RECORD};
@@ -26,7 +26,7 @@ use crate::records::Attached;
 use crate::rewrite::{Packing, Rewriter};
 use crate::source::LogSource;
 use crate::stream::ReadOptions;
-use crate::topics;
+use crate::topics::Topic;
 use crate::verdict::{Fault, Verdict, verdict};
 use crate::walk::{Lost, Piece, walk};
 
@@ -62,9 +62,9 @@ pub struct RepairReport {
     pub marker: Option<EndMarker>,
     /// Last tick up to which every tick is complete and can be replayed; none in the timing lane and without an
     /// initial state.
-    pub complete_tick: Option<u64>,
+    pub complete_tick: Option<Tick>,
     /// Tick of the last state found.
-    pub last_tick: Option<u64>,
+    pub last_tick: Option<Tick>,
 }
 
 impl RepairReport {
@@ -128,7 +128,7 @@ impl RepairReport {
         self.after = verdict(repaired, options)?;
         if let Ok(mut reader) = LogReader::open_with(repaired, options) {
             let complete = reader.by_ref().take_while(Result::is_ok).count() as u64;
-            self.complete_tick = Some(complete);
+            self.complete_tick = Some(Tick(complete));
         }
         Ok(())
     }
@@ -305,12 +305,12 @@ impl Survey {
         // A number that goes backwards is not a gap; reading the result will judge it.
         count.lost += if jump < u32::MAX / 2 { u64::from(jump) } else { 0 };
         count.recovered += 1;
-        if topic == topics::STATE
+        if Topic::of_name(topic) == Some(Topic::State)
             && let Some(body) = data.strip_prefix(CDR_LITTLE_ENDIAN.as_slice())
             && body.len() == State::DESCRIPTION.size
             && let Ok(state) = State::read_from_bytes(body)
         {
-            self.report.last_tick = Some(state.tick);
+            self.report.last_tick = Some(Tick(state.tick));
             self.last_state = Some(Box::new(state));
         }
     }

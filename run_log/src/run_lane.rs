@@ -5,7 +5,7 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 use messages::layout::Message;
-use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State};
+use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, State, Tick};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::end::{EndMarker, EndReason};
@@ -15,7 +15,7 @@ use crate::header::LogHeader;
 use crate::mcap_writer::IndexStore;
 use crate::order::{Ordered, Supply, TickOrder};
 use crate::sink::Sink;
-use crate::topics;
+use crate::topics::{self, Topic};
 
 /// The deterministic lane of a run, being written.
 ///
@@ -31,7 +31,7 @@ pub struct RunLog<W: Write> {
     sink: Sink<W>,
     ticks: TickOrder,
     frames: FrameOrder,
-    keyframes: VecDeque<(u64, Vec<u8>)>,
+    keyframes: VecDeque<(Tick, Vec<u8>)>,
     places: Places,
     channels: Channels,
     last: Option<State>,
@@ -91,7 +91,7 @@ impl<W: Write> RunLog<W> {
         header: &LogHeader,
     ) -> Result<RunLog<W>, LogError> {
         let mut sink = Sink::create(w, path, index, header, "run")?;
-        let mut channel = |i: usize| sink.channel(topics::RUN[i].0, topics::RUN[i].1);
+        let mut channel = |i: usize| sink.channel(topics::RUN[i].name(), topics::RUN[i].description());
         let channels = Channels {
             latched: channel(0)?,
             state: channel(1)?,
@@ -151,7 +151,7 @@ impl<W: Write> RunLog<W> {
             Err(_) => Some(size),
         };
         if let Some(expected) = expected {
-            return Err(self.wrong_size(topics::REMOVED, message.len(), expected));
+            return Err(self.wrong_size(Topic::Removed, message.len(), expected));
         }
         self.ticks.removed(message);
         self.write_ticks(Supply::Open)
@@ -162,14 +162,14 @@ impl<W: Write> RunLog<W> {
         let size = Keyframe::DESCRIPTION.size;
         match Keyframe::read_from_prefix(message) {
             Ok((head, data)) if data.len() == head.data_length as usize => {
-                self.keyframes.push_back((head.tick, message.to_vec()));
-                if self.places == Places::AsGiven { self.write_keyframes(head.tick) } else { Ok(()) }
+                self.keyframes.push_back((Tick(head.tick), message.to_vec()));
+                if self.places == Places::AsGiven { self.write_keyframes(Tick(head.tick)) } else { Ok(()) }
             }
             Ok((head, _)) => {
                 let expected = size + head.data_length as usize;
-                Err(self.wrong_size(topics::KEYFRAME, message.len(), expected))
+                Err(self.wrong_size(Topic::Keyframe, message.len(), expected))
             }
-            Err(_) => Err(self.wrong_size(topics::KEYFRAME, message.len(), size)),
+            Err(_) => Err(self.wrong_size(Topic::Keyframe, message.len(), size)),
         }
     }
 
@@ -183,14 +183,14 @@ impl<W: Write> RunLog<W> {
     pub fn frame(&mut self, payload: &[u8]) -> Result<(), LogError> {
         let smallest = Frame::DESCRIPTION.size + ImagePrefix::DESCRIPTION.size;
         let Ok((frame, image)) = Frame::read_from_prefix(payload) else {
-            return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), smallest));
+            return Err(self.wrong_size(Topic::DrrFrame, payload.len(), smallest));
         };
         let Ok((prefix, pixels)) = ImagePrefix::read_from_prefix(image) else {
-            return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), smallest));
+            return Err(self.wrong_size(Topic::DrrFrame, payload.len(), smallest));
         };
         if pixels.len() != prefix.data_length as usize {
             let expected = smallest + prefix.data_length as usize;
-            return Err(self.wrong_size(topics::DRR_FRAME, payload.len(), expected));
+            return Err(self.wrong_size(Topic::DrrFrame, payload.len(), expected));
         }
         self.frames.frame(&frame, Some(image));
         self.write_frames(self.places.due())
@@ -225,14 +225,14 @@ impl<W: Write> RunLog<W> {
         lost: &BTreeMap<String, u64>,
     ) -> Result<(EndMarker, W), LogError> {
         self.write_ticks(Supply::Ended)?;
-        self.write_keyframes(u64::MAX)?;
+        self.write_keyframes(Tick(u64::MAX))?;
         self.write_frames(Due::All)?;
         let mut all: BTreeMap<String, u64> = self.lost.iter().map(|(k, n)| (k.to_string(), *n)).collect();
         for (topic, &count) in lost.iter().filter(|(_, count)| **count > 0) {
             let entry = all.entry(topic.clone()).or_default();
             *entry = count.max(*entry);
         }
-        let last_tick = self.last.as_ref().map(|state| state.tick);
+        let last_tick = self.last.as_ref().map(|state| Tick(state.tick));
         let hash = self.last.as_ref().map(|state| state.hash);
         let marker = EndMarker {
             reason,
@@ -264,7 +264,7 @@ impl<W: Write> RunLog<W> {
 
     /// Writes the keyframes of states up to this one in a chunk of their own, so that reading states does not read
     /// keyframes.
-    fn write_keyframes(&mut self, tick: u64) -> Result<(), LogError> {
+    fn write_keyframes(&mut self, tick: Tick) -> Result<(), LogError> {
         if self.keyframes.front().is_none_or(|(of, _)| *of > tick) {
             return Ok(());
         }
@@ -277,7 +277,7 @@ impl<W: Write> RunLog<W> {
         {
             if let Ok((head, _)) = Keyframe::read_from_prefix(&message) {
                 let missed = head.sequence.saturating_sub(self.expected.keyframe_sequence);
-                self.count_lost(topics::KEYFRAME, missed);
+                self.count_lost(Topic::Keyframe, missed);
                 self.expected.keyframe_sequence = head.sequence.saturating_add(1);
             }
             self.sink.message(self.channels.keyframe, of, &[&message])?;
@@ -286,37 +286,37 @@ impl<W: Write> RunLog<W> {
     }
 
     fn write_latched(&mut self, latched: &Latched) -> Result<(), LogError> {
-        self.write_keyframes(latched.tick)?;
+        self.write_keyframes(Tick(latched.tick))?;
         let missed = latched.tick.saturating_sub(self.expected.latched_tick);
-        self.count_lost(topics::LATCHED, missed);
+        self.count_lost(Topic::Latched, missed);
         self.expected.latched_tick = latched.tick.saturating_add(1);
-        self.sink.message(self.channels.latched, latched.tick, &[latched.as_bytes()])
+        self.sink.message(self.channels.latched, Tick(latched.tick), &[latched.as_bytes()])
     }
 
     fn write_removed(&mut self, message: &[u8]) -> Result<(), LogError> {
         let Ok((removed, _)) = Removed::read_from_prefix(message) else {
-            return Err(self.wrong_size(topics::REMOVED, message.len(), Removed::DESCRIPTION.size));
+            return Err(self.wrong_size(Topic::Removed, message.len(), Removed::DESCRIPTION.size));
         };
         let missed = removed.sequence.saturating_sub(self.expected.removed_sequence);
-        self.count_lost(topics::REMOVED, missed);
+        self.count_lost(Topic::Removed, missed);
         self.expected.removed_sequence = removed.sequence.saturating_add(1);
-        self.sink.message(self.channels.removed, removed.tick, &[message])
+        self.sink.message(self.channels.removed, Tick(removed.tick), &[message])
     }
 
     fn write_state(&mut self, state: &State) -> Result<(), LogError> {
         let missed = state.tick.saturating_sub(self.expected.state_tick);
-        self.count_lost(topics::STATE, missed);
+        self.count_lost(Topic::State, missed);
         self.expected.state_tick = state.tick.saturating_add(1);
-        self.sink.message(self.channels.state, state.tick, &[state.as_bytes()])?;
+        self.sink.message(self.channels.state, Tick(state.tick), &[state.as_bytes()])?;
         let is_first = self.last.is_none();
         self.last = Some(*state);
-        self.frames.tick(state.tick);
+        self.frames.tick(Tick(state.tick));
         self.write_frames(Due::AtItsTick)?;
         // Closing the chunk here puts the initial state on disk even if the run starts paused.
         match self.places {
             Places::AsGiven => Ok(()),
             Places::ByTick if is_first => self.sink.close_chunk(),
-            Places::ByTick => self.sink.end_tick(state.tick),
+            Places::ByTick => self.sink.end_tick(Tick(state.tick)),
         }
     }
 
@@ -326,25 +326,25 @@ impl<W: Write> RunLog<W> {
         }
         while let Some(FrameWithImage { frame, image }) = self.frames.next_frame(due) {
             let missed = frame.sequence.saturating_sub(self.expected.frame_sequence);
-            self.count_lost(topics::DRR_FRAME, missed);
+            self.count_lost(Topic::DrrFrame, missed);
             self.expected.frame_sequence = frame.sequence.saturating_add(1);
-            self.sink.message(self.channels.frame, frame.tick, &[frame.as_bytes()])?;
+            self.sink.message(self.channels.frame, Tick(frame.tick), &[frame.as_bytes()])?;
             let Some(image) = image else { continue };
             // Images get chunks of their own, so that reading states does not read pixels.
             self.sink.close_chunk()?;
-            self.sink.message(self.channels.image, frame.tick, &[&image])?;
+            self.sink.message(self.channels.image, Tick(frame.tick), &[&image])?;
             self.sink.close_chunk()?;
         }
         Ok(())
     }
 
-    fn count_lost(&mut self, topic: &'static str, count: u64) {
+    fn count_lost(&mut self, topic: Topic, count: u64) {
         if count > 0 {
-            *self.lost.entry(topic).or_default() += count;
+            *self.lost.entry(topic.name()).or_default() += count;
         }
     }
 
-    fn wrong_size(&self, topic: &str, given: usize, expected: usize) -> LogError {
+    fn wrong_size(&self, topic: Topic, given: usize, expected: usize) -> LogError {
         LogError::Message {
             path: self.sink.path().into(),
             topic: topic.to_string(),

@@ -13,14 +13,14 @@ use std::sync::{Mutex, PoisonError};
 
 use messages::layout::Message;
 use messages::services::MAX_KEYFRAME_BYTES;
-use messages::{Keyframe, Plant, State};
+use messages::{Keyframe, Plant, State, Tick};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare};
 use crate::end::Ending;
 use crate::error::LogError;
 use crate::reader::{LogReader, SavedState, TickRecord};
-use crate::topics;
+use crate::topics::Topic;
 use crate::verify::{ReplayReport, compare_state, compare_tick};
 
 /// Ticks handed to a worker at once.
@@ -36,7 +36,7 @@ pub struct SegmentOptions {
     /// Keyframe of this log to begin at ([`keyframe_before`]); none for the start.
     pub start: Option<SavedState>,
     /// Last tick (`State.tick`) to replay; none for all.
-    pub to_tick: Option<u64>,
+    pub to_tick: Option<Tick>,
     /// Number of segments replayed in parallel, at least 1.
     pub threads: usize,
 }
@@ -47,7 +47,7 @@ pub struct SegmentReport {
     /// The same report as a replay in one pass; its ticks are those after `first_tick`.
     pub replay: ReplayReport,
     /// `State.tick` at which the replay began.
-    pub first_tick: u64,
+    pub first_tick: Tick,
     /// Keyframes whose bytes are identical.
     pub identical_keyframes: u64,
     /// Gaps in the log, up to the last tick replayed.
@@ -58,14 +58,14 @@ pub struct SegmentReport {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Passed {
     /// Last complete tick before the gap; none if the start of the log is missing.
-    pub after: Option<u64>,
+    pub after: Option<Tick>,
     /// Tick of the next keyframe, where the replay resumed; none if there is none.
-    pub resumed: Option<u64>,
+    pub resumed: Option<Tick>,
 }
 
 impl std::fmt::Display for Passed {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let first = self.after.map_or(0, |after| after.saturating_add(1));
+        let first = self.after.map_or(Tick::START, |after| after.saturating_add(1));
         match self.resumed {
             Some(tick) => {
                 write!(f, "not replayed: ticks {first} to {tick}; continued at the keyframe of tick {tick}")
@@ -74,7 +74,7 @@ impl std::fmt::Display for Passed {
                 write!(
                     f,
                     "not replayed: everything after tick {}, because no keyframe follows",
-                    self.after.unwrap_or(0)
+                    self.after.unwrap_or(Tick::START)
                 )
             }
         }
@@ -83,16 +83,16 @@ impl std::fmt::Display for Passed {
 
 /// The last keyframe of a log at or before a tick. Consumes the reader. If the log cannot be read beyond that point, the replay
 /// reports why.
-pub fn keyframe_before(mut reader: LogReader, tick: u64) -> Option<SavedState> {
+pub fn keyframe_before(mut reader: LogReader, tick: Tick) -> Option<SavedState> {
     let mut found = None;
     loop {
         let record = reader.next();
         found = reader.take_keyframe().filter(|saved| saved.tick <= tick).or(found);
         match record {
-            Some(Ok(record)) if record.state.tick <= tick => (),
+            Some(Ok(record)) if Tick(record.state.tick) <= tick => (),
             Some(Err(LogError::Gap { .. })) => match reader.go_on() {
                 // The keyframe comes with the next tick.
-                Ok(Some(behind)) if behind.state.tick <= tick => (),
+                Ok(Some(behind)) if Tick(behind.state.tick) <= tick => (),
                 _ => return found,
             },
             _ => return found,
@@ -118,19 +118,28 @@ enum Block {
     Keyframe(SavedState),
 }
 
+/// What reading the log came to.
+struct Read {
+    /// Tick at which the replay began.
+    first_tick: Tick,
+    /// Why the log could not be read further.
+    log_error: Option<LogError>,
+    gaps: Vec<Passed>,
+}
+
 /// The result of replaying a segment.
 struct Outcome {
-    start_tick: u64,
+    start_tick: Tick,
     identical_ticks: u64,
     keyframes: u64,
-    last_tick: u64,
+    last_tick: Tick,
     hash: [u64; 2],
     problem: Option<Problem>,
 }
 
 enum Problem {
     Differs(Divergence),
-    Cannot(u64, String),
+    Cannot(Tick, String),
 }
 
 /// Replays a log from its start or a keyframe on several threads. Compares the hash, every byte of the state and the
@@ -141,8 +150,8 @@ pub fn verify_segments<S: Plant>(
     make: &(impl Fn() -> Result<S, String> + Sync),
     options: &SegmentOptions,
 ) -> SegmentReport {
-    let bound = AtomicU64::new(options.to_tick.unwrap_or(u64::MAX));
-    let first_tick = options.start.as_ref().or(reader.beginning()).map_or(0, |start| start.tick);
+    let bound = AtomicU64::new(options.to_tick.map_or(u64::MAX, |to| to.0));
+    let first_tick = options.start.as_ref().or(reader.beginning()).map_or(Tick::START, |start| start.tick);
     let mut gaps = Vec::new();
     let (queue, segments) = sync_channel::<Segment>(1);
     let segments = Mutex::new(segments);
@@ -155,7 +164,8 @@ pub fn verify_segments<S: Plant>(
         });
         (read, outcomes.collect())
     });
-    merge(reader, (first_tick, options), (read, gaps), outcomes)
+    let read = Read { first_tick, log_error: read, gaps };
+    merge(reader, options, read, outcomes)
 }
 
 /// Reads the log and queues its segments, resuming after gaps; returns why the log could not be read further.
@@ -192,10 +202,10 @@ fn feed(
             }
         };
         let record = if last.tick < bound.load(Ordering::Relaxed) { reader.next() } else { None };
-        let keyframe = reader.take_keyframe().filter(|saved| saved.tick == last.tick);
-        let starts_here = options.start.as_ref().is_some_and(|start| start.tick == last.tick);
+        let keyframe = reader.take_keyframe().filter(|saved| saved.tick.0 == last.tick);
+        let starts_here = options.start.as_ref().is_some_and(|start| start.tick.0 == last.tick);
         has_begun |= starts_here;
-        let begins_here = starts_here || (has_begun && resumed == Some(last.tick));
+        let begins_here = starts_here || (has_begun && resumed == Some(Tick(last.tick)));
         if let Some(saved) = keyframe
             && (blocks.is_some() || begins_here)
         {
@@ -219,10 +229,10 @@ fn feed(
             Some(Err(LogError::Gap { .. })) => {
                 hand_over(&blocks, Block::Ticks(std::mem::take(&mut waiting)));
                 blocks = None;
-                let after = Some(last.tick);
+                let after = Some(Tick(last.tick));
                 match reader.go_on() {
                     Ok(behind) => {
-                        resumed = behind.as_ref().map(|behind| behind.state.tick);
+                        resumed = behind.as_ref().map(|behind| Tick(behind.state.tick));
                         if has_begun {
                             gaps.push(Passed { after, resumed });
                         }
@@ -266,14 +276,15 @@ fn work<S: Plant>(
                 // Restoring a tampered keyframe may panic inside the simulation.
                 let replayed = AssertUnwindSafe(|| outcome.replay(it, segment));
                 if std::panic::catch_unwind(replayed).is_err() {
-                    outcome.problem = Some(Problem::Cannot(outcome.last_tick + 1, PANICKED.to_owned()));
+                    outcome.problem =
+                        Some(Problem::Cannot(outcome.last_tick.saturating_add(1), PANICKED.to_owned()));
                     simulation = Err(PANICKED.to_owned());
                 }
             }
             Err(cause) => outcome.problem = Some(Problem::Cannot(outcome.start_tick, cause.clone())),
         }
         if let Some(problem) = &outcome.problem {
-            bound.fetch_min(problem.tick(), Ordering::Relaxed);
+            bound.fetch_min(problem.tick().0, Ordering::Relaxed);
         }
         outcomes.push(outcome);
     }
@@ -282,17 +293,17 @@ fn work<S: Plant>(
 impl Outcome {
     fn new(start: &Start) -> Outcome {
         Outcome {
-            start_tick: start.state.tick,
+            start_tick: Tick(start.state.tick),
             identical_ticks: 0,
             keyframes: 0,
-            last_tick: start.state.tick,
+            last_tick: Tick(start.state.tick),
             hash: start.state.hash,
             problem: None,
         }
     }
 
     /// The outcome of a worker that died: nothing it replayed is proven.
-    fn without_worker(start_tick: u64) -> Outcome {
+    fn without_worker(start_tick: Tick) -> Outcome {
         Outcome {
             start_tick,
             identical_ticks: 0,
@@ -321,13 +332,13 @@ impl Outcome {
 
     fn tick<S: Plant>(&mut self, simulation: &mut S, recorded: &TickRecord) -> Option<Problem> {
         if let Err(cause) = simulation.step(&recorded.latched) {
-            return Some(Problem::Cannot(recorded.state.tick, cause.to_string()));
+            return Some(Problem::Cannot(Tick(recorded.state.tick), cause.to_string()));
         }
         if let Some(divergence) = compare_tick(recorded, simulation) {
             return Some(Problem::Differs(divergence));
         }
         self.identical_ticks += 1;
-        self.last_tick = recorded.state.tick;
+        self.last_tick = Tick(recorded.state.tick);
         self.hash = recorded.state.hash;
         None
     }
@@ -339,7 +350,7 @@ impl Outcome {
             Ok(length) => {
                 let bytes = buffer[..length].to_vec();
                 let replayed =
-                    SavedState { tick: simulation.state().tick, hash: simulation.state().hash, bytes };
+                    SavedState { tick: Tick(simulation.state().tick), hash: simulation.state().hash, bytes };
                 self.keyframes += u64::from(replayed == *recorded);
                 compare_keyframe(recorded, &replayed).map(Problem::Differs)
             }
@@ -348,7 +359,7 @@ impl Outcome {
 }
 
 impl Problem {
-    fn tick(&self) -> u64 {
+    fn tick(&self) -> Tick {
         match self {
             Problem::Differs(divergence) => divergence.tick,
             Problem::Cannot(tick, _) => *tick,
@@ -360,7 +371,7 @@ impl Problem {
 pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<Divergence> {
     let message = |saved: &SavedState| {
         let head = Keyframe {
-            tick: saved.tick,
+            tick: saved.tick.0,
             hash: saved.hash,
             total_bytes: saved.bytes.len() as u32,
             data_length: saved.bytes.len() as u32,
@@ -369,16 +380,17 @@ pub fn compare_keyframe(recorded: &SavedState, replayed: &SavedState) -> Option<
         [head.as_bytes(), &saved.bytes].concat()
     };
     let (a, b) = (message(recorded), message(replayed));
-    compare(topics::KEYFRAME, recorded.tick, Keyframe::DESCRIPTION, &a, &b)
+    compare(Topic::Keyframe, recorded.tick, Keyframe::DESCRIPTION, &a, &b)
 }
 
 /// Merges the segments in order, up to the first problem.
 fn merge(
     reader: &LogReader,
-    (first_tick, options): (u64, &SegmentOptions),
-    (log_error, gaps): (Option<LogError>, Vec<Passed>),
+    options: &SegmentOptions,
+    read: Read,
     mut outcomes: Vec<Outcome>,
 ) -> SegmentReport {
+    let Read { first_tick, log_error, gaps } = read;
     outcomes.sort_by_key(|outcome| outcome.start_tick);
     let mut report = SegmentReport {
         replay: ReplayReport {

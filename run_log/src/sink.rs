@@ -5,12 +5,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use mcap::records::MessageHeader;
+use messages::Tick;
 use messages::layout::{CDR_LITTLE_ENDIAN, Description};
+use messages::services::{EVENT, KEYFRAME, REMOVED};
 
 use crate::end::{END_RECORD, EndMarker};
 use crate::error::LogError;
 use crate::header::{CALIBRATION_ATTACHMENT, HEADER_RECORD, LogHeader, SCENE_ATTACHMENT};
 use crate::mcap_writer::{IndexStore, McapWriter};
+use crate::records::MAX_RECORD_BYTES;
 use crate::topics;
 
 /// Declares that all channels are `cdr` with `ros2msg` schemas; `rosbags` opens no file without it.
@@ -28,6 +31,17 @@ const CHUNK_NS: u64 = 100_000_000;
 const CHUNK_BYTES: usize = 4 << 20;
 /// Longest message that is logged. Readers refuse longer records, so that a damaged length cannot exhaust memory.
 pub(crate) const MAX_MESSAGE_BYTES: usize = 128 << 20;
+
+// What every session can send is logged; a frame's size depends on its scene.
+const _: () = assert!(
+    REMOVED.max_bytes < MAX_MESSAGE_BYTES
+        && KEYFRAME.max_bytes < MAX_MESSAGE_BYTES
+        && EVENT.max_bytes < MAX_MESSAGE_BYTES
+);
+const _: () = assert!(
+    MAX_RECORD_BYTES > (CHUNK_BYTES + MAX_MESSAGE_BYTES) as u64,
+    "a chunk that is closed behind the longest message can be read"
+);
 
 struct Channel {
     topic: String,
@@ -122,7 +136,7 @@ impl<W: Write> Sink<W> {
     }
 
     /// Writes a message, given as consecutive parts, at a tick's time.
-    pub fn message(&mut self, channel: usize, tick: u64, parts: &[&[u8]]) -> Result<(), LogError> {
+    pub fn message(&mut self, channel: usize, tick: Tick, parts: &[&[u8]]) -> Result<(), LogError> {
         self.scratch.clear();
         self.scratch.extend_from_slice(&CDR_LITTLE_ENDIAN);
         parts.iter().for_each(|part| self.scratch.extend_from_slice(part));
@@ -133,7 +147,7 @@ impl<W: Write> Sink<W> {
             let topic = channel.topic.clone();
             return Err(LogError::Message { path: self.path.clone(), topic, given, expected });
         }
-        let time = tick.saturating_mul(self.dt_ns);
+        let time = tick.0.saturating_mul(self.dt_ns);
         let sequence = channel.count as u32;
         let header = MessageHeader { channel_id: channel.id, sequence, log_time: time, publish_time: time };
         let written = self.writer.message(&header, &self.scratch);
@@ -144,8 +158,8 @@ impl<W: Write> Sink<W> {
     }
 
     /// Ends a tick: closes the chunk every 100 ms and whenever it is large.
-    pub fn end_tick(&mut self, tick: u64) -> Result<(), LogError> {
-        let chunk = tick / self.chunk_ticks;
+    pub fn end_tick(&mut self, tick: Tick) -> Result<(), LogError> {
+        let chunk = tick.0 / self.chunk_ticks;
         if chunk <= self.last_chunk && self.chunk_bytes < CHUNK_BYTES {
             return Ok(());
         }

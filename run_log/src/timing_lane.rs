@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use messages::layout::Description;
+use messages::layout::{Description, Message};
+use messages::{Command, Tick};
 
 use crate::end::{EndMarker, EndReason};
 use crate::error::LogError;
@@ -12,12 +13,13 @@ use crate::fields::message_size;
 use crate::header::LogHeader;
 use crate::mcap_writer::IndexStore;
 use crate::sink::Sink;
+use crate::topics::Topic;
 
 /// The wall-clock lane of a run, being written. Its log times are simulated time too, so that both files share an
 /// axis; its contents are not reproducible.
 pub struct TimingLog<W: Write> {
     sink: Sink<W>,
-    last_tick: Option<u64>,
+    last_tick: Option<Tick>,
 }
 
 impl<W: Write> TimingLog<W> {
@@ -37,11 +39,20 @@ impl<W: Write> TimingLog<W> {
     }
 
     /// Writes a message's bytes, struct and tail. `tick` is `State.tick` of the newest state when the message arrived.
-    pub fn message(
+    pub fn message(&mut self, topic: Topic, tick: Tick, message: &[u8]) -> Result<(), LogError> {
+        self.write(topic.name(), topic.description(), tick, message)
+    }
+
+    /// As [`message`](Self::message), for a command on its controller's topic ([`command`](crate::topics::command)).
+    pub fn command(&mut self, topic: &str, tick: Tick, message: &[u8]) -> Result<(), LogError> {
+        self.write(topic, Command::DESCRIPTION, tick, message)
+    }
+
+    fn write(
         &mut self,
         topic: &str,
         description: &'static Description,
-        tick: u64,
+        tick: Tick,
         message: &[u8],
     ) -> Result<(), LogError> {
         let expected = message_size(description, message);

@@ -1,57 +1,115 @@
-//! Topic names of the two logs.
+//! The topics of the two logs: their names, and which message each carries.
 
 use std::collections::BTreeMap;
+use std::fmt::{self, Display, Formatter};
 
 use messages::layout::{Description, Element, Message};
-use messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Removed, SENSOR_MSGS_IMAGE_SCHEMA, State};
+use messages::{
+    DrrReply, DrrRequest, Event, Frame, FrameTiming, ImagePrefix, Keyframe, Latched, Removed, RunControl,
+    RunControlReply, RunStatus, SENSOR_MSGS_IMAGE_SCHEMA, State, TickTiming,
+};
 
-/// u_k, before the state that it leads to.
-pub const LATCHED: &str = "/latched";
-/// The state after each tick, and the initial one.
-pub const STATE: &str = "/state";
-/// The voxels removed in a tick.
-pub const REMOVED: &str = "/removed";
-/// A periodic snapshot of everything that the physics keeps between ticks; a replay can start from it.
-pub const KEYFRAME: &str = "/keyframe";
-/// Which tick a frame will show.
-pub const DRR_REPLY: &str = "/drr/reply";
-/// Metadata of a frame.
-pub const DRR_FRAME: &str = "/drr/frame";
-/// The frame's pixels, as sensor_msgs/msg/Image.
-pub const DRR_IMAGE: &str = "/drr/image";
+/// A message with one topic of its own. [`messages::Command`] has one a controller: [`command`].
+pub trait Logged: Message {
+    /// Its topic.
+    const TOPIC: Topic;
+}
 
-/// `TickTiming` of the timing lane.
-pub const TICK_TIMING: &str = "/timing/tick";
-/// `FrameTiming` of the timing lane.
-pub const FRAME_TIMING: &str = "/timing/frame";
-/// `Event` of the timing lane.
-pub const EVENT: &str = "/event";
-/// `RunControl` of the timing lane.
-pub const RUN_CONTROL: &str = "/run/control";
-/// `RunControlReply` of the timing lane.
-pub const RUN_CONTROL_REPLY: &str = "/run/control_reply";
-/// `RunStatus` of the timing lane.
-pub const RUN_STATUS: &str = "/run/status";
-/// `DrrRequest` of the timing lane.
-pub const DRR_REQUEST: &str = "/drr/request";
+/// Declares the topics, each with its name and its message.
+macro_rules! topics {
+    ($($(#[$doc:meta])* $topic:ident: $message:ident = $name:literal;)*) => {
+        /// A topic of the two logs. A controller's commands have topics named after it: [`command`].
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum Topic {
+            $($(#[$doc])* $topic,)*
+        }
+
+        impl Topic {
+            /// All of them.
+            pub const ALL: &'static [Topic] = &[$(Topic::$topic),*];
+
+            /// Its name in a log.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Topic::$topic => $name,)*
+                }
+            }
+
+            /// Its message.
+            pub const fn description(self) -> &'static Description {
+                match self {
+                    $(Topic::$topic => $message::DESCRIPTION,)*
+                }
+            }
+        }
+
+        $(impl Logged for $message {
+            const TOPIC: Topic = Topic::$topic;
+        })*
+    };
+}
+
+topics! {
+    /// u_k, before the state that it leads to.
+    Latched: Latched = "/latched";
+    /// The state after each tick, and the initial one.
+    State: State = "/state";
+    /// The voxels removed in a tick.
+    Removed: Removed = "/removed";
+    /// Which tick a frame will show.
+    DrrReply: DrrReply = "/drr/reply";
+    /// Metadata of a frame.
+    DrrFrame: Frame = "/drr/frame";
+    /// The frame's pixels, as sensor_msgs/msg/Image.
+    DrrImage: ImagePrefix = "/drr/image";
+    /// A periodic snapshot of everything that the physics keeps between ticks; a replay can start from it.
+    Keyframe: Keyframe = "/keyframe";
+    /// `TickTiming` of the timing lane.
+    TickTiming: TickTiming = "/timing/tick";
+    /// `FrameTiming` of the timing lane.
+    FrameTiming: FrameTiming = "/timing/frame";
+    /// `Event` of the timing lane.
+    Event: Event = "/event";
+    /// `RunControl` of the timing lane.
+    RunControl: RunControl = "/run/control";
+    /// `RunControlReply` of the timing lane.
+    RunControlReply: RunControlReply = "/run/control_reply";
+    /// `RunStatus` of the timing lane.
+    RunStatus: RunStatus = "/run/status";
+    /// `DrrRequest` of the timing lane.
+    DrrRequest: DrrRequest = "/drr/request";
+}
+
+impl Topic {
+    /// The topic of this name; none for a controller's commands and for names that this build does not know.
+    pub fn of_name(name: &str) -> Option<Topic> {
+        Topic::ALL.iter().copied().find(|topic| topic.name() == name)
+    }
+}
+
+impl Display for Topic {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
 
 /// `Command` of one controller in the timing lane.
 pub fn command(controller: &str) -> String {
     format!("/command/{controller}")
 }
 
-/// Schema name of [`DRR_IMAGE`].
+/// Schema name of [`Topic::DrrImage`].
 pub const IMAGE_SCHEMA_NAME: &str = "sensor_msgs/msg/Image";
 
 /// The topics of `run.mcap`, in the order in which their channels are declared.
-pub const RUN: [(&str, &Description); 7] = [
-    (LATCHED, Latched::DESCRIPTION),
-    (STATE, State::DESCRIPTION),
-    (REMOVED, Removed::DESCRIPTION),
-    (DRR_REPLY, DrrReply::DESCRIPTION),
-    (DRR_FRAME, Frame::DESCRIPTION),
-    (DRR_IMAGE, ImagePrefix::DESCRIPTION),
-    (KEYFRAME, Keyframe::DESCRIPTION),
+pub const RUN: [Topic; 7] = [
+    Topic::Latched,
+    Topic::State,
+    Topic::Removed,
+    Topic::DrrReply,
+    Topic::DrrFrame,
+    Topic::DrrImage,
+    Topic::Keyframe,
 ];
 
 /// Schema name and text under which a message is logged: its own, except that images use sensor_msgs/msg/Image.

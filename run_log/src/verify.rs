@@ -1,14 +1,14 @@
 //! Replay: steps a simulation through a log's latched commands and compares every tick.
 
 use messages::layout::Message;
-use messages::{Plant, State};
+use messages::{Plant, State, Tick};
 use zerocopy::IntoBytes;
 
 use crate::difference::{Divergence, compare, compare_removed};
 use crate::end::Ending;
 use crate::error::LogError;
 use crate::reader::{LogReader, TickRecord};
-use crate::topics;
+use crate::topics::Topic;
 
 /// How far to replay.
 #[derive(Debug, Clone, Copy, Default)]
@@ -23,7 +23,7 @@ pub struct ReplayReport {
     /// Ticks whose hash, state bytes and removals are identical.
     pub identical_ticks: u64,
     /// `State.tick` of the last identical tick.
-    pub last_tick: u64,
+    pub last_tick: Tick,
     /// Simulated time of the identical ticks.
     pub simulated_ns: u64,
     /// Chained hash of the last identical state, low word first.
@@ -31,7 +31,7 @@ pub struct ReplayReport {
     /// The first tick that differs.
     pub divergence: Option<Divergence>,
     /// Tick that the simulation failed to compute, and why.
-    pub simulation_error: Option<(u64, String)>,
+    pub simulation_error: Option<(Tick, String)>,
     /// Why the log could not be read further (a gap, damage).
     pub log_error: Option<LogError>,
     /// How the file ends, if it was read to its end.
@@ -50,7 +50,7 @@ impl ReplayReport {
 pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: VerifyOptions) -> ReplayReport {
     let mut report = ReplayReport {
         identical_ticks: 0,
-        last_tick: 0,
+        last_tick: Tick::START,
         simulated_ns: 0,
         hash: reader.initial().hash,
         divergence: compare_state(reader.initial(), simulation.state()),
@@ -70,13 +70,13 @@ pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: Veri
             }
             Some(Ok(tick)) => {
                 if let Err(cause) = simulation.step(&tick.latched) {
-                    report.simulation_error = Some((tick.state.tick, cause.to_string()));
+                    report.simulation_error = Some((Tick(tick.state.tick), cause.to_string()));
                     break;
                 }
                 report.divergence = compare_tick(&tick, simulation);
                 if report.divergence.is_none() {
                     report.identical_ticks += 1;
-                    report.last_tick = tick.state.tick;
+                    report.last_tick = Tick(tick.state.tick);
                     report.hash = tick.state.hash;
                 }
             }
@@ -89,11 +89,11 @@ pub fn verify(reader: &mut LogReader, simulation: &mut impl Plant, options: Veri
 /// Where a simulation's last tick differs from the recorded one.
 pub fn compare_tick(recorded: &TickRecord, replayed: &impl Plant) -> Option<Divergence> {
     compare_state(&recorded.state, replayed.state())
-        .or_else(|| compare_removed(recorded.state.tick, &recorded.removed, replayed.removed()))
+        .or_else(|| compare_removed(Tick(recorded.state.tick), &recorded.removed, replayed.removed()))
 }
 
 /// Where two states of a tick differ.
 pub fn compare_state(recorded: &State, replayed: &State) -> Option<Divergence> {
     let (a, b) = (recorded.as_bytes(), replayed.as_bytes());
-    compare(topics::STATE, recorded.tick, State::DESCRIPTION, a, b)
+    compare(Topic::State, Tick(recorded.tick), State::DESCRIPTION, a, b)
 }

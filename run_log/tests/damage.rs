@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use common::*;
+use messages::Tick;
 use run_log::*;
 
 /// Chunk ends of a whole file with the last state tick in each: found by walking the record lengths here and by
@@ -47,7 +48,7 @@ fn a_log_cut_anywhere_reads_up_to_the_last_complete_tick() {
         };
         let ticks = reader.by_ref().map(Result::unwrap).count() as u64;
         assert_eq!(ticks + 1, states, "cut at {cut}");
-        assert_eq!(reader.last_complete_tick(), ticks);
+        assert_eq!(reader.last_complete_tick(), Tick(ticks));
         let found = reader.ending().cut.expect("a cut file says so");
         assert_eq!(found.offset + found.incomplete_bytes, cut as u64);
         readable += 1;
@@ -98,25 +99,25 @@ fn without(steps: &[Step], drop: impl Fn(&Step) -> bool) -> (LogError, u64, EndM
     let error = reader.by_ref().find_map(Result::err).expect("a gap is never silent");
     assert!(reader.next().is_none());
     println!("{error}");
-    (error, reader.last_complete_tick(), marker)
+    (error, reader.last_complete_tick().0, marker)
 }
 
 #[test]
 fn a_missing_message_is_named_and_counted() {
     let steps = run_messages(300, None);
     let (error, last, marker) = without(&steps, |s| matches!(s, Step::Latched(m) if m.tick == 120));
-    assert!(matches!(error, LogError::Gap { topic: "/latched", tick: 120, .. }));
+    assert!(matches!(error, LogError::Gap { topic: Topic::Latched, tick: Tick(120), .. }));
     assert_eq!((last, marker.lost), (120, BTreeMap::from([("/latched".to_string(), 1)])));
 
     let (error, last, marker) =
         without(&steps, |s| matches!(s, Step::State(m) if (50..53).contains(&m.tick)));
-    assert!(matches!(error, LogError::Gap { topic: "/state", tick: 50, .. }));
+    assert!(matches!(error, LogError::Gap { topic: Topic::State, tick: Tick(50), .. }));
     assert_eq!((last, marker.lost), (49, BTreeMap::from([("/state".to_string(), 3)])));
 
     // Removals happen at ticks 3, 10, 17, …, after the two messages of tick 0.
     let steps_17 = removed_bytes(17, 5, 19, &[1700, 1701, 1702, 1703, 1704]);
     let (error, last, marker) = without(&steps, |s| matches!(s, Step::Removed(m) if *m == steps_17));
-    assert!(matches!(error, LogError::Gap { topic: "/removed", tick: 17, .. }));
+    assert!(matches!(error, LogError::Gap { topic: Topic::Removed, tick: Tick(17), .. }));
     assert_eq!((last, marker.lost), (16, BTreeMap::from([("/removed".to_string(), 1)])));
 
     let both = |s: &Step| match s {
@@ -125,13 +126,13 @@ fn a_missing_message_is_named_and_counted() {
         _ => false,
     };
     let (error, last, marker) = without(&steps, both);
-    assert!(matches!(error, LogError::Gap { topic: "/latched", tick: 200, .. }));
+    assert!(matches!(error, LogError::Gap { topic: Topic::Latched, tick: Tick(200), .. }));
     let lost = BTreeMap::from([("/latched".to_string(), 1), ("/state".to_string(), 1)]);
     assert_eq!((last, marker.lost), (200, lost));
 
     let initial: Vec<Step> = steps[3..].to_vec();
     let error = open_bytes(&write_log(&initial)).err().unwrap();
-    assert!(matches!(error, LogError::Gap { topic: "/state", tick: 0, .. }), "{error}");
+    assert!(matches!(error, LogError::Gap { topic: Topic::State, tick: Tick(0), .. }), "{error}");
 }
 
 /// An untrusted log may compress endless removals into few bytes and never write a state.
@@ -141,10 +142,9 @@ fn removals_that_no_volume_can_hold_are_refused() {
         let header = LogHeader { volume_dimensions: dimensions, ..header() };
         let mut log = TimingLog::create(Vec::new(), &header).unwrap();
         let indices: Vec<u32> = vec![7; voxels];
-        let description = <messages::Removed as messages::layout::Message>::DESCRIPTION;
         for sequence in 1..=messages {
             let bytes = removed_bytes(0, sequence, sequence * voxels as u64, &indices);
-            log.message("/removed", description, 0, &bytes).unwrap();
+            log.message(Topic::Removed, Tick::START, &bytes).unwrap();
         }
         log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1
     };
@@ -175,7 +175,7 @@ fn a_missing_frame_is_named_and_counted() {
     let path = named("run.mcap", &write_log(&steps));
     let items: Vec<_> = frames(&path, ReadOptions::default()).unwrap().collect();
     assert_eq!(items.len(), 3);
-    assert!(matches!(items[2], Err(LogError::Gap { topic: "/drr/frame", tick: 141, .. })));
+    assert!(matches!(items[2], Err(LogError::Gap { topic: Topic::DrrFrame, tick: Tick(141), .. })));
     let info = info(&path, ReadOptions::default()).unwrap();
     assert_eq!(info.ending.marker.unwrap().lost["/drr/frame"], 1);
 }

@@ -10,8 +10,7 @@ use std::path::Path;
 use std::rc::Rc;
 
 use common::*;
-use messages::FrameTiming;
-use messages::layout::Message;
+use messages::{FrameTiming, Tick};
 use run_log::*;
 use zerocopy::{FromZeros, IntoBytes};
 
@@ -48,7 +47,7 @@ fn many_chunks(chunks: u64) -> Vec<u8> {
     let mut log = TimingLog::create(Vec::new(), &header()).unwrap();
     let timing = FrameTiming::new_zeroed();
     for chunk in 0..chunks {
-        log.message("/timing/frame", FrameTiming::DESCRIPTION, chunk, timing.as_bytes()).unwrap();
+        log.message(Topic::FrameTiming, Tick(chunk), timing.as_bytes()).unwrap();
         log.flush().unwrap();
     }
     log.finish(EndReason::Completed, &BTreeMap::new()).unwrap().1

@@ -14,7 +14,10 @@ fn a_run_replays_bit_for_bit() {
     let mut reader = open_bytes(&write_log(&run_messages(900, Some(400)))).unwrap();
     let report = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
     assert!(report.is_identical() && report.ending.is_complete());
-    assert_eq!((report.identical_ticks, report.last_tick, report.simulated_ns), (900, 900, 900_000_000));
+    assert_eq!(
+        (report.identical_ticks, report.last_tick, report.simulated_ns),
+        (900, Tick(900), 900_000_000)
+    );
     let mut reader = open_bytes(&write_log(&run_messages(50, None))).unwrap();
     let report = verify(&mut reader, &mut Toy::new(), VerifyOptions { max_ticks: Some(20) });
     assert_eq!((report.identical_ticks, report.is_identical()), (20, true));
@@ -27,7 +30,7 @@ fn the_first_difference_is_named_with_its_bits() {
     let report = verify(&mut reader, &mut toy, VerifyOptions::default());
     let divergence = report.divergence.unwrap();
     println!("{divergence}");
-    assert_eq!((report.identical_ticks, divergence.tick), (122, 123));
+    assert_eq!((report.identical_ticks, divergence.tick), (122, Tick(123)));
     let first = &divergence.differences[0];
     assert_eq!(first.path, "t_world_link[7].position_m[2]");
     assert_eq!(first.ulps, Some(1));
@@ -40,7 +43,7 @@ fn the_first_difference_is_named_with_its_bits() {
     let mut toy = Toy { forget_tick: Some(52), ..Toy::new() };
     let divergence = verify(&mut reader, &mut toy, VerifyOptions::default()).divergence.unwrap();
     println!("{divergence}");
-    assert_eq!((divergence.tick, divergence.differences[1].path.as_str()), (52, "removed_in_tick"));
+    assert_eq!((divergence.tick, divergence.differences[1].path.as_str()), (Tick(52), "removed_in_tick"));
 }
 
 /// A simulation that computes the right state but reports the wrong voxels.
@@ -82,7 +85,7 @@ fn removed_voxels_are_compared_too() {
     let divergence =
         verify(&mut reader, &mut WrongVoxels(Toy::new()), VerifyOptions::default()).divergence.unwrap();
     println!("{divergence}");
-    assert_eq!((divergence.topic, divergence.tick, divergence.total), ("/removed", 31, 1));
+    assert_eq!((divergence.topic, divergence.tick, divergence.total), (Topic::Removed, Tick(31), 1));
     assert_eq!(divergence.differences[0].path, "voxel_index[2]");
 }
 
@@ -94,12 +97,12 @@ fn a_replay_of_a_damaged_log_is_not_identical() {
     let mut reader = open_bytes(&write_log(&kept)).unwrap();
     let report = verify(&mut reader, &mut Toy::new(), VerifyOptions::default());
     assert_eq!((report.identical_ticks, report.is_identical()), (76, false));
-    assert!(matches!(report.log_error, Some(LogError::Gap { tick: 77, .. })));
+    assert!(matches!(report.log_error, Some(LogError::Gap { tick: Tick(77), .. })));
 
     let mut reader = open_bytes(&write_log(&run_messages(60, None))).unwrap();
     let report =
         verify(&mut reader, &mut Toy { fail_tick: Some(31), ..Toy::new() }, VerifyOptions::default());
-    assert_eq!(report.simulation_error, Some((31, "the toy is broken".to_string())));
+    assert_eq!(report.simulation_error, Some((Tick(31), "the toy is broken".to_string())));
     assert_eq!((report.identical_ticks, report.is_identical()), (30, false));
 }
 
@@ -156,7 +159,7 @@ fn diff_finds_the_first_difference_of_two_logs() {
     let report = diff(&a, &b, ReadOptions::default()).unwrap();
     println!("{}", text(&report));
     let divergence = report.ticks.as_ref().unwrap();
-    assert_eq!((divergence.topic, divergence.tick, report.identical_ticks), ("/latched", 44, 44));
+    assert_eq!((divergence.topic, divergence.tick, report.identical_ticks), (Topic::Latched, Tick(44), 44));
     assert_eq!(divergence.differences[0].path, "commands[0].command.tendon_force_n[1]");
     assert_eq!(divergence.differences[0].ulps, Some(1 << 50));
     assert_eq!(report.frames.as_ref().unwrap().differences[0].path, "data[1279]");
@@ -223,8 +226,7 @@ fn cat_writes_selected_fields_as_json() {
     let options = CatOptions {
         topics: vec!["/state".to_string()],
         fields: vec!["t_world_link[7].position_m".to_string(), "removed_total".to_string()],
-        first_tick: 51,
-        last_tick: Some(53),
+        ticks: TickRange { first: Tick(51), last: Some(Tick(53)) },
         ..CatOptions::default()
     };
     let found = lines(&options);
@@ -236,7 +238,10 @@ fn cat_writes_selected_fields_as_json() {
     assert_eq!(bits, toy.state.t_world_link[7].position_m.map(f64::to_bits));
     assert_eq!(found[0]["message"]["removed_total"], toy.state.removed_total);
 
-    let all = lines(&CatOptions { first_tick: 3, last_tick: Some(3), ..CatOptions::default() });
+    let all = lines(&CatOptions {
+        ticks: TickRange { first: Tick(3), last: Some(Tick(3)) },
+        ..CatOptions::default()
+    });
     let topics: Vec<&str> = all.iter().map(|line| line["topic"].as_str().unwrap()).collect();
     assert_eq!(topics, ["/removed", "/state", "/latched"]);
     assert_eq!(all[0]["message"]["voxel_index"], serde_json::json!([300, 301, 302, 303, 304]));
@@ -259,7 +264,7 @@ fn differences_of_one_byte_name_one_field() {
         for at in 0..description.size {
             let mut changed = zeros.clone();
             changed[at] = 1;
-            let found = difference::compare("/x", 0, description, &zeros, &changed).unwrap();
+            let found = difference::compare(Topic::State, Tick(0), description, &zeros, &changed).unwrap();
             // The count of a missing tail is a field like any other.
             assert_eq!(found.total, 1, "{} byte {at}", description.name);
             let place = fields::find(description, &found.differences[0].path).unwrap();
@@ -267,5 +272,8 @@ fn differences_of_one_byte_name_one_field() {
         }
     }
     let state = State::zeroed();
-    assert!(difference::compare("/x", 0, State::DESCRIPTION, state.as_bytes(), state.as_bytes()).is_none());
+    assert!(
+        difference::compare(Topic::State, Tick(0), State::DESCRIPTION, state.as_bytes(), state.as_bytes())
+            .is_none()
+    );
 }

@@ -28,11 +28,11 @@ fn ticks_come_back_bit_for_bit() {
         assert_eq!((tick.state.tick, tick.restored), (k + 1, None));
     }
     assert!(reader.next().is_none());
-    assert_eq!(reader.last_complete_tick(), 1234);
+    assert_eq!(reader.last_complete_tick(), Tick(1234));
     let ending = reader.ending();
     assert!(ending.is_complete());
     let marker = ending.marker.as_ref().unwrap();
-    assert_eq!((marker.last_tick, marker.hash), (Some(1234), Some(toy.state.hash)));
+    assert_eq!((marker.last_tick, marker.hash), (Some(Tick(1234)), Some(toy.state.hash)));
     assert_eq!(marker.counts["/state"], 1235);
     assert_eq!(marker.counts["/latched"], 1234);
     assert_eq!(marker.counts["/drr/image"], 31);
@@ -143,12 +143,12 @@ fn the_timing_lane_takes_any_message() {
         let mut timing = TickTiming::zeroed();
         timing.tick = k;
         timing.start_ns = 77 + k;
-        log.message("/timing/tick", TickTiming::DESCRIPTION, k, timing.as_bytes()).unwrap();
+        log.message(Topic::TickTiming, Tick(k), timing.as_bytes()).unwrap();
         if k == 3 {
-            log.message("/event", Event::DESCRIPTION, k, &event).unwrap();
+            log.message(Topic::Event, Tick(k), &event).unwrap();
         }
     }
-    let refused = log.message("/event", Event::DESCRIPTION, 9, &event[..event.len() - 1]).unwrap_err();
+    let refused = log.message(Topic::Event, Tick(9), &event[..event.len() - 1]).unwrap_err();
     println!("{refused}");
     assert!(matches!(refused, LogError::Message { .. }));
     let lost = BTreeMap::from([("/event".to_string(), 2), ("/timing/tick".to_string(), 0)]);

@@ -46,9 +46,9 @@ fn segments_prove_the_whole_run_on_any_number_of_threads() {
     for threads in [1, 2, 4, 20] {
         let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &toy, &options(threads));
         assert!(report.replay.is_identical() && report.replay.ending.is_complete());
-        assert_eq!((report.replay.identical_ticks, report.replay.last_tick), (900, 900));
-        assert_eq!((report.first_tick, report.identical_keyframes), (0, 9));
-        let to = SegmentOptions { to_tick: Some(250), ..options(threads) };
+        assert_eq!((report.replay.identical_ticks, report.replay.last_tick), (900, Tick(900)));
+        assert_eq!((report.first_tick, report.identical_keyframes), (Tick::START, 9));
+        let to = SegmentOptions { to_tick: Some(Tick(250)), ..options(threads) };
         let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &toy, &to);
         assert_eq!((report.replay.identical_ticks, report.replay.is_identical()), (250, true));
     }
@@ -65,37 +65,40 @@ fn the_first_difference_is_the_earliest_of_all_segments() {
         let make = || Ok(Toy { fault_tick: Some(523), ..Toy::new() });
         let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &make, &options(threads));
         let divergence = report.replay.divergence.expect("a difference");
-        assert_eq!((divergence.tick, report.replay.identical_ticks), (523, 522));
+        assert_eq!((divergence.tick, report.replay.identical_ticks), (Tick(523), 522));
         assert_eq!(divergence.differences[0].path, "t_world_link[7].position_m[2]");
         let make = || Ok(Toy { fail_tick: Some(777), ..Toy::new() });
         let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &make, &options(threads));
-        assert_eq!(report.replay.simulation_error, Some((777, "the toy is broken".to_string())));
+        assert_eq!(report.replay.simulation_error, Some((Tick(777), "the toy is broken".to_string())));
         assert_eq!(report.replay.identical_ticks, 776);
         let make = || Err::<Toy, _>("no toy".to_string());
         let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &make, &options(threads));
-        assert_eq!(report.replay.simulation_error, Some((0, "no toy".to_string())));
+        assert_eq!(report.replay.simulation_error, Some((Tick::START, "no toy".to_string())));
     }
 }
 
 #[test]
 fn a_replay_begins_at_the_last_keyframe_before_a_tick() {
     let bytes = log_with(900, |_, _| ());
-    let at = |tick| keyframe_before(open_bytes(&bytes).unwrap(), tick).map(|saved| saved.tick);
+    let at = |tick| keyframe_before(open_bytes(&bytes).unwrap(), Tick(tick)).map(|saved| saved.tick.0);
     let found: Vec<_> = [0, 99, 100, 101, 350, 899, 900, 5000].into_iter().map(at).collect();
     let wanted = [None, None, Some(100), Some(100), Some(300), Some(800), Some(900), Some(900)];
     assert_eq!(found, wanted);
-    let start = keyframe_before(open_bytes(&bytes).unwrap(), 350);
-    let from = SegmentOptions { start, to_tick: Some(620), threads: 2 };
+    let start = keyframe_before(open_bytes(&bytes).unwrap(), Tick(350));
+    let from = SegmentOptions { start, to_tick: Some(Tick(620)), threads: 2 };
     let report = verify_segments(&mut open_bytes(&bytes).unwrap(), &toy, &from);
     assert!(report.replay.is_identical());
-    assert_eq!((report.first_tick, report.replay.identical_ticks, report.replay.last_tick), (300, 320, 620));
+    assert_eq!(
+        (report.first_tick, report.replay.identical_ticks, report.replay.last_tick),
+        (Tick(300), 320, Tick(620))
+    );
     assert_eq!(report.identical_keyframes, 3);
 }
 
 /// The replay must neither wait for a dead worker nor call ticks proven that nobody has replayed.
 #[test]
 fn a_panic_while_a_simulation_is_built_is_a_simulation_error() {
-    let panicked = Some((0, "the simulation panicked (its message is above)".to_string()));
+    let panicked = Some((Tick::START, "the simulation panicked (its message is above)".to_string()));
     // A short log that fits into the queues, and a long one.
     for bytes in [write_log(&run_messages(20, None)), log_with(900, |_, _| ())] {
         for threads in [1, 3] {
@@ -116,7 +119,7 @@ fn logs_whose_keyframes_or_replies_differ_are_not_identical() {
     assert!(compared(&log_with(500, |_, _| ())).same_run());
     let altered = compared(&log_with(500, |tick, bytes| bytes[200] ^= u8::from(tick == 300)));
     assert!(!altered.same_run() && altered.ticks.is_none() && altered.frames.is_none());
-    assert_eq!((altered.messages[0].topic, altered.messages[0].tick), (topics::KEYFRAME, 300));
+    assert_eq!((altered.messages[0].topic, altered.messages[0].tick), (Topic::Keyframe, Tick(300)));
     let without = compared(&write_log(&run_messages(500, Some(250))));
     assert!(!without.same_run() && without.messages.is_empty());
     assert!(without.remarks[0].ends_with("a.mcap has more of /keyframe"), "{:?}", without.remarks);
@@ -131,7 +134,7 @@ fn logs_whose_keyframes_or_replies_differ_are_not_identical() {
     let altered = diff(&plain, &save("d.mcap", &write_log(&steps)), ReadOptions::default()).unwrap();
     assert!(!altered.same_run() && altered.ticks.is_none());
     let differs = &altered.messages[0];
-    assert_eq!((differs.topic, differs.differences[0].path.as_str()), (topics::DRR_REPLY, "requester"));
+    assert_eq!((differs.topic, differs.differences[0].path.as_str()), (Topic::DrrReply, "requester"));
 }
 
 /// A tampered keyframe is detected at its tick, before it can affect anything else.
@@ -150,7 +153,7 @@ fn an_altered_keyframe_differs_at_its_tick() {
     for (bytes, threads) in [(&altered, 1), (&altered, 3), (&panics, 1), (&panics, 3)] {
         let report = verify_segments(&mut open_bytes(bytes).unwrap(), &toy, &options(threads));
         let divergence = report.replay.divergence.expect("a difference");
-        assert_eq!((divergence.topic, divergence.tick), (topics::KEYFRAME, 400));
+        assert_eq!((divergence.topic, divergence.tick), (Topic::Keyframe, Tick(400)));
         assert_eq!(report.replay.identical_ticks, 400);
     }
 }
@@ -175,7 +178,7 @@ fn a_missing_part_of_a_keyframe_is_told_and_costs_no_tick() {
         log.finish(EndReason::Completed, &BTreeMap::new()).unwrap()
     };
     let (marker, bytes) = write(1);
-    assert_eq!(marker.lost, BTreeMap::from([(topics::KEYFRAME.to_string(), 1)]));
+    assert_eq!(marker.lost, BTreeMap::from([(Topic::Keyframe.name().to_string(), 1)]));
     let mut reader = open_bytes(&bytes).unwrap();
     let report = verify_segments(&mut reader, &toy, &options(2));
     assert!(report.replay.is_identical() && report.gaps.is_empty(), "{report:?}");
@@ -220,17 +223,17 @@ fn a_log_written_again_in_its_order_has_the_same_bytes() {
     let mut chunk = 1;
     while let Some(message) = stream.next_message().unwrap() {
         let body = message.body;
-        if chunk != message.chunk && message.topic != topics::DRR_IMAGE {
+        if chunk != message.chunk && message.known != Some(Topic::DrrImage) {
             again.close_chunk().unwrap();
         }
         chunk = message.chunk;
-        match message.topic {
-            topics::LATCHED => again.latched(&Latched::read_from_bytes(body).unwrap()).unwrap(),
-            topics::STATE => again.state(&State::read_from_bytes(body).unwrap()).unwrap(),
-            topics::REMOVED => again.removed(body).unwrap(),
-            topics::KEYFRAME => again.keyframe(body).unwrap(),
-            topics::DRR_REPLY => again.drr_reply(&DrrReply::read_from_bytes(body).unwrap()).unwrap(),
-            topics::DRR_FRAME => frame = Some(body.to_vec()),
+        match message.known {
+            Some(Topic::Latched) => again.latched(&Latched::read_from_bytes(body).unwrap()).unwrap(),
+            Some(Topic::State) => again.state(&State::read_from_bytes(body).unwrap()).unwrap(),
+            Some(Topic::Removed) => again.removed(body).unwrap(),
+            Some(Topic::Keyframe) => again.keyframe(body).unwrap(),
+            Some(Topic::DrrReply) => again.drr_reply(&DrrReply::read_from_bytes(body).unwrap()).unwrap(),
+            Some(Topic::DrrFrame) => frame = Some(body.to_vec()),
             _ => again.frame(&[frame.take().unwrap(), body.to_vec()].concat()).unwrap(),
         }
     }

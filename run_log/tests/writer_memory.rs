@@ -10,8 +10,7 @@ use common::*;
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{Compression, WriteOptions};
-use messages::TickTiming;
-use messages::layout::Message;
+use messages::{Tick, TickTiming};
 use run_log::*;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use zerocopy::IntoBytes;
@@ -63,7 +62,7 @@ fn the_crates_writer_grows_with_the_file_and_this_one_does_not() {
     let path = std::path::Path::new("timing.mcap");
     let mut own = TimingLog::create_named(std::io::sink(), path, index, &header()).unwrap();
     let own_growth = growth_per_minute(|tick| {
-        own.message("/timing/tick", TickTiming::DESCRIPTION, tick, timing.as_bytes()).unwrap();
+        own.message(Topic::TickTiming, Tick(tick), timing.as_bytes()).unwrap();
     });
 
     let options =

@@ -74,7 +74,7 @@ fn explicit_springs_blow_up_at_a_millisecond_and_hold_at_a_microsecond() {
 fn rapiers_multibody_rests_on_a_wall_as_ours_does() {
     let mut p = beam(16);
     p.contact.friction_coefficient = 0.0;
-    let wall = Wall::new(-Vector3::x(), Vector3::x() * 8e-3);
+    let wall = Wall::new(-Vector3::x_axis(), Vector3::x() * 8e-3);
     let mut ours = Manipulator::new(p.clone(), &rest()).unwrap();
     let hz = ours.first_natural_frequency_hz();
     let mut planes = Vec::new();

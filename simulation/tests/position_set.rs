@@ -21,7 +21,7 @@ fn tool(change: impl Fn(&mut ManipulatorParameters)) -> Manipulator {
 #[test]
 fn a_position_that_is_set_winds_the_velocity_up_and_tunnels() {
     let radius_m = 3e-3;
-    let wall = [Wall::new(-Vector3::z(), Vector3::zeros())];
+    let wall = [Wall::new(-Vector3::z_axis(), Vector3::zeros())];
     let (mut centre, mut v, mut tunnelled) = (Vector3::new(0.0, 0.0, -radius_m), Vector3::zeros(), None);
     for k in 0..200 {
         v += Vector3::z() * (10.0 / 0.01 * DT_S);
@@ -42,7 +42,7 @@ fn a_proxy_hides_energy_at_rest_and_as_a_force_is_unstable() {
     let mut p = ManipulatorParameters { damping_ratio: 0.05, ..ManipulatorParameters::jhu_27() };
     p.contact.friction_coefficient = 0.0;
     p.joint_limit_rad = 1.0;
-    let wall = Wall::new(-Vector3::x(), Vector3::x() * 8e-3);
+    let wall = Wall::new(-Vector3::x_axis(), Vector3::x() * 8e-3);
     let run = |drive| {
         let mut m = ProxyTool::new(drive, p.clone(), &rest(), &[wall]).unwrap();
         let lost = (0..600).any(|_| m.step(DT_S, &pull([8.0, 0.0], &[])).is_err());

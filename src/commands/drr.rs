@@ -6,6 +6,7 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use drr_proc::ThisMachine;
 use volume_io::Volume;
+use xray::display::WindowLimits;
 use xray::{
     DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Grid, Output,
     Projector, Spectrum, Tool, VolumeView,
@@ -288,7 +289,7 @@ fn render(
         placed: *placed,
         linear: matches!(arguments.display, DisplayName::Linear),
         dense_is_dark: matches!(arguments.display, DisplayName::BoneDark),
-        window: (0.0, 1.0),
+        window: WindowLimits { low: 0.0, high: 1.0 },
         greys: Vec::new(),
         values: Vec::new(),
     };

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use ipc_types::messages::{Tick, TickRange};
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::columns::{Column, Rows, columns, description_of_topic, read_rows};
 use run_log::fields::Scalar;
-use run_log::{LogError, topics};
+use run_log::{LogError, Topic};
 
 use crate::failure::Failure;
 use crate::output::refuse_existing;
@@ -33,7 +34,7 @@ pub struct PlotArguments {
     #[arg(required = true)]
     fields: Vec<String>,
     /// Topic that the fields belong to.
-    #[arg(long, default_value = topics::STATE)]
+    #[arg(long, default_value = Topic::State.name())]
     topic: String,
     /// Path of the figure, with or without its extension; `.png` and `.svg` are written.
     #[arg(long, default_value = "plot")]
@@ -70,7 +71,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
     }
     let all: Vec<Column> = panels.iter().flat_map(|(_, columns)| columns.iter().cloned()).collect();
     let mut lines = Lines(vec![Timeline::new(BINS, 1_000_000, Extremes::EMPTY); all.len()]);
-    read_rows(&LogFile::at(&log), &arguments.topic, &all, (0, None), &mut lines)?;
+    read_rows(&LogFile::at(&log), &arguments.topic, &all, TickRange::ALL, &mut lines)?;
     let title = format!("{}  {}", log.display(), arguments.topic);
     draw(&title, &panels, &lines)?.write(folder, stem)?;
     paths.iter().for_each(|path| say!("{}", path.display()));
@@ -80,7 +81,7 @@ pub fn run(arguments: &PlotArguments) -> Result<(), Failure> {
 struct Lines(Vec<Timeline<Extremes>>);
 
 impl Rows for Lines {
-    fn row(&mut self, _tick: u64, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+    fn row(&mut self, _tick: Tick, log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
         for (line, value) in self.0.iter_mut().zip(values) {
             line.bin(log_time_ns).add(value.nearest_f64());
         }

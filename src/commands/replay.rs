@@ -10,6 +10,7 @@ use run_log::{
     segments::Passed, verify_segments,
 };
 
+use ipc_types::messages::{Tick, TickRange};
 use ipc_types::process::EXIT_GAP;
 
 use crate::failure::Failure;
@@ -78,10 +79,10 @@ impl Moment {
         }
     }
 
-    fn tick(self, dt_ns: u64) -> u64 {
+    fn tick(self, dt_ns: u64) -> Tick {
         match self {
-            Moment::Tick(tick) => tick,
-            Moment::Seconds(seconds) => (seconds * 1e9 / dt_ns as f64 + 0.5) as u64,
+            Moment::Tick(tick) => Tick(tick),
+            Moment::Seconds(seconds) => Tick((seconds * 1e9 / dt_ns as f64 + 0.5) as u64),
         }
     }
 }
@@ -100,23 +101,24 @@ pub fn run(arguments: &ReplayArguments) -> Result<(), Failure> {
     };
     let log = OpenedLog::open(&arguments.log, &overrides)?;
     let dt_ns = log.reader()?.header().dt_ns;
-    let from = arguments.from.map_or(0, |moment| moment.tick(dt_ns));
-    let to = arguments.to.map(|moment| moment.tick(dt_ns));
-    if let Some(to) = to.filter(|to| *to < from) {
-        return Err(Failure::bad_input(format!("--to (tick {to}) is before --from (tick {from})")));
+    let first = arguments.from.map_or(Tick::START, |moment| moment.tick(dt_ns));
+    let last = arguments.to.map(|moment| moment.tick(dt_ns));
+    let ticks = TickRange { first, last };
+    if let Some(last) = last.filter(|last| *last < first) {
+        return Err(Failure::bad_input(format!("--to (tick {last}) is before --from (tick {first})")));
     }
     if !arguments.controller.is_empty() {
-        return live(arguments, &log, to.unwrap_or(u64::MAX));
+        return live(arguments, &log, last.unwrap_or(Tick(u64::MAX)));
     }
     if let Some(folder) = &arguments.record {
         let threads = arguments.frames.then(|| arguments.threads());
         return tell_recorded(&record(&log, folder, threads)?, &log);
     }
-    let code = replay(arguments, &log, (from, to))?;
+    let code = replay(arguments, &log, ticks)?;
     if arguments.frames {
         let began = Instant::now();
         let threads = arguments.threads();
-        let (frames, in_gaps) = verify_frames(&log, (from, to.unwrap_or(u64::MAX)), threads)?;
+        let (frames, in_gaps) = verify_frames(&log, ticks, threads)?;
         let wall_s = began.elapsed().as_secs_f64();
         let label = log.label();
         say!("rendered {frames} frames again on {threads} threads, all identical{label}, in {wall_s:.3} s");
@@ -140,14 +142,11 @@ impl ReplayArguments {
     }
 }
 
-/// Steps the physics from the keyframe before `from`, or the start, to `to`, or the end.
-fn replay(
-    arguments: &ReplayArguments,
-    log: &OpenedLog,
-    (from, to): (u64, Option<u64>),
-) -> Result<u8, Failure> {
+/// Steps the physics from the keyframe before the range's first tick, or the start, to its last, or the end.
+fn replay(arguments: &ReplayArguments, log: &OpenedLog, ticks: TickRange) -> Result<u8, Failure> {
+    let TickRange { first: from, last: to } = ticks;
     let began = Instant::now();
-    let start = if from > 0 { keyframe_before(log.reader()?, from) } else { None };
+    let start = if from > Tick::START { keyframe_before(log.reader()?, from) } else { None };
     let (found, verdict) = if arguments.verify {
         let options = SegmentOptions { start, to_tick: to, threads: arguments.threads() };
         let mut reader = log.reader()?;
@@ -171,7 +170,7 @@ fn replay(
         wall_s,
     };
     let ended_early = report.log_error.is_none() && report.simulation_error.is_none();
-    if ended_early && report.divergence.is_none() && from > 0 {
+    if ended_early && report.divergence.is_none() && from > Tick::START {
         let last = report.last_tick;
         if from > last {
             return Err(Failure::bad_input(format!(
@@ -192,7 +191,7 @@ fn replay(
 fn step_only(
     log: &OpenedLog,
     start: Option<SavedState>,
-    to: Option<u64>,
+    to: Option<Tick>,
 ) -> Result<(SegmentReport, Verdict), Failure> {
     let mut reader = log.reader()?;
     let mut simulation = log.simulation().map_err(Failure::failed)?;
@@ -203,20 +202,20 @@ fn step_only(
     if let Some(start) = start.as_ref().or(reader.beginning()) {
         simulation.restore_keyframe(&start.bytes).map_err(|cause| Failure::failed(cause.to_string()))?;
     }
-    let (first, mut ticks) = (simulation.state().tick, 0);
-    while to.is_none_or(|to| simulation.state().tick < to) {
+    let (first, mut ticks) = (Tick(simulation.state().tick), 0);
+    while to.is_none_or(|to| Tick(simulation.state().tick) < to) {
         let record = match reader.next() {
             None => break,
             Some(Err(LogError::Gap { .. })) => {
-                let (after, read) = (simulation.state().tick, reader.last_complete_tick());
+                let (after, read) = (Tick(simulation.state().tick), reader.last_complete_tick());
                 let behind = reader.go_on().map_err(|cause| Failure::failed(cause.to_string()))?;
-                let resumed = behind.as_ref().map(|behind| behind.state.tick);
+                let resumed = behind.as_ref().map(|behind| Tick(behind.state.tick));
                 // A gap before the start is skipped silently.
                 if read >= first {
                     gaps.push(Passed { after: Some(after), resumed });
                 }
                 let Some(behind) = behind else { break };
-                if behind.state.tick >= first {
+                if Tick(behind.state.tick) >= first {
                     simulation
                         .restore_keyframe(&behind.keyframe.bytes)
                         .map_err(|cause| Failure::failed(cause.to_string()))?;
@@ -225,12 +224,12 @@ fn step_only(
             }
             Some(record) => record.map_err(|cause| Failure::failed(cause.to_string()))?,
         };
-        if record.latched.tick >= first {
+        if Tick(record.latched.tick) >= first {
             simulation.step(&record.latched).map_err(|cause| Failure::failed(cause.to_string()))?;
             ticks += 1;
         }
     }
-    let (tick, hash) = (simulation.state().tick, simulation.state().hash);
+    let (tick, hash) = (Tick(simulation.state().tick), simulation.state().hash);
     let replay = ReplayReport {
         identical_ticks: ticks,
         last_tick: tick,
@@ -251,7 +250,7 @@ const MAX_GAPS_LISTED: usize = 64;
 /// What to print about a replay besides its report.
 struct ReplayOutcome {
     verified: bool,
-    first: u64,
+    first: Tick,
     keyframes: u64,
     gaps: Vec<Passed>,
     /// The log's verdict, if it was read to its end.
@@ -283,8 +282,11 @@ impl ReplayOutcome {
         if let Some(divergence) = &report.divergence {
             return Err(Failure::failed(format!("{divergence}{label}")));
         }
-        let from =
-            if self.first > 0 { format!(" from the keyframe of tick {}", self.first) } else { String::new() };
+        let from = if self.first > Tick::START {
+            format!(" from the keyframe of tick {}", self.first)
+        } else {
+            String::new()
+        };
         let what = if self.verified { format!("ticks{from}, all identical") } else { format!("ticks{from}") };
         say!(
             "replayed {} {what}{label}; last tick {}, hash {hash}; {simulated_s:.3} s simulated in {:.3} s, {:.1} times real time",
@@ -327,7 +329,7 @@ fn tell_recorded(recorded: &crate::replay::Recorded, log: &OpenedLog) -> Result<
     Err(Failure::failed("every message is identical, but the files differ: see above how the log ends"))
 }
 
-fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: u64) -> Result<(), Failure> {
+fn live(arguments: &ReplayArguments, log: &OpenedLog, to_tick: Tick) -> Result<(), Failure> {
     let controllers = arguments.controller.iter().map(|text| controller(text, log));
     let plan = LivePlan {
         controllers: controllers.collect::<Result<_, _>>()?,

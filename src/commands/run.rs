@@ -199,7 +199,9 @@ pub fn run(arguments: &RunArguments) -> Result<(), Failure> {
         _ => !interrupts.end.is_urgent(),
     };
     let output = plan.output.as_deref().filter(|output| is_to_report && output.exists());
-    let written = output.map_or(Ok(()), |output| write_report(&result, output, arguments.json));
+    let written = output.map_or(Ok(()), |output| {
+        write_report(&result, output, if arguments.json { Told::Json } else { Told::Text })
+    });
     judge(&result).and(written)
 }
 
@@ -240,14 +242,25 @@ fn scene_of(arguments: &RunArguments) -> Result<Scene, Failure> {
     Ok(scene)
 }
 
+/// How the end of a run is printed.
+#[derive(Clone, Copy)]
+enum Told {
+    /// For people: a table.
+    Text,
+    /// For programs (`--json`).
+    Json,
+}
+
 /// Writes the figures and numbers, and prints the final table.
-fn write_report(result: &RunResult, output: &Path, json: bool) -> Result<(), Failure> {
+fn write_report(result: &RunResult, output: &Path, told: Told) -> Result<(), Failure> {
     let replay_command = format!("{} replay {} --verify", program_name(), output.display());
     let facts = result.facts(replay_command.clone());
     let report = report::write(output, &facts)?;
-    match json {
-        true => say!("{}", serde_json::json!({"phase": "ended", "folder": output, "outcome": facts.outcome})),
-        false => {
+    match told {
+        Told::Json => {
+            say!("{}", serde_json::json!({"phase": "ended", "folder": output, "outcome": facts.outcome}))
+        }
+        Told::Text => {
             say!("{}", report.summary);
             say!("\nfolder       {}\nreplay it    {replay_command}", output.display());
         }

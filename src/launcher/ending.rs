@@ -14,7 +14,7 @@ use run_log::EndReason;
 
 use super::hub::{DRR, PHYSICS, RECORDER};
 use super::part::Part;
-use super::run::{Outcome, RunPlan, has_gap, judge};
+use super::run::{Outcome, RunPlan, RunState, has_gap, judge};
 
 const POLL_PERIOD: Duration = Duration::from_millis(5);
 /// How long a part may take to end.
@@ -57,6 +57,14 @@ impl Wait<'_> {
     }
 }
 
+/// When a part is asked to end.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ask {
+    AtOnce,
+    /// Once it has had its own time to end, or nobody waits for it.
+    WhenDue,
+}
+
 impl Ending<'_> {
     fn wait(&self) -> Wait<'_> {
         Wait { end: self.end, began: Instant::now(), hurried: None }
@@ -75,9 +83,10 @@ impl Ending<'_> {
             (false, Outcome::Completed | Outcome::Interrupted) => END_LIMIT,
             (false, _) => FAILED_LIMIT,
         };
-        self.end_physics(limit, stops, parts);
+        self.end_physics(limit, if stops { Ask::AtOnce } else { Ask::WhenDue }, parts);
         let over = Instant::now();
-        self.end_others(limit, stops && outcome != Outcome::Interrupted, parts);
+        let untold = stops && outcome != Outcome::Interrupted;
+        self.end_others(limit, if untold { Ask::AtOnce } else { Ask::WhenDue }, parts);
         if outcome == Outcome::Completed && self.end.is_set() {
             outcome = Outcome::Interrupted;
         }
@@ -101,7 +110,7 @@ impl Ending<'_> {
 
     /// Ends the physics. It stays until the DRR process and the recorder have everything; if one of them dies, or the
     /// user is in a hurry, it is told to stop waiting.
-    fn end_physics(&self, limit: Duration, stops: bool, parts: &mut [Part]) {
+    fn end_physics(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
         let (mut wait, mut asked) = (self.wait(), false);
         loop {
             let mut has_died = |name: &str| {
@@ -113,7 +122,7 @@ impl Ending<'_> {
             if physics.ended().is_some() {
                 return;
             }
-            if !asked && (stops || nobody_comes || self.end.is_set()) {
+            if !asked && (ask == Ask::AtOnce || nobody_comes || self.end.is_set()) {
                 physics.ask_to_end();
                 asked = true;
             }
@@ -127,8 +136,8 @@ impl Ending<'_> {
         }
     }
 
-    /// Ends the DRR process and the controllers in parallel. `at_once`: they have not been told that the run is over.
-    fn end_others(&self, limit: Duration, at_once: bool, parts: &mut [Part]) {
+    /// Ends the DRR process and the controllers in parallel. With [`Ask::AtOnce`], they have not been told that the run is over.
+    fn end_others(&self, limit: Duration, ask: Ask, parts: &mut [Part]) {
         let mut others: Vec<(&mut Part, bool)> = parts
             .iter_mut()
             .filter(|part| part.name != PHYSICS && part.name != RECORDER)
@@ -145,7 +154,7 @@ impl Ending<'_> {
                 // When the physics ends it tells the DRR process and the controllers, but some controllers do not
                 // listen.
                 let own_time = if part.name == DRR { END_LIMIT } else { CONTROLLER_END_TIME };
-                if !*asked && (at_once || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
+                if !*asked && (ask == Ask::AtOnce || wait.is_over(own_time, HURRIED_LIMIT / 2)) {
                     part.ask_to_end();
                     *asked = true;
                 }
@@ -185,7 +194,7 @@ impl Ending<'_> {
         if has_gap(part) || part.ended().is_none_or(|status| status.success()) {
             return outcome;
         }
-        let died = judge(part, false);
+        let died = judge(part, RunState::Open);
         died.death().iter().for_each(|death| tell!("trabecula: {death}"));
         died
     }

@@ -90,6 +90,15 @@ fn wait_for_each_other(scene: &Scene) -> Wait {
     }
 }
 
+/// Whether a recorder takes part; if so, the physics waits for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Recording {
+    /// One does.
+    On,
+    /// None does.
+    Off,
+}
+
 impl Hub {
     /// Creates the session of a scene, publishes its volume, and announces the session.
     ///
@@ -98,13 +107,13 @@ impl Hub {
     pub fn create(
         scene: &Scene,
         volume: Option<&(Volume, [u8; 32])>,
-        recorder: bool,
+        recording: Recording,
     ) -> Result<Hub, HubError> {
         let plan = SessionPlan {
             controllers: scene.controller_names(),
             volume_bytes: volume.map_or(0, |(volume, _)| volume_source::message_bytes(volume)),
             frame_bytes: scene.drr.as_ref().map_or(0, |drr| services::frame_bytes(drr.columns, drr.rows)),
-            recorder,
+            recorder: recording == Recording::On,
             wait: wait_for_each_other(scene),
             policy: scene.run.policy,
         };

@@ -14,7 +14,7 @@ use recorder_proc::process::OUTPUT_FILE;
 use volume_io::Volume;
 
 use super::ending::Ending;
-use super::hub::{DRR, Hub, HubError, LAUNCHER, PHYSICS, RECORDER, View};
+use super::hub::{DRR, Hub, HubError, LAUNCHER, PHYSICS, RECORDER, Recording, View};
 use super::log_watch::LogWatch;
 use super::part::{Memory, Part};
 use super::replacements::Replacements;
@@ -174,7 +174,8 @@ pub fn run_with(
     end: &EndRequest,
     mut show: impl FnMut(&RunSnapshot),
 ) -> Result<RunResult, RunError> {
-    let hub = Hub::create(&plan.scene, volume.as_ref(), plan.output.is_some())?;
+    let recording = if plan.output.is_some() { Recording::On } else { Recording::Off };
+    let hub = Hub::create(&plan.scene, volume.as_ref(), recording)?;
     let mut own_memory = Memory::default();
     own_memory.measure("self");
     // Keep only the copy in shared memory.
@@ -265,23 +266,31 @@ impl Running<'_> {
         let run_has_ended =
             self.subscriptions.status.is_some_and(|status| status.phase() == Ok(Phase::Ended));
         let tick = self.subscriptions.state.as_ref().map_or(Tick::START, |state| Tick(state.tick));
-        let goes_on = match run_has_ended {
-            true => self.replacements.dismiss(self.plan, &mut self.parts, index),
-            false => self.replacements.replace(self.plan, self.hub, &mut self.parts, index, tick)?,
+        let run = if run_has_ended { RunState::Ended } else { RunState::Open };
+        let goes_on = match run {
+            RunState::Ended => self.replacements.dismiss(self.plan, &mut self.parts, index),
+            RunState::Open => self.replacements.replace(self.plan, self.hub, &mut self.parts, index, tick)?,
         };
         if goes_on {
             return Ok(None);
         }
-        Ok(Some(judge(&mut self.parts[index], run_has_ended)))
+        Ok(Some(judge(&mut self.parts[index], run)))
     }
+}
+
+/// Whether the physics has published the end of the run.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum RunState {
+    Open,
+    Ended,
 }
 
 /// Judges how a part ended. Once the run is over, DRR and controllers may exit shortly before the physics does. The
 /// physics exits cleanly only after the run is over, and no part may exit before that.
-pub(super) fn judge(part: &mut Part, run_has_ended: bool) -> Outcome {
+pub(super) fn judge(part: &mut Part, run: RunState) -> Outcome {
     let status = part.ended();
     let succeeded = status.is_some_and(|status| status.success());
-    if succeeded && (part.name == PHYSICS || (run_has_ended && part.name != RECORDER)) {
+    if succeeded && (part.name == PHYSICS || (run == RunState::Ended && part.name != RECORDER)) {
         return Outcome::Completed;
     }
     let how = match status {

@@ -110,7 +110,7 @@ impl Choice {
             ),
             format!(
                 "cost          {:.1} us per simulated millisecond, as measured for the table",
-                row.us_per_ms(load.bone)
+                row.us_per_ms(load)
             ),
         ]
         .join("\n")
@@ -155,7 +155,7 @@ fn choose(scene: &Scene, given: Given, rows: &[Row]) -> Result<Option<Choice>, F
         .filter(|row| {
             within(row.tip_mm(load), tolerance.tip_mm) && within(row.path_mm(load), tolerance.path_mm)
         })
-        .min_by(|a, b| a.us_per_ms(load.bone).total_cmp(&b.us_per_ms(load.bone)));
+        .min_by(|a, b| a.us_per_ms(load).total_cmp(&b.us_per_ms(load)));
     match best {
         Some(row) => Ok(Some(Choice { row: **row, load, given })),
         None => Err(refusal(scene, &given, &rows, load)),
@@ -373,7 +373,7 @@ bend_toward = [1.0, 0.0, 0.0]
             (tolerance.tip_mm, tolerance.path_mm) = (Some(tip_mm), Some(path_mm));
             let choice = choose(&scene, Given::default(), &rows).ok()??;
             assert!(choice.row.tip_mm(FREE) <= tip_mm && choice.row.path_mm(FREE) <= path_mm);
-            Some(choice.row.us_per_ms(false))
+            Some(choice.row.us_per_ms(FREE))
         };
         let steps: Vec<f64> = (0..24).map(|place| 0.005 * 1.4_f64.powi(place)).collect();
         let mut kept = 0;

@@ -151,8 +151,8 @@ impl Row {
     }
 
     /// Cost per simulated millisecond, µs.
-    pub fn us_per_ms(&self, bone: bool) -> f64 {
-        if bone { self.drilling_us_per_ms } else { self.free_us_per_ms }
+    pub fn us_per_ms(&self, load: Load) -> f64 {
+        if load.bone { self.drilling_us_per_ms } else { self.free_us_per_ms }
     }
 
     /// The errors in the order of the columns.

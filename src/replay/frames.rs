@@ -1,7 +1,7 @@
 //! Renders a log's frames again.
 
 use drr_proc::ThisMachine;
-use ipc_types::messages::{Frame, Restores, State};
+use ipc_types::messages::{Frame, Restores, State, Tick, TickRange};
 use recorder_proc::log_file::LogFile;
 use run_log::diff::compare_frame;
 use run_log::{FrameReader, FrameRecord, LogError, LogReader, SavedState, frames};
@@ -154,19 +154,19 @@ fn gone_at(log: &OpenedLog, keyframe: &SavedState) -> Result<(Vec<u32>, Vec<u32>
     Ok((predrilled, simulation.gone()))
 }
 
-/// Renders the frames of ticks in `from..=to` again and compares them with their recordings; returns how many there
+/// Renders the frames of these ticks again and compares them with their recordings; returns how many there
 /// are, and how many have ticks in a gap.
 ///
 /// # Errors
 /// The log has no such frames (2); the first frame that differs (1), or a log that cannot be read.
-pub fn verify_frames(log: &OpenedLog, (from, to): (u64, u64), threads: usize) -> Result<(u64, u64), Failure> {
+pub fn verify_frames(log: &OpenedLog, ticks: TickRange, threads: usize) -> Result<(u64, u64), Failure> {
     let nothing = |what: &str| Failure::bad_input(format!("--frames: {}: {what}", log.path.display()));
     let Some(mut replay) = FrameReplay::new(log, threads)? else {
         return Err(nothing("the scene has no X-ray"));
     };
     let (mut identical, mut in_gaps) = (0, 0);
     while let Some(recorded) = replay.next_recorded()? {
-        if (from..=to).contains(&recorded.frame.tick) {
+        if ticks.contains(Tick(recorded.frame.tick)) {
             let Some(rendered) = replay.render(&recorded.frame)? else {
                 in_gaps += 1;
                 continue;

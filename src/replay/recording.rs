@@ -11,7 +11,7 @@ use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Keyframe, Latched, Part,
 use output_file::{OutputError, OutputFile};
 use recorder_proc::log_file::{LogFile, index_beside};
 use run_log::verify::compare_state;
-use run_log::{EndReason, FrameRecord, LogError, LogMessage, MessageStream, RunLog, topics};
+use run_log::{EndReason, FrameRecord, LogError, LogMessage, MessageStream, RunLog, Topic};
 use sha2::{Digest, Sha256};
 use simulation::Simulation;
 use zerocopy::{FromBytes, IntoBytes};
@@ -112,33 +112,33 @@ impl ReplayCopy<'_> {
     /// Handles the log's next message. Every body has the right size: the stream has checked.
     fn handle(&mut self, message: &LogMessage<'_>) -> Result<(), Failure> {
         let chunk_ended = std::mem::replace(&mut self.chunk, message.chunk) != message.chunk;
-        if message.topic == topics::DRR_IMAGE {
+        if message.known == Some(Topic::DrrImage) {
             return self.put_frame(Some(message.body));
         }
         self.put_frame(None)?;
         if chunk_ended {
             self.out.0.close_chunk().map_err(failed)?;
         }
-        match message.topic {
-            topics::LATCHED => self.latched = Latched::read_from_bytes(message.body).ok().map(Box::new),
-            topics::STATE => {
+        match message.known {
+            Some(Topic::Latched) => self.latched = Latched::read_from_bytes(message.body).ok().map(Box::new),
+            Some(Topic::State) => {
                 if let Ok(state) = State::read_from_bytes(message.body) {
                     self.tick(&state)?;
                 }
             }
-            topics::KEYFRAME => {
+            Some(Topic::Keyframe) => {
                 if let Ok((head, _)) = Keyframe::read_from_prefix(message.body)
                     && head.offset_bytes == 0
                 {
                     self.keyframe()?;
                 }
             }
-            topics::DRR_REPLY => {
+            Some(Topic::DrrReply) => {
                 if let Ok(reply) = DrrReply::read_from_bytes(message.body) {
                     self.out.0.drr_reply(&reply).map_err(failed)?;
                 }
             }
-            topics::DRR_FRAME => self.frame = Frame::read_from_bytes(message.body).ok(),
+            Some(Topic::DrrFrame) => self.frame = Frame::read_from_bytes(message.body).ok(),
             // Removed voxels come from the physics.
             _ => {}
         }

@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{CArmGeometry, DrrReply, DrrRequest, DrrStatus, Frame, GeometryChoice};
+use ipc_types::messages::{CArmGeometry, DrrReply, DrrRequest, DrrStatus, Frame, GeometryChoice, Tick};
 use ipc_types::scene::Drr;
 use recorder_proc::log_file::LogFile;
 use run_log::difference::compare;
-use run_log::{MessageStream, ReadOptions, topics};
+use run_log::{MessageStream, ReadOptions, Topic};
 use xray::from_scene::scene_c_arm;
 use xray::message::c_arm_message;
 use zerocopy::{FromBytes, IntoBytes};
@@ -44,7 +44,7 @@ impl Replies {
     pub fn open(log: &OpenedLog, drr: &Drr) -> Result<Replies, Failure> {
         let scene = scene_c_arm(drr).map_err(|cause| Failure::failed(cause.to_string()))?;
         let scene = c_arm_message(&scene);
-        let wanted = [topics::DRR_REPLY.to_owned()];
+        let wanted = [Topic::DrrReply.name().to_owned()];
         let stream = MessageStream::open_topics(&LogFile::at(&log.path), &wanted, log.options())?;
         let requests = requests(log, &scene);
         let (path, options) = (log.path.clone(), log.options());
@@ -59,7 +59,7 @@ impl Replies {
         let Some(reply) = self.reply_of(frame.sequence)? else {
             // A log that lacks replies says so. An unrequested frame shows the scene's C-arm either way.
             return match (self.lacks_some(), frame.request_id) {
-                (false, _) => Err(format!("{} has no reply for it", topics::DRR_REPLY)),
+                (false, _) => Err(format!("{} has no reply for it", Topic::DrrReply.name())),
                 (true, 0) => Ok(self.scene),
                 (true, _) => Ok(frame.geometry),
             };
@@ -73,7 +73,7 @@ impl Replies {
             geometry: self.asked_for(frame.request_id, &reply),
         };
         let (a, b) = (reply.as_bytes(), expected.as_bytes());
-        match compare(topics::DRR_REPLY, frame.tick, DrrReply::DESCRIPTION, a, b) {
+        match compare(Topic::DrrReply, Tick(frame.tick), DrrReply::DESCRIPTION, a, b) {
             Some(difference) => Err(difference.to_string()),
             None => Ok(expected.geometry),
         }
@@ -111,7 +111,7 @@ impl Replies {
     fn lacks_some(&mut self) -> bool {
         let (path, options) = (&self.path, self.options);
         *self.lacks.get_or_insert_with(|| {
-            let wanted = [topics::DRR_REPLY.to_owned()];
+            let wanted = [Topic::DrrReply.name().to_owned()];
             let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(path), &wanted, options) else {
                 return true;
             };
@@ -124,7 +124,7 @@ impl Replies {
 /// Reads the requests from the timing lane beside a log.
 fn requests(log: &OpenedLog, scene: &CArmGeometry) -> BTreeMap<(u32, u64), Vec<CArmGeometry>> {
     let mut requests: BTreeMap<(u32, u64), Vec<CArmGeometry>> = BTreeMap::new();
-    let wanted = [topics::DRR_REQUEST.to_owned()];
+    let wanted = [Topic::DrrRequest.name().to_owned()];
     let timing = log.path.with_file_name("timing.mcap");
     let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(&timing), &wanted, log.options()) else {
         return requests;

@@ -6,7 +6,7 @@ use std::path::Path;
 use ipc_types::messages::{Frame, ImagePrefix, MAX_TENDONS, Pose, State};
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
-use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, topics};
+use run_log::{LogError, LogHeader, LogMessage, MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
 
 use super::grey::GreyImage;
@@ -226,14 +226,16 @@ impl RunLane {
     }
 
     fn add(&mut self, message: &LogMessage<'_>, dt_ns: u64, middle_ns: u64) {
-        match message.topic {
-            topics::STATE => {
+        match message.known {
+            Some(Topic::State) => {
                 if let Ok(state) = State::read_from_bytes(message.body) {
                     self.state(state, message.log_time_ns, dt_ns);
                 }
             }
-            topics::DRR_FRAME => self.frames.count += u64::from(Frame::read_from_bytes(message.body).is_ok()),
-            topics::DRR_IMAGE => {
+            Some(Topic::DrrFrame) => {
+                self.frames.count += u64::from(Frame::read_from_bytes(message.body).is_ok())
+            }
+            Some(Topic::DrrImage) => {
                 let parts = ImagePrefix::read_from_prefix(message.body).ok();
                 let image = parts.and_then(|(p, pixels)| GreyImage::from_mono16(p.width, p.height, pixels));
                 if let Some(image) = image {

@@ -153,7 +153,7 @@ impl Figure {
         let mut pixels = vec![0u8; size.0 as usize * size.1 as usize * 3];
         {
             let backend = BitMapBackend::with_buffer(&mut pixels, size);
-            self.draw(backend, true)
+            self.draw(backend, Medium::Bitmap)
                 .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
         }
         let (columns, rows) = (size.0 as usize / SHRINK, size.1 as usize / SHRINK);
@@ -165,7 +165,7 @@ impl Figure {
     pub fn svg(&self, path: &Path) -> Result<String, ReportError> {
         let size = (self.width * SCALE as u32, self.height * SCALE as u32);
         let mut text = String::new();
-        self.draw(SVGBackend::with_string(&mut text, size), false)
+        self.draw(SVGBackend::with_string(&mut text, size), Medium::Vector)
             .map_err(|cause| ReportError::Draw { path: path.into(), cause: cause.to_string() })?;
         // Drawn on a fine grid, shown at its nominal size.
         let drawn = format!("width=\"{}\" height=\"{}\"", size.0, size.1);
@@ -173,18 +173,25 @@ impl Figure {
         Ok(text.replacen(&drawn, &shown, 1))
     }
 
-    fn draw<DB: DrawingBackend>(&self, backend: DB, bitmap: bool) -> Result<(), Box<dyn std::error::Error>>
+    fn draw<DB: DrawingBackend>(&self, backend: DB, medium: Medium) -> Result<(), Box<dyn std::error::Error>>
     where
         DB::ErrorType: 'static,
     {
         let area = backend.into_drawing_area();
         area.fill(&WHITE)?;
         for shape in &self.shapes {
-            draw_shape(&area, shape, bitmap)?;
+            draw_shape(&area, shape, medium)?;
         }
         area.present()?;
         Ok(())
     }
+}
+
+/// What a figure is drawn as.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Medium {
+    Bitmap,
+    Vector,
 }
 
 /// Averages squares of `SHRINK` × `SHRINK` RGB pixels.
@@ -218,10 +225,10 @@ fn pixel((x, y): Point) -> (i32, i32) {
 fn draw_shape<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     shape: &Shape,
-    bitmap: bool,
+    medium: Medium,
 ) -> DrawResult<DB> {
     match shape {
-        Shape::Line { points, stroke } => draw_line(area, points, stroke, bitmap),
+        Shape::Line { points, stroke } => draw_line(area, points, stroke, medium),
         Shape::Area { corners, fill } => {
             let corners: Vec<_> = corners.iter().map(|&corner| pixel(corner)).collect();
             area.draw(&Polygon::new(corners, fill.filled()))
@@ -242,7 +249,7 @@ fn draw_shape<DB: DrawingBackend>(
             }
             let style = TextStyle::from(font).color(colour).pos(Pos::new(horizontal, VPos::Center));
             // In a bitmap, plotters places the middle of a text too high by about an eighth of its height.
-            let lower = if bitmap { 0.12 * size } else { 0.0 };
+            let lower = if medium == Medium::Bitmap { 0.12 * size } else { 0.0 };
             let at = if *upwards { (at.0 + lower, at.1) } else { (at.0, at.1 + lower) };
             area.draw_text(text, &style, pixel(at))
         }
@@ -255,14 +262,14 @@ fn draw_line<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     points: &[Point],
     stroke: &Stroke,
-    bitmap: bool,
+    medium: Medium,
 ) -> DrawResult<DB> {
     let width = (stroke.width * SCALE as f64).round().max(1.0) as u32;
     let style = ShapeStyle { color: stroke.colour.to_rgba(), filled: true, stroke_width: width };
     for dash in dashes(points, stroke.dash) {
         let mut corners: Vec<_> = dash.iter().map(|&point| pixel(point)).collect();
         corners.dedup();
-        if !bitmap {
+        if medium == Medium::Vector {
             area.draw(&PathElement::new(corners, style))?;
             continue;
         }

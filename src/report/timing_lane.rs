@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ipc_types::messages::{Event, FrameTiming, Part, Participant, Severity, TickTiming};
 use recorder_proc::log_file::LogFile;
-use run_log::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, topics};
+use run_log::{LogError, LogHeader, LogMessage, MessageStream, Misses, ReadOptions, Topic};
 use zerocopy::FromBytes;
 
 use super::ReportError;
@@ -111,21 +111,21 @@ impl TimingLane {
     }
 
     fn add(&mut self, message: &LogMessage<'_>) {
-        self.misses.take(message.topic, message.body);
-        match message.topic {
-            topics::TICK_TIMING => {
+        self.misses.take(message.known, message.body);
+        match message.known {
+            Some(Topic::TickTiming) => {
                 if let Ok(timing) = TickTiming::read_from_bytes(message.body) {
                     self.tick(&timing, message.log_time_ns);
                 }
             }
-            topics::FRAME_TIMING => {
+            Some(Topic::FrameTiming) => {
                 if let Ok(timing) = FrameTiming::read_from_bytes(message.body) {
                     self.render.add(timing.render_ns);
                     self.rays = self.rays.saturating_add(timing.rays);
                     self.full_frames += u64::from(timing.full != 0);
                 }
             }
-            topics::EVENT => {
+            Some(Topic::Event) => {
                 if let Ok((event, text)) = Event::read_from_prefix(message.body) {
                     self.event(&event, text);
                 }

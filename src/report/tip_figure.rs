@@ -46,9 +46,9 @@ pub fn draw(run: &RunLane) -> Result<Figure, ReportError> {
         }
         None => (Vec::new(), Vec::new(), Vec::new()),
     };
-    draw_over_time(&mut figure, cell(0.0), ("Tendon tension", "tension (N)"), end_s, &tensions);
-    draw_over_time(&mut figure, cell(1.0), ("Bend of the tip against the base", "bend (deg)"), end_s, &bend);
-    draw_over_time(&mut figure, cell(2.0), ("Normal force on the burr", "force (N)"), end_s, &force);
+    draw_over_time(&mut figure, cell(0.0), "Tendon tension", "tension (N)", end_s, &tensions);
+    draw_over_time(&mut figure, cell(1.0), "Bend of the tip against the base", "bend (deg)", end_s, &bend);
+    draw_over_time(&mut figure, cell(2.0), "Normal force on the burr", "force (N)", end_s, &force);
     Ok(figure)
 }
 
@@ -157,7 +157,8 @@ fn equal_axes(points: &[Point], area: Rect) -> (Axis, Axis) {
 fn draw_over_time(
     figure: &mut Figure,
     outer: Rect,
-    (title, unit): (&str, &str),
+    title: &str,
+    unit: &str,
     end_s: f64,
     lines: &[(&Timeline<Extremes>, String)],
 ) {

@@ -8,6 +8,7 @@ use std::path::Path;
 use dicom_core::value::{DataSetSequence, PrimitiveValue, Value};
 use dicom_core::{DataElement, Tag, VR};
 use dicom_object::{FileMetaTableBuilder, InMemDicomObject};
+use xray::display::WindowLimits;
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
@@ -173,7 +174,7 @@ fn patient_direction(axis: [f64; 3]) -> String {
 /// The table from greys to what is linear in the detected X-ray intensity, which logarithmic images have (PS3.3 C.8.7.1.1.2): 65535 at the
 /// low end of the window, and less by exp(-attenuation) from there.
 fn intensity_table(picture: &Picture) -> DataElement<InMemDicomObject> {
-    let (low, high) = picture.window;
+    let WindowLimits { low, high } = picture.window;
     let intensity = |grey: u16| {
         let share = f64::from(grey) / 65535.0;
         let above_low = (high - low) * if picture.dense_is_dark { 1.0 - share } else { share };

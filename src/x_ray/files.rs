@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use xray::display::WindowLimits;
 use zerocopy::IntoBytes;
 
 use super::poses::Placed;
@@ -20,7 +21,7 @@ pub struct Picture {
     /// Whether more attenuation is darker; of no meaning if linear.
     pub dense_is_dark: bool,
     /// The attenuations (-ln of the fraction of photons) at the ends of the grey scale; of no meaning if linear.
-    pub window: (f64, f64),
+    pub window: WindowLimits,
     /// Row by row, one per detector pixel.
     pub greys: Vec<u16>,
     /// Values before windowing and rounding; only for files that need them.

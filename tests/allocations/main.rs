@@ -21,7 +21,7 @@ use ipc_types::messages::{
 };
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::LogFile;
-use run_log::{MessageStream, ReadOptions, topics};
+use run_log::{MessageStream, ReadOptions, Topic};
 use rustix::process::Signal;
 use simulation::bone::GridGeometry;
 use simulation::{CtView, Simulation};
@@ -258,8 +258,9 @@ fn the_loop_of_the_physics_process_calls_no_malloc_but_for_its_loans() {
     let ended = run.end();
     std::fs::remove_file(library).unwrap();
     assert_eq!(ended.code, Some(0), "{}", ended.err);
-    let of_ticks = [topics::STATE, topics::LATCHED, topics::REMOVED, topics::KEYFRAME];
-    let of_time = [topics::TICK_TIMING, topics::RUN_STATUS, topics::EVENT];
+    let of_ticks =
+        [Topic::State.name(), Topic::Latched.name(), Topic::Removed.name(), Topic::Keyframe.name()];
+    let of_time = [Topic::TickTiming.name(), Topic::RunStatus.name(), Topic::Event.name()];
     let more = looks.map(|(from, calls)| {
         let sent = messages_behind(from, &ended.folder.join("run.mcap"), &of_ticks)
             + messages_behind(from, &ended.folder.join("timing.mcap"), &of_time);

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use ipc_types::messages::Tick;
 use ipc_types::messages::{
     ARM_HOLD, BURR_SPEED, Command, EVENT_COMMAND_REFUSED, SOURCE_FRESH, State, TENDON_SERVO_JF,
 };
@@ -42,7 +43,7 @@ fn flown(place: &Place, disturb: impl FnOnce(&mut Pilot, State) -> State) -> End
 /// Both runs made the same ticks from the same commands.
 fn assert_same_run(disturbed: &Ended, undisturbed: &Ended) {
     let [a, b] = [disturbed, undisturbed].map(|ended| read(&ended.folder).marker.unwrap());
-    assert_eq!((a.hash, a.last_tick), (b.hash, Some(TICKS)));
+    assert_eq!((a.hash, a.last_tick), (b.hash, Some(Tick(TICKS))));
 }
 
 /// Commands that must be refused, with what the event says.

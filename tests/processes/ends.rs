@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use ipc_types::messages::Tick;
 use run_log::EndReason;
 use rustix::process::Signal;
 
@@ -32,7 +33,7 @@ fn ctrl_c_ends_all_cleanly_with_a_valid_log() {
     let marker = log.marker.expect("an end marker");
     assert_eq!(marker.reason, EndReason::Interrupted);
     assert!(log.ticks.len() >= 300 && log.ticks.len() < 60_000);
-    assert_eq!(marker.last_tick, Some(log.ticks.len() as u64));
+    assert_eq!(marker.last_tick, Some(Tick(log.ticks.len() as u64)));
     let said = assert_replays(&ended.folder);
     assert!(said.contains("end marker: interrupted"), "{said}");
     assert!(ended.out.contains("interrupted") && ended.folder.join("summary.json").exists(), "{}", ended.out);

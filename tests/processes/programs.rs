@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use ipc_types::messages::PHASE_ENDED;
 use recorder_proc::log_file::LogFile;
-use run_log::{EndReason, MessageStream, ReadOptions, topics};
+use run_log::{EndReason, MessageStream, ReadOptions, Topic};
 use rustix::process::Signal;
 
 use crate::common::client::{Client, Pilot};
@@ -130,7 +130,7 @@ fn replies_in(folder: &Path) -> Option<usize> {
         MessageStream::open(&LogFile::at(folder.join("timing.mcap")), ReadOptions::default()).ok()?;
     let mut count = 0;
     while let Ok(Some(message)) = stream.next_message() {
-        count += usize::from(message.topic == topics::RUN_CONTROL_REPLY);
+        count += usize::from(message.known == Some(Topic::RunControlReply));
     }
     (count > 0).then_some(count)
 }

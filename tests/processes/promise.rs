@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use ipc_types::messages::{DrrReply, Frame, ImagePrefix, Latched, State};
 use recorder_proc::log_file::{LogFile, create_run};
-use run_log::{EndReason, MessageStream, ReadOptions, topics};
+use run_log::{EndReason, MessageStream, ReadOptions, Topic};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::common::logs::{assert_replays, rewrite_as, verify};
@@ -136,13 +136,13 @@ fn alter_frames(from: &Path, to: &Path, hash_of: u64, pixel_of: u64) {
     let mut frame = Frame::zeroed();
     while let Some(message) = stream.next_message().unwrap() {
         let body = message.body;
-        match message.topic {
-            topics::LATCHED => log.latched(&Latched::read_from_bytes(body).unwrap()).unwrap(),
-            topics::STATE => log.state(&State::read_from_bytes(body).unwrap()).unwrap(),
-            topics::REMOVED => log.removed(body).unwrap(),
-            topics::KEYFRAME => log.keyframe(body).unwrap(),
-            topics::DRR_REPLY => log.drr_reply(&DrrReply::read_from_bytes(body).unwrap()).unwrap(),
-            topics::DRR_FRAME => {
+        match message.known {
+            Some(Topic::Latched) => log.latched(&Latched::read_from_bytes(body).unwrap()).unwrap(),
+            Some(Topic::State) => log.state(&State::read_from_bytes(body).unwrap()).unwrap(),
+            Some(Topic::Removed) => log.removed(body).unwrap(),
+            Some(Topic::Keyframe) => log.keyframe(body).unwrap(),
+            Some(Topic::DrrReply) => log.drr_reply(&DrrReply::read_from_bytes(body).unwrap()).unwrap(),
+            Some(Topic::DrrFrame) => {
                 frame = Frame::read_from_bytes(body).unwrap();
                 frame.pixel_hash[0] ^= u64::from(frame.sequence == hash_of);
             }

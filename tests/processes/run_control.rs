@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use ipc_types::messages::Tick;
 use ipc_types::messages::{
     ARM_HOLD, ARM_MOVE_CP, BURR_SPEED, CONTROL_DONE, CONTROL_PAUSE, CONTROL_REFUSED, CONTROL_RESET,
     CONTROL_RESUME, CONTROL_STEP, CONTROL_STOP, Command, PHASE_CONNECTING, PHASE_PAUSED, State,
@@ -92,7 +93,7 @@ fn ticks_advance_exactly_as_run_control_asks() {
     assert_eq!(ended.code, Some(0), "{}", ended.err);
     assert_nothing_left(ended.pid);
     let marker = read(&ended.folder).marker.unwrap();
-    assert_eq!((marker.last_tick, marker.reason), (Some(80), EndReason::Completed));
+    assert_eq!((marker.last_tick, marker.reason), (Some(Tick(80)), EndReason::Completed));
     assert_replays(&ended.folder);
 }
 

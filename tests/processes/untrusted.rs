@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use recorder_proc::log_file::{LogFile, create_run};
-use run_log::{EndReason, MessageStream, ReadOptions, topics};
+use run_log::{EndReason, MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
 
 use crate::common::program::{Done, Place, wait_for};
@@ -66,10 +66,10 @@ fn hostile_log(from: &Path, to: &Path) {
     header.build.rustc = Some(forged);
     let mut log = create_run(to, &header).unwrap();
     while let Some(message) = stream.next_message().unwrap() {
-        match message.topic {
-            topics::LATCHED => log.latched(&FromBytes::read_from_bytes(message.body).unwrap()).unwrap(),
-            topics::STATE => log.state(&FromBytes::read_from_bytes(message.body).unwrap()).unwrap(),
-            topics::REMOVED => log.removed(message.body).unwrap(),
+        match message.known {
+            Some(Topic::Latched) => log.latched(&FromBytes::read_from_bytes(message.body).unwrap()).unwrap(),
+            Some(Topic::State) => log.state(&FromBytes::read_from_bytes(message.body).unwrap()).unwrap(),
+            Some(Topic::Removed) => log.removed(message.body).unwrap(),
             _ => {}
         }
     }

@@ -4,7 +4,7 @@
 
 use std::time::Instant;
 
-use viewer_proc::surface::{Blocks, Field, Geometry};
+use viewer_proc::surface::{Blocks, Field, Geometry, Voxel};
 
 fn main() {
     // 120 × 120 × 120 mm at 0.5 mm, a cylinder of bone 40 mm thick in it.
@@ -36,7 +36,7 @@ fn main() {
         for index in 0..geometry.voxel_count() as u32 {
             let [a, b, c] = place(index as usize);
             if (a - x).powi(2) + b * b + c * c < 6.5 * 6.5
-                && field.set_removed(index, true)
+                && field.set(index, Voxel::Removed)
                 && let Some(voxel) = geometry.voxel(index)
             {
                 blocks.touch(voxel);

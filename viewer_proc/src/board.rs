@@ -8,7 +8,7 @@ use ipc_types::clock::now_ns;
 use ipc_types::layout::CDR_LITTLE_ENDIAN;
 use ipc_types::messages::TickTiming;
 use run_log::Misses;
-use run_log::topics;
+use run_log::Topic;
 use tokio::sync::Notify;
 use zerocopy::FromBytes;
 
@@ -125,7 +125,7 @@ impl Board {
 
     /// Publishes a message and keeps it as the newest of its channel and slot. Before a late tick's timing, also publishes the cause.
     pub fn publish(&self, topic: &str, time_ns: u64, slot: u32, bytes: Vec<u8>) {
-        if topic == topics::TICK_TIMING
+        if topic == Topic::TickTiming.name()
             && let Some(miss) = self.miss_of(&bytes)
         {
             self.hand_out(MISS, time_ns, 0, miss.to_string().into_bytes(), Kept::keep);

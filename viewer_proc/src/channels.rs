@@ -2,10 +2,8 @@
 
 use hub::viewer::Policy;
 use ipc_types::layout::{Description, Message};
-use ipc_types::messages::{
-    Command, DrrRequest, Event, Frame, FrameTiming, RunControl, RunControlReply, RunStatus, TickTiming,
-};
-use run_log::topics;
+use ipc_types::messages::{Command, Frame};
+use run_log::{Topic, topics};
 
 use crate::protocol::Advertisement;
 
@@ -34,7 +32,7 @@ pub const ASKED_FRAME: &str = "/view/asked_frame";
 /// Prefix of a second log's topics.
 pub const SECOND: &str = "/second";
 /// Topics shown from a second log.
-pub const SECOND_TOPICS: [&str; 3] = [topics::STATE, topics::DRR_FRAME, topics::DRR_IMAGE];
+pub const SECOND_TOPICS: [Topic; 3] = [Topic::State, Topic::DrrFrame, Topic::DrrImage];
 
 /// One channel.
 #[derive(Debug, Clone)]
@@ -53,16 +51,14 @@ impl Channels {
     /// All channels, including one command channel per controller.
     pub fn new(controllers: &[String]) -> Channels {
         let mut channels = Channels::default();
-        let newest = [topics::DRR_FRAME, topics::DRR_IMAGE];
-        for (topic, description) in topics::RUN {
-            let policy = if newest.contains(&topic) { Policy::Newest } else { Policy::Stream };
+        for topic in topics::RUN {
             // Keyframes are the physics' internal format; there is nothing to show.
-            if topic != topics::KEYFRAME {
-                channels.logged(topic, description, policy);
+            if topic != Topic::Keyframe {
+                channels.logged(topic.name(), topic.description(), policy_of(topic));
             }
         }
-        for (topic, description) in TIMING {
-            channels.logged(topic, description, Policy::Stream);
+        for topic in TIMING {
+            channels.logged(topic.name(), topic.description(), Policy::Stream);
         }
         for name in controllers {
             channels.logged(&topics::command(name), Command::DESCRIPTION, Policy::Stream);
@@ -92,10 +88,8 @@ impl Channels {
 
     /// Adds the channels of a second log, shown beside the first under the prefix [`SECOND`].
     pub fn add_second(&mut self) {
-        for (topic, description) in topics::RUN.iter().filter(|(topic, _)| SECOND_TOPICS.contains(topic)) {
-            let newest = [topics::DRR_FRAME, topics::DRR_IMAGE].contains(topic);
-            let policy = if newest { Policy::Newest } else { Policy::Stream };
-            self.logged(&format!("{SECOND}{topic}"), description, policy);
+        for topic in topics::RUN.into_iter().filter(|topic| SECOND_TOPICS.contains(topic)) {
+            self.logged(&format!("{SECOND}{topic}"), topic.description(), policy_of(topic));
         }
     }
 
@@ -138,13 +132,21 @@ impl Channels {
     }
 }
 
+/// Of frames a client gets the newest, of everything else each message.
+fn policy_of(topic: Topic) -> Policy {
+    match topic {
+        Topic::DrrFrame | Topic::DrrImage => Policy::Newest,
+        _ => Policy::Stream,
+    }
+}
+
 /// The topics of `timing.mcap`, except the commands.
-pub const TIMING: [(&str, &Description); 7] = [
-    (topics::TICK_TIMING, TickTiming::DESCRIPTION),
-    (topics::FRAME_TIMING, FrameTiming::DESCRIPTION),
-    (topics::EVENT, Event::DESCRIPTION),
-    (topics::RUN_CONTROL, RunControl::DESCRIPTION),
-    (topics::RUN_CONTROL_REPLY, RunControlReply::DESCRIPTION),
-    (topics::RUN_STATUS, RunStatus::DESCRIPTION),
-    (topics::DRR_REQUEST, DrrRequest::DESCRIPTION),
+pub const TIMING: [Topic; 7] = [
+    Topic::TickTiming,
+    Topic::FrameTiming,
+    Topic::Event,
+    Topic::RunControl,
+    Topic::RunControlReply,
+    Topic::RunStatus,
+    Topic::DrrRequest,
 ];

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use viewer_proc::surface::{BlockMesh, Blocks, Field, Geometry};
+use viewer_proc::surface::{BlockMesh, Blocks, Field, Geometry, Voxel};
 
 const THRESHOLD_HU: i16 = 150;
 
@@ -150,7 +150,9 @@ fn meshing_what_changed_is_meshing_from_nothing() {
         for index in 0..geometry.voxel_count() as u32 {
             let voxel = geometry.voxel(index).unwrap();
             let distance: f64 = (0..3).map(|axis| (voxel[axis] as f64 - middle[axis]).powi(2)).sum();
-            if distance < 36.0 && field.set_removed(index, round % 3 != 2) {
+            if distance < 36.0
+                && field.set(index, if round % 3 == 2 { Voxel::Present } else { Voxel::Removed })
+            {
                 blocks.touch(voxel);
                 changed += 1;
             }

@@ -186,20 +186,31 @@ pub(crate) fn skip(
     Ok(())
 }
 
-/// Checks what follows the voxels of a stream: `field` states its size, `needed` of at most `most_bytes` bytes.
+/// What a header says of a stream's size.
+pub(crate) struct StatedLength<'a> {
+    /// The header's field that says it.
+    pub field: &'a str,
+    /// Bytes up to the end of the voxels.
+    pub needed: u64,
+    /// Most bytes that the stream can hold.
+    pub most: u64,
+}
+
+/// Checks what follows the voxels of a stream.
 ///
 /// Extra compressed bytes mean that the header is wrong, and every voxel with it. After raw voxels other programs leave padding and
 /// trailers; ITK and nibabel read the voxels and ignore the rest, and so does this reader, with a note.
 pub(crate) fn check_end(
     path: &Path,
-    field: &str,
-    (codec, reader): (Codec, &mut dyn Read),
-    (needed, most_bytes): (u64, u64),
+    codec: Codec,
+    reader: &mut dyn Read,
+    length: &StatedLength<'_>,
     notes: &mut Vec<String>,
 ) -> Result<(), VolumeError> {
+    let StatedLength { field, needed, most } = *length;
     if codec == Codec::Raw {
-        if most_bytes > needed {
-            notes.push(format!("{} bytes behind the voxels are not read", most_bytes - needed));
+        if most > needed {
+            notes.push(format!("{} bytes behind the voxels are not read", most - needed));
         }
         return Ok(());
     }

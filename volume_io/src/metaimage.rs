@@ -5,11 +5,11 @@
 
 use crate::data_files::{DataFile, pattern, read_each, within_list};
 use crate::error::VolumeError;
-use crate::input::{self, Codec, DataFiles};
+use crate::input::{self, Codec, DataFiles, StatedLength};
 use crate::options::ReadOptions;
 use crate::scalar::{Endian, HuSink, Layout, Scalar, Scale};
 use crate::text_header::{MAX_HEADER_BYTES, all_sizes, numbers, read_ascii, unit_of_length, wrong};
-use crate::volume::{GeometryFields, Volume, VolumeInfo, placement, voxel_count};
+use crate::volume::{GeometryFields, StatedGeometry, Volume, VolumeInfo, placement, voxel_count};
 use std::collections::BTreeMap;
 use std::path::Path;
 use voxel_grid::Placement;
@@ -37,12 +37,12 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     let files = header.data_files()?;
     let mut sink = HuSink::default();
     let field = "ElementDataFile";
-    let (encoding, stored_as) = if header.flag("BinaryData", true)? {
+    let (encoding, stored_as) = if header.flag("BinaryData")?.unwrap_or(true) {
         let endian = header.endian()?;
         let layout = Layout { scalar, endian, scale: Scale::IDENTITY };
         let mut codec = Codec::Raw;
         read_each(path, field, &files, count, |file, part| {
-            codec = header.read_binary(file, layout, part, (&mut sink, &mut notes))?;
+            codec = header.read_binary(file, layout, part, &mut sink, &mut notes)?;
             Ok(())
         })?;
         (codec.name(), scalar.describe(endian))
@@ -111,12 +111,13 @@ impl<'a> Header<'a> {
         }
     }
 
-    fn flag(&self, name: &'static str, default: bool) -> Result<bool, VolumeError> {
+    /// A truth value; none if the header lacks the field.
+    fn flag(&self, name: &'static str) -> Result<Option<bool>, VolumeError> {
         match self.get(&[name]) {
-            None => Ok(default),
+            None => Ok(None),
             Some((_, value)) => match value.to_lowercase().as_str() {
-                "true" | "1" => Ok(true),
-                "false" | "0" => Ok(false),
+                "true" | "1" => Ok(Some(true)),
+                "false" | "0" => Ok(Some(false)),
                 _ => Err(wrong(self.path, name, value, "True or False")),
             },
         }
@@ -187,7 +188,8 @@ impl<'a> Header<'a> {
     }
 
     fn endian(&self) -> Result<Endian, VolumeError> {
-        let msb = self.flag("ElementByteOrderMSB", false)? || self.flag("BinaryDataByteOrderMSB", false)?;
+        let is_set = |name| Ok::<bool, VolumeError>(self.flag(name)?.unwrap_or(false));
+        let msb = is_set("ElementByteOrderMSB")? || is_set("BinaryDataByteOrderMSB")?;
         Ok(if msb { Endian::Big } else { Endian::Little })
     }
 
@@ -224,8 +226,8 @@ impl<'a> Header<'a> {
             }
         };
         let axes = [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]];
-        let lengths = (spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m), axes);
-        placement(self.path, names, lengths, notes)
+        let (spacing_m, origin_m) = (spacing.map(|s| s * unit_m), origin.map(|o| o * unit_m));
+        placement(self.path, names, StatedGeometry { spacing_m, origin_m, axes }, notes)
     }
 
     /// Whether there is a fourth axis; [`Self::dimensions`] has found one time on it.
@@ -281,11 +283,12 @@ impl<'a> Header<'a> {
         file: &DataFile,
         layout: Layout,
         count: usize,
-        (sink, notes): (&mut HuSink, &mut Vec<String>),
+        sink: &mut HuSink,
+        notes: &mut Vec<String>,
     ) -> Result<Codec, VolumeError> {
         let (path, start) = (file.path.as_path(), file.start);
         let needed = layout.byte_count(count);
-        let codec = if self.flag("CompressedData", false)? {
+        let codec = if self.flag("CompressedData")?.unwrap_or(false) {
             // MetaIO writes zlib streams but reads gzip as well.
             let magic = input::head(path, start, Codec::Raw, 2)?;
             if magic == [0x1f, 0x8b] { Codec::Gzip } else { Codec::Zlib }
@@ -315,7 +318,8 @@ impl<'a> Header<'a> {
         let (mut reader, most_bytes) = input::open_stream(path, offset, codec)?;
         input::check_length(path, most_bytes, needed)?;
         layout.read(path, codec.name(), reader.as_mut(), count, sink)?;
-        input::check_end(path, "DimSize", (codec, reader.as_mut()), (needed, most_bytes), notes)?;
+        let length = StatedLength { field: "DimSize", needed, most: most_bytes };
+        input::check_end(path, codec, reader.as_mut(), &length, notes)?;
         Ok(codec)
     }
 }

@@ -1,11 +1,13 @@
 //! NIfTI-1 and NIfTI-2 files: .nii, .hdr/.img, each plain or gzip.
 
 use crate::error::VolumeError;
-use crate::input::{self, Codec, DataFiles};
+use crate::input::{self, Codec, DataFiles, StatedLength};
 use crate::nifti_header::{NIFTI2_SIZE, parse};
 use crate::options::ReadOptions;
 use crate::scalar::HuSink;
-use crate::volume::{GeometryFields, Volume, VolumeInfo, columns, norm, placement, voxel_count};
+use crate::volume::{
+    GeometryFields, StatedGeometry, Volume, VolumeInfo, columns, norm, placement, voxel_count,
+};
 use std::path::{Path, PathBuf};
 use voxel_grid::Placement;
 
@@ -32,8 +34,9 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     let mut sink = HuSink::default();
     header.layout.read(&data_path, data_codec.name(), reader.as_mut(), count, &mut sink)?;
 
-    let bytes = (header.data_offset.saturating_add(needed), most_bytes);
-    input::check_end(&data_path, "dim", (data_codec, reader.as_mut()), bytes, &mut notes)?;
+    let needed = header.data_offset.saturating_add(needed);
+    let length = StatedLength { field: "dim", needed, most: most_bytes };
+    input::check_end(&data_path, data_codec, reader.as_mut(), &length, &mut notes)?;
     if header.layout.scale != crate::scalar::Scale::IDENTITY {
         let scale = header.layout.scale;
         notes.push(format!("values are {} x stored + {}", scale.slope, scale.intercept));
@@ -81,7 +84,8 @@ fn geometry(
         });
     }
     let spacing_m = axes.map(|axis| norm(axis) * unit_m);
-    placement(path, names, (spacing_m, lps.map(|row| row[3] * unit_m), axes), notes)
+    let stated = StatedGeometry { spacing_m, origin_m: lps.map(|row| row[3] * unit_m), axes };
+    placement(path, names, stated, notes)
 }
 
 /// The .img file of a .hdr file (plain or gzip).

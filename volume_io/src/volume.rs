@@ -104,8 +104,9 @@ impl Volume {
             });
         }
         let names = GeometryFields { spacing: "spacing_m", direction: "direction", origin: "origin_m" };
-        let axes = columns(self.direction);
-        let placement = placement(path, names, (self.spacing_m, self.origin_m, axes), &mut Vec::new())?;
+        let (spacing_m, origin_m, axes) = (self.spacing_m, self.origin_m, columns(self.direction));
+        let stated = StatedGeometry { spacing_m, origin_m, axes };
+        let placement = placement(path, names, stated, &mut Vec::new())?;
         VoxelGrid::placed(self.dims, placement).map_err(|_| too_large(path, "dims", self.dims))
     }
 
@@ -239,14 +240,23 @@ impl GeometryFields {
 /// Cosines between axes up to this are the rounding of `f32`, and not worth a note.
 const NOTED_COSINE: f64 = 1e-6;
 
-/// A placement from spacing, origin and axis directions; the axes are the columns (any positive length, LPS). Notes if they had to be made
-/// perpendicular.
+/// A volume's geometry as a header states it, not yet checked. LPS.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct StatedGeometry {
+    pub spacing_m: [f64; 3],
+    pub origin_m: [f64; 3],
+    /// One direction an axis, of any positive length.
+    pub axes: [[f64; 3]; 3],
+}
+
+/// The placement that a header states. Notes if its axes had to be made perpendicular.
 pub(crate) fn placement(
     path: &Path,
     names: GeometryFields,
-    (spacing_m, origin_m, axes): ([f64; 3], [f64; 3], [[f64; 3]; 3]),
+    stated: StatedGeometry,
     notes: &mut Vec<String>,
 ) -> Result<Placement, VolumeError> {
+    let StatedGeometry { spacing_m, origin_m, axes } = stated;
     let singular = || VolumeError::SingularDirection {
         path: path.into(),
         field: names.direction.into(),

@@ -87,10 +87,19 @@ const OPEN_FIELD: f64 = 0.02;
 /// Minimum width of the automatic window, so that a homogeneous object does not show its noise at full contrast.
 const NARROWEST: f64 = 0.5;
 
+/// Limits of a window: attenuation shown at the ends of the grey scale.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowLimits {
+    /// The lower end.
+    pub low: f64,
+    /// The upper end.
+    pub high: f64,
+}
+
 /// Window limits for a frame with these anatomy line integrals.
-pub fn window_limits(window: Window, anatomy: &[f64]) -> (f64, f64) {
+pub fn window_limits(window: Window, anatomy: &[f64]) -> WindowLimits {
     let (low_share, high_share, metal_room) = match window {
-        Window::Fixed { low, high } => return (low, high),
+        Window::Fixed { low, high } => return WindowLimits { low, high },
         Window::Automatic { low_share, high_share, metal_room } => (low_share, high_share, metal_room),
     };
     let mut histogram = [0_u32; BINS];
@@ -100,12 +109,12 @@ pub fn window_limits(window: Window, anatomy: &[f64]) -> (f64, f64) {
         total += 1;
     }
     if total == 0 {
-        return (0.0, NARROWEST);
+        return WindowLimits { low: 0.0, high: NARROWEST };
     }
     let low = quantile(&histogram, low_share * f64::from(total));
     let high = quantile(&histogram, (1.0 - high_share) * f64::from(total));
     let range = (high - low).max(NARROWEST);
-    (low, low + range * (1.0 + metal_room))
+    WindowLimits { low, high: low + range * (1.0 + metal_room) }
 }
 
 /// Value with `rank` counted pixels below it, interpolated linearly within a bin.
@@ -132,7 +141,8 @@ pub struct Scale {
 
 impl Scale {
     /// The scale for a mode and a window.
-    pub fn new(mode: DisplayMode, (low, high): (f64, f64)) -> Self {
+    pub fn new(mode: DisplayMode, window: WindowLimits) -> Self {
+        let WindowLimits { low, high } = window;
         let slope = 65535.0 / (high - low);
         // The 0.5 rounds to nearest.
         let (factor, constant) = match mode {

@@ -11,7 +11,7 @@ use crate::detector::{
     DetectorParameters, EXACT_POISSON_BELOW, FrameSeed, NoiseKey, Readout, add_scaled_row, blur_row,
     gaussian_weights, photon_number,
 };
-use crate::display::{DisplayMode, DisplayParameters, Scale};
+use crate::display::{DisplayMode, DisplayParameters, Scale, WindowLimits};
 use crate::lane_math;
 use crate::lanes::lanes;
 use crate::spectrum::SpectrumTable;
@@ -109,7 +109,7 @@ impl Exposure {
         anatomy: Anatomy<'_>,
         tool: &PlacedTool,
         width: usize,
-        window: (f64, f64),
+        window: WindowLimits,
         seed: FrameSeed,
         output: &mut Output<'_>,
     ) {
@@ -155,7 +155,7 @@ impl Exposure {
 
     /// -ln of the transmission through anatomy and tool, row-major.
     pub(crate) fn attenuations(&self, anatomy: Anatomy<'_>, tool: &PlacedTool, width: usize) -> Vec<f64> {
-        let scale = Scale::new(DisplayMode::Linear, (0.0, 1.0));
+        let scale = Scale::new(DisplayMode::Linear, WindowLimits { low: 0.0, high: 1.0 });
         let frame = Frame { anatomy, tool, width, scale, key: FrameSeed::default().key() };
         let mut image = vec![0.0; anatomy.total.len()];
         for (row, line) in image.chunks_mut(width).enumerate() {

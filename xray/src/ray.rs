@@ -4,6 +4,13 @@ use crate::carm::CArm;
 use crate::grid::Grid;
 use crate::vector::{Vec3, add_scaled, cross, dot, norm, scale, sub};
 
+/// A pixel of the detector.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pixel {
+    pub column: u32,
+    pub row: u32,
+}
+
 /// A ray from the source (parameter 0) to a pixel centre (parameter 1), world metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WorldRay {
@@ -83,18 +90,13 @@ impl RayFan {
         WorldRay { origin_m: self.source_m, direction_m, length_m: norm(direction_m) }
     }
 
-    /// World directions and lengths of a row's rays, starting at a column: the same bits as [`RayFan::world_ray`].
+    /// World directions and lengths of a row's rays, starting at a pixel: the same bits as [`RayFan::world_ray`].
     #[inline(always)]
-    pub(crate) fn world_rays_of_row(
-        &self,
-        (first, row): (u32, u32),
-        direction_m: [&mut [f64]; 3],
-        length_m: &mut [f64],
-    ) {
-        let count = length_m.len();
+    pub(crate) fn world_rays_of_row(&self, first: Pixel, direction_m: [&mut [f64]; 3], length_m: &mut [f64]) {
+        let (count, row) = (length_m.len(), first.row);
         let [x, y, z] = direction_m.map(|values| &mut values[..count]);
         for i in 0..count {
-            let in_row = add_scaled(self.first_m, f64::from(first + i as u32), self.column_step_m);
+            let in_row = add_scaled(self.first_m, f64::from(first.column + i as u32), self.column_step_m);
             let d = add_scaled(in_row, f64::from(row), self.row_step_m);
             (x[i], y[i], z[i]) = (d[0], d[1], d[2]);
             length_m[i] = norm(d);

@@ -8,7 +8,7 @@ use crate::attenuation::Material;
 use crate::carm::{CArm, Pinhole};
 use crate::displaced::displaced_integral;
 use crate::error::DrrError;
-use crate::ray::{IndexRay, RayFan, WorldRay};
+use crate::ray::{IndexRay, Pixel, RayFan, WorldRay};
 use crate::removal::AttenuationField;
 use crate::renderer::Projector;
 use crate::siddon;
@@ -333,7 +333,7 @@ impl Painter<'_> {
         let count = (end - first) as usize;
         cells[..count].fill(ToolCell::default());
         materials.iter_mut().take(count).for_each(|m| *m = ToolMaterials::default());
-        work.rays.aim(self.arch, self.fan, (first, row), count);
+        work.rays.aim(self.arch, self.fan, Pixel { column: first, row }, count);
         work.crossings.clear();
         work.starts.clear();
         for span in spans {
@@ -360,8 +360,14 @@ impl Painter<'_> {
             let at = (column - first) as usize;
             let materials = materials.get_mut(at);
             let ray = work.rays.at(self.fan, at);
-            let cell =
-                self.draw_pixel((column, row), &ray, &work.crossings, &active, &mut envelopes, materials);
+            let cell = self.draw_pixel(
+                Pixel { column, row },
+                &ray,
+                &work.crossings,
+                &active,
+                &mut envelopes,
+                materials,
+            );
             covered += usize::from(cell.is_covered());
             cells[at] = cell;
             column += 1;
@@ -372,13 +378,14 @@ impl Painter<'_> {
     #[inline]
     fn draw_pixel(
         &self,
-        (column, row): (u32, u32),
+        pixel: Pixel,
         ray: &WorldRay,
         crossings: &Crossings,
         active: &[Active],
         envelopes: &mut SmallVec<[(f64, f64); AT_ONCE]>,
         mut materials: Option<&mut ToolMaterials>,
     ) -> ToolCell {
+        let Pixel { column, row } = pixel;
         envelopes.clear();
         let mut cell = ToolCell::default();
         for Active { span, start } in active {

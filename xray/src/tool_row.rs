@@ -6,7 +6,7 @@ use core::ops::Range;
 use pulp::Arch;
 
 use crate::lanes::lanes;
-use crate::ray::{RayFan, WorldRay};
+use crate::ray::{Pixel, RayFan, WorldRay};
 use crate::tool::{Crossing, Radii, SeenPart};
 use crate::vector::{Vec3, add_scaled, dot};
 
@@ -18,8 +18,8 @@ pub(crate) struct RowOfRays {
 }
 
 impl RowOfRays {
-    /// Computes the rays of `count` pixels, starting at `from` (column, row).
-    pub(crate) fn aim(&mut self, arch: Arch, fan: &RayFan, from: (u32, u32), count: usize) {
+    /// Computes the rays of `count` pixels, starting at `from`.
+    pub(crate) fn aim(&mut self, arch: Arch, fan: &RayFan, from: Pixel, count: usize) {
         self.length_m.resize(count, 0.0);
         let direction_m = self.direction_m.each_mut().map(|values| {
             values.resize(count, 0.0);
@@ -96,7 +96,7 @@ impl Crossings {
 
 lanes! {
     /// The rays of a piece of a row.
-    Aim { fan: &'a RayFan, from: (u32, u32), direction_m: [&'a mut [f64]; 3], length_m: &'a mut [f64] } -> () {
+    Aim { fan: &'a RayFan, from: Pixel, direction_m: [&'a mut [f64]; 3], length_m: &'a mut [f64] } -> () {
         fan.world_rays_of_row(from, direction_m, length_m);
     }
 }

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    CArmGeometry, ControllerIndex, DrrRequest, DrrStatus, Frame, GeometryChoice, ImagePrefix, Pose, Volume,
+    CArmGeometry, DrrRequest, DrrStatus, Frame, GeometryChoice, ImagePrefix, Pose, Volume,
 };
 use ipc_types::ports::{Received, Subscriber};
 use ipc_types::scene::Drr;
@@ -52,9 +52,7 @@ impl Client {
         self.open_frames()?;
         let drr = self.scene.drr.as_ref().ok_or(ClientError::NoDrr)?;
         let geometry = t_world_c_arm.map(|pose| geometry_at(pose, drr)).transpose()?;
-        let requester = DrrRequest::requester_of(
-            self.info.controller.as_ref().map(|(_, index)| ControllerIndex(*index as u32)),
-        );
+        let requester = DrrRequest::requester_of(self.info.controller.as_ref().map(|(_, index)| *index));
         let requests = match &mut self.requests {
             Some(requests) => requests,
             none => none.insert(Requests {

@@ -6,7 +6,7 @@ use hub::Incoming;
 use hub::rate_limit::Connection;
 use hub::x_ray::{ControllerFrames, FrameMark, FrameStep};
 use messages::services::COMMAND;
-use messages::{ArmMode, BurrMode, Command, Part, TendonMode, Tick};
+use messages::{ArmMode, BurrMode, Command, ControllerIndex, Part, TendonMode, Tick};
 use scene::{Drives, Mode};
 
 use crate::oracle::seen_frames::SeenFrames;
@@ -65,7 +65,7 @@ impl Sight {
     }
 
     /// Looks at the frames before the controller answers the state of this tick; returns whether it waits for another.
-    pub fn look(&mut self, index: usize, tick: u64, now_ns: u64, account: &mut SeenFrames) -> bool {
+    pub fn look(&mut self, index: ControllerIndex, tick: u64, now_ns: u64, account: &mut SeenFrames) -> bool {
         if self.waits_at != Some(tick) {
             self.decide.begin(account.due_at(tick).map(Tick), now_ns);
         }
@@ -105,7 +105,7 @@ pub struct Controller {
     /// Its states, oldest first.
     pub states: VecDeque<u64>,
     /// Its commands on their way to the hub, and whether each is well formed.
-    pub commands: VecDeque<(Incoming<Command>, bool)>,
+    pub commands: VecDeque<(Incoming<Command>, Form)>,
     /// If it looks at X-ray frames.
     pub sight: Option<Sight>,
     connection: Connection,
@@ -115,11 +115,11 @@ pub struct Controller {
 
 impl Controller {
     /// Not connected yet.
-    pub fn new(plan: &Plan, index: usize, drives: &[Drives]) -> Controller {
-        let looks = plan.x_ray.watching.get(index) == Some(&true);
+    pub fn new(plan: &Plan, index: ControllerIndex, drives: &[Drives]) -> Controller {
+        let looks = plan.x_ray.watching.get(index.slot()) == Some(&true);
         Controller {
             sight: looks.then(|| Sight::new(plan)),
-            plan: plan.controllers[index].clone(),
+            plan: plan.controllers[index.slot()].clone(),
             drives: drives.to_vec(),
             alive: false,
             asleep: false,
@@ -128,7 +128,7 @@ impl Controller {
             wants_history: false,
             states: VecDeque::new(),
             commands: VecDeque::new(),
-            connection: Connection(1000 * (index as u128 + 1)),
+            connection: Connection(1000 * (u128::from(index.0) + 1)),
             sequence: 0,
             last_answered: 0,
         }
@@ -170,7 +170,7 @@ impl Controller {
         self.sequence += 1;
         self.last_answered = self.last_answered.max(state_tick);
         let command = self.command(state_tick);
-        self.push(Incoming::Message(command, self.connection), true);
+        self.push(Incoming::Message(command, self.connection), Form::Whole);
     }
 
     fn command(&self, state_tick: u64) -> Command {
@@ -193,11 +193,11 @@ impl Controller {
     pub fn misbehave(&mut self, bad: Bad) {
         let mut command = self.command(self.last_answered);
         command.sequence += 1;
-        let mut well_formed = true;
+        let mut form = Form::Whole;
         match bad {
-            Bad::NotANumber => (command.burr_speed_rad_per_s, well_formed) = (f64::NAN, false),
+            Bad::NotANumber => (command.burr_speed_rad_per_s, form) = (f64::NAN, Form::Malformed),
             Bad::OthersPart => {
-                well_formed = false;
+                form = Form::Malformed;
                 if self.drives.contains(&Drives::Arm) {
                     command.reserved = 1;
                 } else {
@@ -209,20 +209,28 @@ impl Controller {
             Bad::OldState if self.last_answered > 0 => command.state_tick = self.last_answered - 1,
             Bad::OldState => command.state_tick = u64::MAX,
             Bad::Malformed => {
-                return self.push(Incoming::Malformed("a message of 3 bytes".to_owned()), false);
+                return self.push(Incoming::Malformed("a message of 3 bytes".to_owned()), Form::Malformed);
             }
         }
         self.sequence = command.sequence;
-        self.push(Incoming::Message(command, self.connection), well_formed);
+        self.push(Incoming::Message(command, self.connection), form);
     }
 
     /// Into the hub's queue, which drops its oldest when it is full.
-    fn push(&mut self, incoming: Incoming<Command>, well_formed: bool) {
+    fn push(&mut self, incoming: Incoming<Command>, form: Form) {
         if self.commands.len() == COMMAND.queue_length {
             self.commands.pop_front();
         }
-        self.commands.push_back((incoming, well_formed));
+        self.commands.push_back((incoming, form));
     }
+}
+
+/// Whether a command is one that a controller may send.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Form {
+    Whole,
+    /// The hub must refuse it for its content.
+    Malformed,
 }
 
 /// A consumer's process.

@@ -6,7 +6,7 @@ use fastrand::Rng;
 use messages::{Keyframe, Latched, Removed, State};
 use run_log::{
     BuildInfo, EndReason, LogBytes, LogError, LogHeader, LogReader, MessageStream, ReadOptions, RunLog,
-    RunMode, TickRecord, topics,
+    RunMode, TickRecord, Topic,
 };
 use scene::Mode;
 use zerocopy::IntoBytes;
@@ -174,7 +174,7 @@ fn ticks_of(bytes: &[u8], published: &[TickRecord]) -> Result<Option<Given>, Str
         return Err(format!("more than the {} ticks that were published", published.len()));
     }
     Ok(Some(Given {
-        last_tick: reader.last_complete_tick(),
+        last_tick: reader.last_complete_tick().0,
         is_intact: reader.stream().verdict().is_intact(),
     }))
 }
@@ -194,7 +194,7 @@ fn last_whole_tick(bytes: &[u8], length: usize) -> Result<Option<u64>, LogError>
     let mut last = None;
     let mut stream = MessageStream::open(&LogBytes::new("whole.mcap", bytes), ReadOptions::default())?;
     while let Some(message) = stream.next_message()? {
-        if message.topic == topics::STATE && message.chunk <= chunks {
+        if message.known == Some(Topic::State) && message.chunk <= chunks {
             last = Some(message.log_time_ns / DT_NS);
         }
     }

@@ -9,7 +9,7 @@ use fastrand::Rng;
 use hub::rate_limit::Connection;
 use hub::x_ray::FrameMark;
 use hub::{Awaited, Incoming, Report, Wait};
-use messages::{ControlAction, Part, RunControl, Tick};
+use messages::{ControlAction, ControllerIndex, Part, RunControl, Tick};
 use scene::Drives;
 
 use crate::actors::{Alarm, Consumer, Controller, Sight};
@@ -42,9 +42,9 @@ const LAUNCHER_NOTICES_NS: u64 = 20 * MS;
 /// What happens at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
-    ControllerJoins(usize),
-    ControllerLooks(usize, u64),
-    ControllerAnswers(usize, u64, u64),
+    ControllerJoins(ControllerIndex),
+    ControllerLooks(ControllerIndex, u64),
+    ControllerAnswers(ControllerIndex, u64, u64),
     ConsumerLooks(usize, u64),
     Fault(usize),
     LauncherNotices,
@@ -99,7 +99,7 @@ impl World {
     /// Of a plan whose controllers drive these parts.
     pub fn new(plan: &Plan, drives: &[Vec<Drives>], plant: Handle) -> World {
         let now_ns = Rc::clone(&plant.now_ns);
-        let controllers = drives.iter().enumerate();
+        let controllers = ControllerIndex::first(drives.len()).zip(drives);
         let consumers = [(Part::Drr, plan.drr_ns), (Part::Recorder, plan.recorder_ns)];
         let mut world = World {
             oracle: Oracle::new(plan, drives, now_ns.get()),
@@ -136,8 +136,8 @@ impl World {
             let begun = Recording::begin(plan, cut);
             begun.map_err(|error| world.oracle.fail(format!("the recording: {error}"))).ok()
         });
-        for index in 0..world.controllers.len() {
-            let joins_ns = world.controllers[index].plan.joins_ns;
+        for index in ControllerIndex::first(world.controllers.len()) {
+            let joins_ns = world.controllers[index.slot()].plan.joins_ns;
             world.after(joins_ns, Event::ControllerJoins(index));
         }
         for index in 0..world.consumers.len() {
@@ -183,14 +183,16 @@ impl World {
     fn happen(&mut self, event: Event) {
         match event {
             Event::ControllerJoins(index) => {
-                self.controllers[index].join();
+                self.controllers[index.slot()].join();
                 self.seen_frames.joined(index);
                 self.look_soon(index, 0);
             }
             Event::ControllerLooks(index, alarm) => self.controller_looks(index, Alarm(alarm)),
             Event::ControllerAnswers(index, alarm, tick) => {
-                if self.controllers[index].alive && self.controllers[index].alarm == Alarm(alarm) {
-                    self.controllers[index].answer(tick);
+                if self.controllers[index.slot()].alive
+                    && self.controllers[index.slot()].alarm == Alarm(alarm)
+                {
+                    self.controllers[index.slot()].answer(tick);
                     self.look_soon(index, 0);
                 }
             }
@@ -212,16 +214,16 @@ impl World {
         }
     }
 
-    fn look_soon(&mut self, index: usize, delay_ns: u64) {
-        let controller = &mut self.controllers[index];
+    fn look_soon(&mut self, index: ControllerIndex, delay_ns: u64) {
+        let controller = &mut self.controllers[index.slot()];
         controller.alarm.0 += 1;
         let alarm = controller.alarm.0;
         self.after(delay_ns, Event::ControllerLooks(index, alarm));
     }
 
-    fn controller_looks(&mut self, index: usize, alarm: Alarm) {
+    fn controller_looks(&mut self, index: ControllerIndex, alarm: Alarm) {
         let now_ns = self.now_ns.get();
-        let controller = &mut self.controllers[index];
+        let controller = &mut self.controllers[index.slot()];
         if !controller.alive || controller.alarm != alarm {
             return;
         }
@@ -303,7 +305,7 @@ impl World {
                 controller.alarm.0 += 1;
                 controller.states.clear();
                 if let Some(back_after_ns) = back_after_ns {
-                    self.after(back_after_ns, Event::ControllerJoins(index));
+                    self.after(back_after_ns, Event::ControllerJoins(ControllerIndex(index as u32)));
                 }
             }
             FaultKind::ControllerStalls { index, for_ns } => {

@@ -79,7 +79,7 @@ pub enum Reader {
 /// Slot of the first controller.
 const CONTROLLER_SLOT: usize = 8;
 
-const _: () = assert!(CONTROLLER_SLOT + MAX_CONTROLLERS <= FLAG_COUNT);
+const _: () = assert!(Part::ALL.len() <= CONTROLLER_SLOT && CONTROLLER_SLOT + MAX_CONTROLLERS <= FLAG_COUNT);
 
 impl Reader {
     pub(crate) fn slot(self) -> usize {

@@ -144,7 +144,7 @@ pub fn run(plan: &Plan) -> Result<(), Failure> {
     for sample in &samples {
         for (name, projector) in projectors() {
             for threads in [1, 2] {
-                measure(sample, &poses, (name, projector, threads), plan.rounds, &mut points)
+                measure(sample, &poses, &Candidate { name, projector, threads }, plan.rounds, &mut points)
                     .map_err(failed)?;
             }
         }
@@ -215,14 +215,22 @@ fn references(phantom: &Phantom, finest: &Sample, side: u32) -> Result<Vec<Posed
         .collect()
 }
 
+/// A projector as the chart names it.
+struct Candidate<'a> {
+    name: &'a str,
+    projector: Projector,
+    threads: usize,
+}
+
 /// Times and errors of one projector; the rounds of the poses are interleaved.
 fn measure(
     sample: &Sample,
     poses: &[PosedReference],
-    (name, projector, threads): (&str, Projector, usize),
+    candidate: &Candidate<'_>,
     rounds: usize,
     points: &mut Vec<Point>,
 ) -> Result<(), xray::DrrError> {
+    let &Candidate { name, projector, threads } = candidate;
     let view = VolumeView::new(sample.grid, &sample.hu)?;
     let mut renderer = DrrRenderer::new(&view, parameters(projector, threads), &ThisMachine)?;
     // Copies of the volume are made when it is loaded, not per frame.

@@ -11,7 +11,7 @@ use std::path::Path;
 use serde_json::json;
 use xray::Material;
 
-use super::{Errors, Plan, Point, PosedReference, STANDARD, Sample};
+use super::{Candidate, Errors, Plan, Point, PosedReference, STANDARD, Sample};
 use crate::charts::peers::{new_input, run, scripts};
 use trabecula::failure::Failure;
 
@@ -37,8 +37,8 @@ pub fn measure(
             Err(reason) => notes.push(format!("peer {name}: not measured ({reason})")),
             Ok(printed) => collect(&name, &printed, input.path(), sample, poses, points, &mut notes),
         }
-        super::measure(sample, poses, (STANDARD.0, STANDARD.1, 2), plan.rounds, points)
-            .map_err(super::failed)?;
+        let candidate = Candidate { name: STANDARD.0, projector: STANDARD.1, threads: 2 };
+        super::measure(sample, poses, &candidate, plan.rounds, points).map_err(super::failed)?;
     }
     Ok(notes)
 }

@@ -1,11 +1,12 @@
 //! The settings that a plan chooses from, measured on the chart's problems.
 
+use crate::effort::Effort;
 use ipc_types::scene::{ContactVoxels, Integrator as SceneIntegrator};
 use simulation::manipulator::{Integrator, ManipulatorError, Rung};
 
 use super::against::{References, distance_mm};
 use super::drilled::Drilling;
-use super::problems::{self, Effort, Measured};
+use super::problems::{self, Measured};
 use super::trials;
 use super::voxel_wall::voxel_wall_mm;
 use crate::charts::method::Method;

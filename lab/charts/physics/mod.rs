@@ -10,6 +10,7 @@ pub mod promise;
 mod trials;
 mod voxel_wall;
 
+use crate::effort::Effort;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -19,7 +20,6 @@ use plotters::style::RGBColor;
 
 use crate::charts::method::Method;
 use peers::Peer;
-pub use problems::Effort;
 use problems::{Point, Problem, measure};
 use trabecula::failure::Failure;
 use trabecula::output::{refuse_existing, within};
@@ -197,11 +197,11 @@ fn draw(
         let (column, row) = (place % 2, place / 2);
         let cell = Rect { x: column as f64 * wide, y: HEAD + row as f64 * high, width: wide, height: high };
         let peers: Vec<&Peer> = peers.iter().filter(|peer| peer.problem == *problem).collect();
-        draw_panel(&mut figure, cell, *problem, (points, &peers));
+        draw_panel(&mut figure, cell, *problem, points, &peers);
     }
-    draw_peer_legend(&mut figure, (wide + 70.0, HEAD + 3.0 * high + 24.0), peers);
-    let corner = (70.0, HEAD + 3.0 * high + 24.0);
-    draw_legend(&mut figure, corner);
+    let top = HEAD + 3.0 * high + 24.0;
+    draw_peer_legend(&mut figure, wide + 70.0, top, peers);
+    draw_legend(&mut figure, 70.0, top);
     Ok(figure)
 }
 
@@ -209,7 +209,7 @@ fn shown(point: &Point) -> (f64, f64) {
     (point.us_per_ms, point.error.max(ROUNDING))
 }
 
-fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, (points, peers): (&[Point], &[&Peer])) {
+fn draw_panel(figure: &mut Figure, cell: Rect, problem: Problem, points: &[Point], peers: &[&Peer]) {
     let peer = |peer: &&Peer| (peer.us_per_ms, peer.error.max(ROUNDING));
     let of_peers = || peers.iter().filter(|peer| peer.error.is_finite()).map(peer);
     let sound = || points.iter().filter(|point| point.error.is_finite()).map(shown).chain(of_peers());
@@ -244,7 +244,7 @@ fn stroke(method: Method, colour: RGBColor) -> Stroke {
 }
 
 /// Peers are crosses.
-fn draw_peer_legend(figure: &mut Figure, (left, top): (f64, f64), peers: &[Peer]) {
+fn draw_peer_legend(figure: &mut Figure, left: f64, top: f64, peers: &[Peer]) {
     let measured = |name: &str| peers.iter().any(|peer| peer.name == name);
     let shown = peers::NAMES.into_iter().zip(PEER_COLOURS).filter(|(name, _)| measured(name));
     for (i, (name, colour)) in shown.enumerate() {
@@ -257,7 +257,7 @@ fn draw_peer_legend(figure: &mut Figure, (left, top): (f64, f64), peers: &[Peer]
     }
 }
 
-fn draw_legend(figure: &mut Figure, (left, top): (f64, f64)) {
+fn draw_legend(figure: &mut Figure, left: f64, top: f64) {
     for (i, (method, colour)) in Method::ALL.into_iter().zip(COLOURS).enumerate() {
         let y = top + 22.0 * i as f64;
         let points = vec![(left, y), (left + 30.0, y)];

@@ -4,14 +4,14 @@
 //! US_PER_MS LOAD X Z`. In `end_moment` and `tip_force` (LOAD is P L² / EI) X and Z are where the tip rests, across
 //! and along, m; in `vibration` X is the first frequency, Hz.
 
+use crate::effort::Effort;
 use std::path::Path;
 
 use serde_json::json;
 
 use super::elastica::elastica;
 use super::problems::{
-    BEAM_HZ, DENSITY_KG_PER_M, END_MOMENT_NM, Effort, LENGTH_M, Point, Problem, RIGIDITY_NM2,
-    measure as measure_own,
+    BEAM_HZ, DENSITY_KG_PER_M, END_MOMENT_NM, LENGTH_M, Point, Problem, RIGIDITY_NM2, measure as measure_own,
 };
 use crate::charts::method::Method;
 use crate::charts::peers::{new_input, run, scripts};

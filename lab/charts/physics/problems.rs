@@ -1,5 +1,6 @@
 //! The chart's problems. Each gives an error against a solution outside the method, and the cost of a millisecond.
 
+use crate::effort::Effort;
 use std::sync::OnceLock;
 use std::time::Instant;
 
@@ -94,15 +95,6 @@ pub struct Point {
     pub error: f64,
     /// Other figures by name.
     pub more: Vec<(&'static str, f64)>,
-}
-
-/// How much to measure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Effort {
-    /// A few points, for tests.
-    Quick,
-    /// All points.
-    Full,
 }
 
 /// A run's tool and its clock.
@@ -385,7 +377,7 @@ fn pull(method: Method, links: usize, dt_ms: f64, walls: &[Wall]) -> Result<(Run
 static CONVERGED_WALL: OnceLock<Path> = OnceLock::new();
 
 pub(super) fn wall(method: Method, links: usize, dt_ms: f64) -> Measured {
-    let walls = [Wall::new(-Vector3::x(), Vector3::x() * 0.010)];
+    let walls = [Wall::new(-Vector3::x_axis(), Vector3::x() * 0.010)];
     let reference = match CONVERGED_WALL.get() {
         Some(path) => path,
         None => {

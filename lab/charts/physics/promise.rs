@@ -58,8 +58,16 @@ fn between(low: f64, high: f64, random: &mut u64) -> f64 {
     low + (high - low) * uniform(random)
 }
 
+/// What the tool moves in.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ground {
+    Air,
+    Bone,
+}
+
 /// A pull, a sweep or a feed, with random tension, friction and duration.
-fn trial(bone: bool, random: &mut u64) -> Trial {
+fn trial(ground: Ground, random: &mut u64) -> Trial {
+    let bone = ground == Ground::Bone;
     let hard = !bone && uniform(random) < 0.3;
     let kind = if bone { 2 } else { (3.0 * uniform(random)) as usize };
     let gentle_n = if kind == 2 { RAMPED_N } else { GENTLE_N };
@@ -94,7 +102,7 @@ fn planned(trial: &Trial, bone: Option<&Block>, random: &mut u64) -> Result<(Sce
 
 fn in_free_space(seed: u64) -> Result<Kept, Failure> {
     let mut random = seed;
-    let trial = trial(false, &mut random);
+    let trial = trial(Ground::Air, &mut random);
     let (scene, path_mm) = planned(&trial, None, &mut random)?;
     let off = against_reference(&scene, None, &mut References::default())?;
     let line = format!("{}: {:.4} mm of {path_mm:.4}", settings(&scene), off.path_mm);
@@ -103,7 +111,7 @@ fn in_free_space(seed: u64) -> Result<Kept, Failure> {
 
 fn in_bone(seed: u64) -> Result<Kept, Failure> {
     let mut random = seed;
-    let trial = trial(true, &mut random);
+    let trial = trial(Ground::Bone, &mut random);
     let mut place = || [0; 3].map(|_| uniform(&mut random));
     let (here, there) = (block(place()), block(place()));
     let (scene, path_mm) = planned(&trial, Some(&here), &mut random)?;

@@ -91,16 +91,16 @@ impl Case {
     }
 
     fn walls(self) -> Vec<Wall> {
-        let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
-        let side = Wall::new(-x, x * 8e-3);
+        let (x, y, z) = (Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis());
+        let side = Wall::new(-x, x.scale(8e-3));
         match self {
             Case::TensionStep | Case::Buckling | Case::FarBuckling => Vec::new(),
             Case::StiffWall | Case::FarAnatomy | Case::Leaving => vec![side],
-            Case::Tunnel => vec![Wall::new(-x, x * TUNNEL_M), Wall::new(x, x * -TUNNEL_M)],
+            Case::Tunnel => vec![Wall::new(-x, x.scale(TUNNEL_M)), Wall::new(x, x.scale(-TUNNEL_M))],
             Case::Corner => {
-                vec![side, Wall::new(-z, z * (REACH_M + 3.3e-3)), Wall::new(-y, y * TUNNEL_M)]
+                vec![side, Wall::new(-z, z.scale(REACH_M + 3.3e-3)), Wall::new(-y, y.scale(TUNNEL_M))]
             }
-            Case::MovedBase => vec![Wall::new(-z, z * (REACH_M + 5e-3))],
+            Case::MovedBase => vec![Wall::new(-z, z.scale(REACH_M + 5e-3))],
         }
     }
 

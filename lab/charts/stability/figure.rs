@@ -6,7 +6,7 @@ use super::cases::Case;
 use super::{Cell, DT_MS, MASS, STIFFNESS, Verdict};
 use crate::charts::method::Method;
 use trabecula::report::ReportError;
-use trabecula::report::panel::INK;
+use trabecula::report::panel::{INK, Rect};
 use trabecula::report::shapes::{Anchor, Figure, Shape};
 
 const LEFT: f64 = 160.0;
@@ -33,7 +33,7 @@ pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
     figure.text((16.0, 46.0), inside, 12.5, INK, Anchor::Left);
     let mut at = LEFT;
     for (_, colour, name) in COLOURS {
-        area(&mut figure, (at, 62.0), (14.0, 10.0), colour);
+        area(&mut figure, Rect { x: at, y: 62.0, width: 14.0, height: 10.0 }, colour);
         figure.text((at + 20.0, 67.0), name, 12.5, INK, Anchor::Left);
         at += 110.0;
     }
@@ -45,16 +45,18 @@ pub(super) fn draw(cells: &[Cell]) -> Result<Figure, ReportError> {
             if row == 0 {
                 figure.text((x + 0.5 * block.0, TOP - 10.0), case.key(), 10.5, INK, Anchor::Centre);
             }
-            area(&mut figure, (x, y), block, NONE);
+            let place = Rect { x, y, width: block.0, height: block.1 };
+            area(&mut figure, place, NONE);
             for cell in cells.iter().filter(|cell| cell.method == method && cell.case == case) {
-                draw_cell(&mut figure, (x, y), cell);
+                draw_cell(&mut figure, place, cell);
             }
         }
     }
     Ok(figure)
 }
 
-fn draw_cell(figure: &mut Figure, (x, y): (f64, f64), cell: &Cell) {
+/// Draws a cell in its block.
+fn draw_cell(figure: &mut Figure, block: Rect, cell: &Cell) {
     let index = |all: &[f64], value: f64| all.iter().position(|own| *own == value).unwrap_or(0);
     let column = index(&STIFFNESS, cell.stiffness) as f64;
     let row = (index(&MASS, cell.mass) * DT_MS.len() + index(&DT_MS, cell.dt_ms)) as f64;
@@ -62,10 +64,12 @@ fn draw_cell(figure: &mut Figure, (x, y): (f64, f64), cell: &Cell) {
         COLOURS.iter().find(|(verdict, ..)| *verdict == cell.verdict).map_or(NONE, |(_, colour, _)| *colour);
     // A thin white gap between the masses.
     let height = if (row as usize + 1).is_multiple_of(DT_MS.len()) { SIZE.1 - 1.0 } else { SIZE.1 };
-    area(figure, (x + column * SIZE.0, y + row * SIZE.1), (SIZE.0 - 1.0, height), colour);
+    let (x, y) = (block.x + column * SIZE.0, block.y + row * SIZE.1);
+    area(figure, Rect { x, y, width: SIZE.0 - 1.0, height }, colour);
 }
 
-fn area(figure: &mut Figure, (x, y): (f64, f64), (width, height): (f64, f64), fill: RGBColor) {
+fn area(figure: &mut Figure, place: Rect, fill: RGBColor) {
+    let Rect { x, y, width, height } = place;
     let corners = vec![(x, y), (x + width, y), (x + width, y + height), (x, y + height)];
     figure.add(Shape::Area { corners, fill });
 }

@@ -3,6 +3,7 @@
 mod cases;
 mod figure;
 
+use crate::effort::Effort;
 use std::fmt::Write as _;
 use std::path::Path;
 use std::sync::Mutex;
@@ -71,13 +72,13 @@ pub struct Cell {
 ///
 /// # Errors
 /// A file that cannot be written.
-pub fn run(folder: &Path, quick: bool) -> Result<(), Failure> {
+pub fn run(folder: &Path, effort: Effort) -> Result<(), Failure> {
     let files = within(folder, &["stability.csv", "stability.png", "stability.svg"]);
     refuse_existing(&files)?;
     output_file::create_folder(folder).map_err(Failure::folder(folder))?;
     let end = EndRequest::install()
         .map_err(|cause| Failure::failed(format!("signals cannot be handled: {cause}")))?;
-    let cells = measure(quick, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
+    let cells = measure(effort, &end).map_err(|cause| Failure::failed(cause.to_string()))?;
     print_counts(&cells);
     let [png, svg] = figure::draw(&cells)?.files(folder, "stability")?;
     output_file::write_all(&[(folder.join("stability.csv"), csv(&cells).into_bytes()), png, svg])?;
@@ -142,8 +143,9 @@ impl Progress {
 }
 
 /// Runs all jobs on all cores. If the process is asked to end, returns the finished ones.
-fn measure(quick: bool, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorError> {
-    let pick = |all: &[f64]| if quick { vec![all[0], all[all.len() - 1]] } else { all.to_vec() };
+fn measure(effort: Effort, end: &EndRequest) -> Result<Vec<Cell>, ManipulatorError> {
+    let pick =
+        |all: &[f64]| if effort == Effort::Quick { vec![all[0], all[all.len() - 1]] } else { all.to_vec() };
     let (mut jobs, mut references): (Vec<Job>, Vec<Job>) = (Vec::new(), Vec::new());
     for method in Method::WITH_PROXIES {
         for case in Case::ALL {

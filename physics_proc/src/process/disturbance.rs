@@ -56,6 +56,15 @@ impl Counts {
     }
 }
 
+/// What a tick's sample is of. Only that of a late tick reads the machine's steal counter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sample {
+    /// A tick that began in time.
+    InTime,
+    /// A tick that began late.
+    Late,
+}
+
 impl Default for Disturbances {
     fn default() -> Disturbances {
         Disturbances::new()
@@ -90,19 +99,15 @@ impl Disturbances {
     }
 
     /// Call when a tick has begun at `start_ns`, `lateness_ns` after its deadline. Fills the counters into its timing.
-    /// `looks_at_steal` is for late ticks.
-    pub fn tick_begins(
-        &mut self,
-        start_ns: u64,
-        lateness_ns: i64,
-        looks_at_steal: bool,
-        timing: &mut TickTiming,
-    ) {
+    pub fn tick_begins(&mut self, start_ns: u64, lateness_ns: i64, tick: Sample, timing: &mut TickTiming) {
         let deadline_ns = start_ns as i64 - lateness_ns;
         timing.work_ns = self.work_end_ns.saturating_sub(self.begin_ns);
         timing.work_cpu_ns = self.work_end_cpu_ns.saturating_sub(self.begin_cpu_ns);
         timing.overrun_ns = self.work_end_ns as i64 - deadline_ns;
-        timing.stolen_ns = if looks_at_steal { self.steal.since_last() } else { 0 };
+        timing.stolen_ns = match tick {
+            Sample::Late => self.steal.since_last(),
+            Sample::InTime => 0,
+        };
         (timing.throttled_ns, timing.stopped_ns) = self.held_back.before(lateness_ns);
         timing.virtual_machine = u32::from(self.virtual_machine);
         self.count(timing);
@@ -198,7 +203,7 @@ mod tests {
     fn readings_of_a_thread_that_works_and_sleeps_say_so() {
         let mut readings = Disturbances::new();
         let mut timing = TickTiming::zeroed();
-        readings.tick_begins(now_ns(), 0, true, &mut timing);
+        readings.tick_begins(now_ns(), 0, Sample::Late, &mut timing);
         let began = thread_cpu_ns();
         while thread_cpu_ns() - began < 3_000_000 {
             std::hint::spin_loop();
@@ -206,7 +211,7 @@ mod tests {
         readings.work_ends();
         std::thread::sleep(std::time::Duration::from_millis(2));
         let start_ns = now_ns();
-        readings.tick_begins(start_ns, 500, false, &mut timing);
+        readings.tick_begins(start_ns, 500, Sample::InTime, &mut timing);
         assert!(timing.work_cpu_ns >= 3_000_000, "{timing:?}");
         assert!(timing.work_ns >= timing.work_cpu_ns, "{timing:?}");
         assert!(timing.voluntary_switches >= 1, "it slept: {timing:?}");

@@ -18,7 +18,7 @@ use ipc_types::wake::{Waiter, Waker};
 use zerocopy::IntoBytes;
 
 use super::clock::Sleeper;
-use super::disturbance::Disturbances;
+use super::disturbance::{Disturbances, Sample};
 
 /// Every port of the physics process.
 pub(super) struct SharedMemory {
@@ -225,7 +225,8 @@ impl Environment for SharedMemory {
     fn tick_begins(&mut self, start: Option<(u64, Start)>, timing: &mut TickTiming) {
         match start {
             Some((start_ns, start)) => {
-                self.disturbances.tick_begins(start_ns, start.lateness_ns, start.missed, timing);
+                let sample = if start.missed { Sample::Late } else { Sample::InTime };
+                self.disturbances.tick_begins(start_ns, start.lateness_ns, sample, timing);
             }
             None => self.disturbances.count(timing),
         }

@@ -26,7 +26,7 @@ use thiserror::Error;
 use clock::wake_exactly;
 use environment::SharedMemory;
 
-pub use disturbance::Disturbances;
+pub use disturbance::{Disturbances, Sample};
 
 /// Why the physics process ends early.
 #[derive(Debug, Error)]

@@ -25,6 +25,9 @@ use disk::{Disk, Medium, open};
 
 /// Alignment of offsets, lengths and addresses that `O_DIRECT` accepts on every file system.
 const BLOCK: usize = 4096;
+
+const _: () =
+    assert!(BLOCK as u64 <= run_log::PADDING_BYTES, "readers expect the zeros behind an unfinished log");
 /// Wall time between syncs; data is safe on disk after this plus the duration of the sync.
 pub const SYNC_PERIOD: Duration = Duration::from_secs(1);
 
@@ -122,10 +125,11 @@ impl BackgroundFile {
     /// The file cannot be created, or the system refuses the memory or the thread.
     pub fn create(path: &Path, options: BackgroundOptions) -> io::Result<BackgroundFile> {
         let (file, direct) = open(path, options)?;
-        BackgroundFile::on(Box::new(file), direct, options)
+        BackgroundFile::on(Box::new(file), BackgroundOptions { direct, ..options })
     }
 
-    fn on(medium: Box<dyn Medium>, direct: bool, options: BackgroundOptions) -> io::Result<BackgroundFile> {
+    /// On an open medium; `options.direct` says how it was opened.
+    fn on(medium: Box<dyn Medium>, options: BackgroundOptions) -> io::Result<BackgroundFile> {
         let bytes = options.buffer_bytes.next_multiple_of(BLOCK).max(2 * BLOCK);
         let buffer = |_| -> io::Result<Buffer> {
             Ok(Buffer { memory: MmapMut::map_anon(bytes)?, offset: 0, carried: 0, length: 0 })
@@ -136,6 +140,7 @@ impl BackgroundFile {
         let state = State { free, full, failure: None, closed: false };
         let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
         let of_thread = Arc::clone(&shared);
+        let direct = options.direct;
         let disk = Disk { medium, direct, written: 0, unsynced: None };
         let thread = std::thread::Builder::new().name("log writer".to_owned());
         let thread = thread.spawn(move || disk.serve(&of_thread))?;
@@ -277,7 +282,11 @@ mod tests {
     fn file() -> (Arc<Mutex<Volatile>>, BackgroundFile) {
         let disk = Arc::new(Mutex::new(Volatile::default()));
         let options = BackgroundOptions { buffers: 4, buffer_bytes: 8192, direct: true, fresh: true };
-        (Arc::clone(&disk), BackgroundFile::on(Box::new(Arc::clone(&disk)), true, options).unwrap())
+        (
+            Arc::clone(&disk),
+            BackgroundFile::on(Box::new(Arc::clone(&disk)), BackgroundOptions { direct: true, ..options })
+                .unwrap(),
+        )
     }
 
     fn wait_for(what: &str, mut done: impl FnMut() -> bool) {

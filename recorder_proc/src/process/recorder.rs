@@ -8,15 +8,13 @@ use std::time::{Duration, Instant};
 use hub::rate_limit::WarningLimit;
 use ipc_types::clock::now_ns;
 use ipc_types::layout::Message;
-use ipc_types::messages::{
-    Event, EventCode, FrameTiming, Part, Participant, Phase, Progress, RunStatus, Severity, Tick, TickTiming,
-};
+use ipc_types::messages::{EventCode, Part, Participant, Phase, Progress, Severity, Tick};
 use ipc_types::ports::Subscriber;
 use ipc_types::process::EndRequest;
 use ipc_types::scene::{Images, Recording};
 use ipc_types::session::host_is_alive;
 use run_log::gaps::Gaps;
-use run_log::{EndMarker, EndReason, LogError, RunLog, TimingLog, topics};
+use run_log::{EndMarker, EndReason, LogError, RunLog, TimingLog, Topic};
 
 use super::ports::Ports;
 use super::{RecorderError, sync_folder};
@@ -178,38 +176,38 @@ impl Recorder {
             match self.recording.images {
                 Images::Full if self.recording.keeps_image(sequence) => self.run.frame(frame.bytes())?,
                 Images::Full | Images::HashOnly => self.run.frame_without_image(frame.message())?,
-                Images::None => self.gaps.see(topics::DRR_FRAME, 0, sequence),
+                Images::None => self.gaps.see(Topic::DrrFrame, 0, sequence),
             }
         }
         Ok(())
     }
 
     fn take_timing(&mut self) -> Result<(), RecorderError> {
-        let (ports, timing, tick) = (&self.ports, &mut self.timing, self.newest_tick);
+        let (ports, timing, tick) = (&self.ports, &mut self.timing, Tick(self.newest_tick));
         while let Some(message) = ports.tick_timing.receive()? {
             let of_tick = message.message().tick;
-            self.gaps.see(topics::TICK_TIMING, 0, of_tick + 1);
-            timing.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, of_tick, message.bytes())?;
+            self.gaps.see(Topic::TickTiming, 0, of_tick + 1);
+            timing.message(Topic::TickTiming, Tick(of_tick), message.bytes())?;
         }
         for (topic, commands) in &ports.commands {
-            copy_all(commands, timing, topic, tick)?;
+            copy_all(commands, |message| timing.command(topic, tick, message))?;
         }
         while let Some(message) = ports.frame_timing.receive()? {
-            self.gaps.see(topics::FRAME_TIMING, 0, message.message().frame_sequence);
-            timing.message(topics::FRAME_TIMING, FrameTiming::DESCRIPTION, tick, message.bytes())?;
+            self.gaps.see(Topic::FrameTiming, 0, message.message().frame_sequence);
+            timing.message(Topic::FrameTiming, tick, message.bytes())?;
         }
         for _ in 0..CLIENT_MESSAGES_PER_ROUND {
             let Some(message) = ports.events.receive_valid(|_| {})? else { break };
-            self.gaps.see(topics::EVENT, message.message().sender, message.message().sequence);
-            timing.message(topics::EVENT, Event::DESCRIPTION, tick, message.bytes())?;
+            self.gaps.see(Topic::Event, message.message().sender, message.message().sequence);
+            timing.message(Topic::Event, tick, message.bytes())?;
         }
-        copy_all(&ports.controls, timing, topics::RUN_CONTROL, tick)?;
-        copy_all(&ports.control_replies, timing, topics::RUN_CONTROL_REPLY, tick)?;
+        copy_all(&ports.controls, |message| timing.message(Topic::RunControl, tick, message))?;
+        copy_all(&ports.control_replies, |message| timing.message(Topic::RunControlReply, tick, message))?;
         while let Some(status) = ports.status.receive()? {
             self.run_has_ended |= status.message().phase() == Ok(Phase::Ended);
-            timing.message(topics::RUN_STATUS, RunStatus::DESCRIPTION, tick, status.bytes())?;
+            timing.message(Topic::RunStatus, tick, status.bytes())?;
         }
-        copy_all(&ports.requests, timing, topics::DRR_REQUEST, tick)
+        copy_all(&ports.requests, |message| timing.message(Topic::DrrRequest, tick, message))
     }
 
     /// Reports a gap at once, because the recording may no longer serve the run's purpose.
@@ -319,17 +317,15 @@ fn finish_file(
     Ok(marker)
 }
 
-/// Copies a service's waiting messages into the timing lane. A client message of the wrong size is not a valid message
+/// Copies a service's waiting messages into the timing lane through `write`. A client message of the wrong size is not a valid message
 /// and is not logged; its recipient has already reported it in an event.
 fn copy_all<M: Message>(
     subscriber: &Subscriber<M>,
-    timing: &mut TimingLog<BackgroundFile>,
-    topic: &str,
-    tick: u64,
+    mut write: impl FnMut(&[u8]) -> Result<(), LogError>,
 ) -> Result<(), RecorderError> {
     for _ in 0..CLIENT_MESSAGES_PER_ROUND {
         let Some(message) = subscriber.receive_valid(|_| {})? else { break };
-        timing.message(topic, M::DESCRIPTION, tick, message.bytes())?;
+        write(message.bytes())?;
     }
     Ok(())
 }

@@ -24,7 +24,7 @@
 use messages::{RunStatus, TickTiming};
 use zerocopy::FromBytes;
 
-use crate::topics;
+use crate::topics::Topic;
 
 mod attribution;
 mod cause;
@@ -104,14 +104,14 @@ impl Misses {
     }
 
     /// Adds a message of the timing lane, on any topic.
-    pub fn take(&mut self, topic: &str, body: &[u8]) {
+    pub fn take(&mut self, topic: Option<Topic>, body: &[u8]) {
         match topic {
-            topics::TICK_TIMING => {
+            Some(Topic::TickTiming) => {
                 if let Ok(timing) = TickTiming::read_from_bytes(body) {
                     self.add(&timing);
                 }
             }
-            topics::RUN_STATUS => {
+            Some(Topic::RunStatus) => {
                 if let Ok(status) = RunStatus::read_from_bytes(body) {
                     self.add_status(&status);
                 }

@@ -13,7 +13,7 @@ use crate::fields::message_size;
 use crate::lengths::parse_record;
 use crate::limits::check_declaration;
 use crate::records::chunk_record;
-use crate::topics;
+use crate::topics::{self, Topic};
 
 /// Longest removal message: as many voxels as its service can carry.
 const MAX_REMOVED_BYTES: usize = Removed::DESCRIPTION.size + MAX_REMOVED_PER_TICK * 4;
@@ -80,7 +80,9 @@ impl MessageStream {
             return Err(self.damaged(format!("{} has no schema", channel.topic)));
         };
         let description = topics::description_of(&schema);
-        let entry = Channel { topic: channel.topic, description, schema, count: 0, bytes: 0, missing: 0 };
+        let known = Topic::of_name(&channel.topic);
+        let entry =
+            Channel { topic: channel.topic, known, description, schema, count: 0, bytes: 0, missing: 0 };
         self.channels.insert(channel.id, entry);
         Ok(())
     }
@@ -127,7 +129,7 @@ impl MessageStream {
             return Err(self.damaged(cause));
         }
         // A tick's voxels are held until its state arrives, so refuse any message larger than the service can publish.
-        if channel.topic == topics::REMOVED && body.len() > MAX_REMOVED_BYTES {
+        if channel.known == Some(Topic::Removed) && body.len() > MAX_REMOVED_BYTES {
             let cause = format!(
                 "a message of {} of {} bytes, at most {MAX_REMOVED_BYTES}",
                 channel.topic,
@@ -135,7 +137,7 @@ impl MessageStream {
             );
             return Err(self.damaged(cause));
         }
-        self.continuity.see(&channel.topic, body);
+        self.continuity.see(channel.known, body);
         let body = data.end - body.len()..data.end;
         if let Some(channel) = self.channels.get_mut(&header.channel_id) {
             channel.count += 1;

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use messages::layout::Description;
 
-use crate::continuity::Continuity;
+use crate::continuity::{Continuity, Removals};
 use crate::end::{END_RECORD, EndMarker, Ending, REPAIR_RECORD};
 use crate::error::LogError;
 use crate::header::{HEADER_RECORD, LogHeader, check_layouts};
@@ -15,7 +15,7 @@ use crate::limits::Declared;
 use crate::opening::{HeaderCopy, Opened, Parts, open};
 use crate::records::{FileRecord, Records};
 use crate::source::{LogSource, ReadSeek};
-use crate::topics;
+use crate::topics::Topic;
 use crate::verdict::{Fault, Verdict};
 
 use in_chunk::Found;
@@ -32,8 +32,10 @@ pub struct ReadOptions {
 /// One message.
 #[derive(Debug, Clone, Copy)]
 pub struct LogMessage<'a> {
-    /// Its topic.
+    /// Name of its topic.
     pub topic: &'a str,
+    /// Its topic, if this build knows it.
+    pub known: Option<Topic>,
     /// Its layout.
     pub description: &'static Description,
     /// Low 32 bits of the number of earlier messages of this topic.
@@ -48,6 +50,7 @@ pub struct LogMessage<'a> {
 
 struct Channel {
     topic: String,
+    known: Option<Topic>,
     description: Option<&'static Description>,
     schema: String,
     count: u64,
@@ -183,8 +186,8 @@ impl MessageStream {
         if let Some((copy, cause)) = &self.header_fault {
             faults.push(Fault::HeaderDamaged { copy: *copy, cause: cause.clone() });
         }
-        let gap =
-            self.continuity.gap(self.wants(topics::REMOVED), &self.counts(), self.ending.marker.as_ref());
+        let removals = if self.wants(Topic::Removed.name()) { Removals::Read } else { Removals::Skipped };
+        let gap = self.continuity.gap(removals, &self.counts(), self.ending.marker.as_ref());
         faults.extend(gap.map(Fault::Gap));
         match (&self.damage, self.ending.cut, &self.ending.marker) {
             (Some((offset, cause)), _, _) => {
@@ -241,6 +244,7 @@ impl MessageStream {
         let description = channel.description.ok_or_else(missing)?;
         Ok(Some(LogMessage {
             topic: &channel.topic,
+            known: channel.known,
             description,
             sequence: found.sequence,
             log_time_ns: found.log_time_ns,

@@ -34,6 +34,8 @@ const WRONG_MAGIC_BYTES: usize = 2;
 /// Bytes of a record that the search must see: header, chunk fields and the longest compression name.
 const LOOKAHEAD_BYTES: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 4 + 8;
 
+const _: () = assert!(LOOKAHEAD_BYTES < WINDOW);
+
 /// What a walk finds, in file order.
 pub(crate) enum Piece<'a> {
     Attachment(Attached),
@@ -128,7 +130,7 @@ pub(crate) fn walk<R: Read + Seek>(
         if !is_bare(opcode) || walker.bare_bytes.is_some_and(|bytes| bytes >= BARE_CHUNK_BYTES) {
             walker.end_bare_chunk(visit)?;
         }
-        match walker.pieces(path, (opcode, next), visit)? {
+        match walker.pieces(path, opcode, next, visit)? {
             Ok(()) => {
                 if opcode == op::DATA_END {
                     walker.in_data = false;
@@ -262,7 +264,8 @@ impl<R: Read + Seek> Walker<R> {
     fn pieces(
         &mut self,
         path: &Path,
-        (opcode, next): (u8, u64),
+        opcode: u8,
+        next: u64,
         visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         match opcode {
@@ -295,7 +298,7 @@ impl<R: Read + Seek> Walker<R> {
             // These records have no checksum, and a wrong length would skip whole chunks.
             _ => match self.leads_on(next) {
                 Ok(true) if self.in_data && self.bare.are_expected() && is_bare(opcode) => {
-                    self.bare(path, (opcode, next), visit)
+                    self.bare(path, opcode, next, visit)
                 }
                 Ok(true) => Ok(Ok(())),
                 Ok(false) => Ok(Err("a record whose length leads to no other".to_string())),
@@ -308,7 +311,8 @@ impl<R: Read + Seek> Walker<R> {
     fn bare(
         &mut self,
         path: &Path,
-        (opcode, next): (u8, u64),
+        opcode: u8,
+        next: u64,
         visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
     ) -> Result<Result<(), String>, LogError> {
         let body = self.at + RECORD_HEADER as u64;
@@ -325,7 +329,7 @@ impl<R: Read + Seek> Walker<R> {
             visit(Piece::ChunkBegin(self.at))?;
         }
         *self.bare_bytes.get_or_insert(0) += next - self.at;
-        of_record(path, (opcode, &self.record), visit)
+        of_record(path, opcode, &self.record, visit)
     }
 
     fn end_bare_chunk(
@@ -397,7 +401,7 @@ fn of_chunk(
             return Ok(Err("a record that reaches beyond its chunk".to_string()));
         };
         rest = &rest[length..];
-        if let Err(cause) = of_record(path, (opcode, body), visit)? {
+        if let Err(cause) = of_record(path, opcode, body, visit)? {
             return Ok(Err(cause));
         }
     }
@@ -407,7 +411,8 @@ fn of_chunk(
 /// Passes on a schema, a channel or a message; others carry nothing that is kept.
 fn of_record(
     path: &Path,
-    (opcode, body): (u8, &[u8]),
+    opcode: u8,
+    body: &[u8],
     visit: &mut dyn FnMut(Piece<'_>) -> Result<(), LogError>,
 ) -> Result<Result<(), String>, LogError> {
     match opcode {

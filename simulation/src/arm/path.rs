@@ -45,6 +45,18 @@ pub(super) struct PathSpeed {
     pub(super) angular_rad_s: f64,
 }
 
+/// A stretch of a path between two values of its parameter.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stretch {
+    pub(super) from: f64,
+    pub(super) to: f64,
+}
+
+impl Stretch {
+    /// The whole path.
+    pub(super) const WHOLE: Stretch = Stretch { from: 0.0, to: 1.0 };
+}
+
 impl Path {
     /// Straight from `start` to `goal`, with the shorter rotation.
     pub(super) fn straight(start: &Isometry3<f64>, goal: &Isometry3<f64>) -> Self {
@@ -147,7 +159,7 @@ impl PathFollower<'_> {
         Ok(JointsOnPath { q_rad, first, second, frames, origin_m })
     }
 
-    /// Checks the path between the parameters `from` and `to`, refuses it if the arm cannot follow it, and returns limits on the path
+    /// Checks a stretch of the path, refuses it if the arm cannot follow it, and returns limits on the path
     /// parameter that keep the tool's base within its limits and `speed`, and the joints within theirs.
     ///
     /// With q(s(t)): q̇ = q' ṡ, q̈ = q' s̈ + q'' ṡ², q⃛ = q' s⃛ + 3 q'' ṡ s̈ + q''' ṡ³. Each joint's acceleration limit is split evenly
@@ -156,11 +168,11 @@ impl PathFollower<'_> {
     pub(super) fn limits_along(
         &self,
         path: &Path,
-        (from, to): (f64, f64),
+        stretch: Stretch,
         q_start_rad: &Joints,
         speed: PathSpeed,
     ) -> Result<AxisLimits<1>, ArmError> {
-        let bend = self.bend_along(path, (from, to), q_start_rad)?;
+        let bend = self.bend_along(path, stretch, q_start_rad)?;
         let ([length_m, curve_m, twist_m], angle_rad) = (bend.origin_m, path.rotation_rad.norm());
         let c = self.cartesian_limits;
         let (half, third) = if curve_m > 0.0 { (0.5, 1.0 / 3.0) } else { (1.0, 1.0) };
@@ -189,12 +201,8 @@ impl PathFollower<'_> {
     }
 
     /// Maximum derivatives of the joint angles and of the tool base's origin along the path.
-    fn bend_along(
-        &self,
-        path: &Path,
-        (from, to): (f64, f64),
-        q_start_rad: &Joints,
-    ) -> Result<Bend, ArmError> {
+    fn bend_along(&self, path: &Path, stretch: Stretch, q_start_rad: &Joints) -> Result<Bend, ArmError> {
+        let Stretch { from, to } = stretch;
         let step = (to - from) / PATH_INTERVALS as f64;
         let signs = self.signs(q_start_rad);
         let mut bend = Bend { first: [0.0; 6], second: [0.0; 6], third: [0.0; 6], origin_m: [0.0; 3] };

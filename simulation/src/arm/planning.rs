@@ -3,7 +3,7 @@
 use super::inverse;
 use super::kinematics::Joints;
 use super::motion::{JointMotion, Motion, NextPath, PathMotion};
-use super::path::{Path, PathSpeed};
+use super::path::{Path, PathSpeed, Stretch};
 use super::trajectory::{AxisLimits, AxisState, Goal, Segment};
 use super::{Arm, ArmError};
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
@@ -183,7 +183,7 @@ impl Arm {
                 Path::straight(&start, &end)
             }
         };
-        let limits = self.follower().limits_along(&path, (0.0, 1.0), q_rad, goal.speed)?;
+        let limits = self.follower().limits_along(&path, Stretch::WHOLE, q_rad, goal.speed)?;
         Ok(NextPath { path, limits })
     }
 
@@ -216,7 +216,8 @@ impl Arm {
         let from = start.position[0];
         let Some(to) = old.path.parameter_of(goal, from) else { return Ok(None) };
         let direction = if to < from { -1.0 } else { 1.0 };
-        let limits = self.follower().limits_along(&old.path, (from, to), &self.state.q_rad, speed)?;
+        let limits =
+            self.follower().limits_along(&old.path, Stretch { from, to }, &self.state.q_rad, speed)?;
         let motion = self.plan_path(old.path, start, to, limits)?;
         // All braking, and so any reversal, ends within this time; a sample every few milliseconds detects it.
         let (a, j) = (limits.acceleration[0], limits.jerk[0]);

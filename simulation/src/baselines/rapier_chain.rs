@@ -115,7 +115,7 @@ impl RapierChain {
             let link = self.world.bodies.insert(body);
             let previous = if i == 0 { 0.0 } else { p.joint_positions_m[i - 1] };
             let anchor = Vector::new(0.0, 0.0, z - previous);
-            self.insert_joint(joints, (parent, link), anchor, i);
+            self.insert_joint(joints, parent, link, anchor, i);
             let segment = if last && n > 1 { (z - previous).min(length) } else { length };
             self.insert_sphere(link, 0.5 * segment, p.segment_sphere_radius_m);
             if last {
@@ -132,7 +132,8 @@ impl RapierChain {
     fn insert_joint(
         &mut self,
         joints: RapierJoints,
-        (parent, link): (RigidBodyHandle, RigidBodyHandle),
+        parent: RigidBodyHandle,
+        link: RigidBodyHandle,
         anchor: Vector,
         index: usize,
     ) {

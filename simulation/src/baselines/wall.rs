@@ -15,9 +15,9 @@ pub struct Wall {
 }
 
 impl Wall {
-    /// A wall through a point.
-    pub fn new(normal: Vector3<f64>, point_m: Vector3<f64>) -> Self {
-        Self { normal: Unit::new_normalize(normal), point_m }
+    /// A wall through a point; `normal` points out of the solid.
+    pub fn new(normal: Unit<Vector3<f64>>, point_m: Vector3<f64>) -> Self {
+        Self { normal, point_m }
     }
 
     /// The same wall, moved with a frame.

@@ -24,7 +24,7 @@ pub fn pressed(place: Isometry3<f64>) -> Manipulator {
     p.contact.friction_coefficient = 0.0;
     let base = BaseMotion::at_rest(place);
     let mut m = Manipulator::new(p, &base).unwrap();
-    let wall = Wall::new(-Vector3::x(), Vector3::x() * 8e-3).moved(&place);
+    let wall = Wall::new(-Vector3::x_axis(), Vector3::x() * 8e-3).moved(&place);
     let mut planes = Vec::new();
     for _ in 0..1000 {
         planes.clear();

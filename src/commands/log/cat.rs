@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use ipc_types::messages::{Tick, TickRange};
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
 use run_log::{CatOptions, ReadOptions, cat};
@@ -44,8 +45,7 @@ pub fn run(arguments: &CatArguments, out: &mut Out<'_>) -> Result<(), Failure> {
     let options = CatOptions {
         topics: arguments.topics.clone(),
         fields: arguments.fields.clone(),
-        first_tick: arguments.from,
-        last_tick: arguments.to,
+        ticks: TickRange { first: Tick(arguments.from), last: arguments.to.map(Tick) },
         first_ns: nanoseconds("--from-s", arguments.from_s)?,
         last_ns: arguments.to_s.map(|time_s| nanoseconds("--to-s", time_s)).transpose()?,
         read: ReadOptions::default(),

@@ -4,6 +4,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use ipc_types::messages::{Tick, TickRange};
 use output_file::{OutputError, OutputFile};
 use recorder_proc::exit_code::exit_code;
 use recorder_proc::log_file::{LogFile, log_path};
@@ -11,7 +12,7 @@ use recorder_proc::parquet_file::Parquet;
 use run_log::columns::{Rows, columns, description_of_topic, read_rows};
 use run_log::csv::Csv;
 use run_log::fields::Scalar;
-use run_log::{FrameRecord, LogError, ReadOptions, Verdict, frames, topics};
+use run_log::{FrameRecord, LogError, ReadOptions, Topic, Verdict, frames};
 
 use super::{Out, concluded};
 use crate::failure::Failure;
@@ -26,7 +27,7 @@ pub struct ExportArguments {
     #[arg(short, long)]
     output: PathBuf,
     /// Topic to export.
-    #[arg(long, default_value = topics::STATE)]
+    #[arg(long, default_value = Topic::State.name())]
     topic: String,
     /// Field to export (may be repeated); default: all. An array becomes one column per element.
     #[arg(long = "field")]
@@ -40,6 +41,12 @@ pub struct ExportArguments {
     /// Export one 16-bit PNG per frame, with the recorded pixel values, instead of a table.
     #[arg(long, conflicts_with_all = ["fields"])]
     frames: bool,
+}
+
+impl ExportArguments {
+    fn ticks(&self) -> TickRange {
+        TickRange { first: Tick(self.from), last: self.to.map(Tick) }
+    }
 }
 
 /// Runs the command.
@@ -82,7 +89,7 @@ fn table(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict), F
     };
     let file = OutputFile::create(&arguments.output)?;
     let rows_of = BufWriter::new(file.handle()?);
-    let range = (arguments.from, arguments.to);
+    let range = arguments.ticks();
     // The rows before the damage still make a valid table.
     let (read, finished) = if ending == "csv" {
         let mut rows = Csv::new(rows_of, &columns).map_err(failure)?;
@@ -115,7 +122,7 @@ fn pictures(log: &Path, arguments: &ExportArguments) -> Result<(String, Verdict)
             }
         };
         let tick = record.frame.tick;
-        if tick < arguments.from || arguments.to.is_some_and(|last| tick > last) {
+        if !arguments.ticks().contains(Tick(tick)) {
             continue;
         }
         if record.image.is_none() {
@@ -139,10 +146,12 @@ fn name(sequence: u64, tick: u64) -> String {
 /// its own, so this is quick; faults of the log are reported when its images are read.
 fn names(log: &Path, arguments: &ExportArguments) -> Vec<PathBuf> {
     let mut names = Names { folder: &arguments.output, paths: Vec::new() };
-    let range = (arguments.from, arguments.to);
-    let _ = description_of_topic(&LogFile::at(log), topics::DRR_FRAME)
+    let range = arguments.ticks();
+    let _ = description_of_topic(&LogFile::at(log), Topic::DrrFrame.name())
         .and_then(|description| columns(description, &["sequence".to_owned()]))
-        .and_then(|columns| read_rows(&LogFile::at(log), topics::DRR_FRAME, &columns, range, &mut names));
+        .and_then(|columns| {
+            read_rows(&LogFile::at(log), Topic::DrrFrame.name(), &columns, range, &mut names)
+        });
     names.paths
 }
 
@@ -152,8 +161,8 @@ struct Names<'a> {
 }
 
 impl Rows for Names<'_> {
-    fn row(&mut self, tick: u64, _log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
-        self.paths.extend(values.first().map(|sequence| self.folder.join(name(sequence.bits(), tick))));
+    fn row(&mut self, tick: Tick, _log_time_ns: u64, values: &[Scalar]) -> Result<(), LogError> {
+        self.paths.extend(values.first().map(|sequence| self.folder.join(name(sequence.bits(), tick.0))));
         Ok(())
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use ipc_types::messages::{Command, CommandSource, ControllerIndex, DrrReply, Latched};
 use recorder_proc::log_file::LogFile;
-use run_log::{MessageStream, RunMode, topics};
+use run_log::{MessageStream, RunMode, Topic, topics};
 use zerocopy::FromBytes;
 
 use crate::failure::Failure;
@@ -27,7 +27,9 @@ impl Answers {
         let mut stream = MessageStream::open(&LogFile::at(&log.path), log.options())?;
         let real_time = stream.header().mode == RunMode::RealTime;
         while let Ok(Some(message)) = stream.next_message() {
-            if let (topics::LATCHED, Ok(latched)) = (message.topic, Latched::read_from_bytes(message.body)) {
+            if let (Some(Topic::Latched), Ok(latched)) =
+                (message.known, Latched::read_from_bytes(message.body))
+            {
                 for (expected, index) in expected.iter_mut().zip(indices) {
                     let entry = &latched.commands[index.slot()];
                     if entry.source() == Ok(CommandSource::Fresh) {
@@ -35,7 +37,9 @@ impl Answers {
                     }
                 }
             }
-            if let (topics::DRR_REPLY, Ok(reply)) = (message.topic, DrrReply::read_from_bytes(message.body)) {
+            if let (Some(Topic::DrrReply), Ok(reply)) =
+                (message.known, DrrReply::read_from_bytes(message.body))
+            {
                 replies.insert(reply.frame_sequence, reply);
             }
         }

@@ -19,14 +19,14 @@ use ipc_types::process::EndRequest;
 use ipc_types::scene::Mode;
 use run_log::difference::compare;
 use run_log::verify::compare_state;
-use run_log::{RunMode, TickRecord, topics};
+use run_log::{RunMode, TickRecord, Topic};
 use simulation::Simulation;
 use zerocopy::IntoBytes;
 
 use super::OpenedLog;
 use super::frames::FrameReplay;
 use crate::failure::{EXIT_INTERRUPTED, Failure};
-use crate::launcher::hub::Hub;
+use crate::launcher::hub::{Hub, Recording};
 use crate::launcher::part::Part;
 use answers::Answers;
 use stage::{Frames, Stage};
@@ -45,7 +45,7 @@ pub struct LivePlan {
     /// Whether the physics follows the live commands.
     pub closed_loop: bool,
     /// Last tick (`State.tick`).
-    pub to_tick: u64,
+    pub to_tick: Tick,
 }
 
 /// Runs the plan; returns how many commands of each controller were identical.
@@ -65,8 +65,8 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     let answers = Answers::read(log, &indices)?;
     // In closed loop every tick needs an answer.
     let asked = |expected: &BTreeMap<u64, Command>| match plan.closed_loop {
-        true => plan.to_tick > 0,
-        false => expected.range(..plan.to_tick).next().is_some(),
+        true => plan.to_tick > Tick::START,
+        false => expected.range(..plan.to_tick.0).next().is_some(),
     };
     if let Some(live) = answers.expected.iter().position(|expected| !asked(expected)) {
         return Err(nothing_to_compare(log, plan, live));
@@ -75,8 +75,8 @@ pub fn run(log: &OpenedLog, plan: &LivePlan) -> Result<Vec<(String, u64)>, Failu
     if plan.closed_loop {
         scene.run.mode = Mode::Lockstep;
     }
-    let hub = Hub::create(&scene, log.volume.as_ref(), false).map_err(failed)?;
-    let stage = Stage::open(&hub.host.session, &plan.controllers, &indices, scene.drr.is_some())?;
+    let hub = Hub::create(&scene, log.volume.as_ref(), Recording::Off).map_err(failed)?;
+    let stage = Stage::open(&hub.host.session, &plan.controllers, &indices, &scene)?;
     let start = |(name, words): &(String, Vec<String>)| hub.start_program(name, words).map_err(failed);
     let parts = plan.controllers.iter().map(start).collect::<Result<Vec<_>, _>>()?;
     let limit = Duration::from_secs_f64(scene.run.controller_limit_ms * 1e-3);
@@ -139,11 +139,11 @@ struct ReplayedSession<'l> {
 
 impl ReplayedSession<'_> {
     /// Publishes the log's states and compares the answers.
-    fn open_loop(&mut self, to_tick: u64) -> Result<(), Failure> {
+    fn open_loop(&mut self, to_tick: Tick) -> Result<(), Failure> {
         let mut ticks = self.log.reader()?;
         let mut state = Box::new(*ticks.initial());
         self.stage.say(Tick::START, Phase::Running).map_err(failed)?;
-        while state.tick < to_tick {
+        while Tick(state.tick) < to_tick {
             self.show(&state)?;
             for live in 0..self.stage.live.len() {
                 if let Some(expected) = self.answers.expected[live].get(&state.tick).copied() {
@@ -160,14 +160,14 @@ impl ReplayedSession<'_> {
     }
 
     /// Steps the physics with the live commands, and compares commands and states.
-    fn closed_loop(&mut self, to_tick: u64, mut latch: Latch) -> Result<(), Failure> {
+    fn closed_loop(&mut self, to_tick: Tick, mut latch: Latch) -> Result<(), Failure> {
         let mut ticks = self.log.reader()?;
         let mut simulation = self.log.simulation().map_err(Failure::failed)?;
         if let Some(divergence) = compare_state(ticks.initial(), simulation.state()) {
             return Err(self.differs(&divergence.to_string()));
         }
         self.stage.say(Tick::START, Phase::Running).map_err(failed)?;
-        while simulation.state().tick < to_tick {
+        while Tick(simulation.state().tick) < to_tick {
             let Some(record) = ticks.next() else { return Ok(()) };
             let record = record.map_err(failed)?;
             self.show(simulation.state())?;
@@ -279,7 +279,7 @@ impl ReplayedSession<'_> {
     ) -> Result<(), Failure> {
         let answer = Command { sequence: expected.sequence, ..*answer };
         let (a, b) = (expected.as_bytes(), answer.as_bytes());
-        let Some(difference) = compare(topics::LATCHED, tick.0, Command::DESCRIPTION, a, b) else {
+        let Some(difference) = compare(Topic::Latched, tick, Command::DESCRIPTION, a, b) else {
             self.identical[live] += 1;
             return Ok(());
         };

@@ -4,6 +4,7 @@ use ipc_types::messages::{
     Command, ControllerIndex, DrrReply, Frame, Latched, Part as HubPart, Phase, RunStatus, State, Tick,
 };
 use ipc_types::ports::{PortError, Publisher, Subscriber};
+use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::{Reader, Session, SessionError};
 use ipc_types::wake::{Waiter, Waker};
@@ -37,7 +38,7 @@ impl Stage {
         session: &Session,
         controllers: &[(String, Vec<String>)],
         indices: &[ControllerIndex],
-        has_frames: bool,
+        scene: &Scene,
     ) -> Result<Stage, Failure> {
         let live = |((name, _), index): (&(String, Vec<String>), &ControllerIndex)| {
             Ok(Live {
@@ -55,7 +56,7 @@ impl Stage {
                 latched: session.publisher(&services::LATCHED)?,
                 status: session.publisher(&services::RUN_STATUS)?,
                 replies: session.publisher(&services::DRR_REPLY)?,
-                frames: has_frames.then(|| session.publisher(&services::FRAME)).transpose()?,
+                frames: scene.drr.as_ref().map(|_| session.publisher(&services::FRAME)).transpose()?,
                 live: controllers.iter().zip(indices).map(live).collect::<Result<_, SessionError>>()?,
                 waiter: session.waiter(Reader::Physics)?,
             })

@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use fastrand::Rng;
-use ipc_types::layout::Message;
 use ipc_types::messages::*;
 use recorder_proc::build_info;
 use recorder_proc::log_file::{create_run, create_timing};
-use run_log::{EndReason, LogHeader, RunMode, topics};
+use run_log::{EndReason, LogHeader, RunMode, Topic};
 use zerocopy::IntoBytes;
 
 /// The scene's text; its target lies 1 mm to the side of where the burr ends.
@@ -145,22 +144,22 @@ pub fn write_run(folder: &Path, ticks: u64) {
         run.latched(&latched).unwrap();
         run.state(&state(k + 1, ticks, &mut random)).unwrap();
         let timing = timing(k, &mut random);
-        lane.message(topics::TICK_TIMING, TickTiming::DESCRIPTION, k + 1, timing.as_bytes()).unwrap();
+        lane.message(Topic::TickTiming, Tick(k + 1), timing.as_bytes()).unwrap();
         if k % FRAME_TICKS == 0 {
             frames += 1;
             run.frame(&frame(frames, k + 1, 64, 48)).unwrap();
             let mut timing = FrameTiming::zeroed();
             (timing.frame_sequence, timing.rays) = (frames, 1000);
             (timing.render_ns, timing.full) = (5_000_000, u32::from(frames == 1));
-            lane.message(topics::FRAME_TIMING, FrameTiming::DESCRIPTION, k + 1, timing.as_bytes()).unwrap();
+            lane.message(Topic::FrameTiming, Tick(k + 1), timing.as_bytes()).unwrap();
         }
     }
     for i in 0..8 {
         let event = event(i, SEVERITY_WARNING, EVENT_COMMAND_HELD, &format!("late by {i} ticks\nagain"));
-        lane.message(topics::EVENT, Event::DESCRIPTION, ticks, &event).unwrap();
+        lane.message(Topic::Event, Tick(ticks), &event).unwrap();
     }
     let event = event(9, SEVERITY_INFO, EVENT_RUN, "ended");
-    lane.message(topics::EVENT, Event::DESCRIPTION, ticks, &event).unwrap();
+    lane.message(Topic::Event, Tick(ticks), &event).unwrap();
     let lost = BTreeMap::from([("/event".to_string(), 3)]);
     run.finish(EndReason::Completed, &BTreeMap::new()).unwrap();
     lane.finish(EndReason::Completed, &lost).unwrap();

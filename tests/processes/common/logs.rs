@@ -5,7 +5,7 @@ use std::path::Path;
 
 use ipc_types::messages::{DrrReply, Latched, State};
 use recorder_proc::log_file::{LogFile, create_run};
-use run_log::{EndMarker, EndReason, LogHeader, LogReader, MessageStream, ReadOptions, TickRecord, topics};
+use run_log::{EndMarker, EndReason, LogHeader, LogReader, MessageStream, ReadOptions, TickRecord, Topic};
 use zerocopy::FromBytes;
 
 use super::program::{Done, trabecula};
@@ -68,19 +68,19 @@ pub fn rewrite_as(
     header(&mut changed);
     let mut log = create_run(to, &changed).unwrap();
     while let Some(message) = stream.next_message().unwrap() {
-        match message.topic {
-            topics::LATCHED => {
+        match message.known {
+            Some(Topic::Latched) => {
                 let mut changed = Latched::read_from_bytes(message.body).unwrap();
                 latched(&mut changed);
                 log.latched(&changed).unwrap();
             }
-            topics::STATE => {
+            Some(Topic::State) => {
                 let mut changed = State::read_from_bytes(message.body).unwrap();
                 state(&mut changed);
                 log.state(&changed).unwrap();
             }
-            topics::REMOVED => log.removed(message.body).unwrap(),
-            topics::KEYFRAME => log.keyframe(message.body).unwrap(),
+            Some(Topic::Removed) => log.removed(message.body).unwrap(),
+            Some(Topic::Keyframe) => log.keyframe(message.body).unwrap(),
             _ => {}
         }
     }
@@ -95,21 +95,22 @@ pub fn edited(from: &Path, to: &Path, mut edit: impl FnMut(&str, &mut Vec<u8>) -
     let (mut frame, mut chunk) = (None, 1);
     while let Some(message) = stream.next_message().unwrap() {
         let mut body = message.body.to_vec();
-        if std::mem::replace(&mut chunk, message.chunk) != message.chunk && message.topic != topics::DRR_IMAGE
+        if std::mem::replace(&mut chunk, message.chunk) != message.chunk
+            && message.known != Some(Topic::DrrImage)
         {
             log.close_chunk().unwrap();
         }
         if !edit(message.topic, &mut body) {
             continue;
         }
-        match message.topic {
-            topics::LATCHED => log.latched(&Latched::read_from_bytes(&body).unwrap()).unwrap(),
-            topics::STATE => log.state(&State::read_from_bytes(&body).unwrap()).unwrap(),
-            topics::REMOVED => log.removed(&body).unwrap(),
-            topics::KEYFRAME => log.keyframe(&body).unwrap(),
-            topics::DRR_REPLY => log.drr_reply(&DrrReply::read_from_bytes(&body).unwrap()).unwrap(),
+        match message.known {
+            Some(Topic::Latched) => log.latched(&Latched::read_from_bytes(&body).unwrap()).unwrap(),
+            Some(Topic::State) => log.state(&State::read_from_bytes(&body).unwrap()).unwrap(),
+            Some(Topic::Removed) => log.removed(&body).unwrap(),
+            Some(Topic::Keyframe) => log.keyframe(&body).unwrap(),
+            Some(Topic::DrrReply) => log.drr_reply(&DrrReply::read_from_bytes(&body).unwrap()).unwrap(),
             // Its image follows.
-            topics::DRR_FRAME => frame = Some(body),
+            Some(Topic::DrrFrame) => frame = Some(body),
             _ => log.frame(&[frame.take().unwrap(), body].concat()).unwrap(),
         }
     }

@@ -13,7 +13,7 @@ use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
 use recorder_proc::log_file::LogFile;
 use run_log::reader::voxel_indices;
-use run_log::{MessageStream, ReadOptions, topics};
+use run_log::{MessageStream, ReadOptions, Topic};
 use zerocopy::FromBytes;
 
 use crate::board::Board;
@@ -164,7 +164,7 @@ impl Removals {
         };
         let Ok(mut stream) = MessageStream::open_topics(
             &LogFile::at(path),
-            &[topics::REMOVED.to_owned()],
+            &[Topic::Removed.name().to_owned()],
             ReadOptions::default(),
         ) else {
             return;

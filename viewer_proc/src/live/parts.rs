@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::messages::Part as HubPart;
 use ipc_types::scene::Scene;
+use ipc_types::session::Session;
 use serde_json::{Value, json};
 
 use crate::board::Board;
@@ -29,12 +30,12 @@ pub(super) struct Parts {
 }
 
 impl Parts {
-    pub(super) fn new(scene: &Scene, recorder: bool) -> Parts {
+    pub(super) fn new(scene: &Scene, session: &Session) -> Parts {
         let is_there = |part: &HubPart| match part {
             HubPart::Host => false,
             HubPart::Physics => true,
             HubPart::Drr => scene.drr.is_some(),
-            HubPart::Recorder => recorder,
+            HubPart::Recorder => session.announcement().recorder,
         };
         let own = HubPart::ALL.into_iter().filter(is_there).map(|part| part.name().to_owned());
         let order: Vec<String> = own.chain(scene.controller_names()).collect();

@@ -5,14 +5,14 @@ use std::collections::BTreeSet;
 use hub::viewer::Decimation;
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part, Phase, Progress,
-    Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
+    Command, ControllerIndex, DrrReply, DrrRequest, DrrStatus, Event, Frame, FrameTiming, Latched, Part,
+    Phase, Progress, Removed, RunControl, RunControlReply, RunStatus, State, TickTiming,
 };
 use ipc_types::ports::{PortError, Received, Subscriber};
 use ipc_types::scene::Scene;
 use ipc_types::services;
 use ipc_types::session::{Session, SessionError};
-use run_log::topics;
+use run_log::topics::{self, Logged, Topic};
 
 use super::parts::Parts;
 use crate::board::Board;
@@ -36,7 +36,7 @@ pub(super) struct Subscriptions {
     commands: Vec<(String, Subscriber<Command>)>,
     others: Vec<Box<dyn Forward>>,
     /// The viewer's index among the controllers.
-    own_index: Option<u32>,
+    own_index: Option<ControllerIndex>,
     /// Request numbers of the viewer's frames that have not arrived yet.
     asked: BTreeSet<u64>,
     parts: Parts,
@@ -54,14 +54,13 @@ trait Forward {
     fn poll(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError>;
 }
 
-struct Topic<M> {
-    topic: &'static str,
+struct Forwarded<M> {
     subscriber: Subscriber<M>,
 }
 
-impl<M: Message> Forward for Topic<M> {
+impl<M: Logged> Forward for Forwarded<M> {
     fn poll(&mut self, board: &Board, time_ns: u64) -> Result<usize, PortError> {
-        forward(&self.subscriber, self.topic, board, |_| time_ns, |_| ())
+        forward(&self.subscriber, M::TOPIC.name(), board, |_| time_ns, |_| ())
     }
 }
 
@@ -113,22 +112,18 @@ impl Subscriptions {
             progress: session.subscriber(&services::PROGRESS)?,
             commands,
             others: vec![
-                Topic::<Latched>::open(session, topics::LATCHED, &services::LATCHED)?,
-                Topic::<Removed>::open(session, topics::REMOVED, &services::REMOVED)?,
-                Topic::<TickTiming>::open(session, topics::TICK_TIMING, &services::TICK_TIMING)?,
-                Topic::<FrameTiming>::open(session, topics::FRAME_TIMING, &services::FRAME_TIMING)?,
-                Topic::<Event>::open(session, topics::EVENT, &services::EVENT)?,
-                Topic::<RunControl>::open(session, topics::RUN_CONTROL, &services::RUN_CONTROL)?,
-                Topic::<RunControlReply>::open(
-                    session,
-                    topics::RUN_CONTROL_REPLY,
-                    &services::RUN_CONTROL_REPLY,
-                )?,
-                Topic::<DrrRequest>::open(session, topics::DRR_REQUEST, &services::DRR_REQUEST)?,
+                Forwarded::<Latched>::open(session, &services::LATCHED)?,
+                Forwarded::<Removed>::open(session, &services::REMOVED)?,
+                Forwarded::<TickTiming>::open(session, &services::TICK_TIMING)?,
+                Forwarded::<FrameTiming>::open(session, &services::FRAME_TIMING)?,
+                Forwarded::<Event>::open(session, &services::EVENT)?,
+                Forwarded::<RunControl>::open(session, &services::RUN_CONTROL)?,
+                Forwarded::<RunControlReply>::open(session, &services::RUN_CONTROL_REPLY)?,
+                Forwarded::<DrrRequest>::open(session, &services::DRR_REQUEST)?,
             ],
-            own_index: names.iter().position(|name| name == CONTROLLER).map(|index| index as u32),
+            own_index: ControllerIndex::first(names.len()).find(|index| names[index.slot()] == CONTROLLER),
             asked: BTreeSet::new(),
-            parts: Parts::new(scene, session.announcement().recorder),
+            parts: Parts::new(scene, session),
             drawer: Drawer::new(tool),
             newest: None,
             dt_ns: scene.dt_ns(),
@@ -159,7 +154,7 @@ impl Subscriptions {
         let (mut ended, mut recorded) = (self.ended, 0);
         let heard = forward(
             &self.status,
-            topics::RUN_STATUS,
+            Topic::RunStatus.name(),
             board,
             |_| time_ns,
             |status| {
@@ -189,7 +184,7 @@ impl Subscriptions {
         let (dt_ns, mut tick) = (self.dt_ns, self.tick);
         let time_ns = |state: &State| state.tick.saturating_mul(dt_ns);
         let newest = &mut self.newest;
-        let count = forward(&self.states, topics::STATE, board, time_ns, |state| {
+        let count = forward(&self.states, Topic::State.name(), board, time_ns, |state| {
             tick = state.tick;
             *newest = Some(*state);
         })?;
@@ -221,8 +216,8 @@ impl Subscriptions {
             }
             // A frame that has been superseded is not worth publishing.
             if !frames.has_message() {
-                board.publish_cdr(topics::DRR_FRAME, time_ns, &[zerocopy::IntoBytes::as_bytes(frame)]);
-                board.publish_cdr(topics::DRR_IMAGE, time_ns, &[received.tail()]);
+                board.publish_cdr(Topic::DrrFrame.name(), time_ns, &[zerocopy::IntoBytes::as_bytes(frame)]);
+                board.publish_cdr(Topic::DrrImage.name(), time_ns, &[received.tail()]);
             }
         }
         self.frames = Some(frames);
@@ -236,13 +231,13 @@ impl Subscriptions {
         let (own_index, asked) = (self.own_index, &mut self.asked);
         forward(
             &self.replies,
-            topics::DRR_REPLY,
+            Topic::DrrReply.name(),
             board,
             |_| time_ns,
             |reply| {
                 if reply.status() != Ok(DrrStatus::Accepted) {
                     refused = Some(reply.requester);
-                } else if reply.request_id != 0 && Some(reply.requester) == own_index {
+                } else if reply.request_id != 0 && reply.requester == DrrRequest::requester_of(own_index) {
                     asked.insert(reply.frame_sequence);
                     if asked.len() > MOST_ASKED {
                         asked.pop_first();
@@ -258,12 +253,8 @@ impl Subscriptions {
     }
 }
 
-impl<M: Message + 'static> Topic<M> {
-    fn open(
-        session: &Session,
-        topic: &'static str,
-        service: &services::Service,
-    ) -> Result<Box<dyn Forward>, SessionError> {
-        Ok(Box::new(Topic::<M> { topic, subscriber: session.subscriber(service)? }))
+impl<M: Logged + 'static> Forwarded<M> {
+    fn open(session: &Session, service: &services::Service) -> Result<Box<dyn Forward>, SessionError> {
+        Ok(Box::new(Forwarded::<M> { subscriber: session.subscriber(service)? }))
     }
 }

@@ -3,8 +3,8 @@
 use ipc_types::messages::Removed;
 
 use crate::board::Board;
-use crate::surface::Geometry;
 use crate::surface::bone::Bone;
+use crate::surface::{Geometry, Voxel};
 
 /// The voxels of the log's volume.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +48,7 @@ impl LogBone {
                 self.apply(from, wanted);
             } else {
                 let gone = self.removals[wanted..self.taken].iter().flat_map(|(_, _, voxels)| voxels);
-                gone.for_each(|index| self.bone.set(*index, false));
+                gone.for_each(|index| self.bone.set(*index, Voxel::Present));
             }
         } else {
             self.apply(self.taken, wanted);

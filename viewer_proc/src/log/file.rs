@@ -1,5 +1,6 @@
 //! Random access to a log's file by simulated time.
 
+use run_log::Topic;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -105,7 +106,7 @@ impl LogFile {
     ///
     /// # Errors
     /// [`PlayError`].
-    pub fn after(&self, time_ns: Option<u64>, topics: &[&str]) -> Result<Reading, PlayError> {
+    pub fn after(&self, time_ns: Option<u64>, topics: &[Topic]) -> Result<Reading, PlayError> {
         let mut options = IndexedReaderOptions::new().with_order(ReadOrder::LogTime);
         if let Some(time_ns) = time_ns {
             options = options.starting_after(time_ns);
@@ -117,8 +118,8 @@ impl LogFile {
     ///
     /// # Errors
     /// [`PlayError`].
-    pub fn newest(&self, topic: &str, time_ns: u64) -> Result<Option<Logged>, PlayError> {
-        let known = self.summary.channels.values().any(|channel| channel.topic == topic);
+    pub fn newest(&self, topic: Topic, time_ns: u64) -> Result<Option<Logged>, PlayError> {
+        let known = self.summary.channels.values().any(|channel| channel.topic == topic.name());
         if !known {
             return Ok(None);
         }
@@ -126,9 +127,9 @@ impl LogFile {
         self.reading(options, &[topic])?.next_message()
     }
 
-    fn reading(&self, mut options: IndexedReaderOptions, topics: &[&str]) -> Result<Reading, PlayError> {
+    fn reading(&self, mut options: IndexedReaderOptions, topics: &[Topic]) -> Result<Reading, PlayError> {
         if !topics.is_empty() {
-            options = options.include_topics(topics.iter().copied());
+            options = options.include_topics(topics.iter().map(|topic| topic.name()));
         }
         let options = options.with_record_length_limit(MAX_RECORD);
         let reader =

@@ -5,7 +5,7 @@ use std::path::Path;
 use ipc_types::messages::{Event, Removed, State, TickTiming};
 use recorder_proc::log_file::LogFile;
 use run_log::reader::{voxel_indices, voxels_of};
-use run_log::{LogError, LogHeader, MessageStream, ReadOptions, topics};
+use run_log::{LogError, LogHeader, MessageStream, ReadOptions, Topic};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
@@ -59,12 +59,12 @@ pub struct Outline {
 /// # Errors
 /// Not a log of this build.
 pub fn outline(path: &Path) -> Result<Outline, LogError> {
-    let wanted = [topics::STATE, topics::REMOVED, topics::DRR_FRAME].map(str::to_owned);
+    let wanted = [Topic::State.name(), Topic::Removed.name(), Topic::DrrFrame.name()].map(str::to_owned);
     let mut stream = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())?;
     let mut outline = Outline::new(stream.header().clone());
     // A read error is listed among the faults.
     while let Ok(Some(message)) = stream.next_message() {
-        outline.add(message.topic, message.log_time_ns, message.body);
+        outline.add(message.known, message.log_time_ns, message.body);
     }
     outline.notices.extend(stream.verdict().faults.iter().map(ToString::to_string));
     if !outline.has_frames {
@@ -88,9 +88,9 @@ impl Outline {
         }
     }
 
-    fn add(&mut self, topic: &str, time_ns: u64, body: &[u8]) {
+    fn add(&mut self, topic: Option<Topic>, time_ns: u64, body: &[u8]) {
         match topic {
-            topics::STATE => {
+            Some(Topic::State) => {
                 let Ok(state) =
                     State::ref_from_bytes(body).copied().or_else(|_| State::read_from_bytes(body))
                 else {
@@ -106,7 +106,7 @@ impl Outline {
                 }
                 self.states.push((state.tick, state.hash));
             }
-            topics::REMOVED => {
+            Some(Topic::Removed) => {
                 if let Ok((removed, tail)) = Removed::read_from_prefix(body) {
                     self.remove(time_ns, removed, voxel_indices(tail));
                 }
@@ -168,14 +168,14 @@ fn part(first: &[(u64, [u64; 2])], second: &[(u64, [u64; 2])]) -> Option<(u64, &
 /// Events and missed ticks from the timing lane beside a run lane; empty without one. Each is placed at the tick it names, because the
 /// log's own time is when the recorder received it.
 pub fn timing_marks(path: &Path, dt_ns: u64) -> Vec<Mark> {
-    let wanted = [topics::EVENT, topics::TICK_TIMING].map(str::to_owned);
+    let wanted = [Topic::Event.name(), Topic::TickTiming.name()].map(str::to_owned);
     let Ok(mut stream) = MessageStream::open_topics(&LogFile::at(path), &wanted, ReadOptions::default())
     else {
         return Vec::new();
     };
     let (mut events, mut misses) = (Vec::new(), Vec::new());
     while let Ok(Some(message)) = stream.next_message() {
-        if message.topic == topics::EVENT {
+        if message.known == Some(Topic::Event) {
             let Ok((event, text)) = Event::read_from_prefix(message.body) else { continue };
             let time_ns = event.tick.saturating_mul(dt_ns);
             let text = String::from_utf8_lossy(text.strip_suffix(&[0]).unwrap_or(text)).into_owned();
@@ -221,7 +221,7 @@ mod tests {
         let mut outline = outline_of([1; 3]);
         for tick in [0, u64::MAX, 0, 1] {
             let state = State { tick, ..State::zeroed() };
-            outline.add(topics::STATE, 0, state.as_bytes());
+            outline.add(Some(Topic::State), 0, state.as_bytes());
         }
         let texts: Vec<&str> = outline.marks.iter().map(|mark| mark.text.as_str()).collect();
         let last = u64::MAX;
@@ -236,14 +236,14 @@ mod tests {
             let removed = Removed { restore_first, voxel_index_length: voxels, ..Removed::zeroed() };
             [removed.as_bytes(), &vec![0; voxels as usize * 4]].concat()
         };
-        outline.add(topics::REMOVED, 0, &message(0, 64));
-        outline.add(topics::REMOVED, 1, &message(1, 0));
-        outline.add(topics::REMOVED, 2, &message(0, 64));
+        outline.add(Some(Topic::Removed), 0, &message(0, 64));
+        outline.add(Some(Topic::Removed), 1, &message(1, 0));
+        outline.add(Some(Topic::Removed), 2, &message(0, 64));
         assert_eq!((outline.removals.len(), outline.notices.len()), (3, 0));
         for _ in 0..1000 {
-            outline.add(topics::REMOVED, 3, &message(0, 0));
+            outline.add(Some(Topic::Removed), 3, &message(0, 0));
         }
-        outline.add(topics::REMOVED, 4, &message(1, 1));
+        outline.add(Some(Topic::Removed), 4, &message(1, 1));
         assert_eq!((outline.removals.len(), outline.notices.len()), (3, 1));
         assert!(outline.notices[0].contains("more voxels are removed than the volume has"));
     }

@@ -12,12 +12,12 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
-use ipc_types::messages::{Latched, State};
+use ipc_types::messages::{Latched, State, Tick};
 use ipc_types::process::EndRequest;
 use ipc_types::scene::Scene;
 use recorder_proc::log_file::log_path;
 use run_log::fields::Scalar;
-use run_log::{difference, topics};
+use run_log::{Topic, difference};
 use serde_json::{Value, json};
 use zerocopy::FromBytes;
 
@@ -53,8 +53,7 @@ const HISTORY_DELAY: Duration = Duration::from_millis(150);
 /// Most rows in a comparison.
 const MOST_ROWS: usize = 40;
 /// Topics whose newest message is shown at the current time.
-const SHOWN: [&str; 5] =
-    [topics::LATCHED, topics::STATE, topics::DRR_REPLY, topics::DRR_FRAME, topics::DRR_IMAGE];
+const SHOWN: [Topic; 5] = [Topic::Latched, Topic::State, Topic::DrrReply, Topic::DrrFrame, Topic::DrrImage];
 
 /// The logs to view.
 #[derive(Debug, Clone)]
@@ -115,7 +114,7 @@ pub fn view(
         first,
         second,
         volume,
-        (&tool, scene.volume.map_or(0, |v| v.bone_threshold_hu)),
+        Shown { tool: &tool, threshold_hu: scene.volume.map_or(0, |v| v.bone_threshold_hu) },
     )?;
     ready(&server);
     let serving = std::thread::spawn(move || server.serve());
@@ -178,6 +177,13 @@ struct Stream {
     ahead: Option<Logged>,
 }
 
+/// What the scene says of the objects that the page shows.
+struct Shown<'a> {
+    tool: &'a ToolShape,
+    /// Above it a voxel is bone; 0 without a volume.
+    threshold_hu: i16,
+}
+
 impl LogPlayback {
     fn open(
         board: Arc<Board>,
@@ -185,7 +191,7 @@ impl LogPlayback {
         first: Outline,
         second: Option<SecondLog>,
         volume: Option<LogVolume>,
-        (tool, threshold_hu): (&ToolShape, i16),
+        shown: Shown<'_>,
     ) -> Result<LogPlayback, ViewerError> {
         let run = LogFile::open(path)?;
         let timing_path = path.with_file_name("timing.mcap");
@@ -200,7 +206,7 @@ impl LogPlayback {
         }
         let (begin_ns, end_ns) = run.bounds_ns();
         let player = Player::new(begin_ns, end_ns, first.header.dt_ns, marks);
-        let bone = volume.map(|volume| LogBone::new(volume, threshold_hu, first.removals));
+        let bone = volume.map(|volume| LogBone::new(volume, shown.threshold_hu, first.removals));
         Ok(LogPlayback {
             board,
             run,
@@ -210,7 +216,7 @@ impl LogPlayback {
             bone,
             shown_ns: None,
             streams: Vec::new(),
-            drawer: Drawer::new(tool),
+            drawer: Drawer::new(shown.tool),
             undrawn: true,
             jumped: None,
             told: None,
@@ -265,7 +271,7 @@ impl LogPlayback {
     fn draw(&mut self, now: u64) -> Result<(), PlayError> {
         self.undrawn = !self.drawer.is_due(&self.board);
         if !self.undrawn
-            && let Some(message) = self.run.newest(topics::STATE, now)?
+            && let Some(message) = self.run.newest(Topic::State, now)?
             && let Ok(state) = State::read_from_bytes(message.body())
         {
             self.drawer.draw(&state, message.time_ns, &self.board);
@@ -301,7 +307,7 @@ impl LogPlayback {
     fn show_newest(&self, now: u64) -> Result<(), PlayError> {
         for topic in SHOWN {
             if let Some(message) = self.run.newest(topic, now)? {
-                self.board.publish(topic, message.time_ns, 0, message.payload);
+                self.board.publish(topic.name(), message.time_ns, 0, message.payload);
             }
         }
         let Some(second) = &self.second else { return Ok(()) };
@@ -322,13 +328,13 @@ impl LogPlayback {
         let now = self.player.time_ns();
         let from = now.saturating_sub(HISTORY_NS);
         let every = (HISTORY_NS / self.player.dt_ns / HISTORY_STATES).max(1);
-        let timing = self.timing.as_ref().map(|log| (log, topics::TICK_TIMING, 1));
-        for (log, topic, every) in core::iter::once((&self.run, topics::STATE, every)).chain(timing) {
+        let timing = self.timing.as_ref().map(|log| (log, Topic::TickTiming, 1));
+        for (log, topic, every) in core::iter::once((&self.run, Topic::State, every)).chain(timing) {
             let mut reading = log.after(from.checked_sub(1), &[topic])?;
             let mut number = 0;
             while let Some(message) = reading.next_message()?.filter(|message| message.time_ns <= now) {
                 if number % every == 0 {
-                    self.board.publish(topic, message.time_ns, 0, message.payload);
+                    self.board.publish(topic.name(), message.time_ns, 0, message.payload);
                 }
                 number += 1;
             }
@@ -343,7 +349,7 @@ impl LogPlayback {
         if self.player.playing && recent {
             return Ok(());
         }
-        let (a, b) = (self.run.newest(topics::STATE, now)?, second.log.newest(topics::STATE, now)?);
+        let (a, b) = (self.run.newest(Topic::State, now)?, second.log.newest(Topic::State, now)?);
         if let Some((a, b)) = a.zip(b) {
             let value = json!({"time_ns": now, "fields": differing_fields(a.body(), b.body())});
             self.board.publish_json(COMPARE, &value);
@@ -381,12 +387,12 @@ impl LogPlayback {
 /// The first difference where two logs diverge: the previous tick's command, or else the state.
 fn first_difference(a: &LogFile, b: &LogFile, time_ns: u64) -> Result<String, PlayError> {
     let looks = [
-        (topics::LATCHED, Latched::DESCRIPTION, time_ns.saturating_sub(1)),
-        (topics::STATE, State::DESCRIPTION, time_ns),
+        (Topic::Latched, Latched::DESCRIPTION, time_ns.saturating_sub(1)),
+        (Topic::State, State::DESCRIPTION, time_ns),
     ];
     for (topic, description, time_ns) in looks {
         if let Some((a, b)) = a.newest(topic, time_ns)?.zip(b.newest(topic, time_ns)?)
-            && let Some(found) = difference::compare(topic, 0, description, a.body(), b.body())
+            && let Some(found) = difference::compare(topic, Tick::START, description, a.body(), b.body())
             && let Some(difference) = found.differences.first()
         {
             return Ok(format!("; {topic}: {difference}"));

@@ -26,6 +26,13 @@ pub struct Player {
     time_ns: f64,
 }
 
+/// A side of the current time.
+#[derive(Clone, Copy)]
+enum Side {
+    Before,
+    After,
+}
+
 impl Player {
     /// Paused at the beginning.
     pub fn new(begin_ns: u64, end_ns: u64, dt_ns: u64, mut marks: Vec<Mark>) -> Player {
@@ -88,8 +95,8 @@ impl Player {
                 let tick = (self.time_ns / self.dt_ns as f64).round();
                 self.go_to((tick + request.ticks.unwrap_or(1) as f64) * self.dt_ns as f64);
             }
-            PlaybackAction::Next => self.jump(request.kind.as_deref(), true)?,
-            PlaybackAction::Previous => self.jump(request.kind.as_deref(), false)?,
+            PlaybackAction::Next => self.jump(request.kind.as_deref(), Side::After)?,
+            PlaybackAction::Previous => self.jump(request.kind.as_deref(), Side::Before)?,
         }
         Ok(())
     }
@@ -105,15 +112,19 @@ impl Player {
         }
     }
 
-    fn jump(&mut self, kind: Option<&str>, forward: bool) -> Result<(), String> {
+    /// To the nearest mark of a kind on one side of the current time.
+    fn jump(&mut self, kind: Option<&str>, side: Side) -> Result<(), String> {
         let now = self.time_ns();
         let fits = |mark: &&Mark| kind.is_none_or(|kind| kind == mark.kind);
-        let found = match forward {
-            true => self.marks.iter().filter(fits).find(|mark| mark.time_ns > now),
-            false => self.marks.iter().rev().filter(fits).find(|mark| mark.time_ns < now),
+        let found = match side {
+            Side::After => self.marks.iter().filter(fits).find(|mark| mark.time_ns > now),
+            Side::Before => self.marks.iter().rev().filter(fits).find(|mark| mark.time_ns < now),
         };
         let what = kind.unwrap_or("mark");
-        let side = if forward { "after" } else { "before" };
+        let side = match side {
+            Side::After => "after",
+            Side::Before => "before",
+        };
         let time_ns = found.ok_or_else(|| format!("there is no {what} {side} this time"))?.time_ns;
         self.playing = false;
         self.go_to(time_ns as f64);

@@ -46,7 +46,7 @@ pub(super) async fn answer(
         Ok(None) => return,
         Err(refusal) => return refuse(&mut stream, &refusal).await,
     };
-    let checked = shared.origins.check(&head, shared.own, shared.any_name);
+    let checked = shared.origins.check(&head, shared.own, shared.reach);
     if let Err(refusal) = checked {
         return refuse(&mut stream, &refusal).await;
     }
@@ -80,7 +80,7 @@ pub(super) async fn answer(
 }
 
 async fn refuse(stream: &mut TcpStream, refusal: &Refusal) {
-    send(stream, refusal.status, "text/plain; charset=utf-8", refusal.text.as_bytes(), true).await;
+    send(stream, refusal.status, "text/plain; charset=utf-8", refusal.text.as_bytes(), Body::Sent).await;
 }
 
 async fn send_file(stream: &mut TcpStream, head: &Head, shared: &Shared) {
@@ -88,16 +88,26 @@ async fn send_file(stream: &mut TcpStream, head: &Head, shared: &Shared) {
         .then(|| asset(&head.path, shared.page_folder.as_deref()))
         .flatten();
     match content {
-        Some(file) => send(stream, "200 OK", file.media_type, &file.bytes, head.method == "GET").await,
+        Some(file) => {
+            let body = if head.method == "GET" { Body::Sent } else { Body::HeadOnly };
+            send(stream, "200 OK", file.media_type, &file.bytes, body).await;
+        }
         None => refuse(stream, &Refusal::new("404 Not Found", format!("there is no {}", head.path))).await,
     }
 }
 
-async fn send(stream: &mut TcpStream, status: &str, media_type: &str, bytes: &[u8], body: bool) {
+/// Whether an answer carries its content, which that to a HEAD request does not.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Body {
+    Sent,
+    HeadOnly,
+}
+
+async fn send(stream: &mut TcpStream, status: &str, media_type: &str, bytes: &[u8], body: Body) {
     let head = answer_head(status, media_type, bytes.len());
     let write = async {
         stream.write_all(head.as_bytes()).await?;
-        if body {
+        if body == Body::Sent {
             stream.write_all(bytes).await?;
         }
         stream.shutdown().await

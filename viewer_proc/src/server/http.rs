@@ -117,6 +117,15 @@ pub fn parse(bytes: &[u8]) -> Result<Option<Head>, Refusal> {
     }))
 }
 
+/// Who can reach the server.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reach {
+    /// Programs on this machine: only its own address and loopback name it.
+    Loopback,
+    /// Other machines too, so any address of this machine names it.
+    Network,
+}
+
 /// Which pages may open a WebSocket.
 #[derive(Debug, Clone, Default)]
 pub struct Origins {
@@ -126,16 +135,15 @@ pub struct Origins {
 
 impl Origins {
     /// Refuses requests from other pages, by the origin that a browser always sends. Also compares the host exactly, so that a foreign name
-    /// pointed at this machine (DNS rebinding) is not taken for ours. `any_name`: the server listens beyond loopback, so any address of
-    /// this machine is ours.
+    /// pointed at this machine (DNS rebinding) is not taken for ours.
     ///
     /// # Errors
     /// Another host or origin; a header that is missing or repeated.
-    pub fn check(&self, head: &Head, own: SocketAddr, any_name: bool) -> Result<(), Refusal> {
+    pub fn check(&self, head: &Head, own: SocketAddr, reach: Reach) -> Result<(), Refusal> {
         let Some(host) = head.only("host")? else {
             return Err(Refusal::new("400 Bad Request", "no header `host`, expected one"));
         };
-        if !is_ours(host, own, any_name) {
+        if !is_ours(host, own, reach) {
             let text = format!("the host is `{host}`, expected {own}");
             return Err(Refusal::new("403 Forbidden", text));
         }
@@ -149,7 +157,7 @@ impl Origins {
 }
 
 /// Whether a request's host is this server: an address or the name of loopback, with its port. Browsers omit port 80.
-fn is_ours(host: &str, own: SocketAddr, any_name: bool) -> bool {
+fn is_ours(host: &str, own: SocketAddr, reach: Reach) -> bool {
     let name = match host.strip_suffix(&format!(":{}", own.port())) {
         Some(name) => name,
         None if own.port() == 80 => host,
@@ -158,7 +166,7 @@ fn is_ours(host: &str, own: SocketAddr, any_name: bool) -> bool {
     let whole = format!("{name}:{}", own.port());
     let is_address = |it: SocketAddr| {
         // Only our own spelling: no zone, no other form of a number.
-        it.to_string() == whole && (it == own || any_name || it.ip().is_loopback())
+        it.to_string() == whole && (it == own || reach == Reach::Network || it.ip().is_loopback())
     };
     name == "localhost" || whole.parse().is_ok_and(is_address)
 }
@@ -208,14 +216,14 @@ mod tests {
 
     const OWN: &str = "127.0.0.1:8765";
 
-    fn check(head: &Head, any_name: bool) -> Result<(), Refusal> {
+    fn check(head: &Head, reach: Reach) -> Result<(), Refusal> {
         let origins = Origins { allowed: vec!["http://studio.example".to_owned()] };
-        origins.check(head, OWN.parse().unwrap(), any_name)
+        origins.check(head, OWN.parse().unwrap(), reach)
     }
 
     #[test]
     fn other_origins_and_other_names_are_refused() {
-        let check = |host, origin| check(&head(host, origin), false).is_ok();
+        let check = |host, origin| check(&head(host, origin), Reach::Loopback).is_ok();
         assert!(check(OWN, None) && check("localhost:8765", None));
         assert!(check(OWN, Some("http://127.0.0.1:8765")) && check(OWN, Some("http://studio.example")));
         for origin in ["http://evil.example", "null", "https://127.0.0.1:8765", "http://127.0.0.1:80", ""] {
@@ -250,18 +258,18 @@ mod tests {
             "",
         ] {
             let origin = format!("http://{host}");
-            for any_name in [false, true] {
-                assert!(check(&head(host, None), any_name).is_err(), "{host}");
-                assert!(check(&head(host, Some(&origin)), any_name).is_err(), "{host}");
+            for reach in [Reach::Loopback, Reach::Network] {
+                assert!(check(&head(host, None), reach).is_err(), "{host}");
+                assert!(check(&head(host, Some(&origin)), reach).is_err(), "{host}");
             }
         }
-        assert!(check(&head("10.0.0.7:8765", None), false).is_err());
-        assert!(check(&head("10.0.0.7:8765", None), true).is_ok());
-        assert!(check(&head("[::1]:8765", None), false).is_ok());
+        assert!(check(&head("10.0.0.7:8765", None), Reach::Loopback).is_err());
+        assert!(check(&head("10.0.0.7:8765", None), Reach::Network).is_ok());
+        assert!(check(&head("[::1]:8765", None), Reach::Loopback).is_ok());
         // Browsers omit port 80.
         let origins = Origins::default();
         for (host, ours) in [("127.0.0.1", true), ("127.0.0.1:80", true), ("evil.example", false)] {
-            let at_80 = origins.check(&head(host, None), "127.0.0.1:80".parse().unwrap(), false);
+            let at_80 = origins.check(&head(host, None), "127.0.0.1:80".parse().unwrap(), Reach::Loopback);
             assert_eq!(at_80.is_ok(), ours, "{host}");
         }
     }
@@ -273,7 +281,7 @@ mod tests {
             |lines: &str| parse(format!("GET /ws HTTP/1.1\r\n{lines}\r\n").as_bytes()).unwrap().unwrap();
         let own = format!("Host: {OWN}\r\n");
         let origin = format!("Origin: http://{OWN}\r\n");
-        assert!(check(&head(&format!("{own}{origin}")), false).is_ok());
+        assert!(check(&head(&format!("{own}{origin}")), Reach::Loopback).is_ok());
         for lines in [
             String::new(),
             format!("{own}Host: evil.example\r\n"),
@@ -281,7 +289,7 @@ mod tests {
             format!("{own}{own}"),
             format!("{own}{origin}Origin: http://evil.example\r\n"),
         ] {
-            let refused = check(&head(&lines), false).unwrap_err();
+            let refused = check(&head(&lines), Reach::Loopback).unwrap_err();
             assert_eq!(refused.status, "400 Bad Request", "{lines}");
         }
         let key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";

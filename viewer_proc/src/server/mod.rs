@@ -16,7 +16,7 @@ use tokio::sync::Semaphore;
 use crate::board::Board;
 use crate::error::ViewerError;
 use crate::services::Call;
-use http::Origins;
+use http::{Origins, Reach};
 use pending::{PendingConnection, PendingConnections};
 
 /// Most WebSocket clients at a time; further ones are turned away.
@@ -52,7 +52,7 @@ pub(crate) struct Shared {
     pub own: SocketAddr,
     /// Free client slots.
     pub room: Arc<Semaphore>,
-    pub any_name: bool,
+    pub reach: Reach,
     pub page_folder: Option<PathBuf>,
     pub end: Arc<AtomicBool>,
 }
@@ -91,7 +91,7 @@ impl Server {
             origins: Origins { allowed: options.allow_origin.clone() },
             own: address,
             room: Arc::new(Semaphore::new(MAX_CLIENTS)),
-            any_name: !options.bind.is_loopback(),
+            reach: if options.bind.is_loopback() { Reach::Loopback } else { Reach::Network },
             page_folder: options.page_folder.clone(),
             end,
         });

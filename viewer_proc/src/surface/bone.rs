@@ -2,7 +2,7 @@
 
 use ipc_types::messages::Removed;
 
-use super::field::{Field, Geometry};
+use super::field::{Field, Geometry, Voxel};
 use super::nets::Blocks;
 use crate::board::Board;
 use crate::channels::SURFACE;
@@ -47,19 +47,19 @@ impl Bone {
         if removed.restore_first != 0 {
             self.restore();
         }
-        voxels.iter().for_each(|index| self.set(*index, true));
+        voxels.iter().for_each(|index| self.set(*index, Voxel::Removed));
     }
 
     /// Restores all but the predrilled voxels.
     pub fn restore(&mut self) {
         let predrilled = self.predrilled.clone();
-        self.field.removed().into_iter().for_each(|index| self.set(index, false));
-        predrilled.into_iter().for_each(|index| self.set(index, true));
+        self.field.removed().into_iter().for_each(|index| self.set(index, Voxel::Present));
+        predrilled.into_iter().for_each(|index| self.set(index, Voxel::Removed));
     }
 
     /// Removes or restores a voxel and marks the blocks around it for meshing.
-    pub fn set(&mut self, index: u32, removed: bool) {
-        if self.field.set_removed(index, removed)
+    pub fn set(&mut self, index: u32, voxel: Voxel) {
+        if self.field.set(index, voxel)
             && let Some(voxel) = self.field.geometry().voxel(index)
         {
             self.blocks.touch(voxel);

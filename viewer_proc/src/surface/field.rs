@@ -51,6 +51,15 @@ pub struct Field {
     removed_count: u64,
 }
 
+/// Whether a voxel is still there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Voxel {
+    /// It is.
+    Present,
+    /// It was drilled away.
+    Removed,
+}
+
 impl Field {
     /// A field with nothing drilled.
     pub fn new(geometry: Geometry, threshold_hu: i16) -> Field {
@@ -73,11 +82,12 @@ impl Field {
     }
 
     /// Removes or restores a voxel. Returns whether that changed anything.
-    pub fn set_removed(&mut self, index: u32, removed: bool) -> bool {
+    pub fn set(&mut self, index: u32, voxel: Voxel) -> bool {
         if index as usize >= self.geometry.voxel_count() {
             return false;
         }
         let (word, bit) = (index as usize / 64, 1u64 << (index % 64));
+        let removed = voxel == Voxel::Removed;
         let was = self.removed[word] & bit != 0;
         if was == removed {
             return false;

@@ -11,7 +11,7 @@ use futures_util::{SinkExt, StreamExt};
 use hub::viewer::Limits;
 use ipc_types::layout::{CDR_LITTLE_ENDIAN, Message as _};
 use ipc_types::messages::State;
-use run_log::topics;
+use run_log::{Topic, topics};
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpSocket;
@@ -33,9 +33,9 @@ use running::{
 fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
     with_server(async |running| {
         let (mut socket, channels) = running.client().await;
-        for (topic, description) in topics::RUN.iter().filter(|(topic, _)| *topic != topics::KEYFRAME) {
-            let (name, schema) = topics::schema_of(description);
-            let channel = channel(&channels, topic);
+        for topic in topics::RUN.into_iter().filter(|topic| *topic != Topic::Keyframe) {
+            let (name, schema) = topics::schema_of(topic.description());
+            let channel = channel(&channels, topic.name());
             assert_eq!(channel["schema"], schema, "{topic}");
             assert_eq!(
                 (&channel["schemaName"], &channel["encoding"], &channel["schemaEncoding"]),
@@ -43,11 +43,11 @@ fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
             );
         }
         let state = State { tick: 42, ..State::zeroed() };
-        subscribe(&mut socket, 7, channel(&channels, topics::STATE)).await;
-        while !running.board.wants(topics::STATE) {
+        subscribe(&mut socket, 7, channel(&channels, Topic::State.name())).await;
+        while !running.board.wants(Topic::State.name()) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        running.board.publish_cdr(topics::STATE, 42_000_000, &[state.as_bytes()]);
+        running.board.publish_cdr(Topic::State.name(), 42_000_000, &[state.as_bytes()]);
         let (subscription, time_ns, payload) = next_data(&mut socket).await;
         assert_eq!((subscription, time_ns), (7, 42_000_000));
         assert_eq!(payload, [CDR_LITTLE_ENDIAN.as_slice(), state.as_bytes()].concat());
@@ -73,7 +73,7 @@ fn channels_have_the_logs_topics_and_schemas_and_deliver_their_messages() {
         }
 
         say(&mut socket, json!({"op": "unsubscribe", "subscriptionIds": [7]})).await;
-        while running.board.wants(topics::STATE) {
+        while running.board.wants(Topic::State.name()) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     });
@@ -245,7 +245,7 @@ fn more_clients_than_are_served_are_told() {
 fn hostile_clients_are_told_and_closed_and_others_go_on() {
     with_server(async |running| {
         let (mut good, channels) = running.client().await;
-        subscribe(&mut good, 1, channel(&channels, topics::STATE)).await;
+        subscribe(&mut good, 1, channel(&channels, Topic::State.name())).await;
 
         let (mut oversized, _) = running.client().await;
         // The server closes in the middle of it.
@@ -286,10 +286,10 @@ fn hostile_clients_are_told_and_closed_and_others_go_on() {
         broken.write_all(b"GET /ws HTTP/1.1\r\nHost: ").await.unwrap();
         drop(broken);
 
-        while !running.board.wants(topics::STATE) {
+        while !running.board.wants(Topic::State.name()) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        running.board.publish_cdr(topics::STATE, 1, &[b"still here"]);
+        running.board.publish_cdr(Topic::State.name(), 1, &[b"still here"]);
         assert!(next_data(&mut good).await.2.ends_with(b"still here"));
     });
 }
@@ -298,15 +298,15 @@ fn hostile_clients_are_told_and_closed_and_others_go_on() {
 fn a_client_that_never_reads_holds_nobody_up_and_is_told_what_it_lost() {
     with_server(async |running| {
         let (mut lazy, channels) = running.client().await;
-        subscribe(&mut lazy, 1, channel(&channels, topics::STATE)).await;
-        while !running.board.wants(topics::STATE) {
+        subscribe(&mut lazy, 1, channel(&channels, Topic::State.name())).await;
+        while !running.board.wants(Topic::State.name()) {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         // Much more than its queue and the sockets' buffers hold; publishing never waits.
         let big = vec![0; 1 << 20];
         let count = 10 * (Limits::default().stream_bytes >> 20) as u64;
         for number in 1..=count {
-            running.board.publish_cdr(topics::STATE, number, &[&big]);
+            running.board.publish_cdr(Topic::State.name(), number, &[&big]);
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         let (mut heard, mut told) = (Vec::new(), false);

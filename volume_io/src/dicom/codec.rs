@@ -76,15 +76,22 @@ fn is_ended(data: &[u8]) -> bool {
     data[..data.len() - padding].ends_with(&[0xff, 0xd9])
 }
 
-/// Checks that the data are whole and can hold as many pixels as `shape` says, of a frame whose own header says `rows` and `columns`.
+/// Size of a frame as its own header states it.
+struct StatedSize {
+    rows: usize,
+    columns: usize,
+}
+
+/// Checks that the data are whole and can hold as many pixels as `shape` says, of a frame whose own header says `stated`.
 fn check_frame(
     path: &Path,
     codec: &'static str,
     data: &[u8],
-    (rows, columns): (usize, usize),
+    stated: StatedSize,
     shape: Shape,
     most_pixels: u64,
 ) -> Result<(), VolumeError> {
+    let StatedSize { rows, columns } = stated;
     if (rows, columns) != (shape.rows, shape.columns) {
         let reason =
             format!("{rows} x {columns} pixels inside, {} x {} in the header", shape.rows, shape.columns);
@@ -112,6 +119,12 @@ struct FrameHeader {
     rows: usize,
     columns: usize,
     components: u8,
+}
+
+impl FrameHeader {
+    fn size(&self) -> StatedSize {
+        StatedSize { rows: self.rows, columns: self.columns }
+    }
 }
 
 /// The segments up to the scan: marker and content of each. `None` if they are no chain of segments.
@@ -158,7 +171,7 @@ pub(super) fn jpeg(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>, V
     let header = header.ok_or_else(|| corrupt(path, "JPEG", "no image header"))?;
     let most = data.len() as u64 * JPEG_PIXELS_PER_BYTE;
     if header.marker == EXTENDED_SEQUENTIAL && header.bits == 12 {
-        check_frame(path, "JPEG", data, (header.rows, header.columns), shape, most)?;
+        check_frame(path, "JPEG", data, header.size(), shape, most)?;
         return jpeg_of_12_bits(path, data);
     }
     let mut decoder = jpeg_decoder::Decoder::new(data);
@@ -169,7 +182,7 @@ pub(super) fn jpeg(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>, V
         PixelFormat::L16 => true,
         other => return Err(corrupt(path, "JPEG", format!("{other:?} pixels in a grey image"))),
     };
-    let size = (usize::from(info.height), usize::from(info.width));
+    let size = StatedSize { rows: usize::from(info.height), columns: usize::from(info.width) };
     check_frame(path, "JPEG", data, size, shape, most)?;
     let bytes = decoder.decode().map_err(|e| corrupt(path, "JPEG", e.to_string()))?;
     Ok(if wide {
@@ -200,7 +213,7 @@ pub(super) fn jpeg_ls(path: &Path, data: &[u8], shape: Shape) -> Result<Vec<u32>
         let reason = format!("{} components of {} bits in a grey image", header.components, header.bits);
         return Err(fail(&reason));
     }
-    check_frame(path, "JPEG-LS", data, (header.rows, header.columns), shape, run_limit(data))?;
+    check_frame(path, "JPEG-LS", data, header.size(), shape, run_limit(data))?;
     check_presets(&parts, header.bits)
         .ok_or_else(|| fail("parameters outside of the ranges of ITU-T T.87"))?;
     let (columns, rows) = (header.columns as u32, header.rows as u32);

@@ -2,7 +2,7 @@
 //!
 //! Source: DICOM PS3.10 section 7 (preamble, file meta group), PS3.5 annex A.5 (deflate).
 
-use super::scan::{self, Pixels, Transfer};
+use super::scan::{self, Pixels, Transfer, Vr};
 use crate::error::VolumeError;
 use crate::input;
 use dicom_core::VR;
@@ -54,10 +54,11 @@ fn start(head: &[u8]) -> Option<Start> {
         return None;
     }
     if VR::from_binary([v0, v1]).is_some() {
-        return Some(Start::DataSet(scan::bare(true)));
+        return Some(Start::DataSet(scan::bare(Vr::Explicit)));
     }
     let length = u32::from_le_bytes([v0, v1, l0, l1]);
-    ((2..=256).contains(&length) && length.is_multiple_of(2)).then(|| Start::DataSet(scan::bare(false)))
+    ((2..=256).contains(&length) && length.is_multiple_of(2))
+        .then(|| Start::DataSet(scan::bare(Vr::Implicit)))
 }
 
 /// Whether a file that begins with these bytes has DICOM's preamble (PS3.10 section 7.1).

@@ -6,7 +6,7 @@ use super::file::DicomFile;
 use super::scan::{PixelCodec, Pixels};
 use super::slice::Slice;
 use crate::error::VolumeError;
-use crate::scalar::HuSink;
+use crate::scalar::{Endian, HuSink};
 use dicom_object::Tag;
 use std::borrow::Cow;
 use std::path::Path;
@@ -93,7 +93,8 @@ pub(super) fn append(slice: &Slice, file: &DicomFile, sink: &mut HuSink) -> Resu
             if file.transfer.codec != PixelCodec::Native {
                 return Err(wrong(path, "pixels that are not packed".into(), file.transfer.name));
             }
-            let all = little_endian(path, bytes(value), *words && file.transfer.big_endian, shape)?;
+            let order = if *words && file.transfer.big_endian { Endian::Big } else { Endian::Little };
+            let all = little_endian(path, bytes(value), order, shape)?;
             let frame = frame_of(path, &all, slice, shape.bytes as usize)?;
             let width = shape.bytes as usize;
             for sample in frame.chunks_exact(width) {
@@ -139,15 +140,15 @@ fn wrong(path: &Path, given: String, expected: &str) -> VolumeError {
     VolumeError::Header { path: path.into(), field: FIELD.into(), given, expected: expected.into() }
 }
 
-/// The bytes of native pixels, least significant first. Words of a big-endian file are turned; samples of 32 bits in words have no defined
-/// order there.
+/// The bytes of native pixels, least significant first. Words of a big-endian file are turned (`order` says how the pixels
+/// are stored); samples of 32 bits in words have no defined order there.
 fn little_endian<'a>(
     path: &Path,
     bytes: &'a [u8],
-    turned: bool,
+    order: Endian,
     shape: Shape,
 ) -> Result<Cow<'a, [u8]>, VolumeError> {
-    if !turned {
+    if order == Endian::Little {
         return Ok(Cow::Borrowed(bytes));
     }
     if shape.bytes > 2 {

@@ -123,10 +123,20 @@ pub(crate) fn meta_group(path: &Path, bytes: &[u8], start: usize) -> Result<(Tra
     Ok((transfer(path, &uid)?, at))
 }
 
+/// Whether elements carry their value representation (PS3.5 section 7.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Vr {
+    Explicit,
+    Implicit,
+}
+
 /// The transfer syntax of a data set that stands without a file meta group: implicit, or explicit where a value representation follows the
 /// first tag (PS3.5 section 7.1).
-pub(crate) fn bare(explicit_vr: bool) -> Transfer {
-    let name = if explicit_vr { "explicit VR little-endian" } else { "implicit VR little-endian" };
+pub(crate) fn bare(vr: Vr) -> Transfer {
+    let (explicit_vr, name) = match vr {
+        Vr::Explicit => (true, "explicit VR little-endian"),
+        Vr::Implicit => (false, "implicit VR little-endian"),
+    };
     Transfer { explicit_vr, big_endian: false, deflated: false, codec: PixelCodec::Native, name }
 }
 
@@ -141,7 +151,7 @@ pub(crate) fn data_set(
     transfer: Transfer,
 ) -> Result<(usize, Option<Pixels>), VolumeError> {
     let scanner = Scanner { path, bytes, explicit_vr: transfer.explicit_vr, big_endian: transfer.big_endian };
-    scanner.elements(start, bytes.len(), false, 0)?;
+    scanner.elements(start, bytes.len(), End::Length, 0)?;
     let mut at = start;
     while at < bytes.len() {
         let element = scanner.element(at)?;
@@ -158,6 +168,15 @@ struct Scanner<'a> {
     bytes: &'a [u8],
     explicit_vr: bool,
     big_endian: bool,
+}
+
+/// What ends a sequence or an item (PS3.5 section 7.5).
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// Its length.
+    Length,
+    /// A delimiter, which must come.
+    Delimiter,
 }
 
 struct Element {
@@ -247,14 +266,8 @@ impl Scanner<'_> {
         Ok(end as usize)
     }
 
-    /// Walks the elements from `at` to `limit`, or to an item delimiter if `delimited`; returns where they end.
-    fn elements(
-        &self,
-        mut at: usize,
-        limit: usize,
-        delimited: bool,
-        depth: usize,
-    ) -> Result<usize, VolumeError> {
+    /// Walks the elements from `at` to `limit`, or to an item delimiter before it; returns where they end.
+    fn elements(&self, mut at: usize, limit: usize, ends: End, depth: usize) -> Result<usize, VolumeError> {
         if depth > MAX_DEPTH {
             return Err(self.malformed(
                 "sequence",
@@ -264,7 +277,7 @@ impl Scanner<'_> {
         }
         while at < limit {
             let element = self.element(at)?;
-            if element.tag == ITEM_END && delimited {
+            if element.tag == ITEM_END && ends == End::Delimiter {
                 return Ok(element.value);
             }
             if element.tag.0 == 0xfffe {
@@ -276,7 +289,7 @@ impl Scanner<'_> {
             }
             at = self.element_end(&element, limit, depth)?;
         }
-        if delimited {
+        if ends == End::Delimiter {
             return Err(self.truncated("sequence item".into(), limit, limit as u64 + 8));
         }
         Ok(at)
@@ -291,7 +304,7 @@ impl Scanner<'_> {
             // A UN of undefined length holds implicit-VR items (PS3.5 section 6.2.2).
             let implicit = Scanner { explicit_vr: false, big_endian: false, ..*self };
             let inner = if &element.vr == b"UN" { &implicit } else { self };
-            return inner.items(element.value, limit, true, depth);
+            return inner.items(element.value, limit, End::Delimiter, depth);
         }
         let end = self.value_end(element, limit)?;
         let unit = self.unit(element);
@@ -305,21 +318,15 @@ impl Scanner<'_> {
             && element.length >= 8
             && (self.u16(element.value), self.u16(element.value + 2)) == (Some(ITEM.0), Some(ITEM.1));
         if &element.vr == b"SQ" || looks_like_items {
-            self.items(element.value, end, false, depth)?;
+            self.items(element.value, end, End::Length, depth)?;
         }
         Ok(end)
     }
 
-    fn items(
-        &self,
-        mut at: usize,
-        limit: usize,
-        delimited: bool,
-        depth: usize,
-    ) -> Result<usize, VolumeError> {
+    fn items(&self, mut at: usize, limit: usize, ends: End, depth: usize) -> Result<usize, VolumeError> {
         while at < limit {
             let item = self.element(at)?;
-            if item.tag == SEQUENCE_END && delimited {
+            if item.tag == SEQUENCE_END && ends == End::Delimiter {
                 return Ok(item.value);
             }
             if item.tag != ITEM {
@@ -330,13 +337,13 @@ impl Scanner<'_> {
                 ));
             }
             at = if item.length == UNDEFINED {
-                self.elements(item.value, limit, true, depth + 1)?
+                self.elements(item.value, limit, End::Delimiter, depth + 1)?
             } else {
                 let end = self.value_end(&item, limit)?;
-                self.elements(item.value, end, false, depth + 1)?
+                self.elements(item.value, end, End::Length, depth + 1)?
             };
         }
-        if delimited {
+        if ends == End::Delimiter {
             return Err(self.truncated("sequence".into(), limit, limit as u64 + 8));
         }
         Ok(at)

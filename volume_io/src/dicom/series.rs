@@ -7,7 +7,9 @@ use crate::error::VolumeError;
 use crate::options::Slices;
 use crate::rectify::{self, rectify};
 use crate::scalar::HuSink;
-use crate::volume::{GeometryFields, Volume, VolumeInfo, cross, dot, norm, placement, voxel_count};
+use crate::volume::{
+    GeometryFields, StatedGeometry, Volume, VolumeInfo, cross, dot, norm, placement, voxel_count,
+};
 use foreign_text::foreign;
 use std::path::Path;
 
@@ -73,7 +75,7 @@ pub(super) fn assemble(
     let [row_mm, column_mm] = first.pixel_spacing_mm;
     let spacing_m = [column_mm * 1e-3, row_mm * 1e-3, step_m];
     let origin_m = slices[0].position_mm.map(|p| p * 1e-3);
-    let geometry = placement(path, NAMES, (spacing_m, origin_m, axes), &mut notes)?;
+    let geometry = placement(path, NAMES, StatedGeometry { spacing_m, origin_m, axes }, &mut notes)?;
     let hu = read_pixels(&slices, &mut notes)?;
     Ok(described(Volume::placed(dims, &geometry, hu), &slices, notes))
 }
@@ -113,11 +115,14 @@ fn rectified(
         hu,
     };
     // Refuses spacings that are none before anything is divided by them.
-    placement(path, NAMES, ([column_mm * 1e-3, row_mm * 1e-3, 1e-3], [0.0; 3], axes), &mut Vec::new())?;
+    let in_plane =
+        StatedGeometry { spacing_m: [column_mm * 1e-3, row_mm * 1e-3, 1e-3], origin_m: [0.0; 3], axes };
+    placement(path, NAMES, in_plane, &mut Vec::new())?;
     let out = rectify(path, &stack)?;
     let [u, v, w] = out.first_m;
     let origin_m = [0, 1, 2].map(|i| u * axes[0][i] + v * axes[1][i] + w * axes[2][i]);
-    let geometry = placement(path, NAMES, (out.spacing_m, origin_m, axes), notes)?;
+    let geometry =
+        placement(path, NAMES, StatedGeometry { spacing_m: out.spacing_m, origin_m, axes }, notes)?;
     notes.push(out.note);
     Ok(Volume::placed(out.dims, &geometry, out.hu))
 }

@@ -106,7 +106,7 @@ pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
     let frames = frame_count(fields)?;
     let groups = fields.items(FRAME_GROUPS);
     if groups.is_empty() && frames == 1 {
-        return Ok(vec![slice(&file, fields, &Groups::plain(fields), (0, 1))?]);
+        return Ok(vec![slice(&file, fields, &Groups::plain(fields), FrameNumber { index: 0, count: 1 })?]);
     }
     if groups.len() != frames {
         return Err(VolumeError::Unsupported {
@@ -118,8 +118,9 @@ pub(super) fn read_headers(path: &Path) -> Result<Vec<Slice>, VolumeError> {
     }
     let shared = fields.item(SHARED_GROUPS);
     let each = groups.iter().enumerate();
-    each.map(|(frame, own)| {
-        slice(&file, fields, &Groups { own: *own, shared, image: fields }, (frame, frames))
+    each.map(|(index, own)| {
+        let number = FrameNumber { index, count: frames };
+        slice(&file, fields, &Groups { own: *own, shared, image: fields }, number)
     })
     .collect()
 }
@@ -145,11 +146,17 @@ impl<'a> Groups<'a> {
     }
 }
 
+/// Which frame of a file, and how many the file has.
+struct FrameNumber {
+    index: usize,
+    count: usize,
+}
+
 fn slice(
     file: &DicomFile,
     fields: Fields<'_>,
     groups: &Groups<'_>,
-    (frame, frames): (usize, usize),
+    number: FrameNumber,
 ) -> Result<Slice, VolumeError> {
     let size = |tag, name| -> Result<usize, VolumeError> {
         let value = fields.number(tag, name)?;
@@ -163,8 +170,8 @@ fn slice(
     let scale_name = "(0028,1053) RescaleSlope, (0028,1052) RescaleIntercept";
     Ok(Slice {
         path: fields.path.into(),
-        frame,
-        frames,
+        frame: number.index,
+        frames: number.count,
         transfer: file.transfer,
         modality: fields.text(Tag(0x0008, 0x0060))?.unwrap_or_default(),
         rows: size(Tag(0x0028, 0x0010), "Rows")?,

@@ -3,7 +3,7 @@
 use super::header::Header;
 use crate::data_files::{DataFile, pattern, read_each, within_list};
 use crate::error::VolumeError;
-use crate::input::{self, Codec};
+use crate::input::{self, Codec, StatedLength};
 use crate::scalar::{HuSink, Layout, Scale};
 use crate::text_header::{read_ascii, wrong};
 use std::path::Path;
@@ -19,7 +19,8 @@ impl Header<'_> {
     pub(super) fn read_data(
         &self,
         count: usize,
-        (sink, notes): (&mut HuSink, &mut Vec<String>),
+        sink: &mut HuSink,
+        notes: &mut Vec<String>,
     ) -> Result<Stored, VolumeError> {
         let scalar = self.scalar()?;
         let encoding = self.require("encoding", "raw, gzip, bzip2, hex or ascii")?.to_lowercase();
@@ -40,7 +41,7 @@ impl Header<'_> {
         };
         let layout = Layout { scalar, endian: self.endian(scalar)?, scale: Scale::IDENTITY };
         read_each(self.path, "data file", &files, count, |file, part| {
-            self.read_binary(file, layout, codec, part, (sink, notes))
+            self.read_binary(file, layout, codec, part, sink, notes)
         })?;
         Ok(Stored { encoding, voxels: layout.scalar.describe(layout.endian) })
     }
@@ -97,7 +98,8 @@ impl Header<'_> {
         layout: Layout,
         codec: Codec,
         count: usize,
-        (sink, notes): (&mut HuSink, &mut Vec<String>),
+        sink: &mut HuSink,
+        notes: &mut Vec<String>,
     ) -> Result<(), VolumeError> {
         let (path, start) = (file.path.as_path(), self.behind_lines(file)?);
         let needed = layout.byte_count(count);
@@ -123,8 +125,9 @@ impl Header<'_> {
         input::check_length(path, most_bytes, skip.saturating_add(needed))?;
         input::skip(path, codec.name(), reader.as_mut(), skip)?;
         layout.read(path, codec.name(), reader.as_mut(), count, sink)?;
-        let bytes = (skip.saturating_add(needed), most_bytes);
-        input::check_end(path, "sizes, byte skip", (codec, reader.as_mut()), bytes, notes)
+        let needed = skip.saturating_add(needed);
+        let length = StatedLength { field: "sizes, byte skip", needed, most: most_bytes };
+        input::check_end(path, codec, reader.as_mut(), &length, notes)
     }
 }
 

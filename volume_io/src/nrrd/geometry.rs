@@ -4,7 +4,7 @@ use super::axes::Axes;
 use super::header::Header;
 use crate::error::VolumeError;
 use crate::text_header::{numbers, unit_of_length, wrong};
-use crate::volume::{GeometryFields, columns, norm, placement};
+use crate::volume::{GeometryFields, StatedGeometry, columns, norm, placement};
 use voxel_grid::Placement;
 
 /// Directions of the spatial axes, as signs that convert the file's space to LPS.
@@ -96,7 +96,8 @@ impl Header<'_> {
             let vectors = self.directions(axes, text)?.map(flip);
             let names = GeometryFields { spacing: "space directions", ..NAMES };
             let spacing_m = vectors.map(|a| norm(a) * unit_m);
-            return placement(self.path, names, (spacing_m, origin_m, vectors), notes);
+            let stated = StatedGeometry { spacing_m, origin_m, axes: vectors };
+            return placement(self.path, names, stated, notes);
         }
         let Some(text) = self.get("spacings") else {
             let expected = "`space directions` or `spacings`: the voxel size";
@@ -113,7 +114,8 @@ impl Header<'_> {
         let [x, y, z] = space.to_lps;
         let along = columns([[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]);
         let origin_m = flip(origin).map(|o| o * unit_m);
-        placement(self.path, NAMES, (spacing.map(|s| s * unit_m), origin_m, along), notes)
+        let stated = StatedGeometry { spacing_m: spacing.map(|s| s * unit_m), origin_m, axes: along };
+        placement(self.path, NAMES, stated, notes)
     }
 
     /// The spatial axes' vectors, in the file's space and unit.

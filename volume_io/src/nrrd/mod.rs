@@ -26,7 +26,7 @@ pub(crate) fn read(path: &Path, options: &ReadOptions) -> Result<(Volume, Volume
     let (unit_m, unit_name) = header.unit(&axes)?;
     let geometry = header.geometry(&axes, unit_m, &mut notes)?;
     let mut sink = HuSink::default();
-    let stored = header.read_data(count, (&mut sink, &mut notes))?;
+    let stored = header.read_data(count, &mut sink, &mut notes)?;
     let mut hu = sink.finish(&mut notes);
     if let Some(other) = axes.other {
         hu = other.part(&hu, wanted.as_ref().map_or(0, |wanted| wanted.layer));

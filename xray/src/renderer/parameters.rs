@@ -2,7 +2,7 @@
 
 use crate::attenuation::HuLaw;
 use crate::detector::DetectorParameters;
-use crate::display::DisplayParameters;
+use crate::display::{DisplayParameters, WindowLimits};
 use crate::error::{DrrError, check_range};
 use crate::slice_ordered::SliceOrderedOptions;
 use crate::spectrum::Spectrum;
@@ -122,5 +122,5 @@ pub struct FrameReport {
     /// Pixels that the tool covers.
     pub tool_pixels: usize,
     /// Attenuation at the two ends of the display scale.
-    pub window: (f64, f64),
+    pub window: WindowLimits,
 }

@@ -2,6 +2,7 @@
 
 use super::Projector;
 use crate::carm::{CArm, Pinhole};
+use crate::display::WindowLimits;
 use crate::exposure::Anatomy;
 use crate::grid::Grid;
 use crate::ray::RayFan;
@@ -24,7 +25,7 @@ pub(super) struct Standing {
     /// True for pixels in `dirty_list`.
     pub dirty: Vec<bool>,
     pub dirty_list: Vec<u32>,
-    pub window: (f64, f64),
+    pub window: WindowLimits,
 }
 
 impl Standing {
@@ -42,7 +43,7 @@ impl Standing {
             bone_m: Vec::new(),
             dirty: vec![false; pixels],
             dirty_list: Vec::new(),
-            window: (0.0, 1.0),
+            window: WindowLimits { low: 0.0, high: 1.0 },
         }
     }
 }

@@ -37,7 +37,7 @@ impl SeenPart {
                     across: (across, add_scaled(direction_m, -d_along, axis)),
                     length_m,
                 };
-                let caps = ray.between((0.0, part_length_m))?;
+                let caps = ray.between(0.0, part_length_m)?;
                 match radii {
                     Radii::Tube { outer_m, inner_m, notch } => ray.cross_tube(caps, outer_m, inner_m, notch),
                     Radii::Cone { start_m, slope, .. } => ray.cross_cone(caps, start_m, slope),
@@ -115,7 +115,7 @@ struct AxialRay {
 impl AxialRay {
     /// Parameters for which the coordinate along the axis is between two values.
     #[inline]
-    fn between(&self, (low, high): (f64, f64)) -> Option<(f64, f64)> {
+    fn between(&self, low: f64, high: f64) -> Option<(f64, f64)> {
         let (o, d) = self.along;
         if d == 0.0 {
             return (o > low && o < high).then_some((f64::NEG_INFINITY, f64::INFINITY));
@@ -154,7 +154,7 @@ impl AxialRay {
 
     /// Parameters for which the ray is inside a notch.
     fn inside_cut(&self, cut: &Cut) -> Option<(f64, f64)> {
-        let slab = self.between(cut.along)?;
+        let slab = self.between(cut.along.0, cut.along.1)?;
         let (o, d) = (dot(self.across.0, cut.side) - cut.above, dot(self.across.1, cut.side));
         if d == 0.0 {
             return (o > 0.0).then_some(slab);

@@ -1,7 +1,7 @@
 //! Noise against the Poisson distribution, blur and display against their definitions.
 
 use xray::detector::{blur_row, gaussian_weights, photon_number};
-use xray::display::{Scale, to_8_bit, window_limits};
+use xray::display::{Scale, WindowLimits, to_8_bit, window_limits};
 use xray::{
     CArm, DetectorParameters, DisplayMode, DisplayParameters, DrrParameters, DrrRenderer, FrameSeed, Grid,
     Output, Tool, VolumeView, Window,
@@ -209,7 +209,7 @@ fn a_blurred_row_keeps_constants_and_turns_an_impulse_into_the_weights() {
 
 #[test]
 fn display_modes_are_what_they_say() {
-    let window = (1.0, 3.0);
+    let window = WindowLimits { low: 1.0, high: 3.0 };
     let show = |mode, l: f64| Scale::new(mode, window).grey(l);
     assert_eq!(show(DisplayMode::BoneDark, 1.0), 65535);
     assert_eq!(show(DisplayMode::BoneDark, 3.0), 0);
@@ -234,12 +234,15 @@ fn the_automatic_window_spans_the_object_and_leaves_room_for_metal() {
     let mut anatomy: Vec<f64> = (0..=20_000).map(|i| 1.0 + f64::from(i) * 1e-4).collect();
     anatomy.extend([0.0; 5000]);
     let window = Window::Automatic { low_share: 0.1, high_share: 0.05, metal_room: 0.5 };
-    let (low, high) = window_limits(window, &anatomy);
+    let WindowLimits { low, high } = window_limits(window, &anatomy);
     // Percentiles to a histogram bin (0.005).
     assert!((low - 1.2).abs() < 0.005, "{low}");
     assert!((high - (1.2 + 1.5 * (2.9 - 1.2))).abs() < 0.01, "{high}");
-    assert_eq!(window_limits(Window::Fixed { low: 0.5, high: 4.0 }, &anatomy), (0.5, 4.0));
-    let (low, high) = window_limits(window, &[0.0; 10]);
+    assert_eq!(
+        window_limits(Window::Fixed { low: 0.5, high: 4.0 }, &anatomy),
+        WindowLimits { low: 0.5, high: 4.0 }
+    );
+    let WindowLimits { low, high } = window_limits(window, &[0.0; 10]);
     assert!(low < high);
     let inverted = Window::Fixed { low: 2.0, high: 1.0 };
     assert!(DisplayParameters { mode: DisplayMode::BoneDark, window: inverted }.validate().is_err());

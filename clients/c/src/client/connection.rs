@@ -1,5 +1,6 @@
 //! Which session a client joins, as whom, and what it then knows of the run.
 
+use ipc_types::messages::ControllerIndex;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -44,7 +45,7 @@ pub struct Info {
     /// Folder of the session.
     pub folder: PathBuf,
     /// Name and index of this client's controller; `None` for an observer.
-    pub controller: Option<(String, usize)>,
+    pub controller: Option<(String, ControllerIndex)>,
     /// Number of controllers in the scene.
     pub controller_count: usize,
     /// Whether a tick waits for every controller.
@@ -96,7 +97,7 @@ pub(super) fn controller_of(
     connection: &Connection,
     session: &Session,
     scene: &Scene,
-) -> Result<Option<(String, usize)>, ClientError> {
+) -> Result<Option<(String, ControllerIndex)>, ClientError> {
     let from_environment = || std::env::var(CONTROLLER_VARIABLE).ok();
     let name = match connection.controller.clone().or_else(from_environment) {
         Some(name) if name.is_empty() => return Ok(None),
@@ -114,5 +115,5 @@ pub(super) fn controller_of(
         }
     };
     let index = session.controller_index(&name)?;
-    Ok(Some((name, index.slot())))
+    Ok(Some((name, index)))
 }

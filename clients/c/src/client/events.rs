@@ -1,6 +1,6 @@
 //! Events, remarks and removed voxels.
 
-use ipc_types::messages::{ControllerIndex, Event, EventCode, Participant, Removed, Severity, Tick};
+use ipc_types::messages::{Event, EventCode, Participant, Removed, Severity, Tick};
 use ipc_types::ports::{Received, Subscriber};
 use ipc_types::process::EventSender;
 use ipc_types::services;
@@ -40,7 +40,7 @@ impl Client {
         })?;
         let (_, index) = self.info.controller.as_ref().ok_or(ClientError::Observer)?;
         if self.remarks.is_none() {
-            let sender = Participant::Controller(ControllerIndex(*index as u32));
+            let sender = Participant::Controller(*index);
             self.remarks = Some(EventSender::new(&self.session, sender)?);
         }
         let tick = Tick(self.newest_tick.unwrap_or(0));

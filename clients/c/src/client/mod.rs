@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use ipc_types::layout::Message;
 use ipc_types::messages::{
-    Command, ControllerIndex, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, State, Volume,
+    Command, DrrReply, DrrRequest, Event, Frame, Phase, Removed, RunStatus, State, Volume,
 };
 use ipc_types::own::Own;
 use ipc_types::ports::{Publisher, Received, Subscriber};
@@ -118,9 +118,7 @@ impl Client {
         Ok(Client {
             states: session.subscriber(&services::STATE)?,
             status: session.subscriber(&services::RUN_STATUS)?,
-            waiter: index
-                .map(|index| session.waiter(Reader::Controller(ControllerIndex(index as u32))))
-                .transpose()?,
+            waiter: index.map(|index| session.waiter(Reader::Controller(index))).transpose()?,
             physics: session.waker(Reader::Physics)?,
             // Last, because from here on the name is taken.
             commands: info

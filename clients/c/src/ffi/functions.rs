@@ -126,7 +126,7 @@ functions! {
                     dt_s: facts.dt_s,
                     tick_count: facts.tick_count,
                     frame_period_ticks: facts.frame_period_ticks,
-                    controller_index: facts.controller.as_ref().map_or(-1, |(_, index)| *index as i32),
+                    controller_index: facts.controller.as_ref().map_or(-1, |(_, index)| index.0 as i32),
                     controller_count: facts.controller_count as u32,
                     lockstep: u32::from(facts.lockstep),
                     frame_columns: facts.frame_columns,

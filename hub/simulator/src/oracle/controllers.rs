@@ -6,6 +6,7 @@ use messages::{ArmMode, BurrMode, Command, CommandSource, ControllerIndex, Latch
 use scene::{Drives, Mode};
 
 use super::Oracle;
+use crate::actors::Form;
 use crate::plan::MS;
 
 /// What is known of a controller.
@@ -21,7 +22,7 @@ pub(super) struct Slot {
 
 impl Oracle {
     /// The hub takes a command.
-    pub fn command(&mut self, index: ControllerIndex, incoming: &Incoming<Command>, well_formed: bool) {
+    pub fn command(&mut self, index: ControllerIndex, incoming: &Incoming<Command>, form: Form) {
         let Incoming::Message(command, connection) = incoming else {
             self.refused += 1;
             return;
@@ -34,7 +35,7 @@ impl Oracle {
         let in_order = command.sequence > slot.last_sequence
             && command.state_tick >= slot.last_state_tick
             && command.state_tick <= self.tick;
-        if !(well_formed && in_order) {
+        if !(form == Form::Whole && in_order) {
             self.refused += 1;
             return;
         }

@@ -1,7 +1,7 @@
 //! What must hold of the X-ray frames that controllers see.
 
 use hub::x_ray::FrameMark;
-use messages::Tick;
+use messages::{ControllerIndex, Tick};
 use scene::Mode;
 
 use crate::plan::Plan;
@@ -71,25 +71,25 @@ impl SeenFrames {
     }
 
     /// A controller connects, or connects anew.
-    pub fn joined(&mut self, index: usize) {
-        self.controllers[index] = Seen::default();
+    pub fn joined(&mut self, index: ControllerIndex) {
+        self.controllers[index.slot()] = Seen::default();
     }
 
     /// A frame comes into a controller's queue.
-    pub fn delivered(&mut self, index: usize, frame: FrameMark) {
-        self.controllers[index].delivered.push(frame);
+    pub fn delivered(&mut self, index: ControllerIndex, frame: FrameMark) {
+        self.controllers[index.slot()].delivered.push(frame);
     }
 
     /// A controller's queue is full, and drops a frame.
-    pub fn dropped(&mut self, index: usize, frame: FrameMark) {
-        self.controllers[index].dropped.push(frame.sequence);
+    pub fn dropped(&mut self, index: ControllerIndex, frame: FrameMark) {
+        self.controllers[index.slot()].dropped.push(frame.sequence);
     }
 
     /// A controller sees a frame before it answers the state of this tick.
-    pub fn showed(&mut self, index: usize, tick: u64, frame: FrameMark) {
+    pub fn showed(&mut self, index: ControllerIndex, tick: u64, frame: FrameMark) {
         self.shown += 1;
         let delay_ticks = self.delay_ticks();
-        let seen = &mut self.controllers[index];
+        let seen = &mut self.controllers[index.slot()];
         let is_there = seen.delivered.contains(&frame) && !seen.dropped.contains(&frame.sequence);
         let is_new = seen.shown.last().is_none_or(|last| last.sequence < frame.sequence);
         seen.shown.push(frame);
@@ -105,10 +105,10 @@ impl SeenFrames {
     }
 
     /// A controller has seen what it sees before it answers the state of this tick, and is told of `lost` frames.
-    pub fn answers(&mut self, index: usize, tick: u64, lost: u64) {
+    pub fn answers(&mut self, index: ControllerIndex, tick: u64, lost: u64) {
         let due = self.due_at(tick);
         let published = due.and_then(|due| self.scheduled(due));
-        let seen = &mut self.controllers[index];
+        let seen = &mut self.controllers[index.slot()];
         seen.told += lost;
         let Some(due) = due else {
             if self.mode == Mode::Realtime {
@@ -125,8 +125,8 @@ impl SeenFrames {
         });
     }
 
-    fn answers_in_real_time(&mut self, index: usize, tick: u64) {
-        let seen = &self.controllers[index];
+    fn answers_in_real_time(&mut self, index: ControllerIndex, tick: u64) {
+        let seen = &self.controllers[index.slot()];
         let left = seen
             .delivered
             .iter()
@@ -144,7 +144,7 @@ impl SeenFrames {
     }
 
     /// A controller waits, with nothing in its queue, for the frame that it is to see before it answers the state of this tick.
-    pub fn waits(&mut self, index: usize, tick: u64) {
+    pub fn waits(&mut self, index: ControllerIndex, tick: u64) {
         let due = self.due_at(tick);
         let is_out = due.is_some_and(|due| self.scheduled(due).is_some());
         expect!(self, due.is_some() && !is_out, {

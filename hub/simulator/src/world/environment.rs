@@ -70,10 +70,10 @@ impl Environment for World {
 
     fn receive_command(&mut self, controller: ControllerIndex) -> Result<Option<Incoming<Command>>, String> {
         self.moment();
-        let Some((incoming, well_formed)) = self.controllers[controller.slot()].commands.pop_front() else {
+        let Some((incoming, form)) = self.controllers[controller.slot()].commands.pop_front() else {
             return Ok(None);
         };
-        self.oracle.command(controller, &incoming, well_formed);
+        self.oracle.command(controller, &incoming, form);
         Ok(Some(incoming))
     }
 
@@ -125,9 +125,9 @@ impl Environment for World {
     }
 
     fn wake_controllers(&mut self) {
-        for index in 0..self.controllers.len() {
-            if self.controllers[index].asleep {
-                self.controllers[index].asleep = false;
+        for index in ControllerIndex::first(self.controllers.len()) {
+            if self.controllers[index.slot()].asleep {
+                self.controllers[index.slot()].asleep = false;
                 let delay_ns = self.random.u64(..40 * US);
                 self.look_soon(index, delay_ns);
             }
@@ -147,11 +147,11 @@ impl Environment for World {
 
     fn deliver_state_history(&mut self) -> Result<(), String> {
         let Some(tick) = self.newest_tick else { return Ok(()) };
-        for index in 0..self.controllers.len() {
-            if self.controllers[index].alive && self.controllers[index].wants_history {
-                self.controllers[index].see(tick);
+        for index in ControllerIndex::first(self.controllers.len()) {
+            if self.controllers[index.slot()].alive && self.controllers[index.slot()].wants_history {
+                self.controllers[index.slot()].see(tick);
                 // Its first look at its queue comes when it is there.
-                self.controllers[index].asleep = false;
+                self.controllers[index.slot()].asleep = false;
                 self.look_soon(index, 0);
             }
         }

@@ -1,7 +1,7 @@
 //! X-ray frames: the DRR process in the world, and the controllers that see its frames.
 
 use hub::x_ray::FrameMark;
-use messages::Part;
+use messages::{ControllerIndex, Part};
 
 use super::{LAUNCHER_NOTICES_NS, World};
 use crate::actors::Consumer;
@@ -78,15 +78,15 @@ impl World {
             self.deliver_frame_history();
             self.seen_frames.published(frame);
             self.newest_frame = Some(frame);
-            (0..self.controllers.len()).for_each(|index| self.deliver_frame(index, frame));
+            ControllerIndex::first(self.controllers.len()).for_each(|index| self.deliver_frame(index, frame));
             self.viewer.iter_mut().for_each(|viewer| viewer.receive_frame());
         }
     }
 
     /// Who has connected since gets the newest frame.
     fn deliver_frame_history(&mut self) {
-        for index in 0..self.controllers.len() {
-            let controller = &mut self.controllers[index];
+        for index in ControllerIndex::first(self.controllers.len()) {
+            let controller = &mut self.controllers[index.slot()];
             let Some(sight) = controller.sight.as_mut().filter(|_| controller.alive) else { continue };
             if std::mem::take(&mut sight.wants_history)
                 && let Some(frame) = self.newest_frame
@@ -96,8 +96,8 @@ impl World {
         }
     }
 
-    fn deliver_frame(&mut self, index: usize, frame: FrameMark) {
-        let controller = &mut self.controllers[index];
+    fn deliver_frame(&mut self, index: ControllerIndex, frame: FrameMark) {
+        let controller = &mut self.controllers[index.slot()];
         let Some(sight) = controller.sight.as_mut().filter(|_| controller.alive) else { return };
         self.seen_frames.delivered(index, frame);
         if let Some(dropped) = sight.receive(frame) {
@@ -107,7 +107,8 @@ impl World {
 
     /// A controller that waits for a frame waits for one that comes.
     pub(super) fn check_frame_waits(&mut self) {
-        for (index, controller) in self.controllers.iter().enumerate().filter(|(_, c)| c.alive) {
+        let controllers = ControllerIndex::first(self.controllers.len()).zip(&self.controllers);
+        for (index, controller) in controllers.filter(|(_, c)| c.alive) {
             if let Some(sight) = &controller.sight
                 && let Some(tick) = sight.waits_at
                 && sight.is_empty()

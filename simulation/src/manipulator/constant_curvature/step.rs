@@ -52,14 +52,14 @@ impl ConstantCurvature {
         let tendon = self.tendon_torque(before[3], &input.tendon);
         let (free, inverse) = self.free_velocity(dt, &loads, &tendon);
         let mut report = StepReport::none();
-        let mut after = self.with_contacts((dt, input), (&drive, &inverse), free, &mut report);
+        let mut after = self.with_contacts(dt, input, &drive, &inverse, free, &mut report);
         if tendon.slides_on && after[3] * before[3] < 0.0 {
             let tendon = self.tendon_torque(after[3], &input.tendon);
             let (free, inverse) = self.free_velocity(dt, &loads, &tendon);
             report = StepReport::none();
-            after = self.with_contacts((dt, input), (&drive, &inverse), free, &mut report);
+            after = self.with_contacts(dt, input, &drive, &inverse, free, &mut report);
         }
-        self.store(dt, &drive, (&mut moment, &mut report));
+        self.store(dt, &drive, &mut moment, &mut report);
         self.state.position = q + after * dt;
         moment -= self.momentum_moment(&q, &(after - before)) / dt;
         self.finish(input, &after, moment, &mut report);
@@ -167,12 +167,14 @@ impl ConstantCurvature {
 
     fn with_contacts(
         &mut self,
-        (dt, input): (f64, &StepInput),
-        (drive, inverse): (&BaseDrive, &Matrix4<f64>),
+        dt: f64,
+        input: &StepInput,
+        drive: &BaseDrive,
+        inverse: &Matrix4<f64>,
         free: Vector4<f64>,
         report: &mut StepReport,
     ) -> Vector4<f64> {
-        self.collect((dt, input), (drive, inverse), report);
+        self.collect(dt, input, drive, inverse, report);
         self.collect_stop(dt, &free);
         let stop_response = inverse.column(3).into_owned();
         let mut velocity = free;
@@ -201,8 +203,10 @@ impl ConstantCurvature {
 
     fn collect(
         &mut self,
-        (dt, input): (f64, &StepInput),
-        (drive, inverse): (&BaseDrive, &Matrix4<f64>),
+        dt: f64,
+        input: &StepInput,
+        drive: &BaseDrive,
+        inverse: &Matrix4<f64>,
         report: &mut StepReport,
     ) {
         self.rows.clear();
@@ -256,7 +260,7 @@ impl ConstantCurvature {
         self.stop = law.near(dt, self.state.position[3], free[3], self.state.stop_torque_nm);
     }
 
-    fn store(&mut self, dt: f64, drive: &BaseDrive, (moment, report): (&mut Vector3<f64>, &mut StepReport)) {
+    fn store(&mut self, dt: f64, drive: &BaseDrive, moment: &mut Vector3<f64>, report: &mut StepReport) {
         self.state.result_count = self.rows.len();
         for (slot, row) in self.state.results.iter_mut().zip(&self.rows) {
             let [normal, t0, t1] = row.direction;

@@ -84,13 +84,16 @@ pub(super) fn cross_force(v: &Spatial, f: &Spatial) -> Spatial {
     join(w.cross(&upper(f)) + o.cross(&lower(f)), w.cross(&lower(f)))
 }
 
-/// Adds the inertia of a body of revolution: mass, centre, unit axis, moments of inertia about the centre across and along the axis.
-pub(super) fn add_body(
-    m: &mut Operator,
-    (mass, across, along): (f64, f64, f64),
-    c: &Vector3<f64>,
-    axis: &Vector3<f64>,
-) {
+/// Mass of a body of revolution, and its moments of inertia about its centre.
+pub(super) struct Moments {
+    pub mass_kg: f64,
+    pub across_kg_m2: f64,
+    pub along_kg_m2: f64,
+}
+
+/// Adds the inertia of a body of revolution with this centre and unit axis.
+pub(super) fn add_body(m: &mut Operator, body: &Moments, c: &Vector3<f64>, axis: &Vector3<f64>) {
+    let Moments { mass_kg: mass, across_kg_m2: across, along_kg_m2: along } = *body;
     let squared = c.norm_squared();
     for i in 0..3 {
         for j in 0..3 {

@@ -42,9 +42,8 @@ impl Articulated {
         self.axis.copy_from_slice(&configuration.axis);
         for link in (0..=layout.joints).rev() {
             let body = &layout.body[link];
-            let moments = (body.mass_kg, body.inertia_kg_m2, layout.axial_inertia_kg_m2[link]);
             let centre = configuration.point(link, body.centre_m);
-            add_body(&mut inertia, moments, &centre, &configuration.direction(link));
+            add_body(&mut inertia, &layout.moments(link), &centre, &configuration.direction(link));
             for k in layout.freedoms_of(link).rev() {
                 let bias = times(&inertia, &self.axis[k]);
                 let inverse = 1.0 / (dot(&self.axis[k], &bias) + diagonal[k]);

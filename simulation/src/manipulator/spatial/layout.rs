@@ -6,7 +6,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::algebra::{Spatial, shift_along, turn_about};
+use super::algebra::{Moments, Spatial, shift_along, turn_about};
 use crate::manipulator::geometry::{LinkBody, SphereLayout, link_bodies, link_lengths_m, spheres};
 use crate::manipulator::parameters::ManipulatorParameters;
 
@@ -29,6 +29,16 @@ pub(super) struct SpatialLayout<const D: usize> {
 }
 
 impl<const D: usize> SpatialLayout<D> {
+    /// Mass and moments of inertia of a link.
+    pub fn moments(&self, link: usize) -> Moments {
+        let body = &self.body[link];
+        Moments {
+            mass_kg: body.mass_kg,
+            across_kg_m2: body.inertia_kg_m2,
+            along_kg_m2: self.axial_inertia_kg_m2[link],
+        }
+    }
+
     /// Number of coordinates before bending within a flexure.
     pub const BEND: usize = if D == 6 { 3 } else { 0 };
 
@@ -109,12 +119,12 @@ impl<const D: usize> Configuration<D> {
             }
             let bend = layout.bend(i);
             self.axis[bend] = turn_about(&p, &r.column(1).into_owned());
-            turn_columns(&mut r, (2, 0), q[bend]);
+            turn_columns(&mut r, 2, 0, q[bend]);
             if D > 1 {
                 self.axis[bend + 1] = turn_about(&p, &r.column(0).into_owned());
-                turn_columns(&mut r, (1, 2), q[bend + 1]);
+                turn_columns(&mut r, 1, 2, q[bend + 1]);
                 self.axis[bend + 2] = turn_about(&p, &r.column(2).into_owned());
-                turn_columns(&mut r, (0, 1), q[bend + 2]);
+                turn_columns(&mut r, 0, 1, q[bend + 2]);
             }
             self.origin[i + 1] = p;
             self.rotation[i + 1] = r;
@@ -133,7 +143,7 @@ impl<const D: usize> Configuration<D> {
 }
 
 /// Rotates columns `a` and `b` of a rotation matrix by `angle` from `a` toward `b`: a turn about the third column.
-fn turn_columns(r: &mut Matrix3<f64>, (a, b): (usize, usize), angle: f64) {
+fn turn_columns(r: &mut Matrix3<f64>, a: usize, b: usize, angle: f64) {
     let (sin, cos) = libm::sincos(angle);
     let (u, v) = (r.column(a).into_owned(), r.column(b).into_owned());
     r.set_column(a, &(u * cos + v * sin));

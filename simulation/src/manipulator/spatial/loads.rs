@@ -48,11 +48,10 @@ impl Loads {
                 add_scaled(&mut motion, v[k], axis);
             }
             let body = &layout.body[link];
-            let moments = (body.mass_kg, body.inertia_kg_m2, layout.axial_inertia_kg_m2[link]);
             let inertia = &mut self.inertia[link];
             *inertia = [ZERO; 6];
             let centre = configuration.point(link, body.centre_m);
-            add_body(inertia, moments, &centre, &configuration.direction(link));
+            add_body(inertia, &layout.moments(link), &centre, &configuration.direction(link));
             let momentum = times(inertia, &motion);
             let mut force = times(inertia, &acceleration);
             add_scaled(&mut force, 1.0, &cross_force(&motion, &momentum));

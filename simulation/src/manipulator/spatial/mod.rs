@@ -257,10 +257,14 @@ impl<const D: usize> SpatialChain<D> {
                 algebra::add_scaled(&mut motion, self.state.velocity[k], &self.configuration.axis[k]);
             }
             let body = &self.layout.body[link];
-            let moments = (body.mass_kg, body.inertia_kg_m2, self.layout.axial_inertia_kg_m2[link]);
             let mut inertia = [algebra::ZERO; 6];
             let centre = self.configuration.point(link, body.centre_m);
-            algebra::add_body(&mut inertia, moments, &centre, &self.configuration.direction(link));
+            algebra::add_body(
+                &mut inertia,
+                &self.layout.moments(link),
+                &centre,
+                &self.configuration.direction(link),
+            );
             energy += 0.5 * algebra::dot(&motion, &algebra::times(&inertia, &motion));
         }
         energy

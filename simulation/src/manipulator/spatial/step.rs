@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use super::SpatialChain;
 use super::algebra::{Spatial, ZERO};
 use super::layout::SpatialLayout;
+use super::tendon::Motion;
 use crate::manipulator::contact::{BaseDrive, ContactStep, Outcome};
 use crate::manipulator::error::ManipulatorError;
 use crate::manipulator::geometry::SphereKind;
@@ -57,6 +58,14 @@ impl Work {
     }
 }
 
+/// The diagonal parts of a stage's operator, to be filled.
+struct Diagonals<'a> {
+    /// Stiffness including the tendons' part.
+    stiffness: &'a mut [f64],
+    /// What the factored operator adds to the mass.
+    diagonal: &'a mut [f64],
+}
+
 /// out[i] = f(i) for every degree of freedom.
 fn fill(out: &mut [f64], f: impl Fn(usize) -> f64) {
     for (i, out) in out.iter_mut().enumerate() {
@@ -86,7 +95,7 @@ impl<const D: usize> SpatialChain<D> {
             }
             Err(error) => {
                 report.error_estimate_rad = error;
-                self.linearly_implicit_euler(dt_s, input, (&drive, &frame), &mut work, &mut report);
+                self.linearly_implicit_euler(dt_s, input, &drive, &frame, &mut work, &mut report);
             }
         }
         self.finish(dt_s, input, &mut work, &mut report);
@@ -94,32 +103,34 @@ impl<const D: usize> SpatialChain<D> {
         Ok(report)
     }
 
-    /// Tendons, factored operator and loads of one stage at `q`, `v`.
+    /// Tendons, factored operator and loads of one stage.
     fn stage(
         &mut self,
-        (q, v): (&[f64], &[f64]),
+        motion: Motion<'_>,
         h: f64,
-        (input, frame): (&StepInput, &Frame),
+        input: &StepInput,
+        frame: &Frame,
         at: Stage,
-        operator: (&mut [f64], &mut [f64]),
+        operator: Diagonals<'_>,
     ) {
-        self.factor_with_tendons((q, v), h, input, at, operator);
+        self.factor_with_tendons(motion, h, input, at, operator);
         let configuration = at.of(&self.configuration, &self.trial);
-        self.loads.evaluate(&self.layout, configuration, v, frame);
+        self.loads.evaluate(&self.layout, configuration, motion.v, frame);
     }
 
-    /// Evaluates the tendons at `q`, assuming velocities `v`, and factors the operator with them.
+    /// Evaluates the tendons and factors the operator with them.
     fn factor_with_tendons(
         &mut self,
-        (q, v): (&[f64], &[f64]),
+        motion: Motion<'_>,
         h: f64,
         input: &StepInput,
         at: Stage,
-        (stiffness, diagonal): (&mut [f64], &mut [f64]),
+        operator: Diagonals<'_>,
     ) {
+        let Diagonals { stiffness, diagonal } = operator;
         let configuration = at.of(&self.configuration, &self.trial);
         let parameters = &self.parameters.tendon;
-        self.tendon.evaluate(parameters, &self.layout, (q, v), &input.tendon, &self.state.tendon);
+        self.tendon.evaluate(parameters, &self.layout, motion, &input.tendon, &self.state.tendon);
         let stops = self.pressed.stiffness();
         fill(stiffness, |i| (self.stiffness[i] + self.tendon.stiffness[i]).max(0.0) + stops[i]);
         fill(diagonal, |i| h * self.damping[i] + h * h * stiffness[i]);
@@ -128,7 +139,8 @@ impl<const D: usize> SpatialChain<D> {
     }
 
     /// Forces of springs, dampers and tendons at `q`, `v`, minus `K y`.
-    fn elastic_forces(&self, (q, v, y): (&[f64], &[f64], &[f64]), stiffness: &[f64], out: &mut [f64]) {
+    fn elastic_forces(&self, motion: Motion<'_>, y: &[f64], stiffness: &[f64], out: &mut [f64]) {
+        let Motion { q, v } = motion;
         let stops = self.pressed.drive();
         fill(out, |i| {
             self.tendon.torque[i] + stops[i]
@@ -149,7 +161,8 @@ impl<const D: usize> SpatialChain<D> {
         &mut self,
         dt: f64,
         input: &StepInput,
-        (drive, frame): (&BaseDrive, &Frame),
+        drive: &BaseDrive,
+        frame: &Frame,
         work: &mut Work,
         report: &mut StepReport,
     ) {
@@ -160,12 +173,13 @@ impl<const D: usize> SpatialChain<D> {
             self.pressed.collect(&self.parameters, dt, &q, &self.state.stop_torque);
         }
         let Work { before, expected, stiffness, diagonal, .. } = &mut *work;
-        self.stage((&q, before), h, (input, frame), Stage::Start, (stiffness, diagonal));
+        let motion = Motion { q: &q, v: before };
+        self.stage(motion, h, input, frame, Stage::Start, Diagonals { stiffness, diagonal });
         expected.copy_from_slice(before);
         self.state.position = q;
         let mut round = 1;
         loop {
-            self.free_velocity((dt, h), work);
+            self.free_velocity(dt, h, work);
             self.with_contacts(dt, input, drive, &mut work.after, report);
             let Work { after, expected, stiffness, diagonal, .. } = &mut *work;
             let turned =
@@ -178,7 +192,8 @@ impl<const D: usize> SpatialChain<D> {
                 expected.copy_from_slice(after);
             }
             let q = core::mem::take(&mut self.state.position);
-            self.factor_with_tendons((&q, expected), h, input, Stage::Start, (stiffness, diagonal));
+            let motion = Motion { q: &q, v: expected };
+            self.factor_with_tendons(motion, h, input, Stage::Start, Diagonals { stiffness, diagonal });
             self.state.position = q;
             round += 1;
         }
@@ -188,10 +203,10 @@ impl<const D: usize> SpatialChain<D> {
     }
 
     /// `work.after`: velocities after the step without contacts.
-    fn free_velocity(&mut self, (dt, h): (f64, f64), work: &mut Work) {
+    fn free_velocity(&mut self, dt: f64, h: f64, work: &mut Work) {
         let Work { before, after, stiffness, rhs, y, .. } = work;
         fill(y, |i| h * before[i]);
-        self.elastic_forces((&self.state.position, before, y), stiffness, rhs);
+        self.elastic_forces(Motion { q: &self.state.position, v: before }, y, stiffness, rhs);
         self.solve_loads(rhs, after);
         for (after, before) in after.iter_mut().zip(before) {
             *after = *before + dt * *after;
@@ -256,7 +271,7 @@ impl<const D: usize> SpatialChain<D> {
         }
         self.pressed.clear();
         let q = core::mem::take(&mut self.state.position);
-        let stages = self.rosenbrock_stages((&q, dt), input, frame, work);
+        let stages = self.rosenbrock_stages(&q, dt, input, frame, work);
         self.state.position = q;
         let error = stages.ok_or(0.0)?;
         let accurate = error <= self.parameters.hybrid_tolerance_rad;
@@ -269,19 +284,21 @@ impl<const D: usize> SpatialChain<D> {
     /// The error estimate; `None` if a tendon binds, or starts or stops sliding within the step.
     fn rosenbrock_stages(
         &mut self,
-        (q, dt): (&[f64], f64),
+        q: &[f64],
+        dt: f64,
         input: &StepInput,
         frame: &Frame,
         work: &mut Work,
     ) -> Option<f64> {
         let h = GAMMA * dt;
         let Work { before, after, next, stiffness, diagonal, rhs, y, kv1, kq1, q2, v2, kv2, .. } = work;
-        self.stage((q, before), h, (input, frame), Stage::Start, (&mut *stiffness, &mut *diagonal));
+        let start = Motion { q, v: before };
+        self.stage(start, h, input, frame, Stage::Start, Diagonals { stiffness, diagonal });
         if self.tendon.channels.bind(&self.parameters.tendon, &self.tendon.tension_n) {
             return None;
         }
         fill(y, |i| h * before[i]);
-        self.elastic_forces((q, before, y), stiffness, rhs);
+        self.elastic_forces(start, y, stiffness, rhs);
         self.solve_loads(rhs, kv1);
         fill(kq1, |i| before[i] + h * kv1[i]);
         if turns(&self.tendon.slides_on, &self.tendon.slope, [before, kq1]) {
@@ -291,13 +308,14 @@ impl<const D: usize> SpatialChain<D> {
         fill(q2, |i| q[i] + dt * kq1[i]);
         fill(v2, |i| before[i] + dt * kv1[i]);
         self.trial.update(&self.layout, q2);
-        self.stage((q2, v2), h, (input, frame), Stage::Trial, (&mut *stiffness, &mut *diagonal));
+        let trial = Motion { q: q2, v: v2 };
+        self.stage(trial, h, input, frame, Stage::Trial, Diagonals { stiffness, diagonal });
         if self.tendon.slides_on != slid {
             return None;
         }
         // As in the planar rung: substituting x = kv2 + 2 kv1 removes the mass from the right-hand side.
         fill(y, |i| h * (v2[i] - 2.0 * kq1[i]) - 2.0 * h * h * kv1[i]);
-        self.elastic_forces((q2, v2, y), stiffness, rhs);
+        self.elastic_forces(trial, y, stiffness, rhs);
         for i in 0..rhs.len() {
             rhs[i] += 2.0 * h * self.damping[i] * kv1[i];
         }

@@ -66,6 +66,13 @@ impl TakeUp {
     }
 }
 
+/// Generalised positions, and the velocities assumed there.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Motion<'a> {
+    pub q: &'a [f64],
+    pub v: &'a [f64],
+}
+
 impl TendonLoad {
     pub fn new(freedoms: usize, channels: Channels) -> Self {
         let blank = || vec![0.0; freedoms];
@@ -81,19 +88,19 @@ impl TendonLoad {
         }
     }
 
-    /// Evaluates all tendons at `q`. The velocities `v` tell whether a saturated sliding state is about to reverse.
+    /// Evaluates all tendons. The velocities tell whether a saturated sliding state is about to reverse.
     pub fn evaluate<const D: usize>(
         &mut self,
         p: &TendonParameters,
         layout: &SpatialLayout<D>,
-        (q, v): (&[f64], &[f64]),
+        motion: Motion<'_>,
         command: &TendonCommand,
         memory: &[TendonMemory; MAX_TENDONS],
     ) {
         self.torque.fill(0.0);
         self.stiffness.fill(0.0);
         for t in 0..self.channels.count {
-            let (length_m, rate) = self.update_slope(t, p, layout, (q, v));
+            let (length_m, rate) = self.update_slope(t, p, layout, motion);
             let tension = base_tension(p, command, t, length_m);
             self.tension_n[t] = tension;
             let sliding = memory[t].sliding_at(length_m, p);
@@ -108,7 +115,7 @@ impl TendonLoad {
             }
             let mut wrap = 0.0;
             for i in 0..layout.joints {
-                let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, q);
+                let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, motion.q);
                 wrap += 0.5 * take_up.turn_rad;
                 let mu = if frictional { p.friction_coefficient } else { 0.0 };
                 let share = if frictional { libm::exp(-mu * sliding * wrap) } else { 1.0 };
@@ -137,8 +144,9 @@ impl TendonLoad {
         t: usize,
         p: &TendonParameters,
         layout: &SpatialLayout<D>,
-        (q, v): (&[f64], &[f64]),
+        motion: Motion<'_>,
     ) -> (f64, f64) {
+        let Motion { q, v } = motion;
         let (mut length_m, mut rate) = (0.0, 0.0);
         for i in 0..layout.joints {
             let take_up = TakeUp::of(p, layout, self.channels.offset_m[t], i, q);
