@@ -2,6 +2,7 @@
 //!
 //! | module | what it holds |
 //! |---|---|
+//! | [`debian`] | programs of Debian packages, unpacked once below the target folder |
 //! | [`limited`] | programs that must end: who exceeds the limit is killed with all it started, and the test says what it waited for |
 //! | [`python`] | virtual environments with pinned packages, made once below the target folder |
 //! | [`scenes`] | parts of scenes |
@@ -9,6 +10,7 @@
 // Only tests call this crate: a test that cannot go on panics.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+pub mod debian;
 pub mod limited;
 pub mod outputs;
 pub mod python;

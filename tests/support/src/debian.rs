@@ -1,0 +1,51 @@
+//! Programs of Debian packages, unpacked below the target folder: nothing is installed.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::limited::Limited;
+use crate::python::downloads;
+
+/// A program of this name on the `PATH` or in a Debian package that is fetched and unpacked once; where there is none, the reason is said,
+/// loudly.
+pub fn program_or_skip(package: &str, program: &str) -> Option<PathBuf> {
+    let on_path = std::env::var_os("PATH").and_then(|folders| {
+        std::env::split_paths(&folders).map(|folder| folder.join(program)).find(|file| file.is_file())
+    });
+    let found = on_path.map_or_else(|| unpacked(package, program), Ok);
+    found
+        .inspect_err(|reason| {
+            println!("\n*** SKIPPED: no {program} (Debian package {package}): {reason} ***\n")
+        })
+        .ok()
+}
+
+fn unpacked(package: &str, program: &str) -> Result<PathBuf, String> {
+    let folder = downloads().join(package);
+    // One at a time fetches it: tests of several programs may want the same.
+    let lock =
+        File::create(downloads().join(format!("{package}.lock"))).map_err(|error| error.to_string())?;
+    lock.lock().map_err(|error| error.to_string())?;
+    let file = folder.join("usr/bin").join(program);
+    if file.is_file() {
+        return Ok(file);
+    }
+    let fetched = tempfile::tempdir_in(downloads()).map_err(|error| error.to_string())?;
+    run(Command::new("apt-get").args(["download", package]).current_dir(fetched.path()))?;
+    let archive = archive_in(fetched.path())?;
+    run(Command::new("dpkg").arg("-x").arg(archive).arg(&folder))?;
+    if file.is_file() { Ok(file) } else { Err(format!("the package has no {}", file.display())) }
+}
+
+fn archive_in(folder: &Path) -> Result<PathBuf, String> {
+    let mut files = std::fs::read_dir(folder).map_err(|error| error.to_string())?.flatten();
+    let file = files.find(|file| file.path().extension().is_some_and(|extension| extension == "deb"));
+    file.map(|file| file.path()).ok_or_else(|| "apt-get fetched no package".to_owned())
+}
+
+fn run(command: &mut Command) -> Result<(), String> {
+    let output = command.limited_output().map_err(|error| error.to_string())?;
+    let text = String::from_utf8_lossy(&output.stderr);
+    if output.status.success() { Ok(()) } else { Err(text.lines().last().unwrap_or_default().to_owned()) }
+}
